@@ -1,0 +1,1 @@
+"""The particle filter, the belief that it publishes, and cessation (AGDC)."""

@@ -1,0 +1,31 @@
+"""`python -m estimator`: the estimator service alone, on any router."""
+
+import math
+
+from link import cli
+from link.bus import Bus
+from plume.randomness import MAX_SEED
+
+
+def main() -> None:
+    """Parse the command line and serve."""
+    parser = cli.Parser(prog="python -m estimator", description="Particle filter: readings in, beliefs and the AGDC stop out.")
+    cli.add_bus_arguments(parser)
+    cli.add_filter_arguments(parser)
+    positive = cli.number(0, math.inf, above=True)
+    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="of the filter's own draws (default: %(default)s)")
+    parser.add_argument("--rate", type=positive, default=300.0, metavar="Q", help="release rate q (default: %(default)s g/s)")
+    parser.add_argument("--diffusivity", type=positive, default=4.5, metavar="D", help="diffusivity d (default: %(default)s m²/s)")
+    parser.add_argument("--lifetime", type=positive, default=10.0, metavar="TAU", help="lifetime τ of the gas (default: %(default)s s)")
+    args = parser.parse_args()
+
+    from estimator.filter import Config  # compiles or loads the kernels: after the command line is known to be good
+    from estimator.service import run
+
+    config = Config(args.particles, args.threshold, args.seed, args.rate, args.diffusivity, args.lifetime)
+    with Bus("estimator", args.connect, args.namespace) as bus:
+        run(bus, config)
+
+
+if __name__ == "__main__":
+    cli.run(main)

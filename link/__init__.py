@@ -1,0 +1,1 @@
+"""How the processes talk: the table of keys, messages, sessions, the MAVLink codec, command lines."""

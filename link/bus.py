@@ -1,0 +1,215 @@
+"""A session on the bus: publishers and subscribers made from the table of keys, and one inbox for all that arrives."""
+
+import json
+import queue
+import re
+import time
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar
+
+import msgspec
+import zenoh
+import zenoh.ext
+
+from link.keys import HEALTH, Key
+from link.log import Log
+from link.messages import Health
+
+DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
+CONNECT_TIMEOUT_S = 5.0
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+class BusError(Exception):
+    """The bus cannot be joined or opened; the text is one clear line."""
+
+
+class Arrival(NamedTuple):
+    """One message from the bus."""
+
+    key: Key
+    payload: bytes
+    attachment: bytes
+
+
+class LivelinessChange(NamedTuple):
+    """A service's process came or went."""
+
+    service: str
+    alive: bool
+
+
+@dataclass
+class Tally:
+    """What a service counts about itself; published as its Health."""
+
+    state: str = "ready"
+    step: int = -1
+    compute_s: float = 0.0
+
+
+def _config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zenoh.Config:
+    config = zenoh.Config()
+    config.insert_json5("mode", json.dumps(mode))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("scouting/gossip/enabled", "false")
+    config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
+    for kind, urls in endpoints.items():
+        try:
+            config.insert_json5(f"{kind}/endpoints", json.dumps(urls))
+        except zenoh.ZError:
+            raise BusError(f"--{kind}: {', '.join(urls)!r} is no Zenoh endpoint; wanted one like {DEFAULT_ROUTER}") from None
+    for name, value in settings.items():
+        config.insert_json5(name.replace("__", "/"), json.dumps(value))
+    return config
+
+
+def open_router(endpoint: str) -> tuple[zenoh.Session, str]:
+    """Open a Zenoh router in this process; returns it and its endpoint, with the port chosen where port 0 was asked for."""
+    config = _config("router", {"listen": [endpoint]}, adminspace__enabled=True)
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError as error:
+        reason = re.search(r"(Address already in use|Permission denied|Cannot assign requested address|[Ff]ailed to lookup)", str(error))
+        raise BusError(f"--listen: cannot listen on {endpoint}: {reason.group(1) if reason else str(error).split(' at /')[0]}") from None
+    for reply in session.get(f"@/{session.zid()}/router"):
+        if reply.ok is not None:
+            return session, str(json.loads(reply.ok.payload.to_bytes())["locators"][0])
+    raise BusError(f"--listen: the router on {endpoint} does not tell its address")
+
+
+class Bus:
+    """One service's place on the bus of one vehicle."""
+
+    def __init__(self, service: str, connect: str = DEFAULT_ROUTER, namespace: str = "uav/1", log: Log | None = None) -> None:
+        """Join a router as a client; raises BusError where none answers within CONNECT_TIMEOUT_S."""
+        config = _config(
+            "client",
+            {"connect": [connect]},
+            namespace=namespace,
+            connect__timeout_ms=int(CONNECT_TIMEOUT_S * 1000),
+            # Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s.
+            connect__retry={"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+        )
+        try:
+            self._session = zenoh.open(config)
+        except zenoh.ZError:
+            raise BusError(f"--connect: no router at {connect} (start one with: python -m sitl router)") from None
+        self.service = service
+        self.log = log or Log(service)
+        self.refused: Counter[str] = Counter()
+        self.tally = Tally()
+        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._publishers: dict[str, Any] = {}
+        self._subscribers: list[Any] = []
+        self._started = time.monotonic()
+        self._token = self._session.liveliness().declare_token(self._own_health())
+
+    def _own_health(self) -> str:
+        return HEALTH.name.replace("<service>", self.service)
+
+    def _publisher(self, key: Key) -> Any:
+        if key.name not in self._publishers:
+            name = self._own_health() if key is HEALTH else key.name
+            how = key.delivery
+            options: dict[str, Any] = {
+                "reliability": zenoh.Reliability.RELIABLE if how.reliable else zenoh.Reliability.BEST_EFFORT,
+                "congestion_control": zenoh.CongestionControl.BLOCK if how.blocking else zenoh.CongestionControl.DROP,
+                "priority": zenoh.Priority.REAL_TIME if how.realtime else zenoh.Priority.DATA,
+                "express": how.express,
+            }
+            if how.kept:
+                self._publishers[key.name] = zenoh.ext.declare_advanced_publisher(
+                    self._session,
+                    name,
+                    cache=zenoh.ext.CacheConfig(max_samples=how.kept),
+                    publisher_detection=True,
+                    sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5),
+                    **options,
+                )
+            else:
+                self._publishers[key.name] = self._session.declare_publisher(name, **options)
+        return self._publishers[key.name]
+
+    def publish(self, key: Key, message: bytes | msgspec.Struct, attachment: bytes | None = None) -> None:
+        """Publish frames as they are, structs as JSON."""
+        payload = message if isinstance(message, bytes) else msgspec.json.encode(message)
+        self._publisher(key).put(payload, attachment=attachment)
+
+    def subscribe(self, *keys: Key) -> None:
+        """Have what is published under these keys, kept messages first, put into the inbox."""
+        for key in keys:
+            # Callbacks only queue: one that blocked or computed would hold up the session, stop messages included.
+            def arrived(sample: zenoh.Sample, key: Key = key) -> None:
+                attachment = sample.attachment.to_bytes() if sample.attachment else b""
+                self._inbox.put(Arrival(key, sample.payload.to_bytes(), attachment))
+
+            name = key.name.replace("<service>", "*")
+            if key.delivery.kept:
+                subscriber: Any = zenoh.ext.declare_advanced_subscriber(
+                    self._session,
+                    name,
+                    arrived,
+                    # Not detect_late_publishers: it loses the history in half of the joins to a live publisher (zenoh 1.10.2).
+                    history=zenoh.ext.HistoryConfig(),
+                    recovery=zenoh.ext.RecoveryConfig(heartbeat=True),
+                )
+            else:
+                subscriber = self._session.declare_subscriber(name, arrived)
+            self._subscribers.append(subscriber)
+
+    def watch_services(self) -> None:
+        """Have the coming and going of services put into the inbox, beginning with those that are there."""
+
+        def changed(sample: zenoh.Sample) -> None:
+            service = str(sample.key_expr).rpartition("/")[2]
+            self._inbox.put(LivelinessChange(service, sample.kind == zenoh.SampleKind.PUT))
+
+        name = HEALTH.name.replace("<service>", "*")
+        self._subscribers.append(self._session.liveliness().declare_subscriber(name, changed, history=True))
+
+    def post(self, item: object) -> None:
+        """Put something of one's own into the inbox: what arrives on other links, say."""
+        self._inbox.put(item)
+
+    def receive(self, timeout_s: float | None = None) -> Any:
+        """Return the next item of the inbox, or None after timeout_s."""
+        try:
+            return self._inbox.get(timeout=None if timeout_s is None else max(timeout_s, 0.0))
+        except queue.Empty:
+            return None
+
+    def refuse(self, key: Key, reason: str, kind: str) -> None:
+        """Count and log a message that is dropped; `kind` is what it is counted under."""
+        self.refused[kind] += 1
+        self.log.warn(f"refused {key.name}: {reason}")
+
+    def decode(self, arrival: Arrival, kind: type[T]) -> T | None:
+        """Decode JSON into its struct; what does not decode is refused, and None."""
+        try:
+            return msgspec.json.decode(arrival.payload, type=kind)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            self.refuse(arrival.key, str(error), "malformed")
+            return None
+
+    def publish_health(self) -> None:
+        """Publish how this service is doing now."""
+        uptime_s = time.monotonic() - self._started
+        health = Health(self.service, self.tally.state, self.tally.step, self.tally.compute_s, uptime_s, dict(self.refused))
+        self.publish(HEALTH, health)
+
+    def close(self) -> None:
+        """Leave the bus. A session that is left open would hang the process's exit."""
+        for subscriber in self._subscribers:
+            subscriber.undeclare()
+        self._session.close()
+
+    def __enter__(self) -> "Bus":
+        """Enter a with block, which closes the bus at its end."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the bus."""
+        self.close()

@@ -1,0 +1,1 @@
+"""The physics that all parts share: dispersion, sensor, scenarios, the world that one mission flies in."""

@@ -1,0 +1,26 @@
+"""Mean gas concentration around a point source: the paper's isotropic plume (Vergassola et al. 2007)."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+SOURCE_RADIUS_M = 0.1
+"""Distances below the source's own radius count as that radius."""
+
+
+def concentration(
+    position: ArrayLike, source: ArrayLike, wind: ArrayLike, *, rate: float, diffusivity: float, lifetime: float
+) -> NDArray[np.float64]:
+    """Mean concentration m = q/(4π d r) · exp(−r/λ + ψ), Vergassola et al. 2007 eq. (S5), the paper's section 2.
+
+    position, source: (..., 2) m, x east, y north.  wind: (..., 2) = (u cos φ, u sin φ) m/s, φ the direction it comes FROM.
+    rate q in g/s, diffusivity d in m²/s, lifetime τ in s.  Shapes broadcast; returns (...) in g/m³.  Gas lies towards −wind.
+    """
+    offset = np.asarray(position, np.float64) - np.asarray(source, np.float64)
+    wind = np.asarray(wind, np.float64)
+    distance = np.maximum(np.hypot(offset[..., 0], offset[..., 1]), SOURCE_RADIUS_M)
+    speed_squared = np.square(wind).sum(axis=-1)
+    decay_length = np.sqrt(diffusivity * lifetime / (1 + speed_squared * lifetime / (4 * diffusivity)))  # λ
+    drift = -(offset * wind).sum(axis=-1) / (2 * diffusivity)  # ψ
+    # λ ≤ 2d/u keeps the exponent at or below zero: the exponential cannot overflow, however strong the wind.
+    result: NDArray[np.float64] = rate / (4 * np.pi * diffusivity * distance) * np.exp(-distance / decay_length + drift)
+    return result

@@ -1,0 +1,77 @@
+"""What one mission came to, in the words that all tables use."""
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+
+from plume.scenario import SUCCESS_RADIUS_M, Scenario
+
+
+class TracePoint(msgspec.Struct, frozen=True):
+    """One step of a mission: where a reading was taken and what was believed after it."""
+
+    position: tuple[float, float]
+    reading: float
+    mean: tuple[float, float]
+    spread: float
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """The result of a mission; `fly` and `rollout` print it as JSON. Lengths in metres, times in seconds."""
+
+    seed: int
+    policy: str
+    ceased: bool
+    """AGDC declared a stop within the step budget."""
+    located: bool
+    """Ceased, and the estimate is within the success radius of the source."""
+    estimate: tuple[float, float]
+    source: tuple[float, float]
+    scenario: Scenario
+    error_m: float
+    spread_m: float
+    steps: int
+    distance_m: float
+    search_time_s: float
+    """Compute time of estimator and agent, summed over the mission."""
+
+
+def outcome(seed: int, policy: str, scenario: Scenario, trace: Sequence[TracePoint], ceased: bool, search_time_s: float) -> Outcome:
+    """Judge a mission by its trace: the first point is the reading before any move."""
+    last = trace[-1]
+    error_m = math.dist(last.mean, scenario.source)
+    return Outcome(
+        seed=seed,
+        policy=policy,
+        ceased=ceased,
+        located=ceased and error_m <= SUCCESS_RADIUS_M,
+        estimate=last.mean,
+        source=scenario.source,
+        scenario=scenario,
+        error_m=error_m,
+        spread_m=last.spread,
+        steps=len(trace) - 1,
+        distance_m=sum(math.dist(a.position, b.position) for a, b in zip(trace, trace[1:], strict=False)),
+        search_time_s=search_time_s,
+    )
+
+
+def outcome_json(result: Outcome, trace: Sequence[TracePoint] | None) -> str:
+    """One line of JSON, with the trace as an extra field where it was asked for."""
+    fields = msgspec.to_builtins(result)
+    del fields["scenario"]["source"]  # stated once, beside the estimate
+    if trace is not None:
+        fields["trace"] = trace
+    return msgspec.json.encode(fields).decode()
+
+
+def outcome_text(result: Outcome) -> str:
+    """Two lines for people."""
+    x, y = result.source
+    if result.ceased:
+        verdict = f"ceased after {result.steps} steps, {result.distance_m:.1f} m: {'located' if result.located else 'FALSE STOP'}"
+    else:
+        verdict = f"not ceased within {result.steps} steps, {result.distance_m:.1f} m"
+    estimate = f"({result.estimate[0]:.2f}, {result.estimate[1]:.2f}) ± {result.spread_m:.2f} m"
+    return f"{verdict}\nestimate {estimate}, source ({x:.2f}, {y:.2f}), error {result.error_m:.2f} m"

@@ -1,0 +1,23 @@
+"""Keyed randomness: every draw is a function of (seed, stream, step), never of clock, process, batch or thread."""
+
+from functools import cache
+from hashlib import blake2b
+
+import numpy as np
+
+MAX_SEED = 2**63 - 1
+
+
+@cache
+def _word(text: str) -> int:
+    return int.from_bytes(blake2b(text.encode(), digest_size=8).digest(), "little")
+
+
+def keyed(seed: int, stream: str, step: int = 0) -> np.random.Generator:
+    """Return the generator of one (seed, stream, step); the counter-based Philox makes them independent of each other."""
+    return np.random.Generator(np.random.Philox(key=np.array([seed, _word(stream)], np.uint64), counter=[0, 0, step, 0]))
+
+
+def derived_seed(seed: int, purpose: str) -> int:
+    """One-way seed for a service: it makes its own draws repeatable and does not tell the mission's seed, hence not the source."""
+    return _word(f"{seed}/{purpose}") & MAX_SEED

@@ -1,0 +1,52 @@
+"""The scenarios that missions are flown in: the paper's Table 1, drawn by seed."""
+
+import math
+
+import msgspec
+import numpy as np
+
+from plume.randomness import keyed
+
+AREA_M = 30.0
+"""Side of the square search area [0, AREA_M]², m."""
+STEP_M = 1.0
+"""Length of one move, m."""
+BUDGET_STEPS = 300
+"""Moves after which a mission is given up; the paper states none."""
+SUCCESS_RADIUS_M = 1.0
+"""A stop counts as located when the estimate is this near to the source; the paper states none."""
+LIFETIME_S = 10.0
+"""τ; Table 1 states none, the paper's illustration has 10 s."""
+
+
+class Scenario(msgspec.Struct, frozen=True):
+    """One gas release. It holds the truth: nothing that estimates or plans may be handed one."""
+
+    source: tuple[float, float]
+    """(x, y) m, x east, y north."""
+    q: float
+    """Release rate, g/s."""
+    u: float
+    """Wind speed, m/s."""
+    phi: float
+    """Direction the wind comes from, rad, counter-clockwise from +x."""
+    d: float
+    """Effective diffusivity, m²/s."""
+    tau: float
+    """Lifetime of the gas, s."""
+    start: tuple[float, float]
+    """Where the search begins, m."""
+
+    @property
+    def wind(self) -> tuple[float, float]:
+        """(u cos φ, u sin φ), m/s: points to where the wind comes from. The air itself moves by its negative."""
+        return self.u * math.cos(self.phi), self.u * math.sin(self.phi)
+
+
+def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:
+    """Draw a scenario of the paper's training and test distribution (Table 1)."""
+    rng = keyed(seed, "scenario")
+    low = np.array([10.0, 10.0, 100.0, 1.0, 0.0, 1.0, 0.0, 0.0])
+    high = np.array([25.0, 25.0, 500.0, 4.0, 2 * np.pi, 8.0, 5.0, 5.0])
+    x, y, q, u, phi, d, start_x, start_y = rng.uniform(low, high).tolist()
+    return Scenario(source=(x, y), q=q, u=u, phi=phi, d=d, tau=lifetime_s, start=(start_x, start_y))

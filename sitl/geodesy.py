@@ -1,0 +1,35 @@
+"""Latitude and longitude from local metres and back: PX4's spherical azimuthal equidistant projection about home (Snyder 1987, p. 195)."""
+
+import math
+
+EARTH_RADIUS_M = 6_371_000.0
+
+
+def to_global(home_lat_deg: float, home_lon_deg: float, north_m: float, east_m: float) -> tuple[float, float]:
+    """Return (latitude, longitude) in degrees of a point so many metres north and east of home."""
+    arc = math.hypot(north_m, east_m) / EARTH_RADIUS_M
+    if arc == 0.0:
+        return home_lat_deg, home_lon_deg
+    lat0, bearing = math.radians(home_lat_deg), math.atan2(east_m, north_m)
+    lat = math.asin(math.cos(arc) * math.sin(lat0) + math.sin(arc) * math.cos(lat0) * math.cos(bearing))
+    turn = math.atan2(
+        math.sin(arc) * math.sin(bearing),
+        math.cos(lat0) * math.cos(arc) - math.sin(lat0) * math.sin(arc) * math.cos(bearing),
+    )
+    return math.degrees(lat), _wrapped_deg(home_lon_deg + math.degrees(turn))
+
+
+def to_local(home_lat_deg: float, home_lon_deg: float, lat_deg: float, lon_deg: float) -> tuple[float, float]:
+    """Return (north, east) in metres of a latitude and longitude; undoes `to_global`."""
+    lat0, lat, turn = math.radians(home_lat_deg), math.radians(lat_deg), math.radians(lon_deg - home_lon_deg)
+    north = math.cos(lat0) * math.sin(lat) - math.sin(lat0) * math.cos(lat) * math.cos(turn)
+    east = math.cos(lat) * math.sin(turn)
+    # (north, east) is sin(arc) long; the projection makes it arc long. atan2 keeps its precision at small arcs, acos does not.
+    sine = math.hypot(north, east)
+    cosine = math.sin(lat0) * math.sin(lat) + math.cos(lat0) * math.cos(lat) * math.cos(turn)
+    scale = EARTH_RADIUS_M * (math.atan2(sine, cosine) / sine if sine > 0.0 else 1.0)
+    return north * scale, east * scale
+
+
+def _wrapped_deg(longitude: float) -> float:
+    return longitude if -180.0 <= longitude <= 180.0 else math.remainder(longitude, 360.0)

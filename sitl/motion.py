@@ -1,0 +1,173 @@
+"""Closed-form motion: where the vehicle is at time t is a formula of t, never the sum of steps, so any speed-up sees the same positions."""
+
+import math
+from typing import NamedTuple
+
+GRAVITY_MPS2 = 9.80665
+
+Vector = tuple[float, float, float]
+"""(north, east, down) m, or its derivatives."""
+
+ZERO: Vector = (0.0, 0.0, 0.0)
+HERE_M = 1e-9
+"""A target nearer than this has been reached: there is no leg to fly, and no direction to divide out."""
+
+
+class Limits(NamedTuple):
+    """How fast the vehicle may move; the acceleration bounds every change of speed along a line."""
+
+    speed_mps: float
+    climb_mps: float
+    descent_mps: float
+    accel_mps2: float
+
+
+class Motion(NamedTuple):
+    """Position, velocity and acceleration at one instant, NED."""
+
+    position: Vector
+    velocity: Vector = ZERO
+    acceleration: Vector = ZERO
+
+
+class Phase(NamedTuple):
+    """A stretch of constant acceleration."""
+
+    start_s: float
+    end_s: float
+    start: Motion
+
+    def at(self, t_s: float) -> Motion:
+        """Motion at a time within the phase."""
+        dt = max(t_s - self.start_s, 0.0)
+        position, velocity, acceleration = self.start
+        return Motion(
+            _along(_along(position, velocity, dt), acceleration, dt * dt / 2.0),
+            _along(velocity, acceleration, dt),
+            acceleration,
+        )
+
+
+class Path(NamedTuple):
+    """Phases one after the other, then rest on the target, exactly: the last bit of the position is the target's."""
+
+    start_s: float
+    target: Vector
+    phases: tuple[Phase, ...] = ()
+
+    @property
+    def end_s(self) -> float:
+        """When the path comes to rest."""
+        return self.phases[-1].end_s if self.phases else self.start_s
+
+    def at(self, t_s: float) -> Motion:
+        """Motion at any time from the start on."""
+        for phase in self.phases:
+            if t_s < phase.end_s:
+                return phase.at(t_s)
+        return Motion(self.target)
+
+    def to(self, target: Vector, limits: Limits) -> "Path":
+        """This path, then a straight leg from its end to another target: speed up, cruise, slow down (no cruise where it is short)."""
+        difference = _minus(target, self.target)
+        length = math.hypot(*difference)
+        if length < HERE_M:
+            return self._replace(target=target)
+        direction = _times(difference, 1.0 / length)
+        accel = limits.accel_mps2
+        peak = min(_speed_limit(direction, limits), math.sqrt(accel * length))
+        ramp_s, ramp_m = peak / accel, peak * peak / accel / 2.0
+        cruise_m = max(length - 2.0 * ramp_m, 0.0)
+
+        accelerated_s = self.end_s + ramp_s
+        cruised_s = accelerated_s + cruise_m / peak
+        velocity = _times(direction, peak)
+        cruise_start = _along(self.target, direction, ramp_m)
+        phases = (
+            Phase(self.end_s, accelerated_s, Motion(self.target, ZERO, _times(direction, accel))),
+            Phase(accelerated_s, cruised_s, Motion(cruise_start, velocity)),
+            Phase(cruised_s, cruised_s + ramp_s, Motion(_along(target, direction, -ramp_m), velocity, _times(direction, -accel))),
+        )
+        return Path(self.start_s, target, self.phases + phases)
+
+
+def halt(t_s: float, motion: Motion, limits: Limits) -> Path:
+    """Brake to rest along the present direction; a vehicle at rest stays where it is."""
+    speed = math.hypot(*motion.velocity)
+    if speed == 0.0:
+        return Path(t_s, motion.position)
+    direction = _times(motion.velocity, 1.0 / speed)
+    braking = Motion(motion.position, motion.velocity, _times(direction, -limits.accel_mps2))
+    stop = _along(motion.position, direction, speed * speed / limits.accel_mps2 / 2.0)
+    return Path(t_s, stop, (Phase(t_s, t_s + speed / limits.accel_mps2, braking),))
+
+
+def fall(t_s: float, motion: Motion) -> Path:
+    """Drop to the ground (down = 0) with the motors off, without air drag; it comes to rest where it hits."""
+    height, climb = -motion.position[2], -motion.velocity[2]
+    duration = (climb + math.sqrt(climb * climb + 2.0 * GRAVITY_MPS2 * max(height, 0.0))) / GRAVITY_MPS2
+    north, east, _ = _along(motion.position, motion.velocity, duration)
+    falling = Motion(motion.position, motion.velocity, (0.0, 0.0, GRAVITY_MPS2))
+    return Path(t_s, (north, east, 0.0), (Phase(t_s, t_s + duration, falling),))
+
+
+class Turn(NamedTuple):
+    """A turn of the nose at a constant rate, the shorter way round; it ends on the target exactly."""
+
+    start_s: float
+    start_rad: float
+    target_rad: float
+    rate_radps: float
+
+    @property
+    def end_s(self) -> float:
+        """When the nose points to the target."""
+        return self.start_s + abs(self._angle()) / self.rate_radps
+
+    def at(self, t_s: float) -> tuple[float, float]:
+        """(yaw, yaw rate) at any time from the start on; yaw in [−π, π] from north, clockwise."""
+        if t_s >= self.end_s:
+            return self.target_rad, 0.0
+        rate = math.copysign(self.rate_radps, self._angle())
+        return wrapped(self.start_rad + rate * max(t_s - self.start_s, 0.0)), rate
+
+    def _angle(self) -> float:
+        return wrapped(self.target_rad - self.start_rad)
+
+
+def wrapped(angle_rad: float) -> float:
+    """The same angle in [−π, π]."""
+    return angle_rad if -math.pi <= angle_rad <= math.pi else math.remainder(angle_rad, 2.0 * math.pi)
+
+
+def attitude(acceleration: Vector, yaw_rad: float) -> tuple[float, float]:
+    """(roll, pitch) of a multirotor whose thrust gives this acceleration against gravity; air drag is left out."""
+    north, east, down = acceleration
+    forward = north * math.cos(yaw_rad) + east * math.sin(yaw_rad)
+    right = east * math.cos(yaw_rad) - north * math.sin(yaw_rad)
+    weight = GRAVITY_MPS2 - down
+    if forward == right == weight == 0.0:  # in free fall there is no thrust to tell an attitude from
+        return 0.0, 0.0
+    return math.atan2(right, math.hypot(forward, weight)), math.atan2(-forward, weight)
+
+
+def _speed_limit(direction: Vector, limits: Limits) -> float:
+    """The greatest speed along a unit vector that keeps its horizontal and its vertical part within their limits."""
+    horizontal, down = math.hypot(direction[0], direction[1]), direction[2]
+    vertical_limit = limits.descent_mps if down > 0.0 else limits.climb_mps
+    return min(
+        limits.speed_mps / horizontal if horizontal > 0.0 else math.inf,
+        vertical_limit / abs(down) if down != 0.0 else math.inf,
+    )
+
+
+def _minus(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _times(a: Vector, factor: float) -> Vector:
+    return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+def _along(start: Vector, direction: Vector, distance: float) -> Vector:
+    return start[0] + direction[0] * distance, start[1] + direction[1] * distance, start[2] + direction[2] * distance
