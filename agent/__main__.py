@@ -11,11 +11,19 @@ from plume.scenario import BUDGET_STEPS
 
 
 def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--policy", choices=PLANNERS, default="infotaxis", help="how to choose waypoints: %(choices)s (default: %(default)s)")
     parser.add_argument(
-        "--budget", type=cli.whole(1, 1_000_000), default=BUDGET_STEPS, metavar="STEPS", help="moves before giving up (default: %(default)s)"
+        "--policy", choices=PLANNERS, default="infotaxis", help="how to choose waypoints: %(choices)s (default: %(default)s)"
     )
-    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="of the policy's draws; of the mission in a rollout (default: %(default)s)")
+    parser.add_argument(
+        "--budget",
+        type=cli.whole(1, 1_000_000),
+        default=BUDGET_STEPS,
+        metavar="STEPS",
+        help="moves before giving up (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seed", type=cli.whole(0, MAX_SEED), default=0, help="of the policy's draws; of the mission in a rollout (default: %(default)s)"
+    )
 
 
 def _parse() -> argparse.Namespace:

@@ -29,7 +29,8 @@ def _log_likelihood(x: float, y: float, reading: Array, scale: float, inverse_le
     mean = scale / distance * math.exp(-distance * inverse_length - (dx * drift_x + dy * drift_y))
     variance = NOISE_SLOPE * mean * mean + NOISE_FLOOR
     residual = reading[4] - mean
-    return -0.5 * (residual * residual / variance + math.log(variance)) - HALF_LOG_2PI
+    log_density: float = -0.5 * (residual * residual / variance + math.log(variance)) - HALF_LOG_2PI
+    return log_density
 
 
 @numba.njit("UniTuple(float64, 4)(float64[::1], float64[::1])", cache=True)
@@ -113,7 +114,9 @@ def systematic(weights: Array, offset: float) -> NDArray[np.int64]:
     return ancestors
 
 
-@numba.njit("float64(float64[:, ::1], float64[::1], float64[:, ::1], float64, float64[::1], float64[:, :, ::1], float64[:, ::1])", cache=True)
+@numba.njit(
+    "float64(float64[:, ::1], float64[::1], float64[:, ::1], float64, float64[::1], float64[:, :, ::1], float64[:, ::1])", cache=True
+)
 def metropolis(
     particles: Array, log_targets: Array, readings: Array, last_exponent: float, model: Array, steps: Array, log_uniforms: Array
 ) -> float:
@@ -139,7 +142,9 @@ def metropolis(
             # Newest first: it is the likeliest to reject. No reading can add more than the log density at the noise floor,
             # so a proposal that cannot reach what is needed any more is given up early; that changes no decision.
             best_left = last * LOG_DENSITY_BOUND
-            target = last_exponent * _log_likelihood(x, y, readings[last], factors[last, 0], factors[last, 1], factors[last, 2], factors[last, 3])
+            target = last_exponent * _log_likelihood(
+                x, y, readings[last], factors[last, 0], factors[last, 1], factors[last, 2], factors[last, 3]
+            )
             for t in range(last - 1, -1, -1):
                 if target + best_left < needed:
                     break

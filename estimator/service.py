@@ -51,6 +51,8 @@ def _readings(bus: Bus, config: Config) -> Iterator[Reading]:
             bus.refuse(READING, str(error), "malformed")
             continue
         if not all(0.0 <= value <= config.area_m for value in reading.position):
-            bus.refuse(READING, f"position {reading.position} is outside the area [0, {config.area_m:g}] x [0, {config.area_m:g}] m", "outside")
+            bus.refuse(
+                READING, f"position {reading.position} is outside the area [0, {config.area_m:g}] x [0, {config.area_m:g}] m", "outside"
+            )
             continue
         yield reading

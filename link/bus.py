@@ -55,6 +55,7 @@ def _config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zeno
     config.insert_json5("mode", json.dumps(mode))
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("scouting/gossip/enabled", "false")
+    config.insert_json5("scouting/delay", "0")  # there is nobody to scout for: a router opens at once instead of after 0.5 s
     config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
     for kind, urls in endpoints.items():
         try:
@@ -83,8 +84,13 @@ def open_router(endpoint: str) -> tuple[zenoh.Session, str]:
 class Bus:
     """One service's place on the bus of one vehicle."""
 
-    def __init__(self, service: str, connect: str = DEFAULT_ROUTER, namespace: str = "uav/1", log: Log | None = None) -> None:
-        """Join a router as a client; raises BusError where none answers within CONNECT_TIMEOUT_S."""
+    def __init__(
+        self, service: str, connect: str = DEFAULT_ROUTER, namespace: str = "uav/1", inbox: "queue.SimpleQueue[Any] | None" = None
+    ) -> None:
+        """Join a router as a client; raises BusError where none answers within CONNECT_TIMEOUT_S.
+
+        All that arrives goes into `inbox`: give one's own where other things than the bus fill it too.
+        """
         config = _config(
             "client",
             {"connect": [connect]},
@@ -98,10 +104,10 @@ class Bus:
         except zenoh.ZError:
             raise BusError(f"--connect: no router at {connect} (start one with: python -m sitl router)") from None
         self.service = service
-        self.log = log or Log(service)
+        self.log = Log(service)
         self.refused: Counter[str] = Counter()
         self.tally = Tally()
-        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[Any] = inbox or queue.SimpleQueue()
         self._publishers: dict[str, Any] = {}
         self._subscribers: list[Any] = []
         self._started = time.monotonic()
@@ -126,7 +132,7 @@ class Bus:
                     name,
                     cache=zenoh.ext.CacheConfig(max_samples=how.kept),
                     publisher_detection=True,
-                    sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5),
+                    sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5, sporadic_heartbeat=None),
                     **options,
                 )
             else:
@@ -154,7 +160,7 @@ class Bus:
                     arrived,
                     # Not detect_late_publishers: it loses the history in half of the joins to a live publisher (zenoh 1.10.2).
                     history=zenoh.ext.HistoryConfig(),
-                    recovery=zenoh.ext.RecoveryConfig(heartbeat=True),
+                    recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
                 )
             else:
                 subscriber = self._session.declare_subscriber(name, arrived)
@@ -169,10 +175,6 @@ class Bus:
 
         name = HEALTH.name.replace("<service>", "*")
         self._subscribers.append(self._session.liveliness().declare_subscriber(name, changed, history=True))
-
-    def post(self, item: object) -> None:
-        """Put something of one's own into the inbox: what arrives on other links, say."""
-        self._inbox.put(item)
 
     def receive(self, timeout_s: float | None = None) -> Any:
         """Return the next item of the inbox, or None after timeout_s."""
@@ -204,7 +206,8 @@ class Bus:
         """Leave the bus. A session that is left open would hang the process's exit."""
         for subscriber in self._subscribers:
             subscriber.undeclare()
-        self._session.close()
+        self._token.undeclare()  # type: ignore[no-untyped-call]
+        self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> "Bus":
         """Enter a with block, which closes the bus at its end."""

@@ -47,7 +47,9 @@ def number(low: float, high: float, *, above: bool = False) -> Callable[[str], f
         except ValueError:
             value = math.nan
         if not low <= value <= high or (above and value == low):
-            raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a number {'above' if above else 'from'} {low:g} up to {high:g}")
+            raise argparse.ArgumentTypeError(
+                f"{text!r} is not allowed; wanted a number {'above' if above else 'from'} {low:g} up to {high:g}"
+            )
         return value
 
     return parse
@@ -55,9 +57,7 @@ def number(low: float, high: float, *, above: bool = False) -> Callable[[str], f
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags that say which bus to join."""
-    parser.add_argument(
-        "-e", "--connect", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="Zenoh router to join (default: %(default)s)"
-    )
+    parser.add_argument("-e", "--connect", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="Zenoh router to join (default: %(default)s)")
     parser.add_argument("--namespace", metavar="NAME", default="uav/1", help="the vehicle's key prefix (default: %(default)s)")
 
 
@@ -65,7 +65,11 @@ def add_filter_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of the particle filter and its stop."""
     parser.add_argument("--particles", type=whole(10, 1_000_000), default=1000, metavar="N", help="particles (default: %(default)s)")
     parser.add_argument(
-        "--threshold", type=number(0, 100, above=True), default=0.5, metavar="M", help="stop when the spread is below it (default: %(default)s m)"
+        "--threshold",
+        type=number(0, 100, above=True),
+        default=0.5,
+        metavar="M",
+        help="stop when the spread is below it (default: %(default)s m)",
     )
 
 

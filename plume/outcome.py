@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import msgspec
 
@@ -52,7 +53,7 @@ def outcome(seed: int, policy: str, scenario: Scenario, trace: Sequence[TracePoi
         error_m=error_m,
         spread_m=last.spread,
         steps=len(trace) - 1,
-        distance_m=sum(math.dist(a.position, b.position) for a, b in zip(trace, trace[1:], strict=False)),
+        distance_m=sum(math.dist(a.position, b.position) for a, b in pairwise(trace)),
         search_time_s=search_time_s,
     )
 

@@ -16,10 +16,12 @@ def noise_std(mean: ArrayLike) -> NDArray[np.float64]:
 
 def measure(mean: ArrayLike, rng: np.random.Generator) -> NDArray[np.float64]:
     """Draw a reading z = m + v, v ~ N(0, σ(m)²), for each mean concentration."""
-    return np.asarray(mean + noise_std(mean) * rng.standard_normal(np.shape(mean)))
+    mean = np.asarray(mean, np.float64)
+    return np.asarray(mean + noise_std(mean) * rng.standard_normal(mean.shape))
 
 
 def log_likelihood(reading: ArrayLike, mean: ArrayLike) -> NDArray[np.float64]:
     """log N(z; m, σ(m)²) with its normaliser, which differs between hypotheses because σ depends on m."""
     std = noise_std(mean)
-    return np.asarray(-0.5 * np.square((reading - np.asarray(mean)) / std) - np.log(std) - 0.5 * np.log(2 * np.pi))
+    residual = np.asarray(reading, np.float64) - np.asarray(mean, np.float64)
+    return np.asarray(-0.5 * np.square(residual / std) - np.log(std) - 0.5 * np.log(2 * np.pi))

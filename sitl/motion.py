@@ -9,8 +9,8 @@ Vector = tuple[float, float, float]
 """(north, east, down) m, or its derivatives."""
 
 ZERO: Vector = (0.0, 0.0, 0.0)
-HERE_M = 1e-9
-"""A target nearer than this has been reached: there is no leg to fly, and no direction to divide out."""
+NOTHING = 1e-9
+"""A target nearer than this (m) has been reached, a vehicle slower than this (m/s) stands: there is no direction to divide out."""
 
 
 class Limits(NamedTuple):
@@ -71,7 +71,7 @@ class Path(NamedTuple):
         """This path, then a straight leg from its end to another target: speed up, cruise, slow down (no cruise where it is short)."""
         difference = _minus(target, self.target)
         length = math.hypot(*difference)
-        if length < HERE_M:
+        if length < NOTHING:
             return self._replace(target=target)
         direction = _times(difference, 1.0 / length)
         accel = limits.accel_mps2
@@ -94,7 +94,7 @@ class Path(NamedTuple):
 def halt(t_s: float, motion: Motion, limits: Limits) -> Path:
     """Brake to rest along the present direction; a vehicle at rest stays where it is."""
     speed = math.hypot(*motion.velocity)
-    if speed == 0.0:
+    if speed < NOTHING:
         return Path(t_s, motion.position)
     direction = _times(motion.velocity, 1.0 / speed)
     braking = Motion(motion.position, motion.velocity, _times(direction, -limits.accel_mps2))

@@ -1,0 +1,36 @@
+# Each of these works as the first command on a fresh machine with Python 3.11 or newer.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: setup mission test lint docs bench clean
+
+setup: $(READY)
+
+# Made anew when what it is made from changes.
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Plumeward needs Python 3.11 or newer; name one with: make PYTHON=...")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	@touch $@
+
+mission: setup
+	$(BIN)/python -m sitl
+
+test: setup
+	$(BIN)/pytest -n 2
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+docs: setup
+	$(BIN)/python -m link > docs/bus.md
+
+bench: setup
+	$(BIN)/python benchmarks/loop.py
+
+clean:
+	rm -rf .venv build *.egg-info runs
+	find . -name __pycache__ -prune -exec rm -rf {} +

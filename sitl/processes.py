@@ -1,0 +1,94 @@
+"""The parts of a mission as child processes: started, watched, and ended together."""
+
+import contextlib
+import ctypes
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from typing import IO, Any, NamedTuple
+
+STOP_TIMEOUT_S = 1.0
+PR_SET_PDEATHSIG = 1
+LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
+
+
+class Ended(NamedTuple):
+    """A part is gone; its last words say why."""
+
+    part: str
+    status: int
+    last_words: str
+
+
+class Said(NamedTuple):
+    """A line that a part wrote on stderr."""
+
+    part: str
+    line: str
+
+
+def _die_with_the_launcher() -> None:
+    """Have Linux end this child when the launcher dies, however it dies."""
+    if LIBC:
+        LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+class Processes:
+    """The children; what becomes of them goes into the inbox."""
+
+    def __init__(self, inbox: "queue.SimpleQueue[Any]") -> None:
+        """Start with none."""
+        self._inbox = inbox
+        self._children: dict[str, subprocess.Popen[str]] = {}
+        self._threads: list[threading.Thread] = []
+
+    def start(self, part: str, module: str, *arguments: str) -> IO[str]:
+        """Start `python -m module arguments`; returns its stdout."""
+        child = subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=_die_with_the_launcher,
+        )
+        self._children[part] = child
+        thread = threading.Thread(target=self._watch, args=(part, child), daemon=True)
+        thread.start()
+        self._threads.append(thread)
+        assert child.stdout is not None
+        return child.stdout
+
+    def _watch(self, part: str, child: "subprocess.Popen[str]") -> None:
+        assert child.stderr is not None
+        words: deque[str] = deque(maxlen=1)
+        for line in child.stderr:
+            if line.strip():
+                words.append(line.strip())
+                self._inbox.put(Said(part, line.strip()))
+        self._inbox.put(Ended(part, child.wait(), words[-1] if words else "no last words"))
+
+    def stop(self) -> None:
+        """End all of them, kindly first; afterwards none is left."""
+        for child in self._children.values():
+            with contextlib.suppress(ProcessLookupError):
+                child.send_signal(signal.SIGTERM)
+                child.send_signal(signal.SIGCONT)  # one that was stopped could not end
+        deadline = time.monotonic() + STOP_TIMEOUT_S
+        for child in self._children.values():
+            try:
+                child.wait(max(deadline - time.monotonic(), 0.0))
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.wait()
+        for thread in self._threads:
+            thread.join()
+        for child in self._children.values():
+            if child.stdout:
+                child.stdout.close()
+            if child.stderr:
+                child.stderr.close()

@@ -1,0 +1,167 @@
+"""Protects the UDP link: what it refuses, what it survives, and that it lets go of its thread and socket."""
+
+import queue
+import socket
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.udp import UdpLink, decode, parse_url
+
+WAIT_S = 10.0  # far longer than it takes; only a failure waits for it
+
+
+def frame(force_mavlink1=False, gas=1.5):
+    message = mavlink.MAVLink_named_value_float_message(7, b"gas", gas)
+    return bytes(message.pack(mavlink.MAVLink(None, srcSystem=255, srcComponent=190), force_mavlink1=force_mavlink1))
+
+
+@pytest.fixture
+def peer():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        peer.bind(("127.0.0.1", 0))
+        peer.settimeout(WAIT_S)
+        yield peer
+
+
+@pytest.fixture
+def received():
+    return queue.Queue()
+
+
+@pytest.fixture
+def link(peer, received):
+    link = UdpLink(f"udpout:127.0.0.1:{peer.getsockname()[1]}", received.put, system=7)
+    yield link
+    link.close()
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "",
+        "udp:127.0.0.1:14540",
+        "udpin:0.0.0.0:14540",
+        "udpout:127.0.0.1",
+        "udpout::1",
+        "udpout:h:0",
+        "udpout:h:65536",
+        "udpout:h:-1",
+        "tcp:h:1",
+    ],
+)
+def test_a_bad_url_is_refused_in_one_line_that_names_it_and_what_is_allowed(url):
+    with pytest.raises(ValueError, match="allowed is udpout:HOST:PORT") as refusal:
+        parse_url(url)
+    assert repr(url) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_an_unknown_host_is_refused():
+    with pytest.raises(ValueError, match=r"udpout:no\.such\.host\.invalid:14540"):
+        UdpLink("udpout:no.such.host.invalid:14540", print)
+
+
+def test_a_good_url_is_a_host_and_a_port():
+    assert parse_url("udpout:127.0.0.1:14540") == ("127.0.0.1", 14540)
+
+
+@given(st.binary(max_size=400))
+def test_garbage_is_counted_and_never_an_error(garbage):
+    messages, skipped = decode(garbage)
+    assert skipped == len(garbage) - sum(len(m.get_msgbuf()) for m in messages)
+
+
+@given(st.binary(max_size=40).filter(lambda garbage: garbage[-20:] not in frame()), st.booleans())
+def test_garbage_never_swallows_the_frame_behind_it(garbage, mavlink1):
+    messages, skipped = decode(garbage + frame(mavlink1))
+    assert [(m.get_type(), m.value) for m in messages][-1] == ("NAMED_VALUE_FLOAT", 1.5)
+    assert skipped <= len(garbage)
+
+
+def test_a_broken_checksum_and_an_unknown_message_are_garbage():
+    broken = frame()[:-1] + bytes([frame()[-1] ^ 1])
+    assert decode(broken) == ([], len(broken))
+    unknown = bytearray(frame())
+    unknown[7:10] = (0xAB, 0xCD, 0xEF)
+    assert decode(bytes(unknown))[0] == []
+
+
+def test_a_signed_frame_is_read():
+    signer = mavlink.MAVLink(None, srcSystem=255)
+    signer.signing.secret_key, signer.signing.sign_outgoing = b"k" * 32, True
+    messages, skipped = decode(bytes(mavlink.MAVLink_named_value_float_message(7, b"gas", 2.5).pack(signer)))
+    assert [m.value for m in messages] == [2.5]
+    assert skipped == 0
+
+
+def test_nobody_listening_is_survived(received):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = probe.getsockname()
+    link = UdpLink(f"udpout:127.0.0.1:{address[1]}", received.put)
+    try:
+        for _ in range(20):
+            link.send(mavlink.MAVLink_ping_message(0, 0, 0, 0))
+        assert link.lost > 0
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as late:
+            late.bind(address)
+            late.settimeout(WAIT_S)
+            link.send(mavlink.MAVLink_ping_message(0, 1, 0, 0), mavlink.MAVLink_ping_message(0, 2, 0, 0))
+            _, sender = late.recvfrom(1000)
+            late.sendto(frame(), sender)
+            assert received.get(timeout=WAIT_S).value == 1.5
+    finally:
+        link.close()
+
+
+def test_messages_go_out_as_mavlink_2_with_the_links_own_numbers(link, peer):
+    sent = []
+    for n in range(258):
+        link.send(mavlink.MAVLink_ping_message(0, n, 0, 0))
+        sent += decode(peer.recv(1000))[0]
+    assert [m.get_seq() for m in sent] == [n % 256 for n in range(258)]
+    assert {(m.get_srcSystem(), m.get_srcComponent(), m.get_msgbuf()[0]) for m in sent} == {(7, 1, 0xFD)}
+
+
+def test_both_protocol_versions_are_received_and_garbage_between_them_is_counted(link, peer, received):
+    link.send(mavlink.MAVLink_ping_message(0, 0, 0, 0))
+    _, sender = peer.recvfrom(1000)
+    peer.sendto(b"\xfdgarbage", sender)
+    peer.sendto(frame(force_mavlink1=True, gas=1.0) + b"??" + frame(gas=2.0), sender)
+    assert [received.get(timeout=WAIT_S).value for _ in range(2)] == [1.0, 2.0]
+    assert link.garbage == len(b"\xfdgarbage??")
+
+
+def test_a_handler_that_fails_does_not_end_the_link(peer, received, caplog):
+    def handle(message):
+        received.put(message)
+        raise RuntimeError("no")
+
+    link = UdpLink(f"udpout:127.0.0.1:{peer.getsockname()[1]}", handle)
+    try:
+        link.send(mavlink.MAVLink_ping_message(0, 0, 0, 0))
+        _, sender = peer.recvfrom(1000)
+        for gas in (1.0, 2.0):
+            peer.sendto(frame(gas=gas), sender)
+        assert [received.get(timeout=WAIT_S).value for _ in range(2)] == [1.0, 2.0]
+    finally:
+        link.close()
+    assert "NAMED_VALUE_FLOAT was not handled" in caplog.text
+
+
+def test_close_ends_the_thread_and_frees_the_socket_and_may_be_repeated(peer, received):
+    before = threading.active_count()
+    link = UdpLink(f"udpout:127.0.0.1:{peer.getsockname()[1]}", received.put)
+    link.send(mavlink.MAVLink_ping_message(0, 0, 0, 0))
+    _, own = peer.recvfrom(1000)
+    link.close()
+    link.close()
+    assert threading.active_count() == before
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
+        again.bind(own)
+    link.send(mavlink.MAVLink_ping_message(0, 1, 0, 0))
+    assert link.lost == 1
