@@ -5,6 +5,7 @@ import queue
 import re
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -148,23 +149,27 @@ class Bus:
         """Have what is published under these keys, kept messages first, put into the inbox."""
         for key in keys:
             # Callbacks only queue: one that blocked or computed would hold up the session, stop messages included.
-            def arrived(sample: zenoh.Sample, key: Key = key) -> None:
-                attachment = sample.attachment.to_bytes() if sample.attachment else b""
-                self._inbox.put(Arrival(key, sample.payload.to_bytes(), attachment))
+            self.on(key, self._inbox.put)
 
-            name = key.name.replace("<service>", "*")
-            if key.delivery.kept:
-                subscriber: Any = zenoh.ext.declare_advanced_subscriber(
-                    self._session,
-                    name,
-                    arrived,
-                    # Not detect_late_publishers: it loses the history in half of the joins to a live publisher (zenoh 1.10.2).
-                    history=zenoh.ext.HistoryConfig(),
-                    recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
-                )
-            else:
-                subscriber = self._session.declare_subscriber(name, arrived)
-            self._subscribers.append(subscriber)
+    def on(self, key: Key, arrived: Callable[[Arrival], None]) -> None:
+        """Have what is published under a key, kept messages first, handed to a callback in the session's thread."""
+
+        def received(sample: zenoh.Sample) -> None:
+            arrived(Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b""))
+
+        name = key.name.replace("<service>", "*")
+        if key.delivery.kept:
+            subscriber: Any = zenoh.ext.declare_advanced_subscriber(
+                self._session,
+                name,
+                received,
+                # Not detect_late_publishers: it loses the history in half of the joins to a live publisher (zenoh 1.10.2).
+                history=zenoh.ext.HistoryConfig(),
+                recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
+            )
+        else:
+            subscriber = self._session.declare_subscriber(name, received)
+        self._subscribers.append(subscriber)
 
     def watch_services(self) -> None:
         """Have the coming and going of services put into the inbox, beginning with those that are there."""

@@ -4,10 +4,14 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 Pair = tuple[float, float]
-Count = Annotated[int, msgspec.Meta(ge=0)]
+Count = Annotated[int, Meta(ge=0)]
+Covariance = Annotated[tuple[float, float, float], Meta(description="(xx, xy, yy) of the source's position, m²")]
+TimeBootMs = Annotated[int, Meta(ge=0, description="time_boot_ms of the reading that this follows from")]
+Step = Annotated[int, Meta(ge=0, description="number of the reading, 0 at the start: the moves made before it")]
 Particles = NDArray[np.float32]
 """(N, 3): x and y in metres, and the particle's weight; the weights sum to one."""
 
@@ -15,58 +19,42 @@ Particles = NDArray[np.float32]
 class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the estimator believes after one reading, with all that a planner needs to know of the model behind it."""
 
-    time_boot_ms: Count
-    """The reading that it answers."""
-    step: Count
-    """Readings assimilated before this one: the number of moves made."""
-    position: Pair
-    """Where the reading was taken: (x, y) m, x east, y north, from home."""
-    altitude_m: float
-    gas: float
-    """The reading, g/m³."""
-    wind: Pair
-    """(u cos φ, u sin φ) m/s: points to where the wind comes from."""
-    rate: float
-    """q, g/s."""
-    diffusivity: float
-    """d, m²/s."""
-    lifetime: float
-    """τ, s."""
-    mean: Pair
-    """The estimate of the source, m."""
-    covariance: tuple[float, float, float]
-    """(xx, xy, yy), m²."""
-    spread: float
-    """sqrt(trace of the covariance), m."""
-    effective_sample_size: float
-    ceased: bool
-    """The spread is below the threshold: the search is over, no waypoint is wanted."""
+    time_boot_ms: TimeBootMs
+    step: Step
+    position: Annotated[Pair, Meta(description="where the reading was taken: (x, y) m, x east, y north, from home")]
+    altitude_m: Annotated[float, Meta(description="height above home at which it was taken")]
+    gas: Annotated[float, Meta(description="the reading, g/m³")]
+    wind: Annotated[Pair, Meta(description="(u cos φ, u sin φ) m/s: points to where the wind comes from")]
+    rate: Annotated[float, Meta(gt=0, description="release rate q that is assumed, g/s")]
+    diffusivity: Annotated[float, Meta(gt=0, description="diffusivity d that is assumed, m²/s")]
+    lifetime: Annotated[float, Meta(gt=0, description="lifetime τ of the gas that is assumed, s")]
+    mean: Annotated[Pair, Meta(description="the estimate of the source's position, m")]
+    covariance: Covariance
+    spread: Annotated[float, Meta(ge=0, description="square root of the covariance's trace, m")]
+    effective_sample_size: Annotated[float, Meta(gt=0, description="1/Σw² of the particles")]
+    ceased: Annotated[bool, Meta(description="the spread is below the threshold: the search is over, no waypoint is wanted")]
 
 
 class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """AGDC's stop: a claim about where the source is."""
 
-    time_boot_ms: Count
-    step: Count
-    estimate: Pair
-    covariance: tuple[float, float, float]
-    spread: float
-    threshold: float
-    """ζ, m."""
+    time_boot_ms: TimeBootMs
+    step: Step
+    estimate: Annotated[Pair, Meta(description="where the source is claimed to be, m")]
+    covariance: Covariance
+    spread: Annotated[float, Meta(ge=0, description="square root of the covariance's trace, m")]
+    threshold: Annotated[float, Meta(gt=0, description="ζ, which the spread fell below, m")]
 
 
 class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How a service is doing, published after every step. Its liveliness token says that the process lives, not that a vehicle does."""
+    """How a service is doing. The liveliness token on the same key says that its process lives, not that a vehicle does."""
 
     service: str
-    state: str
-    step: int
-    """The last step that it finished; -1 before the first."""
-    compute_s: Annotated[float, msgspec.Meta(ge=0)]
-    """Compute time spent on steps so far, without reading from and writing to the bus."""
-    uptime_s: Annotated[float, msgspec.Meta(ge=0)]
-    refused: dict[str, Count]
-    """Messages dropped so far, by reason."""
+    state: Annotated[str, Meta(description="what it is doing; of the uav: standby, taking off, searching, returning, landed")]
+    step: Annotated[int, Meta(ge=-1, description="the last step that it finished; -1 before the first")]
+    compute_s: Annotated[float, Meta(ge=0, description="compute time spent on steps so far, without the bus; the uav's includes it")]
+    uptime_s: Annotated[float, Meta(ge=0, description="seconds since it joined the bus")]
+    refused: Annotated[dict[str, Count], Meta(description="messages dropped so far, by kind of reason")]
 
 
 def pack_particles(particles: Particles) -> bytes:

@@ -54,7 +54,7 @@ def fly(mission: Mission) -> tuple[Outcome, list[TracePoint]]:
         progress = stack.enter_context(Progress(mission.budget))
         processes = Processes(inbox)
         stack.callback(processes.stop)
-        endpoint = _start(processes, mission, scenario)
+        endpoint = start_parts(processes, mission, scenario)
         if not endpoint:
             _raise_for(_first_end(inbox))
         progress.say(f"mission: seed {mission.seed}, {mission.policy}, speed-up {mission.speedup:g}, router at {endpoint}")
@@ -63,7 +63,7 @@ def fly(mission: Mission) -> tuple[Outcome, list[TracePoint]]:
         return _watch(mission, scenario, bus, progress)
 
 
-def _start(processes: Processes, mission: Mission, scenario: Scenario) -> str:
+def start_parts(processes: Processes, mission: Mission, scenario: Scenario) -> str:
     """Start all parts; returns the router's endpoint, empty where it could not listen."""
     endpoint = processes.start("router", "sitl", "router", "--listen", mission.listen).readline().strip()
     if not endpoint:

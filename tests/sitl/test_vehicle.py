@@ -413,10 +413,11 @@ def test_arming_in_offboard_is_refused_once_the_client_is_gone():
 @given(st.tuples(*[st.floats(0.0, 30.0, width=32)] * 2, st.floats(-120.0, 0.0, width=32)))
 def test_the_position_on_arrival_is_the_waypoints_float32_bit_for_bit(target):
     vehicle = offboard()
-    vehicle.receive(waypoint(*target), 10.0)
-    fly_on(vehicle)
-    position = vehicle.state(vehicle.now_s).position
-    assert struct.pack("<3f", *position) == struct.pack("<3f", *(abs(x) if x == 0 else x for x in target))
+    vehicle.sampled(100)
+    vehicle.receive(waypoint(*target, time_boot_ms=100), 10.0)
+    (arrived,) = fly_on(vehicle)
+    assert struct.pack("<3f", *arrived.position) == struct.pack("<3f", *target)
+    assert vehicle.state(vehicle.now_s).position == arrived.position
 
 
 def test_a_keep_alive_starts_no_new_leg():

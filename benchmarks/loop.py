@@ -1,0 +1,129 @@
+"""Loop speed: whole missions at --speedup 0, ms a step, split into sitl, link, estimator and agent.
+
+Beside it, in the same run: the same missions in-process, and the bare Zenoh ring (three clients, one router, the same message
+sizes, no work), which is the floor for the link.
+"""
+
+import argparse
+import queue
+import statistics
+import sys
+import time
+from collections import defaultdict
+from typing import Any
+
+from agent.rollout import rollout
+from link.bus import Arrival, Bus
+from link.keys import BELIEF, HEALTH, MAVLINK_IN, READING
+from link.mavlink import unpack_reading
+from link.messages import Belief, Health
+from plume.scenario import draw
+from sitl.launcher import Mission, start_parts
+from sitl.processes import Processes
+
+RING_ROUNDS = 2000
+
+
+def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
+    """Fly one mission; returns the milliseconds of each step."""
+    inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    processes = Processes(inbox)
+    mission = Mission(seed, policy, particles, 0.5, 300, 0.0, 0, "tcp/127.0.0.1:0")
+    read_at: list[tuple[int, float]] = []
+    compute: dict[str, dict[int, float]] = defaultdict(dict)
+    try:
+        endpoint = start_parts(processes, mission, draw(seed))
+        with Bus("bench", endpoint, inbox=inbox) as bus:
+            bus.subscribe(READING, BELIEF, HEALTH)
+            last: int | None = None
+            while last is None or not (last in compute["estimator"] and last - 1 in compute["agent"] and last in compute["uav"]):
+                item = inbox.get()
+                now = time.perf_counter()
+                match item:
+                    case Arrival(key, payload) if key is READING:
+                        time_boot_ms = unpack_reading(payload).time_boot_ms
+                        if not read_at or time_boot_ms > read_at[-1][0]:
+                            read_at.append((time_boot_ms, now))
+                    case Arrival(key) if key is BELIEF:
+                        belief = bus.decode(item, Belief)
+                        if belief and (belief.ceased or belief.step == mission.budget):
+                            last = belief.step
+                    case Arrival(key) if key is HEALTH:
+                        health = bus.decode(item, Health)
+                        if health and health.step >= 0:
+                            compute[health.service].setdefault(health.step, health.compute_s)
+    finally:
+        processes.stop()
+    steps = []
+    for step in range(1, last):  # from one reading to the next: the estimator and the agent answer reading `step`
+        total = read_at[step + 1][1] - read_at[step][1]
+        parts = {
+            "sitl": compute["uav"][step + 1] - compute["uav"][step],
+            "estimator": compute["estimator"][step] - compute["estimator"][step - 1],
+            "agent": compute["agent"][step] - compute["agent"][step - 1],
+        }
+        parts |= {"total": total, "link": total - sum(parts.values()), "beyond the planner": total - parts["agent"]}
+        steps.append({name: 1000 * seconds for name, seconds in parts.items()})
+    return steps
+
+
+def ring(particles: int) -> list[float]:
+    """Milliseconds of one round of the bare ring: reading, belief and waypoint by their sizes, through a router process."""
+    processes = Processes(queue.SimpleQueue())
+    try:
+        endpoint = processes.start("router", "sitl", "router", "--listen", "tcp/127.0.0.1:0").readline().strip()
+        done: queue.SimpleQueue[None] = queue.SimpleQueue()
+        with Bus("uav", endpoint) as uav, Bus("estimator", endpoint) as estimator, Bus("agent", endpoint) as agent:
+            answer, array, waypoint = b"x" * 500, b"x" * 12 * particles, b"x" * 65
+            estimator.on(READING, lambda _: estimator.publish(BELIEF, answer, array))
+            agent.on(BELIEF, lambda _: agent.publish(MAVLINK_IN, waypoint))
+            uav.on(MAVLINK_IN, lambda _: done.put(None))
+            times = []
+            for round_number in range(RING_ROUNDS + 100):
+                began = time.perf_counter()
+                uav.publish(READING, b"x" * 100)
+                done.get()
+                if round_number >= 100:
+                    times.append(1000 * (time.perf_counter() - began))
+        return times
+    finally:
+        processes.stop()
+
+
+def row(name: str, times: list[float]) -> str:
+    """One line of the table."""
+    return f"| {name} | {statistics.median(times):.3f} | {statistics.quantiles(times, n=100)[98]:.3f} |"
+
+
+def main() -> None:
+    """Fly the missions and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
+    parser.add_argument("--missions", type=int, default=10)
+    parser.add_argument("--first-seed", type=int, default=1_000_000)
+    parser.add_argument("--particles", type=int, default=1000)
+    args = parser.parse_args()
+    for policy in ("infotaxis", "random"):
+        seeds = range(args.first_seed, args.first_seed + args.missions)
+        steps = []
+        in_process = []
+        for seed in seeds:
+            steps += fly(seed, policy, args.particles)
+            began = time.perf_counter()
+            result, _ = rollout(seed, policy, args.particles)
+            in_process.append((result.steps, 1000 * (time.perf_counter() - began)))
+            print(f"{policy} seed {seed} flown", file=sys.stderr)
+        alone = sum(ms for _, ms in in_process) / sum(count for count, _ in in_process)
+        print(f"\n{policy}, {args.missions} missions, {len(steps)} steps, {args.particles} particles\n")
+        print("| ms a step | p50 | p99 |\n|---|---|---|")
+        for name in ("total", "sitl", "link", "estimator", "agent", "beyond the planner"):
+            print(row(name, [step[name] for step in steps]))
+        bare = ring(args.particles)
+        print(row("bare Zenoh ring, the link's floor", bare))
+        mean = statistics.fmean(step["total"] for step in steps)
+        floor = statistics.median(bare)
+        print(f"\nmean total {mean:.3f} ms, in-process {alone:.3f} ms: {mean / alone:.1f} times;", end=" ")
+        print(f"link p50 {statistics.median(step['link'] for step in steps) / floor:.1f} times the bare ring")
+
+
+if __name__ == "__main__":
+    main()
