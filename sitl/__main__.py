@@ -43,7 +43,7 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
         help="1 real time, 0 as fast as possible (default: %(default)g)",
     )
     parser.add_argument(
-        "-I", "--instance", type=cli.whole(0, 254), default=0, metavar="N", help="vehicle N: system id and namespace N+1 (default: 0)"
+        "-I", "--instance", type=cli.whole(0, 254), default=0, metavar="N", help="vehicle N: system id and namespace N+1 (default 0)"
     )
     parser.add_argument(
         "--home", type=_home, metavar="LAT,LON,ALT,HEADING", help="where home, the corner of the search area, is on the globe"

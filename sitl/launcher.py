@@ -87,11 +87,16 @@ def _watch(mission: Mission, scenario: Scenario, bus: Bus, progress: Progress) -
     compute: dict[str, Health] = {}
     last: Belief | None = None
     distance_m = 0.0
-    for message in _messages(bus, progress):
-        if isinstance(message, Health):
+    last_words: dict[str, str] = {}
+    for message in _messages(bus):
+        if isinstance(message, Said):
+            last_words[message.part] = message.line
+            if "warning:" in message.line:
+                progress.say(message.line)
+        elif isinstance(message, Health):
             compute[message.service] = message
             if message.state == "landed":
-                raise MissionFailed("the uav returned home and landed: no waypoint came")
+                raise MissionFailed(f"the uav has landed before the search was over; its last words: {last_words.get('uav', 'none')}")
         elif message.step not in trace:
             if last is not None:
                 distance_m += math.dist(last.position, message.position)
@@ -112,15 +117,15 @@ def _watch(mission: Mission, scenario: Scenario, bus: Bus, progress: Progress) -
     return outcome(mission.seed, mission.policy, scenario, points, last.ceased, search_time_s), points
 
 
-def _messages(bus: Bus, progress: Progress) -> Iterator[Belief | Health]:
-    """Beliefs and health as they come; warnings of the parts are shown, and the end of one ends the mission."""
+def _messages(bus: Bus) -> Iterator[Belief | Health | Said]:
+    """What comes from the bus and from the parts; the end of a part ends the mission."""
     while True:
         item = bus.receive()
         match item:
             case Ended():
                 _raise_for(item)
-            case Said(part, line) if "warning:" in line:
-                progress.say(line if line.startswith(part) else f"{part}: {line}")
+            case Said():
+                yield item
             case Arrival(key) if key is BELIEF:
                 if belief := bus.decode(item, Belief):
                     yield belief

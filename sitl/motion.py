@@ -31,16 +31,20 @@ class Motion(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """A stretch of constant acceleration."""
+    """A stretch of constant acceleration, given by the motion at one instant of it.
+
+    A phase that ends at rest is given by its end: rounding then cannot carry it past, through the ground or the fence.
+    """
 
     start_s: float
     end_s: float
-    start: Motion
+    known_s: float
+    known: Motion
 
     def at(self, t_s: float) -> Motion:
         """Motion at a time within the phase."""
-        dt = max(t_s - self.start_s, 0.0)
-        position, velocity, acceleration = self.start
+        dt = max(t_s, self.start_s) - self.known_s
+        position, velocity, acceleration = self.known
         return Motion(
             _along(_along(position, velocity, dt), acceleration, dt * dt / 2.0),
             _along(velocity, acceleration, dt),
@@ -79,14 +83,15 @@ class Path(NamedTuple):
         ramp_s, ramp_m = peak / accel, peak * peak / accel / 2.0
         cruise_m = max(length - 2.0 * ramp_m, 0.0)
 
-        accelerated_s = self.end_s + ramp_s
-        cruised_s = accelerated_s + cruise_m / peak
-        velocity = _times(direction, peak)
-        cruise_start = _along(self.target, direction, ramp_m)
+        started_s = self.end_s
+        fast_s = started_s + ramp_s
+        slowing_s = fast_s + cruise_m / peak
+        stopped_s = slowing_s + ramp_s
+        speed_up, slow_down = _times(direction, accel), _times(direction, -accel)
         phases = (
-            Phase(self.end_s, accelerated_s, Motion(self.target, ZERO, _times(direction, accel))),
-            Phase(accelerated_s, cruised_s, Motion(cruise_start, velocity)),
-            Phase(cruised_s, cruised_s + ramp_s, Motion(_along(target, direction, -ramp_m), velocity, _times(direction, -accel))),
+            Phase(started_s, fast_s, started_s, Motion(self.target, ZERO, speed_up)),
+            Phase(fast_s, slowing_s, fast_s, Motion(_along(self.target, direction, ramp_m), _times(direction, peak))),
+            Phase(slowing_s, stopped_s, stopped_s, Motion(target, ZERO, slow_down)),
         )
         return Path(self.start_s, target, self.phases + phases)
 
@@ -96,19 +101,20 @@ def halt(t_s: float, motion: Motion, limits: Limits) -> Path:
     speed = math.hypot(*motion.velocity)
     if speed < NOTHING:
         return Path(t_s, motion.position)
-    direction = _times(motion.velocity, 1.0 / speed)
-    braking = Motion(motion.position, motion.velocity, _times(direction, -limits.accel_mps2))
-    stop = _along(motion.position, direction, speed * speed / limits.accel_mps2 / 2.0)
-    return Path(t_s, stop, (Phase(t_s, t_s + speed / limits.accel_mps2, braking),))
+    direction, end_s = _times(motion.velocity, 1.0 / speed), t_s + speed / limits.accel_mps2
+    north, east, down = _along(motion.position, direction, speed * speed / limits.accel_mps2 / 2.0)
+    stop = (north, east, min(down, 0.0))  # rounding, again: every leg ends above the ground or on it, so braking on it does, too
+    return Path(t_s, stop, (Phase(t_s, end_s, end_s, Motion(stop, ZERO, _times(direction, -limits.accel_mps2))),))
 
 
 def fall(t_s: float, motion: Motion) -> Path:
     """Drop to the ground (down = 0) with the motors off, without air drag; it comes to rest where it hits."""
     height, climb = -motion.position[2], -motion.velocity[2]
     duration = (climb + math.sqrt(climb * climb + 2.0 * GRAVITY_MPS2 * max(height, 0.0))) / GRAVITY_MPS2
+    end_s, gravity = t_s + duration, (0.0, 0.0, GRAVITY_MPS2)
     north, east, _ = _along(motion.position, motion.velocity, duration)
-    falling = Motion(motion.position, motion.velocity, (0.0, 0.0, GRAVITY_MPS2))
-    return Path(t_s, (north, east, 0.0), (Phase(t_s, t_s + duration, falling),))
+    impact = Motion((north, east, 0.0), _along(motion.velocity, gravity, duration), gravity)
+    return Path(t_s, impact.position, (Phase(t_s, end_s, end_s, impact),))
 
 
 class Turn(NamedTuple):

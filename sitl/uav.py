@@ -169,9 +169,8 @@ class Uav:
             self._clock.heard()
         if self._bus:
             self._bus.refused.update({"waypoint": self._vehicle.refused.total() - refused})
-        for answer in answers:
-            if answer.get_type() == "STATUSTEXT" and answer.chunk_seq == 0:
-                self._log.warn(answer.text if isinstance(answer.text, str) else answer.text.decode())
+        if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
+            self._log.warn(b"".join(texts).decode())
         if answers:
             port.link.send(*answers)
 

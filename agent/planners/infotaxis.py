@@ -21,13 +21,15 @@ def plan(belief: Belief, particles: Particles, moves: NDArray[np.float64], rng: 
     return int(np.argmax(information_gain(belief, particles, moves, rng)))
 
 
-def information_gain(belief: Belief, particles: Particles, moves: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+def information_gain(
+    belief: Belief, particles: Particles, moves: NDArray[np.float64], rng: np.random.Generator, measurements: int = MEASUREMENTS
+) -> NDArray[np.float64]:
     """Expected Kullback–Leibler divergence, nats, from the belief to the belief after a reading at each move (A,)."""
     sources, weights = particles[:, :2].astype(np.float64), particles[:, 2].astype(np.float64)
     mean = concentration(
         moves[:, None], sources, belief.wind, rate=belief.rate, diffusivity=belief.diffusivity, lifetime=belief.lifetime
     )  # (A, N)
     cumulative = np.cumsum(weights)
-    strata = (np.arange(MEASUREMENTS) + rng.random()) / MEASUREMENTS * cumulative[-1]
+    strata = (np.arange(measurements) + rng.random()) / measurements * cumulative[-1]
     imagined_sources = np.minimum(np.searchsorted(cumulative, strata, side="right"), len(weights) - 1)
-    return kernels.expected_divergence(mean, noise_std(mean), weights / cumulative[-1], imagined_sources, rng.standard_normal(MEASUREMENTS))
+    return kernels.expected_divergence(mean, noise_std(mean), weights / cumulative[-1], imagined_sources, rng.standard_normal(measurements))

@@ -70,6 +70,16 @@ def test_the_position_is_the_integral_of_a_bounded_speed(start, target):
     assert all(math.hypot(*m.acceleration) <= LIMITS.accel_mps2 * (1 + 1e-12) for m in motions)
 
 
+@given(points, points, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_rounding_never_carries_it_past_its_target_or_below_the_ground(start, target, when, later):
+    path = leg(start, target)
+    moment = path.at(path.end_s - when * min(path.end_s, 1e-3))  # where the last digits count
+    for at, low, high in zip(moment.position, map(min, start, target), map(max, start, target), strict=True):
+        assert low <= at <= high
+    stopped = halt(1.0, moment, LIMITS)
+    assert stopped.at(1.0 + later * (stopped.end_s - 1.0)).position[2] <= 0.0
+
+
 def test_a_vehicle_at_rest_halts_where_it_is():
     assert halt(3.0, Motion((1.0, 2.0, -3.0)), LIMITS) == Path(3.0, (1.0, 2.0, -3.0))
 

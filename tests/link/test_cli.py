@@ -1,0 +1,39 @@
+"""Protects the command line: bad input gives one line that names the flag, the value and what is allowed, and status 2."""
+
+import subprocess
+import sys
+
+import pytest
+
+COMMANDS = [
+    (["agent", "rollout", "--policy", "clairvoyance"], ["--policy", "'clairvoyance'", "'infotaxis', 'random'"]),
+    (["agent", "rollout", "--particles", "-5"], ["--particles", "'-5'", "from 10 to 1000000"]),
+    (["agent", "rollout", "--seed", "x"], ["--seed", "'x'", "whole number"]),
+    (["agent", "--budget", "0"], ["--budget", "'0'", "from 1"]),
+    (["estimator", "--threshold", "nan"], ["--threshold", "'nan'", "above 0"]),
+    (["estimator", "--rate", "0"], ["--rate", "'0'", "above 0"]),
+    (["estimator", "--connect", "nowhere"], ["--connect", "'nowhere'", "tcp/127.0.0.1:7447"]),
+    (["sitl", "fly", "--particles", "-5"], ["--particles", "'-5'", "from 10 to 1000000"]),
+    (["sitl", "--speedup", "-1"], ["--speedup", "'-1'", "from 0"]),
+    (["sitl", "uav", "--out", "serial:/dev/tty"], ["--out", "'serial:/dev/tty'", "udpout:HOST:PORT"]),
+    (["sitl", "uav", "--home", "91,0,0,0"], ["--home", "'91,0,0,0'", "LAT within ±90"]),
+    (["sitl", "juggle"], ["'juggle'", "fly", "uav", "router"]),
+]
+
+
+@pytest.mark.parametrize(("arguments", "named"), COMMANDS, ids=lambda value: " ".join(value))
+def test_bad_input_is_one_clear_line_and_status_2(arguments: list[str], named: list[str]) -> None:
+    ended = subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert len(ended.stderr.splitlines()) == 1, ended.stderr
+    for words in named:
+        assert words in ended.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments", [["sitl"], ["sitl", "fly"], ["sitl", "uav"], ["sitl", "router"], ["estimator"], ["agent"], ["agent", "rollout"]]
+)
+def test_every_command_explains_itself(arguments: list[str]) -> None:
+    ended = subprocess.run([sys.executable, "-m", *arguments, "--help"], capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 0
+    assert "usage: python -m " + " ".join(arguments) in " ".join(ended.stdout.split())

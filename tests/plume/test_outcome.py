@@ -1,0 +1,39 @@
+"""Protects the words of the tables: ceased, located, distance."""
+
+import json
+
+from plume.outcome import TracePoint, outcome, outcome_json
+from plume.scenario import Scenario
+
+SCENARIO = Scenario(source=(3.0, 4.0), q=100.0, u=1.0, phi=0.0, d=1.0, tau=10.0, start=(0.0, 0.0))
+
+
+def flown(estimate: tuple[float, float]) -> list[TracePoint]:
+    positions = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)]
+    return [TracePoint(position, 0.5, estimate, 0.4) for position in positions]
+
+
+def test_a_stop_within_a_metre_is_located_and_one_farther_off_is_not() -> None:
+    near = outcome(1, "random", SCENARIO, flown((3.0, 3.1)), True, 0.1)
+    far = outcome(1, "random", SCENARIO, flown((3.0, 2.9)), True, 0.1)
+    assert (near.ceased, near.located, far.ceased, far.located) == (True, True, True, False)
+
+
+def test_a_mission_without_a_stop_is_not_located_however_good_its_estimate() -> None:
+    assert not outcome(1, "random", SCENARIO, flown((3.0, 4.0)), False, 0.1).located
+
+
+def test_steps_and_distance_count_moves_not_readings() -> None:
+    result = outcome(1, "random", SCENARIO, flown((3.0, 4.0)), True, 0.1)
+    assert (result.steps, result.distance_m) == (2, 2.0)
+
+
+def test_the_json_has_the_fields_that_others_rely_on() -> None:
+    trace = flown((3.0, 4.0))
+    fields = json.loads(outcome_json(outcome(1, "random", SCENARIO, trace, True, 0.1), trace))
+    assert set(fields) == {
+        "seed", "policy", "ceased", "located", "estimate", "source", "scenario", "error_m", "spread_m", "steps", "distance_m",
+        "search_time_s", "trace",
+    }  # fmt: skip
+    assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}
+    assert set(fields["trace"][0]) == {"position", "reading", "mean", "spread"}

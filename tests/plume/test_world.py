@@ -1,0 +1,45 @@
+"""Protects keyed randomness and the world: a reading depends on (seed, step, position) and on nothing else."""
+
+import numpy as np
+import pytest
+
+from plume.dispersion import concentration
+from plume.randomness import derived_seed, keyed
+from plume.scenario import draw
+from plume.sensor import noise_std
+from plume.world import World
+
+
+def test_a_reading_does_not_depend_on_the_readings_before_it() -> None:
+    world = World(draw(5), 5)
+    in_order = [world.gas((3.0, 4.0), step) for step in range(10)]
+    backwards = [World(draw(5), 5).gas((3.0, 4.0), step) for step in reversed(range(10))]
+    assert in_order == backwards[::-1]
+
+
+def test_readings_of_different_steps_and_seeds_have_different_noise() -> None:
+    readings = {World(draw(5), seed).gas((3.0, 4.0), step) for seed in range(20) for step in range(20)}
+    assert len(readings) == 400
+
+
+def test_readings_scatter_around_the_concentration_at_the_position() -> None:
+    s = draw(5)
+    position = (s.source[0] - 1.0, s.source[1])
+    mean = float(concentration(position, s.source, s.wind, rate=s.q, diffusivity=s.d, lifetime=s.tau))
+    readings = np.array([World(s, seed).gas(position, 0) for seed in range(4000)])
+    assert readings.mean() == pytest.approx(mean, abs=4 * float(noise_std(mean)) / np.sqrt(4000))  # 4 standard errors
+
+
+def test_readings_start_and_wind_are_exact_float32_values() -> None:
+    world = World(draw(9), 9)
+    for value in (world.gas((1.0, 2.0), 3), *world.start, *world.wind):
+        assert value == float(np.float32(value))
+
+
+def test_streams_of_one_seed_are_uncorrelated() -> None:
+    one, other = keyed(1, "sensor").standard_normal(20_000), keyed(1, "move").standard_normal(20_000)
+    assert abs(np.corrcoef(one, other)[0, 1]) < 4 / np.sqrt(20_000)
+
+
+def test_services_get_seeds_that_differ_from_the_missions_and_from_each_other() -> None:
+    assert len({7, derived_seed(7, "estimator"), derived_seed(7, "agent"), derived_seed(8, "estimator")}) == 4
