@@ -50,7 +50,7 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
     )
     parser.add_argument(
         "--out", type=_udp_url, action="append", default=[], metavar="URL",
-        help="also speak MAVLink there; conventionally udpout:127.0.0.1:14540 (MAVSDK, MAVROS) and udpout:127.0.0.1:14550 (ground stations)",
+        help="also speak MAVLink there; by convention udpout:127.0.0.1:14540 (MAVSDK, MAVROS), udpout:127.0.0.1:14550 (ground stations)",
     )  # fmt: skip
     parser.add_argument(
         "--silence", type=cli.number(0, math.inf, above=True), default=30.0, metavar="S",

@@ -8,7 +8,7 @@ import pytest
 from link.bus import open_router
 
 
-@pytest.fixture()
+@pytest.fixture
 def router() -> Iterator[str]:
     """The endpoint of a router that lives as long as the test."""
     session, endpoint = open_router("tcp/127.0.0.1:0")

@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from itertools import pairwise
 
 import pytest
 
@@ -25,9 +26,9 @@ def test_the_budget_counts_moves() -> None:
 
 def test_every_move_is_a_metre_inside_the_area() -> None:
     _, trace = rollout(5, "random", particles=100)
-    for a, b in zip(trace, trace[1:], strict=False):
+    for a, b in pairwise(trace):
         assert math.dist(a.position, b.position) == pytest.approx(1.0, abs=1e-5)
-        assert 0 <= min(b.position)
+        assert min(b.position) >= 0
         assert max(b.position) <= 30
 
 

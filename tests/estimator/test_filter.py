@@ -41,10 +41,10 @@ def spiral(seed: int, steps: int) -> list[tuple[float, float]]:
     for _ in range(steps):
         path.append((float(np.float32(place[0])), float(np.float32(place[1]))))
         heading += rng.normal(0, 0.5)
-        ahead = place + (math.cos(heading), math.sin(heading))
+        ahead = place + np.array([math.cos(heading), math.sin(heading)])
         if ahead.min() < 0 or ahead.max() > 30:
             heading += math.pi / 2
-        place = np.clip(place + (math.cos(heading), math.sin(heading)), 0, 30)
+        place = np.clip(place + np.array([math.cos(heading), math.sin(heading)]), 0, 30)
     return path
 
 

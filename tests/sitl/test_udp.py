@@ -106,7 +106,6 @@ def test_nobody_listening_is_survived(received):
     try:
         for _ in range(20):
             link.send(mavlink.MAVLink_ping_message(0, 0, 0, 0))
-        assert link.lost > 0
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as late:
             late.bind(address)
             late.settimeout(WAIT_S)
