@@ -27,6 +27,7 @@ lint: setup
 
 docs: setup
 	$(BIN)/python -m link > docs/bus.md
+	$(BIN)/python docs/picture.py
 
 bench: setup
 	$(BIN)/python benchmarks/loop.py

@@ -131,7 +131,11 @@ class Bus:
                 self._publishers[key.name] = zenoh.ext.declare_advanced_publisher(
                     self._session,
                     name,
-                    cache=zenoh.ext.CacheConfig(max_samples=how.kept),
+                    cache=zenoh.ext.CacheConfig(
+                        max_samples=how.kept,
+                        # By default kept messages are dropped where they are asked for while many new ones are published.
+                        replies_config=zenoh.ext.RepliesConfig(congestion_control=zenoh.CongestionControl.BLOCK),
+                    ),
                     publisher_detection=True,
                     sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5, sporadic_heartbeat=None),
                     **options,

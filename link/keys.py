@@ -67,7 +67,7 @@ STOP = Key(
 )  # fmt: skip
 HEALTH = Key(
     "health/<service>", Health, "all", "all",
-    Delivery(),
+    Delivery(kept=1),
     "1 a step",
     "How a service is doing. A liveliness token on the same key says that its process is there.",
 )  # fmt: skip

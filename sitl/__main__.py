@@ -105,6 +105,9 @@ def _fly(args: argparse.Namespace) -> int:
     )
     try:
         result, trace = fly(mission)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise
     except MissionFailed as failure:
         print(f"error: {failure}", file=sys.stderr)
         return failure.status

@@ -57,10 +57,9 @@ def fly(mission: Mission) -> tuple[Outcome, list[TracePoint]]:
         endpoint = start_parts(processes, mission, scenario)
         if not endpoint:
             _raise_for(_first_end(inbox))
-        progress.say(f"mission: seed {mission.seed}, {mission.policy}, speed-up {mission.speedup:g}, router at {endpoint}")
         bus = stack.enter_context(Bus("mission", endpoint, f"uav/{mission.instance + 1}", inbox))
         bus.subscribe(BELIEF, STOP, HEALTH)
-        return _watch(mission, scenario, bus, progress)
+        return _watch(mission, scenario, bus, endpoint, progress)
 
 
 def start_parts(processes: Processes, mission: Mission, scenario: Scenario) -> str:
@@ -82,7 +81,7 @@ def start_parts(processes: Processes, mission: Mission, scenario: Scenario) -> s
     return endpoint
 
 
-def _watch(mission: Mission, scenario: Scenario, bus: Bus, progress: Progress) -> tuple[Outcome, list[TracePoint]]:
+def _watch(mission: Mission, scenario: Scenario, bus: Bus, endpoint: str, progress: Progress) -> tuple[Outcome, list[TracePoint]]:
     trace: dict[int, TracePoint] = {}
     compute: dict[str, Health] = {}
     last: Belief | None = None
@@ -98,7 +97,9 @@ def _watch(mission: Mission, scenario: Scenario, bus: Bus, progress: Progress) -
             if message.state == "landed":
                 raise MissionFailed(f"the uav has landed before the search was over; its last words: {last_words.get('uav', 'none')}")
         elif message.step not in trace:
-            if last is not None:
+            if last is None:
+                progress.say(f"mission: seed {mission.seed}, {mission.policy}, speed-up {mission.speedup:g}, router at {endpoint}")
+            else:
                 distance_m += math.dist(last.position, message.position)
             last = message
             trace[message.step] = TracePoint(message.position, message.gas, message.mean, message.spread)
@@ -144,7 +145,7 @@ def _raise_for(ended: Ended) -> None:
     if ended.status == INTERRUPTED:
         raise KeyboardInterrupt  # somebody interrupted a part: that ends the mission as Ctrl-C does
     if ended.status == BAD_INPUT:
-        raise MissionFailed(ended.last_words.removeprefix("error: "), BAD_INPUT)
+        raise MissionFailed(ended.last_words.rpartition("error: ")[2], BAD_INPUT)
     how = f"was killed by signal {-ended.status}" if ended.status < 0 else f"exited with status {ended.status}"
     raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
 

@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from link.bus import Arrival, Bus, BusError, LivelinessChange, open_router
-from link.keys import BELIEF, MAVLINK_IN, READING, STOP
+from link.keys import BELIEF, READING, STOP
 from link.messages import Stop
 
 CLAIM = Stop(time_boot_ms=5, step=3, estimate=(1.0, 2.0), covariance=(0.1, 0.0, 0.1), spread=0.4, threshold=0.5)
@@ -46,23 +46,24 @@ def test_a_late_joiner_gets_the_stop(router: str) -> None:
             assert viewer.decode(viewer.receive(timeout_s=10.0), Stop) == CLAIM
 
 
-def test_a_plain_client_without_the_advanced_protocol_is_heard(router: str) -> None:
+def test_a_plain_client_without_the_advanced_protocol_is_heard(router: str, wait_until: Callable[..., None]) -> None:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["{router}"]')
     with Bus("estimator", router, "uav/3") as estimator, zenoh.open(config) as stranger:
         estimator.subscribe(READING)
         publisher = stranger.declare_publisher("uav/3/reading")
+        wait_until(lambda: publisher.matching_status.matching)
         publisher.put(b"frames")
         assert arrivals(estimator, 1) == [b"frames"]
 
 
 def test_vehicles_do_not_hear_each_other(router: str) -> None:
     with Bus("agent", router, "uav/1") as one, Bus("agent", router, "uav/2") as two, Bus("uav", router, "uav/2") as vehicle_two:
-        vehicle_two.subscribe(MAVLINK_IN)
-        one.publish(MAVLINK_IN, b"for one")
-        two.publish(MAVLINK_IN, b"for two")
-        assert arrivals(vehicle_two, 1) == [b"for two"]
+        vehicle_two.subscribe(READING)
+        one.publish(READING, b"from one")
+        two.publish(READING, b"from two")
+        assert arrivals(vehicle_two, 1) == [b"from two"]
 
 
 def test_services_are_seen_to_come_and_go(router: str) -> None:
@@ -86,8 +87,8 @@ def test_what_does_not_decode_is_counted_and_logged_with_key_and_reason(router: 
 
 def test_the_attachment_arrives_with_its_payload(router: str) -> None:
     with Bus("estimator", router) as estimator, Bus("agent", router) as agent:
-        agent.subscribe(BELIEF)
         estimator.publish(BELIEF, CLAIM, b"particles")
+        agent.subscribe(BELIEF)
         assert agent.receive(timeout_s=10.0).attachment == b"particles"
 
 

@@ -1,0 +1,75 @@
+"""Real processes for the system tests: started with a log of what they say, gone when the test is over."""
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+
+class Part:
+    """A process and the lines that it has written."""
+
+    def __init__(self, *arguments: str, cwd: Path | None = None) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", *arguments], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd
+        )
+        self.out: list[str] = []
+        self.err: list[str] = []
+        self._threads = [
+            threading.Thread(target=self._collect, args=streams)
+            for streams in ((self.process.stdout, self.out), (self.process.stderr, self.err))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def _collect(self, stream, lines: list[str]) -> None:
+        with stream:
+            lines.extend(iter(stream.readline, ""))
+
+    def says(self, text: str) -> bool:
+        return any(text in line for line in self.err)
+
+    def ended(self, timeout_s: float = 60.0) -> int:
+        """Wait for its end; returns the exit status."""
+        status = self.process.wait(timeout_s)
+        for thread in self._threads:
+            thread.join()
+        return status
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.ended()
+
+
+@pytest.fixture
+def start() -> Iterator[type[Part]]:
+    """Start `python -m arguments`; whatever still runs at the end of the test is killed."""
+    parts: list[Part] = []
+
+    class Started(Part):
+        def __init__(self, *arguments: str, cwd: Path | None = None) -> None:
+            super().__init__(*arguments, cwd=cwd)
+            parts.append(self)
+
+    yield Started
+    for part in parts:
+        part.kill()
+
+
+def family(pid: int) -> dict[str, int]:
+    """The children of a launcher by the part that they are."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    found = {}
+    for child in children:
+        words = Path(f"/proc/{child}/cmdline").read_text().split("\0")
+        found[words[3] if words[2] == "sitl" else words[2]] = int(child)
+    return found
+
+
+@pytest.fixture(name="family")
+def family_fixture():
+    """Give tests the list of a launcher's children."""
+    return family

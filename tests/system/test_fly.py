@@ -1,0 +1,114 @@
+"""Protects `python -m sitl`: what it prints, what it leaves behind, and how it ends when a part dies or somebody interrupts."""
+
+import json
+import os
+import signal
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+PARTS = ["router", "uav", "estimator", "agent"]
+LONG = ("sitl", "fly", "--policy", "random", "--speedup", "1")
+
+
+def nothing_is_left(pids: dict[str, int]) -> bool:
+    return not any(Path(f"/proc/{pid}").exists() for pid in pids.values())
+
+
+def test_it_flies_to_a_stop_and_says_what_it_found(start, tmp_path: Path) -> None:
+    mission = start("sitl", "--seed", "1", "--speedup", "0", "--json", cwd=tmp_path)
+    assert mission.ended() == 0
+    said = "".join(mission.err)
+    for words in ("router at tcp/127.0.0.1:", "step   0/300", "estimate", "flown", "located", "source (14.85, 14.67)", "error"):
+        assert words in said
+    result = json.loads(mission.out[-1])
+    assert result["ceased"]
+    assert result["error_m"] == pytest.approx(
+        ((result["estimate"][0] - result["source"][0]) ** 2 + (result["estimate"][1] - result["source"][1]) ** 2) ** 0.5
+    )
+    (summary,) = (tmp_path / "runs").iterdir()
+    written = json.loads(summary.read_text())
+    assert written["outcome"]["estimate"] == result["estimate"]
+    assert len(written["outcome"]["trace"]) == result["steps"] + 1
+    assert written["mission"]["seed"] == 1
+
+
+def test_a_spent_budget_is_an_outcome_not_a_failure(start, tmp_path: Path) -> None:
+    mission = start("sitl", "fly", "--policy", "random", "--budget", "3", "--speedup", "0", "--json", cwd=tmp_path)
+    assert mission.ended() == 0
+    result = json.loads(mission.out[-1])
+    assert (result["ceased"], result["located"], result["steps"]) == (False, False, 3)
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_a_part_that_dies_is_named_and_ends_the_mission(start, family, wait_until: Callable, tmp_path: Path, part: str) -> None:
+    mission = start(*LONG, cwd=tmp_path)
+    wait_until(lambda: mission.says("step   0"))
+    pids = family(mission.process.pid)
+    os.kill(pids[part], signal.SIGKILL)
+    assert mission.ended() == 1
+    assert f"error: {part} was killed by signal 9; its last words: " in mission.err[-1]
+    assert nothing_is_left(pids)
+
+
+@pytest.mark.parametrize("hit", ["launcher", *PARTS])
+def test_ctrl_c_ends_all_of_it_whichever_process_it_hits(start, family, wait_until: Callable, tmp_path: Path, hit: str) -> None:
+    mission = start(*LONG, cwd=tmp_path)
+    wait_until(lambda: mission.says("step   0"))
+    pids = family(mission.process.pid)
+    assert sorted(pids) == sorted(PARTS)
+    port = int(next(line for line in mission.err if "router at" in line).rpartition(":")[2])
+    os.kill(mission.process.pid if hit == "launcher" else pids[hit], signal.SIGINT)
+    assert mission.ended(timeout_s=10) == 130
+    assert nothing_is_left(pids)
+    assert not any(tmp_path.iterdir())
+    assert "Traceback" not in "".join(mission.err)
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) != 0
+
+
+def test_parts_do_not_outlive_a_launcher_that_is_killed(start, family, wait_until: Callable, tmp_path: Path) -> None:
+    mission = start(*LONG, cwd=tmp_path)
+    wait_until(lambda: mission.says("step   0"))
+    pids = family(mission.process.pid)
+    mission.kill()
+    wait_until(lambda: nothing_is_left(pids), timeout_s=10)
+
+
+def test_an_interrupt_while_it_starts_leaves_nothing_behind(start, family, wait_until: Callable, tmp_path: Path) -> None:
+    mission = start(*LONG, cwd=tmp_path)
+    wait_until(lambda: "router" in family(mission.process.pid))
+    pids = family(mission.process.pid)
+    mission.process.send_signal(signal.SIGINT)
+    assert mission.ended(timeout_s=10) == 130
+    assert nothing_is_left(pids)
+
+
+def test_an_unknown_policy_is_one_line_and_status_2(start, tmp_path: Path) -> None:
+    mission = start("sitl", "fly", "--policy", "clairvoyance", cwd=tmp_path)
+    assert mission.ended() == 2
+    assert mission.err == ["error: --policy: invalid choice: 'clairvoyance' (choose from 'infotaxis', 'random')\n"]
+
+
+def test_an_occupied_port_is_one_line_and_status_2(start, router: str, tmp_path: Path) -> None:
+    for command in (("sitl", "router"), ("sitl", "fly")):
+        ended = start(*command, "--listen", router, cwd=tmp_path)
+        assert ended.ended() == 2
+        assert ended.err == [f"error: --listen: cannot listen on {router}: Address already in use\n"]
+
+
+@pytest.mark.parametrize("service", [("sitl", "uav"), ("estimator",), ("agent",)])
+def test_an_unreachable_router_is_one_line_and_status_2(start, service: tuple[str, ...]) -> None:
+    ended = start(*service, "--connect", "tcp/127.0.0.1:1")
+    assert ended.ended() == 2
+    assert ended.err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: python -m sitl router)\n"]
+
+
+def test_the_summary_folder_cannot_be_written_and_the_outcome_is_still_told(start, tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("in the way")
+    mission = start("sitl", "fly", "--budget", "2", "--speedup", "0", "--json", cwd=tmp_path)
+    assert mission.ended() == 0
+    assert mission.says("warning: no summary written to runs/")
+    assert json.loads(mission.out[-1])["steps"] == 2

@@ -1,0 +1,107 @@
+"""Protects the autopilot protocol against a real client: MAVSDK-Python and its server, over UDP."""
+
+import asyncio
+import math
+import socket
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+
+import pytest
+from mavsdk import System
+from mavsdk.action import ActionError
+from mavsdk.offboard import PositionNedYaw
+
+TIMEOUT_S = 60.0
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+async def until(stream, holds: Callable):
+    """Return the first item of a telemetry stream that is as wanted."""
+    async with asyncio.timeout(TIMEOUT_S):
+        async for item in stream:
+            if holds(item):
+                return item
+    raise AssertionError("the stream ended")
+
+
+@asynccontextmanager
+async def connected(udp_port: int) -> AsyncIterator[System]:
+    drone = System(port=free_port(socket.SOCK_STREAM))
+    try:
+        async with asyncio.timeout(TIMEOUT_S):
+            await drone.connect(f"udpin://127.0.0.1:{udp_port}")
+        await until(drone.core.connection_state(), lambda state: state.is_connected)
+        yield drone
+    finally:
+        server = drone._server_process
+        drone._stop_mavsdk_server()
+        if server is not None:
+            with suppress(ProcessLookupError):
+                server.kill()
+            server.wait()
+
+
+@pytest.fixture
+def port(start, wait_until: Callable) -> int:
+    udp_port = free_port(socket.SOCK_DGRAM)
+    uav = start("sitl", "uav", "--out", f"udpout:127.0.0.1:{udp_port}", "--speedup", "3")
+    wait_until(lambda: uav.says(f"udpin://0.0.0.0:{udp_port}"))
+    return udp_port
+
+
+def test_mavsdk_arms_takes_off_flies_setpoints_lands_and_finds_it_disarmed(port: int) -> None:
+    async def fly() -> None:
+        async with connected(port) as drone:
+            await until(drone.telemetry.health_all_ok(), bool)
+            with pytest.raises(ActionError, match="COMMAND_DENIED"):
+                await drone.action.takeoff()  # not before it is armed
+            await drone.action.arm()
+            await until(drone.telemetry.armed(), bool)
+            await drone.action.takeoff()
+            await until(drone.telemetry.position(), lambda p: p.relative_altitude_m > 4.7)
+            with pytest.raises(ActionError, match="COMMAND_DENIED"):
+                await drone.action.disarm()  # not in the air
+            await drone.offboard.set_position_ned(PositionNedYaw(0.0, 0.0, -5.0, 0.0))
+            await drone.offboard.start()
+            for north, east, down in ((6.0, 3.0, -5.0), (6.0, 12.0, -8.0), (0.5, 0.5, -5.0)):
+                await drone.offboard.set_position_ned(PositionNedYaw(north, east, down, 90.0))
+
+                def reached(p, target=(north, east, down)) -> bool:
+                    place = p.position
+                    return math.dist((place.north_m, place.east_m, place.down_m), target) < 0.3
+
+                await until(drone.telemetry.position_velocity_ned(), reached)
+            await drone.offboard.stop()
+            await until(drone.telemetry.flight_mode(), lambda mode: str(mode) == "HOLD")
+            await drone.action.land()
+            await until(drone.telemetry.in_air(), lambda in_air: not in_air)
+            await until(drone.telemetry.armed(), lambda armed: not armed)
+
+    asyncio.run(fly())
+
+
+def test_mavsdk_is_told_why_a_setpoint_is_refused_and_can_return_home(port: int) -> None:
+    async def fly() -> None:
+        async with connected(port) as drone:
+            await until(drone.telemetry.health_all_ok(), bool)
+            version = await drone.info.get_version()
+            assert (version.flight_sw_major, version.flight_sw_minor) == (0, 1)
+            await drone.action.arm()
+            await drone.action.takeoff()
+            await until(drone.telemetry.position(), lambda p: p.relative_altitude_m > 4.7)
+            await drone.offboard.set_position_ned(PositionNedYaw(3.0, 2.0, -5.0, 0.0))
+            await drone.offboard.start()
+            await until(drone.telemetry.position_velocity_ned(), lambda p: math.dist((p.position.north_m, p.position.east_m), (3, 2)) < 0.3)
+            await drone.offboard.set_position_ned(PositionNedYaw(-5.0, 2.0, -5.0, 0.0))
+            await until(drone.telemetry.status_text(), lambda text: "(2.0, -5.0) m is outside the area" in text.text)
+            await drone.action.return_to_launch()
+            await until(drone.telemetry.armed(), lambda armed: not armed)
+            home = await until(drone.telemetry.position_velocity_ned(), lambda p: True)
+            assert math.dist((home.position.north_m, home.position.east_m, home.position.down_m), (0, 0, 0)) < 0.01
+
+    asyncio.run(fly())

@@ -1,0 +1,248 @@
+"""Protects each service alone against a stranger that knows only docs/bus.md: answers, repeats, and what must not stop it."""
+
+import json
+import math
+import queue
+import struct
+from collections.abc import Callable, Iterator
+
+import pytest
+import zenoh
+from pymavlink.dialects.v20 import common as mavlink
+
+from tests.system.stranger import Stranger, belief, messages, nothing_more, particles
+
+WAIT_S = 30.0
+
+
+@pytest.fixture
+def stranger(router: str) -> Iterator[Stranger]:
+    with Stranger(router) as client:
+        yield client
+
+
+def get(samples: "queue.SimpleQueue[zenoh.Sample]") -> zenoh.Sample:
+    return samples.get(timeout=WAIT_S)
+
+
+class TestEstimator:
+    """`python -m estimator`."""
+
+    @pytest.fixture
+    def estimator(self, start, router: str, stranger: Stranger, wait_until: Callable):
+        part = start("estimator", "--connect", router, "--particles", "200", "--threshold", "4")
+        wait_until(lambda: part.says("ready"))
+        return part
+
+    def test_it_answers_each_reading_with_one_belief_of_the_same_time(self, estimator, stranger: Stranger) -> None:
+        beliefs, publish = stranger.subscribe("belief"), stranger.publisher("reading")
+        for step, time_boot_ms in enumerate((1000, 2150, 3300)):
+            publish(stranger.reading(time_boot_ms, north=4.0 + step))
+            sample = get(beliefs)
+            said = belief(sample)
+            assert (said["time_boot_ms"], said["step"]) == (time_boot_ms, step)
+            assert (said["position"], said["wind"], said["gas"]) == ([3.0, 4.0 + step], [2.0, 1.0], 0.5)
+            cloud = particles(sample)
+            assert len(cloud) == 200
+            assert sum(weight for _, _, weight in cloud) == pytest.approx(1.0, abs=1e-5)
+            mean_x = sum(x * weight for x, _, weight in cloud)
+            assert said["mean"][0] == pytest.approx(mean_x, abs=1e-4)
+        assert nothing_more(beliefs)
+
+    def test_a_repeated_reading_gets_the_same_belief_again_to_the_last_bit(self, estimator, stranger: Stranger) -> None:
+        beliefs, publish = stranger.subscribe("belief"), stranger.publisher("reading")
+        frames = stranger.reading(1000)
+        answers = []
+        for _ in range(3):
+            publish(frames)
+            sample = get(beliefs)
+            answers.append((sample.payload.to_bytes(), sample.attachment.to_bytes()))
+        assert answers[0] == answers[1] == answers[2]
+
+    def test_what_it_refuses_leaves_the_belief_as_it_was_and_is_named(self, estimator, stranger: Stranger, wait_until: Callable) -> None:
+        beliefs, publish = stranger.subscribe("belief"), stranger.publisher("reading")
+        health = stranger.subscribe("health/estimator")
+        publish(stranger.reading(5000))
+        before = get(beliefs)
+        for bad in (
+            stranger.reading(6000, gas=math.nan),
+            stranger.reading(6000, gas=math.inf),
+            stranger.reading(6000, north=30.5),
+            stranger.reading(6000, east=-0.5),
+            stranger.reading(4000),
+            stranger.reading(6000)[:-3],
+            b"noise",
+            b"",
+        ):
+            publish(bad)
+        publish(stranger.reading(5000))
+        after = get(beliefs)
+        assert (after.payload.to_bytes(), after.attachment.to_bytes()) == (before.payload.to_bytes(), before.attachment.to_bytes())
+        for words in ("gas is not finite", "outside the area [0, 30] x [0, 30] m", "time_boot_ms 4000 is before 5000", "malformed frame"):
+            wait_until(lambda words=words: estimator.says(f"warning: refused reading: {words}") or estimator.says(words))
+        counted: dict = {}
+        while not counted.get("late"):
+            counted = json.loads(get(health).payload.to_bytes())["refused"]
+        assert counted == {"malformed": 5, "outside": 2, "late": 1}
+        publish(stranger.reading(6000))
+        assert belief(get(beliefs))["step"] == 1
+
+    def test_it_announces_one_stop_before_the_belief_that_has_ceased(self, estimator, stranger: Stranger) -> None:
+        beliefs, stops, publish = stranger.subscribe("belief"), stranger.subscribe("agdc/stop"), stranger.publisher("reading")
+        said: dict = {"ceased": False}
+        step = 0
+        while not said["ceased"]:
+            publish(stranger.reading(1000 * (step + 1), north=10.0 + step % 7, east=10.0 + step // 7, gas=20.0))
+            said = belief(get(beliefs))
+            assert said["ceased"] == (said["spread"] < 4)
+            step += 1
+        stop = json.loads(get(stops).payload.to_bytes())
+        assert (stop["step"], stop["estimate"], stop["threshold"]) == (said["step"], said["mean"], 4.0)
+        publish(stranger.reading(1000 * (step + 1), gas=20.0))
+        assert belief(get(beliefs))["step"] == step
+        assert nothing_more(stops)
+
+
+class TestAgent:
+    """`python -m agent`."""
+
+    SUMMARY = {
+        "time_boot_ms": 1000, "step": 0, "position": [10.0, 12.0], "altitude_m": 5.0, "gas": 0.5, "wind": [2.0, 1.0], "rate": 300.0,
+        "diffusivity": 4.5, "lifetime": 10.0, "mean": [15.0, 15.0], "covariance": [4.0, 0.0, 4.0], "spread": 2.8,
+        "effective_sample_size": 3.0, "ceased": False,
+    }  # fmt: skip
+
+    @pytest.fixture
+    def agent(self, start, router: str, stranger: Stranger, wait_until: Callable):
+        part = start("agent", "--connect", router, "--budget", "5")
+        wait_until(lambda: part.says("ready"))
+        return part
+
+    def publish(self, stranger: Stranger) -> Callable[..., None]:
+        publish = stranger.publisher("belief")
+        cloud = b"".join(struct.pack("<3f", x, y, 0.25) for x, y in ((14.0, 14.0), (15.0, 16.0), (16.0, 14.0), (15.0, 15.0)))
+
+        def put(attachment: bytes = cloud, **changes: object) -> None:
+            publish(json.dumps({**self.SUMMARY, **changes}), attachment=attachment)
+
+        return put
+
+    def test_it_answers_each_belief_with_one_waypoint_a_metre_on(self, agent, stranger: Stranger) -> None:
+        waypoints, put = stranger.subscribe("mavlink/in"), self.publish(stranger)
+        for step in range(3):
+            put(time_boot_ms=1000 + step, step=step)
+            m = messages(get(waypoints))["SET_POSITION_TARGET_LOCAL_NED"]
+            assert (m.time_boot_ms, m.z) == (1000 + step, -5.0)
+            assert math.dist((m.y, m.x), (10.0, 12.0)) == 1.0
+        assert nothing_more(waypoints)
+
+    def test_a_repeated_belief_gets_the_same_waypoint_again_and_an_older_one_none(self, agent, stranger: Stranger) -> None:
+        waypoints, put = stranger.subscribe("mavlink/in"), self.publish(stranger)
+        put(time_boot_ms=2000, step=1)
+        first = messages(get(waypoints))["SET_POSITION_TARGET_LOCAL_NED"]
+        put(time_boot_ms=1000, step=0)
+        put(time_boot_ms=2000, step=1)
+        second = messages(get(waypoints))["SET_POSITION_TARGET_LOCAL_NED"]
+        assert (first.time_boot_ms, first.x, first.y) == (second.time_boot_ms, second.x, second.y) == (2000, first.x, first.y)
+        assert nothing_more(waypoints)
+
+    def test_it_stays_silent_when_the_search_has_ceased_or_the_budget_is_spent(self, agent, stranger: Stranger) -> None:
+        waypoints, put = stranger.subscribe("mavlink/in"), self.publish(stranger)
+        put(ceased=True)
+        put(time_boot_ms=6000, step=5)
+        assert nothing_more(waypoints)
+
+    def test_it_survives_what_is_no_belief(self, agent, stranger: Stranger, wait_until: Callable) -> None:
+        waypoints, put = stranger.subscribe("mavlink/in"), self.publish(stranger)
+        for attachment, changes, words in (
+            (b"123", {}, "no particle array"),
+            (b"\x00\x00\xc0\x7f" * 3, {}, "NaN"),
+            (b"", {"step": -3}, "Expected `int` >= 0"),
+            (b"", {"mean": "north"}, "Expected `array`"),
+        ):
+            put(attachment, **changes)
+            wait_until(lambda words=words: agent.says(words))
+        assert agent.says("warning: refused belief: ")
+        put()
+        assert messages(get(waypoints))["SET_POSITION_TARGET_LOCAL_NED"].time_boot_ms == 1000
+
+
+class TestUav:
+    """`python -m sitl uav`, with a stranger for both estimator and agent."""
+
+    @pytest.fixture
+    def uav(self, start, router: str, stranger: Stranger, wait_until: Callable):
+        part = start("sitl", "uav", "--connect", router, "--seed", "1", "--speedup", "0")
+        wait_until(lambda: stranger.has_service("uav"))
+        return part
+
+    def begin(self, stranger: Stranger) -> "queue.SimpleQueue[zenoh.Sample]":
+        readings = stranger.subscribe("reading")
+        stranger._held += [stranger.session.liveliness().declare_token(f"uav/1/health/{service}") for service in ("estimator", "agent")]
+        return readings
+
+    def test_it_waits_on_the_ground_until_estimator_and_agent_are_there(self, uav, stranger: Stranger) -> None:
+        readings = stranger.subscribe("reading")
+        assert nothing_more(readings)
+        readings = self.begin(stranger)
+        first = messages(get(readings))
+        assert set(first) == {"LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT"}
+
+    def test_it_flies_each_waypoint_to_the_last_bit_and_takes_one_reading_there(self, uav, stranger: Stranger) -> None:
+        readings, publish = self.begin(stranger), stranger.publisher("mavlink/in")
+        place = messages(get(readings))["LOCAL_POSITION_NED"]
+        for _ in range(5):
+            time_boot_ms, north, east = place.time_boot_ms, place.x + 1.0, place.y
+            publish(stranger.waypoint(time_boot_ms, north, east))
+            while place.time_boot_ms == time_boot_ms:  # readings are repeated while they are unanswered
+                place = messages(get(readings))["LOCAL_POSITION_NED"]
+            assert place.time_boot_ms > time_boot_ms
+            assert (place.x, place.y, place.z) == (pytest.approx(north, abs=1e-6), east, -5.0)
+
+    def test_late_and_doubled_waypoints_change_nothing(self, uav, stranger: Stranger) -> None:
+        readings, publish = self.begin(stranger), stranger.publisher("mavlink/in")
+        start = messages(get(readings))["LOCAL_POSITION_NED"]
+        publish(stranger.waypoint(start.time_boot_ms, 10.0, 10.0))
+        publish(stranger.waypoint(start.time_boot_ms, 20.0, 20.0))
+        seen = {start.time_boot_ms}
+        while (place := messages(get(readings))["LOCAL_POSITION_NED"]).time_boot_ms in seen:
+            pass
+        assert (place.x, place.y) == (10.0, 10.0)
+        publish(stranger.waypoint(start.time_boot_ms, 25.0, 25.0))
+        publish(stranger.waypoint(place.time_boot_ms, 11.0, 10.0))
+        while (after := messages(get(readings))["LOCAL_POSITION_NED"]).time_boot_ms == place.time_boot_ms:
+            pass
+        assert (after.x, after.y) == (11.0, 10.0)
+
+    def test_an_unanswered_reading_is_published_again_as_it_was(self, uav, stranger: Stranger) -> None:
+        readings = self.begin(stranger)
+        assert get(readings).payload.to_bytes() == get(readings).payload.to_bytes() == get(readings).payload.to_bytes()
+
+    def test_a_waypoint_outside_the_area_and_noise_are_refused_with_a_reason_and_survived(
+        self, uav, stranger: Stranger, wait_until: Callable
+    ) -> None:
+        readings, publish, out = self.begin(stranger), stranger.publisher("mavlink/in"), stranger.subscribe("mavlink/out")
+        start = messages(get(readings))["LOCAL_POSITION_NED"]
+        publish(b"noise")
+        publish(stranger.waypoint(start.time_boot_ms, math.nan, 10.0))
+        publish(stranger.waypoint(start.time_boot_ms, 10.0, 31.0))
+        wait_until(lambda: uav.says("warning: refused mavlink/in: malformed frame"))
+        wait_until(lambda: uav.says("Waypoint refused: (31.0, 10.0) m is outside the area [0, 30] x [0, 30] m"))
+        text = ""
+        while "outside the area" not in text:
+            frames = mavlink.MAVLink(None).parse_buffer(get(out).payload.to_bytes())
+            text += "".join(m.text for m in frames if m.get_type() == "STATUSTEXT")
+        publish(stranger.waypoint(start.time_boot_ms, 10.0, 30.0))
+        while (place := messages(get(readings))["LOCAL_POSITION_NED"]).time_boot_ms == start.time_boot_ms:
+            pass
+        assert (place.x, place.y) == (10.0, 30.0)
+
+    def test_it_streams_its_telemetry_while_it_waits(self, uav, stranger: Stranger) -> None:
+        out = stranger.subscribe("mavlink/out")
+        wanted = {
+            "HEARTBEAT", "SYS_STATUS", "GPS_RAW_INT", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE", "VFR_HUD", "BATTERY_STATUS",
+            "HOME_POSITION", "EXTENDED_SYS_STATE", "WIND_COV",
+        }  # fmt: skip
+        seen: set[str] = set()
+        while not wanted <= seen:
+            seen |= set(messages(get(out)))
