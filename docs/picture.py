@@ -30,7 +30,8 @@ def drawing(seed: int, policy: str) -> str:
     gas = concentration(places, s.source, s.wind, rate=s.q, diffusivity=s.d, lifetime=s.tau)
     shade = np.clip(np.log10(gas / 0.1) / 2.5, 0, 1)  # from 0.1 g/m³, half the noise in clean air, upwards
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size:g} {size:g}" width="{size:g}" font-family="sans-serif" font-size="14">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size:g} {size:g}" width="{size:g}"'
+        ' font-family="sans-serif" font-size="14">',
         f'<rect width="{size:g}" height="{size:g}" fill="#fbfaf7"/>',
     ]
     side = CELL_M * SCALE

@@ -12,9 +12,10 @@ from link.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack
 from link.messages import Stop
 from plume.world import World
 from sitl.clock import Clock
+from sitl.protocol import COMPONENT, MavlinkProtocol
 from sitl.telemetry import Snapshot, Telemetry
 from sitl.udp import UdpLink
-from sitl.vehicle import COMPONENT, Arrived, Mode, Result, Vehicle, VehicleConfig
+from sitl.vehicle import Arrived, Mode, Result, Vehicle, VehicleConfig
 
 SEARCHERS = {"estimator", "agent"}
 """The search begins when these services are there."""
@@ -70,6 +71,7 @@ class Uav:
     ) -> None:
         """Join the links; raises ValueError for a UDP URL that cannot be used."""
         self._vehicle = Vehicle(config)
+        self._protocol = MavlinkProtocol(self._vehicle)
         self._world = world
         self._clock = clock
         self._inbox = inbox
@@ -114,7 +116,7 @@ class Uav:
                         self._sample(event)
                     else:
                         self._log.info(event.text)
-                        self._broadcast(event.messages)
+                        self._broadcast(self._protocol.statustext(event.severity, event.text))
                 self._go_on_with_the_search()
                 self._resend()
                 for port in self._ports:
@@ -163,14 +165,14 @@ class Uav:
                 (self._searchers.add if alive else self._searchers.discard)(service)
 
     def _message(self, message: Message, port: Port) -> None:
-        refused = self._vehicle.refused.total()
-        answers = self._vehicle.receive(message, self._clock.now_s(), port.telemetry)
+        refused = self._protocol.refused.total()
+        answers = self._protocol.receive(message, self._clock.now_s(), port.telemetry)
         if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
             self._clock.heard()
-        if self._bus:
-            self._bus.refused.update({"waypoint": self._vehicle.refused.total() - refused})
+        if self._bus and self._protocol.refused.total() > refused:
+            self._bus.refused["waypoint"] += 1
         if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
-            self._log.warn(b"".join(texts).decode())
+            self._log.warn("".join(texts))
         if answers:
             port.link.send(*answers)
 

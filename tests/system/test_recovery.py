@@ -1,6 +1,7 @@
 """Protects the loop against loss: whatever message is lost and whichever service dies, the mission goes on to the same bits."""
 
 import json
+import os
 import signal
 import time
 from collections.abc import Callable
@@ -24,11 +25,7 @@ AGENT = ("--seed", str(derived_seed(SEED, "agent")))
 @pytest.fixture(scope="module")
 def undisturbed() -> list[tuple[tuple[float, float], float, tuple[float, float], float]]:
     """The beliefs of the same mission in-process."""
-    return [tuple(point) for point in (vars_of(p) for p in rollout(SEED, "infotaxis")[1])]
-
-
-def vars_of(point) -> tuple:
-    return point.position, point.reading, point.mean, point.spread
+    return [(point.position, point.reading, point.mean, point.spread) for point in rollout(SEED, "infotaxis")[1]]
 
 
 def point_of(said: dict) -> tuple:
@@ -56,11 +53,12 @@ def test_a_killed_service_resumes_with_the_same_belief(start, router: str, undis
 
 
 def test_a_mission_with_lost_doubled_and_late_messages_equals_an_undisturbed_one(start, router: str, undisturbed: list) -> None:
-    """A stranger stands between the estimator and the vehicle: of each three waypoints one is lost, one doubled, one followed by an old one."""
+    """A stranger is the agent: of each three waypoints one is lost, one doubled, one followed by an old one."""
     with Stranger(router, "health/agent") as stranger:
-        beliefs, publish = stranger.subscribe("belief"), stranger.publisher("mavlink/in")
+        beliefs = stranger.subscribe("belief")
         start("estimator", "-e", router, *ESTIMATOR)
         start("sitl", "uav", "-e", router, "--seed", str(SEED), "--speedup", "0")
+        publish = stranger.publisher("mavlink/in")
         path = [point[0] for point in undisturbed]
         heard: dict[int, int] = {}
         seen: dict[int, tuple] = {}
@@ -104,8 +102,6 @@ def test_the_launcher_says_so_when_the_vehicle_gives_up(start, family, wait_unti
     mission = start("sitl", "fly", "--speedup", "20", "--silence", "15", cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
     agent = family(mission.process.pid)["agent"]
-    import os
-
     os.kill(agent, signal.SIGSTOP)  # alive, but silent
     assert mission.ended() == 1
     assert (

@@ -5,6 +5,7 @@ import math
 import queue
 import struct
 from collections.abc import Callable, Iterator
+from typing import ClassVar
 
 import pytest
 import zenoh
@@ -106,7 +107,7 @@ class TestEstimator:
 class TestAgent:
     """`python -m agent`."""
 
-    SUMMARY = {
+    SUMMARY: ClassVar[dict] = {
         "time_boot_ms": 1000, "step": 0, "position": [10.0, 12.0], "altitude_m": 5.0, "gas": 0.5, "wind": [2.0, 1.0], "rate": 300.0,
         "diffusivity": 4.5, "lifetime": 10.0, "mean": [15.0, 15.0], "covariance": [4.0, 0.0, 4.0], "spread": 2.8,
         "effective_sample_size": 3.0, "ceased": False,
