@@ -10,7 +10,6 @@ import statistics
 import sys
 import time
 from collections import defaultdict
-from typing import Any
 
 from agent.rollout import rollout
 from link.bus import Arrival, Bus
@@ -26,18 +25,17 @@ RING_ROUNDS = 2000
 
 def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
     """Fly one mission; returns the milliseconds of each step."""
-    inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    processes = Processes(inbox)
+    processes = Processes(queue.SimpleQueue())
     mission = Mission(seed, policy, particles, 0.5, 300, 0.0, 0, "tcp/127.0.0.1:0")
     read_at: list[tuple[int, float]] = []
     compute: dict[str, dict[int, float]] = defaultdict(dict)
     try:
         endpoint = start_parts(processes, mission, draw(seed))
-        with Bus("bench", endpoint, inbox=inbox) as bus:
+        with Bus("bench", endpoint) as bus:
             bus.subscribe(READING, BELIEF, HEALTH)
             last: int | None = None
             while last is None or not (last in compute["estimator"] and last - 1 in compute["agent"] and last in compute["uav"]):
-                item = inbox.get()
+                item = bus.receive()
                 now = time.perf_counter()
                 match item:
                     case Arrival(key, payload) if key is READING:

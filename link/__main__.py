@@ -57,7 +57,8 @@ The search plane has x east and y north, so (x, y) = (NED y, NED x); its wind po
 Keys with a *kept* count are published with Zenoh's advanced publisher (`zenoh.ext`, cache, publisher detection, sample-miss
 detection by heartbeat). An advanced subscriber with history and recovery is given the kept messages first, in order; a plain
 subscriber gets what is published from then on. Let the cache reply with congestion control BLOCK, and leave late-publisher
-detection off: with zenoh 1.10.2 either default loses kept messages when one joins a busy publisher.
+detection off: with zenoh 1.10.2 either default loses kept messages when one joins a busy publisher. Even so, some of the history can
+be missing. A sample's source sequence number counts from 0: where the first one is greater, subscribe anew and drop what comes twice.
 An estimator that starts late or again rebuilds its belief from the kept readings.
 
 ## Floats

@@ -1,10 +1,11 @@
 """A session on the bus: publishers and subscribers made from the table of keys, and one inbox for all that arrives."""
 
 import json
+import math
 import queue
 import re
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
@@ -13,12 +14,15 @@ import msgspec
 import zenoh
 import zenoh.ext
 
-from link.keys import HEALTH, Key
+from link.keys import HEALTH, KEYS, Key
 from link.log import Log
 from link.messages import Health
+from link.sequence import Sequence
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
+SIGNAL_POLL_S = 0.2
+"""Waits are cut into slices of this length: a signal that the system hands to one of Zenoh's threads wakes no other thread."""
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -33,6 +37,14 @@ class Arrival(NamedTuple):
     key: Key
     payload: bytes
     attachment: bytes
+
+
+class _Numbered(NamedTuple):
+    """A message with its publisher's identity and count."""
+
+    source: str
+    number: int
+    arrival: Arrival
 
 
 class LivelinessChange(NamedTuple):
@@ -110,7 +122,9 @@ class Bus:
         self.tally = Tally()
         self._inbox: queue.SimpleQueue[Any] = inbox or queue.SimpleQueue()
         self._publishers: dict[str, Any] = {}
-        self._subscribers: list[Any] = []
+        self._subscribers: dict[str, Any] = {}
+        self._sequences: dict[str, Sequence[Arrival]] = {}
+        self._ready: deque[Any] = deque()
         self._started = time.monotonic()
         self._token = self._session.liveliness().declare_token(self._own_health())
 
@@ -153,13 +167,19 @@ class Bus:
         """Have what is published under these keys, kept messages first, put into the inbox."""
         for key in keys:
             # Callbacks only queue: one that blocked or computed would hold up the session, stop messages included.
+            if key.delivery.kept > 1:
+                self._sequences.setdefault(key.name, Sequence())
             self.on(key, self._inbox.put)
 
-    def on(self, key: Key, arrived: Callable[[Arrival], None]) -> None:
+    def on(self, key: Key, arrived: Callable[[Any], None]) -> None:
         """Have what is published under a key, kept messages first, handed to a callback in the session's thread."""
 
         def received(sample: zenoh.Sample) -> None:
-            arrived(Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b""))
+            arrival = Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b"")
+            if key.name in self._sequences and (info := sample.source_info) is not None:
+                arrived(_Numbered(str(info.source_id), info.source_sn, arrival))
+            else:
+                arrived(arrival)
 
         name = key.name.replace("<service>", "*")
         if key.delivery.kept:
@@ -167,13 +187,12 @@ class Bus:
                 self._session,
                 name,
                 received,
-                # Not detect_late_publishers: it loses the history in half of the joins to a live publisher (zenoh 1.10.2).
-                history=zenoh.ext.HistoryConfig(),
+                history=zenoh.ext.HistoryConfig(),  # with detect_late_publishers half of the joins to a live publisher lose the rest
                 recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
             )
         else:
             subscriber = self._session.declare_subscriber(name, received)
-        self._subscribers.append(subscriber)
+        self._subscribers[key.name] = subscriber
 
     def watch_services(self) -> None:
         """Have the coming and going of services put into the inbox, beginning with those that are there."""
@@ -183,14 +202,37 @@ class Bus:
             self._inbox.put(LivelinessChange(service, sample.kind == zenoh.SampleKind.PUT))
 
         name = HEALTH.name.replace("<service>", "*")
-        self._subscribers.append(self._session.liveliness().declare_subscriber(name, changed, history=True))
+        self._subscribers["liveliness"] = self._session.liveliness().declare_subscriber(name, changed, history=True)
 
     def receive(self, timeout_s: float | None = None) -> Any:
-        """Return the next item of the inbox, or None after timeout_s."""
-        try:
-            return self._inbox.get(timeout=None if timeout_s is None else max(timeout_s, 0.0))
-        except queue.Empty:
-            return None
+        """Return the next item of the inbox; None after timeout_s, or, where that is None, never."""
+        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        while not self._ready:
+            self._look_after_sequences()
+            left_s = max(deadline - time.monotonic(), 0.0)
+            try:
+                item = self._inbox.get(timeout=min(SIGNAL_POLL_S, left_s))
+            except queue.Empty:
+                if left_s <= SIGNAL_POLL_S:
+                    return None
+                continue
+            if isinstance(item, _Numbered):
+                sequence = self._sequences[item.arrival.key.name]
+                self._ready += sequence.arrived(item.source, item.number, item.arrival, time.monotonic())
+            else:
+                self._ready.append(item)
+        return self._ready.popleft()
+
+    def _look_after_sequences(self) -> None:
+        now_s = time.monotonic()
+        for name, sequence in self._sequences.items():
+            if sequence.should_ask_again(now_s):
+                self._subscribers.pop(name).undeclare()  # a new subscriber is given the history anew
+                self.subscribe(next(key for key in KEYS if key.name == name))
+            missing, ready = sequence.given_up(now_s)
+            if missing:
+                self.log.warn(f"{missing} messages of {name} are lost: nobody has kept them")
+            self._ready += ready
 
     def refuse(self, key: Key, reason: str, kind: str) -> None:
         """Count and log a message that is dropped; `kind` is what it is counted under."""
@@ -213,7 +255,7 @@ class Bus:
 
     def close(self) -> None:
         """Leave the bus. A session that is left open would hang the process's exit."""
-        for subscriber in self._subscribers:
+        for subscriber in self._subscribers.values():
             subscriber.undeclare()
         self._token.undeclare()  # type: ignore[no-untyped-call]
         self._session.close()  # type: ignore[no-untyped-call]

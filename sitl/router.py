@@ -1,8 +1,8 @@
 """A Zenoh router of our own, so that no other software is needed to fly."""
 
-import threading
+import time
 
-from link.bus import open_router
+from link.bus import SIGNAL_POLL_S, open_router
 
 
 def run(endpoint: str) -> None:
@@ -10,4 +10,5 @@ def run(endpoint: str) -> None:
     session, listening = open_router(endpoint)
     with session:
         print(listening, flush=True)
-        threading.Event().wait()
+        while True:
+            time.sleep(SIGNAL_POLL_S)  # all the work is in Zenoh's threads
