@@ -54,7 +54,7 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
     )  # fmt: skip
     parser.add_argument(
         "--silence", type=cli.number(0, math.inf, above=True), default=30.0, metavar="S",
-        help="vehicle seconds without a waypoint after which it returns home and lands (default: %(default)g)",
+        help="real seconds without a waypoint after which the vehicle returns home and lands (default: %(default)g)",
     )  # fmt: skip
 
 
@@ -133,10 +133,11 @@ def _uav(args: argparse.Namespace) -> int:
     from sitl.uav import Uav
     from sitl.vehicle import VehicleConfig
 
-    config = VehicleConfig(sysid=args.instance + 1, silence_s=args.silence)
+    silence_s = args.silence * (args.speedup or 1.0)  # who is silent lives in real time; at speed-up 0 so does a waiting vehicle
+    config = VehicleConfig(args.instance + 1, silence_s=silence_s)
     if args.home:
         lat, lon, alt, heading = args.home
-        config = VehicleConfig(args.instance + 1, lat, lon, alt, heading, silence_s=args.silence)
+        config = VehicleConfig(args.instance + 1, lat, lon, alt, heading, silence_s=silence_s)
     scenario = draw(args.seed)
     inbox: queue.SimpleQueue[object] = queue.SimpleQueue()
     log = Log("uav")

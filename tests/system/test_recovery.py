@@ -84,7 +84,7 @@ def test_a_vehicle_that_gets_no_waypoints_returns_home_and_lands(start, router: 
     with Stranger(router, "health/agent") as viewer:
         readings, out, health = viewer.subscribe("reading"), viewer.subscribe("mavlink/out"), viewer.subscribe("health/uav")
         start("estimator", "-e", router)
-        start("sitl", "uav", "-e", router, "--speedup", "20", "--silence", "15")
+        start("sitl", "uav", "-e", router, "--speedup", "20", "--silence", "1")
         readings.get(timeout=60)
         states: list[str] = []
         while not states or states[-1] != "landed":
@@ -99,11 +99,11 @@ def test_a_vehicle_that_gets_no_waypoints_returns_home_and_lands(start, router: 
 
 
 def test_the_launcher_says_so_when_the_vehicle_gives_up(start, family, wait_until: Callable, tmp_path) -> None:
-    mission = start("sitl", "fly", "--speedup", "20", "--silence", "15", cwd=tmp_path)
+    mission = start("sitl", "fly", "--speedup", "20", "--silence", "1", cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
     agent = family(mission.process.pid)["agent"]
     os.kill(agent, signal.SIGSTOP)  # alive, but silent
     assert mission.ended() == 1
     assert (
-        "error: the uav has landed before the search was over; its last words: uav: No setpoint for 15 s: returning home" in mission.err[-1]
+        "error: the uav has landed before the search was over; its last words: uav: No setpoint for 20 s: returning home" in mission.err[-1]
     )
