@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Iterator
 from typing import IO, Any, NamedTuple
 
 STOP_TIMEOUT_S = 1.0
@@ -37,6 +38,20 @@ def _die_with_the_launcher() -> None:
         LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C and SIGTERM back, so that a child that has been started is also known to have been."""
+    held: list[int] = []
+    before = {number: signal.signal(number, lambda number, _: held.append(number)) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if held:
+        raise KeyboardInterrupt
+
+
 class Processes:
     """The children; what becomes of them goes into the inbox."""
 
@@ -48,18 +63,19 @@ class Processes:
 
     def start(self, part: str, module: str, *arguments: str) -> IO[str]:
         """Start `python -m module arguments`; returns its stdout."""
-        child = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            preexec_fn=_die_with_the_launcher,
-        )
-        self._children[part] = child
-        thread = threading.Thread(target=self._watch, args=(part, child), daemon=True)
-        thread.start()
-        self._threads.append(thread)
+        with _uninterrupted():
+            child = subprocess.Popen(
+                [sys.executable, "-m", module, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                preexec_fn=_die_with_the_launcher,
+            )
+            self._children[part] = child
+            thread = threading.Thread(target=self._watch, args=(part, child), daemon=True)
+            thread.start()
+            self._threads.append(thread)
         assert child.stdout is not None
         return child.stdout
 
@@ -73,7 +89,11 @@ class Processes:
         self._inbox.put(Ended(part, child.wait(), words[-1] if words else "no last words"))
 
     def stop(self) -> None:
-        """End all of them, kindly first; afterwards none is left."""
+        """End all of them, kindly first; afterwards none is left, however often Ctrl-C is pressed meanwhile."""
+        with contextlib.suppress(KeyboardInterrupt), _uninterrupted():
+            self._stop()
+
+    def _stop(self) -> None:
         for child in self._children.values():
             with contextlib.suppress(ProcessLookupError):
                 child.send_signal(signal.SIGTERM)
