@@ -18,6 +18,8 @@ STAGE_FLOOR = 0.1
 """Where one reading would crush the effective sample size below this share of N, it is taken in tempered stages."""
 PLASTIC_LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
 """The powers of the inverse plastic number: the R2 sequence (Roberts 2018)."""
+MAX_STAGES = 12
+"""After so many stages the rest of a reading is taken at once: no reading, however absurd, may keep the filter busy for long."""
 SWEEPS = 3
 """Metropolis sweeps after each resampling."""
 
@@ -77,8 +79,9 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
     stage = 0
     while True:
         log_likelihood = kernels.log_likelihoods(posterior.particles, row, model)
-        share = _tempered_share(posterior.log_weights, log_likelihood, 1.0 - exponent)
-        exponent = 1.0 if share >= 1.0 - exponent else exponent + share
+        left = 1.0 - exponent
+        share = left if stage == MAX_STAGES else _tempered_share(posterior.log_weights, log_likelihood, left)
+        exponent = 1.0 if share >= left else exponent + share
         posterior = replace(
             posterior,
             log_weights=posterior.log_weights + share * log_likelihood,

@@ -116,6 +116,20 @@ def test_a_reading_that_would_crush_the_weights_is_taken_in_stages() -> None:
     assert math.dist(summary.mean, mean) < 0.2 * spread
 
 
+@pytest.mark.parametrize("gas", [3e38, -3e38, 1e6])
+def test_an_absurd_reading_neither_hangs_the_filter_nor_breaks_its_numbers(gas: float) -> None:
+    s = draw(4)
+    config = config_for(s, 1, 300)
+    posterior = prior(config)
+    for step, value in enumerate((0.5, gas, 0.5)):
+        posterior = assimilate(posterior, Reading(step, (3.0, 3.0), 5.0, (1.0, 1.0), value), config)
+    summary, particles = belief(posterior, Reading(2, (3.0, 3.0), 5.0, (1.0, 1.0), 0.5), config)
+    assert np.isfinite(particles).all()
+    assert math.isfinite(summary.spread)
+    assert particles[:, :2].min() >= 0.0
+    assert particles[:, :2].max() <= 30.0
+
+
 def test_the_same_readings_and_seed_give_the_same_bits_and_another_seed_does_not() -> None:
     s = draw(4)
     world = World(s, 4)
