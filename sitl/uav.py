@@ -5,7 +5,7 @@ import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
-from link.bus import Arrival, Bus, LivelinessChange
+from link.bus import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.keys import MAVLINK_IN, MAVLINK_OUT, READING, STOP
 from link.log import Log
 from link.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack
@@ -139,7 +139,7 @@ class Uav:
             if self._must_resend:
                 timeout_s = min(timeout_s, max(self._resend_at - time.monotonic(), 0.0))
         try:
-            return self._inbox.get(timeout=timeout_s)
+            return self._inbox.get(timeout=min(timeout_s, SIGNAL_POLL_S))  # a client may have turned all streams off
         except queue.Empty:
             return None
 
@@ -184,20 +184,20 @@ class Uav:
         mode = self._vehicle.state(now_s).mode
         if self._state == "standby" and self._searchers >= SEARCHERS:
             if not self._vehicle.state(now_s).armed:
-                self._must(self._vehicle.arm(now_s))
-            self._must(self._vehicle.take_off(now_s))
+                self._warn_where_refused(self._vehicle.arm(now_s))
+            self._warn_where_refused(self._vehicle.take_off(now_s))
             self._set_state("taking off")
         elif self._state == "taking off" and mode is Mode.HOLD:
             start_x, start_y = self._world.start
-            self._must(self._vehicle.setpoint(now_s, (start_y, start_x, -self._vehicle.config.takeoff_altitude_m)))
-            self._must(self._vehicle.set_mode(now_s, Mode.OFFBOARD))
+            self._warn_where_refused(self._vehicle.setpoint(now_s, (start_y, start_x, -self._vehicle.config.takeoff_altitude_m)))
+            self._warn_where_refused(self._vehicle.set_mode(now_s, Mode.OFFBOARD))
             self._set_state("searching")
         elif self._state == "searching" and mode in (Mode.RETURN, Mode.LAND):
             self._set_state("returning")
         elif self._state == "returning" and not self._vehicle.state(now_s).armed:
             self._set_state("landed")
 
-    def _must(self, result: Result) -> None:
+    def _warn_where_refused(self, result: Result) -> None:
         if not result.accepted:
             self._log.warn(result.reason)
 

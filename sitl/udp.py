@@ -71,15 +71,13 @@ def _decode_frame(parser: mavlink.MAVLink, frame: bytes) -> Message | None:
 class UdpLink:
     """Sends messages to one address and hands those that come back to a callback, in a thread of its own.
 
-    Nobody needs to listen yet: what cannot be sent is lost and counted, as on a radio.
+    Nobody needs to listen yet: what cannot be sent is lost, as on a radio.
     """
 
     def __init__(self, url: str, on_message: Callable[[Message], None], system: int = 1, component: int = 1) -> None:
         """Open the link; raises ValueError where the URL is not one or its host is not known."""
         self.garbage = 0
         """Bytes received that belong to no frame."""
-        self.lost = 0
-        """Messages that could not be sent."""
         host, port = parse_url(url)
         self._codec = Codec(system, component)
         self._on_message = on_message
@@ -100,7 +98,7 @@ class UdpLink:
             try:
                 self._socket.send(self._codec.pack(message))
             except OSError:  # nobody listens there (yet), the buffer is full, or the link is closed
-                self.lost += 1
+                continue
 
     def close(self) -> None:
         """End the thread and free the socket; a second call does nothing."""

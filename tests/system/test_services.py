@@ -238,6 +238,20 @@ class TestUav:
             pass
         assert (place.x, place.y) == (10.0, 30.0)
 
+    def test_it_survives_a_client_that_turns_all_streams_off(self, uav, stranger: Stranger) -> None:
+        publish = stranger.publisher("mavlink/in")
+        out = stranger.subscribe("mavlink/out")
+        for message_id in (0, 1, 24, 33, 32, 30, 74, 147, 242, 245, 231, 251):  # all that it streams
+            publish(stranger.frames(mavlink.MAVLink_command_long_message(1, 1, 511, 0, message_id, -1.0, 0, 0, 0, 0, 0)))
+        acknowledged = 0
+        while acknowledged < 12:
+            frames = mavlink.MAVLink(None).parse_buffer(get(out).payload.to_bytes())
+            acknowledged += sum(m.get_type() == "COMMAND_ACK" and m.result == 0 for m in frames)
+        while not nothing_more(out):
+            get(out)
+        publish(stranger.frames(mavlink.MAVLink_command_long_message(1, 1, 512, 0, 242, 0, 0, 0, 0, 0, 0)))
+        assert messages(get(out)).keys() & {"COMMAND_ACK", "HOME_POSITION"}
+
     def test_it_streams_its_telemetry_while_it_waits(self, uav, stranger: Stranger) -> None:
         out = stranger.subscribe("mavlink/out")
         wanted = {
