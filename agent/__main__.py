@@ -4,6 +4,7 @@ import argparse
 import sys
 
 from agent.planners import PLANNERS
+from estimator.options import add_sensor_argument, knowledge
 from link import cli
 from link.bus import Bus
 from plume.randomness import MAX_SEED
@@ -35,15 +36,22 @@ def _parse() -> argparse.Namespace:
     rollout = commands.add_parser("rollout", help="fly one mission in-process, without Zenoh")
     _add_policy_arguments(rollout)
     cli.add_filter_arguments(rollout)
+    add_sensor_argument(rollout)
     cli.add_output_arguments(rollout)
-    return parser.parse_args()
+    args = parser.parse_args()
+    if args.command == "rollout":
+        try:
+            args.knowledge = knowledge(args)
+        except ValueError as error:
+            rollout.error(str(error))
+    return args
 
 
 def _rollout(args: argparse.Namespace) -> None:
     from agent.rollout import rollout
     from plume.outcome import outcome_json, outcome_text
 
-    result, trace = rollout(args.seed, args.policy, args.particles, args.threshold, args.budget)
+    result, trace = rollout(args.seed, args.policy, args.particles, args.threshold, args.budget, **args.knowledge)
     print(outcome_text(result), file=sys.stderr)
     if args.json:
         print(outcome_json(result, trace if args.trace else None))

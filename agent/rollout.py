@@ -1,6 +1,7 @@
 """A mission flown in-process: the networked stack without the network, to the same bits."""
 
 import time
+from typing import Any
 
 from agent.service import choose
 from estimator.belief import belief
@@ -15,12 +16,12 @@ ALTITUDE_M = 5.0
 
 
 def rollout(
-    seed: int, policy: str, particles: int = 1000, threshold_m: float = 0.5, budget: int = BUDGET_STEPS
+    seed: int, policy: str, particles: int = 1000, threshold_m: float = 0.5, budget: int = BUDGET_STEPS, **knowledge: Any
 ) -> tuple[Outcome, list[TracePoint]]:
-    """Fly the mission of a seed with a policy; returns its outcome and trace."""
+    """Fly the mission of a seed with a policy; returns its outcome and trace. `knowledge`: more fields of `Config`, the sensor say."""
     scenario = draw(seed)
-    world = World(scenario, seed)
-    config = Config(particles, threshold_m, derived_seed(seed, "estimator"), scenario.q, scenario.d, scenario.tau)
+    config = Config(particles, threshold_m, derived_seed(seed, "estimator"), scenario.q, scenario.d, scenario.tau, **knowledge)
+    world = World(scenario, seed, config.sensor)
     agent_seed = derived_seed(seed, "agent")
     posterior = prior(config)
     position = world.start

@@ -55,7 +55,7 @@ def _newest_belief(bus: Bus) -> tuple[Belief, Particles] | None:
     if belief is None:
         return None
     try:
-        return belief, unpack_particles(arrival.attachment)
+        return belief, unpack_particles(arrival.attachment, len(belief.unknowns))
     except ValueError as error:
         bus.refuse(BELIEF, str(error), "malformed")
         return None

@@ -2,6 +2,7 @@
 
 import math
 
+from estimator.options import add_sensor_argument, knowledge
 from link import cli
 from link.bus import Bus
 from plume.randomness import MAX_SEED
@@ -12,19 +13,25 @@ def main() -> None:
     parser = cli.Parser(prog="python -m estimator", description="Particle filter: readings in, beliefs and the AGDC stop out.")
     cli.add_bus_arguments(parser)
     cli.add_filter_arguments(parser)
+    add_sensor_argument(parser)
     positive = cli.number(0, math.inf, above=True)
     parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="of the filter's own draws (default: %(default)s)")
     parser.add_argument("--rate", type=positive, default=300.0, metavar="Q", help="release rate q (default: %(default)s g/s)")
     parser.add_argument("--diffusivity", type=positive, default=4.5, metavar="D", help="diffusivity d (default: %(default)s m²/s)")
     parser.add_argument("--lifetime", type=positive, default=10.0, metavar="TAU", help="lifetime τ of the gas (default: %(default)s s)")
+    parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="MAVLink system id of the vehicle (default: %(default)s)")
     args = parser.parse_args()
+    try:
+        known = knowledge(args)
+    except ValueError as error:
+        parser.error(str(error))
 
     from estimator.filter import Config  # compiles or loads the kernels: after the command line is known to be good
     from estimator.service import run
 
-    config = Config(args.particles, args.threshold, args.seed, args.rate, args.diffusivity, args.lifetime)
+    config = Config(args.particles, args.threshold, args.seed, args.rate, args.diffusivity, args.lifetime, **known)
     with Bus("estimator", args.connect, args.namespace) as bus:
-        run(bus, config)
+        run(bus, config, args.sysid)
 
 
 if __name__ == "__main__":

@@ -6,32 +6,64 @@ import numpy as np
 
 from estimator import kernels
 from estimator.filter import Config, Posterior
+from estimator.priors import PARAMETERS
 from link.mavlink import Reading
 from link.messages import Belief, Particles, Stop
+from plume import sensor
+
+RECENT = 30
+"""So many readings are looked at together for whether they fit the model."""
+FEWEST = 8
+"""With fewer there is no telling: the p-value is 1."""
+INCOMPATIBLE = 1e-4
+"""Below this p-value the readings do not fit the model."""
 
 
 def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Belief, Particles]:
-    """Summarise the posterior after `reading`, as it crosses the wire. The search has ceased when the spread is below ζ."""
-    weights = kernels.normalised(posterior.log_weights)
-    mean_x, mean_y, xx, xy, yy = kernels.moments(posterior.particles, weights)
+    """Summarise the posterior after `reading`, as it crosses the wire, and say whether the search has ceased."""
+    unknown_means, unknown_covariance = kernels.moments(posterior.particles, posterior.weights)
+    means = config.prior_rows[:, 1].copy()  # known values; those of the unknowns are put in their places
+    covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
+    means[config.unknown_indices] = unknown_means
+    covariance[np.ix_(config.unknown_indices, config.unknown_indices)] = unknown_covariance
+    mean, std = dict(zip(PARAMETERS, means.tolist(), strict=True)), dict(zip(PARAMETERS, np.sqrt(covariance.diagonal()).tolist(), strict=True))
+    (xx, xy), (_, yy) = covariance[:2, :2].tolist()
     spread = math.sqrt(xx + yy)
+    p_value = 1.0 if len(posterior.ranks) < FEWEST else kernels.uniformity_p_value(posterior.ranks[-RECENT:])
+    located = spread < config.threshold_m or not config.stop_on_location
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
         step=len(posterior.readings) - 1,
         position=reading.position,
         altitude_m=reading.altitude_m,
         gas=reading.gas,
-        wind=reading.wind,
-        rate=config.rate,
-        diffusivity=config.diffusivity,
-        lifetime=config.lifetime,
-        mean=(mean_x, mean_y),
+        wind=_wind(mean, reading, config),
+        sensor=sensor.text(config.sensor),
+        rate=mean["q"],
+        diffusivity=mean["d"],
+        lifetime=mean["tau"],
+        z=mean["z"] if "z" in config.priors else reading.altitude_m,
+        unknowns=config.unknowns,
+        means=tuple(mean[name] for name in config.unknowns),
+        stds=tuple(std[name] for name in config.unknowns),
+        mean=(mean["x"], mean["y"]),
         covariance=(xx, xy, yy),
         spread=spread,
-        effective_sample_size=kernels.effective_sample_size(posterior.log_weights),
-        ceased=spread < config.threshold_m,
+        effective_sample_size=kernels.effective_sample_size(posterior.weights),
+        p_value=p_value,
+        ceased=located and all(std[name] < limit for name, limit in config.stop_limits.items()),
     )
-    return summary, np.column_stack([posterior.particles, weights]).astype(np.float32)
+    weights = posterior.weights / posterior.weights.sum()
+    return summary, np.vstack([posterior.particles, weights]).T.astype(np.float32)
+
+
+def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[float, float]:
+    """Return the wind that is assumed: what of it has a prior is not taken from the reading."""
+    if "u" not in config.priors and "phi" not in config.priors:
+        return reading.wind
+    speed = mean["u"] if "u" in config.priors else math.hypot(*reading.wind)
+    direction = mean["phi"] if "phi" in config.priors else math.atan2(reading.wind[1], reading.wind[0])
+    return speed * math.cos(direction), speed * math.sin(direction)
 
 
 def stop(ceased: Belief, config: Config) -> Stop:

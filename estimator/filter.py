@@ -1,48 +1,95 @@
-"""The particle filter: a posterior over the source's position, one reading at a time (design: reweight, resample, move)."""
+"""The particle filter: a posterior over what is unknown of the source, one reading at a time (design: reweight, resample, move)."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import kernels
+from estimator import kernels, priors
+from estimator.priors import Prior, Uniform
 from link.mavlink import Reading
 from plume.randomness import keyed
 from plume.scenario import AREA_M, LIFETIME_S
+from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold
 
 Array = NDArray[np.float64]
-
-RESAMPLE_BELOW = 0.5
-"""Share of N that the effective sample size must keep."""
-STAGE_FLOOR = 0.1
-"""Where one reading would crush the effective sample size below this share of N, it is taken in tempered stages."""
-PLASTIC_LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
-"""The powers of the inverse plastic number: the R2 sequence (Roberts 2018)."""
-MAX_STAGES = 12
-"""After so many stages the rest of a reading is taken at once: no reading, however absurd, may keep the filter busy for long."""
-SWEEPS = 3
-"""Metropolis sweeps after each resampling."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """What the estimator knows beforehand: all of the plume but the place of its source."""
+    """What the estimator knows beforehand, and when it may say that it has found the source. Raises ValueError on what cannot be."""
 
     particles: int = 1000
     threshold_m: float = 0.5
     """ζ: AGDC stops when the spread is below it."""
     seed: int = 0
     rate: float = 300.0
-    """q, g/s; the defaults of rate and diffusivity are the middle of Table 1."""
+    """q, g/s, where no prior says otherwise; the defaults of rate and diffusivity are the middle of Table 1."""
     diffusivity: float = 4.5
     """d, m²/s."""
     lifetime: float = LIFETIME_S
     """τ, s."""
     area_m: float = AREA_M
+    priors: Mapping[str, Prior] = field(default_factory=dict)
+    """What else than x and y is unknown, by name (`PARAMETERS`). Without a prior z is the height at which is flown, and u and φ are
+    measured; with one the vehicle's wind is not looked at."""
+    sensor: Sensor = GAUSSIAN
+    stop_on_location: bool = True
+    """Whether a stop wants the spread below ζ."""
+    stop_limits: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations of unknowns, by name, that a stop wants to be below."""
 
-    def model(self) -> Array:
-        """Return the constants in the order that the kernels take them."""
-        return np.array([self.rate, self.diffusivity, self.lifetime, self.area_m])
+    def __post_init__(self) -> None:
+        """Find bad priors and limits now."""
+        if not len(self.unknown_indices):
+            raise ValueError("nothing is unknown: at least one parameter needs a prior that is not fixed")
+        for name in self.stop_limits:
+            if name not in self.unknowns:
+                raise ValueError(f"{name} is not unknown: a stop cannot wait for it; unknown are {', '.join(self.unknowns)}")
+        if not (self.stop_on_location or self.stop_limits):
+            raise ValueError("a stop has to be asked on something")
+
+    @cached_property
+    def prior_rows(self) -> Array:
+        """(8, 5): the priors as the kernels take them."""
+        everywhere = Uniform(0.0, self.area_m)
+        known = {"q": self.rate, "d": self.diffusivity, "tau": self.lifetime, "z": 0.0}
+        return priors.table({"x": everywhere, "y": everywhere, **self.priors}, known, self.area_m)
+
+    @cached_property
+    def unknown_indices(self) -> NDArray[np.int64]:
+        """(D,): which of `PARAMETERS` are unknown."""
+        return np.flatnonzero((self.prior_rows[:, 0] != priors.KNOWN) & (self.prior_rows[:, 0] != priors.MEASURED))
+
+    @cached_property
+    def unknowns(self) -> tuple[str, ...]:
+        """Names of what is unknown, in the order of the particles' rows."""
+        return tuple(priors.PARAMETERS[index] for index in self.unknown_indices)
+
+    @cached_property
+    def sensor_row(self) -> Array:
+        """(5,): the sensor as the kernels take it."""
+        row = np.zeros(5)
+        match self.sensor:
+            case Gaussian(slope, floor):
+                row[:3] = kernels.GAUSSIAN, slope, floor
+            case Threshold(threshold, missed, slope, floor):
+                row[:] = kernels.THRESHOLD, slope, floor, threshold, missed
+            case Hits(efficiency, background):
+                row[:3] = kernels.HITS, efficiency, background
+        return row
+
+    @property
+    def sweeps(self) -> int:
+        """Metropolis sweeps after each resampling: more where there is more to be moved."""
+        return 1 + len(self.unknown_indices)
+
+    def row(self, reading: Reading) -> Array:
+        """(6,): a reading as the kernels take it."""
+        height = reading.altitude_m if "z" in self.priors else 0.0
+        return np.array([*reading.position, height, *reading.wind, reading.gas])
 
 
 @dataclass(frozen=True)
@@ -50,84 +97,35 @@ class Posterior:
     """Weighted particles and the readings behind them; never changed, only replaced."""
 
     particles: Array
-    """(N, 2) m."""
+    """(D, N), a row for each unknown."""
     log_weights: Array
     """(N,) up to a constant."""
+    weights: Array
+    """(N,) the same, not in logarithms: the greatest is 1."""
     log_targets: Array
-    """(N,) log-likelihood of all readings so far at each particle."""
+    """(N,) log posterior density given all readings so far, up to a constant, at each particle."""
     readings: Array
-    """(T, 5): x, y, wind_x, wind_y, gas."""
+    """(T, 6): x, y, height, wind_x, wind_y, gas."""
+    ranks: Array
+    """(T,) how far up its predictive distribution each reading lay: uniform in (0, 1) where the model is right."""
 
 
 def prior(config: Config) -> Posterior:
-    """Uniform over the area, as a low-discrepancy lattice with a random shift: each particle is uniform, together they leave no gaps."""
-    lattice = np.arange(config.particles)[:, None] * PLASTIC_LATTICE
-    shift = keyed(config.seed, "prior").random(2)
-    particles = np.ascontiguousarray((lattice + shift) % 1.0 * config.area_m)
-    zeros = np.zeros(config.particles)
-    return Posterior(particles, zeros, zeros, np.empty((0, 5)))
+    """Return the belief before any reading."""
+    count = config.particles
+    particles = priors.draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
+    log_targets = kernels.log_priors(particles, config.unknown_indices, config.prior_rows)
+    return Posterior(particles, np.zeros(count), np.ones(count), log_targets, np.empty((0, 6)), np.empty(0))
 
 
 def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Posterior:
-    """One reading: reweight, and where the weights degenerate, resample and move (Gordon 1993; Chopin 2002; tempering: Del Moral 2006)."""
-    count = len(posterior.particles)
-    model = config.model()
-    row = np.array([*reading.position, *reading.wind, reading.gas])
-    history = np.vstack([posterior.readings, row])
-    posterior = replace(posterior, readings=history)
-    exponent = 0.0
-    stage = 0
-    while True:
-        log_likelihood = kernels.log_likelihoods(posterior.particles, row, model)
-        left = 1.0 - exponent
-        share = left if stage == MAX_STAGES else _tempered_share(posterior.log_weights, log_likelihood, left)
-        exponent = 1.0 if share >= left else exponent + share
-        posterior = replace(
-            posterior,
-            log_weights=posterior.log_weights + share * log_likelihood,
-            log_targets=posterior.log_targets + share * log_likelihood,
-        )
-        if kernels.effective_sample_size(posterior.log_weights) < RESAMPLE_BELOW * count:
-            posterior = _resample_and_move(posterior, exponent, config, len(history) - 1, stage)
-            stage += 1
-        if exponent == 1.0:
-            return posterior
-
-
-def _tempered_share(log_weights: Array, log_likelihood: Array, left: float) -> float:
-    """Return the greatest exponent, at most `left`, at which the likelihood leaves STAGE_FLOOR · N effective particles."""
-    floor = STAGE_FLOOR * len(log_weights)
-    if kernels.effective_sample_size(log_weights + left * log_likelihood) >= floor:
-        return left
-    low, high = 0.0, left
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        if kernels.effective_sample_size(log_weights + middle * log_likelihood) >= floor:
-            low = middle
-        else:
-            high = middle
-    return high
-
-
-def _resample_and_move(posterior: Posterior, exponent: float, config: Config, step: int, stage: int) -> Posterior:
-    """Resample in proportion to the weights, then let the copies move apart without changing the posterior they stand for."""
-    rng = keyed(config.seed, f"move {stage}", step)
-    count = len(posterior.particles)
-    weights = kernels.normalised(posterior.log_weights)
-    ancestors = kernels.systematic(weights, rng.random())
-    particles = posterior.particles[ancestors]
-    log_targets = posterior.log_targets[ancestors]
-    steps = _proposal_steps(particles, rng)
-    log_uniforms = np.log1p(-rng.random((SWEEPS, count)))
-    kernels.metropolis(particles, log_targets, posterior.readings, exponent, config.model(), steps, log_uniforms)
-    return replace(posterior, particles=particles, log_weights=np.zeros(count), log_targets=log_targets)
-
-
-def _proposal_steps(particles: Array, rng: np.random.Generator) -> Array:
-    """Symmetric steps (sweeps, N, 2): scaled differences of other particles (ter Braak 2006), which follow curved and split posteriors."""
-    count = len(particles)
-    one, other = rng.integers(count, size=(2, SWEEPS, count))
-    scale = rng.choice([1.19, 0.6, 0.2], size=(SWEEPS, count, 1))  # 2.38/√(2·2), and finer ones for thin ridges
-    _, _, xx, _, yy = kernels.moments(particles, np.full(count, 1 / count))
-    jitter = 0.05 * np.sqrt([xx, yy]) * rng.standard_normal((SWEEPS, count, 2))
-    return np.ascontiguousarray(scale * (particles[one] - particles[other]) + jitter)
+    """One reading: reweight, and where the weights degenerate, resample and move (`kernels.update`)."""
+    particles, log_weights, weights, log_targets = (
+        array.copy() for array in (posterior.particles, posterior.log_weights, posterior.weights, posterior.log_targets)
+    )
+    readings = np.vstack([posterior.readings, config.row(reading)])
+    rank = kernels.update(
+        particles, log_weights, weights, log_targets, readings, config.unknown_indices, config.prior_rows, config.sensor_row,
+        config.seed, config.sweeps,
+    )  # fmt: skip
+    return Posterior(particles, log_weights, weights, log_targets, readings, np.append(posterior.ranks, rank))

@@ -1,159 +1,688 @@
-"""The filter's fused loops over particles, compiled by numba and cached; plume/ has the readable formulas, a test holds them equal.
+"""The filter's fused loops over particles, compiled by numba and cached; plume/ has the readable formulas, tests hold them equal.
 
-A reading is a row (x, y, wind_x, wind_y, gas); the model is (rate, diffusivity, lifetime, area side).
-Plain IEEE arithmetic in a fixed order (no fastmath, no threads): the same bits on every run.
+Plain IEEE arithmetic in a fixed order, exp and log included: no fastmath, no threads, no libm but for angles and rare sensors. A
+mission's numbers are therefore the same bits alone or in a batch, on any number of threads. Loops are simple so that LLVM turns
+them into vector instructions.
+
+particles: (D, N), a row for each unknown.  unknowns: (D,) indices into x, y, z, q, u, φ, d, τ.
+priors: (8, 5) rows of kind, a, b and the support's ends.  sensor: (5,) kind and numbers.  readings: (T, 6) rows of x, y,
+height above the source's plane or home, wind_x, wind_y, gas.
 """
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
+from llvmlite import ir
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from estimator.priors import GAMMA, MEASURED, NORMAL
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.sensor import ENVIRONMENT_NOISE, SENSOR_NOISE
 
 Array = NDArray[np.float64]
-NOISE_FLOOR = ENVIRONMENT_NOISE**2
-NOISE_SLOPE = SENSOR_NOISE**2
+
+X, Y, Z, Q, U, PHI, D, TAU = range(8)
+GAUSSIAN, THRESHOLD, HITS = 0.0, 1.0, 2.0
+
+RESAMPLE_BELOW = 0.5
+"""Share of N that the effective sample size must keep."""
+STAGE_FLOOR = 0.1
+"""Where one reading would crush the effective sample size below this share of N, it is taken in tempered stages."""
+MAX_STAGES = 12
+"""After so many stages the rest of a reading is taken at once: no reading, however absurd, may keep the filter busy for long."""
+CHECK_PARTICLES = 1000
+"""So many particles, evenly spaced, stand for all in the predictive check of a reading."""
+
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
-LOG_DENSITY_BOUND = -0.5 * math.log(NOISE_FLOOR) - HALF_LOG_2PI
+DERIVED = 9
+"""Rows that the plume needs of a particle: x, y, z, q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ."""
+
+LOG2_E = 1.4426950408889634
+LN2_HIGH = 6.93147180369123816490e-01
+LN2_LOW = 1.90821492927058770002e-10
+ROUNDER = 6755399441055744.0  # 1.5 · 2^52: adding it leaves the nearest whole number in the low bits
+ROUNDER_BITS = 0x4338000000000000
+SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
+ONE_BITS = 0x3FF0000000000000
+
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+MIX_ONE = np.uint64(0xBF58476D1CE4E5B9)
+MIX_TWO = np.uint64(0x94D049BB133111EB)
 
 
-@numba.njit("float64(float64, float64, float64[::1], float64, float64, float64, float64)", cache=True)
-def _log_likelihood(x: float, y: float, reading: Array, scale: float, inverse_length: float, drift_x: float, drift_y: float) -> float:
-    """Log-likelihood of one reading for a source at (x, y), given the factors of the plume that do not depend on it."""
-    dx = reading[0] - x
-    dy = reading[1] - y
-    distance = max(math.sqrt(dx * dx + dy * dy), SOURCE_RADIUS_M)
-    mean = scale / distance * math.exp(-distance * inverse_length - (dx * drift_x + dy * drift_y))
-    variance = NOISE_SLOPE * mean * mean + NOISE_FLOOR
-    residual = reading[4] - mean
-    log_density: float = -0.5 * (residual * residual / variance + math.log(variance)) - HALF_LOG_2PI
-    return log_density
+@intrinsic  # type: ignore[misc]
+def _bits(_context: Any, _value: Any) -> Any:
+    """Return the 64 bits of a float as a whole number."""
+    return numba.int64(numba.float64), lambda _c, builder, _s, args: builder.bitcast(args[0], ir.IntType(64))
 
 
-@numba.njit("UniTuple(float64, 4)(float64[::1], float64[::1])", cache=True)
-def _plume_factors(reading: Array, model: Array) -> tuple[float, float, float, float]:
-    """q/(4π d), 1/λ, and the wind over 2d."""
-    rate, diffusivity, lifetime = model[0], model[1], model[2]
-    speed_squared = reading[2] * reading[2] + reading[3] * reading[3]
-    inverse_length = math.sqrt((1 + speed_squared * lifetime / (4 * diffusivity)) / (diffusivity * lifetime))
-    return rate / (4 * math.pi * diffusivity), inverse_length, reading[2] / (2 * diffusivity), reading[3] / (2 * diffusivity)
+@intrinsic  # type: ignore[misc]
+def _from_bits(_context: Any, _value: Any) -> Any:
+    """Undo `_bits`."""
+    return numba.float64(numba.int64), lambda _c, builder, _s, args: builder.bitcast(args[0], ir.DoubleType())
 
 
-@numba.njit("float64[::1](float64[:, ::1], float64[::1], float64[::1])", cache=True)
-def log_likelihoods(particles: Array, reading: Array, model: Array) -> Array:
-    """Log-likelihood of one reading for each particle (N, 2)."""
-    scale, inverse_length, drift_x, drift_y = _plume_factors(reading, model)
-    result = np.empty(len(particles))
-    for i in range(len(particles)):
-        result[i] = _log_likelihood(particles[i, 0], particles[i, 1], reading, scale, inverse_length, drift_x, drift_y)
+@numba.njit(error_model="numpy")
+def _exp(x: float) -> float:
+    """e^x to the last bit or two; a polynomial, which loops can be vectorised over. Below −708 it stays at e^−708."""
+    x = min(max(x, -708.0), 708.0)
+    shifted = x * LOG2_E + ROUNDER
+    whole = shifted - ROUNDER
+    r = (x - whole * LN2_HIGH) - whole * LN2_LOW
+    p = r * (1 / 479001600) + 1 / 39916800
+    p = p * r + 1 / 3628800
+    p = p * r + 1 / 362880
+    p = p * r + 1 / 40320
+    p = p * r + 1 / 5040
+    p = p * r + 1 / 720
+    p = p * r + 1 / 120
+    p = p * r + 1 / 24
+    p = p * r + 1 / 6
+    p = p * r + 0.5
+    p = p * r + 1.0
+    p = p * r + 1.0
+    result: float = p * _from_bits((_bits(shifted) - ROUNDER_BITS + 1023) << 52)
     return result
 
 
-@numba.njit("float64(float64[::1])", cache=True)
-def effective_sample_size(log_weights: Array) -> float:
-    """1 / Σ w² of the normalised weights."""
-    highest = log_weights.max()
-    total = 0.0
-    total_squared = 0.0
-    for i in range(len(log_weights)):
-        weight = math.exp(log_weights[i] - highest)
-        total += weight
-        total_squared += weight * weight
-    return total * total / total_squared
+@numba.njit(error_model="numpy")
+def _log(x: float) -> float:
+    """ln x to the last bit or two, for x > 0 and not subnormal: the series of artanh after the exponent is taken out."""
+    bits = _bits(x)
+    exponent = (bits - SQRT_HALF_BITS) >> 52
+    f = _from_bits(bits - (exponent << 52)) - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    p = z * (2 / 19) + 2 / 17
+    p = p * z + 2 / 15
+    p = p * z + 2 / 13
+    p = p * z + 2 / 11
+    p = p * z + 2 / 9
+    p = p * z + 2 / 7
+    p = p * z + 2 / 5
+    p = p * z + 2 / 3
+    return float(exponent) * LN2_HIGH + (s * (2.0 + p * z) + float(exponent) * LN2_LOW)
 
 
-@numba.njit("float64[::1](float64[::1])", cache=True)
-def normalised(log_weights: Array) -> Array:
-    """Weights that sum to one."""
-    highest = log_weights.max()
-    weights = np.empty(len(log_weights))
-    total = 0.0
-    for i in range(len(log_weights)):
-        weights[i] = math.exp(log_weights[i] - highest)
+@numba.njit
+def _mix(word: np.uint64) -> np.uint64:
+    """SplitMix64's finaliser (Steele et al. 2014)."""
+    word = (word ^ (word >> np.uint64(30))) * MIX_ONE
+    word = (word ^ (word >> np.uint64(27))) * MIX_TWO
+    return word ^ (word >> np.uint64(31))
+
+
+@numba.njit
+def _key(seed: np.uint64, step: int, stage: int, stream: int) -> np.uint64:
+    """Where the SplitMix64 sequence of one (seed, step, stage, stream) begins."""
+    word = _mix(seed + GOLDEN)
+    word = _mix(word ^ (np.uint64(step) + np.uint64(1)) * GOLDEN)
+    return _mix(word ^ (np.uint64(stage * 1024 + stream) + np.uint64(1)) * GOLDEN)
+
+
+@numba.njit
+def _uniform(key: np.uint64, index: int) -> float:
+    """Draw number `index` of a sequence, uniform in (0, 1)."""
+    return (float(_mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN) >> np.uint64(12)) + 0.5) * 2.0**-52
+
+
+@numba.njit("uint64(uint64, int64)", cache=True)
+def uniform_key(seed: np.uint64, step: int) -> np.uint64:
+    """Return the key that `update` draws with at a step; for tests of the generator."""
+    return _key(seed, step, 0, 0)
+
+
+@numba.njit("float64[::1](uint64, int64)", cache=True)
+def uniforms(key: np.uint64, count: int) -> Array:
+    """Return the first draws of a sequence; for tests of the generator."""
+    result = np.empty(count)
+    for i in range(count):
+        result[i] = _uniform(key, i)
+    return result
+
+
+@numba.njit("float64[:, ::1](float64[::1])", cache=True)
+def exp_and_log(values: Array) -> Array:
+    """Return e^v and ln v as the kernels compute them; for tests."""
+    result = np.empty((2, len(values)))
+    for i in range(len(values)):
+        result[0, i] = _exp(values[i])
+        result[1, i] = _log(abs(values[i]))
+    return result
+
+
+@numba.njit
+def _only_location(unknowns: NDArray[np.int64], priors: Array) -> bool:
+    """Whether x and y alone are unknown and the wind is measured: the paper's case, which has a faster loop."""
+    return len(unknowns) == 2 and unknowns[0] == X and unknowns[1] == Y and priors[U, 0] == MEASURED and priors[PHI, 0] == MEASURED
+
+
+@numba.njit(error_model="numpy")
+def _location_means(particles: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
+    """Concentration where the reading was taken for sources at particles (2, count), all else known."""
+    diffusivity, lifetime = priors[D, 1], priors[TAU, 1]
+    wind_x, wind_y = reading[3], reading[4]
+    inverse_length = math.sqrt(1 / (diffusivity * lifetime) + (wind_x * wind_x + wind_y * wind_y) / (4 * diffusivity * diffusivity))
+    scale = priors[Q, 1] / (4 * math.pi * diffusivity)
+    drift_x, drift_y = wind_x / (2 * diffusivity), wind_y / (2 * diffusivity)
+    x, y = reading[0], reading[1]
+    dz = reading[2] - priors[Z, 1]
+    dz_squared = dz * dz
+    for i in range(count):
+        dx = x - particles[0, i]
+        dy = y - particles[1, i]
+        distance = max(math.sqrt(dx * dx + dy * dy + dz_squared), SOURCE_RADIUS_M)
+        means[i] = scale / distance * _exp(-distance * inverse_length - (dx * drift_x + dy * drift_y))
+
+
+@numba.njit
+def _derive(particles: Array, count: int, unknowns: NDArray[np.int64], priors: Array, derived: Array) -> None:
+    """Fill `derived` (DERIVED, count) from particles (D, count) and what is known."""
+    values = np.empty(8)
+    values[:] = priors[:, 1]
+    for i in range(count):
+        for row in range(len(unknowns)):
+            values[unknowns[row]] = particles[row, i]
+        derived[0, i] = values[X]
+        derived[1, i] = values[Y]
+        derived[2, i] = values[Z]
+        derived[3, i] = values[Q] / (4 * math.pi * values[D])
+        derived[4, i] = 0.5 / values[D]
+        derived[5, i] = 1 / (values[D] * values[TAU])
+        derived[6, i] = values[U]
+        derived[7, i] = math.cos(values[PHI])
+        derived[8, i] = math.sin(values[PHI])
+
+
+@numba.njit(error_model="numpy")
+def _derived_means(derived: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
+    """Concentration where the reading was taken for each column of `derived`; wind that is measured comes from the reading."""
+    x, y, height = reading[0], reading[1], reading[2]
+    speed_measured, direction_measured = priors[U, 0] == MEASURED, priors[PHI, 0] == MEASURED
+    speed = math.sqrt(reading[3] * reading[3] + reading[4] * reading[4])
+    cosine, sine = (reading[3] / speed, reading[4] / speed) if speed > 0 else (1.0, 0.0)
+    for i in range(count):
+        u = speed if speed_measured else derived[6, i]
+        c = cosine if direction_measured else derived[7, i]
+        s = sine if direction_measured else derived[8, i]
+        dx = x - derived[0, i]
+        dy = y - derived[1, i]
+        dz = height - derived[2, i]
+        distance = max(math.sqrt(dx * dx + dy * dy + dz * dz), SOURCE_RADIUS_M)
+        drift = u * derived[4, i]
+        inverse_length = math.sqrt(derived[5, i] + drift * drift)
+        means[i] = derived[3, i] / distance * _exp(-distance * inverse_length - drift * (dx * c + dy * s))
+
+
+@numba.njit
+def _normal_cdf(value: float) -> float:
+    return 0.5 * math.erfc(-value * math.sqrt(0.5))
+
+
+@numba.njit(error_model="numpy")
+def _log_densities(means: Array, count: int, gas: float, sensor: Array, result: Array) -> None:
+    """Log-likelihood of a gas value for each mean: the log_likelihood of plume/sensor.py."""
+    if sensor[0] == HITS:
+        constant = math.lgamma(gas + 1.0)
+        for i in range(count):
+            expected = sensor[1] * means[i] + sensor[2]
+            result[i] = gas * _log(expected) - expected - constant
+        return
+    if sensor[0] == THRESHOLD and gas == 0.0:
+        for i in range(count):
+            std = math.sqrt((sensor[1] * means[i]) ** 2 + sensor[2] * sensor[2])
+            below = _normal_cdf((sensor[3] - means[i]) / std)
+            result[i] = _log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
+        return
+    constant = HALF_LOG_2PI - (math.log1p(-sensor[4]) if sensor[0] == THRESHOLD else 0.0)
+    slope, floor = sensor[1] * sensor[1], sensor[2] * sensor[2]
+    for i in range(count):
+        variance = slope * means[i] * means[i] + floor
+        residual = gas - means[i]
+        result[i] = -0.5 * (residual * residual / variance + _log(variance)) - constant
+
+
+@numba.njit
+def _greatest_log_density(gas: float, sensor: Array) -> float:
+    """Return what no log-likelihood of this gas value can exceed."""
+    if sensor[0] == HITS:
+        return gas * math.log(gas) - gas - math.lgamma(gas + 1.0) + 1e-9 if gas > 0 else 0.0
+    if sensor[0] == THRESHOLD and gas == 0.0:
+        return 0.0
+    return -math.log(sensor[2]) - HALF_LOG_2PI
+
+
+@numba.njit("float64[::1](float64[:, ::1], int64[::1], float64[:, ::1], float64[::1], float64[::1])", cache=True)
+def log_likelihoods(particles: Array, unknowns: NDArray[np.int64], priors: Array, sensor: Array, reading: Array) -> Array:
+    """Log-likelihood of one reading for each particle: (N,)."""
+    count = particles.shape[1]
+    means, result = np.empty(count), np.empty(count)
+    if _only_location(unknowns, priors):
+        _location_means(particles, count, reading, priors, means)
+    else:
+        derived = np.empty((DERIVED, count))
+        _derive(particles, count, unknowns, priors, derived)
+        _derived_means(derived, count, reading, priors, means)
+    _log_densities(means, count, reading[5], sensor, result)
+    return result
+
+
+@numba.njit(error_model="numpy")
+def _gaussian_tails(means: Array, gas: float, slope: float, floor: float, result: Array) -> None:
+    """P(Z ≤ gas) for each mean, to 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
+    for i in range(len(means)):
+        residual = gas - means[i]
+        half_square = 0.5 * residual * residual / (slope * means[i] * means[i] + floor)
+        t = 1 / (1 + 0.3275911 * math.sqrt(half_square))
+        p = t * 1.061405429 - 1.453152027
+        p = p * t + 1.421413741
+        p = p * t - 0.284496736
+        p = p * t + 0.254829592
+        tail = 0.5 * p * t * _exp(-half_square)
+        result[i] = 1 - tail if residual > 0 else tail
+
+
+@numba.njit
+def _hits_cdf(count: float, expected: float) -> float:
+    """P(K ≤ count) of a Poisson count; beyond 100 by Wilson and Hilferty's cube root."""
+    if count < 0:
+        return 0.0
+    if count > 100:
+        k = count + 1
+        return _normal_cdf(3 * math.sqrt(k) * (1 - 1 / (9 * k) - (expected / k) ** (1 / 3)))
+    term = math.exp(-expected)
+    total = term
+    for k in range(1, int(count) + 1):
+        term *= expected / k
+        total += term
+    return min(total, 1.0)
+
+
+@numba.njit
+def _predictive_rank(means: Array, weights: Array, gas: float, sensor: Array, chance: float) -> float:
+    """Return how far up its predictive distribution a reading lies: uniform in (0, 1) where the model is right (Dawid 1984).
+
+    means, weights: of particles before the reading.  chance: uniform in (0, 1); breaks ties of discrete readings.
+    """
+    count = len(means)
+    share, total = 0.0, 0.0
+    if sensor[0] == GAUSSIAN:
+        tails = np.empty(count)
+        _gaussian_tails(means, gas, sensor[1] * sensor[1], sensor[2] * sensor[2], tails)
+        for i in range(count):
+            share += weights[i] * tails[i]
+            total += weights[i]
+        return share / total
+    for i in range(count):
+        if sensor[0] == HITS:
+            expected = sensor[1] * means[i] + sensor[2]
+            below = _hits_cdf(gas - 1, expected)
+            tail = below + chance * (_hits_cdf(gas, expected) - below)
+        else:
+            std = math.sqrt((sensor[1] * means[i]) ** 2 + sensor[2] * sensor[2])
+            tail = sensor[4] + (1 - sensor[4]) * _normal_cdf((max(gas, sensor[3]) - means[i]) / std)
+            if gas == 0.0:
+                tail *= chance
+        share += weights[i] * tail
         total += weights[i]
-    for i in range(len(log_weights)):
-        weights[i] /= total
-    return weights
+    return share / total
 
 
-@numba.njit("UniTuple(float64, 5)(float64[:, ::1], float64[::1])", cache=True)
-def moments(particles: Array, weights: Array) -> tuple[float, float, float, float, float]:
-    """Weighted mean and covariance of particles (N, 2): (x, y, xx, xy, yy)."""
-    mean_x = 0.0
-    mean_y = 0.0
-    for i in range(len(particles)):
-        mean_x += weights[i] * particles[i, 0]
-        mean_y += weights[i] * particles[i, 1]
-    xx = 0.0
-    xy = 0.0
-    yy = 0.0
-    for i in range(len(particles)):
-        dx = particles[i, 0] - mean_x
-        dy = particles[i, 1] - mean_y
-        xx += weights[i] * dx * dx
-        xy += weights[i] * dx * dy
-        yy += weights[i] * dy * dy
-    return mean_x, mean_y, xx, xy, yy
+@numba.njit(error_model="numpy")
+def _sum(values: Array) -> float:
+    """Sum in eight interleaved parts: the additions need not wait for each other, and their order never changes."""
+    a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    whole = len(values) - len(values) % 8
+    for i in range(0, whole, 8):
+        a += values[i]
+        b += values[i + 1]
+        c += values[i + 2]
+        d += values[i + 3]
+        e += values[i + 4]
+        f += values[i + 5]
+        g += values[i + 6]
+        h += values[i + 7]
+    for i in range(whole, len(values)):
+        a += values[i]
+    return ((a + b) + (c + d)) + ((e + f) + (g + h))
+
+
+@numba.njit(error_model="numpy")
+def _dot(one: Array, other: Array) -> float:
+    """Σ one · other, summed as `_sum` does."""
+    a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    whole = len(one) - len(one) % 8
+    for i in range(0, whole, 8):
+        a += one[i] * other[i]
+        b += one[i + 1] * other[i + 1]
+        c += one[i + 2] * other[i + 2]
+        d += one[i + 3] * other[i + 3]
+        e += one[i + 4] * other[i + 4]
+        f += one[i + 5] * other[i + 5]
+        g += one[i + 6] * other[i + 6]
+        h += one[i + 7] * other[i + 7]
+    for i in range(whole, len(one)):
+        a += one[i] * other[i]
+    return ((a + b) + (c + d)) + ((e + f) + (g + h))
+
+
+@numba.njit(error_model="numpy")
+def _greatest(values: Array) -> float:
+    a, b, c, d = values[0], values[0], values[0], values[0]
+    whole = len(values) - len(values) % 4
+    for i in range(0, whole, 4):
+        a = max(a, values[i])
+        b = max(b, values[i + 1])
+        c = max(c, values[i + 2])
+        d = max(d, values[i + 3])
+    for i in range(whole, len(values)):
+        a = max(a, values[i])
+    return max(max(a, b), max(c, d))
+
+
+@numba.njit(error_model="numpy")
+def _weigh(log_weights: Array, share: float, log_densities: Array, weights: Array) -> float:
+    """Set weights ∝ exp(log_weights + share · log_densities), the greatest 1; returns the effective sample size."""
+    for i in range(len(weights)):
+        weights[i] = log_weights[i] + share * log_densities[i]
+    highest = _greatest(weights)
+    for i in range(len(weights)):
+        weights[i] = _exp(weights[i] - highest)
+    total = _sum(weights)
+    return total * total / _dot(weights, weights)
+
+
+@numba.njit("float64(float64[::1])", cache=True)
+def effective_sample_size(weights: Array) -> float:
+    """(Σ w)² / Σ w² of weights (N,) that need not be normalised."""
+    total = _sum(weights)
+    return total * total / _dot(weights, weights)
+
+
+@numba.njit("Tuple((float64[::1], float64[:, ::1]))(float64[:, ::1], float64[::1])", cache=True)
+def moments(particles: Array, weights: Array) -> tuple[Array, Array]:
+    """Weighted mean (D,) and covariance (D, D) of particles (D, N); the weights need not be normalised."""
+    rows, count = particles.shape
+    total = _sum(weights)
+    mean = np.empty(rows)
+    covariance = np.empty((rows, rows))
+    offsets = np.empty((rows, count))
+    weighted = np.empty(count)
+    for row in range(rows):
+        mean[row] = _dot(weights, particles[row]) / total
+        for i in range(count):
+            offsets[row, i] = particles[row, i] - mean[row]
+            weighted[i] = weights[i] * offsets[row, i]
+        for other in range(row + 1):
+            covariance[row, other] = _dot(weighted, offsets[other]) / total
+            covariance[other, row] = covariance[row, other]
+    return mean, covariance
 
 
 @numba.njit("int64[::1](float64[::1], float64)", cache=True)
 def systematic(weights: Array, offset: float) -> NDArray[np.int64]:
-    """Systematic resampling: ancestor k is where the cumulative weight passes (k + offset) / N, offset in [0, 1)."""
+    """Systematic resampling: ancestor k is where the cumulative weight passes (k + offset) / N of the whole, offset in [0, 1)."""
     count = len(weights)
     ancestors = np.empty(count, np.int64)
+    scale = count / _sum(weights)
     ancestor = 0
-    cumulative = weights[0]
+    cumulative = weights[0] * scale
     for k in range(count):
-        while cumulative * count <= k + offset and ancestor < count - 1:
+        while cumulative <= k + offset and ancestor < count - 1:
             ancestor += 1
-            cumulative += weights[ancestor]
+            cumulative += weights[ancestor] * scale
         ancestors[k] = ancestor
     return ancestors
 
 
+@numba.njit
+def _log_prior(particles: Array, i: int, unknowns: NDArray[np.int64], priors: Array) -> float:
+    """Log prior density of particle i up to a constant."""
+    total = 0.0
+    for row in range(len(unknowns)):
+        kind, a, b = priors[unknowns[row], 0], priors[unknowns[row], 1], priors[unknowns[row], 2]
+        value = particles[row, i]
+        if kind == NORMAL:
+            total -= 0.5 * ((value - a) / b) ** 2
+        elif kind == GAMMA:
+            total += (a - 1) * _log(value) - value / b
+    return total
+
+
+@numba.njit("float64[::1](float64[:, ::1], int64[::1], float64[:, ::1])", cache=True)
+def log_priors(particles: Array, unknowns: NDArray[np.int64], priors: Array) -> Array:
+    """Log prior density of each particle up to a constant: (N,)."""
+    result = np.empty(particles.shape[1])
+    for i in range(len(result)):
+        result[i] = _log_prior(particles, i, unknowns, priors)
+    return result
+
+
+@numba.njit
+def _propose(
+    particles: Array, frozen: Array, stds: Array, unknowns: NDArray[np.int64], priors: Array, key: np.uint64, proposals: Array,
+    owners: NDArray[np.int64],
+) -> int:
+    """Propose a step for each particle (ter Braak 2006); returns how many stay within the prior's support, packed to the front.
+
+    A step is a scaled difference of two other particles, which follows curved and split posteriors, with a little uniform noise.
+    """
+    rows, count = particles.shape
+    largest = 2.38 / math.sqrt(2.0 * rows)
+    kept = 0
+    for i in range(count):
+        one = int(_uniform(key, 4 * i) * count)
+        other = int(_uniform(key, 4 * i + 1) * count)
+        chance = 3 * _uniform(key, 4 * i + 2)
+        scale = largest * (0.7 if chance < 1 else 0.35 if chance < 2 else 0.12)  # finer ones for thin ridges
+        inside = True
+        for row in range(rows):
+            noise = 0.17 * (_uniform(key, 4 * count + rows * i + row) - 0.5)
+            value = particles[row, i] + scale * (frozen[row, one] - frozen[row, other]) + noise * stds[row]
+            low, high = priors[unknowns[row], 3], priors[unknowns[row], 4]
+            if unknowns[row] == PHI and high - low == 2 * math.pi:
+                value = low + (value - low) % (2 * math.pi)
+            inside = inside and low <= value <= high
+            proposals[row, kept] = value
+        if inside:
+            owners[kept] = i
+            kept += 1
+    return kept
+
+
 @numba.njit(
-    "float64(float64[:, ::1], float64[::1], float64[:, ::1], float64, float64[::1], float64[:, :, ::1], float64[:, ::1])", cache=True
+    "int64(float64[:, ::1], float64[::1], float64[:, ::1], float64, int64[::1], float64[:, ::1], float64[::1], uint64, int64, int64, int64)",
+    cache=True,
 )
 def metropolis(
-    particles: Array, log_targets: Array, readings: Array, last_exponent: float, model: Array, steps: Array, log_uniforms: Array
-) -> float:
-    """Metropolis–Hastings sweeps, in place, that leave the posterior given all readings (T, 5) invariant; returns the acceptance rate.
+    particles: Array, log_targets: Array, readings: Array, last_exponent: float, unknowns: NDArray[np.int64], priors: Array,
+    sensor: Array, seed: np.uint64, step: int, stage: int, sweeps: int,
+) -> int:
+    """Metropolis–Hastings sweeps, in place, that leave the posterior given all readings invariant; returns how many moves were taken.
 
-    steps: (sweeps, N, 2) symmetric proposal steps, m.  log_uniforms: (sweeps, N).  The last reading's likelihood is raised to
-    `last_exponent`.  log_targets: log posterior of each particle up to a constant.  The prior is uniform over the area.
+    The last reading's likelihood is raised to `last_exponent`.  log_targets: log posterior of each particle up to a constant.
     """
-    count = len(particles)
+    rows, count = particles.shape
     last = len(readings) - 1
-    factors = np.empty((len(readings), 4))
-    for t in range(len(readings)):
-        factors[t] = _plume_factors(readings[t], model)
-    side = model[3]
+    only_location = _only_location(unknowns, priors)
+    frozen = particles.copy()
+    stds = np.empty(rows)
+    for row in range(rows):
+        offsets = frozen[row] - _sum(frozen[row]) / count
+        stds[row] = math.sqrt(_dot(offsets, offsets) / count)
+    best = 0.0
+    for t in range(last):
+        best += _greatest_log_density(readings[t, 5], sensor)
+    proposals = np.empty((rows, count))
+    derived = np.empty((0 if only_location else DERIVED, count))
+    owners = np.empty(count, np.int64)
+    targets, needed, means, densities = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     accepted = 0
-    for sweep in range(len(steps)):
-        for i in range(count):
-            x = particles[i, 0] + steps[sweep, i, 0]
-            y = particles[i, 1] + steps[sweep, i, 1]
-            if not (0.0 <= x <= side and 0.0 <= y <= side):
-                continue
-            needed = log_targets[i] + log_uniforms[sweep, i]
-            # Newest first: it is the likeliest to reject. No reading can add more than the log density at the noise floor,
-            # so a proposal that cannot reach what is needed any more is given up early; that changes no decision.
-            best_left = last * LOG_DENSITY_BOUND
-            target = last_exponent * _log_likelihood(
-                x, y, readings[last], factors[last, 0], factors[last, 1], factors[last, 2], factors[last, 3]
-            )
-            for t in range(last - 1, -1, -1):
-                if target + best_left < needed:
-                    break
-                target += _log_likelihood(x, y, readings[t], factors[t, 0], factors[t, 1], factors[t, 2], factors[t, 3])
-                best_left -= LOG_DENSITY_BOUND
+    for sweep in range(sweeps):
+        alive = _propose(particles, frozen, stds, unknowns, priors, _key(seed, step, stage, 2 * sweep + 1), proposals, owners)
+        key = _key(seed, step, stage, 2 * sweep + 2)
+        for j in range(alive):
+            targets[j] = _log_prior(proposals, j, unknowns, priors)
+            needed[j] = log_targets[owners[j]] + _log(_uniform(key, owners[j]))
+        if not only_location:
+            _derive(proposals, alive, unknowns, priors, derived)
+        # Newest first: it is the likeliest to reject. A proposal that cannot reach what it needs any more, even if all the readings
+        # left were explained as well as any can be, is given up; that changes no decision.
+        best_left = best
+        for back in range(last + 1):
+            t = last - back
+            if only_location:
+                _location_means(proposals, alive, readings[t], priors, means)
             else:
-                if target >= needed:
-                    particles[i, 0] = x
-                    particles[i, 1] = y
-                    log_targets[i] = target
-                    accepted += 1
-    return accepted / (len(steps) * count)
+                _derived_means(derived, alive, readings[t], priors, means)
+            _log_densities(means, alive, readings[t, 5], sensor, densities)
+            exponent = last_exponent if t == last else 1.0
+            for j in range(alive):
+                targets[j] += exponent * densities[j]
+            if back > 0:
+                best_left -= _greatest_log_density(readings[t, 5], sensor)
+            if back < 4 or back % 4 == 0 or t == 0:
+                kept = 0
+                for j in range(alive):
+                    if targets[j] + best_left >= needed[j]:
+                        for row in range(rows):
+                            proposals[row, kept] = proposals[row, j]
+                        for row in range(len(derived)):
+                            derived[row, kept] = derived[row, j]
+                        owners[kept] = owners[j]
+                        targets[kept] = targets[j]
+                        needed[kept] = needed[j]
+                        kept += 1
+                alive = kept
+        for j in range(alive):
+            if targets[j] >= needed[j]:
+                i = owners[j]
+                for row in range(rows):
+                    particles[row, i] = proposals[row, j]
+                log_targets[i] = targets[j]
+                accepted += 1
+    return accepted
+
+
+@numba.njit
+def _tempered_share(log_weights: Array, log_densities: Array, left: float, weights: Array) -> float:
+    """Return the greatest exponent, at most `left`, at which the likelihood leaves about STAGE_FLOOR · N effective particles."""
+    floor = STAGE_FLOOR * len(weights)
+    if _weigh(log_weights, left, log_densities, weights) >= floor:
+        return left
+    low, high = 0.0, left
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        size = _weigh(log_weights, middle, log_densities, weights)
+        if size < floor:
+            high = middle
+        elif size > 1.2 * floor:
+            low = middle
+        else:
+            return middle
+    return high
+
+
+@numba.njit(
+    "float64(float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[::1], "
+    "uint64, int64)",
+    cache=True,
+    nogil=True,
+)
+def update(
+    particles: Array, log_weights: Array, weights: Array, log_targets: Array, readings: Array, unknowns: NDArray[np.int64],
+    priors: Array, sensor: Array, seed: np.uint64, sweeps: int,
+) -> float:
+    """Assimilate the last of the readings (T, 6), in place; returns its predictive rank.
+
+    Reweight, and where the weights degenerate, resample and move (Gordon 1993; Chopin 2002); a reading that would crush the weights
+    is taken in tempered stages (Del Moral 2006).  weights: exp(log_weights), the greatest 1.
+    """
+    rows, count = particles.shape
+    step = len(readings) - 1
+    reading = readings[step]
+    only_location = _only_location(unknowns, priors)
+    derived = np.empty((0 if only_location else DERIVED, count))
+    means, densities = np.empty(count), np.empty(count)
+    rank = 0.5
+    exponent = 0.0
+    stage = 0
+    while True:
+        if only_location:
+            _location_means(particles, count, reading, priors, means)
+        else:
+            _derive(particles, count, unknowns, priors, derived)
+            _derived_means(derived, count, reading, priors, means)
+        _log_densities(means, count, reading[5], sensor, densities)
+        if stage == 0:
+            stride = max(count // CHECK_PARTICLES, 1)
+            chance = _uniform(_key(seed, step, 0, 1000), 0)
+            rank = _predictive_rank(means[::stride].copy(), weights[::stride].copy(), reading[5], sensor, chance)
+        left = 1.0 - exponent
+        share = left if stage == MAX_STAGES else _tempered_share(log_weights, densities, left, weights)
+        exponent = 1.0 if share >= left else exponent + share
+        for i in range(count):
+            log_weights[i] += share * densities[i]
+            log_targets[i] += share * densities[i]
+        if effective_sample_size(weights) < RESAMPLE_BELOW * count:
+            ancestors = systematic(weights, _uniform(_key(seed, step, stage, 0), 0))
+            for row in range(rows):
+                particles[row] = particles[row][ancestors]
+            log_targets[:] = log_targets[ancestors]
+            log_weights[:] = 0.0
+            weights[:] = 1.0
+            metropolis(particles, log_targets, readings, exponent, unknowns, priors, sensor, seed, step, stage, sweeps)
+            stage += 1
+        if exponent == 1.0:
+            return rank
+
+
+@numba.njit(
+    "void(float64[:, :, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], int64, int64[::1], "
+    "float64[:, :, ::1], float64[:, ::1], uint64[::1], int64, int64, int64)",
+    cache=True,
+    nogil=True,
+)
+def update_missions(
+    particles: Array, log_weights: Array, weights: Array, log_targets: Array, readings: Array, ranks: Array, count: int,
+    unknowns: NDArray[np.int64], priors: Array, sensors: Array, seeds: NDArray[np.uint64], sweeps: int, begin: int, end: int,
+) -> None:
+    """Let missions begin..end of a batch assimilate reading number count − 1, each as if alone; arrays as in `update`, stacked."""
+    for b in range(begin, end):
+        ranks[b, count - 1] = update(
+            particles[b], log_weights[b], weights[b], log_targets[b], readings[b, :count], unknowns, priors[b], sensors[b], seeds[b], sweeps
+        )
+
+
+@numba.njit("float64(float64[::1])", cache=True)
+def uniformity_p_value(ranks: Array) -> float:
+    """p-value of the Anderson–Darling test that ranks (n ≥ 8,) are uniform in (0, 1) (Marsaglia and Marsaglia 2004)."""
+    count = len(ranks)
+    ordered = np.sort(ranks)
+    total = 0.0
+    for i in range(count):
+        low = min(max(ordered[i], 1e-15), 1 - 1e-15)
+        high = min(max(ordered[count - 1 - i], 1e-15), 1 - 1e-15)
+        total += (2 * i + 1) * (math.log(low) + math.log1p(-high))
+    z = -count - total / count
+    if z < 2:
+        p = 2.00012 + (0.247105 - (0.0649821 - (0.0347962 - (0.011672 - 0.00168691 * z) * z) * z) * z) * z
+        limit = math.exp(-1.2337141 / z) / math.sqrt(z) * p
+    else:
+        limit = math.exp(-math.exp(1.0776 - (2.30695 - (0.43424 - (0.082433 - (0.008056 - 0.0003146 * z) * z) * z) * z) * z))
+    if limit > 0.8:
+        g = -130.2137 + (745.2337 - (1705.091 - (1950.646 - (1116.360 - 255.7844 * limit) * limit) * limit) * limit) * limit
+        limit += g / count
+    else:
+        c = 0.01265 + 0.1757 / count
+        if limit < c:
+            t = limit / c
+            t = math.sqrt(t) * (1 - t) * (49 * t - 102)
+            limit += t * (0.0037 / count**3 + 0.00078 / count**2 + 0.00006 / count)
+        else:
+            t = (limit - c) / (0.8 - c)
+            t = -0.00022633 + (6.54034 - (14.6538 - (14.458 - (8.259 - 1.91864 * t) * t) * t) * t) * t
+            limit += t * (0.04213 / count + 0.01365 / count**2)
+    return max(1 - limit, 0.0)

@@ -61,6 +61,7 @@ class Tally:
     state: str = "ready"
     step: int = -1
     compute_s: float = 0.0
+    warnings: tuple[str, ...] = ()
 
 
 def _config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zenoh.Config:
@@ -234,10 +235,10 @@ class Bus:
                 self.log.warn(f"{missing} messages of {name} are lost: nobody has kept them")
             self._ready += ready
 
-    def refuse(self, key: Key, reason: str, kind: str) -> None:
-        """Count and log a message that is dropped; `kind` is what it is counted under."""
+    def refuse(self, key: Key, reason: str, kind: str, log: Callable[[str], None] | None = None) -> None:
+        """Count and log a message that is dropped; `kind` is what it is counted under. It is a warning unless `log` says otherwise."""
         self.refused[kind] += 1
-        self.log.warn(f"refused {key.name}: {reason}")
+        (log or self.log.warn)(f"refused {key.name}: {reason}")
 
     def decode(self, arrival: Arrival, kind: type[T]) -> T | None:
         """Decode JSON into its struct; what does not decode is refused, and None."""
@@ -250,7 +251,7 @@ class Bus:
     def publish_health(self) -> None:
         """Publish how this service is doing now."""
         uptime_s = time.monotonic() - self._started
-        health = Health(self.service, self.tally.state, self.tally.step, self.tally.compute_s, uptime_s, dict(self.refused))
+        health = Health(self.service, self.tally.state, self.tally.step, self.tally.compute_s, uptime_s, dict(self.refused), self.tally.warnings)
         self.publish(HEALTH, health)
 
     def close(self) -> None:

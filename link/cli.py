@@ -71,6 +71,27 @@ def add_filter_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help="stop when the spread is below it (default: %(default)s m)",
     )
+    parser.add_argument(
+        "--prior", action="append", default=[], metavar="NAME=KIND:NUMBERS",
+        help="what else is unknown, or known better, of x y z q u phi d tau: q=gamma:2,150 u=normal:2.5,0.5 tau=uniform:5,15 z=fixed:1.5",
+    )
+    parser.add_argument(
+        "--stop-on", default="location", metavar="WHAT",
+        help="what a stop wants to know: location (the threshold), or standard deviations too: location,q=50 (default: %(default)s)",
+    )  # fmt: skip
+
+
+def checked(parse: Callable[[str], object]) -> Callable[[str], str]:
+    """Argument type: text that `parse` accepts; its ValueError says what is allowed."""
+
+    def check(text: str) -> str:
+        try:
+            parse(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+        return text
+
+    return check
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:

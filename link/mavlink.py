@@ -38,6 +38,11 @@ class Reading(NamedTuple):
 class BadFrame(ValueError):
     """What arrived is not what the contract says; the text gives the reason."""
 
+    def __init__(self, text: str, kind: str = "malformed") -> None:
+        """Take the reason, and what it is counted under."""
+        super().__init__(text)
+        self.kind = kind
+
 
 class Codec:
     """Packs messages for one MAVLink link: each link counts its own sequence numbers."""
@@ -93,9 +98,11 @@ def pack_reading(codec: Codec, reading: Reading) -> bytes:
     return codec.pack(position, wind_message(reading.time_boot_ms, reading.wind), gas_message(reading.time_boot_ms, reading.gas))
 
 
-def unpack_reading(payload: bytes) -> Reading:
-    """Undo `pack_reading`; raises BadFrame with the reason."""
+def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
+    """Undo `pack_reading`; raises BadFrame with the reason. With `system`, frames of any other vehicle are bad ones."""
     messages = {m.get_type(): m for m in unpack(payload)}
+    if system is not None and (strangers := {m.get_srcSystem() for m in messages.values()} - {system}):
+        raise BadFrame(f"a reading of system {min(strangers)}; this is the estimator of system {system}", "other vehicle")
     try:
         position, wind, gas = messages["LOCAL_POSITION_NED"], messages["WIND_COV"], messages["NAMED_VALUE_FLOAT"]
     except KeyError as missing:
@@ -107,7 +114,7 @@ def unpack_reading(payload: bytes) -> Reading:
     reading = Reading(position.time_boot_ms, (position.y, position.x), -position.z, (-wind.wind_y, -wind.wind_x), gas.value)
     for name, value in (("position", reading.position), ("altitude", reading.altitude_m), ("wind", reading.wind), ("gas", reading.gas)):
         if not all(map(math.isfinite, value if isinstance(value, tuple) else (value,))):
-            raise BadFrame(f"{name} is not finite: {value}")
+            raise BadFrame(f"{name} is not finite: {value}", "not finite")
     return reading
 
 

@@ -13,7 +13,7 @@ Covariance = Annotated[tuple[float, float, float], Meta(description="(xx, xy, yy
 TimeBootMs = Annotated[int, Meta(ge=0, description="time_boot_ms of the reading that this follows from")]
 Step = Annotated[int, Meta(ge=0, description="number of the reading, 0 at the start: the moves made before it")]
 Particles = NDArray[np.float32]
-"""(N, 3): x and y in metres, and the particle's weight; the weights sum to one."""
+"""(N, D + 1): a column for each unknown of the belief, x and y by default, and the particle's weight; the weights sum to one."""
 
 
 class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -23,16 +23,22 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     step: Step
     position: Annotated[Pair, Meta(description="where the reading was taken: (x, y) m, x east, y north, from home")]
     altitude_m: Annotated[float, Meta(description="height above home at which it was taken")]
-    gas: Annotated[float, Meta(description="the reading, g/m³")]
-    wind: Annotated[Pair, Meta(description="(u cos φ, u sin φ) m/s: points to where the wind comes from")]
-    rate: Annotated[float, Meta(gt=0, description="release rate q that is assumed, g/s")]
-    diffusivity: Annotated[float, Meta(gt=0, description="diffusivity d that is assumed, m²/s")]
-    lifetime: Annotated[float, Meta(gt=0, description="lifetime τ of the gas that is assumed, s")]
+    gas: Annotated[float, Meta(description="the reading, in the sensor's unit: g/m³, or a count of hits")]
+    wind: Annotated[Pair, Meta(description="(u cos φ, u sin φ) m/s, to where the wind comes from: as measured, or its mean where it is unknown")]
+    sensor: Annotated[str, Meta(description="the sensor that is assumed, as --sensor takes it")]
+    rate: Annotated[float, Meta(gt=0, description="release rate q that is assumed, or its mean where it is unknown, g/s")]
+    diffusivity: Annotated[float, Meta(gt=0, description="diffusivity d that is assumed, or its mean, m²/s")]
+    lifetime: Annotated[float, Meta(gt=0, description="lifetime τ of the gas that is assumed, or its mean, s")]
+    z: Annotated[float, Meta(description="height of the source above home that is assumed, or its mean, m")]
+    unknowns: Annotated[tuple[str, ...], Meta(description="names of the particle array's columns, of x y z q u phi d tau")]
+    means: Annotated[tuple[float, ...], Meta(description="mean of each unknown")]
+    stds: Annotated[tuple[float, ...], Meta(description="standard deviation of each unknown")]
     mean: Annotated[Pair, Meta(description="the estimate of the source's position, m")]
     covariance: Covariance
     spread: Annotated[float, Meta(ge=0, description="square root of the covariance's trace, m")]
     effective_sample_size: Annotated[float, Meta(gt=0, description="1/Σw² of the particles")]
-    ceased: Annotated[bool, Meta(description="the spread is below the threshold: the search is over, no waypoint is wanted")]
+    p_value: Annotated[float, Meta(ge=0, le=1, description="how well the recent readings fit the model: about 0 where they cannot be its own")]
+    ceased: Annotated[bool, Meta(description="what is asked of a stop is known well enough: the search is over, no waypoint is wanted")]
 
 
 class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -55,6 +61,7 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     compute_s: Annotated[float, Meta(ge=0, description="compute time spent on steps so far, without the bus; the uav's includes it")]
     uptime_s: Annotated[float, Meta(ge=0, description="seconds since it joined the bus")]
     refused: Annotated[dict[str, Count], Meta(description="messages dropped so far, by kind of reason")]
+    warnings: Annotated[tuple[str, ...], Meta(description="what is wrong now, in words; empty where nothing is")] = ()
 
 
 def pack_particles(particles: Particles) -> bytes:
@@ -62,11 +69,12 @@ def pack_particles(particles: Particles) -> bytes:
     return particles.astype("<f4", copy=False).tobytes()
 
 
-def unpack_particles(payload: bytes) -> Particles:
-    """Undo `pack_particles`; raises ValueError on what is no such array."""
-    if not payload or len(payload) % 12:
-        raise ValueError(f"{len(payload)} bytes are no particle array; wanted a positive multiple of 12")
-    particles = np.frombuffer(payload, "<f4").reshape(-1, 3)
+def unpack_particles(payload: bytes, unknowns: int) -> Particles:
+    """Undo `pack_particles` for so many unknowns; raises ValueError on what is no such array."""
+    row = 4 * (unknowns + 1)
+    if not payload or len(payload) % row:
+        raise ValueError(f"{len(payload)} bytes are no particle array; wanted a positive multiple of {row}")
+    particles = np.frombuffer(payload, "<f4").reshape(-1, unknowns + 1)
     if not np.isfinite(particles).all():
         raise ValueError("the particle array holds NaN or infinite values")
     return particles.astype(np.float32, copy=False)

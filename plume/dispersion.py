@@ -8,19 +8,23 @@ SOURCE_RADIUS_M = 0.1
 
 
 def concentration(
-    position: ArrayLike, source: ArrayLike, wind: ArrayLike, *, rate: float, diffusivity: float, lifetime: float
+    position: ArrayLike, source: ArrayLike, wind: ArrayLike, *, rate: ArrayLike, diffusivity: ArrayLike, lifetime: ArrayLike
 ) -> NDArray[np.float64]:
     """Mean concentration m = q/(4π d r) · exp(−r/λ + ψ), Vergassola et al. 2007 eq. (S5), the paper's section 2.
 
-    position, source: (..., 2) m, x east, y north.  wind: (..., 2) = (u cos φ, u sin φ) m/s, φ the direction it comes FROM.
-    rate q in g/s, diffusivity d in m²/s, lifetime τ in s.  Shapes broadcast; returns (...) in g/m³.  Gas lies towards −wind.
+    position, source: (..., 2) or (..., 3) m, x east, y north, z up; two are taken to be in one plane.  wind: (..., 2) = (u cos φ, u sin φ) m/s, φ the direction it comes FROM.
+    rate q in g/s, diffusivity d in m²/s, lifetime τ in s, (...) each.  Shapes broadcast; returns (...) in g/m³.  Gas lies towards −wind.
     """
     offset = np.asarray(position, np.float64) - np.asarray(source, np.float64)
     wind = np.asarray(wind, np.float64)
-    distance = np.maximum(np.hypot(offset[..., 0], offset[..., 1]), SOURCE_RADIUS_M)
+    rate, diffusivity, lifetime = (np.asarray(value, np.float64) for value in (rate, diffusivity, lifetime))
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    if offset.shape[-1] == 3:
+        distance = np.hypot(distance, offset[..., 2])
+    distance = np.maximum(distance, SOURCE_RADIUS_M)
     speed_squared = np.square(wind).sum(axis=-1)
     decay_length = np.sqrt(diffusivity * lifetime / (1 + speed_squared * lifetime / (4 * diffusivity)))  # λ
-    drift = -(offset * wind).sum(axis=-1) / (2 * diffusivity)  # ψ
+    drift = -(offset[..., :2] * wind).sum(axis=-1) / (2 * diffusivity)  # ψ
     # λ ≤ 2d/u keeps the exponent at or below zero: the exponential cannot overflow, however strong the wind.
     result: NDArray[np.float64] = rate / (4 * np.pi * diffusivity * distance) * np.exp(-distance / decay_length + drift)
     return result

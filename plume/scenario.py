@@ -19,7 +19,7 @@ LIFETIME_S = 10.0
 """τ; Table 1 states none, the paper's illustration has 10 s."""
 
 
-class Scenario(msgspec.Struct, frozen=True):
+class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
     """One gas release. It holds the truth: nothing that estimates or plans may be handed one."""
 
     source: tuple[float, float]
@@ -36,6 +36,8 @@ class Scenario(msgspec.Struct, frozen=True):
     """Lifetime of the gas, s."""
     start: tuple[float, float]
     """Where the search begins, m."""
+    height: float = 0.0
+    """Of the source above the plane that is searched, m."""
 
     @property
     def wind(self) -> tuple[float, float]:

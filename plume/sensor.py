@@ -1,27 +1,147 @@
-"""The gas sensor: a Gaussian reading whose noise grows with the concentration; simulator and likelihood share it."""
+"""Gas sensors. Each is one definition that the simulator draws readings from and the likelihood weighs them by."""
+
+import math
+from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-SENSOR_NOISE = 0.3
-"""α: standard deviation as a share of the concentration."""
-ENVIRONMENT_NOISE = 0.2
-"""β: standard deviation in clean air, g/m³."""
+Array = NDArray[np.float64]
+SURPRISE = 10.0
+"""A reading so many standard deviations beyond what the strongest plume could give is no measurement."""
+
+_erf = np.vectorize(math.erf, otypes=[np.float64])
+_log_gamma = np.vectorize(math.lgamma, otypes=[np.float64])
 
 
-def noise_std(mean: ArrayLike) -> NDArray[np.float64]:
-    """σ(m) = sqrt((α m)² + β²): two independent noises add in quadrature."""
-    return np.sqrt(np.square(SENSOR_NOISE * np.asarray(mean, np.float64)) + ENVIRONMENT_NOISE**2)
+def _normal_cdf(value: ArrayLike) -> Array:
+    return np.asarray(0.5 * (1.0 + _erf(np.asarray(value) / math.sqrt(2.0))))
 
 
-def measure(mean: ArrayLike, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw a reading z = m + v, v ~ N(0, σ(m)²), for each mean concentration."""
-    mean = np.asarray(mean, np.float64)
-    return np.asarray(mean + noise_std(mean) * rng.standard_normal(mean.shape))
+@dataclass(frozen=True)
+class Gaussian:
+    """The paper's sensor: z = m + v, v ~ N(0, σ²), σ² = (α m)² + β²: two independent noises add in quadrature."""
+
+    sensor_noise: float = 0.3
+    """α: standard deviation as a share of the concentration."""
+    environment_noise: float = 0.2
+    """β: standard deviation in clean air, g/m³; above 0."""
+
+    def noise_std(self, mean: ArrayLike) -> Array:
+        """σ(m), g/m³."""
+        return np.sqrt(np.square(self.sensor_noise * np.asarray(mean, np.float64)) + self.environment_noise**2)
+
+    def measure(self, mean: ArrayLike, rng: np.random.Generator) -> Array:
+        """Draw a reading for each mean concentration."""
+        mean = np.asarray(mean, np.float64)
+        return np.asarray(mean + self.noise_std(mean) * rng.standard_normal(mean.shape))
+
+    def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
+        """log N(z; m, σ(m)²) with its normaliser, which differs between hypotheses because σ depends on m."""
+        std = self.noise_std(mean)
+        residual = np.asarray(reading, np.float64) - np.asarray(mean, np.float64)
+        return np.asarray(-0.5 * np.square(residual / std) - np.log(std) - 0.5 * np.log(2 * np.pi))
+
+    def refusal(self, reading: float, greatest_mean: float) -> str | None:
+        """Why this sensor cannot have given a reading where no concentration is above `greatest_mean`; None where it can."""
+        low = -SURPRISE * self.environment_noise
+        high = greatest_mean + SURPRISE * float(self.noise_std(greatest_mean))
+        return None if low <= reading <= high else f"gas {reading:g} is absurd; allowed is {low:g} to {high:g} g/m³"
 
 
-def log_likelihood(reading: ArrayLike, mean: ArrayLike) -> NDArray[np.float64]:
-    """log N(z; m, σ(m)²) with its normaliser, which differs between hypotheses because σ depends on m."""
-    std = noise_std(mean)
-    residual = np.asarray(reading, np.float64) - np.asarray(mean, np.float64)
-    return np.asarray(-0.5 * np.square(residual / std) - np.log(std) - 0.5 * np.log(2 * np.pi))
+@dataclass(frozen=True)
+class Threshold:
+    """A sensor that says 0 below its threshold, and sometimes in the midst of gas (AutoSTE; Stone Soup; Hutchinson et al. 2018).
+
+    z = 0 with probability p_m (missed); otherwise m + v as of `Gaussian` where that reaches the threshold, else 0.
+    """
+
+    threshold: float = 0.5
+    """g/m³; above 0."""
+    missed: float = 0.3
+    """p_m: probability that gas is missed, in [0, 1)."""
+    sensor_noise: float = 0.3
+    """α."""
+    environment_noise: float = 0.2
+    """β, g/m³."""
+
+    def _analog(self) -> Gaussian:
+        return Gaussian(self.sensor_noise, self.environment_noise)
+
+    def measure(self, mean: ArrayLike, rng: np.random.Generator) -> Array:
+        """Draw a reading for each mean concentration."""
+        value = self._analog().measure(mean, rng)
+        seen = rng.random(value.shape) >= self.missed
+        return np.where(seen & (value >= self.threshold), value, 0.0)
+
+    def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
+        """Log of the probability of 0, or of the density above the threshold."""
+        below = _normal_cdf((self.threshold - np.asarray(mean)) / self._analog().noise_std(mean))
+        silent = np.log(np.maximum(self.missed + (1 - self.missed) * below, 1e-300))
+        heard = math.log1p(-self.missed) + self._analog().log_likelihood(reading, mean)
+        return np.where(np.asarray(reading) == 0.0, silent, heard)
+
+    def refusal(self, reading: float, greatest_mean: float) -> str | None:
+        """Why this sensor cannot have given a reading where no concentration is above `greatest_mean`; None where it can."""
+        high = greatest_mean + SURPRISE * float(self._analog().noise_std(greatest_mean))
+        # Both are rounded as the wire rounds readings: that keeps their order.
+        if reading == 0.0 or np.float32(self.threshold) <= np.float32(reading) <= high:
+            return None
+        return f"gas {reading:g} is absurd; allowed is 0 or {self.threshold:g} to {high:g} g/m³"
+
+
+@dataclass(frozen=True)
+class Hits:
+    """A counter of hits, k ~ Poisson(e m + b) (Vergassola et al. 2007; OTTO, Loisy and Eloy 2022). The reading is the count."""
+
+    efficiency: float = 3.0
+    """e: expected hits a reading for each g/m³; above 0."""
+    background: float = 0.1
+    """b: expected hits a reading in clean air; above 0."""
+
+    def measure(self, mean: ArrayLike, rng: np.random.Generator) -> Array:
+        """Draw a reading for each mean concentration."""
+        return np.asarray(rng.poisson(self.efficiency * np.asarray(mean, np.float64) + self.background), np.float64)
+
+    def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
+        """log P(k; e m + b)."""
+        expected = self.efficiency * np.asarray(mean, np.float64) + self.background
+        count = np.asarray(reading, np.float64)
+        return np.asarray(count * np.log(expected) - expected - _log_gamma(count + 1.0))
+
+    def refusal(self, reading: float, greatest_mean: float) -> str | None:
+        """Why this sensor cannot have given a reading where no concentration is above `greatest_mean`; None where it can."""
+        expected = self.efficiency * greatest_mean + self.background
+        high = math.ceil(expected + SURPRISE * math.sqrt(expected) + SURPRISE)
+        whole = math.isfinite(reading) and reading == int(reading)
+        return None if whole and 0 <= reading <= high else f"gas {reading:g} is absurd; allowed is a count of hits from 0 to {high}"
+
+
+Sensor = Gaussian | Threshold | Hits
+KINDS: dict[str, type[Gaussian] | type[Threshold] | type[Hits]] = {"gaussian": Gaussian, "threshold": Threshold, "hits": Hits}
+GAUSSIAN = Gaussian()
+
+
+def parse(text: str) -> Sensor:
+    """Read a sensor from `kind` or `kind:number,number…`, as command lines and beliefs name it; raises ValueError."""
+    name, _, numbers = text.partition(":")
+    if name not in KINDS:
+        raise ValueError(f"{text!r} is not allowed; wanted {', '.join(KINDS)}, with numbers behind a colon where they are chosen")
+    names = [field.name for field in fields(KINDS[name])]
+    try:
+        values = [float(number) for number in numbers.split(",")] if numbers else []
+        sensor = KINDS[name](*values)
+    except (TypeError, ValueError):
+        raise ValueError(f"{text!r} is not allowed; wanted {name} or {name}:{','.join(names)}") from None
+    for field, value in zip(names, astuple(sensor), strict=True):
+        may_be_zero = field in ("missed", "sensor_noise")
+        if not (math.isfinite(value) and value >= 0 and (may_be_zero or value > 0) and (field != "missed" or value < 1)):
+            wanted = "a number from 0 to below 1" if field == "missed" else "a number from 0" if may_be_zero else "a number above 0"
+            raise ValueError(f"{text!r} is not allowed; {field} is {value:g}, wanted {wanted}")
+    return sensor
+
+
+def text(sensor: Sensor) -> str:
+    """Name a sensor so that `parse` reads it back."""
+    name = next(name for name, kind in KINDS.items() if type(sensor) is kind)
+    return f"{name}:{','.join(map(repr, astuple(sensor)))}"

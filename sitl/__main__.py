@@ -7,6 +7,7 @@ from pathlib import Path
 
 from link import cli
 from link.bus import DEFAULT_ROUTER
+from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
 
@@ -45,6 +46,10 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
     parser.add_argument(
         "-I", "--instance", type=cli.whole(0, 254), default=0, metavar="N", help="vehicle N: system id and namespace N+1 (default 0)"
     )
+    parser.add_argument(
+        "--sensor", type=cli.checked(sensor.parse), default="gaussian", metavar="KIND[:NUMBERS]",
+        help="gaussian, threshold or hits, with their numbers where chosen, such as threshold:0.5,0.3 (default: %(default)s)",
+    )  # fmt: skip
     parser.add_argument(
         "--home", type=_home, metavar="LAT,LON,ALT,HEADING", help="where home, the corner of the search area, is on the globe"
     )
@@ -100,9 +105,11 @@ def _fly(args: argparse.Namespace) -> int:
     handed_on = [flag for url in args.out for flag in ("--out", url)] + ["--silence", repr(args.silence)]
     if args.home:
         handed_on.append("--home=" + ",".join(map(repr, args.home)))
+    filter_arguments = [flag for prior in args.prior for flag in ("--prior", prior)] + ["--stop-on", args.stop_on]
     mission = Mission(
-        args.seed, args.policy, args.particles, args.threshold, args.budget, args.speedup, args.instance, args.listen, handed_on
-    )
+        args.seed, args.policy, args.particles, args.threshold, args.budget, args.speedup, args.instance, args.listen, args.sensor,
+        filter_arguments, handed_on,
+    )  # fmt: skip
     try:
         result, trace = fly(mission)
     except KeyboardInterrupt:
@@ -149,9 +156,11 @@ def _uav(args: argparse.Namespace) -> int:
             bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox))
             log.info(f"on the bus at {endpoint} as {namespace}; takes off when estimator and agent are there")
             joining = f"--connect {endpoint} --namespace {namespace}"
-            log.info(f"its estimator: python -m estimator {joining} --rate {scenario.q!r} --diffusivity {scenario.d!r}")
+            chosen = "" if args.sensor == "gaussian" else f" --sensor {args.sensor}"
+            who = "" if config.sysid == 1 else f" --sysid {config.sysid}"
+            log.info(f"its estimator: python -m estimator {joining} --rate {scenario.q!r} --diffusivity {scenario.d!r}{chosen}{who}")
             log.info(f"its agent: python -m agent {joining} --sysid {config.sysid}")
-        uav = Uav(config, World(scenario, args.seed), Clock(args.speedup), inbox, bus, args.out)
+        uav = Uav(config, World(scenario, args.seed, sensor.parse(args.sensor)), Clock(args.speedup), inbox, bus, args.out)
         for url in args.out:
             port = url.rpartition(":")[2]
             log.info(f"MAVLink to {url}; MAVSDK: udpin://0.0.0.0:{port}, pymavlink and MAVProxy: udpin:0.0.0.0:{port}")

@@ -33,6 +33,9 @@ class Mission(NamedTuple):
     speedup: float
     instance: int
     listen: str
+    sensor: str = "gaussian"
+    filter_arguments: Sequence[str] = ()
+    """Flags that are handed on to the estimator."""
     uav_arguments: Sequence[str] = ()
     """Flags that are handed on to the uav."""
 
@@ -70,13 +73,16 @@ def start_parts(processes: Processes, mission: Mission, scenario: Scenario) -> s
     joining = ("--connect", endpoint, "--namespace", f"uav/{mission.instance + 1}")
     instance = str(mission.instance)
     seed, speedup = str(mission.seed), repr(mission.speedup)
-    processes.start("uav", "sitl", "uav", *joining, "-I", instance, "--seed", seed, "--speedup", speedup, *mission.uav_arguments)
+    flight = ("-I", instance, "--seed", seed, "--speedup", speedup, "--sensor", mission.sensor)
+    processes.start("uav", "sitl", "uav", *joining, *flight, *mission.uav_arguments)
     # Only what the paper's estimator knows, and seeds of their own: from the mission's seed the source could be drawn.
     knowledge = ("--rate", repr(scenario.q), "--diffusivity", repr(scenario.d), "--lifetime", repr(scenario.tau))
-    filter_flags = ("--particles", str(mission.particles), "--threshold", repr(mission.threshold_m))
+    system = str(mission.instance + 1)
+    filter_flags = ("--particles", str(mission.particles), "--threshold", repr(mission.threshold_m), "--sensor", mission.sensor)
     estimator_seed, agent_seed = (str(derived_seed(mission.seed, service)) for service in ("estimator", "agent"))
+    filter_flags += ("--sysid", system, *mission.filter_arguments)
     processes.start("estimator", "estimator", *joining, *filter_flags, *knowledge, "--seed", estimator_seed)
-    policy_flags = ("--policy", mission.policy, "--budget", str(mission.budget), "--sysid", str(mission.instance + 1))
+    policy_flags = ("--policy", mission.policy, "--budget", str(mission.budget), "--sysid", system)
     processes.start("agent", "agent", *joining, *policy_flags, "--seed", agent_seed)
     return endpoint
 
@@ -156,7 +162,7 @@ def write_summary(mission: Mission, result: Outcome, trace: Sequence[TracePoint]
     summary = {
         "flown_at": now.isoformat(timespec="seconds"),
         "plumeward": __version__,
-        "mission": {**mission._asdict(), "uav_arguments": list(mission.uav_arguments)},
+        "mission": mission._asdict(),
         "outcome": json.loads(outcome_json(result, trace)),
     }
     folder.mkdir(parents=True, exist_ok=True)

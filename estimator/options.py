@@ -1,0 +1,50 @@
+"""The command line's words for what the estimator knows beforehand and when it may stop."""
+
+import argparse
+import math
+from typing import Any
+
+from estimator.priors import PARAMETERS, Fixed, Prior, parse, support
+from link import cli
+from plume import sensor
+from plume.scenario import AREA_M
+
+
+def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the flag that says which sensor is assumed."""
+    parser.add_argument(
+        "--sensor", type=cli.checked(sensor.parse), default="gaussian", metavar="KIND[:NUMBERS]",
+        help="gaussian, threshold or hits, with their numbers where chosen, such as threshold:0.5,0.3 (default: %(default)s)",
+    )  # fmt: skip
+
+
+def knowledge(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the fields of `Config` that the flags --prior, --stop-on and --sensor give; raises ValueError with what is allowed."""
+    priors: dict[str, Prior] = {}
+    for text in args.prior:
+        try:
+            name, prior = parse(text)
+            if not isinstance(prior, Fixed):
+                support(name, prior, AREA_M)
+        except ValueError as error:
+            raise ValueError(f"--prior: {error}") from None
+        priors[name] = prior
+    unknown = {"x", "y", *priors} - {name for name, prior in priors.items() if isinstance(prior, Fixed)}
+    if not unknown:
+        raise ValueError("--prior: nothing is left unknown; at least one parameter needs a prior that is not fixed")
+    limits: dict[str, float] = {}
+    for item in args.stop_on.split(","):
+        name, _, limit = item.partition("=")
+        if item == "location":
+            continue
+        try:
+            limits[name] = float(limit)
+        except ValueError:
+            limits[name] = math.nan
+        if name not in unknown or not 0 < limits[name] < math.inf:
+            wanted = ", ".join(name for name in PARAMETERS if name in unknown)
+            raise ValueError(
+                f"--stop-on: {args.stop_on!r} is not allowed; wanted `location` and NAME=STD above 0, with commas between; unknown are {wanted}"
+            )
+    location = "location" in args.stop_on.split(",")
+    return {"priors": priors, "stop_limits": limits, "stop_on_location": location, "sensor": sensor.parse(args.sensor)}

@@ -1,0 +1,151 @@
+"""What is unknown about a release, and what is thought of it beforehand: a prior for each unknown."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+PARAMETERS = ("x", "y", "z", "q", "u", "phi", "d", "tau")
+"""In the order of the kernels: position m (z above home), release rate g/s, wind m/s and rad, diffusivity m²/s, lifetime s."""
+KNOWN, UNIFORM, NORMAL, GAMMA, MEASURED = 0.0, 1.0, 2.0, 3.0, 4.0
+"""Kinds of rows of `table`."""
+SMALLEST = 1e-6
+"""q, d and τ are above 0: no prior puts them below this."""
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Equally likely from low to high."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal with a mean and a standard deviation, cut off where the parameter makes no sense."""
+
+    mean: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Gamma:
+    """Gamma with a shape and a scale: its mean is shape · scale."""
+
+    shape: float
+    scale: float
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Known."""
+
+    value: float
+
+
+Prior = Uniform | Normal | Gamma | Fixed
+KINDS: dict[str, type[Uniform] | type[Normal] | type[Gamma] | type[Fixed]] = {
+    "uniform": Uniform,
+    "normal": Normal,
+    "gamma": Gamma,
+    "fixed": Fixed,
+}
+
+
+def parse(text: str) -> tuple[str, Prior]:
+    """Read `q=gamma:2,150`; raises ValueError with what is allowed."""
+    name, equals, rest = text.partition("=")
+    kind, _, numbers = rest.partition(":")
+    if not equals or name not in PARAMETERS or kind not in KINDS:
+        raise ValueError(
+            f"{text!r} is not allowed; wanted NAME=KIND:NUMBERS with NAME of {', '.join(PARAMETERS)} and "
+            "KIND of uniform:LOW,HIGH normal:MEAN,STD gamma:SHAPE,SCALE fixed:VALUE"
+        )
+    wanted = ",".join(field.name.upper() for field in fields(KINDS[kind]))
+    try:
+        values = [float(number) for number in numbers.split(",")]
+        prior = KINDS[kind](*values)
+    except (TypeError, ValueError):
+        raise ValueError(f"{text!r} is not allowed; wanted {name}={kind}:{wanted}") from None
+    match prior:
+        case Uniform(low, high):
+            sound, rule = low < high, "LOW below HIGH"
+        case Normal(_, std):
+            sound, rule = std > 0, "STD above 0"
+        case Gamma(shape, scale):
+            sound, rule = shape > 0 and scale > 0 and name not in ("x", "y", "z", "phi"), "SHAPE and SCALE above 0, and NAME of q, u, d, tau"
+        case Fixed(value):
+            sound, rule = value > 0 or name not in ("q", "d", "tau"), "VALUE above 0 for q, d, tau"
+    if not (sound and all(map(math.isfinite, values))):
+        raise ValueError(f"{text!r} is not allowed; wanted {rule}")
+    return name, prior
+
+
+def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
+    """Return the ends of what a parameter can be under its prior; raises ValueError where nothing is left."""
+    low, high = {"x": (0.0, area_m), "y": (0.0, area_m), "q": (SMALLEST, math.inf), "d": (SMALLEST, math.inf), "tau": (SMALLEST, math.inf)}.get(
+        name, (0.0, math.inf) if name == "u" else (-math.inf, math.inf)
+    )
+    match prior:
+        case Uniform(a, b):
+            low, high = max(low, a), min(high, b)
+        case Normal(mean, std):
+            low, high = max(low, mean - 8 * std), min(high, mean + 8 * std)
+        case Gamma():
+            low = max(low, SMALLEST)
+    if not low < high:
+        raise ValueError(f"the prior of {name} leaves nothing of what is possible")
+    return low, high
+
+
+def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float) -> Array:
+    """Return the (8, 5) rows that the kernels take: kind, two numbers, the ends of the support. u and φ in neither are measured."""
+    rows = np.zeros((8, 5))
+    for index, name in enumerate(PARAMETERS):
+        prior = priors.get(name, Fixed(known[name]) if name in known else None)
+        match prior:
+            case None:
+                rows[index] = MEASURED, 0, 0, 0, 0
+            case Fixed(value):
+                rows[index] = KNOWN, value, 0, value, value
+            case Uniform(a, b):
+                rows[index] = UNIFORM, a, b, *support(name, prior, area_m)
+            case Normal(a, b):
+                rows[index] = NORMAL, a, b, *support(name, prior, area_m)
+            case Gamma(a, b):
+                rows[index] = GAMMA, a, b, *support(name, prior, area_m)
+    return rows
+
+
+def draw(rows: Array, unknowns: NDArray[np.int64], count: int, rng: np.random.Generator) -> Array:
+    """Draw (D, count) from the priors.
+
+    Uniform ones come from a low-discrepancy lattice with a random shift (the R sequence, Roberts 2018): each draw is uniform,
+    together they leave no gaps.
+    """
+    ratio = 1.5
+    for _ in range(100):  # the positive root of x^(D+1) = x + 1
+        ratio = (1 + ratio) ** (1 / (len(unknowns) + 1))
+    shift = rng.random(len(unknowns))
+    result = np.empty((len(unknowns), count))
+    for row, index in enumerate(unknowns):
+        kind, a, b, low, high = rows[index]
+        if kind == UNIFORM:
+            result[row] = low + (np.arange(count) * ratio ** -(row + 1.0) + shift[row]) % 1.0 * (high - low)
+            continue
+        missing = np.arange(count)
+        while len(missing):  # what falls outside the support is drawn again
+            result[row, missing] = rng.normal(a, b, len(missing)) if kind == NORMAL else rng.gamma(a, b, len(missing))
+            missing = missing[(result[row, missing] < low) | (result[row, missing] > high)]
+    return result
+
+
+def text(name: str, prior: Prior) -> str:
+    """Write a prior so that `parse` reads it back."""
+    kind = next(kind for kind, of in KINDS.items() if type(prior) is of)
+    return f"{name}={kind}:{','.join(map(repr, astuple(prior)))}"
