@@ -9,6 +9,7 @@ from link.keys import BELIEF, MAVLINK_IN
 from link.mavlink import ONBOARD_COMPUTER, Codec, waypoint_message
 from link.messages import Belief, Particles, unpack_particles
 from plume.randomness import keyed
+from plume.sensor import parse
 
 
 def choose(plan_name: str, belief: Belief, particles: Particles, seed: int) -> tuple[float, float]:
@@ -55,6 +56,7 @@ def _newest_belief(bus: Bus) -> tuple[Belief, Particles] | None:
     if belief is None:
         return None
     try:
+        parse(belief.sensor)
         return belief, unpack_particles(arrival.attachment, len(belief.unknowns))
     except ValueError as error:
         bus.refuse(BELIEF, str(error), "malformed")

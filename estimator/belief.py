@@ -26,7 +26,10 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     means[config.unknown_indices] = unknown_means
     covariance[np.ix_(config.unknown_indices, config.unknown_indices)] = unknown_covariance
-    mean, std = dict(zip(PARAMETERS, means.tolist(), strict=True)), dict(zip(PARAMETERS, np.sqrt(covariance.diagonal()).tolist(), strict=True))
+    mean, std = (
+        dict(zip(PARAMETERS, means.tolist(), strict=True)),
+        dict(zip(PARAMETERS, np.sqrt(covariance.diagonal()).tolist(), strict=True)),
+    )
     (xx, xy), (_, yy) = covariance[:2, :2].tolist()
     spread = math.sqrt(xx + yy)
     p_value = 1.0 if len(posterior.ranks) < FEWEST else kernels.uniformity_p_value(posterior.ranks[-RECENT:])

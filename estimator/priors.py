@@ -78,7 +78,10 @@ def parse(text: str) -> tuple[str, Prior]:
         case Normal(_, std):
             sound, rule = std > 0, "STD above 0"
         case Gamma(shape, scale):
-            sound, rule = shape > 0 and scale > 0 and name not in ("x", "y", "z", "phi"), "SHAPE and SCALE above 0, and NAME of q, u, d, tau"
+            sound, rule = (
+                shape > 0 and scale > 0 and name not in ("x", "y", "z", "phi"),
+                "SHAPE and SCALE above 0, and NAME of q, u, d, tau",
+            )
         case Fixed(value):
             sound, rule = value > 0 or name not in ("q", "d", "tau"), "VALUE above 0 for q, d, tau"
     if not (sound and all(map(math.isfinite, values))):
@@ -88,9 +91,13 @@ def parse(text: str) -> tuple[str, Prior]:
 
 def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
     """Return the ends of what a parameter can be under its prior; raises ValueError where nothing is left."""
-    low, high = {"x": (0.0, area_m), "y": (0.0, area_m), "q": (SMALLEST, math.inf), "d": (SMALLEST, math.inf), "tau": (SMALLEST, math.inf)}.get(
-        name, (0.0, math.inf) if name == "u" else (-math.inf, math.inf)
-    )
+    low, high = {
+        "x": (0.0, area_m),
+        "y": (0.0, area_m),
+        "q": (SMALLEST, math.inf),
+        "d": (SMALLEST, math.inf),
+        "tau": (SMALLEST, math.inf),
+    }.get(name, (0.0, math.inf) if name == "u" else (-math.inf, math.inf))
     match prior:
         case Uniform(a, b):
             low, high = max(low, a), min(high, b)

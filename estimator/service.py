@@ -50,7 +50,9 @@ def _judge(bus: Bus, p_value: float) -> None:
         bus.tally.warnings = ()
         return
     if not bus.tally.warnings:
-        bus.log.warn(f"the readings do not fit the model (p = {p_value:.1g} over the last {RECENT}): is the sensor stuck, is the model right?")
+        bus.log.warn(
+            f"the readings do not fit the model (p = {p_value:.1g} over the last {RECENT}): is the sensor stuck, is the model right?"
+        )
     bus.tally.warnings = (f"the last {RECENT} readings do not fit the model: p = {p_value:.1g}",)
 
 

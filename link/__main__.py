@@ -33,7 +33,9 @@ A **reading** is one payload with three frames of one time:
 |---|---|
 | LOCAL_POSITION_NED (32) | `time_boot_ms`; `x` = north, `y` = east, `z` = down from home, m: where the sample was taken |
 | WIND_COV (231) | `time_usec` = 1000 · `time_boot_ms`; `wind_x` = north, `wind_y` = east: velocity of the air, m/s |
-| NAMED_VALUE_FLOAT (251) | `time_boot_ms`; `name` = `gas`; `value` in g/m³ |
+| NAMED_VALUE_FLOAT (251) | `time_boot_ms`; `name` = `gas`; `value` in g/m³, or a count of hits |
+
+Its frames are of the vehicle's system: a reading of another system is refused.
 
 A **waypoint** is a SET_POSITION_TARGET_LOCAL_NED (84) in MAV_FRAME_LOCAL_NED with `x`, `y`, `z` used, whose `time_boot_ms` is that of the
 reading it answers. Commands (COMMAND_LONG, COMMAND_INT) are answered by COMMAND_ACK on `mavlink/out`, a refusal also by a STATUSTEXT.
@@ -68,8 +70,19 @@ decimals that read back as the same double.
 
 ## What is refused
 
-A message that does not decode, holds NaN or infinity, lies outside the area or runs backwards in time is counted in `health`,
-logged with key and reason, and dropped. It never stops a service and never reaches the filter.
+What is refused is counted in `health` under its kind, logged with key and reason, and leaves the belief as it is to the last bit. It
+never stops a service.
+
+| kind | refused is |
+|---|---|
+| `malformed` | what does not decode, or is not what this page says |
+| `not finite` | a reading with NaN or infinity |
+| `other vehicle` | a reading of another system |
+| `outside` | a reading from outside the area |
+| `absurd` | a gas value that the sensor cannot have given, however strong the source may be |
+| `late` | a reading older than the newest one |
+| `conflicting` | another reading under the newest one's time |
+| `repeated` | the newest reading again: it is not taken twice, but the belief is said again |
 
 ## Messages
 """
@@ -100,7 +113,11 @@ def _type(schema: dict[str, Any]) -> str:
         return "[" + ", ".join(_type(item) for item in schema["prefixItems"]) + "]"
     if "additionalProperties" in schema and schema["type"] == "object":
         return f"object of {_type(schema['additionalProperties'])}"
-    limits = [f"{sign} {schema[name]:g}" for name, sign in (("minimum", "≥"), ("exclusiveMinimum", ">")) if name in schema]
+    if "items" in schema and schema["items"]:
+        return f"array of {_type(schema['items'])}"
+    limits = [
+        f"{sign} {schema[name]:g}" for name, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤")) if name in schema
+    ]
     return " ".join([schema["type"], *limits])
 
 
@@ -112,8 +129,8 @@ def _message(kind: type) -> str:
 
 
 ATTACHMENT = """
-The **attachment** of a belief is the particle array: N rows of three little-endian float32 (x m, y m, weight), 12 N bytes; the
-weights sum to one. Payload and attachment are one sample: they cannot come from different steps.
+The **attachment** of a belief is the particle array: N rows of little-endian float32, one for each of `unknowns` and then the
+weight: (x m, y m, weight), 12 N bytes, where nothing else is unknown. The weights sum to one. Payload and attachment are one sample: they cannot come from different steps.
 """
 
 

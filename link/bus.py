@@ -251,7 +251,9 @@ class Bus:
     def publish_health(self) -> None:
         """Publish how this service is doing now."""
         uptime_s = time.monotonic() - self._started
-        health = Health(self.service, self.tally.state, self.tally.step, self.tally.compute_s, uptime_s, dict(self.refused), self.tally.warnings)
+        health = Health(
+            self.service, self.tally.state, self.tally.step, self.tally.compute_s, uptime_s, dict(self.refused), self.tally.warnings
+        )
         self.publish(HEALTH, health)
 
     def close(self) -> None:

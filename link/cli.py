@@ -72,7 +72,10 @@ def add_filter_arguments(parser: argparse.ArgumentParser) -> None:
         help="stop when the spread is below it (default: %(default)s m)",
     )
     parser.add_argument(
-        "--prior", action="append", default=[], metavar="NAME=KIND:NUMBERS",
+        "--prior",
+        action="append",
+        default=[],
+        metavar="NAME=KIND:NUMBERS",
         help="what else is unknown, or known better, of x y z q u phi d tau: q=gamma:2,150 u=normal:2.5,0.5 tau=uniform:5,15 z=fixed:1.5",
     )
     parser.add_argument(

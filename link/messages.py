@@ -24,7 +24,9 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     position: Annotated[Pair, Meta(description="where the reading was taken: (x, y) m, x east, y north, from home")]
     altitude_m: Annotated[float, Meta(description="height above home at which it was taken")]
     gas: Annotated[float, Meta(description="the reading, in the sensor's unit: g/m³, or a count of hits")]
-    wind: Annotated[Pair, Meta(description="(u cos φ, u sin φ) m/s, to where the wind comes from: as measured, or its mean where it is unknown")]
+    wind: Annotated[
+        Pair, Meta(description="(u cos φ, u sin φ) m/s, to where the wind comes from: as measured, or its mean where it is unknown")
+    ]
     sensor: Annotated[str, Meta(description="the sensor that is assumed, as --sensor takes it")]
     rate: Annotated[float, Meta(gt=0, description="release rate q that is assumed, or its mean where it is unknown, g/s")]
     diffusivity: Annotated[float, Meta(gt=0, description="diffusivity d that is assumed, or its mean, m²/s")]
@@ -37,7 +39,9 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     covariance: Covariance
     spread: Annotated[float, Meta(ge=0, description="square root of the covariance's trace, m")]
     effective_sample_size: Annotated[float, Meta(gt=0, description="1/Σw² of the particles")]
-    p_value: Annotated[float, Meta(ge=0, le=1, description="how well the recent readings fit the model: about 0 where they cannot be its own")]
+    p_value: Annotated[
+        float, Meta(ge=0, le=1, description="how well the recent readings fit the model: about 0 where they cannot be its own")
+    ]
     ceased: Annotated[bool, Meta(description="what is asked of a stop is known well enough: the search is over, no waypoint is wanted")]
 
 

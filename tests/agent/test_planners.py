@@ -16,7 +16,8 @@ RATE, DIFFUSIVITY, LIFETIME, WIND = 270.0, 4.2, 10.0, (1.5, -1.0)
 def belief_at(position: tuple[float, float], step: int = 0) -> Belief:
     return Belief(
         time_boot_ms=step, step=step, position=position, altitude_m=5.0, gas=0.0, wind=WIND, rate=RATE, diffusivity=DIFFUSIVITY,
-        lifetime=LIFETIME, mean=(15.0, 15.0), covariance=(1.0, 0.0, 1.0), spread=1.4, effective_sample_size=10.0, ceased=False,
+        lifetime=LIFETIME, z=5.0, sensor="gaussian", unknowns=("x", "y"), means=(15.0, 15.0), stds=(1.0, 1.0), mean=(15.0, 15.0),
+        covariance=(1.0, 0.0, 1.0), spread=1.4, effective_sample_size=10.0, p_value=0.5, ceased=False,
     )  # fmt: skip
 
 

@@ -26,10 +26,17 @@ def test_particles_cross_the_wire_as_rows_of_little_endian_float32() -> None:
     particles = np.array([[1.0, 2.0, 0.25], [3.0, 4.0, 0.75]], np.float32)
     payload = pack_particles(particles)
     assert payload == bytes.fromhex("0000803f000000400000803e" + "00004040000080400000403f")
-    assert np.array_equal(unpack_particles(payload), particles)
+    assert np.array_equal(unpack_particles(payload, 2), particles)
+
+
+def test_more_unknowns_are_more_columns() -> None:
+    particles = np.arange(8, dtype=np.float32).reshape(2, 4)
+    assert np.array_equal(unpack_particles(pack_particles(particles), 3), particles)
+    with pytest.raises(ValueError, match="16"):
+        unpack_particles(pack_particles(particles)[:-4], 3)
 
 
 @pytest.mark.parametrize("payload", [b"", b"x" * 13, np.array([1, 2, math.nan], "<f4").tobytes()])
 def test_what_is_no_particle_array_is_refused(payload: bytes) -> None:
     with pytest.raises(ValueError, match="particle array"):
-        unpack_particles(payload)
+        unpack_particles(payload, 2)

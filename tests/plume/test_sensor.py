@@ -1,38 +1,120 @@
-"""Protects the sensor: the moments of its noise and the normaliser of its likelihood."""
+"""Protects the sensors: each likelihood is the density of the readings that the same sensor's simulator draws."""
 
 import math
 
 import numpy as np
 import pytest
 
-from plume.sensor import log_likelihood, measure, noise_std
+from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, parse, text
 
 DRAWS = 200_000
+MEANS = [0.0, 0.4, 1.0, 10.0]
 
 
 @pytest.mark.parametrize(("mean", "std"), [(0.0, 0.2), (1.0, math.sqrt(0.13)), (10.0, math.sqrt(9.04))])
 def test_the_noise_has_the_moments_that_the_two_noises_add_up_to(mean: float, std: float) -> None:
-    readings = measure(np.full(DRAWS, mean), np.random.default_rng(1))
+    readings = GAUSSIAN.measure(np.full(DRAWS, mean), np.random.default_rng(1))
     # Margins of 4 standard errors: of the mean σ/√n, of the standard deviation σ/√(2n).
     assert readings.mean() == pytest.approx(mean, abs=4 * std / math.sqrt(DRAWS))
     assert readings.std() == pytest.approx(std, abs=4 * std / math.sqrt(2 * DRAWS))
 
 
-def test_the_noise_is_gaussian() -> None:
-    readings = (measure(np.full(DRAWS, 3.0), np.random.default_rng(2)) - 3.0) / math.sqrt(0.81 + 0.04)
-    # Standard errors of skewness √(6/n) and of the excess kurtosis √(24/n); 4 of them are allowed.
-    assert (readings**3).mean() == pytest.approx(0.0, abs=4 * math.sqrt(15 / DRAWS))
-    assert (readings**4).mean() == pytest.approx(3.0, abs=4 * math.sqrt(96 / DRAWS))
+def kolmogorov_smirnov(readings: np.ndarray, sensor: Sensor, mean: float, low: float, high: float) -> float:
+    """√n times the greatest distance between the readings' distribution and the likelihood, integrated from `low`."""
+    grid = np.linspace(low, high, 400_001)
+    density = np.exp(sensor.log_likelihood(grid, mean))
+    cumulative = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(grid))])
+    empirical = np.searchsorted(np.sort(readings), grid, side="right") / len(readings)
+    return float(np.abs(empirical - cumulative / cumulative[-1]).max() * math.sqrt(len(readings)))
 
 
-def test_the_likelihood_is_a_density() -> None:
-    readings = np.linspace(-60.0, 80.0, 2_000_001)
-    for mean in (0.0, 0.5, 10.0):
-        density = np.exp(log_likelihood(readings, mean))
-        assert np.trapezoid(density, readings) == pytest.approx(1.0, abs=1e-9)
+@pytest.mark.parametrize("mean", MEANS)
+def test_the_gaussian_likelihood_is_the_density_of_its_readings(mean: float) -> None:
+    readings = GAUSSIAN.measure(np.full(DRAWS, mean), np.random.default_rng(2))
+    # The Kolmogorov distribution exceeds 2.0 once in 1,500 times.
+    assert kolmogorov_smirnov(readings, GAUSSIAN, mean, mean - 40, mean + 40) < 2.0
 
 
-def test_the_likelihood_equals_the_hand_worked_value() -> None:
+@pytest.mark.parametrize("mean", MEANS)
+def test_the_threshold_likelihood_is_the_density_of_its_readings(mean: float) -> None:
+    sensor = Threshold(threshold=0.5, missed=0.3)
+    readings = sensor.measure(np.full(DRAWS, mean), np.random.default_rng(3))
+    silent = float(np.exp(sensor.log_likelihood(0.0, mean)))
+    share = float(np.mean(readings == 0.0))
+    assert share == pytest.approx(silent, abs=4 * math.sqrt(silent * (1 - silent) / DRAWS))  # 4 standard deviations
+    heard = readings[readings > 0]
+    assert heard.min() >= 0.5
+    assert kolmogorov_smirnov(heard, sensor, mean, 0.5, mean + 40) < 2.0
+
+
+@pytest.mark.parametrize("mean", MEANS)
+def test_the_likelihood_of_hits_is_the_frequency_of_its_counts(mean: float) -> None:
+    sensor = Hits(efficiency=3.0, background=0.1)
+    counts = np.bincount(sensor.measure(np.full(DRAWS, mean), np.random.default_rng(4)).astype(int), minlength=100)
+    probability = np.exp(sensor.log_likelihood(np.arange(len(counts)), mean))
+    often = probability * DRAWS > 10
+    chi_square = np.sum((counts[often] - DRAWS * probability[often]) ** 2 / (DRAWS * probability[often]))
+    degrees = int(often.sum())
+    assert chi_square < degrees + 4 * math.sqrt(2 * degrees)  # 4 standard deviations above its mean
+
+
+@pytest.mark.parametrize("mean", MEANS)
+@pytest.mark.parametrize("sensor", [GAUSSIAN, Gaussian(0.1, 1.0), Threshold(), Threshold(0.2, 0.0), Hits(), Hits(0.5, 2.0)])
+def test_every_likelihood_sums_to_one(sensor: Sensor, mean: float) -> None:
+    if isinstance(sensor, Hits):
+        total = np.exp(sensor.log_likelihood(np.arange(500), mean)).sum()
+    elif isinstance(sensor, Threshold):
+        readings = np.linspace(sensor.threshold, 80.0, 2_000_001)
+        total = np.exp(sensor.log_likelihood(0.0, mean)) + np.trapezoid(np.exp(sensor.log_likelihood(readings, mean)), readings)
+    else:
+        readings = np.linspace(-60.0, 80.0, 2_000_001)
+        total = np.trapezoid(np.exp(sensor.log_likelihood(readings, mean)), readings)
+    assert total == pytest.approx(1.0, abs=1e-8)
+
+
+def test_the_likelihoods_equal_hand_worked_values() -> None:
     # m = 2, z = 3: σ² = 0.36 + 0.04 = 0.4;  log p = −1/0.8 − ½ log(0.4) − ½ log(2π) = −1.25 + 0.4581454 − 0.9189385
-    assert log_likelihood(3.0, 2.0) == pytest.approx(-1.7107932, abs=1e-7)
-    assert noise_std(2.0) == pytest.approx(math.sqrt(0.4))
+    assert GAUSSIAN.log_likelihood(3.0, 2.0) == pytest.approx(-1.7107932, abs=1e-7)
+    assert GAUSSIAN.noise_std(2.0) == pytest.approx(math.sqrt(0.4))
+    # The same reading, not missed: log 0.7 more.  Silent at m = 0.5, on the threshold: 0.3 + 0.7 · ½ = 0.65
+    assert Threshold(0.5, 0.3).log_likelihood(3.0, 2.0) == pytest.approx(-1.7107932 + math.log(0.7), abs=1e-7)
+    assert Threshold(0.5, 0.3).log_likelihood(0.0, 0.5) == pytest.approx(math.log(0.65))
+    # μ = 3 · 0.5 + 0.5 = 2, k = 3: e⁻² 2³/3! = 0.1804470
+    assert Hits(3.0, 0.5).log_likelihood(3.0, 0.5) == pytest.approx(math.log(0.1804470), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "allowed", "refused"),
+    [
+        (GAUSSIAN, [-1.9, 0.0, 5.0, 12.0], [-2.1, 1e3, 3e38]),
+        (Threshold(0.5), [0.0, 0.5, 5.0], [0.3, -0.1, 1e3]),
+        (Hits(), [0.0, 1.0, 20.0], [-1.0, 0.5, 1e3, 3e38]),
+    ],
+    ids=["gaussian", "threshold", "hits"],
+)
+def test_a_reading_that_the_sensor_cannot_have_given_is_refused(sensor: Sensor, allowed: list[float], refused: list[float]) -> None:
+    assert [sensor.refusal(gas, 3.0) for gas in allowed] == [None] * len(allowed)
+    assert all("absurd" in str(sensor.refusal(gas, 3.0)) for gas in refused)
+
+
+def test_a_threshold_that_is_no_float32_still_admits_its_own_readings() -> None:
+    sensor = Threshold(threshold=0.7)
+    readings = sensor.measure(np.full(20_000, 0.7), np.random.default_rng(5)).astype(np.float32)
+    assert all(sensor.refusal(float(gas), 5.0) is None for gas in (*readings, np.float32(0.7)))
+
+
+@pytest.mark.parametrize("sensor", [GAUSSIAN, Gaussian(0.1, 1.0), Threshold(0.1, 0.25), Hits(2.0)])
+def test_a_sensors_text_reads_back_as_the_sensor(sensor: Sensor) -> None:
+    assert parse(text(sensor)) == sensor
+
+
+def test_a_sensors_name_alone_means_its_defaults() -> None:
+    assert (parse("gaussian"), parse("threshold"), parse("hits:2")) == (Gaussian(), Threshold(), Hits(2.0))
+
+
+@pytest.mark.parametrize(
+    "bad", ["", "laser", "hits:0", "hits:1,2,3", "hits:x", "gaussian:0.3,0", "threshold:0.5,1", "threshold:nan", "gaussian:inf,1"]
+)
+def test_a_bad_sensor_is_named_with_what_is_allowed(bad: str) -> None:
+    with pytest.raises(ValueError, match="is not allowed"):
+        parse(bad)

@@ -6,7 +6,7 @@ import pytest
 from plume.dispersion import concentration
 from plume.randomness import derived_seed, keyed
 from plume.scenario import draw
-from plume.sensor import noise_std
+from plume.sensor import GAUSSIAN
 from plume.world import World
 
 
@@ -27,7 +27,7 @@ def test_readings_scatter_around_the_concentration_at_the_position() -> None:
     position = (s.source[0] - 1.0, s.source[1])
     mean = float(concentration(position, s.source, s.wind, rate=s.q, diffusivity=s.d, lifetime=s.tau))
     readings = np.array([World(s, seed).gas(position, 0) for seed in range(4000)])
-    assert readings.mean() == pytest.approx(mean, abs=4 * float(noise_std(mean)) / np.sqrt(4000))  # 4 standard errors
+    assert readings.mean() == pytest.approx(mean, abs=4 * float(GAUSSIAN.noise_std(mean)) / np.sqrt(4000))  # 4 standard errors
 
 
 def test_readings_start_and_wind_are_exact_float32_values() -> None:

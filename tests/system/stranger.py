@@ -46,12 +46,15 @@ class Stranger:
     def frames(self, *messages: object) -> bytes:
         return b"".join(bytes(message.pack(self.mav)) for message in messages)
 
-    def reading(self, time_boot_ms: int, north: float = 4.0, east: float = 3.0, gas: float = 0.5) -> bytes:
-        return self.frames(
+    def reading(self, time_boot_ms: int, north: float = 4.0, east: float = 3.0, gas: float = 0.5, system: int = 1) -> bytes:
+        self.mav.srcSystem = system
+        frames = self.frames(
             mavlink.MAVLink_local_position_ned_message(time_boot_ms, north, east, -5.0, 0.0, 0.0, 0.0),
             mavlink.MAVLink_wind_cov_message(time_boot_ms * 1000, -1.0, -2.0, 0.0, 0.0, 0.0, math.nan, 0.0, 0.0),
             mavlink.MAVLink_named_value_float_message(time_boot_ms, b"gas", gas),
         )
+        self.mav.srcSystem = 1
+        return frames
 
     def waypoint(self, time_boot_ms: int, north: float, east: float, down: float = -5.0) -> bytes:
         return self.frames(

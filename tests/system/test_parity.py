@@ -34,6 +34,20 @@ def test_options_reach_every_part(tmp_path: Path) -> None:
     assert len(over_the_bus["trace"]) <= 41
 
 
+@pytest.mark.parametrize(
+    "knowledge",
+    [
+        ["--sensor", "hits", "--prior", "q=uniform:100,500", "--stop-on", "location,q=90"],
+        ["--sensor", "threshold:0.3,0.2", "--prior", "u=normal:2.5,1", "--prior", "phi=uniform:0,6.283185307179586"],
+        ["--prior", "z=fixed:4", "--prior", "d=gamma:3,1.5", "--stop-on", "d=1"],
+    ],
+)  # fmt: skip
+def test_sensors_and_unknowns_reach_every_part(tmp_path: Path, knowledge: list[str]) -> None:
+    chosen = ["--seed", "5", "--particles", "300", "--budget", "60", *knowledge]
+    over_the_bus = flown(tmp_path, "sitl", "fly", *chosen, "--speedup", "0", "-I", "1")
+    assert over_the_bus["trace"] == flown(tmp_path, "agent", "rollout", *chosen)["trace"]
+
+
 def test_speed_up_changes_nothing_but_the_time_it_takes(tmp_path: Path) -> None:
     chosen = ["--seed", "1", "--policy", "infotaxis", "--budget", "12"]
     fast = flown(tmp_path, "sitl", "fly", *chosen, "--speedup", "0")

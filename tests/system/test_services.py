@@ -70,6 +70,10 @@ class TestEstimator:
             stranger.reading(6000, gas=math.inf),
             stranger.reading(6000, north=30.5),
             stranger.reading(6000, east=-0.5),
+            stranger.reading(6000, gas=1e30),
+            stranger.reading(6000, gas=-50.0),
+            stranger.reading(6000, system=2),
+            stranger.reading(5000, gas=0.7),
             stranger.reading(4000),
             stranger.reading(6000)[:-3],
             b"noise",
@@ -79,12 +83,25 @@ class TestEstimator:
         publish(stranger.reading(5000))
         after = get(beliefs)
         assert (after.payload.to_bytes(), after.attachment.to_bytes()) == (before.payload.to_bytes(), before.attachment.to_bytes())
-        for words in ("gas is not finite", "outside the area [0, 30] x [0, 30] m", "time_boot_ms 4000 is before 5000", "malformed frame"):
-            wait_until(lambda words=words: estimator.says(f"warning: refused reading: {words}") or estimator.says(words))
+        for words in (
+            "gas is not finite", "(3.0, 30.5) is outside the area [0, 30] x [0, 30] m", "time_boot_ms 4000 is before 5000", "malformed frame",
+            "is absurd; allowed is -2 to 212.", "a reading of system 2; this is the estimator of system 1", "5000 again, but it is another",
+        ):  # fmt: skip
+            wait_until(lambda words=words: any("warning: refused reading: " in line and words in line for line in estimator.err))
         counted: dict = {}
-        while not counted.get("late"):
+        while not counted.get("repeated"):
             counted = json.loads(get(health).payload.to_bytes())["refused"]
-        assert counted == {"malformed": 5, "outside": 2, "late": 1}
+        expected = {
+            "malformed": 3,
+            "not finite": 2,
+            "outside": 2,
+            "absurd": 2,
+            "other vehicle": 1,
+            "conflicting": 1,
+            "late": 1,
+            "repeated": 1,
+        }
+        assert counted == expected
         publish(stranger.reading(6000))
         assert belief(get(beliefs))["step"] == 1
 
@@ -103,14 +120,29 @@ class TestEstimator:
         assert belief(get(beliefs))["step"] == step
         assert nothing_more(stops)
 
+    def test_it_warns_while_the_readings_do_not_fit_its_model(self, estimator, stranger: Stranger, wait_until: Callable) -> None:
+        """A sensor that says 3 g/m³ wherever it is: no source is everywhere."""
+        beliefs, health, publish = stranger.subscribe("belief"), stranger.subscribe("health/estimator"), stranger.publisher("reading")
+        said = {"p_value": 1.0}
+        for step in range(60):
+            publish(stranger.reading(1000 * (step + 1), north=1.0 + step % 10 * 2.5, east=1.0 + step // 10 * 4.5, gas=3.0))
+            said = belief(get(beliefs))
+        assert said["p_value"] < 1e-4
+        wait_until(lambda: estimator.says("warning: the readings do not fit the model (p = "))
+        warnings: list = []
+        while not warnings:
+            warnings = json.loads(get(health).payload.to_bytes())["warnings"]
+        assert "do not fit the model" in warnings[0]
+
 
 class TestAgent:
     """`python -m agent`."""
 
     SUMMARY: ClassVar[dict] = {
         "time_boot_ms": 1000, "step": 0, "position": [10.0, 12.0], "altitude_m": 5.0, "gas": 0.5, "wind": [2.0, 1.0], "rate": 300.0,
-        "diffusivity": 4.5, "lifetime": 10.0, "mean": [15.0, 15.0], "covariance": [4.0, 0.0, 4.0], "spread": 2.8,
-        "effective_sample_size": 3.0, "ceased": False,
+        "diffusivity": 4.5, "lifetime": 10.0, "z": 5.0, "sensor": "gaussian", "unknowns": ["x", "y"], "means": [15.0, 15.0],
+        "stds": [2.0, 2.0], "mean": [15.0, 15.0], "covariance": [4.0, 0.0, 4.0], "spread": 2.8, "effective_sample_size": 3.0,
+        "p_value": 0.5, "ceased": False,
     }  # fmt: skip
 
     @pytest.fixture

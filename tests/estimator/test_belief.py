@@ -1,0 +1,98 @@
+"""Protects what the estimator says: the summary of its particles, when it says stop, and whether the readings fit the model."""
+
+import math
+
+import numpy as np
+import pytest
+
+from estimator.belief import belief, stop
+from estimator.filter import Config, Posterior
+from estimator.priors import Fixed, Normal, Prior, Uniform
+from link.mavlink import Reading
+
+READING = Reading(77, (1.0, 2.0), 5.0, (1.0, 0.0), 0.5)
+
+
+def posterior_of(particles: list[list[float]], weights: list[float], ranks: list[float] | None = None) -> Posterior:
+    w = np.array(weights)
+    return Posterior(np.array(particles), np.log(w), w / w.max(), np.zeros(len(w)), np.zeros((1, 6)), np.array(ranks or [0.5]))
+
+
+TWO = posterior_of([[1.0, 3.0], [2.0, 2.0]], [0.75, 0.25])
+
+
+def test_what_is_published_is_what_the_particles_say() -> None:
+    summary, particles = belief(TWO, READING, Config(threshold_m=0.9))
+    # mean 1.5, variance 0.75·0.25 + 0.25·2.25 = 0.75
+    assert summary.mean == pytest.approx((1.5, 2.0))
+    assert summary.covariance == pytest.approx((0.75, 0.0, 0.0))
+    assert summary.spread == pytest.approx(math.sqrt(0.75))
+    assert summary.effective_sample_size == pytest.approx(1 / (0.5625 + 0.0625))
+    assert particles.tolist() == [[1.0, 2.0, 0.75], [3.0, 2.0, 0.25]]
+    assert (summary.time_boot_ms, summary.step) == (77, 0)
+    assert (summary.rate, summary.diffusivity, summary.lifetime, summary.z, summary.wind) == (300.0, 4.5, 10.0, 5.0, (1.0, 0.0))
+
+
+def test_it_stops_when_the_spread_is_below_the_threshold() -> None:
+    assert belief(TWO, READING, Config(threshold_m=0.9))[0].ceased  # the spread is 0.866
+    assert not belief(TWO, READING, Config(threshold_m=0.8))[0].ceased
+    claim = stop(belief(TWO, READING, Config(threshold_m=0.9))[0], Config(threshold_m=0.9))
+    assert claim.estimate == pytest.approx((1.5, 2.0))
+    assert (claim.threshold, claim.time_boot_ms) == (0.9, 77)
+
+
+@pytest.mark.parametrize(
+    ("asked", "ceased"),
+    [
+        ({"threshold_m": 0.9}, True),
+        ({"threshold_m": 0.9, "stop_limits": {"q": 60.0}}, True),
+        ({"threshold_m": 0.9, "stop_limits": {"q": 30.0}}, False),
+        ({"threshold_m": 0.1, "stop_limits": {"q": 60.0}}, False),
+        ({"threshold_m": 0.1, "stop_limits": {"q": 60.0}, "stop_on_location": False}, True),
+        ({"threshold_m": 0.1, "stop_limits": {"q": 60.0, "x": 0.5}, "stop_on_location": False}, False),
+    ],
+)
+def test_a_stop_can_be_asked_on_chosen_parameters(asked: dict, ceased: bool) -> None:
+    # q is 100 with weight ¾ and 200 with ¼: its mean is 125, its standard deviation 100 √(3/16) = 43.3.
+    posterior = posterior_of([[1.0, 3.0], [2.0, 2.0], [100.0, 200.0]], [0.75, 0.25])
+    summary, _ = belief(posterior, READING, Config(priors={"q": Uniform(50.0, 500.0)}, **asked))
+    assert summary.unknowns == ("x", "y", "q")
+    assert summary.means == pytest.approx((1.5, 2.0, 125.0))
+    assert summary.stds == pytest.approx((math.sqrt(0.75), 0.0, 100 * math.sqrt(3 / 16)))
+    assert summary.rate == pytest.approx(125.0)
+    assert summary.ceased == ceased
+
+
+@pytest.mark.parametrize(
+    ("priors", "wind"),
+    [
+        ({"u": Fixed(3.0)}, (3 * 0.8, 3 * 0.6)),
+        ({"phi": Fixed(math.pi / 2)}, (0.0, 5.0)),
+        ({"u": Fixed(2.0), "phi": Fixed(math.pi)}, (-2.0, 0.0)),
+    ],
+)
+def test_what_is_known_of_the_wind_is_not_taken_from_the_reading(priors: dict[str, Prior], wind: tuple[float, float]) -> None:
+    summary, _ = belief(TWO, READING._replace(wind=(4.0, 3.0)), Config(priors=priors))
+    assert summary.wind == pytest.approx(wind, abs=1e-12)
+
+
+def test_an_unknown_wind_is_published_as_its_mean() -> None:
+    posterior = posterior_of([[1.0, 3.0], [2.0, 2.0], [2.0, 4.0]], [0.5, 0.5])
+    summary, _ = belief(posterior, READING._replace(wind=(0.0, 1.0)), Config(priors={"u": Normal(3.0, 1.0)}))
+    assert summary.wind == pytest.approx((0.0, 3.0))
+
+
+@pytest.mark.parametrize(
+    ("ranks", "fits"),
+    [
+        ([0.999] * 7, True),  # too few to tell
+        ([0.999] * 8, False),
+        (list(np.linspace(0.02, 0.98, 30)), True),
+        ([0.5] * 30, False),  # too good to be true: a sensor that always says what is expected
+        ([0.999] * 30 + list(np.linspace(0.02, 0.98, 30)), True),  # what is long past does not count
+    ],
+)
+def test_the_p_value_tells_whether_the_recent_readings_fit_the_model(ranks: list[float], fits: bool) -> None:
+    summary, _ = belief(posterior_of([[1.0, 3.0], [2.0, 2.0]], [0.75, 0.25], ranks), READING, Config())
+    assert (summary.p_value > 0.05) == fits
+    assert fits or summary.p_value < 1e-4

@@ -1,0 +1,97 @@
+"""Protects what is unknown and its priors: what is drawn is what was asked for, and bad words are named."""
+
+import math
+
+import numpy as np
+import pytest
+
+from estimator.filter import Config, prior
+from estimator.priors import Fixed, Gamma, Normal, Prior, Uniform, parse, text
+
+EIGHT: dict[str, Prior] = {
+    "z": Uniform(0.0, 5.0), "q": Gamma(2.0, 150.0), "u": Normal(2.5, 0.5), "phi": Normal(1.0, 0.2), "d": Uniform(1.0, 8.0),
+    "tau": Uniform(5.0, 20.0),
+}  # fmt: skip
+
+
+def drawn(config: Config) -> dict[str, np.ndarray]:
+    return dict(zip(config.unknowns, prior(config).particles, strict=True))
+
+
+def test_by_default_x_and_y_are_unknown_and_uniform_over_the_area() -> None:
+    config = Config(particles=4000, seed=3)
+    assert config.unknowns == ("x", "y")
+    counts, _, _ = np.histogram2d(*prior(config).particles, bins=5, range=[[0, 30], [0, 30]])
+    assert counts.sum() == 4000
+    # A lattice of low discrepancy is evener than chance: 160 expected in each cell, 12 would be one standard deviation of chance.
+    assert np.abs(counts - 160).max() < 12
+
+
+def test_all_eight_are_drawn_from_their_priors() -> None:
+    values = drawn(Config(particles=40_000, priors=EIGHT))
+    assert tuple(values) == ("x", "y", "z", "q", "u", "phi", "d", "tau")
+    # name: mean and standard deviation, by hand: uniform (a + b)/2, (b − a)/√12; gamma kθ, √k θ
+    expected = {
+        "x": (15, 30 / math.sqrt(12)), "z": (2.5, 5 / math.sqrt(12)), "q": (300, math.sqrt(2) * 150), "u": (2.5, 0.5), "phi": (1.0, 0.2),
+        "d": (4.5, 7 / math.sqrt(12)), "tau": (12.5, 15 / math.sqrt(12)),
+    }  # fmt: skip
+    for name, (mean, std) in expected.items():
+        # 4 standard errors; that of a standard deviation is at most σ/√n here (gamma, kurtosis 6).
+        assert values[name].mean() == pytest.approx(mean, abs=4 * std / 200)
+        assert values[name].std() == pytest.approx(std, abs=4 * std / 200)
+    correlations = np.corrcoef(list(values.values())) - np.eye(8)
+    assert np.abs(correlations).max() < 4 / 200
+
+
+def test_a_prior_is_cut_off_where_the_parameter_makes_no_sense() -> None:
+    values = drawn(Config(particles=4000, priors={"u": Normal(0.2, 1.0), "d": Normal(0.5, 1.0), "x": Normal(1.0, 5.0)}))
+    assert values["u"].min() >= 0
+    assert values["d"].min() > 0
+    assert 0 <= values["x"].min() < values["x"].max() <= 30
+    # N(0.2, 1) above 0: mean 0.2 + φ(0.2)/Φ(0.2) = 0.2 + 0.39104/0.57926 = 0.8751
+    assert values["u"].mean() == pytest.approx(0.8751, abs=4 * 0.6 / math.sqrt(4000))
+
+
+def test_what_is_fixed_is_known() -> None:
+    config = Config(priors={"y": Fixed(12.0), "q": Fixed(250.0)})
+    assert config.unknowns == ("x",)
+    assert config.prior_rows[3, 1] == 250.0
+
+
+@pytest.mark.parametrize("prior", [Uniform(0.0, 1 / 3), Normal(2.0, 0.1), Gamma(2.0, 150.0), Fixed(3.0)])
+def test_a_priors_text_reads_back_as_the_prior(prior: Prior) -> None:
+    assert parse(text("q", prior)) == ("q", prior)
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"),
+    [
+        ("q", "wanted NAME=KIND:NUMBERS"),
+        ("w=fixed:1", "NAME of x, y, z, q, u, phi, d, tau"),
+        ("q=beta:1,2", "KIND of uniform"),
+        ("q=uniform:1", "wanted q=uniform:LOW,HIGH"),
+        ("q=gamma:1,2,3", "wanted q=gamma:SHAPE,SCALE"),
+        ("q=uniform:5,5", "LOW below HIGH"),
+        ("u=normal:1,0", "STD above 0"),
+        ("phi=gamma:1,1", "NAME of q, u, d, tau"),
+        ("d=fixed:0", "VALUE above 0"),
+        ("q=normal:nan,1", "wanted"),
+    ],
+)
+def test_a_bad_prior_is_named_with_what_is_allowed(bad: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=f"is not allowed; wanted.*{reason}|is not allowed; {reason}"):
+        parse(bad)
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        ({"priors": {"x": Fixed(1.0), "y": Fixed(2.0)}}, "nothing is unknown"),
+        ({"priors": {"x": Uniform(40.0, 50.0)}}, "prior of x leaves nothing"),
+        ({"stop_limits": {"q": 5.0}}, "q is not unknown"),
+        ({"stop_on_location": False}, "asked on something"),
+    ],
+)
+def test_a_config_that_cannot_be_is_refused(fields: dict, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        Config(**fields)
