@@ -7,12 +7,11 @@ Scenarios are the test seeds (1,000,000 and up) and infotaxis flies. A mission i
 asked for; where it first was below each ζ, it would have stopped there: one flight serves all thresholds.
 """
 
-import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from multiprocessing import Pool
 from pathlib import Path
 
@@ -26,8 +25,8 @@ from estimator.filter import Config, assimilate, prior
 from estimator.priors import Gamma, Normal, Prior, Uniform
 from link.mavlink import Reading
 from plume.randomness import derived_seed, keyed
-from plume.scenario import BUDGET_STEPS, SUCCESS_RADIUS_M, Scenario, draw
-from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold
+from plume.scenario import BUDGET_STEPS, Scenario, draw
+from plume.sensor import GAUSSIAN, Sensor
 from plume.world import World, float32
 
 Array = NDArray[np.float64]

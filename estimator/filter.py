@@ -83,8 +83,8 @@ class Config:
 
     @property
     def sweeps(self) -> int:
-        """Metropolis sweeps after each resampling: more where there is more to be moved."""
-        return 1 + len(self.unknown_indices)
+        """Metropolis sweeps after each resampling: with more unknowns fewer moves are taken, and less comes of each."""
+        return 3 * max(len(self.unknown_indices) - 1, 1)
 
     def row(self, reading: Reading) -> Array:
         """(6,): a reading as the kernels take it."""

@@ -28,7 +28,7 @@ GAUSSIAN, THRESHOLD, HITS = 0.0, 1.0, 2.0
 
 RESAMPLE_BELOW = 0.5
 """Share of N that the effective sample size must keep."""
-STAGE_FLOOR = 0.1
+STAGE_FLOOR = 0.4
 """Where one reading would crush the effective sample size below this share of N, it is taken in tempered stages."""
 MAX_STAGES = 12
 """After so many stages the rest of a reading is taken at once: no reading, however absurd, may keep the filter busy for long."""
@@ -52,16 +52,18 @@ MIX_ONE = np.uint64(0xBF58476D1CE4E5B9)
 MIX_TWO = np.uint64(0x94D049BB133111EB)
 
 
-@intrinsic  # type: ignore[misc]
-def _bits(_context: Any, _value: Any) -> Any:
-    """Return the 64 bits of a float as a whole number."""
+def _to_bits(_context: Any, _value: Any) -> Any:
     return numba.int64(numba.float64), lambda _c, builder, _s, args: builder.bitcast(args[0], ir.IntType(64))
 
 
-@intrinsic  # type: ignore[misc]
-def _from_bits(_context: Any, _value: Any) -> Any:
-    """Undo `_bits`."""
+def _to_float(_context: Any, _value: Any) -> Any:
     return numba.float64(numba.int64), lambda _c, builder, _s, args: builder.bitcast(args[0], ir.DoubleType())
+
+
+_bits: Any = intrinsic(_to_bits)
+"""The 64 bits of a float as a whole number."""
+_from_bits: Any = intrinsic(_to_float)
+"""The float of 64 bits."""
 
 
 @numba.njit(error_model="numpy")
@@ -90,9 +92,9 @@ def _exp(x: float) -> float:
 @numba.njit(error_model="numpy")
 def _log(x: float) -> float:
     """ln x to the last bit or two, for x > 0 and not subnormal: the series of artanh after the exponent is taken out."""
-    bits = _bits(x)
+    bits: int = _bits(x)
     exponent = (bits - SQRT_HALF_BITS) >> 52
-    f = _from_bits(bits - (exponent << 52)) - 1.0
+    f: float = _from_bits(bits - (exponent << 52)) - 1.0
     s = f / (2.0 + f)
     z = s * s
     p = z * (2 / 19) + 2 / 17
@@ -106,7 +108,7 @@ def _log(x: float) -> float:
     return float(exponent) * LN2_HIGH + (s * (2.0 + p * z) + float(exponent) * LN2_LOW)
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _mix(word: np.uint64) -> np.uint64:
     """SplitMix64's finaliser (Steele et al. 2014)."""
     word = (word ^ (word >> np.uint64(30))) * MIX_ONE
@@ -114,22 +116,22 @@ def _mix(word: np.uint64) -> np.uint64:
     return word ^ (word >> np.uint64(31))
 
 
-@numba.njit
-def _key(seed: np.uint64, step: int, stage: int, stream: int) -> np.uint64:
+@numba.njit(error_model="numpy")
+def _key(seed: int, step: int, stage: int, stream: int) -> np.uint64:
     """Where the SplitMix64 sequence of one (seed, step, stage, stream) begins."""
     word = _mix(seed + GOLDEN)
     word = _mix(word ^ (np.uint64(step) + np.uint64(1)) * GOLDEN)
     return _mix(word ^ (np.uint64(stage * 1024 + stream) + np.uint64(1)) * GOLDEN)
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _uniform(key: np.uint64, index: int) -> float:
     """Draw number `index` of a sequence, uniform in (0, 1)."""
     return (float(_mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN) >> np.uint64(12)) + 0.5) * 2.0**-52
 
 
 @numba.njit("uint64(uint64, int64)", cache=True)
-def uniform_key(seed: np.uint64, step: int) -> np.uint64:
+def uniform_key(seed: int, step: int) -> np.uint64:
     """Return the key that `update` draws with at a step; for tests of the generator."""
     return _key(seed, step, 0, 0)
 
@@ -153,7 +155,7 @@ def exp_and_log(values: Array) -> Array:
     return result
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _only_location(unknowns: NDArray[np.int64], priors: Array) -> bool:
     """Whether x and y alone are unknown and the wind is measured: the paper's case, which has a faster loop."""
     return len(unknowns) == 2 and unknowns[0] == X and unknowns[1] == Y and priors[U, 0] == MEASURED and priors[PHI, 0] == MEASURED
@@ -177,7 +179,7 @@ def _location_means(particles: Array, count: int, reading: Array, priors: Array,
         means[i] = scale / distance * _exp(-distance * inverse_length - (dx * drift_x + dy * drift_y))
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _derive(particles: Array, count: int, unknowns: NDArray[np.int64], priors: Array, derived: Array) -> None:
     """Fill `derived` (DERIVED, count) from particles (D, count) and what is known."""
     values = np.empty(8)
@@ -216,7 +218,7 @@ def _derived_means(derived: Array, count: int, reading: Array, priors: Array, me
         means[i] = derived[3, i] / distance * _exp(-distance * inverse_length - drift * (dx * c + dy * s))
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _normal_cdf(value: float) -> float:
     return 0.5 * math.erfc(-value * math.sqrt(0.5))
 
@@ -244,7 +246,7 @@ def _log_densities(means: Array, count: int, gas: float, sensor: Array, result: 
         result[i] = -0.5 * (residual * residual / variance + _log(variance)) - constant
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _greatest_log_density(gas: float, sensor: Array) -> float:
     """Return what no log-likelihood of this gas value can exceed."""
     if sensor[0] == HITS:
@@ -284,7 +286,7 @@ def _gaussian_tails(means: Array, gas: float, slope: float, floor: float, result
         result[i] = 1 - tail if residual > 0 else tail
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _hits_cdf(count: float, expected: float) -> float:
     """P(K ≤ count) of a Poisson count; beyond 100 by Wilson and Hilferty's cube root."""
     if count < 0:
@@ -300,7 +302,7 @@ def _hits_cdf(count: float, expected: float) -> float:
     return min(total, 1.0)
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _predictive_rank(means: Array, weights: Array, gas: float, sensor: Array, chance: float) -> float:
     """Return how far up its predictive distribution a reading lies: uniform in (0, 1) where the model is right (Dawid 1984).
 
@@ -379,7 +381,8 @@ def _greatest(values: Array) -> float:
         d = max(d, values[i + 3])
     for i in range(whole, len(values)):
         a = max(a, values[i])
-    return max(max(a, b), max(c, d))
+    greatest: float = max(max(a, b), max(c, d))
+    return greatest
 
 
 @numba.njit(error_model="numpy")
@@ -437,7 +440,7 @@ def systematic(weights: Array, offset: float) -> NDArray[np.int64]:
     return ancestors
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _log_prior(particles: Array, i: int, unknowns: NDArray[np.int64], priors: Array) -> float:
     """Log prior density of particle i up to a constant."""
     total = 0.0
@@ -460,7 +463,7 @@ def log_priors(particles: Array, unknowns: NDArray[np.int64], priors: Array) -> 
     return result
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _propose(
     particles: Array,
     frozen: Array,
@@ -499,7 +502,8 @@ def _propose(
 
 
 @numba.njit(
-    "int64(float64[:, ::1], float64[::1], float64[:, ::1], float64, int64[::1], float64[:, ::1], float64[::1], uint64, int64, int64, int64)",
+    "int64(float64[:, ::1], float64[::1], float64[:, ::1], float64, int64[::1], float64[:, ::1], float64[::1], uint64, int64, int64, "
+    "int64)",
     cache=True,
 )
 def metropolis(
@@ -510,7 +514,7 @@ def metropolis(
     unknowns: NDArray[np.int64],
     priors: Array,
     sensor: Array,
-    seed: np.uint64,
+    seed: int,
     step: int,
     stage: int,
     sweeps: int,
@@ -581,7 +585,7 @@ def metropolis(
     return accepted
 
 
-@numba.njit
+@numba.njit(error_model="numpy")
 def _tempered_share(log_weights: Array, log_densities: Array, left: float, weights: Array) -> float:
     """Return the greatest exponent, at most `left`, at which the likelihood leaves about STAGE_FLOOR · N effective particles."""
     floor = STAGE_FLOOR * len(weights)
@@ -615,7 +619,7 @@ def update(
     unknowns: NDArray[np.int64],
     priors: Array,
     sensor: Array,
-    seed: np.uint64,
+    seed: int,
     sweeps: int,
 ) -> float:
     """Assimilate the last of the readings (T, 6), in place; returns its predictive rank.

@@ -44,7 +44,7 @@ def knowledge(args: argparse.Namespace) -> dict[str, Any]:
         if name not in unknown or not 0 < limits[name] < math.inf:
             wanted = ", ".join(name for name in PARAMETERS if name in unknown)
             raise ValueError(
-                f"--stop-on: {args.stop_on!r} is not allowed; wanted `location` and NAME=STD above 0, with commas between; unknown are {wanted}"
+                f"--stop-on: {args.stop_on!r} is not allowed; wanted `location` and NAME=STD above 0, between commas; unknown are {wanted}"
             )
     location = "location" in args.stop_on.split(",")
     return {"priors": priors, "stop_limits": limits, "stop_on_location": location, "sensor": sensor.parse(args.sensor)}

@@ -113,7 +113,7 @@ def _type(schema: dict[str, Any]) -> str:
         return "[" + ", ".join(_type(item) for item in schema["prefixItems"]) + "]"
     if "additionalProperties" in schema and schema["type"] == "object":
         return f"object of {_type(schema['additionalProperties'])}"
-    if "items" in schema and schema["items"]:
+    if schema.get("items"):
         return f"array of {_type(schema['items'])}"
     limits = [
         f"{sign} {schema[name]:g}" for name, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤")) if name in schema
@@ -130,7 +130,8 @@ def _message(kind: type) -> str:
 
 ATTACHMENT = """
 The **attachment** of a belief is the particle array: N rows of little-endian float32, one for each of `unknowns` and then the
-weight: (x m, y m, weight), 12 N bytes, where nothing else is unknown. The weights sum to one. Payload and attachment are one sample: they cannot come from different steps.
+weight: (x m, y m, weight), 12 N bytes, where nothing else is unknown. The weights sum to one. Payload and attachment are one sample:
+they cannot come from different steps.
 """
 
 

@@ -12,7 +12,8 @@ def concentration(
 ) -> NDArray[np.float64]:
     """Mean concentration m = q/(4π d r) · exp(−r/λ + ψ), Vergassola et al. 2007 eq. (S5), the paper's section 2.
 
-    position, source: (..., 2) or (..., 3) m, x east, y north, z up; two are taken to be in one plane.  wind: (..., 2) = (u cos φ, u sin φ) m/s, φ the direction it comes FROM.
+    position, source: (..., 2) or (..., 3) m, x east, y north, z up; two are taken to be in one plane.
+    wind: (..., 2) = (u cos φ, u sin φ) m/s, φ the direction it comes FROM.
     rate q in g/s, diffusivity d in m²/s, lifetime τ in s, (...) each.  Shapes broadcast; returns (...) in g/m³.  Gas lies towards −wind.
     """
     offset = np.asarray(position, np.float64) - np.asarray(source, np.float64)

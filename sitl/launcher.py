@@ -80,8 +80,8 @@ def start_parts(processes: Processes, mission: Mission, scenario: Scenario) -> s
     system = str(mission.instance + 1)
     filter_flags = ("--particles", str(mission.particles), "--threshold", repr(mission.threshold_m), "--sensor", mission.sensor)
     estimator_seed, agent_seed = (str(derived_seed(mission.seed, service)) for service in ("estimator", "agent"))
-    filter_flags += ("--sysid", system, *mission.filter_arguments)
-    processes.start("estimator", "estimator", *joining, *filter_flags, *knowledge, "--seed", estimator_seed)
+    own = ("--seed", estimator_seed, "--sysid", system)
+    processes.start("estimator", "estimator", *joining, *filter_flags, *knowledge, *mission.filter_arguments, *own)
     policy_flags = ("--policy", mission.policy, "--budget", str(mission.budget), "--sysid", system)
     processes.start("agent", "agent", *joining, *policy_flags, "--seed", agent_seed)
     return endpoint

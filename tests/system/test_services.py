@@ -84,8 +84,9 @@ class TestEstimator:
         after = get(beliefs)
         assert (after.payload.to_bytes(), after.attachment.to_bytes()) == (before.payload.to_bytes(), before.attachment.to_bytes())
         for words in (
-            "gas is not finite", "(3.0, 30.5) is outside the area [0, 30] x [0, 30] m", "time_boot_ms 4000 is before 5000", "malformed frame",
-            "is absurd; allowed is -2 to 212.", "a reading of system 2; this is the estimator of system 1", "5000 again, but it is another",
+            "gas is not finite", "(3.0, 30.5) is outside the area [0, 30] x [0, 30] m", "time_boot_ms 4000 is before 5000",
+            "malformed frame", "is absurd; allowed is -2 to 212.", "a reading of system 2; this is the estimator of system 1",
+            "5000 again, but it is another",
         ):  # fmt: skip
             wait_until(lambda words=words: any("warning: refused reading: " in line and words in line for line in estimator.err))
         counted: dict = {}
