@@ -123,7 +123,7 @@ def fly(case: Case, seed: int) -> Flight:
         summary, cloud = belief(posterior, reading, config)
         warned = warned or summary.p_value < INCOMPATIBLE
         for threshold_m in case.thresholds_m:
-            if summary.spread < threshold_m and threshold_m not in stops:
+            if summary.spread < threshold_m and summary.p_value >= INCOMPATIBLE and threshold_m not in stops:
                 mean, covariance = kernels.moments(posterior.particles, posterior.weights)
                 nees, nees_all = (squared_error((mean - wanted)[:n], covariance[:n, :n]) for n in (2, len(mean)))
                 error_m = math.dist(summary.mean, scenario.source)

@@ -16,7 +16,9 @@ RECENT = 30
 FEWEST = 8
 """With fewer there is no telling: the p-value is 1."""
 INCOMPATIBLE = 1e-4
-"""Below this p-value the readings do not fit the model."""
+"""Below this p-value the readings do not fit the model, and nothing is claimed: there is no stop."""
+STUCK = 3
+"""So many readings in a row that are equal to the last bit do not come from a noisy sensor that works."""
 
 
 def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Belief, Particles]:
@@ -32,7 +34,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     )
     (xx, xy), (_, yy) = covariance[:2, :2].tolist()
     spread = math.sqrt(xx + yy)
-    p_value = 1.0 if len(posterior.ranks) < FEWEST else kernels.uniformity_p_value(posterior.ranks[-RECENT:])
+    p_value = fit(posterior, config)
     located = spread < config.threshold_m or not config.stop_on_location
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
@@ -54,10 +56,18 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         spread=spread,
         effective_sample_size=kernels.effective_sample_size(posterior.weights),
         p_value=p_value,
-        ceased=located and all(std[name] < limit for name, limit in config.stop_limits.items()),
+        ceased=p_value >= INCOMPATIBLE and located and all(std[name] < limit for name, limit in config.stop_limits.items()),
     )
     weights = posterior.weights / posterior.weights.sum()
     return summary, np.vstack([posterior.particles, weights]).T.astype(np.float32)
+
+
+def fit(posterior: Posterior, config: Config) -> float:
+    """p-value of the recent readings under the model: of their ranks in their predictive distributions, which should be uniform."""
+    last = posterior.readings[-STUCK:, 5]
+    if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
+        return 0.0
+    return 1.0 if len(posterior.ranks) < FEWEST else float(kernels.uniformity_p_value(posterior.ranks[-RECENT:]))
 
 
 def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[float, float]:

@@ -42,7 +42,7 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     p_value: Annotated[
         float, Meta(ge=0, le=1, description="how well the recent readings fit the model: about 0 where they cannot be its own")
     ]
-    ceased: Annotated[bool, Meta(description="what is asked of a stop is known well enough: the search is over, no waypoint is wanted")]
+    ceased: Annotated[bool, Meta(description="what is asked of a stop is known well enough, and the readings fit the model: the search is over")]
 
 
 class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

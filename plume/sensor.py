@@ -42,6 +42,10 @@ class Gaussian:
         residual = np.asarray(reading, np.float64) - np.asarray(mean, np.float64)
         return np.asarray(-0.5 * np.square(residual / std) - np.log(std) - 0.5 * np.log(2 * np.pi))
 
+    def is_noisy(self, _reading: float) -> bool:
+        """Whether noise keeps this reading from coming twice in a row, to the last bit."""
+        return True
+
     def refusal(self, reading: float, greatest_mean: float) -> str | None:
         """Why this sensor cannot have given a reading where no concentration is above `greatest_mean`; None where it can."""
         low = -SURPRISE * self.environment_noise
@@ -81,6 +85,10 @@ class Threshold:
         heard = math.log1p(-self.missed) + self._analog().log_likelihood(reading, mean)
         return np.where(np.asarray(reading) == 0.0, silent, heard)
 
+    def is_noisy(self, reading: float) -> bool:
+        """Whether noise keeps this reading from coming twice in a row, to the last bit."""
+        return reading != 0.0
+
     def refusal(self, reading: float, greatest_mean: float) -> str | None:
         """Why this sensor cannot have given a reading where no concentration is above `greatest_mean`; None where it can."""
         high = greatest_mean + SURPRISE * float(self._analog().noise_std(greatest_mean))
@@ -108,6 +116,10 @@ class Hits:
         expected = self.efficiency * np.asarray(mean, np.float64) + self.background
         count = np.asarray(reading, np.float64)
         return np.asarray(count * np.log(expected) - expected - _log_gamma(count + 1.0))
+
+    def is_noisy(self, _reading: float) -> bool:
+        """Whether noise keeps this reading from coming twice in a row, to the last bit."""
+        return False
 
     def refusal(self, reading: float, greatest_mean: float) -> str | None:
         """Why this sensor cannot have given a reading where no concentration is above `greatest_mean`; None where it can."""

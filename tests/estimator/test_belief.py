@@ -9,6 +9,7 @@ from estimator.belief import belief, stop
 from estimator.filter import Config, Posterior
 from estimator.priors import Fixed, Normal, Prior, Uniform
 from link.mavlink import Reading
+from plume.sensor import Hits, Threshold
 
 READING = Reading(77, (1.0, 2.0), 5.0, (1.0, 0.0), 0.5)
 
@@ -96,3 +97,27 @@ def test_the_p_value_tells_whether_the_recent_readings_fit_the_model(ranks: list
     summary, _ = belief(posterior_of([[1.0, 3.0], [2.0, 2.0]], [0.75, 0.25], ranks), READING, Config())
     assert (summary.p_value > 0.05) == fits
     assert fits or summary.p_value < 1e-4
+
+
+def after(gases: list[float], **knowledge: object) -> float:
+    """The p-value after readings of these gas values."""
+    readings = np.zeros((len(gases), 6))
+    readings[:, 5] = gases
+    posterior = Posterior(np.array([[1.0, 3.0], [2.0, 2.0]]), np.zeros(2), np.ones(2), np.zeros(2), readings, np.full(len(gases), 0.5))
+    return belief(posterior, READING, Config(threshold_m=2.0, **knowledge))[0].p_value
+
+
+def test_a_noisy_sensor_that_repeats_itself_to_the_last_bit_is_stuck() -> None:
+    assert after([1.0, 0.5, 0.5]) == 1.0
+    assert after([1.0, 0.5, 0.5, 0.5]) == 0.0
+    assert after([0.0, 0.0, 0.0]) == 0.0
+    assert after([0.5, 0.5, 0.5, 0.75]) == 1.0
+    assert after([0.0, 0.0, 0.0], sensor=Threshold()) == 1.0
+    assert after([0.75, 0.75, 0.75], sensor=Threshold()) == 0.0
+    assert after([1.0, 1.0, 1.0], sensor=Hits()) == 1.0
+
+
+def test_nothing_is_claimed_while_the_readings_do_not_fit_the_model() -> None:
+    fitting, stuck = TWO, posterior_of([[1.0, 3.0], [2.0, 2.0]], [0.75, 0.25], [0.999] * 30)
+    assert belief(fitting, READING, Config(threshold_m=0.9))[0].ceased
+    assert not belief(stuck, READING, Config(threshold_m=0.9))[0].ceased
