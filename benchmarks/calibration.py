@@ -7,11 +7,13 @@ Scenarios are the test seeds (1,000,000 and up) and infotaxis flies. A mission i
 asked for; where it first was below each ζ, it would have stopped there: one flight serves all thresholds.
 """
 
+import argparse
 import math
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing import Pool
 from pathlib import Path
 
@@ -25,7 +27,7 @@ from estimator.filter import Config, assimilate, prior
 from estimator.priors import Gamma, Normal, Prior, Uniform
 from link.mavlink import Reading
 from plume.randomness import derived_seed, keyed
-from plume.scenario import BUDGET_STEPS, Scenario, draw
+from plume.scenario import BUDGET_STEPS, SUCCESS_RADIUS_M, Scenario, draw
 from plume.sensor import GAUSSIAN, Sensor
 from plume.world import World, float32
 
@@ -154,3 +156,95 @@ def flights(case: Case, missions: int) -> list[Flight]:
                 print(f"\r{case.name}, N = {case.particles}: {len(results)}/{missions}", end="", file=sys.stderr, flush=True)
     print(f", {time.monotonic() - began:.0f} s", file=sys.stderr)
     return results
+
+
+def wilson(hits: int, of: int) -> str:
+    """A share in percent with its 95% interval (Wilson 1927)."""
+    if of == 0:
+        return "–"
+    z, p = 1.96, hits / of
+    middle, half = (p + z * z / (2 * of)) / (1 + z * z / of), z * math.sqrt(p * (1 - p) / of + z * z / (4 * of * of)) / (1 + z * z / of)
+    return f"{100 * p:.1f} [{100 * max(middle - half, 0):.1f}, {100 * min(middle + half, 1):.1f}]"
+
+
+def bootstrap(values: Array, statistic: Callable[[Array], float]) -> str:
+    """A statistic with its 95% bootstrap interval."""
+    if len(values) == 0:
+        return "–"
+    rng = np.random.default_rng(0)
+    again = [statistic(values[rng.integers(len(values), size=len(values))]) for _ in range(1000)]
+    low, high = np.quantile(again, [0.025, 0.975])
+    return f"{statistic(values):.2f} [{low:.2f}, {high:.2f}]"
+
+
+def quantile(share: float, values: Array) -> float:
+    """Return the value that a share of the values lies below."""
+    return float(np.quantile(values, share))
+
+
+COLUMNS = "ζ, m | missions | ceased, % | located, % | false stop, % | error ≤ 2ζ, % | error p50, m | p95, m | p99, m | mean NEES"
+
+
+def row(results: Sequence[Flight], threshold_m: float) -> str:
+    """One row of a table: what came of the missions at one ζ."""
+    stops = [flight.stops[threshold_m] for flight in results if threshold_m in flight.stops]
+    errors, nees = np.array([stop.error_m for stop in stops]), np.array([stop.nees for stop in stops])
+    located = int((errors <= SUCCESS_RADIUS_M).sum())
+    cells = [
+        f"{threshold_m:g}",
+        str(len(results)),
+        wilson(len(stops), len(results)),
+        wilson(located, len(stops)),
+        wilson(len(stops) - located, len(stops)),
+        wilson(int((errors <= 2 * threshold_m).sum()), len(stops)),
+        *(bootstrap(errors, partial(quantile, q)) for q in (0.5, 0.95, 0.99)),
+        bootstrap(nees, lambda values: float(values.mean())),
+    ]
+    return " | ".join(cells)
+
+
+def table(heading: str, rows: Sequence[tuple[str, str]]) -> str:
+    """A Markdown table whose first column is `heading`."""
+    width = 1 + len(COLUMNS.split("|"))
+    return "\n".join([f"| {heading} | {COLUMNS} |", "|" + "---|" * width, *(f"| {name} | {cells} |" for name, cells in rows)])
+
+
+def section_stop(missions: int) -> str:
+    """The stop over particle numbers and thresholds."""
+    rows = []
+    for count in PARTICLES:
+        results = flights(Case("stop", count), missions)
+        rows += [(str(count), row(results, threshold_m)) for threshold_m in THRESHOLDS_M]
+    return "x and y unknown, the Gaussian sensor: the paper's case.\n\n" + table("N", rows)
+
+
+SECTIONS: dict[str, tuple[str, Callable[[int], str]]] = {"stop": ("The stop", section_stop)}
+"""Heading and writer of each section of the page, by name."""
+
+HEAD = """# How far the stop can be believed
+
+Made by `python benchmarks/calibration.py`: scenarios of the test seeds (1,000,000 and up), flown by infotaxis with a budget of 300
+steps. *located*: the error is at most 1 m. *false stop*: ceased but not located, as a share of ceased. *NEES*: normalised estimation
+error squared at the stop; its mean is 2 for an honest posterior over x and y. In brackets: 95% intervals, Wilson's for shares and
+bootstrap for the rest. One flight serves all thresholds: it would have stopped where its spread first was below each.
+"""
+
+
+def main() -> None:
+    """Fly what is asked for and put its tables into the page; other sections of the page stay as they are."""
+    parser = argparse.ArgumentParser(description="Write the tables of docs/calibration.md.")
+    parser.add_argument("--only", choices=SECTIONS, action="append", help="these sections (default: all)")
+    parser.add_argument("--missions", type=int, default=1000, help="in each cell (default: %(default)s)")
+    args = parser.parse_args()
+    texts = {}
+    if DOCUMENT.exists():
+        parts = DOCUMENT.read_text().split("\n## ")[1:]
+        texts = {name: part for name, (title, _) in SECTIONS.items() for part in parts if part.startswith(title + "\n")}
+    for name in args.only or SECTIONS:
+        title, write = SECTIONS[name]
+        texts[name] = f"{title}\n\n{write(args.missions)}\n"
+        DOCUMENT.write_text(HEAD + "".join(f"\n## {texts[name].rstrip()}\n" for name in SECTIONS if name in texts))
+
+
+if __name__ == "__main__":
+    main()

@@ -42,7 +42,9 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     p_value: Annotated[
         float, Meta(ge=0, le=1, description="how well the recent readings fit the model: about 0 where they cannot be its own")
     ]
-    ceased: Annotated[bool, Meta(description="what is asked of a stop is known well enough, and the readings fit the model: the search is over")]
+    ceased: Annotated[
+        bool, Meta(description="what is asked of a stop is known well enough, and the readings fit the model: the search is over")
+    ]
 
 
 class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -135,7 +135,6 @@ class TestEstimator:
             warnings = json.loads(get(health).payload.to_bytes())["warnings"]
         assert "do not fit the model" in warnings[0]
 
-
     def test_it_does_not_claim_a_find_from_a_sensor_that_is_stuck(self, estimator, stranger: Stranger, wait_until: Callable) -> None:
         beliefs, stops, publish = stranger.subscribe("belief"), stranger.subscribe("agdc/stop"), stranger.publisher("reading")
         said = {"spread": 30.0}
