@@ -65,6 +65,8 @@ def family(pid: int) -> dict[str, int]:
     found = {}
     for child in children:
         words = Path(f"/proc/{child}/cmdline").read_text().split("\0")
+        if len(words) < 4:  # forked, but not the part yet
+            continue
         found[words[3] if words[2] == "sitl" else words[2]] = int(child)
     return found
 
