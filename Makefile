@@ -3,7 +3,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: setup mission test lint docs bench clean
+.PHONY: setup mission test lint docs bench bench-filter calibration clean
 
 setup: $(READY)
 
@@ -31,6 +31,15 @@ docs: setup
 
 bench: setup
 	$(BIN)/python benchmarks/loop.py
+
+# The peers: particles says that it wants an older numpy, and works with ours.
+bench-filter: setup
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps particles==0.4
+	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.filter
+
+calibration: setup
+	$(BIN)/python benchmarks/calibration.py
 
 clean:
 	rm -rf .venv build *.egg-info runs

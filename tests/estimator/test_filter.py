@@ -6,11 +6,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from benchmarks.calibration import harsh
 from estimator import kernels
 from estimator.belief import belief
 from estimator.filter import Config, Posterior, assimilate, prior
 from link.mavlink import Reading
-from plume.randomness import keyed
 from plume.scenario import Scenario, draw
 from plume.world import World
 from tests.estimator.exact import GridPosterior
@@ -46,19 +46,6 @@ def test_a_reading_that_would_crush_the_weights_is_taken_in_stages() -> None:
     summary, _ = belief(posterior, reading, config)
     assert summary.spread == pytest.approx(exact.spread, rel=0.15)
     assert math.dist(summary.mean, exact.mean) < 0.2 * exact.spread
-
-
-def harsh(seed: int) -> tuple[Scenario, list[tuple[float, float]]]:
-    """A scenario from a wider distribution than Table 1, and a straight dash at its source from nearby or far away."""
-    rng = keyed(seed, "harsh")
-    x, y = rng.uniform(0, 30, 2).tolist()
-    q, d = math.exp(rng.uniform(math.log(50), math.log(5000))), math.exp(rng.uniform(math.log(0.2), math.log(8)))
-    s = Scenario(source=(x, y), q=q, u=rng.uniform(0, 6), phi=rng.uniform(0, 2 * math.pi), d=d, tau=rng.uniform(2, 30), start=(0.0, 0.0))
-    bearing, distance = rng.uniform(0, 2 * math.pi), rng.choice([0.0, 0.3, 2.0, 30.0])
-    begin = np.clip([x + distance * math.cos(bearing), y + distance * math.sin(bearing)], 0, 30)
-    steps = 2 + int(math.dist(begin, s.source))
-    path = np.concatenate([np.linspace(begin, s.source, steps), np.repeat([s.source], 5, axis=0)])
-    return s, [(a, b) for a, b in path.astype(np.float32).astype(float).clip(0, 30).tolist()]
 
 
 def test_harsh_missions_leave_a_sound_posterior() -> None:
