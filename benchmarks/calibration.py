@@ -247,7 +247,7 @@ def section_unknowns(missions: int) -> str:
                 means.append(f"| {name}, N {count:,} | {threshold_m:g} | {bootstrap(nees, lambda values: float(values.mean()))} |")
     words = (
         "`q`: the rate is unknown too, U(100, 500). `all eight`: x, y, z ~ U(0, 5) m below a flight at 5 m, q ~ gamma(2, 150), wind speed\n"
-        "and direction within N(0, 0.5 m/s) and N(0, 10°) of what is thought, d ~ U(1, 8), τ ~ U(5, 20); the truth is drawn from these priors."
+        "and direction within N(0, 0.5 m/s) and N(0, 10°) of what is thought, d ~ U(1, 8), τ ~ U(5, 20); the truth is drawn from these."
     )
     both = "| unknown | ζ, m | mean NEES of all unknowns |\n|---|---|---|\n" + "\n".join(means)
     return words + "\n\n" + table("unknown", rows) + "\n\nAn honest mean is 3 with q unknown, 8 with all eight:\n\n" + both
@@ -324,8 +324,8 @@ def section_harsh(missions: int) -> str:
         results = pool.map(survive, range(FIRST_SEED, FIRST_SEED + 10 * missions), chunksize=20)
     beyond = sum(nees > 50 for _, nees in results)
     return (
-        "N 1,000, q log-uniform over 50 to 5,000 g/s, d over 0.2 to 8 m²/s, u to 6 m/s, τ 2 to 30 s; straight dashes at the source from 0,\n"
-        "0.3, 2 and 30 m, and five readings on it.\n\n"
+        "N 1,000, q log-uniform over 50 to 5,000 g/s, d over 0.2 to 8 m²/s, u to 6 m/s, τ 2 to 30 s; straight dashes at the source from\n"
+        "0, 0.3, 2 and 30 m, and five readings on it.\n\n"
         "| missions | unsound: NaN, empty weights, particles outside, % | NEES ever above 50, % | greatest NEES |\n|---|---|---|---|\n"
         f"| {len(results)} | {wilson(sum(not sound for sound, _ in results), len(results))} | {wilson(beyond, len(results))} | "
         f"{max(nees for _, nees in results):.0f} |"
