@@ -60,6 +60,12 @@ def _to_float(_context: Any, _value: Any) -> Any:
     return numba.float64(numba.int64), lambda _c, builder, _s, args: builder.bitcast(args[0], ir.DoubleType())
 
 
+def _to_fused(_context: Any, _a: Any, _b: Any, _c: Any) -> Any:
+    return numba.float64(numba.float64, numba.float64, numba.float64), lambda _x, builder, _s, args: builder.fma(*args)
+
+
+_fma: Any = intrinsic(_to_fused)
+"""a · b + c rounded once; the same bits on processors that have no instruction for it."""
 _bits: Any = intrinsic(_to_bits)
 """The 64 bits of a float as a whole number."""
 _from_bits: Any = intrinsic(_to_float)
@@ -70,21 +76,21 @@ _from_bits: Any = intrinsic(_to_float)
 def _exp(x: float) -> float:
     """e^x to the last bit or two; a polynomial, which loops can be vectorised over. Below −708 it stays at e^−708."""
     x = min(max(x, -708.0), 708.0)
-    shifted = x * LOG2_E + ROUNDER
+    shifted = _fma(x, LOG2_E, ROUNDER)
     whole = shifted - ROUNDER
-    r = (x - whole * LN2_HIGH) - whole * LN2_LOW
-    p = r * (1 / 479001600) + 1 / 39916800
-    p = p * r + 1 / 3628800
-    p = p * r + 1 / 362880
-    p = p * r + 1 / 40320
-    p = p * r + 1 / 5040
-    p = p * r + 1 / 720
-    p = p * r + 1 / 120
-    p = p * r + 1 / 24
-    p = p * r + 1 / 6
-    p = p * r + 0.5
-    p = p * r + 1.0
-    p = p * r + 1.0
+    r = _fma(whole, -LN2_LOW, _fma(whole, -LN2_HIGH, x))
+    p = _fma(r, 1 / 479001600, 1 / 39916800)
+    p = _fma(p, r, 1 / 3628800)
+    p = _fma(p, r, 1 / 362880)
+    p = _fma(p, r, 1 / 40320)
+    p = _fma(p, r, 1 / 5040)
+    p = _fma(p, r, 1 / 720)
+    p = _fma(p, r, 1 / 120)
+    p = _fma(p, r, 1 / 24)
+    p = _fma(p, r, 1 / 6)
+    p = _fma(p, r, 0.5)
+    p = _fma(p, r, 1.0)
+    p = _fma(p, r, 1.0)
     result: float = p * _from_bits((_bits(shifted) - ROUNDER_BITS + 1023) << 52)
     return result
 
@@ -97,15 +103,16 @@ def _log(x: float) -> float:
     f: float = _from_bits(bits - (exponent << 52)) - 1.0
     s = f / (2.0 + f)
     z = s * s
-    p = z * (2 / 19) + 2 / 17
-    p = p * z + 2 / 15
-    p = p * z + 2 / 13
-    p = p * z + 2 / 11
-    p = p * z + 2 / 9
-    p = p * z + 2 / 7
-    p = p * z + 2 / 5
-    p = p * z + 2 / 3
-    return float(exponent) * LN2_HIGH + (s * (2.0 + p * z) + float(exponent) * LN2_LOW)
+    p = _fma(z, 2 / 19, 2 / 17)
+    p = _fma(p, z, 2 / 15)
+    p = _fma(p, z, 2 / 13)
+    p = _fma(p, z, 2 / 11)
+    p = _fma(p, z, 2 / 9)
+    p = _fma(p, z, 2 / 7)
+    p = _fma(p, z, 2 / 5)
+    p = _fma(p, z, 2 / 3)
+    result: float = float(exponent) * LN2_HIGH + (s * _fma(p, z, 2.0) + float(exponent) * LN2_LOW)
+    return result
 
 
 @numba.njit(error_model="numpy")
@@ -125,9 +132,15 @@ def _key(seed: int, step: int, stage: int, stream: int) -> np.uint64:
 
 
 @numba.njit(error_model="numpy")
+def _word(key: np.uint64, index: int) -> np.uint64:
+    """Draw number `index` of a sequence: 64 bits."""
+    return _mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN)
+
+
+@numba.njit(error_model="numpy")
 def _uniform(key: np.uint64, index: int) -> float:
     """Draw number `index` of a sequence, uniform in (0, 1)."""
-    return (float(_mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN) >> np.uint64(12)) + 0.5) * 2.0**-52
+    return (float(_word(key, index) >> np.uint64(12)) + 0.5) * 2.0**-52
 
 
 @numba.njit("uint64(uint64, int64)", cache=True)
@@ -472,33 +485,34 @@ def _propose(
     priors: Array,
     key: np.uint64,
     proposals: Array,
-    owners: NDArray[np.int64],
-) -> int:
-    """Propose a step for each particle (ter Braak 2006); returns how many stay within the prior's support, packed to the front.
+    needed: Array,
+) -> None:
+    """Propose a step for each particle (ter Braak 2006); where it leaves the prior's support, what it needs becomes infinite.
 
     A step is a scaled difference of two other particles, which follows curved and split posteriors, with a little uniform noise.
     """
     rows, count = particles.shape
     largest = 2.38 / math.sqrt(2.0 * rows)
-    kept = 0
+    ones, others, scales = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count)
+    size, low_half, half = np.uint64(count), np.uint64(0xFFFFFFFF), np.uint64(32)
     for i in range(count):
-        one = int(_uniform(key, 4 * i) * count)
-        other = int(_uniform(key, 4 * i + 1) * count)
-        chance = 3 * _uniform(key, 4 * i + 2)
-        scale = largest * (0.7 if chance < 1 else 0.35 if chance < 2 else 0.12)  # finer ones for thin ridges
-        inside = True
-        for row in range(rows):
-            noise = 0.17 * (_uniform(key, 4 * count + rows * i + row) - 0.5)
-            value = particles[row, i] + scale * (frozen[row, one] - frozen[row, other]) + noise * stds[row]
-            low, high = priors[unknowns[row], 3], priors[unknowns[row], 4]
-            if unknowns[row] == PHI and high - low == 2 * math.pi:
-                value = low + (value - low) % (2 * math.pi)
-            inside = inside and low <= value <= high
-            proposals[row, kept] = value
-        if inside:
-            owners[kept] = i
-            kept += 1
-    return kept
+        word = _word(key, 2 * i)
+        ones[i] = ((word >> half) * size) >> half
+        others[i] = ((word & low_half) * size) >> half
+        chance = 3 * _uniform(key, 2 * i + 1)
+        scales[i] = largest * (0.7 if chance < 1 else 0.35 if chance < 2 else 0.12)  # finer ones for thin ridges
+    for row in range(rows):
+        low, high = priors[unknowns[row], 3], priors[unknowns[row], 4]
+        first = (2 + row) * count
+        for i in range(count):
+            noise = 0.17 * (_uniform(key, first + i) - 0.5)
+            proposals[row, i] = particles[row, i] + scales[i] * (frozen[row, ones[i]] - frozen[row, others[i]]) + noise * stds[row]
+        if unknowns[row] == PHI and high - low == 2 * math.pi:
+            for i in range(count):
+                proposals[row, i] = low + (proposals[row, i] - low) % (2 * math.pi)
+        for i in range(count):
+            inside = low <= proposals[row, i] <= high
+            needed[i] = needed[i] if inside else np.inf
 
 
 @numba.njit(
@@ -540,16 +554,20 @@ def metropolis(
     targets, needed, means, densities = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     accepted = 0
     for sweep in range(sweeps):
-        alive = _propose(particles, frozen, stds, unknowns, priors, _key(seed, step, stage, 2 * sweep + 1), proposals, owners)
         key = _key(seed, step, stage, 2 * sweep + 2)
-        for j in range(alive):
-            targets[j] = _log_prior(proposals, j, unknowns, priors)
-            needed[j] = log_targets[owners[j]] + _log(_uniform(key, owners[j]))
+        for i in range(count):
+            owners[i] = i
+            needed[i] = log_targets[i] + _log(_uniform(key, i))
+        _propose(particles, frozen, stds, unknowns, priors, _key(seed, step, stage, 2 * sweep + 1), proposals, needed)
+        for i in range(count):
+            targets[i] = _log_prior(proposals, i, unknowns, priors)
         if not only_location:
-            _derive(proposals, alive, unknowns, priors, derived)
+            _derive(proposals, count, unknowns, priors, derived)
         # Newest first: it is the likeliest to reject. A proposal that cannot reach what it needs any more, even if all the readings
         # left were explained as well as any can be, is given up; that changes no decision.
+        alive = count
         best_left = best
+        next_check = 0
         for back in range(last + 1):
             t = last - back
             if only_location:
@@ -562,18 +580,19 @@ def metropolis(
                 targets[j] += exponent * densities[j]
             if back > 0:
                 best_left -= _greatest_log_density(readings[t, 5], sensor)
-            if back < 4 or back % 4 == 0 or t == 0:
+            if back == next_check and t > 0:
+                next_check = 2 * back + 1
                 kept = 0
                 for j in range(alive):
-                    if targets[j] + best_left >= needed[j]:
-                        for row in range(rows):
-                            proposals[row, kept] = proposals[row, j]
-                        for row in range(len(derived)):
-                            derived[row, kept] = derived[row, j]
-                        owners[kept] = owners[j]
-                        targets[kept] = targets[j]
-                        needed[kept] = needed[j]
-                        kept += 1
+                    for row in range(rows):
+                        proposals[row, kept] = proposals[row, j]
+                    for row in range(len(derived)):
+                        derived[row, kept] = derived[row, j]
+                    owners[kept] = owners[j]
+                    possible = targets[j] + best_left >= needed[j]
+                    targets[kept] = targets[j]
+                    needed[kept] = needed[j]
+                    kept += possible
                 alive = kept
         for j in range(alive):
             if targets[j] >= needed[j]:
@@ -586,11 +605,12 @@ def metropolis(
 
 
 @numba.njit(error_model="numpy")
-def _tempered_share(log_weights: Array, log_densities: Array, left: float, weights: Array) -> float:
-    """Return the greatest exponent, at most `left`, at which the likelihood leaves about STAGE_FLOOR · N effective particles."""
+def _tempered_share(log_weights: Array, log_densities: Array, left: float, weights: Array) -> tuple[float, float]:
+    """Return the greatest exponent, at most `left`, at which the likelihood leaves about STAGE_FLOOR · N effective particles, and those."""
     floor = STAGE_FLOOR * len(weights)
-    if _weigh(log_weights, left, log_densities, weights) >= floor:
-        return left
+    size = _weigh(log_weights, left, log_densities, weights)
+    if size >= floor:
+        return left, size
     low, high = 0.0, left
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -600,8 +620,8 @@ def _tempered_share(log_weights: Array, log_densities: Array, left: float, weigh
         elif size > 1.2 * floor:
             low = middle
         else:
-            return middle
-    return high
+            return middle, size
+    return high, _weigh(log_weights, high, log_densities, weights)
 
 
 @numba.njit(
@@ -648,12 +668,15 @@ def update(
             chance = _uniform(_key(seed, step, 0, 1000), 0)
             rank = _predictive_rank(means[::stride].copy(), weights[::stride].copy(), reading[5], sensor, chance)
         left = 1.0 - exponent
-        share = left if stage == MAX_STAGES else _tempered_share(log_weights, densities, left, weights)
+        if stage == MAX_STAGES:
+            share, size = left, _weigh(log_weights, left, densities, weights)
+        else:
+            share, size = _tempered_share(log_weights, densities, left, weights)
         exponent = 1.0 if share >= left else exponent + share
         for i in range(count):
             log_weights[i] += share * densities[i]
             log_targets[i] += share * densities[i]
-        if effective_sample_size(weights) < RESAMPLE_BELOW * count:
+        if size < RESAMPLE_BELOW * count:
             ancestors = systematic(weights, _uniform(_key(seed, step, stage, 0), 0))
             for row in range(rows):
                 particles[row] = particles[row][ancestors]
