@@ -12,7 +12,7 @@ from estimator.filter import Config, Posterior, prior
 Array = NDArray[np.float64]
 
 MISSIONS_PER_TASK = 8
-"""Missions cost very different times, so threads take them in small portions."""
+"""Missions cost very different times, so threads take them in portions no greater than this."""
 
 
 class Batch:
@@ -37,6 +37,7 @@ class Batch:
         self._seeds = np.array([c.seed for c in configs], np.uint64)
         self._sweeps = first.sweeps
         self._threads = threads
+        self._pool = ThreadPoolExecutor(threads)
 
     def assimilate(self, readings: Array) -> None:
         """Take one reading for each mission: (B, 6) rows as of `Config.row`."""
@@ -55,10 +56,9 @@ class Batch:
         if self._threads == 1:
             portion = len(readings)
             update(0)
-            return
-        portion = MISSIONS_PER_TASK
-        with ThreadPoolExecutor(self._threads) as pool:
-            list(pool.map(update, range(0, len(readings), portion)))
+        else:
+            portion = min(MISSIONS_PER_TASK, -(-len(readings) // self._threads))
+            list(self._pool.map(update, range(0, len(readings), portion)))
 
     def moments(self) -> tuple[Array, Array]:
         """Weighted means (B, D) and covariances (B, D, D)."""
