@@ -25,11 +25,11 @@ STEPS = 30
 
 
 def readings(seed: int, steps: int = STEPS) -> Array:
-    """Readings (T, 6) on a straight way to the source, as `Config.row` gives them."""
+    """Readings (T, 7) on a straight way to the source, as `Config.row` gives them."""
     s = draw(seed)
     world = World(s, seed)
     ways = np.linspace(world.start, s.source, steps).astype(np.float32).tolist()
-    return np.array([[x, y, 0.0, *world.wind, world.gas((x, y), k)] for k, (x, y) in enumerate(ways)])
+    return np.array([[x, y, 0.0, *world.wind, world.gas((x, y), k), 1.0] for k, (x, y) in enumerate(ways)])
 
 
 def config_of(seed: int, count: int) -> Config:

@@ -28,7 +28,7 @@ class Batch:
         self._log_weights = np.stack([p.log_weights for p in posteriors])
         self._weights = np.stack([p.weights for p in posteriors])
         self._log_targets = np.stack([p.log_targets for p in posteriors])
-        self._readings = np.empty((len(configs), 64, 6))
+        self._readings = np.empty((len(configs), 64, 7))
         self._ranks = np.empty((len(configs), 64))
         self._count = 0
         self._unknowns = first.unknown_indices
@@ -40,7 +40,7 @@ class Batch:
         self._pool = ThreadPoolExecutor(threads)
 
     def assimilate(self, readings: Array) -> None:
-        """Take one reading for each mission: (B, 6) rows as of `Config.row`."""
+        """Take one reading for each mission: (B, 7) rows as of `Config.row`."""
         if self._count == self._readings.shape[1]:
             self._readings = np.concatenate([self._readings, np.empty_like(self._readings)], axis=1)
             self._ranks = np.concatenate([self._ranks, np.empty_like(self._ranks)], axis=1)

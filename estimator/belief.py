@@ -18,7 +18,7 @@ FEWEST = 8
 INCOMPATIBLE = 1e-4
 """Below this p-value the readings do not fit the model, and nothing is claimed: there is no stop."""
 STUCK = 3
-"""So many readings in a row that are equal to the last bit do not come from a noisy sensor that works."""
+"""So many readings in a row that are equal to the last bit do not come from a noisy sensor that works; with fewer nothing is claimed."""
 
 
 def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Belief, Particles]:
@@ -56,7 +56,9 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         spread=spread,
         effective_sample_size=kernels.effective_sample_size(posterior.weights),
         p_value=p_value,
-        ceased=p_value >= INCOMPATIBLE and located and all(std[name] < limit for name, limit in config.stop_limits.items()),
+        ceased=may_claim(p_value, len(posterior.readings))
+        and located
+        and all(std[name] < limit for name, limit in config.stop_limits.items()),
     )
     weights = posterior.weights / posterior.weights.sum()
     return summary, np.vstack([posterior.particles, weights]).T.astype(np.float32)
@@ -68,6 +70,11 @@ def fit(posterior: Posterior, config: Config) -> float:
     if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
         return 0.0
     return 1.0 if len(posterior.ranks) < FEWEST else float(kernels.uniformity_p_value(posterior.ranks[-RECENT:]))
+
+
+def may_claim(p_value: float, readings: int) -> bool:
+    """Whether a find may be claimed at all: so many readings have come that a stuck sensor would show, and they fit the model."""
+    return readings >= STUCK and p_value >= INCOMPATIBLE
 
 
 def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[float, float]:

@@ -87,9 +87,9 @@ class Config:
         return 3 * max(len(self.unknown_indices) - 1, 1)
 
     def row(self, reading: Reading) -> Array:
-        """(6,): a reading as the kernels take it."""
+        """(7,): a reading as the kernels take it, all of it."""
         height = reading.altitude_m if "z" in self.priors else 0.0
-        return np.array([*reading.position, height, *reading.wind, reading.gas])
+        return np.array([*reading.position, height, *reading.wind, reading.gas, 1.0])
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Posterior:
     log_targets: Array
     """(N,) log posterior density given all readings so far, up to a constant, at each particle."""
     readings: Array
-    """(T, 6): x, y, height, wind_x, wind_y, gas."""
+    """(T, 7): x, y, height, wind_x, wind_y, gas, share: below 1 where a reading was too far from all belief to be taken whole."""
     ranks: Array
     """(T,) how far up its predictive distribution each reading lay: uniform in (0, 1) where the model is right."""
 
@@ -115,7 +115,7 @@ def prior(config: Config) -> Posterior:
     count = config.particles
     particles = priors.draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
     log_targets = kernels.log_priors(particles, config.unknown_indices, config.prior_rows)
-    return Posterior(particles, np.zeros(count), np.ones(count), log_targets, np.empty((0, 6)), np.empty(0))
+    return Posterior(particles, np.zeros(count), np.ones(count), log_targets, np.empty((0, 7)), np.empty(0))
 
 
 def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Posterior:

@@ -5,8 +5,8 @@ mission's numbers are therefore the same bits alone or in a batch, on any number
 them into vector instructions.
 
 particles: (D, N), a row for each unknown.  unknowns: (D,) indices into x, y, z, q, u, φ, d, τ.
-priors: (8, 5) rows of kind, a, b and the support's ends.  sensor: (5,) kind and numbers.  readings: (T, 6) rows of x, y,
-height above the source's plane or home, wind_x, wind_y, gas.
+priors: (8, 5) rows of kind, a, b and the support's ends.  sensor: (5,) kind and numbers.  readings: (T, 7) rows of x, y,
+height above the source's plane or home, wind_x, wind_y, gas, share: the exponent that the reading's likelihood is taken to.
 """
 
 import math
@@ -30,8 +30,8 @@ RESAMPLE_BELOW = 0.5
 """Share of N that the effective sample size must keep."""
 STAGE_FLOOR = 0.4
 """Where one reading would crush the effective sample size below this share of N, it is taken in tempered stages."""
-MAX_STAGES = 12
-"""After so many stages the rest of a reading is taken at once: no reading, however absurd, may keep the filter busy for long."""
+MAX_STAGES = 40
+"""After so many stages the rest of a reading is left out for good: no reading, however absurd, may crush the cloud to a point."""
 CHECK_PARTICLES = 1000
 """So many particles, evenly spaced, stand for all in the predictive check of a reading."""
 
@@ -516,15 +516,13 @@ def _propose(
 
 
 @numba.njit(
-    "int64(float64[:, ::1], float64[::1], float64[:, ::1], float64, int64[::1], float64[:, ::1], float64[::1], uint64, int64, int64, "
-    "int64)",
+    "int64(float64[:, ::1], float64[::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[::1], uint64, int64, int64, int64)",
     cache=True,
 )
 def metropolis(
     particles: Array,
     log_targets: Array,
     readings: Array,
-    last_exponent: float,
     unknowns: NDArray[np.int64],
     priors: Array,
     sensor: Array,
@@ -535,7 +533,7 @@ def metropolis(
 ) -> int:
     """Metropolis–Hastings sweeps, in place, that leave the posterior given all readings invariant; returns how many moves were taken.
 
-    The last reading's likelihood is raised to `last_exponent`.  log_targets: log posterior of each particle up to a constant.
+    log_targets: log posterior of each particle up to a constant.
     """
     rows, count = particles.shape
     last = len(readings) - 1
@@ -547,7 +545,7 @@ def metropolis(
         stds[row] = math.sqrt(_dot(offsets, offsets) / count)
     best = 0.0
     for t in range(last):
-        best += _greatest_log_density(readings[t, 5], sensor)
+        best += readings[t, 6] * _greatest_log_density(readings[t, 5], sensor)
     proposals = np.empty((rows, count))
     derived = np.empty((0 if only_location else DERIVED, count))
     owners = np.empty(count, np.int64)
@@ -575,11 +573,11 @@ def metropolis(
             else:
                 _derived_means(derived, alive, readings[t], priors, means)
             _log_densities(means, alive, readings[t, 5], sensor, densities)
-            exponent = last_exponent if t == last else 1.0
+            share = readings[t, 6]
             for j in range(alive):
-                targets[j] += exponent * densities[j]
+                targets[j] += share * densities[j]
             if back > 0:
-                best_left -= _greatest_log_density(readings[t, 5], sensor)
+                best_left -= share * _greatest_log_density(readings[t, 5], sensor)
             if back == next_check and t > 0:
                 next_check = 2 * back + 1
                 kept = 0
@@ -642,7 +640,7 @@ def update(
     seed: int,
     sweeps: int,
 ) -> float:
-    """Assimilate the last of the readings (T, 6), in place; returns its predictive rank.
+    """Assimilate the last of the readings (T, 7), in place, its share included; returns its predictive rank.
 
     Reweight, and where the weights degenerate, resample and move (Gordon 1993; Chopin 2002); a reading that would crush the weights
     is taken in tempered stages (Del Moral 2006).  weights: exp(log_weights), the greatest 1.
@@ -668,10 +666,7 @@ def update(
             chance = _uniform(_key(seed, step, 0, 1000), 0)
             rank = _predictive_rank(means[::stride].copy(), weights[::stride].copy(), reading[5], sensor, chance)
         left = 1.0 - exponent
-        if stage == MAX_STAGES:
-            share, size = left, _weigh(log_weights, left, densities, weights)
-        else:
-            share, size = _tempered_share(log_weights, densities, left, weights)
+        share, size = _tempered_share(log_weights, densities, left, weights)
         exponent = 1.0 if share >= left else exponent + share
         for i in range(count):
             log_weights[i] += share * densities[i]
@@ -683,9 +678,11 @@ def update(
             log_targets[:] = log_targets[ancestors]
             log_weights[:] = 0.0
             weights[:] = 1.0
-            metropolis(particles, log_targets, readings, exponent, unknowns, priors, sensor, seed, step, stage, sweeps)
+            reading[6] = exponent
+            metropolis(particles, log_targets, readings, unknowns, priors, sensor, seed, step, stage, sweeps)
             stage += 1
-        if exponent == 1.0:
+        if exponent == 1.0 or stage == MAX_STAGES:
+            reading[6] = exponent
             return rank
 
 

@@ -15,8 +15,10 @@ READING = Reading(77, (1.0, 2.0), 5.0, (1.0, 0.0), 0.5)
 
 
 def posterior_of(particles: list[list[float]], weights: list[float], ranks: list[float] | None = None) -> Posterior:
-    w = np.array(weights)
-    return Posterior(np.array(particles), np.log(w), w / w.max(), np.zeros(len(w)), np.zeros((1, 6)), np.array(ranks or [0.5]))
+    """With three readings behind it."""
+    w, readings = np.array(weights), np.zeros((3, 7))
+    readings[:, 5] = 0.5, 0.25, 0.125
+    return Posterior(np.array(particles), np.log(w), w / w.max(), np.zeros(len(w)), readings, np.array(ranks or [0.5]))
 
 
 TWO = posterior_of([[1.0, 3.0], [2.0, 2.0]], [0.75, 0.25])
@@ -30,7 +32,7 @@ def test_what_is_published_is_what_the_particles_say() -> None:
     assert summary.spread == pytest.approx(math.sqrt(0.75))
     assert summary.effective_sample_size == pytest.approx(1 / (0.5625 + 0.0625))
     assert particles.tolist() == [[1.0, 2.0, 0.75], [3.0, 2.0, 0.25]]
-    assert (summary.time_boot_ms, summary.step) == (77, 0)
+    assert (summary.time_boot_ms, summary.step) == (77, 2)
     assert (summary.rate, summary.diffusivity, summary.lifetime, summary.z, summary.wind) == (300.0, 4.5, 10.0, 5.0, (1.0, 0.0))
 
 
@@ -101,7 +103,7 @@ def test_the_p_value_tells_whether_the_recent_readings_fit_the_model(ranks: list
 
 def after(gases: list[float], **knowledge: object) -> float:
     """The p-value after readings of these gas values."""
-    readings = np.zeros((len(gases), 6))
+    readings = np.zeros((len(gases), 7))
     readings[:, 5] = gases
     posterior = Posterior(np.array([[1.0, 3.0], [2.0, 2.0]]), np.zeros(2), np.ones(2), np.zeros(2), readings, np.full(len(gases), 0.5))
     return belief(posterior, READING, Config(threshold_m=2.0, **knowledge))[0].p_value
@@ -121,3 +123,10 @@ def test_nothing_is_claimed_while_the_readings_do_not_fit_the_model() -> None:
     fitting, stuck = TWO, posterior_of([[1.0, 3.0], [2.0, 2.0]], [0.75, 0.25], [0.999] * 30)
     assert belief(fitting, READING, Config(threshold_m=0.9))[0].ceased
     assert not belief(stuck, READING, Config(threshold_m=0.9))[0].ceased
+
+
+def test_nothing_is_claimed_before_as_many_readings_as_would_show_a_stuck_sensor() -> None:
+    two_readings = Posterior(TWO.particles, TWO.log_weights, TWO.weights, TWO.log_targets, TWO.readings[:2], TWO.ranks)
+    summary, _ = belief(two_readings, READING, Config(threshold_m=0.9))
+    assert summary.spread < 0.9
+    assert not summary.ceased

@@ -66,6 +66,19 @@ def test_harsh_missions_leave_a_sound_posterior() -> None:
     assert sum(nees > 50 for nees in worst) <= 1
 
 
+@pytest.mark.parametrize("gas", [50.0, 125.0, 400.0])
+@pytest.mark.parametrize("offset_m", [1.0, 2.0, 4.0])
+def test_a_reading_far_from_all_that_is_believed_leaves_a_cloud_not_a_point(offset_m: float, gas: float) -> None:
+    """A spike of hundreds of standard deviations, to a belief that is sure to a few centimetres."""
+    s = Scenario(source=(17.0, 22.0), q=322.7, u=1.26, phi=0.995, d=3.1, tau=10.0, start=(0.0, 0.0))
+    config, angles = config_for(s, 1, 1000), np.linspace(0, 4 * math.pi, 24, endpoint=False)
+    *_, (_, posterior) = posteriors(s, 1, [(17 + math.cos(a), 22 + math.sin(a)) for a in angles], config)
+    posterior = assimilate(posterior, Reading(24, (17.0 + offset_m, 22.0), 5.0, s.wind, gas), config)
+    assert kernels.effective_sample_size(posterior.weights) > 400
+    assert len(np.unique(posterior.particles, axis=1).T) > 900
+    assert posterior.particles.std(axis=1).min() > 1e-3
+
+
 @pytest.mark.parametrize("gas", [3e38, -3e38, 1e6])
 def test_an_absurd_reading_neither_hangs_the_filter_nor_breaks_its_numbers(gas: float) -> None:
     config = config_for(draw(4), 1, 300)

@@ -119,7 +119,7 @@ def test_systematic_resampling_is_exact_at_its_edges() -> None:
     assert kernels.systematic(np.array([1.0, 0.0, 0.0]), 0.999).tolist() == [0, 0, 0]
 
 
-READINGS = np.array([[8.0, 8.0, 0.0, 1.9, 2.6, 0.9], [12.0, 9.0, 0.0, 1.9, 2.6, 2.5], [11.0, 12.0, 0.0, 1.9, 2.6, 1.1]])
+READINGS = np.array([[8.0, 8.0, 0.0, 1.9, 2.6, 0.9, 1.0], [12.0, 9.0, 0.0, 1.9, 2.6, 2.5, 1.0], [11.0, 12.0, 0.0, 1.9, 2.6, 1.1, 1.0]])
 
 
 def grid_density(exponent: float, cells: int) -> tuple[np.ndarray, np.ndarray]:
@@ -138,9 +138,10 @@ def moved(start: np.ndarray, config: Config, exponent: float, sweeps: int, seed:
     targets = kernels.log_priors(start, config.unknown_indices, config.prior_rows)
     for t, row in enumerate(READINGS):
         targets += (exponent if t == len(READINGS) - 1 else 1.0) * fused(config, start, row)
-    particles = start.copy()
+    particles, readings = start.copy(), READINGS.copy()
+    readings[-1, 6] = exponent
     taken = kernels.metropolis(
-        particles, targets, READINGS, exponent, config.unknown_indices, config.prior_rows, config.sensor_row, seed, 2, 0, sweeps
+        particles, targets, readings, config.unknown_indices, config.prior_rows, config.sensor_row, seed, 2, 0, sweeps
     )
     return particles, taken / (sweeps * start.shape[1])
 
