@@ -87,7 +87,7 @@ class Config:
         return 3 * max(len(self.unknown_indices) - 1, 1)
 
     def row(self, reading: Reading) -> Array:
-        """(7,): a reading as the kernels take it, all of it."""
+        """(7,): a reading as the kernels take it, with all its weight: they lower the last number where it must be less."""
         height = reading.altitude_m if "z" in self.priors else 0.0
         return np.array([*reading.position, height, *reading.wind, reading.gas, 1.0])
 

@@ -667,6 +667,7 @@ def update(
         left = 1.0 - exponent
         share, size = _tempered_share(log_weights, densities, left, weights)
         exponent = 1.0 if share >= left else exponent + share
+        reading[6] = exponent
         for i in range(count):
             log_weights[i] += share * densities[i]
             log_targets[i] += share * densities[i]
@@ -677,11 +678,9 @@ def update(
             log_targets[:] = log_targets[ancestors]
             log_weights[:] = 0.0
             weights[:] = 1.0
-            reading[6] = exponent
             metropolis(particles, log_targets, readings, unknowns, priors, sensor, seed, step, stage, sweeps)
             stage += 1
         if exponent == 1.0 or stage == MAX_STAGES:
-            reading[6] = exponent
             return rank
 
 

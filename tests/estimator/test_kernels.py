@@ -122,37 +122,42 @@ def test_systematic_resampling_is_exact_at_its_edges() -> None:
 READINGS = np.array([[8.0, 8.0, 0.0, 1.9, 2.6, 0.9, 1.0], [12.0, 9.0, 0.0, 1.9, 2.6, 2.5, 1.0], [11.0, 12.0, 0.0, 1.9, 2.6, 1.1, 1.0]])
 
 
-def grid_density(exponent: float, cells: int) -> tuple[np.ndarray, np.ndarray]:
+Shares = tuple[float, float, float]
+WHOLE: Shares = (1.0, 1.0, 1.0)
+"""The exponents that the likelihoods of READINGS are taken to."""
+
+
+def grid_density(shares: Shares, cells: int) -> tuple[np.ndarray, np.ndarray]:
     """Cell centres (2, M) and probabilities of the exact posterior, from the readable formulas."""
     axis = (np.arange(cells) + 0.5) * 30.0 / cells
     places = np.stack(np.meshgrid(axis, axis, indexing="ij")).reshape(2, -1)
     log_density = np.zeros(places.shape[1])
-    for t, row in enumerate(READINGS):
-        log_density += (exponent if t == len(READINGS) - 1 else 1.0) * readable(CONFIG, places, row)
+    for share, row in zip(shares, READINGS, strict=True):
+        log_density += share * readable(CONFIG, places, row)
     density = np.exp(log_density - log_density.max())
     return places, density / density.sum()
 
 
-def moved(start: np.ndarray, config: Config, exponent: float, sweeps: int, seed: int = 9) -> tuple[np.ndarray, float]:
+def moved(start: np.ndarray, config: Config, shares: Shares, sweeps: int, seed: int = 9) -> tuple[np.ndarray, float]:
     """Particles after Metropolis sweeps over READINGS, and the share of moves that were taken."""
     targets = kernels.log_priors(start, config.unknown_indices, config.prior_rows)
-    for t, row in enumerate(READINGS):
-        targets += (exponent if t == len(READINGS) - 1 else 1.0) * fused(config, start, row)
+    for share, row in zip(shares, READINGS, strict=True):
+        targets += share * fused(config, start, row)
     particles, readings = start.copy(), READINGS.copy()
-    readings[-1, 6] = exponent
+    readings[:, 6] = shares
     taken = kernels.metropolis(
         particles, targets, readings, config.unknown_indices, config.prior_rows, config.sensor_row, seed, 2, 0, sweeps
     )
     return particles, taken / (sweeps * start.shape[1])
 
 
-@pytest.mark.parametrize("exponent", [1.0, 0.4])
-def test_moves_leave_the_posterior_given_all_readings_invariant(exponent: float) -> None:
-    places, probability = grid_density(exponent, 600)
+@pytest.mark.parametrize("shares", [WHOLE, (1.0, 1.0, 0.4), (0.3, 1.0, 0.6)], ids=str)
+def test_moves_leave_the_posterior_given_all_readings_invariant(shares: Shares) -> None:
+    places, probability = grid_density(shares, 600)
     rng = np.random.default_rng(3)
     count = 20_000
     start = places[:, rng.choice(places.shape[1], count, p=probability)] + rng.uniform(-0.025, 0.025, (2, count))  # exact draws
-    particles, rate = moved(start, CONFIG, exponent, 20)
+    particles, rate = moved(start, CONFIG, shares, 20)
     assert 0.05 < rate < 0.95
     assert particles.min() >= 0.0
     assert particles.max() <= 30.0
@@ -188,7 +193,7 @@ def test_moves_leave_a_posterior_with_an_unknown_rate_invariant(prior: Prior) ->
     rng = np.random.default_rng(4)
     count = 20_000
     start = grid[:, rng.choice(grid.shape[1], count, p=probability)] + rng.uniform(-1, 1, (2, count)) * [[0.0375], [1.0]]
-    particles, rate = moved(start, config, 1.0, 20)
+    particles, rate = moved(start, config, WHOLE, 20)
     assert 0.05 < rate < 0.95
     mean = grid @ probability
     std = np.sqrt(grid**2 @ probability - mean**2)
@@ -197,9 +202,9 @@ def test_moves_leave_a_posterior_with_an_unknown_rate_invariant(prior: Prior) ->
 
 
 def test_moves_from_a_wrong_start_reach_the_posterior() -> None:
-    places, probability = grid_density(1.0, 600)
+    places, probability = grid_density(WHOLE, 600)
     start = np.random.default_rng(5).uniform(0, 30, (2, 4000))
-    particles, _ = moved(start, CONFIG, 1.0, 100)
+    particles, _ = moved(start, CONFIG, WHOLE, 100)
     mean = places @ probability
     std = np.sqrt(places**2 @ probability - mean**2)
     # The population's differences shape the steps, so chains are not quite independent: twice the 4 standard errors.
