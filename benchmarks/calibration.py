@@ -287,7 +287,7 @@ def section_faults(missions: int) -> str:
         warned = wilson(sum(flight.warned for flight in results), len(results))
         name = f"{(fault.__doc__ or '').rstrip('.').lower()}; warned in {warned}%"
         rows += [(name, row(results, threshold_m)) for threshold_m in LATER_THRESHOLDS_M]
-    words = "N 1,000. While the readings do not fit the model (p < 1e-4, or the last three equal), and before the third, nothing is claimed."
+    words = "N 1,000. While readings do not fit the model (p < 1e-4, or the last three equal), and before the third, nothing is claimed."
     return words + "\n\n" + table("fault", rows)
 
 
