@@ -1,8 +1,11 @@
-"""`python -m agent`: the agent service alone, on any router; `python -m agent rollout`: a mission in-process."""
+"""`python -m agent`: the agent service alone, on any router; `rollout`: a mission in-process; `evaluate`: many."""
 
 import argparse
 import sys
 
+from agent.evaluate import add_arguments as add_evaluate_arguments
+from agent.evaluate import run as evaluate
+from agent.moves import Reach
 from agent.planners import PLANNERS
 from estimator.options import add_sensor_argument, knowledge
 from link import cli
@@ -25,6 +28,7 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=cli.whole(0, MAX_SEED), default=0, help="of the policy's draws; of the mission in a rollout (default: %(default)s)"
     )
+    cli.add_reach_arguments(parser)
 
 
 def _parse() -> argparse.Namespace:
@@ -32,41 +36,50 @@ def _parse() -> argparse.Namespace:
     cli.add_bus_arguments(parser)
     _add_policy_arguments(parser)
     parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="MAVLink system id of the vehicle (default: %(default)s)")
-    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="rollout")
+    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="rollout | evaluate")
     rollout = commands.add_parser("rollout", help="fly one mission in-process, without Zenoh")
     _add_policy_arguments(rollout)
     cli.add_filter_arguments(rollout)
     add_sensor_argument(rollout)
     cli.add_output_arguments(rollout)
+    evaluate = commands.add_parser("evaluate", help="the figures of policies over many missions, in-process")
+    add_evaluate_arguments(evaluate)
     args = parser.parse_args()
-    if args.command == "rollout":
+    if args.command:
         try:
             args.knowledge = knowledge(args)
         except ValueError as error:
-            rollout.error(str(error))
+            commands.choices[args.command].error(str(error))
     return args
+
+
+def _reach(args: argparse.Namespace) -> Reach:
+    return Reach(args.headings, args.step, args.measurements)
 
 
 def _rollout(args: argparse.Namespace) -> None:
     from agent.rollout import rollout
     from plume.outcome import outcome_json, outcome_text
 
-    result, trace = rollout(args.seed, args.policy, args.particles, args.threshold, args.budget, **args.knowledge)
+    result, trace = rollout(args.seed, args.policy, args.particles, args.threshold, args.budget, _reach(args), **args.knowledge)
     print(outcome_text(result), file=sys.stderr)
     if args.json:
         print(outcome_json(result, trace if args.trace else None))
 
 
-def main() -> None:
-    """Parse the command line, then serve or roll out."""
+def main() -> int | None:
+    """Parse the command line, then serve, roll out or evaluate."""
     args = _parse()
+    if args.command == "evaluate":
+        return evaluate(args)
     if args.command == "rollout":
         _rollout(args)
-        return
+        return None
     from agent.service import run
 
     with Bus("agent", args.connect, args.namespace) as bus:
-        run(bus, args.policy, args.seed, args.budget, args.sysid)
+        run(bus, args.policy, args.seed, args.budget, args.sysid, _reach(args))
+    return None
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""The planners' fused loops, compiled by numba and cached. Plain IEEE arithmetic in a fixed order: the same bits on every run."""
+"""The planners' fused loops, compiled by numba and cached: what hypothetical readings would do to a belief.
+
+Plain IEEE arithmetic in a fixed order: the same bits on every machine and on every run.
+"""
 
 import math
 
@@ -6,37 +9,128 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from plume.numerics import exp, fma, log
+
 Array = NDArray[np.float64]
 
+GAUSSIAN, THRESHOLD, HITS = 0.0, 1.0, 2.0
+HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
+LANES = 128
+"""Sums run in so many parts: enough that none waits for another, few enough to stay in the processor's nearest cache."""
 
-@numba.njit("float64[::1](float64[:, ::1], float64[:, ::1], float64[::1], int64[::1], float64[::1])", cache=True)
-def expected_divergence(mean: Array, std: Array, weights: Array, imagined: NDArray[np.int64], noise: Array) -> Array:
-    """Mean over imagined readings of KL(posterior ‖ prior), nats, for each move (A,).
 
-    mean, std: (A, N) of the reading at each move under each particle.  weights: (N,), sum one.  Imagined reading k of a move is
-    the one of particle imagined[k] with noise[k] standard deviations: a draw from the predictive density.
+@numba.njit(error_model="numpy")
+def _exponents(means: Array, sensor: Array, quadratic: Array, linear: Array, constant: Array) -> None:
+    """Log-likelihood of a reading z under each particle as quadratic · z² + linear · z + constant (but for log z! of hits)."""
+    offset = HALF_LOG_2PI - math.log1p(-sensor[4])
+    for i in range(len(means)):
+        if sensor[0] == HITS:
+            expected = sensor[1] * means[i] + sensor[2]
+            quadratic[i] = 0.0
+            linear[i] = log(expected)
+            constant[i] = -expected
+        else:
+            variance = sensor[1] * sensor[1] * means[i] * means[i] + sensor[2] * sensor[2]
+            inverse = 1 / variance
+            quadratic[i] = -0.5 * inverse
+            linear[i] = means[i] * inverse
+            constant[i] = -0.5 * (means[i] * means[i] * inverse + log(variance)) - offset
+
+
+@numba.njit(error_model="numpy")
+def _silence(means: Array, sensor: Array, constant: Array) -> None:
+    """Log-probability that a threshold sensor says 0, under each particle."""
+    for i in range(len(means)):
+        std = math.sqrt(sensor[1] * sensor[1] * means[i] * means[i] + sensor[2] * sensor[2])
+        below = 0.5 * math.erfc((means[i] - sensor[3]) / std * math.sqrt(0.5))
+        constant[i] = math.log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
+
+
+@numba.njit(error_model="numpy")
+def _sum(values: Array) -> float:
+    """Sum in eight interleaved parts: the additions need not wait for each other, and their order never changes."""
+    a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    whole = len(values) - len(values) % 8
+    for i in range(0, whole, 8):
+        a += values[i]
+        b += values[i + 1]
+        c += values[i + 2]
+        d += values[i + 3]
+        e += values[i + 4]
+        f += values[i + 5]
+        g += values[i + 6]
+        h += values[i + 7]
+    for i in range(whole, len(values)):
+        a += values[i]
+    return ((a + b) + (c + d)) + ((e + f) + (g + h))
+
+
+@numba.njit(error_model="numpy")
+def _reweight(one: Array, two: Array, three: Array, z: float, own: float, weights: Array, values: Array, lanes: Array, sums: Array) -> None:
+    """Reweight by a reading z: sums becomes Σ w L, Σ w L log L and Σ w L v of each row of values (F, N); N is a multiple of LANES.
+
+    One pass over the particles. Sums are kept in LANES lanes, which need not wait for each other and whose order never changes.
     """
-    moves, count = mean.shape
-    gains = np.empty(moves)
-    log_std = np.empty(count)
-    inverse_std = np.empty(count)
-    for a in range(moves):
-        lowest = math.inf
-        for i in range(count):
-            log_std[i] = math.log(std[a, i])
-            inverse_std[i] = 1 / std[a, i]
-            lowest = min(lowest, log_std[i])
-        gain = 0.0
-        for k in range(len(imagined)):
-            reading = mean[a, imagined[k]] + std[a, imagined[k]] * noise[k]
-            total = 0.0
-            weighted = 0.0
-            for i in range(count):
-                residual = (reading - mean[a, i]) * inverse_std[i]
-                log_likelihood = -0.5 * residual * residual - (log_std[i] - lowest)  # at most zero: no overflow
-                likelihood = weights[i] * math.exp(log_likelihood)
-                total += likelihood
-                weighted += likelihood * log_likelihood
-            gain += weighted / total - math.log(total)
-        gains[a] = gain / len(imagined)
-    return gains
+    lanes[:] = 0.0
+    totals, logs, likelihoods = lanes[0], lanes[1], lanes[-1]
+    for start in range(0, len(weights), LANES):
+        for j in range(LANES):
+            i = start + j
+            exponent = fma(fma(one[i], z, two[i]), z, three[i]) - own
+            likelihoods[j] = weights[i] * exp(exponent)
+            totals[j] += likelihoods[j]
+            logs[j] = fma(likelihoods[j], exponent, logs[j])
+        for f in range(len(values)):
+            row, lane = values[f], lanes[2 + f]
+            for j in range(LANES):
+                lane[j] = fma(likelihoods[j], row[start + j], lane[j])
+    for f in range(len(sums)):
+        sums[f] = _sum(lanes[f])
+
+
+@numba.njit(
+    "Tuple((float64[:, ::1], float64[:, ::1], float64[:, :, ::1]))(float64[:, ::1], float64[::1], float64[:, :, ::1], int64[::1], "
+    "float64[:, ::1], float64[::1])",
+    cache=True,
+    nogil=True,
+)
+def imagine(
+    means: Array, weights: Array, values: Array, imagined: NDArray[np.int64], readings: Array, sensor: Array
+) -> tuple[Array, Array, Array]:
+    """Reweight a belief by hypothetical readings, each alone.
+
+    means: (A, N) concentration at each place under each particle.  weights: (N,), sum one.
+    values: (A, F, N) of the particles, seen from each place, or (1, F, N) the same from all.
+    imagined: (K,) the particles that the readings were drawn from.  readings: (A, K).  sensor: (5,) as of `Config.sensor_row`.
+
+    Returns the log predictive density of each reading (A, K), and under the belief after it the expected log-likelihood (A, K) and
+    the expectation of each value (A, K, F). Of hits, log z! is left out of both logarithms: the reading alone decides it.
+    """
+    (places, count), number, rows = means.shape, len(imagined), values.shape[1]
+    padded = count + -count % LANES  # the last few have no weight
+    quadratic, linear, constant = np.zeros(padded), np.zeros(padded), np.zeros(padded)
+    silent, zeros = np.zeros(padded), np.zeros(padded)
+    padded_weights, padded_values = np.zeros(padded), np.zeros((rows, padded))
+    padded_weights[:count] = weights
+    lanes, sums = np.empty((3 + rows, LANES)), np.empty(2 + rows)
+    log_predictive, log_likelihood = np.empty((places, number)), np.empty((places, number))
+    expectations = np.empty((places, number, rows))
+    for a in range(places):
+        if a < len(values):
+            padded_values[:, :count] = values[a]
+        _exponents(means[a], sensor, quadratic, linear, constant)
+        if sensor[0] == THRESHOLD:
+            _silence(means[a], sensor, silent)
+        for k in range(number):
+            z = readings[a, k]
+            if sensor[0] == THRESHOLD and z == 0.0:
+                one, two, three = zeros, zeros, silent
+            else:
+                one, two, three = quadratic, linear, constant
+            own = fma(fma(one[imagined[k]], z, two[imagined[k]]), z, three[imagined[k]])  # the greatest are not far above it
+            _reweight(one, two, three, z, own, padded_weights, padded_values, lanes, sums)
+            log_predictive[a, k] = own + math.log(sums[0])
+            log_likelihood[a, k] = own + sums[1] / sums[0]
+            for f in range(rows):
+                expectations[a, k, f] = sums[2 + f] / sums[0]
+    return log_predictive, log_likelihood, expectations

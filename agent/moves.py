@@ -1,16 +1,39 @@
-"""The moves that a planner chooses from: steps of equal length that stay inside the area."""
+"""How a planner may move, and how much it may imagine before it does."""
+
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plume.scenario import AREA_M, STEP_M
 
-HEADINGS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-"""East, north, west, south."""
+Array = NDArray[np.float64]
 
 
-def moves(position: tuple[float, float], area_m: float = AREA_M) -> NDArray[np.float64]:
-    """Return the waypoints (A, 2) m that one step reaches; float32 values, as the wire carries them."""
-    waypoints = (np.asarray(position) + STEP_M * HEADINGS).astype(np.float32).astype(np.float64)
-    inside = ((waypoints >= 0) & (waypoints <= area_m)).all(axis=1)
-    return waypoints[inside]
+@dataclass(frozen=True)
+class Reach:
+    """What a planner may choose from."""
+
+    headings: int = 4
+    """Evenly spaced, the first one east."""
+    step_m: float = STEP_M
+    measurements: int = 25
+    """Hypothetical readings for each move."""
+    area_m: float = AREA_M
+    """Side of the search area."""
+
+    def moves(self, position: tuple[float, float]) -> Array:
+        """Return the waypoints (A, 2) m that one step reaches without leaving the area; float32 values, as the wire carries them."""
+        return self.inside(np.asarray(position) + self.step_m * self.directions)
+
+    @cached_property
+    def directions(self) -> Array:
+        """Unit vectors (A, 2) of the headings."""
+        angles = 2 * np.pi * np.arange(self.headings) / self.headings
+        return np.round(np.stack([np.cos(angles), np.sin(angles)], axis=1), 15)  # east is east, not east and 6e-17 north
+
+    def inside(self, places: Array) -> Array:
+        """Return those of the places (A, 2), as float32 values, that lie in the area."""
+        places = places.astype(np.float32).astype(np.float64)
+        return places[((places >= 0) & (places <= self.area_m)).all(axis=1)]

@@ -2,7 +2,7 @@
 
 import time
 
-from agent.moves import moves
+from agent.moves import Reach
 from agent.planners import planner
 from link.bus import Arrival, Bus
 from link.keys import BELIEF, MAVLINK_IN
@@ -11,16 +11,17 @@ from link.messages import Belief, Particles, unpack_particles
 from plume.randomness import keyed
 from plume.sensor import parse
 
+DEFAULT = Reach()
 
-def choose(plan_name: str, belief: Belief, particles: Particles, seed: int) -> tuple[float, float]:
+
+def choose(policy: str, belief: Belief, particles: Particles, seed: int, reach: Reach = DEFAULT) -> tuple[float, float]:
     """Return the next waypoint (x, y) m: a function of the belief and the seed alone."""
-    options = moves(belief.position)
-    chosen = planner(plan_name)(belief, particles, options, keyed(seed, plan_name, belief.step))
-    x, y = options[chosen].tolist()
+    chosen = planner(policy)(belief, particles, reach, keyed(seed, policy, belief.step))
+    x, y = reach.moves(belief.position)[chosen].tolist()
     return x, y
 
 
-def run(bus: Bus, policy: str, seed: int, budget: int, system: int) -> None:
+def run(bus: Bus, policy: str, seed: int, budget: int, system: int, reach: Reach) -> None:
     """Serve until interrupted: answer each belief, except where the search has ceased or the budget is spent."""
     planner(policy)  # compiles or loads its kernels before the first belief comes
     codec = Codec(system, ONBOARD_COMPUTER)
@@ -38,7 +39,7 @@ def run(bus: Bus, policy: str, seed: int, budget: int, system: int) -> None:
             continue
         if belief.time_boot_ms > answered:
             began = time.perf_counter()
-            waypoint = choose(policy, belief, particles, seed)
+            waypoint = choose(policy, belief, particles, seed, reach)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.step = belief.step
             answered = belief.time_boot_ms

@@ -1,6 +1,7 @@
 """What the estimator says after a reading: the belief, its particles, and AGDC's stop."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -35,7 +36,6 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     (xx, xy), (_, yy) = covariance[:2, :2].tolist()
     spread = math.sqrt(xx + yy)
     p_value = fit(posterior, config)
-    located = spread < config.threshold_m or not config.stop_on_location
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
         step=len(posterior.readings) - 1,
@@ -56,9 +56,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         spread=spread,
         effective_sample_size=kernels.effective_sample_size(posterior.weights),
         p_value=p_value,
-        ceased=may_claim(p_value, len(posterior.readings))
-        and located
-        and all(std[name] < limit for name, limit in config.stop_limits.items()),
+        ceased=may_claim(p_value, len(posterior.readings)) and sure_enough(spread, std, config, config.threshold_m),
     )
     weights = posterior.weights / posterior.weights.sum()
     return summary, np.vstack([posterior.particles, weights]).T.astype(np.float32)
@@ -75,6 +73,12 @@ def fit(posterior: Posterior, config: Config) -> float:
 def may_claim(p_value: float, readings: int) -> bool:
     """Whether a find may be claimed at all: so many readings have come that a stuck sensor would show, and they fit the model."""
     return readings >= STUCK and p_value >= INCOMPATIBLE
+
+
+def sure_enough(spread: float, stds: Mapping[str, float], config: Config, threshold_m: float) -> bool:
+    """Whether all that a stop is asked on is known well enough, at a ζ that need not be the configured one."""
+    located = spread < threshold_m or not config.stop_on_location
+    return located and all(stds[name] < limit for name, limit in config.stop_limits.items())
 
 
 def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[float, float]:

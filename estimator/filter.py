@@ -17,6 +17,19 @@ from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold
 Array = NDArray[np.float64]
 
 
+def sensor_row(sensor: Sensor) -> Array:
+    """(5,): a sensor as the kernels take it."""
+    row = np.zeros(5)
+    match sensor:
+        case Gaussian(slope, floor):
+            row[:3] = kernels.GAUSSIAN, slope, floor
+        case Threshold(threshold, missed, slope, floor):
+            row[:] = kernels.THRESHOLD, slope, floor, threshold, missed
+        case Hits(efficiency, background):
+            row[:3] = kernels.HITS, efficiency, background
+    return row
+
+
 @dataclass(frozen=True)
 class Config:
     """What the estimator knows beforehand, and when it may say that it has found the source. Raises ValueError on what cannot be."""
@@ -71,15 +84,7 @@ class Config:
     @cached_property
     def sensor_row(self) -> Array:
         """(5,): the sensor as the kernels take it."""
-        row = np.zeros(5)
-        match self.sensor:
-            case Gaussian(slope, floor):
-                row[:3] = kernels.GAUSSIAN, slope, floor
-            case Threshold(threshold, missed, slope, floor):
-                row[:] = kernels.THRESHOLD, slope, floor, threshold, missed
-            case Hits(efficiency, background):
-                row[:3] = kernels.HITS, efficiency, background
-        return row
+        return sensor_row(self.sensor)
 
     @property
     def sweeps(self) -> int:

@@ -10,16 +10,14 @@ height above the source's plane or home, wind_x, wind_y, gas, share: the exponen
 """
 
 import math
-from typing import Any
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from estimator.priors import GAMMA, MEASURED, NORMAL
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.numerics import exp, log
 
 Array = NDArray[np.float64]
 
@@ -39,79 +37,9 @@ HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 DERIVED = 9
 """Rows that the plume needs of a particle: x, y, z, q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ."""
 
-LOG2_E = 1.4426950408889634
-LN2_HIGH = 6.93147180369123816490e-01
-LN2_LOW = 1.90821492927058770002e-10
-ROUNDER = 6755399441055744.0  # 1.5 · 2^52: adding it leaves the nearest whole number in the low bits
-ROUNDER_BITS = 0x4338000000000000
-SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
-
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_ONE = np.uint64(0xBF58476D1CE4E5B9)
 MIX_TWO = np.uint64(0x94D049BB133111EB)
-
-
-def _to_bits(_context: Any, _value: Any) -> Any:
-    return numba.int64(numba.float64), lambda _c, builder, _s, args: builder.bitcast(args[0], ir.IntType(64))
-
-
-def _to_float(_context: Any, _value: Any) -> Any:
-    return numba.float64(numba.int64), lambda _c, builder, _s, args: builder.bitcast(args[0], ir.DoubleType())
-
-
-def _to_fused(_context: Any, _a: Any, _b: Any, _c: Any) -> Any:
-    return numba.float64(numba.float64, numba.float64, numba.float64), lambda _x, builder, _s, args: builder.fma(*args)
-
-
-_fma: Any = intrinsic(_to_fused)
-"""a · b + c rounded once; the same bits on processors that have no instruction for it."""
-_bits: Any = intrinsic(_to_bits)
-"""The 64 bits of a float as a whole number."""
-_from_bits: Any = intrinsic(_to_float)
-"""The float of 64 bits."""
-
-
-@numba.njit(error_model="numpy")
-def _exp(x: float) -> float:
-    """e^x to the last bit or two; a polynomial, which loops can be vectorised over. Below −708 it stays at e^−708."""
-    x = min(max(x, -708.0), 708.0)
-    shifted = _fma(x, LOG2_E, ROUNDER)
-    whole = shifted - ROUNDER
-    r = _fma(whole, -LN2_LOW, _fma(whole, -LN2_HIGH, x))
-    p = _fma(r, 1 / 479001600, 1 / 39916800)
-    p = _fma(p, r, 1 / 3628800)
-    p = _fma(p, r, 1 / 362880)
-    p = _fma(p, r, 1 / 40320)
-    p = _fma(p, r, 1 / 5040)
-    p = _fma(p, r, 1 / 720)
-    p = _fma(p, r, 1 / 120)
-    p = _fma(p, r, 1 / 24)
-    p = _fma(p, r, 1 / 6)
-    p = _fma(p, r, 0.5)
-    p = _fma(p, r, 1.0)
-    p = _fma(p, r, 1.0)
-    result: float = p * _from_bits((_bits(shifted) - ROUNDER_BITS + 1023) << 52)
-    return result
-
-
-@numba.njit(error_model="numpy")
-def _log(x: float) -> float:
-    """ln x to the last bit or two, for x > 0 and not subnormal: the series of artanh after the exponent is taken out."""
-    bits: int = _bits(x)
-    exponent = (bits - SQRT_HALF_BITS) >> 52
-    f: float = _from_bits(bits - (exponent << 52)) - 1.0
-    s = f / (2.0 + f)
-    z = s * s
-    p = _fma(z, 2 / 19, 2 / 17)
-    p = _fma(p, z, 2 / 15)
-    p = _fma(p, z, 2 / 13)
-    p = _fma(p, z, 2 / 11)
-    p = _fma(p, z, 2 / 9)
-    p = _fma(p, z, 2 / 7)
-    p = _fma(p, z, 2 / 5)
-    p = _fma(p, z, 2 / 3)
-    result: float = float(exponent) * LN2_HIGH + (s * _fma(p, z, 2.0) + float(exponent) * LN2_LOW)
-    return result
 
 
 @numba.njit(error_model="numpy")
@@ -162,8 +90,8 @@ def exp_and_log(values: Array) -> Array:
     """Return e^v and ln v as the kernels compute them; for tests."""
     result = np.empty((2, len(values)))
     for i in range(len(values)):
-        result[0, i] = _exp(values[i])
-        result[1, i] = _log(abs(values[i]))
+        result[0, i] = exp(values[i])
+        result[1, i] = log(abs(values[i]))
     return result
 
 
@@ -188,7 +116,7 @@ def _location_means(particles: Array, count: int, reading: Array, priors: Array,
         dx = x - particles[0, i]
         dy = y - particles[1, i]
         distance = max(math.sqrt(dx * dx + dy * dy + dz_squared), SOURCE_RADIUS_M)
-        means[i] = scale / distance * _exp(-distance * inverse_length - (dx * drift_x + dy * drift_y))
+        means[i] = scale / distance * exp(-distance * inverse_length - (dx * drift_x + dy * drift_y))
 
 
 @numba.njit(error_model="numpy")
@@ -227,7 +155,7 @@ def _derived_means(derived: Array, count: int, reading: Array, priors: Array, me
         distance = max(math.sqrt(dx * dx + dy * dy + dz * dz), SOURCE_RADIUS_M)
         drift = u * derived[4, i]
         inverse_length = math.sqrt(derived[5, i] + drift * drift)
-        means[i] = derived[3, i] / distance * _exp(-distance * inverse_length - drift * (dx * c + dy * s))
+        means[i] = derived[3, i] / distance * exp(-distance * inverse_length - drift * (dx * c + dy * s))
 
 
 @numba.njit(error_model="numpy")
@@ -242,20 +170,20 @@ def _log_densities(means: Array, count: int, gas: float, sensor: Array, result: 
         constant = math.lgamma(gas + 1.0)
         for i in range(count):
             expected = sensor[1] * means[i] + sensor[2]
-            result[i] = gas * _log(expected) - expected - constant
+            result[i] = gas * log(expected) - expected - constant
         return
     if sensor[0] == THRESHOLD and gas == 0.0:
         for i in range(count):
             std = math.sqrt((sensor[1] * means[i]) ** 2 + sensor[2] * sensor[2])
             below = _normal_cdf((sensor[3] - means[i]) / std)
-            result[i] = _log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
+            result[i] = log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
         return
     constant = HALF_LOG_2PI - (math.log1p(-sensor[4]) if sensor[0] == THRESHOLD else 0.0)
     slope, floor = sensor[1] * sensor[1], sensor[2] * sensor[2]
     for i in range(count):
         variance = slope * means[i] * means[i] + floor
         residual = gas - means[i]
-        result[i] = -0.5 * (residual * residual / variance + _log(variance)) - constant
+        result[i] = -0.5 * (residual * residual / variance + log(variance)) - constant
 
 
 @numba.njit(error_model="numpy")
@@ -283,6 +211,23 @@ def log_likelihoods(particles: Array, unknowns: NDArray[np.int64], priors: Array
     return result
 
 
+@numba.njit("float64[:, ::1](float64[:, ::1], int64[::1], float64[:, ::1], float64[:, ::1])", cache=True, nogil=True)
+def mean_concentrations(particles: Array, unknowns: NDArray[np.int64], priors: Array, readings: Array) -> Array:
+    """Concentration under each particle where each reading (A, 5 or more) is taken: (A, N)."""
+    count = particles.shape[1]
+    result = np.empty((len(readings), count))
+    only_location = _only_location(unknowns, priors)
+    derived = np.empty((0 if only_location else DERIVED, count))
+    if not only_location:
+        _derive(particles, count, unknowns, priors, derived)
+    for a in range(len(readings)):
+        if only_location:
+            _location_means(particles, count, readings[a], priors, result[a])
+        else:
+            _derived_means(derived, count, readings[a], priors, result[a])
+    return result
+
+
 @numba.njit(error_model="numpy")
 def _gaussian_tails(means: Array, gas: float, slope: float, floor: float, result: Array) -> None:
     """P(Z ≤ gas) for each mean, to 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
@@ -294,7 +239,7 @@ def _gaussian_tails(means: Array, gas: float, slope: float, floor: float, result
         p = p * t + 1.421413741
         p = p * t - 0.284496736
         p = p * t + 0.254829592
-        tail = 0.5 * p * t * _exp(-half_square)
+        tail = 0.5 * p * t * exp(-half_square)
         result[i] = 1 - tail if residual > 0 else tail
 
 
@@ -404,7 +349,7 @@ def _weigh(log_weights: Array, share: float, log_densities: Array, weights: Arra
         weights[i] = log_weights[i] + share * log_densities[i]
     highest = _greatest(weights)
     for i in range(len(weights)):
-        weights[i] = _exp(weights[i] - highest)
+        weights[i] = exp(weights[i] - highest)
     total = _sum(weights)
     return total * total / _dot(weights, weights)
 
@@ -462,7 +407,7 @@ def _log_prior(particles: Array, i: int, unknowns: NDArray[np.int64], priors: Ar
         if kind == NORMAL:
             total -= 0.5 * ((value - a) / b) ** 2
         elif kind == GAMMA:
-            total += (a - 1) * _log(value) - value / b
+            total += (a - 1) * log(value) - value / b
     return total
 
 
@@ -554,7 +499,7 @@ def metropolis(
         key = _key(seed, step, stage, 2 * sweep + 2)
         for i in range(count):
             owners[i] = i
-            needed[i] = log_targets[i] + _log(_uniform(key, i))
+            needed[i] = log_targets[i] + log(_uniform(key, i))
         _propose(particles, frozen, stds, unknowns, priors, _key(seed, step, stage, 2 * sweep + 1), proposals, needed)
         for i in range(count):
             targets[i] = _log_prior(proposals, i, unknowns, priors)

@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Callable
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from link.bus import DEFAULT_ROUTER, BusError
 
@@ -55,22 +55,28 @@ def number(low: float, high: float, *, above: bool = False) -> Callable[[str], f
     return parse
 
 
+def listed(parse: Callable[[str], Any]) -> Callable[[str], list[Any]]:
+    """Argument type: several between commas, each once."""
+    return lambda text: list(dict.fromkeys(parse(item) for item in text.split(",")))
+
+
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags that say which bus to join."""
     parser.add_argument("-e", "--connect", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="Zenoh router to join (default: %(default)s)")
     parser.add_argument("--namespace", metavar="NAME", default="uav/1", help="the vehicle's key prefix (default: %(default)s)")
 
 
-def add_filter_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of the particle filter and its stop."""
-    parser.add_argument("--particles", type=whole(10, 1_000_000), default=1000, metavar="N", help="particles (default: %(default)s)")
+def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the flags of the particle filter and its stop; with `several` the first two take lists."""
+    count, threshold = whole(10, 1_000_000), number(0, 100, above=True)
+    more = ", or several with commas between" if several else ""
     parser.add_argument(
-        "--threshold",
-        type=number(0, 100, above=True),
-        default=0.5,
-        metavar="M",
-        help="stop when the spread is below it (default: %(default)s m)",
+        "--particles", type=listed(count) if several else count, default="1000", metavar="N", help=f"particles{more} (default: %(default)s)"
     )
+    parser.add_argument(
+        "--threshold", type=listed(threshold) if several else threshold, default="0.5", metavar="M",
+        help=f"stop when the spread is below it{more} (default: %(default)s m)",
+    )  # fmt: skip
     parser.add_argument(
         "--prior",
         action="append",
@@ -82,6 +88,19 @@ def add_filter_arguments(parser: argparse.ArgumentParser) -> None:
         "--stop-on", default="location", metavar="WHAT",
         help="what a stop wants to know: location (the threshold), or standard deviations too: location,q=50 (default: %(default)s)",
     )  # fmt: skip
+
+
+def add_reach_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags that say how a planner may move, and how much it imagines."""
+    parser.add_argument(
+        "--headings", type=int, choices=(4, 8), default=4, help="directions that a planner chooses from (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--step", type=number(0, 10, above=True), default=1.0, metavar="M", help="length of a move (default: %(default)g m)"
+    )
+    parser.add_argument(
+        "--measurements", type=whole(1, 10_000), default=25, metavar="K", help="hypothetical readings for each move (default: %(default)s)"
+    )
 
 
 def checked(parse: Callable[[str], object]) -> Callable[[str], str]:

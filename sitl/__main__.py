@@ -79,6 +79,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         metavar="STEPS",
         help="moves before giving up (default: %(default)s)",
     )
+    cli.add_reach_arguments(fly)
     cli.add_filter_arguments(fly)
     fly.add_argument(
         "-l", "--listen", metavar="ENDPOINT", default="tcp/127.0.0.1:0", help="where the router listens (default: a free local port)"
@@ -106,9 +107,10 @@ def _fly(args: argparse.Namespace) -> int:
     if args.home:
         handed_on.append("--home=" + ",".join(map(repr, args.home)))
     filter_arguments = [flag for prior in args.prior for flag in ("--prior", prior)] + ["--stop-on", args.stop_on]
+    agent_arguments = ["--headings", str(args.headings), "--step", repr(args.step), "--measurements", str(args.measurements)]
     mission = Mission(
         args.seed, args.policy, args.particles, args.threshold, args.budget, args.speedup, args.instance, args.listen, args.sensor,
-        filter_arguments, handed_on,
+        filter_arguments, agent_arguments, handed_on,
     )  # fmt: skip
     try:
         result, trace = fly(mission)

@@ -36,6 +36,8 @@ class Mission(NamedTuple):
     sensor: str = "gaussian"
     filter_arguments: Sequence[str] = ()
     """Flags that are handed on to the estimator."""
+    agent_arguments: Sequence[str] = ()
+    """Flags that are handed on to the agent."""
     uav_arguments: Sequence[str] = ()
     """Flags that are handed on to the uav."""
 
@@ -83,7 +85,7 @@ def start_parts(processes: Processes, mission: Mission, scenario: Scenario) -> s
     own = ("--seed", estimator_seed, "--sysid", system)
     processes.start("estimator", "estimator", *joining, *filter_flags, *knowledge, *mission.filter_arguments, *own)
     policy_flags = ("--policy", mission.policy, "--budget", str(mission.budget), "--sysid", system)
-    processes.start("agent", "agent", *joining, *policy_flags, "--seed", agent_seed)
+    processes.start("agent", "agent", *joining, *policy_flags, "--seed", agent_seed, *mission.agent_arguments)
     return endpoint
 
 

@@ -1,0 +1,170 @@
+"""`python -m agent evaluate`: the figures of any policies over many missions, with a progress bar; interrupted, it goes on where it was."""
+
+import argparse
+import csv
+import json
+import os
+import sys
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from agent.figures import Flown, figures
+from agent.moves import Reach
+from agent.planners import PLANNERS
+from agent.sweep import Sweep, fly_all, journal_of, ordered
+from estimator.options import add_sensor_argument
+from link import cli
+from plume.randomness import MAX_SEED
+from plume.scenario import BUDGET_STEPS
+
+FIRST_TEST_SEED = 1_000_000
+KEPT_IN = Path("runs")
+
+
+def policy(text: str) -> str:
+    """Argument type: the name of a policy."""
+    if text not in PLANNERS:
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted {', '.join(PLANNERS)}, with commas between several")
+    return text
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `evaluate`."""
+    parser.add_argument(
+        "--policy",
+        type=cli.listed(policy),
+        default=["infotaxis"],
+        metavar="NAME,NAME",
+        help=f"of {', '.join(PLANNERS)} (default: infotaxis)",
+    )
+    parser.add_argument("--scenarios", type=cli.whole(1, 10_000_000), default=1000, metavar="N", help="missions (default: %(default)s)")
+    parser.add_argument(
+        "--first-seed", type=cli.whole(0, MAX_SEED), default=FIRST_TEST_SEED, metavar="S", help="of the first one (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--budget",
+        type=cli.whole(1, 1_000_000),
+        default=BUDGET_STEPS,
+        metavar="STEPS",
+        help="moves before giving up (default: %(default)s)",
+    )
+    cli.add_reach_arguments(parser)
+    cli.add_filter_arguments(parser, several=True)
+    add_sensor_argument(parser)
+    parser.add_argument("--missions", type=Path, metavar="FILE.csv", help="write a row a mission there")
+    parser.add_argument(
+        "--workers",
+        type=cli.whole(1, 4096),
+        default=os.cpu_count() or 1,
+        metavar="W",
+        help="processes that fly (default: all cores, %(default)s)",
+    )
+    parser.add_argument("--ray", metavar="ADDRESS", help="fly on the Ray cluster there instead; `auto` finds a running one")
+    parser.add_argument("--json", action="store_true", help="print the figures as one JSON object on the last line of stdout")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly what is asked for and print its figures."""
+    sweep = Sweep(
+        args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.threshold, args.budget,
+        Reach(args.headings, args.step, args.measurements), args.knowledge,
+    )  # fmt: skip
+    if args.missions and not args.missions.parent.is_dir():
+        print(f"error: --missions: no folder {str(args.missions.parent)!r} to write in", file=sys.stderr)
+        return cli.BAD_INPUT
+    journal = journal_of(sweep, KEPT_IN)
+    total = len(sweep.flights)
+    rows: list[Flown] = []
+    try:
+        with _progress() as progress:
+            task = progress.add_task("missions", total=total)
+            for flown in fly_all(sweep, journal, args.workers, args.ray):
+                rows += flown
+                progress.advance(task)
+    except KeyboardInterrupt:
+        print(
+            f"interrupted: {len(rows) // len(args.threshold)} of {total} missions are kept; the same command goes on from there",
+            file=sys.stderr,
+        )
+        raise
+    rows = ordered(rows, sweep)
+    if args.missions:
+        write_csv(rows, args.missions)
+    result = named(rows)
+    _print_table(result)
+    if args.json:
+        print(json.dumps(result))
+    journal.unlink()
+    return 0
+
+
+def named(rows: Sequence[Flown]) -> dict[str, Any]:
+    """Figures by policy; where particles or thresholds differ, by policy and those."""
+    groups = [(key, list(group)) for key, group in groupby(rows, key=lambda row: (row.policy, row.particles, row.threshold_m))]
+    single = len({key[1:] for key, _ in groups}) == 1
+    return {
+        name if single else f"{name} particles={count} threshold={threshold_m:g}": figures(group)
+        for (name, count, threshold_m), group in groups
+    }
+
+
+def write_csv(rows: Sequence[Flown], path: Path) -> None:
+    """Write a row a mission, under a row of names."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(Flown.__struct_fields__)
+        writer.writerows(msgspec.structs.astuple(row) for row in rows)
+
+
+def read_csv(path: Path) -> list[Flown]:
+    """Read what `write_csv` wrote."""
+    with path.open(newline="") as file:
+        return [msgspec.convert(row, Flown, strict=False) for row in csv.DictReader(file)]
+
+
+def _progress() -> Progress:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    return Progress(*columns, console=Console(stderr=True))
+
+
+def _print_table(result: dict[str, Any]) -> None:
+    table = Table(box=None, header_style="bold")
+    for heading in (
+        "policy",
+        "missions",
+        "ceased, %",
+        "located, %",
+        "false stop, %",
+        "MTD, m",
+        "NEES",
+        "ST, s",
+        "decision, ms",
+        "update, ms",
+    ):
+        table.add_column(heading, justify="left" if heading == "policy" else "right")
+    for name, said in result.items():
+        shares = [_cell(said, key, 100.0, 1) for key in ("ceased", "located", "false_stop")]
+        means = [_cell(said, key, 1.0, digits) for key, digits in (("mtd_m", 1), ("nees_mean", 2), ("search_time_s", 3))]
+        table.add_row(name, str(said["missions"]), *shares, *means, f"{said['decision_ms']:.2f}", f"{said['update_ms']:.2f}")
+    Console(stderr=True, width=None if sys.stderr.isatty() else 160).print(table)
+
+
+def _cell(said: dict[str, Any], key: str, scale: float, digits: int) -> str:
+    if said[key] is None:
+        return "–"
+    low, high = said[f"{key}_interval"]
+    return f"{scale * said[key]:.{digits}f} [{scale * low:.{digits}f}, {scale * high:.{digits}f}]"

@@ -1,0 +1,93 @@
+"""The figures of a set of missions, each with its 95% interval (Wilson's for shares, bootstrap for means)."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+RESAMPLES = 1000
+
+
+class Flown(msgspec.Struct, frozen=True):
+    """What came of one mission: a row of the raw results. Where it did not cease, its figures are those of its last step."""
+
+    policy: str
+    particles: int
+    threshold_m: float
+    seed: int
+    ceased: bool
+    located: bool
+    estimate_x: float
+    estimate_y: float
+    source_x: float
+    source_y: float
+    error_m: float
+    spread_m: float
+    nees: float
+    """Normalised estimation error squared of the location."""
+    steps: int
+    distance_m: float
+    search_time_s: float
+    decision_ms: float
+    """Compute time of the agent, a decision; mean."""
+    update_ms: float
+    """Compute time of the estimator, a reading; mean."""
+
+
+class Interval(msgspec.Struct, frozen=True):
+    """A figure and its 95% interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def wilson(hits: int, of: int) -> Interval:
+    """A share and its interval (Wilson 1927); of nothing, all is possible."""
+    if of == 0:
+        return Interval(math.nan, 0.0, 1.0)
+    z, p = 1.959964, hits / of
+    middle = (p + z * z / (2 * of)) / (1 + z * z / of)
+    half = z * math.sqrt(p * (1 - p) / of + z * z / (4 * of * of)) / (1 + z * z / of)
+    return Interval(p, max(middle - half, 0.0), min(middle + half, 1.0))
+
+
+def bootstrap(values: Array, statistic: Callable[[Array], Any] = np.mean) -> Interval:
+    """A statistic of values (n,) and its percentile interval; NaN where there are none."""
+    if len(values) == 0:
+        return Interval(math.nan, math.nan, math.nan)
+    rng = np.random.default_rng(0)
+    again = [statistic(values[rng.integers(len(values), size=len(values))]) for _ in range(RESAMPLES)]
+    low, high = np.quantile(again, [0.025, 0.975])
+    return Interval(float(statistic(values)), float(low), float(high))
+
+
+def figures(rows: Sequence[Flown]) -> dict[str, Any]:
+    """Sum up missions of one policy, one number of particles and one ζ; NaN figures, of no ceased mission, are None."""
+    ceased = [row for row in rows if row.ceased]
+    located = sum(row.located for row in ceased)
+
+    def mean(name: str) -> Interval:
+        return bootstrap(np.array([getattr(row, name) for row in ceased]))
+
+    intervals = {
+        "ceased": wilson(len(ceased), len(rows)),
+        "located": wilson(located, len(rows)),
+        "false_stop": wilson(len(ceased) - located, len(ceased)),
+        "mtd_m": mean("distance_m"),
+        "nees_mean": mean("nees"),
+        "error_mean_m": mean("error_m"),
+        "search_time_s": mean("search_time_s"),
+    }
+    summary: dict[str, Any] = {"missions": len(rows), "particles": rows[0].particles, "threshold_m": rows[0].threshold_m}
+    for name, interval in intervals.items():
+        known = not math.isnan(interval.value)
+        summary[name] = interval.value if known else None
+        summary[f"{name}_interval"] = [interval.low, interval.high] if known else None
+    for name in ("decision_ms", "update_ms"):
+        summary[name] = float(np.mean([getattr(row, name) for row in rows]))
+    return summary

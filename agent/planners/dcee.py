@@ -1,0 +1,19 @@
+"""DCEE, dual control for exploitation and exploration: go to where the source is expected to be once the next reading is in."""
+
+import numpy as np
+
+from agent.moves import Reach
+from agent.predict import cloud, imagine
+from link.messages import Belief, Particles
+
+
+def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
+    """The move p' with the least E‖p' − ŝ'‖² + tr Cov' (Chen, Rhodes, Liu 2021), ŝ' and Cov' of the belief after a reading there.
+
+    Both terms together are the expected squared distance from p' to the source under that belief.
+    """
+    moves = reach.moves(belief.position)
+    hypotheses = cloud(belief, particles)
+    squared = np.square(moves[:, :, None] - hypotheses.places).sum(axis=1)  # (A, N)
+    imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, squared[:, None])
+    return int(np.argmin(imagined.expectations.mean(axis=(1, 2))))

@@ -1,0 +1,18 @@
+"""Entrotaxis as the paper's appendix has it: go where the belief is expected to stay the least certain."""
+
+import numpy as np
+
+from agent.moves import Reach
+from agent.predict import cloud, imagine
+from link.messages import Belief, Particles
+
+
+def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
+    """The move with the greatest expected entropy of the particles' weights, −Σ w' log w'."""
+    moves = reach.moves(belief.position)
+    hypotheses = cloud(belief, particles)
+    log_weights = np.log(np.maximum(hypotheses.weights, 1e-300))
+    imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, log_weights[None])
+    # w' = w · likelihood / predictive density: the mean of its logarithm under w' itself.
+    entropies = imagined.log_predictive - imagined.log_likelihood - imagined.expectations[:, :, 0]
+    return int(np.argmax(entropies.mean(axis=1)))

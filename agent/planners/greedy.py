@@ -1,0 +1,11 @@
+"""Greedy: head for the estimate."""
+
+import numpy as np
+
+from agent.moves import Reach
+from link.messages import Belief, Particles
+
+
+def plan(belief: Belief, _particles: Particles, reach: Reach, _rng: np.random.Generator) -> int:
+    """The move that ends nearest to the estimate."""
+    return int(np.argmin(np.linalg.norm(reach.moves(belief.position) - belief.mean, axis=1)))

@@ -1,0 +1,13 @@
+"""Infotaxis as the paper's appendix has it: go where the next reading is expected to leave the least variance."""
+
+import numpy as np
+
+from agent.moves import Reach
+from agent.predict import cloud, variances
+from link.messages import Belief, Particles
+
+
+def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
+    """The move with the least expected trace of the location's covariance."""
+    moves = reach.moves(belief.position)
+    return int(np.argmin(variances(belief, cloud(belief, particles), moves, reach.measurements, rng).mean(axis=1)))

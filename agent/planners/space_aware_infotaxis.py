@@ -1,0 +1,28 @@
+"""Space-aware infotaxis: weigh what the next reading tells against how far the source still is."""
+
+import numpy as np
+
+from agent.moves import Reach
+from agent.predict import cloud, imagine
+from link.messages import Belief, Particles
+
+CELL_M = 1.0
+"""Side of the cells that entropy is counted in: Loisy and Eloy's world is a grid of steps."""
+
+
+def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
+    """The move with the least expected log₂(D + (2^H − 1)/2) (Loisy and Eloy 2022, eq. 3.4).
+
+    D is the expected Manhattan distance in cells from the move to the source, H the entropy in bits of which cell it is in, both under
+    the belief after a reading there; H falls by the information that the reading holds.
+    """
+    moves = reach.moves(belief.position)
+    hypotheses = cloud(belief, particles)
+    distances = np.abs(moves[:, :, None] - hypotheses.places).sum(axis=1) / CELL_M  # (A, N)
+    imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, distances[:, None])
+    columns, rows = (hypotheses.places // CELL_M).astype(np.int64)
+    shares = np.bincount(columns * (1 + rows.max()) + rows, hypotheses.weights)
+    entropy = -np.sum(shares[shares > 0] * np.log2(shares[shares > 0]))
+    entropies = np.maximum(entropy - (imagined.log_likelihood - imagined.log_predictive) / np.log(2), 0.0)  # (A, K)
+    scores = np.log2(imagined.expectations[:, :, 0] + (np.exp2(entropies) - 1) / 2)
+    return int(np.argmin(scores.mean(axis=1)))

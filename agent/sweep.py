@@ -1,0 +1,175 @@
+"""Sweeps: many missions of policies over seeds, particles and thresholds, on all cores or a Ray cluster; what is flown is kept."""
+
+import hashlib
+import math
+import multiprocessing
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from agent.figures import Flown
+from agent.moves import Reach
+from agent.rollout import mission
+from estimator.belief import may_claim, sure_enough
+from estimator.filter import Config
+from link.messages import Belief
+from plume.scenario import BUDGET_STEPS, SUCCESS_RADIUS_M
+
+PACKAGES = ("plume", "link", "estimator", "agent")
+FLIGHTS_A_TASK = 5
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Which missions are flown, and how."""
+
+    policies: Sequence[str]
+    seeds: range
+    particles: Sequence[int] = (1000,)
+    thresholds_m: Sequence[float] = (0.5,)
+    budget: int = BUDGET_STEPS
+    reach: Reach = field(default_factory=Reach)
+    knowledge: dict[str, Any] = field(default_factory=dict)
+    """More fields of `Config`."""
+
+    @property
+    def flights(self) -> list["Flight"]:
+        """All that is to be flown; one flight serves all thresholds."""
+        return [(policy, particles, seed) for policy in self.policies for particles in self.particles for seed in self.seeds]
+
+
+Flight = tuple[str, int, int]
+"""(policy, particles, seed)."""
+
+
+def fly(sweep: Sweep, flight: Flight) -> list[Flown]:
+    """Fly one mission until its spread is below the smallest ζ; returns a row for each ζ: there it would have stopped."""
+    policy, particles, seed = flight
+    scenario, config, flown = mission(seed, policy, particles, min(sweep.thresholds_m), sweep.budget, sweep.reach, **sweep.knowledge)
+    waiting = sorted(sweep.thresholds_m, reverse=True)
+    rows: dict[float, Flown] = {}
+    updates_s: list[float] = []
+    decisions_s: list[float] = []
+    distance_m = 0.0
+    position = scenario.start
+
+    def row(threshold_m: float, ceased: bool) -> Flown:
+        return _row(flight, threshold_m, ceased, said, scenario.source, distance_m, updates_s, decisions_s)
+
+    for said, _, update_s, decision_s in flown:
+        updates_s.append(update_s)
+        if said.step:
+            decisions_s.append(decision_s)
+            distance_m += math.dist(position, said.position)
+        position = said.position
+        while waiting and _ceased(said, config, waiting[0]):
+            threshold_m = waiting.pop(0)
+            rows[threshold_m] = row(threshold_m, True)
+    rows |= {threshold_m: row(threshold_m, False) for threshold_m in waiting}
+    return [rows[threshold_m] for threshold_m in sweep.thresholds_m]
+
+
+def _ceased(said: Belief, config: Config, threshold_m: float) -> bool:
+    stds = dict(zip(said.unknowns, said.stds, strict=True))
+    return may_claim(said.p_value, said.step + 1) and sure_enough(said.spread, stds, config, threshold_m)
+
+
+def _row(
+    flight: Flight, threshold_m: float, ceased: bool, last: Belief, source: tuple[float, float], distance_m: float,
+    updates_s: Sequence[float], decisions_s: Sequence[float],
+) -> Flown:  # fmt: skip
+    policy, particles, seed = flight
+    error = np.subtract(last.mean, source)
+    error_m = math.dist(last.mean, source)
+    xx, xy, yy = last.covariance
+    return Flown(
+        policy=policy,
+        particles=particles,
+        threshold_m=threshold_m,
+        seed=seed,
+        ceased=ceased,
+        located=ceased and error_m <= SUCCESS_RADIUS_M,
+        estimate_x=last.mean[0],
+        estimate_y=last.mean[1],
+        source_x=source[0],
+        source_y=source[1],
+        error_m=error_m,
+        spread_m=last.spread,
+        nees=float(error @ np.linalg.pinv([[xx, xy], [xy, yy]]) @ error),
+        steps=last.step,
+        distance_m=distance_m,
+        search_time_s=sum(updates_s) + sum(decisions_s),
+        decision_ms=1e3 * float(np.mean(decisions_s)) if decisions_s else 0.0,
+        update_ms=1e3 * float(np.mean(updates_s)),
+    )
+
+
+def fly_all(sweep: Sweep, journal: Path, workers: int, ray: str | None = None) -> Iterator[list[Flown]]:
+    """Fly what the journal does not hold yet; yields the rows of each flight as it ends, those of the journal first.
+
+    The journal takes each flight as it ends, so that a sweep that is cut off goes on where it was.
+    """
+    done: dict[Flight, list[Flown]] = {}
+    if journal.exists():
+        for line in journal.read_bytes().splitlines():
+            try:
+                rows = msgspec.json.decode(line, type=list[Flown])
+            except msgspec.DecodeError:
+                continue  # the line that was being written when it was cut off
+            done[rows[0].policy, rows[0].particles, rows[0].seed] = rows
+    wanted = sweep.flights
+    yield from (done[flight] for flight in wanted if flight in done)
+    left = [flight for flight in wanted if flight not in done]
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    with journal.open("ab", buffering=0) as file:
+        file.write(b"\n")  # ends a line that was cut off
+        for rows in _on_ray(sweep, left, ray) if ray else _on_cores(sweep, left, workers):
+            file.write(msgspec.json.encode(rows) + b"\n")
+            yield rows
+
+
+def _on_cores(sweep: Sweep, flights: Sequence[Flight], workers: int) -> Iterator[list[Flown]]:
+    if not flights:
+        return
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # one thread a worker: pools beside each other slow all of them down
+    with multiprocessing.get_context("spawn").Pool(min(workers, len(flights))) as pool:
+        yield from pool.imap_unordered(partial(fly, sweep), flights, chunksize=1)
+
+
+def _on_ray(sweep: Sweep, flights: Sequence[Flight], address: str | None) -> Iterator[list[Flown]]:
+    import ray
+
+    ray.init(address, log_to_driver=False, logging_level="ERROR")
+    try:
+        remote = ray.remote(num_cpus=1)(lambda chunk: [fly(sweep, flight) for flight in chunk])
+        chunks = [flights[i : i + FLIGHTS_A_TASK] for i in range(0, len(flights), FLIGHTS_A_TASK)]
+        waiting = [remote.remote(chunk) for chunk in chunks]
+        while waiting:
+            finished, waiting = ray.wait(waiting)
+            for chunk in ray.get(finished):
+                yield from chunk
+    finally:
+        ray.shutdown()
+
+
+def journal_of(sweep: Sweep, folder: Path) -> Path:
+    """Return the file in which a sweep is kept: another for another question, or for other code."""
+    digest = hashlib.blake2b(repr((sweep.thresholds_m, sweep.budget, sweep.reach, sorted(sweep.knowledge.items()))).encode(), digest_size=8)
+    root = Path(__file__).parents[1]
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return folder / f"evaluate-{digest.hexdigest()}.jsonl"
+
+
+def ordered(rows: Iterable[Flown], sweep: Sweep) -> list[Flown]:
+    """Sort rows as they were asked for; the order in which workers end does not show."""
+    rank = {policy: i for i, policy in enumerate(sweep.policies)}
+    return sorted(rows, key=lambda row: (rank[row.policy], row.particles, row.threshold_m, row.seed))

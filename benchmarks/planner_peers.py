@@ -1,0 +1,172 @@
+"""Two other ways to decide on a move from a belief, as a benchmark's peers: plain vectorised NumPy, and Stone Soup's expected KLD.
+
+Both know what ours know. Beliefs are over x and y, the source at the height flown: the default. Stone Soup is imported where its peer
+is made: this module does not need it.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.moves import Reach
+from link.messages import Belief, Particles
+from plume.dispersion import concentration
+from plume.randomness import keyed
+from plume.sensor import Gaussian, parse
+
+Array = NDArray[np.float64]
+Scores = Callable[[Belief, Particles, Reach, np.random.Generator], Array]
+"""(belief, particles, what may be chosen from, keyed randomness) -> (A,) of the moves; the greatest is chosen."""
+
+
+@dataclass(frozen=True)
+class Imagined:
+    """K hypothetical readings at one place, under N particles."""
+
+    place: Array
+    """(2,), m."""
+    sources: Array
+    """(N, 2): where the particles see the source, m."""
+    weights: Array
+    """(N,), sum one."""
+    log_likelihoods: Array
+    """(K, N)."""
+    likelihoods: Array
+    """(K, N)."""
+    predictive: Array
+    """(K,): density of each reading in the belief's predictive distribution."""
+
+
+def imagine(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Iterator[Imagined]:
+    """Draw readings at each place that can be reached from the predictive density there: the draws of `agent.predict.imagine`."""
+    sensor = parse(belief.sensor)
+    sources, weights = particles[:, :2].astype(np.float64), particles[:, 2].astype(np.float64)
+    weights = weights / weights.sum()
+    cumulative = np.cumsum(weights)
+    strata = (np.arange(reach.measurements) + rng.random()) / reach.measurements * cumulative[-1]
+    drawn = np.minimum(np.searchsorted(cumulative, strata, side="right"), len(cumulative) - 1)
+    seed = int(rng.integers(2**63))
+    for place in reach.moves(belief.position):
+        means = concentration(place, sources, belief.wind, rate=belief.rate, diffusivity=belief.diffusivity, lifetime=belief.lifetime)
+        readings = sensor.measure(means[drawn], np.random.Generator(np.random.Philox(seed)))
+        log_likelihoods = sensor.log_likelihood(readings[:, None], means)
+        likelihoods = np.exp(log_likelihoods)
+        yield Imagined(place, sources, weights, log_likelihoods, likelihoods, likelihoods @ weights)
+
+
+def infotaxis(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Array:
+    """Kullback–Leibler divergence from the belief to the belief after a reading, nats."""
+    return np.array(
+        [
+            np.mean((there.likelihoods * there.log_likelihoods) @ there.weights / there.predictive - np.log(there.predictive))
+            for there in imagine(belief, particles, reach, rng)
+        ]
+    )
+
+
+def entrotaxis(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Array:
+    """Entropy of the reading, nats: −log of its predictive density."""
+    return np.array([-np.mean(np.log(there.predictive)) for there in imagine(belief, particles, reach, rng)])
+
+
+def dcee(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Array:
+    """Minus the squared distance to the source that is expected after a reading, m²."""
+
+    def expected(there: Imagined) -> Array:
+        squared = np.square(there.place - there.sources).sum(axis=1)
+        return np.asarray(there.likelihoods @ (there.weights * squared) / there.predictive)
+
+    return np.array([-np.mean(expected(there)) for there in imagine(belief, particles, reach, rng)])
+
+
+NUMPY: dict[str, Scores] = {"infotaxis": infotaxis, "entrotaxis": entrotaxis, "dcee": dcee}
+"""By the names of our planners: the same means over the same draws, by the sensor's and the plume's own definitions, uncompiled."""
+
+
+def choose(policy: str, belief: Belief, particles: Particles, seed: int, reach: Reach) -> tuple[float, float]:
+    """Return the next waypoint (x, y) m as `agent.service.choose` does, by NumPy."""
+    scores = NUMPY[policy](belief, particles, reach, keyed(seed, policy, belief.step))
+    x, y = reach.moves(belief.position)[np.argmax(scores)].tolist()
+    return x, y
+
+
+class StoneSoup:
+    """Stone Soup's reward for sensor management by expected Kullback–Leibler divergence, put together as in its own gas example.
+
+    As there: `GasIntensitySensor` on a `FixedPlatform` whose controller offers the moves, a `ParticleUpdater` that neither resamples
+    nor regularises, no predictor (it does nothing to a source that stays), and for each move a deep copy of the platform, which is
+    part of the method's cost. The state has the model's own eight dimensions; the six that are known are the same in all particles.
+
+    What differs from ours, and from infotaxis:
+    - One measurement a move, `ExpectedKLDivergence`: what a source at the belief's mean would give, without noise. With more, the
+      example's `MultiUpdateExpectedKLDivergence`: of particles resampled anew for each move, from NumPy's global state; their noise
+      lacks the environment's part; the reward is their sum, not their mean.
+    - The divergence is Σ w log(w/w') from the updated belief to the one before, in nats, the greatest chosen; infotaxis has
+      Σ w' log(w'/w). Particles whose likelihood is zero in double precision are left out of the sum, where they should make it infinite.
+    - σ is α m + β, the noises added up instead of in quadrature. The sensing threshold is put below all readings, and none is missed.
+    - The controller is the library's `MaxSpeedActionableMovable`, which knows four and eight headings; the example's grid knows four.
+      Staying, which both offer, is passed over.
+
+    What a user of the library holds already, the particle state and the platform, is made here and not in `choose`.
+    """
+
+    def __init__(self, belief: Belief, particles: Particles, reach: Reach, measurements: int = 1) -> None:
+        """Set up the platform at the belief's position, the track that ends in its particles, and the reward."""
+        from stonesoup.movable.max_speed import MaxSpeedActionableMovable
+        from stonesoup.platform import FixedPlatform
+        from stonesoup.sensor.gas import GasIntensitySensor
+        from stonesoup.sensormanager.reward import ExpectedKLDivergence, MultiUpdateExpectedKLDivergence
+        from stonesoup.types.state import ParticleState, State, StateVectors
+        from stonesoup.types.track import Track
+        from stonesoup.updater.particle import ParticleUpdater
+
+        noise = parse(belief.sensor)
+        assert isinstance(noise, Gaussian)
+        now = datetime(2000, 1, 1)
+        self._then = now + timedelta(seconds=1)
+        sensor = GasIntensitySensor(
+            min_noise=noise.environment_noise,
+            standard_deviation_percentage=noise.sensor_noise,
+            missed_detection_probability=0,
+            sensing_threshold=-np.inf,
+        )
+        controller = MaxSpeedActionableMovable(
+            states=[State([[belief.position[0]], [belief.position[1]], [belief.altitude_m]], timestamp=now)],
+            position_mapping=(0, 1, 2),
+            action_mapping=(0, 1),
+            action_space=np.array([[0, reach.area_m], [0, reach.area_m]]),
+            max_speed=reach.step_m,
+            resolution=reach.step_m,
+            angle_resolution=2 * np.pi / reach.headings,
+        )
+        self._platform: Any = FixedPlatform(movement_controller=controller, sensors=[sensor])
+        x, y, weights = particles.T.astype(np.float64)
+        wind_x, wind_y = belief.wind
+        known = belief.z, belief.rate, math.hypot(wind_x, wind_y), math.atan2(wind_y, wind_x), belief.diffusivity, belief.lifetime
+        state = StateVectors(np.vstack([x, y, *(np.full(len(x), value) for value in known)]))
+        with np.errstate(divide="ignore"):
+            self._track: Any = Track([ParticleState(state, log_weight=np.log(weights / weights.sum()), timestamp=now)])
+        updater = ParticleUpdater(measurement_model=None)
+        if measurements == 1:
+            self._reward: Any = ExpectedKLDivergence(updater=updater)
+        else:
+            self._reward = MultiUpdateExpectedKLDivergence(updater=updater, updates_per_track=measurements)
+
+    def rewards(self) -> dict[tuple[float, float], float]:
+        """Reward of each waypoint (x, y) m, nats; the greatest is chosen."""
+        (actions,) = self._platform.actions(self._then)
+        result = {}
+        for action in list(actions)[1:]:  # the first is to stay
+            x, y, _ = action.target_value.ravel().tolist()
+            result[x, y] = float(self._reward({self._platform: (action,)}, {self._track}, self._then))
+        return result
+
+    def choose(self) -> tuple[float, float]:
+        """Return the next waypoint (x, y) m."""
+        rewards = self.rewards()
+        return max(rewards, key=rewards.__getitem__)

@@ -1,0 +1,52 @@
+"""Protects the planners' speed from costing their result: scores and moves are those of plain NumPy, on beliefs of real missions."""
+
+import numpy as np
+import pytest
+
+from agent.moves import Reach
+from agent.planners import planner
+from agent.predict import cloud, imagine
+from agent.service import choose
+from benchmarks import planner_peers
+from benchmarks.planner_peers import NUMPY
+from benchmarks.planners import FIRST_SEED, Case, beliefs
+
+
+@pytest.fixture(scope="module")
+def cases() -> list[Case]:
+    """Beliefs from the first to the last before the stop, of missions with several numbers of particles."""
+    flown = [beliefs(FIRST_SEED + i, count, kept=6) for i, count in enumerate((300, 500, 700, 1000))]
+    assert min(mission[-1][0].spread for mission in flown) < 0.6  # nearly ceased
+    return [case for mission in flown for case in mission]
+
+
+def ours(name: str, case: Case, reach: Reach, rng: np.random.Generator) -> np.ndarray:
+    """(A,): what our planner of that name compares; the greatest is chosen."""
+    belief, particles = case
+    moves, hypotheses = reach.moves(belief.position), cloud(belief, particles)
+    squared = np.square(moves[:, :, None] - hypotheses.places).sum(axis=1)
+    imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, squared[:, None])
+    return {
+        "infotaxis": imagined.information,
+        "entrotaxis": -imagined.log_predictive.mean(axis=1),
+        "dcee": -imagined.expectations.mean(axis=(1, 2)),
+    }[name]
+
+
+@pytest.mark.parametrize("headings", [4, 8])
+@pytest.mark.parametrize("name", NUMPY)
+def test_scores_are_those_of_plain_numpy(name: str, headings: int, cases: list[Case]) -> None:
+    reach = Reach(headings=headings)
+    for case in cases:
+        expected = NUMPY[name](*case, reach, np.random.default_rng(1))
+        assert ours(name, case, reach, np.random.default_rng(1)) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("headings", [4, 8])
+@pytest.mark.parametrize("name", NUMPY)
+def test_moves_are_those_of_plain_numpy(name: str, headings: int, cases: list[Case]) -> None:
+    reach = Reach(headings=headings)
+    for case in cases:
+        assert choose(name, *case, 7, reach) == planner_peers.choose(name, *case, 7, reach)
+    chosen = {planner(name)(*case, reach, np.random.default_rng(1)) for case in cases}
+    assert len(chosen) > 1  # not one heading for all

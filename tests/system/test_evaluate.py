@@ -1,0 +1,59 @@
+"""Protects `python -m agent evaluate` as it is typed: its figures, its errors, and that an interrupt loses nothing."""
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+QUICK = ("agent", "evaluate", "--policy", "greedy,thompson", "--first-seed", "7", "--particles", "100", "--budget", "40", "--workers", "2")
+
+
+def test_it_prints_the_figures_as_json_and_writes_a_row_a_mission(start, tmp_path: Path) -> None:
+    sweep = start(*QUICK, "--scenarios", "3", "--json", "--missions", "missions.csv", cwd=tmp_path)
+    assert sweep.ended() == 0, sweep.err
+    figures = json.loads(sweep.out[-1])
+    assert list(figures) == ["greedy", "thompson"]
+    wanted = {"missions", "ceased", "located", "false_stop", "mtd_m", "nees_mean", "search_time_s", "decision_ms", "update_ms"}
+    assert wanted < set(figures["greedy"])
+    rows = (tmp_path / "missions.csv").read_text().splitlines()
+    assert len(rows) == 1 + 2 * 3
+    ceased = sum(row.split(",")[4] == "True" for row in rows[1:4])
+    assert figures["greedy"]["ceased"] == pytest.approx(ceased / 3)
+    assert not list((tmp_path / "runs").iterdir())  # the journal of a sweep that is done is gone
+
+
+def test_an_interrupted_sweep_goes_on_where_it_was(start, tmp_path: Path, wait_until: Callable) -> None:
+    command = (*QUICK, "--scenarios", "300", "--json")
+    first = start(*command, cwd=tmp_path)
+    wait_until(lambda: any(path.read_bytes().count(b"\n") > 5 for path in tmp_path.glob("runs/*.jsonl")))
+    first.process.send_signal(signal.SIGINT)
+    assert first.ended() == 130
+    assert any("the same command goes on from there" in line for line in first.err)
+    (journal,) = tmp_path.glob("runs/*.jsonl")
+    kept = journal.read_bytes()
+    second = start(*command, cwd=tmp_path)
+    wait_until(lambda: len(journal.read_bytes()) > len(kept))
+    assert journal.read_bytes().startswith(kept)
+    second.process.send_signal(signal.SIGINT)
+    assert second.ended() == 130
+
+
+@pytest.mark.parametrize(
+    ("flags", "error"),
+    [
+        (("--policy", "greedy,clairvoyance"), "--policy: 'clairvoyance' is not allowed; wanted infotaxis, "),
+        (("--particles", "100,3"), "--particles: '3' is not allowed; wanted a whole number from 10 to 1000000"),
+        (("--threshold", "0.5,"), "--threshold: '' is not allowed; wanted a number above 0 up to 100"),
+        (("--scenarios", "0"), "--scenarios: '0' is not allowed"),
+        (("--headings", "5"), "--headings: invalid choice: 5 (choose from 4, 8)"),
+        (("--missions", "nowhere/missions.csv"), "--missions: no folder 'nowhere' to write in"),
+        (("--stop-on", "q=3"), "--stop-on: 'q=3' is not allowed"),
+    ],
+)
+def test_bad_input_is_one_line_that_says_what_is_allowed(start, tmp_path: Path, flags: tuple[str, str], error: str) -> None:
+    sweep = start(*QUICK, *flags, cwd=tmp_path)
+    assert sweep.ended() == 2
+    (line,) = sweep.err
+    assert error in line
