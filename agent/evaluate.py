@@ -2,13 +2,14 @@
 
 import argparse
 import csv
+import gzip
 import json
 import os
 import sys
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, cast
 
 import msgspec
 from rich.console import Console
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cli.add_reach_arguments(parser)
     cli.add_filter_arguments(parser, several=True)
     add_sensor_argument(parser)
-    parser.add_argument("--missions", type=Path, metavar="FILE.csv", help="write a row a mission there")
+    parser.add_argument("--missions", type=Path, metavar="FILE.csv", help="write a row a mission there; FILE.csv.gz compresses")
     parser.add_argument(
         "--workers",
         type=cli.whole(1, 4096),
@@ -116,17 +117,26 @@ def named(rows: Sequence[Flown]) -> dict[str, Any]:
 
 
 def write_csv(rows: Sequence[Flown], path: Path) -> None:
-    """Write a row a mission, under a row of names."""
-    with path.open("w", newline="") as file:
+    """Write a row a mission, under a row of names; a name that ends in .gz is compressed."""
+    with _open(path, "wt") as file:
         writer = csv.writer(file)
         writer.writerow(Flown.__struct_fields__)
         writer.writerows(msgspec.structs.astuple(row) for row in rows)
 
 
 def read_csv(path: Path) -> list[Flown]:
-    """Read what `write_csv` wrote."""
-    with path.open(newline="") as file:
-        return [msgspec.convert(row, Flown, strict=False) for row in csv.DictReader(file)]
+    """Read what `write_csv` wrote. Raises ValueError on anything else."""
+    with _open(path, "rt") as file:
+        try:
+            rows = ({name: cell or None for name, cell in row.items()} for row in csv.DictReader(file))
+            return [msgspec.convert(row, Flown, strict=False) for row in rows]
+        except (msgspec.ValidationError, csv.Error, OSError, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: {error}") from error
+
+
+def _open(path: Path, mode: str) -> IO[str]:
+    opener = gzip.open if path.suffix == ".gz" else open
+    return cast(IO[str], opener(path, mode, newline=""))
 
 
 def _progress() -> Progress:
@@ -150,6 +160,7 @@ def _print_table(result: dict[str, Any]) -> None:
         "located, %",
         "false stop, %",
         "MTD, m",
+        "floors",
         "NEES",
         "ST, s",
         "decision, ms",
@@ -158,7 +169,7 @@ def _print_table(result: dict[str, Any]) -> None:
         table.add_column(heading, justify="left" if heading == "policy" else "right")
     for name, said in result.items():
         shares = [_cell(said, key, 100.0, 1) for key in ("ceased", "located", "false_stop")]
-        means = [_cell(said, key, 1.0, digits) for key, digits in (("mtd_m", 1), ("nees_mean", 2), ("search_time_s", 3))]
+        means = [_cell(said, key, 1.0, digits) for key, digits in (("mtd_m", 1), ("mtd_floors", 2), ("nees_mean", 2), ("search_time_s", 3))]
         table.add_row(name, str(said["missions"]), *shares, *means, f"{said['decision_ms']:.2f}", f"{said['update_ms']:.2f}")
     Console(stderr=True, width=None if sys.stderr.isatty() else 160).print(table)
 

@@ -31,6 +31,8 @@ class Flown(msgspec.Struct, frozen=True):
     """Normalised estimation error squared of the location."""
     steps: int
     distance_m: float
+    floor_m: float | None
+    """The information floor at ζ, which an oracle could fly (docs/floor.md); None where it is not known."""
     search_time_s: float
     decision_ms: float
     """Compute time of the agent, a decision; mean."""
@@ -74,11 +76,16 @@ def figures(rows: Sequence[Flown]) -> dict[str, Any]:
     def mean(name: str) -> Interval:
         return bootstrap(np.array([getattr(row, name) for row in ceased]))
 
+    # Pairs of distance and floor are drawn together: a far source is far for both.
+    both = np.array([(row.distance_m, row.floor_m) for row in ceased if row.floor_m is not None]).reshape(-1, 2)
+
     intervals = {
         "ceased": wilson(len(ceased), len(rows)),
         "located": wilson(located, len(rows)),
         "false_stop": wilson(len(ceased) - located, len(ceased)),
         "mtd_m": mean("distance_m"),
+        "floor_m": bootstrap(both[:, 1]),
+        "mtd_floors": bootstrap(both, lambda pairs: pairs[:, 0].mean() / pairs[:, 1].mean()),
         "nees_mean": mean("nees"),
         "error_mean_m": mean("error_m"),
         "search_time_s": mean("search_time_s"),

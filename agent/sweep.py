@@ -1,12 +1,14 @@
 """Sweeps: many missions of policies over seeds, particles and thresholds, on all cores or a Ray cluster; what is flown is kept."""
 
 import hashlib
+import logging
 import math
 import multiprocessing
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +16,16 @@ import msgspec
 import numpy as np
 
 from agent.figures import Flown
+from agent.floor import LEAST_THRESHOLD_M, floors_m
 from agent.moves import Reach
-from agent.rollout import mission
+from agent.rollout import Mission, mission
 from estimator.belief import may_claim, sure_enough
 from estimator.filter import Config
 from link.messages import Belief
-from plume.scenario import BUDGET_STEPS, SUCCESS_RADIUS_M
+from plume.scenario import BUDGET_STEPS, STEP_M, SUCCESS_RADIUS_M
+from plume.sensor import GAUSSIAN
 
 PACKAGES = ("plume", "link", "estimator", "agent")
-FLIGHTS_A_TASK = 5
 
 
 @dataclass(frozen=True)
@@ -40,18 +43,35 @@ class Sweep:
 
     @property
     def flights(self) -> list["Flight"]:
-        """All that is to be flown; one flight serves all thresholds."""
-        return [(policy, particles, seed) for policy in self.policies for particles in self.particles for seed in self.seeds]
+        """All that is to be flown, seed by seed; one flight serves all thresholds."""
+        return [(policy, particles, seed) for seed in self.seeds for policy in self.policies for particles in self.particles]
 
 
 Flight = tuple[str, int, int]
 """(policy, particles, seed)."""
 
 
-def fly(sweep: Sweep, flight: Flight) -> list[Flown]:
-    """Fly one mission until its spread is below the smallest ζ; returns a row for each ζ: there it would have stopped."""
-    policy, particles, seed = flight
-    scenario, config, flown = mission(seed, policy, particles, min(sweep.thresholds_m), sweep.budget, sweep.reach, **sweep.knowledge)
+def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[Flown]]:
+    """Fly missions of one seed until their spread is below the smallest ζ; returns for each a row a ζ: there it would have stopped."""
+    missions = [
+        mission(seed, policy, particles, min(sweep.thresholds_m), sweep.budget, sweep.reach, **sweep.knowledge)
+        for policy, particles, seed in flights
+    ]
+    floors = _floors(sweep, missions[0])
+    return [_fly(sweep, flight, ready, floors) for flight, ready in zip(flights, missions, strict=True)]
+
+
+def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
+    """The information floor of a mission at each ζ, m, where docs/floor.md knows it."""
+    config = ready.config
+    if config.sensor != GAUSSIAN or config.priors or config.stop_limits or sweep.reach.step_m != STEP_M:
+        return {}
+    floors = floors_m(ready.scenario, [threshold_m for threshold_m in sweep.thresholds_m if threshold_m >= LEAST_THRESHOLD_M])
+    return {threshold_m: floor_m for threshold_m, floor_m in floors.items() if math.isfinite(floor_m)}
+
+
+def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float]) -> list[Flown]:
+    scenario, config, steps = ready
     waiting = sorted(sweep.thresholds_m, reverse=True)
     rows: dict[float, Flown] = {}
     updates_s: list[float] = []
@@ -60,9 +80,10 @@ def fly(sweep: Sweep, flight: Flight) -> list[Flown]:
     position = scenario.start
 
     def row(threshold_m: float, ceased: bool) -> Flown:
-        return _row(flight, threshold_m, ceased, said, scenario.source, distance_m, updates_s, decisions_s)
+        floor_m = floors.get(threshold_m)
+        return _row(flight, threshold_m, ceased, said, scenario.source, distance_m, floor_m, updates_s, decisions_s)
 
-    for said, _, update_s, decision_s in flown:
+    for said, _, update_s, decision_s in steps:
         updates_s.append(update_s)
         if said.step:
             decisions_s.append(decision_s)
@@ -82,7 +103,7 @@ def _ceased(said: Belief, config: Config, threshold_m: float) -> bool:
 
 def _row(
     flight: Flight, threshold_m: float, ceased: bool, last: Belief, source: tuple[float, float], distance_m: float,
-    updates_s: Sequence[float], decisions_s: Sequence[float],
+    floor_m: float | None, updates_s: Sequence[float], decisions_s: Sequence[float],
 ) -> Flown:  # fmt: skip
     policy, particles, seed = flight
     error = np.subtract(last.mean, source)
@@ -104,6 +125,7 @@ def _row(
         nees=float(error @ np.linalg.pinv([[xx, xy], [xy, yy]]) @ error),
         steps=last.step,
         distance_m=distance_m,
+        floor_m=floor_m,
         search_time_s=sum(updates_s) + sum(decisions_s),
         decision_ms=1e3 * float(np.mean(decisions_s)) if decisions_s else 0.0,
         update_ms=1e3 * float(np.mean(updates_s)),
@@ -125,36 +147,37 @@ def fly_all(sweep: Sweep, journal: Path, workers: int, ray: str | None = None) -
             done[rows[0].policy, rows[0].particles, rows[0].seed] = rows
     wanted = sweep.flights
     yield from (done[flight] for flight in wanted if flight in done)
-    left = [flight for flight in wanted if flight not in done]
+    left = (flight for flight in wanted if flight not in done)
+    tasks = [list(flights) for _, flights in groupby(left, key=lambda flight: flight[2])]
     journal.parent.mkdir(parents=True, exist_ok=True)
     with journal.open("ab", buffering=0) as file:
         file.write(b"\n")  # ends a line that was cut off
-        for rows in _on_ray(sweep, left, ray) if ray else _on_cores(sweep, left, workers):
+        for rows in _on_ray(sweep, tasks, ray) if ray else _on_cores(sweep, tasks, workers):
             file.write(msgspec.json.encode(rows) + b"\n")
             yield rows
 
 
-def _on_cores(sweep: Sweep, flights: Sequence[Flight], workers: int) -> Iterator[list[Flown]]:
-    if not flights:
+def _on_cores(sweep: Sweep, tasks: Sequence[Sequence[Flight]], workers: int) -> Iterator[list[Flown]]:
+    if not tasks:
         return
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # one thread a worker: pools beside each other slow all of them down
-    with multiprocessing.get_context("spawn").Pool(min(workers, len(flights))) as pool:
-        yield from pool.imap_unordered(partial(fly, sweep), flights, chunksize=1)
+    with multiprocessing.get_context("spawn").Pool(min(workers, len(tasks))) as pool:
+        for flown in pool.imap_unordered(partial(fly, sweep), tasks):
+            yield from flown
 
 
-def _on_ray(sweep: Sweep, flights: Sequence[Flight], address: str | None) -> Iterator[list[Flown]]:
+def _on_ray(sweep: Sweep, tasks: Sequence[Sequence[Flight]], address: str) -> Iterator[list[Flown]]:
     import ray
 
-    ray.init(address, log_to_driver=False, logging_level="ERROR")
+    ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
     try:
-        remote = ray.remote(num_cpus=1)(lambda chunk: [fly(sweep, flight) for flight in chunk])
-        chunks = [flights[i : i + FLIGHTS_A_TASK] for i in range(0, len(flights), FLIGHTS_A_TASK)]
-        waiting = [remote.remote(chunk) for chunk in chunks]
+        remote = ray.remote(num_cpus=1)(fly)
+        waiting = [remote.remote(sweep, flights) for flights in tasks]
         while waiting:
             finished, waiting = ray.wait(waiting)
-            for chunk in ray.get(finished):
-                yield from chunk
+            for flown in ray.get(finished):
+                yield from flown
     finally:
         ray.shutdown()
 

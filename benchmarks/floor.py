@@ -15,45 +15,36 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from agent import floor
+from agent.figures import bootstrap
+from agent.floor import LEAST_THRESHOLD_M, PRIOR, best_path, information, model, spread_m, weight
 from estimator import kernels
 from estimator.filter import Config, assimilate, prior
 from link.mavlink import Reading
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.randomness import derived_seed
 from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario, draw
-from plume.sensor import GAUSSIAN
 from plume.world import World, float32
 
 Array = NDArray[np.float64]
 
 FIRST_SEED = 1_000_000
 THRESHOLDS_M = (0.1, 0.2, 0.3, 0.5, 0.7, 0.9)
-LEAST_THRESHOLD_M = 0.03
-"""Below it the search takes long, and a floor need not be within the budget."""
 ALTITUDE_M = 5.0
 FLOWN_PARTICLES = 4000
-SLOPE, FLOOR = GAUSSIAN.sensor_noise**2, GAUSSIAN.environment_noise**2
-"""α² and β²: the variance of a reading is SLOPE m² + FLOOR."""
-PRIOR = 12 / AREA_M**2
-"""Precision of the prior for each axis, 1/m²: of the Gaussian that has the covariance of the uniform prior."""
-BENDS = np.array([(0.0, 1.0), *((sign * rate, last) for sign in (-1, 1) for rate in (0.15, 0.3, 0.6, 1.2, 2.0) for last in (2, 4, 8, 16))])
-"""(rad a step, over how many last steps): what a path that begins straight may end with."""
+THOROUGH = floor.Effort(refined=16)
 
 
 @dataclass(frozen=True)
 class Effort:
     """How hard both sides of the bracket are worked on."""
 
-    bearings: int = 21
-    """First bearings of the paths tried, evenly within 1 rad of the source's."""
-    refined: int = 16
-    """So many of the best paths tried are refined."""
-    finest: float = 0.02
-    """The refinement ends when no change of a heading by more than this helps, rad."""
+    paths: floor.Effort = THOROUGH
     sectors: int = 120
     """Cells around the source for the relaxation."""
     growth: float = 0.05
@@ -72,92 +63,6 @@ class Bracket:
     """No path is shorter, m."""
     headings: tuple[float, ...]
     """The path found, one heading a step, rad."""
-
-
-@numba.njit("float64(float64)", error_model="numpy", cache=True)
-def _weight(mean: float) -> float:
-    """Fisher information of a reading about log m: m²/σ² (1 + 2 α⁴ m²/σ²); it grows with m to 1/α² + 2."""
-    relative = mean * mean / (SLOPE * mean * mean + FLOOR)
-    return relative * (1 + 2 * SLOPE * SLOPE * relative)
-
-
-@numba.njit("Tuple((float64, float64, float64))(float64, float64, float64[::1])", error_model="numpy", cache=True)
-def _information(x: float, y: float, model: Array) -> tuple[float, float, float]:
-    """Fisher information c g gᵀ of a reading at (x, y) about the source's location, as (c, g_x, g_y); g = grad log m, 1/m."""
-    dx, dy = x - model[0], y - model[1]
-    distance = math.sqrt(dx * dx + dy * dy)
-    radius = max(distance, SOURCE_RADIUS_M)
-    mean = model[2] / radius * math.exp(-radius * model[3] - (dx * model[4] + dy * model[5]))
-    radial = (1 / radius + model[3]) / radius if distance > SOURCE_RADIUS_M else 0.0
-    return _weight(mean), radial * dx + model[4], radial * dy + model[5]
-
-
-@numba.njit("float64(float64[::1], float64[::1], float64[::1])", error_model="numpy", cache=True)
-def _variance(headings: Array, start: Array, model: Array) -> float:
-    """Trace of the covariance after a path, m²; infinite where the path leaves the area."""
-    x, y = start[0], start[1]
-    c, g, h = _information(x, y, model)
-    xx, xy, yy = PRIOR + c * g * g, c * g * h, PRIOR + c * h * h
-    for heading in headings:
-        x += STEP_M * math.cos(heading)
-        y += STEP_M * math.sin(heading)
-        if not (0 <= x <= AREA_M and 0 <= y <= AREA_M):
-            return math.inf
-        c, g, h = _information(x, y, model)
-        xx += c * g * g
-        xy += c * g * h
-        yy += c * h * h
-    return (xx + yy) / (xx * yy - xy * xy)
-
-
-@numba.njit("float64(float64[::1], float64[::1], float64[::1], float64)", error_model="numpy", cache=True)
-def _refine(headings: Array, start: Array, model: Array, finest: float) -> float:
-    """Compass search, in place: turn all that follows a step, or shift one waypoint, while that helps; then by half as much."""
-    steps = len(headings)
-    best = _variance(headings, start, model)
-    tried = headings.copy()
-    change = 0.4
-    while change > finest:
-        before = best
-        for move in range(4 * steps):
-            first, shifts, turn = move // 4, move % 2 == 1, change if move % 4 < 2 else -change
-            tried[:] = headings
-            if shifts:
-                tried[first] += turn
-                if first + 1 < steps:
-                    tried[first + 1] -= turn
-            else:
-                tried[first:] += turn
-            variance = _variance(tried, start, model)
-            if variance < best * (1 - 1e-4):
-                best = variance
-                headings[:] = tried
-        if best == before:
-            change *= 0.5
-    return best
-
-
-@numba.njit("float64[::1](int64, float64[::1], float64[::1], float64[:, ::1], int64, int64, float64)", error_model="numpy", cache=True)
-def _best_headings(steps: int, start: Array, model: Array, bends: Array, bearings: int, refined: int, finest: float) -> Array:
-    """Headings of the best path found of so many steps: the best of a family, refined."""
-    towards = math.atan2(model[1] - start[1], model[0] - start[0])
-    family = np.empty((bearings * len(bends), steps))
-    variances = np.empty(len(family))
-    for i in range(len(family)):
-        rate, last = bends[i % len(bends)]
-        bearing = towards - 1 + 2 * (i // len(bends)) / (bearings - 1)
-        for k in range(steps):
-            family[i, k] = bearing + rate * max(k + 1 - steps + last, 0)
-        variances[i] = _variance(family[i], start, model)
-    order = np.argsort(variances)
-    best = math.inf
-    result: Array = family[order[0]]
-    for i in order[:refined]:
-        headings = family[i].copy()
-        variance = _refine(headings, start, model, finest)
-        if variance < best:
-            best, result = variance, headings
-    return result
 
 
 @numba.njit("float64[:, ::1](float64[::1], float64[::1], int64, float64)", error_model="numpy", cache=True)
@@ -187,7 +92,7 @@ def _cells(start: Array, model: Array, sectors: int, growth: float) -> Array:
             off_wind = abs(math.atan2(sin * model[4] - cos * model[5], cos * model[4] + sin * model[5]))
             along = -1.0 if core else math.cos(min(off_wind + half_angle, math.pi))
             radius = max(inner, SOURCE_RADIUS_M)
-            c = _weight(model[2] / radius * math.exp(-radius * (model[3] + drift * along)))
+            c = weight(model[2] / radius * math.exp(-radius * (model[3] + drift * along)))
             near, far = (0.0, 0.0) if core else (1 / inner + model[3], 1 / outer + model[3])
             cells.append(
                 (step, c, near * cos + model[4], near * sin + model[5], far * cos + model[4], far * sin + model[5], near * half_angle)
@@ -204,7 +109,7 @@ def _excluded(steps: int, variance: float, cells: Array, start: Array, model: Ar
     tr M⁻¹ ≥ 2 tr W − tr W M W for every symmetric W, and the last term is a sum over the readings, each at most its greatest value
     in reach.  W = M⁻¹ with M improved as by Frank and Wolfe (1956) makes this bound as great as it can be.
     """
-    c, g, h = _information(start[0], start[1], model)
+    c, g, h = information(start[0], start[1], model)
     base = PRIOR + c * g * g, c * g * h, PRIOR + c * h * h
     xx, xy, yy = base[0] + 1.0, base[1], base[2] + 1.0
     most, where = np.empty(steps + 1), np.empty(steps + 1, np.int64)
@@ -237,48 +142,22 @@ def _excluded(steps: int, variance: float, cells: Array, start: Array, model: Ar
     return False
 
 
-def _model(scenario: Scenario) -> Array:
-    """(6,): source x and y, q/(4π d), 1/λ, wind_x/(2d), wind_y/(2d)."""
-    s = scenario
-    if s.height != 0.0:
-        raise ValueError(f"height is {s.height:g} m; allowed is 0: the floor is that of a source in the plane that is searched")
-    inverse_length = math.sqrt((1 + s.u**2 * s.tau / (4 * s.d)) / (s.d * s.tau))
-    return np.array([*s.source, s.q / (4 * math.pi * s.d), inverse_length, s.wind[0] / (2 * s.d), s.wind[1] / (2 * s.d)])
-
-
-def fisher(scenario: Scenario, position: tuple[float, float]) -> Array:
-    """Fisher information (2, 2) of one reading at a position (x, y) m about the source's location, 1/m²."""
-    c, *g = _information(*position, _model(scenario))
-    return np.asarray(c * np.outer(g, g))
-
-
-def spread_m(scenario: Scenario, headings: Sequence[float]) -> float:
-    """Spread after a path of 1 m steps on these headings, rad, from the scenario's start, m; infinite where it leaves the area."""
-    return math.sqrt(_variance(np.array(headings, np.float64), np.array(scenario.start), _model(scenario)))
-
-
-def best_path(scenario: Scenario, steps: int, effort: Effort = Effort()) -> tuple[float, ...]:
-    """Headings, rad, of the path of so many steps that was found to leave the least spread."""
-    start, model = np.array(scenario.start), _model(scenario)
-    return tuple(_best_headings(steps, start, model, BENDS, effort.bearings, effort.refined, effort.finest).tolist())
-
-
 def brackets(
     scenario: Scenario, thresholds_m: Sequence[float], effort: Effort = Effort(), budget: int = BUDGET_STEPS
 ) -> dict[float, Bracket]:
     """Bracket the floor at each ζ, in m; the answer for one does not depend on the others."""
-    start, model = np.array(scenario.start), _model(scenario)
-    cells = _cells(start, model, effort.sectors, effort.growth)
+    start, parameters = np.array(scenario.start), model(scenario)
+    cells = _cells(start, parameters, effort.sectors, effort.growth)
     result = {}
     lower = found = 0
     paths: dict[int, tuple[float, ...]] = {}
     for threshold_m in sorted(thresholds_m, reverse=True):  # a smaller ζ takes no fewer steps
-        while lower <= budget and _excluded(lower, threshold_m**2, cells, start, model, effort.iterations):
+        while lower <= budget and _excluded(lower, threshold_m**2, cells, start, parameters, effort.iterations):
             lower += 1
         found = max(found, lower)
         while found <= budget:
             if found not in paths:
-                paths[found] = best_path(scenario, found, effort)
+                paths[found] = best_path(scenario, found, effort.paths)
             if spread_m(scenario, paths[found]) < threshold_m:
                 break
             found += 1
@@ -289,11 +168,6 @@ def brackets(
             paths[found] if reached else (),
         )
     return result
-
-
-def floor_m(scenario: Scenario, threshold_m: float, budget: int = BUDGET_STEPS) -> float:
-    """Length of the shortest path found after which the spread can be below ζ, m; infinite where none is within the budget."""
-    return brackets(scenario, [threshold_m], budget=budget)[threshold_m].found_m
 
 
 def lower_m(scenario: Scenario, threshold_m: float, budget: int = BUDGET_STEPS) -> float:
@@ -333,14 +207,6 @@ def straight(scenario: Scenario) -> list[float]:
     return [math.atan2(source_y - y, source_x - x)] * int(math.dist(scenario.start, scenario.source) / STEP_M)
 
 
-def mean_interval(values: Array) -> tuple[float, float, float]:
-    """Mean with its 95% bootstrap interval: (mean, low, high)."""
-    rng = np.random.default_rng(0)
-    again = [values[rng.integers(len(values), size=len(values))].mean() for _ in range(1000)]
-    low, high = np.quantile(again, [0.025, 0.975])
-    return float(values.mean()), float(low), float(high)
-
-
 def figures(missions: int, thresholds_m: Sequence[float], flown: bool, effort: Effort = Effort()) -> dict[float, dict[str, float]]:
     """One row of the table for each ζ: figures by name, means in m."""
     seeds = range(FIRST_SEED, FIRST_SEED + missions)
@@ -350,7 +216,7 @@ def figures(missions: int, thresholds_m: Sequence[float], flown: bool, effort: E
     for threshold_m in thresholds_m:
         found = np.array([each[threshold_m].found_m for each in bracketed])
         row: dict[str, float] = {"missions": missions}
-        row["floor_m"], row["low_m"], row["high_m"] = mean_interval(found)
+        row |= zip(("floor_m", "low_m", "high_m"), msgspec.structs.astuple(bootstrap(found)), strict=True)
         row["lower_bracket_m"] = float(np.mean([each[threshold_m].lower_m for each in bracketed]))
         row["source_m"] = float(np.mean([math.dist(s.start, s.source) for s in scenarios]))
         if flown:
@@ -361,7 +227,8 @@ def figures(missions: int, thresholds_m: Sequence[float], flown: bool, effort: E
                 real = np.array([fly(seed, path, threshold_m) for seed, path in zip(seeds, paths, strict=True)])
                 reached = np.isfinite(real)
                 row[f"{name}_reached"] = float(reached.mean())
-                row[f"{name}_m"], row[f"{name}_low_m"], row[f"{name}_high_m"] = mean_interval(real[reached])
+                names = f"{name}_m", f"{name}_low_m", f"{name}_high_m"
+                row |= zip(names, msgspec.structs.astuple(bootstrap(real[reached])), strict=True)
                 row[f"{name}_before_floor"] = float((real < found).mean())
         rows[threshold_m] = row
     return rows
@@ -384,11 +251,11 @@ def table(rows: dict[float, dict[str, float]]) -> str:
 
 
 EFFORTS = {
-    "4 paths refined, to 0.05 rad": Effort(refined=4, finest=0.05),
-    "16 paths, to 0.02 rad; cells of 5%, 120 sectors (used)": Effort(),
-    "16 paths, to 0.005 rad": Effort(finest=0.005),
-    "64 paths, to 0.02 rad": Effort(refined=64),
-    "64 paths from 41 bearings, to 0.005 rad; cells of 2%, 240 sectors": Effort(41, 64, 0.005, 240, 0.02, 80),
+    "4 paths refined, to 0.02 rad (as in `evaluate`)": Effort(floor.Effort()),
+    "16 paths, to 0.02 rad; cells of 5%, 120 sectors (used here)": Effort(),
+    "16 paths, to 0.005 rad": Effort(floor.Effort(refined=16, finest=0.005)),
+    "64 paths, to 0.02 rad": Effort(floor.Effort(refined=64)),
+    "64 paths from 41 bearings, to 0.005 rad; cells of 2%, 240 sectors": Effort(floor.Effort(41, 64, 0.005), 240, 0.02, 80),
 }
 """Rows of the convergence table."""
 

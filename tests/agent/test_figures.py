@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.figures import Flown, Interval, bootstrap, figures, wilson
 
@@ -12,7 +13,7 @@ def flown(seed: int, ceased: bool, error_m: float, distance_m: float) -> Flown:
     return Flown(
         policy="greedy", particles=100, threshold_m=0.5, seed=seed, ceased=ceased, located=ceased and error_m <= 1, estimate_x=0.0,
         estimate_y=0.0, source_x=error_m, source_y=0.0, error_m=error_m, spread_m=0.4, nees=2.0 * seed, steps=int(distance_m),
-        distance_m=distance_m, search_time_s=0.5, decision_ms=2.0, update_ms=1.0,
+        distance_m=distance_m, floor_m=distance_m / 2 if seed else 25.0, search_time_s=0.5, decision_ms=2.0, update_ms=1.0,
     )  # fmt: skip
 
 
@@ -23,15 +24,23 @@ def test_figures_are_those_of_the_words() -> None:
     assert said["located"] == 0.5  # of all missions
     assert said["false_stop"] == pytest.approx(1 / 3)  # of those that ceased
     assert said["mtd_m"] == 40.0  # the one that never ceased does not count
+    assert said["floor_m"] == pytest.approx((25 + 25 + 20) / 3)
+    assert said["mtd_floors"] == pytest.approx((30 + 50 + 40) / (25 + 25 + 20))  # of the means, not the mean of multiples
     assert said["nees_mean"] == 2.0
     assert (said["decision_ms"], said["update_ms"]) == (2.0, 1.0)
     assert said["mtd_m_interval"] == [30.0, 50.0]  # 27 equally likely resamples: either end is drawn in 1 of 27, more than 2.5%
 
 
+def test_without_floors_there_is_no_multiple() -> None:
+    said = figures([replace(flown(0, True, 0.5, 30.0), floor_m=None)])
+    assert said["floor_m"] is said["mtd_floors"] is said["mtd_floors_interval"] is None
+    assert said["mtd_m"] == 30.0
+
+
 def test_figures_of_no_find_are_none_not_nan() -> None:
     said = figures([flown(0, False, 9.0, 300.0)])
     assert (said["ceased"], said["located"]) == (0.0, 0.0)
-    assert said["false_stop"] is said["mtd_m"] is said["nees_mean"] is said["mtd_m_interval"] is None
+    assert said["false_stop"] is said["mtd_m"] is said["mtd_floors"] is said["nees_mean"] is said["mtd_m_interval"] is None
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Protects sweeps: a row is what a rollout says, whoever flies it and however often the sweep was cut off."""
 
+import gzip
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,8 +9,12 @@ import pytest
 
 from agent.evaluate import named, read_csv, write_csv
 from agent.figures import Flown
+from agent.floor import floors_m
+from agent.moves import Reach
 from agent.rollout import rollout
 from agent.sweep import Sweep, fly, fly_all, journal_of, ordered
+from plume.scenario import draw
+from plume.sensor import Hits
 
 SMALL = Sweep(("greedy", "thompson"), range(7, 10), particles=(100, 200), thresholds_m=(0.9, 2.0, 0.5), budget=80)
 
@@ -21,7 +26,8 @@ def untimed(rows: list[Flown]) -> list[Flown]:
 
 @pytest.mark.parametrize("seed", [7, 8, 9])
 def test_one_flight_gives_what_a_rollout_at_each_threshold_gives(seed: int) -> None:
-    for row, threshold_m in zip(fly(SMALL, ("thompson", 200, seed)), SMALL.thresholds_m, strict=True):
+    (rows,) = fly(SMALL, [("thompson", 200, seed)])
+    for row, threshold_m in zip(rows, SMALL.thresholds_m, strict=True):
         alone, _ = rollout(seed, "thompson", 200, threshold_m, 80)
         assert (row.threshold_m, row.seed, row.particles) == (threshold_m, seed, 200)
         assert (row.ceased, row.located, row.steps, row.distance_m) == (alone.ceased, alone.located, alone.steps, alone.distance_m)
@@ -50,7 +56,7 @@ def test_a_sweep_that_was_cut_off_goes_on_where_it_was(tmp_path: Path) -> None:
     journal.write_bytes(b"".join(msgspec.json.encode(rows) + b"\n" for rows in marked) + b'[{"policy":"gree')  # cut off while it wrote
     rows = ordered([row for rows in fly_all(whole, journal, 1) for row in rows], whole)
     assert sum(row.search_time_s < 0 for row in rows) == 4  # kept, not flown again
-    assert untimed(rows) == untimed(ordered([row for flight in whole.flights for row in fly(whole, flight)], whole))
+    assert untimed(rows) == untimed(ordered([row for flight in whole.flights for rows in fly(whole, [flight]) for row in rows], whole))
     # And once more: all is in the journal now.
     again = ordered([row for rows in fly_all(whole, journal, 1) for row in rows], whole)
     assert again == rows
@@ -63,14 +69,31 @@ def test_another_question_has_another_journal(tmp_path: Path) -> None:
 
 
 def test_figures_are_named_by_policy_and_by_what_else_differs() -> None:
-    rows = [row for flight in SMALL.flights[:2] for row in fly(SMALL, flight)]
-    rows = ordered(rows, SMALL)
+    two = [("greedy", 100, 7), ("greedy", 100, 8)]
+    rows = ordered([row for flight in two for rows in fly(SMALL, [flight]) for row in rows], SMALL)
     assert list(named([row for row in rows if row.threshold_m == 0.9])) == ["greedy"]
     assert list(named(rows)) == [f"greedy particles=100 threshold={threshold_m:g}" for threshold_m in (0.5, 0.9, 2.0)]
 
 
-def test_a_table_of_missions_reads_back_as_it_was_written(tmp_path: Path) -> None:
-    rows = fly(SMALL, ("greedy", 100, 7))
-    write_csv(rows, tmp_path / "missions.csv")
-    assert (tmp_path / "missions.csv").read_text().splitlines()[0].startswith("policy,particles,threshold_m,seed,ceased,located,")
-    assert read_csv(tmp_path / "missions.csv") == rows
+@pytest.mark.parametrize("name", ["missions.csv", "missions.csv.gz"])
+def test_a_table_of_missions_reads_back_as_it_was_written(tmp_path: Path, name: str) -> None:
+    (rows,) = fly(replace(SMALL, thresholds_m=(0.01, 0.5)), [("greedy", 100, 7)])
+    assert rows[0].floor_m is None  # too small a ζ for it
+    write_csv(rows, tmp_path / name)
+    text = (gzip.decompress if name.endswith("gz") else bytes)((tmp_path / name).read_bytes()).decode()
+    assert text.startswith("policy,particles,threshold_m,seed,ceased,located,")
+    assert read_csv(tmp_path / name) == rows
+
+
+def test_a_table_of_something_else_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "other.csv").write_text("policy,particles\ngreedy,many\n")
+    with pytest.raises(ValueError, match=r"other\.csv: .*particles"):
+        read_csv(tmp_path / "other.csv")
+
+
+def test_rows_carry_the_floor_of_their_scenario_where_it_is_known() -> None:
+    flight = ("greedy", 100, 7)
+    (rows,) = fly(SMALL, [flight])
+    assert {row.threshold_m: row.floor_m for row in rows} == floors_m(draw(7), SMALL.thresholds_m)
+    for other in (replace(SMALL, reach=Reach(step_m=0.5)), replace(SMALL, knowledge={"sensor": Hits()})):
+        assert {row.floor_m for row in fly(other, [flight])[0]} == {None}
