@@ -1,12 +1,13 @@
-"""`python -m agent`: the agent service alone, on any router; `rollout`: a mission in-process; `evaluate`: many."""
+"""`python -m agent`: the agent service alone, on any router; `rollout`: a mission in-process; `evaluate`: many; `report`."""
 
 import argparse
 import sys
 
 from agent.evaluate import add_arguments as add_evaluate_arguments
 from agent.evaluate import run as evaluate
-from agent.moves import Reach
-from agent.planners import PLANNERS
+from agent.planners import PLANNERS, reach
+from agent.report import add_arguments as add_report_arguments
+from agent.report import run as report
 from estimator.options import add_sensor_argument, knowledge
 from link import cli
 from link.bus import Bus
@@ -36,7 +37,7 @@ def _parse() -> argparse.Namespace:
     cli.add_bus_arguments(parser)
     _add_policy_arguments(parser)
     parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="MAVLink system id of the vehicle (default: %(default)s)")
-    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="rollout | evaluate")
+    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="rollout | evaluate | report")
     rollout = commands.add_parser("rollout", help="fly one mission in-process, without Zenoh")
     _add_policy_arguments(rollout)
     cli.add_filter_arguments(rollout)
@@ -44,8 +45,9 @@ def _parse() -> argparse.Namespace:
     cli.add_output_arguments(rollout)
     evaluate = commands.add_parser("evaluate", help="the figures of policies over many missions, in-process")
     add_evaluate_arguments(evaluate)
+    add_report_arguments(commands.add_parser("report", help="tables, pictures and a page from the missions that `evaluate` flew"))
     args = parser.parse_args()
-    if args.command:
+    if args.command in ("rollout", "evaluate"):
         try:
             args.knowledge = knowledge(args)
         except ValueError as error:
@@ -53,32 +55,30 @@ def _parse() -> argparse.Namespace:
     return args
 
 
-def _reach(args: argparse.Namespace) -> Reach:
-    return Reach(args.headings, args.step, args.measurements)
-
-
 def _rollout(args: argparse.Namespace) -> None:
     from agent.rollout import rollout
     from plume.outcome import outcome_json, outcome_text
 
-    result, trace = rollout(args.seed, args.policy, args.particles, args.threshold, args.budget, _reach(args), **args.knowledge)
+    result, trace = rollout(args.seed, args.policy, args.particles, args.threshold, args.budget, cli.reach_given(args), **args.knowledge)
     print(outcome_text(result), file=sys.stderr)
     if args.json:
         print(outcome_json(result, trace if args.trace else None))
 
 
 def main() -> int | None:
-    """Parse the command line, then serve, roll out or evaluate."""
+    """Parse the command line, then serve, roll out, evaluate or report."""
     args = _parse()
     if args.command == "evaluate":
         return evaluate(args)
+    if args.command == "report":
+        return report(args)
     if args.command == "rollout":
         _rollout(args)
         return None
     from agent.service import run
 
     with Bus("agent", args.connect, args.namespace) as bus:
-        run(bus, args.policy, args.seed, args.budget, args.sysid, _reach(args))
+        run(bus, args.policy, args.seed, args.budget, args.sysid, reach(args.policy, cli.reach_given(args)))
     return None
 
 

@@ -17,9 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from agent.figures import Flown, figures
-from agent.moves import Reach
 from agent.planners import PLANNERS
-from agent.sweep import Sweep, fly_all, journal_of, ordered
+from agent.sweep import ClusterError, Sweep, fly_all, join, journal_of, ordered
 from estimator.options import add_sensor_argument
 from link import cli
 from plume.randomness import MAX_SEED
@@ -33,6 +32,14 @@ def policy(text: str) -> str:
     """Argument type: the name of a policy."""
     if text not in PLANNERS:
         raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted {', '.join(PLANNERS)}, with commas between several")
+    return text
+
+
+def address(text: str) -> str:
+    """Argument type: where a Ray cluster is."""
+    host, _, port = text.rpartition(":")
+    if text != "auto" and not (host and port.isdecimal() and 0 < int(port) < 65536):
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto")
     return text
 
 
@@ -67,7 +74,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="W",
         help="processes that fly (default: all cores, %(default)s)",
     )
-    parser.add_argument("--ray", metavar="ADDRESS", help="fly on the Ray cluster there instead; `auto` finds a running one")
+    parser.add_argument(
+        "--ray", type=address, metavar="ADDRESS",
+        help="fly on the Ray cluster there, HOST:PORT or auto: this machine is in it, each node has the same plumeward, numpy and numba",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object on the last line of stdout")
 
 
@@ -75,18 +85,28 @@ def run(args: argparse.Namespace) -> int:
     """Fly what is asked for and print its figures."""
     sweep = Sweep(
         args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.threshold, args.budget,
-        Reach(args.headings, args.step, args.measurements), args.knowledge,
+        cli.reach_given(args), args.knowledge,
     )  # fmt: skip
     if args.missions and not args.missions.parent.is_dir():
         print(f"error: --missions: no folder {str(args.missions.parent)!r} to write in", file=sys.stderr)
         return cli.BAD_INPUT
+    try:
+        if args.ray:
+            join(args.ray)
+        return _evaluate(sweep, args)
+    except ClusterError as error:
+        print(f"error: --ray: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
+
+
+def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
     journal = journal_of(sweep, KEPT_IN)
     total = len(sweep.flights)
     rows: list[Flown] = []
     try:
         with _progress() as progress:
             task = progress.add_task("missions", total=total)
-            for flown in fly_all(sweep, journal, args.workers, args.ray):
+            for flown in fly_all(sweep, journal, args.workers, bool(args.ray)):
                 rows += flown
                 progress.advance(task)
     except KeyboardInterrupt:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 RESAMPLES = 1000
+LARGEST = 2_000_000
+"""So many values are drawn at once."""
 
 
 class Flown(msgspec.Struct, frozen=True):
@@ -19,6 +21,10 @@ class Flown(msgspec.Struct, frozen=True):
     particles: int
     threshold_m: float
     seed: int
+    budget: int
+    headings: int
+    step_m: float
+    measurements: int
     ceased: bool
     located: bool
     estimate_x: float
@@ -58,14 +64,22 @@ def wilson(hits: int, of: int) -> Interval:
     return Interval(p, max(middle - half, 0.0), min(middle + half, 1.0))
 
 
-def bootstrap(values: Array, statistic: Callable[[Array], Any] = np.mean) -> Interval:
-    """A statistic of values (n,) and its percentile interval; NaN where there are none."""
+def mean(samples: Array) -> Array:
+    """Mean of each of R samples (R, n): (R,)."""
+    means: Array = samples.mean(axis=1)
+    return means
+
+
+def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Interval:
+    """A statistic, which maps samples (R, n, …) to (R,), of values (n, …), and its percentile interval; NaN where there are none."""
     if len(values) == 0:
         return Interval(math.nan, math.nan, math.nan)
     rng = np.random.default_rng(0)
-    again = [statistic(values[rng.integers(len(values), size=len(values))]) for _ in range(RESAMPLES)]
+    at_once = max(LARGEST // len(values), 1)
+    sizes = [min(at_once, RESAMPLES - done) for done in range(0, RESAMPLES, at_once)]
+    again = np.concatenate([statistic(values[rng.integers(len(values), size=(size, len(values)))]) for size in sizes])
     low, high = np.quantile(again, [0.025, 0.975])
-    return Interval(float(statistic(values)), float(low), float(high))
+    return Interval(float(statistic(values[None])[0]), float(low), float(high))
 
 
 def figures(rows: Sequence[Flown]) -> dict[str, Any]:
@@ -73,7 +87,7 @@ def figures(rows: Sequence[Flown]) -> dict[str, Any]:
     ceased = [row for row in rows if row.ceased]
     located = sum(row.located for row in ceased)
 
-    def mean(name: str) -> Interval:
+    def mean_of(name: str) -> Interval:
         return bootstrap(np.array([getattr(row, name) for row in ceased]))
 
     # Pairs of distance and floor are drawn together: a far source is far for both.
@@ -83,12 +97,12 @@ def figures(rows: Sequence[Flown]) -> dict[str, Any]:
         "ceased": wilson(len(ceased), len(rows)),
         "located": wilson(located, len(rows)),
         "false_stop": wilson(len(ceased) - located, len(ceased)),
-        "mtd_m": mean("distance_m"),
+        "mtd_m": mean_of("distance_m"),
         "floor_m": bootstrap(both[:, 1]),
-        "mtd_floors": bootstrap(both, lambda pairs: pairs[:, 0].mean() / pairs[:, 1].mean()),
-        "nees_mean": mean("nees"),
-        "error_mean_m": mean("error_m"),
-        "search_time_s": mean("search_time_s"),
+        "mtd_floors": bootstrap(both, lambda pairs: pairs[..., 0].mean(axis=1) / pairs[..., 1].mean(axis=1)),
+        "nees_mean": mean_of("nees"),
+        "error_mean_m": mean_of("error_m"),
+        "search_time_s": mean_of("search_time_s"),
     }
     summary: dict[str, Any] = {"missions": len(rows), "particles": rows[0].particles, "threshold_m": rows[0].threshold_m}
     for name, interval in intervals.items():

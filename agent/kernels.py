@@ -89,48 +89,60 @@ def _reweight(one: Array, two: Array, three: Array, z: float, own: float, weight
 
 
 @numba.njit(
-    "Tuple((float64[:, ::1], float64[:, ::1], float64[:, :, ::1]))(float64[:, ::1], float64[::1], float64[:, :, ::1], int64[::1], "
-    "float64[:, ::1], float64[::1])",
+    "Tuple((float64[:, :, ::1], float64[:, :, ::1], float64[:, :, :, ::1]))(float64[:, :, ::1], float64[::1], float64[:, :, :, ::1], "
+    "int64[::1], float64[:, :, ::1], float64[::1])",
     cache=True,
     nogil=True,
 )
 def imagine(
     means: Array, weights: Array, values: Array, imagined: NDArray[np.int64], readings: Array, sensor: Array
 ) -> tuple[Array, Array, Array]:
-    """Reweight a belief by hypothetical readings, each alone.
+    """Reweight a belief by hypothetical readings along paths of L places.
 
-    means: (A, N) concentration at each place under each particle.  weights: (N,), sum one.
-    values: (A, F, N) of the particles, seen from each place, or (1, F, N) the same from all.
-    imagined: (K,) the particles that the readings were drawn from.  readings: (A, K).  sensor: (5,) as of `Config.sensor_row`.
+    means: (A, L, N) concentration at each place under each particle.  weights: (N,), sum one.
+    values: (A, L, F, N) of the particles, seen from each place, or (1, 1, F, N) the same from all.
+    imagined: (K,) the particles that the readings were drawn from.  readings: (A, L, K).  sensor: (5,) as of `sensor_row`.
 
-    Returns the log predictive density of each reading (A, K), and under the belief after it the expected log-likelihood (A, K) and
-    the expectation of each value (A, K, F). Of hits, log z! is left out of both logarithms: the reading alone decides it.
+    Returns, after each place and counting the readings before it, the log predictive density of the readings (A, L, K), and under
+    the belief after them their expected log-likelihood (A, L, K) and the expectation of each value (A, L, K, F). Of hits, log z! is
+    left out of both logarithms: the reading alone decides it.
     """
-    (places, count), number, rows = means.shape, len(imagined), values.shape[1]
+    (paths, length, count), number, rows = means.shape, len(imagined), values.shape[2]
     padded = count + -count % LANES  # the last few have no weight
     quadratic, linear, constant = np.zeros(padded), np.zeros(padded), np.zeros(padded)
-    silent, zeros = np.zeros(padded), np.zeros(padded)
+    silent, zeros, offset = np.zeros(padded), np.zeros(padded), np.zeros(padded)
+    before, owns = np.zeros((number if length > 1 else 0, padded)), np.zeros(number)
     padded_weights, padded_values = np.zeros(padded), np.zeros((rows, padded))
     padded_weights[:count] = weights
     lanes, sums = np.empty((3 + rows, LANES)), np.empty(2 + rows)
-    log_predictive, log_likelihood = np.empty((places, number)), np.empty((places, number))
-    expectations = np.empty((places, number, rows))
-    for a in range(places):
-        if a < len(values):
-            padded_values[:, :count] = values[a]
-        _exponents(means[a], sensor, quadratic, linear, constant)
-        if sensor[0] == THRESHOLD:
-            _silence(means[a], sensor, silent)
-        for k in range(number):
-            z = readings[a, k]
-            if sensor[0] == THRESHOLD and z == 0.0:
-                one, two, three = zeros, zeros, silent
-            else:
-                one, two, three = quadratic, linear, constant
-            own = fma(fma(one[imagined[k]], z, two[imagined[k]]), z, three[imagined[k]])  # the greatest are not far above it
-            _reweight(one, two, three, z, own, padded_weights, padded_values, lanes, sums)
-            log_predictive[a, k] = own + math.log(sums[0])
-            log_likelihood[a, k] = own + sums[1] / sums[0]
-            for f in range(rows):
-                expectations[a, k, f] = sums[2 + f] / sums[0]
+    log_predictive, log_likelihood = np.empty((paths, length, number)), np.empty((paths, length, number))
+    expectations = np.empty((paths, length, number, rows))
+    for a in range(paths):
+        for step in range(length):
+            if a + step == 0 or values.shape[1] > 1 or (step == 0 and len(values) > 1):
+                padded_values[:, :count] = values[a, step]
+            _exponents(means[a, step], sensor, quadratic, linear, constant)
+            if sensor[0] == THRESHOLD:
+                _silence(means[a, step], sensor, silent)
+            for k in range(number):
+                z = readings[a, step, k]
+                if sensor[0] == THRESHOLD and z == 0.0:
+                    one, two, three = zeros, zeros, silent
+                else:
+                    one, two, three = quadratic, linear, constant
+                own = fma(fma(one[imagined[k]], z, two[imagined[k]]), z, three[imagined[k]])  # the greatest are not far above it
+                if step > 0:
+                    for i in range(padded):
+                        offset[i] = three[i] + before[k, i]
+                    three = offset
+                _reweight(one, two, three, z, own, padded_weights, padded_values, lanes, sums)
+                total = own if step == 0 else owns[k] + own
+                if step + 1 < length:
+                    owns[k] = total
+                    for i in range(padded):
+                        before[k, i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
+                log_predictive[a, step, k] = total + math.log(sums[0])
+                log_likelihood[a, step, k] = total + sums[1] / sums[0]
+                for f in range(rows):
+                    expectations[a, step, k, f] = sums[2 + f] / sums[0]
     return log_predictive, log_likelihood, expectations

@@ -17,7 +17,8 @@ class Reach:
 
     headings: int = 4
     """Evenly spaced, the first one east."""
-    step_m: float = STEP_M
+    step: float = STEP_M
+    """Length of a move, m."""
     measurements: int = 25
     """Hypothetical readings for each move."""
     area_m: float = AREA_M
@@ -25,7 +26,7 @@ class Reach:
 
     def moves(self, position: tuple[float, float]) -> Array:
         """Return the waypoints (A, 2) m that one step reaches without leaving the area; float32 values, as the wire carries them."""
-        return self.inside(np.asarray(position) + self.step_m * self.directions)
+        return self.inside(np.asarray(position) + self.step * self.directions)
 
     @cached_property
     def directions(self) -> Array:

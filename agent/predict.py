@@ -10,9 +10,12 @@ from estimator.filter import sensor_row
 from estimator.kernels import mean_concentrations
 from estimator.priors import KNOWN, MEASURED, PARAMETERS
 from link.messages import Belief, Particles
+from plume.dispersion import SOURCE_RADIUS_M
 from plume.sensor import parse
 
 Array = NDArray[np.float64]
+
+CELLS_A_SPREAD = 4
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,12 @@ class Cloud:
     def places(self) -> Array:
         """(2, N): where the particles see the source, m."""
         return self.values[:2]
+
+    def thinned(self, most: int) -> "Cloud":
+        """Every so many-th particle, so that there are at most so many: enough to plan with, where N are needed to know."""
+        every = -(-len(self.weights) // most)
+        weights = self.weights[::every]
+        return Cloud(np.ascontiguousarray(self.values[:, ::every]), weights / weights.sum())
 
 
 @dataclass(frozen=True)
@@ -81,20 +90,41 @@ def imagine(
     values: (F, N) or (A, F, N), of the particles.  The draws are stratified over the belief, and all places share the same ones, so
     that chance does not decide between them.
     """
+    if values is None:
+        values = np.empty((0, len(hypotheses.weights)))
+    values = values[None, None] if values.ndim == 2 else values[:, None]
+    along = imagine_along(belief, hypotheses, places[:, None], number, rng, values)
+    return Imagined(along.log_predictive[:, 0], along.log_likelihood[:, 0], along.expectations[:, 0])
+
+
+def imagine_along(belief: Belief, hypotheses: Cloud, paths: Array, number: int, rng: np.random.Generator, values: Array) -> Imagined:
+    """The same for readings at all places along paths (A, L, 2): what is imagined (A, L, K) counts those before. values: (A, L, F, N)."""
     sensor = parse(belief.sensor)
-    means = concentrations(belief, hypotheses, places)
+    means = concentrations(belief, hypotheses, paths.reshape(-1, 2)).reshape(*paths.shape[:2], -1)
     cumulative = np.cumsum(hypotheses.weights)
     strata = (np.arange(number) + rng.random()) / number * cumulative[-1]
     drawn = np.minimum(np.searchsorted(cumulative, strata, side="right"), len(cumulative) - 1)
     bits = np.random.Philox(int(rng.integers(2**63)))
-    begin, readings = bits.state, np.empty((len(places), number))
-    for row, of_place in zip(means, readings, strict=True):
+    begin, readings = bits.state, np.empty((*paths.shape[:2], number))
+    for along, of_path in zip(means, readings, strict=True):
         bits.state = begin
-        of_place[:] = sensor.measure(row[drawn], np.random.Generator(bits))
-    if values is None:
-        values = np.empty((0, len(cumulative)))
-    shaped = np.ascontiguousarray(values[None] if values.ndim == 2 else values)
-    return Imagined(*kernels.imagine(means, hypotheses.weights, shaped, drawn, readings, sensor_row(sensor)))
+        generator = np.random.Generator(bits)
+        for row, of_place in zip(along, of_path, strict=True):
+            of_place[:] = sensor.measure(row[drawn], generator)
+    return Imagined(*kernels.imagine(means, hypotheses.weights, np.ascontiguousarray(values), drawn, readings, sensor_row(sensor)))
+
+
+def entropy_spread(hypotheses: Cloud, spread: float) -> float:
+    """Spread of the normal distribution with the same entropy as the location's, m: sqrt(exp(H)/(π e)), H in nats of m².
+
+    H is counted in cells of a quarter of the spread. Where half of a disc has been ruled out, this one shrinks, and the spread need not.
+    """
+    cell = max(spread, SOURCE_RADIUS_M) / CELLS_A_SPREAD
+    columns, rows = np.floor(hypotheses.places / cell).astype(np.int64)
+    rows -= rows.min()
+    shares = np.bincount((columns - columns.min()) * (1 + rows.max()) + rows, hypotheses.weights)
+    shares = shares[shares > 0]
+    return float(cell * np.sqrt(np.exp(-np.sum(shares * np.log(shares))) / (np.pi * np.e)))
 
 
 def variances(belief: Belief, hypotheses: Cloud, places: Array, number: int, rng: np.random.Generator) -> Array:

@@ -1,11 +1,13 @@
 """A mission flown in-process: the networked stack without the network, to the same bits."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from agent.moves import Reach
-from agent.service import DEFAULT, choose
+from agent.planners import reach
+from agent.service import choose
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link.mavlink import Reading
@@ -16,6 +18,8 @@ from plume.scenario import BUDGET_STEPS, Scenario, draw
 from plume.world import World
 
 ALTITUDE_M = 5.0
+USUAL: Mapping[str, float] = MappingProxyType({})
+"""Moves as the planner likes them."""
 
 
 class Step(NamedTuple):
@@ -40,16 +44,17 @@ class Mission(NamedTuple):
     """Flown as they are asked for, until the search ceases or the budget is spent."""
 
 
-def mission(seed: int, policy: str, particles: int, threshold_m: float, budget: int, reach: Reach = DEFAULT, **knowledge: Any) -> Mission:
-    """Prepare the mission of a seed with a policy. `knowledge`: more fields of `Config`, the sensor say."""
+def mission(
+    seed: int, policy: str, particles: int, threshold_m: float, budget: int, moves: Mapping[str, float] = USUAL, **knowledge: Any
+) -> Mission:
+    """Prepare the mission of a seed with a policy. `moves`: fields of `Reach`. `knowledge`: more fields of `Config`, the sensor say."""
     scenario = draw(seed)
     config = Config(particles, threshold_m, derived_seed(seed, "estimator"), scenario.q, scenario.d, scenario.tau, **knowledge)
-    return Mission(
-        scenario, config, _steps(World(scenario, seed, config.sensor), config, policy, derived_seed(seed, "agent"), budget, reach)
-    )
+    world = World(scenario, seed, config.sensor)
+    return Mission(scenario, config, _steps(world, config, policy, derived_seed(seed, "agent"), budget, reach(policy, moves)))
 
 
-def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: int, reach: Reach) -> Iterator[Step]:
+def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: int, within: Reach) -> Iterator[Step]:
     posterior, position, decision_s = prior(config), world.start, 0.0
     for step in range(budget + 1):
         reading = Reading(step, position, ALTITUDE_M, world.wind, world.gas(position, step))
@@ -60,16 +65,16 @@ def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: i
         if summary.ceased or step == budget:
             return
         began = time.perf_counter()
-        position = choose(policy, summary, cloud, agent_seed, reach)
+        position = choose(policy, summary, cloud, agent_seed, within)
         decision_s = time.perf_counter() - began
 
 
 def rollout(
-    seed: int, policy: str, particles: int = 1000, threshold_m: float = 0.5, budget: int = BUDGET_STEPS, reach: Reach = DEFAULT,
-    **knowledge: Any,
+    seed: int, policy: str, particles: int = 1000, threshold_m: float = 0.5, budget: int = BUDGET_STEPS,
+    moves: Mapping[str, float] = USUAL,     **knowledge: Any,
 ) -> tuple[Outcome, list[TracePoint]]:  # fmt: skip
-    """Fly the mission of a seed with a policy; returns its outcome and trace. `knowledge`: more fields of `Config`."""
-    flown = mission(seed, policy, particles, threshold_m, budget, reach, **knowledge)
+    """Fly the mission of a seed with a policy; returns its outcome and trace. `moves` and `knowledge` as in `mission`."""
+    flown = mission(seed, policy, particles, threshold_m, budget, moves, **knowledge)
     trace: list[TracePoint] = []
     search_time_s = 0.0
     for said, _, update_s, decision_s in flown.steps:

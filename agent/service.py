@@ -11,10 +11,8 @@ from link.messages import Belief, Particles, unpack_particles
 from plume.randomness import keyed
 from plume.sensor import parse
 
-DEFAULT = Reach()
 
-
-def choose(policy: str, belief: Belief, particles: Particles, seed: int, reach: Reach = DEFAULT) -> tuple[float, float]:
+def choose(policy: str, belief: Belief, particles: Particles, seed: int, reach: Reach) -> tuple[float, float]:
     """Return the next waypoint (x, y) m: a function of the belief and the seed alone."""
     chosen = planner(policy)(belief, particles, reach, keyed(seed, policy, belief.step))
     x, y = reach.moves(belief.position)[chosen].tolist()

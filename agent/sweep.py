@@ -5,19 +5,23 @@ import logging
 import math
 import multiprocessing
 import os
+import pickle
+import signal
+import socket
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numba
 import numpy as np
 
 from agent.figures import Flown
 from agent.floor import LEAST_THRESHOLD_M, floors_m
-from agent.moves import Reach
+from agent.planners import reach
 from agent.rollout import Mission, mission
 from estimator.belief import may_claim, sure_enough
 from estimator.filter import Config
@@ -26,6 +30,8 @@ from plume.scenario import BUDGET_STEPS, STEP_M, SUCCESS_RADIUS_M
 from plume.sensor import GAUSSIAN
 
 PACKAGES = ("plume", "link", "estimator", "agent")
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""One thread a worker: pools beside each other slow all of them down."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +43,8 @@ class Sweep:
     particles: Sequence[int] = (1000,)
     thresholds_m: Sequence[float] = (0.5,)
     budget: int = BUDGET_STEPS
-    reach: Reach = field(default_factory=Reach)
+    moves: dict[str, float] = field(default_factory=dict)
+    """Fields of `Reach`, where a planner's own are not wanted."""
     knowledge: dict[str, Any] = field(default_factory=dict)
     """More fields of `Config`."""
 
@@ -54,7 +61,7 @@ Flight = tuple[str, int, int]
 def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[Flown]]:
     """Fly missions of one seed until their spread is below the smallest ζ; returns for each a row a ζ: there it would have stopped."""
     missions = [
-        mission(seed, policy, particles, min(sweep.thresholds_m), sweep.budget, sweep.reach, **sweep.knowledge)
+        mission(seed, policy, particles, min(sweep.thresholds_m), sweep.budget, sweep.moves, **sweep.knowledge)
         for policy, particles, seed in flights
     ]
     floors = _floors(sweep, missions[0])
@@ -64,7 +71,7 @@ def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[Flown]]:
 def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
     """The information floor of a mission at each ζ, m, where docs/floor.md knows it."""
     config = ready.config
-    if config.sensor != GAUSSIAN or config.priors or config.stop_limits or sweep.reach.step_m != STEP_M:
+    if config.sensor != GAUSSIAN or config.priors or config.stop_limits or sweep.moves.get("step", STEP_M) != STEP_M:
         return {}
     floors = floors_m(ready.scenario, [threshold_m for threshold_m in sweep.thresholds_m if threshold_m >= LEAST_THRESHOLD_M])
     return {threshold_m: floor_m for threshold_m, floor_m in floors.items() if math.isfinite(floor_m)}
@@ -81,7 +88,7 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
 
     def row(threshold_m: float, ceased: bool) -> Flown:
         floor_m = floors.get(threshold_m)
-        return _row(flight, threshold_m, ceased, said, scenario.source, distance_m, floor_m, updates_s, decisions_s)
+        return _row(sweep, flight, threshold_m, ceased, said, scenario.source, distance_m, floor_m, updates_s, decisions_s)
 
     for said, _, update_s, decision_s in steps:
         updates_s.append(update_s)
@@ -102,10 +109,11 @@ def _ceased(said: Belief, config: Config, threshold_m: float) -> bool:
 
 
 def _row(
-    flight: Flight, threshold_m: float, ceased: bool, last: Belief, source: tuple[float, float], distance_m: float,
+    sweep: Sweep, flight: Flight, threshold_m: float, ceased: bool, last: Belief, source: tuple[float, float], distance_m: float,
     floor_m: float | None, updates_s: Sequence[float], decisions_s: Sequence[float],
 ) -> Flown:  # fmt: skip
     policy, particles, seed = flight
+    moves = reach(policy, sweep.moves)
     error = np.subtract(last.mean, source)
     error_m = math.dist(last.mean, source)
     xx, xy, yy = last.covariance
@@ -114,6 +122,10 @@ def _row(
         particles=particles,
         threshold_m=threshold_m,
         seed=seed,
+        budget=sweep.budget,
+        headings=moves.headings,
+        step_m=moves.step,
+        measurements=moves.measurements,
         ceased=ceased,
         located=ceased and error_m <= SUCCESS_RADIUS_M,
         estimate_x=last.mean[0],
@@ -132,10 +144,10 @@ def _row(
     )
 
 
-def fly_all(sweep: Sweep, journal: Path, workers: int, ray: str | None = None) -> Iterator[list[Flown]]:
+def fly_all(sweep: Sweep, journal: Path, workers: int, on_ray: bool = False) -> Iterator[list[Flown]]:
     """Fly what the journal does not hold yet; yields the rows of each flight as it ends, those of the journal first.
 
-    The journal takes each flight as it ends, so that a sweep that is cut off goes on where it was.
+    The journal takes each flight as it ends, so that a sweep that is cut off goes on where it was. Ray flies on the cluster joined.
     """
     done: dict[Flight, list[Flown]] = {}
     if journal.exists():
@@ -152,7 +164,7 @@ def fly_all(sweep: Sweep, journal: Path, workers: int, ray: str | None = None) -
     journal.parent.mkdir(parents=True, exist_ok=True)
     with journal.open("ab", buffering=0) as file:
         file.write(b"\n")  # ends a line that was cut off
-        for rows in _on_ray(sweep, tasks, ray) if ray else _on_cores(sweep, tasks, workers):
+        for rows in _on_ray(sweep, tasks) if on_ray else _on_cores(sweep, tasks, workers):
             file.write(msgspec.json.encode(rows) + b"\n")
             yield rows
 
@@ -160,35 +172,80 @@ def fly_all(sweep: Sweep, journal: Path, workers: int, ray: str | None = None) -
 def _on_cores(sweep: Sweep, tasks: Sequence[Sequence[Flight]], workers: int) -> Iterator[list[Flown]]:
     if not tasks:
         return
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # one thread a worker: pools beside each other slow all of them down
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
     with multiprocessing.get_context("spawn").Pool(min(workers, len(tasks))) as pool:
         for flown in pool.imap_unordered(partial(fly, sweep), tasks):
             yield from flown
 
 
-def _on_ray(sweep: Sweep, tasks: Sequence[Sequence[Flight]], address: str) -> Iterator[list[Flown]]:
+class ClusterError(Exception):
+    """The Ray cluster cannot fly a sweep; the message says why in one line."""
+
+
+def join(address: str) -> None:
+    """Join the Ray cluster there, of which this machine must be a node: HOST:PORT of its head, or auto."""
+    os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "1")  # at 40 s each
+    try:
+        import ray
+    except ImportError:
+        raise ClusterError("Ray is not installed; pip install 'plumeward[ray]'") from None
+    terminate = signal.getsignal(signal.SIGTERM)
+    try:
+        if address != "auto":
+            host, _, port = address.rpartition(":")
+            socket.create_connection((host.strip("[]"), int(port)), timeout=5).close()  # Ray itself is slow to see that nobody answers
+        ray.init(address, log_to_driver=False, logging_level=logging.ERROR, runtime_env={"env_vars": dict.fromkeys(THREADS, "1")})
+    except (OSError, RuntimeError, ValueError) as error:
+        why = str(error.__cause__ or error).strip().splitlines()[-1].partition(". ")[0].rstrip(".")
+        allowed = "HOST:PORT of a Ray cluster that this machine is in, or auto"
+        raise ClusterError(f"cannot join {address!r} ({why}); wanted {allowed}") from error
+    signal.signal(signal.SIGTERM, terminate)  # Ray took it
+
+
+def _on_ray(sweep: Sweep, tasks: Sequence[Sequence[Flight]]) -> Iterator[list[Flown]]:
     import ray
 
-    ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
+    here = code()
+
+    def fly_there(packed: bytes) -> Any:  # nested, it travels by value: it can say that what it needs is not there
+        try:
+            from agent.sweep import code, fly
+
+            if code() == here:
+                return fly(*pickle.loads(packed))
+        except ImportError:
+            pass
+        return socket.gethostname()
+
     try:
-        remote = ray.remote(num_cpus=1)(fly)
-        waiting = [remote.remote(sweep, flights) for flights in tasks]
+        remote = ray.remote(num_cpus=1)(fly_there)
+        waiting = [remote.remote(pickle.dumps((sweep, flights))) for flights in tasks]
         while waiting:
-            finished, waiting = ray.wait(waiting)
+            finished, waiting = ray.wait(waiting, num_returns=len(waiting), timeout=1)
             for flown in ray.get(finished):
+                if isinstance(flown, str):
+                    raise ClusterError(f"node {flown!r} lacks the plumeward, numpy and numba that are here; install the same there")
                 yield from flown
     finally:
         ray.shutdown()
 
 
-def journal_of(sweep: Sweep, folder: Path) -> Path:
-    """Return the file in which a sweep is kept: another for another question, or for other code."""
-    digest = hashlib.blake2b(repr((sweep.thresholds_m, sweep.budget, sweep.reach, sorted(sweep.knowledge.items()))).encode(), digest_size=8)
+@cache
+def code() -> str:
+    """Digest of what flies: our sources, and the versions of what computes with them."""
+    digest = hashlib.blake2b(f"{np.__version__} {numba.__version__}".encode(), digest_size=8)
     root = Path(__file__).parents[1]
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
             digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def journal_of(sweep: Sweep, folder: Path) -> Path:
+    """Return the file in which a sweep is kept: another for another question, or for other code."""
+    question = (code(), sweep.thresholds_m, sweep.budget, sorted(sweep.moves.items()), sorted(sweep.knowledge.items()))
+    digest = hashlib.blake2b(repr(question).encode(), digest_size=8)
     return folder / f"evaluate-{digest.hexdigest()}.jsonl"
 
 

@@ -20,6 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.figures import Interval, bootstrap, mean, wilson
+from agent.moves import Reach
 from agent.service import choose
 from estimator import kernels, priors
 from estimator.belief import INCOMPATIBLE, belief, may_claim
@@ -132,7 +134,7 @@ def fly(case: Case, seed: int) -> Flight:
                 stops[threshold_m] = Stop(threshold_m, step, error_m, nees, nees_all, warned)
         if summary.ceased:
             break
-        position = choose("infotaxis", summary, cloud, derived_seed(seed, "agent"))
+        position = choose("infotaxis", summary, cloud, derived_seed(seed, "agent"), Reach())
     return Flight(stops, warned)
 
 
@@ -158,28 +160,25 @@ def flights(case: Case, missions: int) -> list[Flight]:
     return results
 
 
-def wilson(hits: int, of: int) -> str:
-    """A share in percent with its 95% interval (Wilson 1927)."""
-    if of == 0:
-        return "–"
-    z, p = 1.96, hits / of
-    middle, half = (p + z * z / (2 * of)) / (1 + z * z / of), z * math.sqrt(p * (1 - p) / of + z * z / (4 * of * of)) / (1 + z * z / of)
-    return f"{100 * p:.1f} [{100 * max(middle - half, 0):.1f}, {100 * min(middle + half, 1):.1f}]"
+def share(hits: int, of: int) -> str:
+    """A share in percent with its interval."""
+    return "–" if of == 0 else cell(wilson(hits, of), 100.0, 1)
 
 
-def bootstrap(values: Array, statistic: Callable[[Array], float]) -> str:
-    """A statistic with its 95% bootstrap interval."""
-    if len(values) == 0:
-        return "–"
-    rng = np.random.default_rng(0)
-    again = [statistic(values[rng.integers(len(values), size=len(values))]) for _ in range(1000)]
-    low, high = np.quantile(again, [0.025, 0.975])
-    return f"{statistic(values):.2f} [{low:.2f}, {high:.2f}]"
+def statistic(values: Array, of_samples: Callable[[Array], Array] = mean) -> str:
+    """A statistic with its interval."""
+    return "–" if len(values) == 0 else cell(bootstrap(values, of_samples), 1.0, 2)
 
 
-def quantile(share: float, values: Array) -> float:
-    """Return the value that a share of the values lies below."""
-    return float(np.quantile(values, share))
+def cell(interval: Interval, scale: float, digits: int) -> str:
+    """A figure and its interval in a table."""
+    value, low, high = (f"{scale * end:.{digits}f}" for end in (interval.value, interval.low, interval.high))
+    return f"{value} [{low}, {high}]"
+
+
+def quantile(level: float, samples: Array) -> Array:
+    """Return what a share of each sample (R, n) lies below: (R,)."""
+    return np.asarray(np.quantile(samples, level, axis=1))
 
 
 COLUMNS = "ζ, m | missions | ceased, % | located, % | false stop, % | error ≤ 2ζ, % | error p50, m | p95, m | p99, m | mean NEES"
@@ -193,12 +192,12 @@ def row(results: Sequence[Flight], threshold_m: float) -> str:
     cells = [
         f"{threshold_m:g}",
         str(len(results)),
-        wilson(len(stops), len(results)),
-        wilson(located, len(stops)),
-        wilson(len(stops) - located, len(stops)),
-        wilson(int((errors <= 2 * threshold_m).sum()), len(stops)),
-        *(bootstrap(errors, partial(quantile, q)) for q in (0.5, 0.95, 0.99)),
-        bootstrap(nees, lambda values: float(values.mean())),
+        share(len(stops), len(results)),
+        share(located, len(stops)),
+        share(len(stops) - located, len(stops)),
+        share(int((errors <= 2 * threshold_m).sum()), len(stops)),
+        *(statistic(errors, partial(quantile, q)) for q in (0.5, 0.95, 0.99)),
+        statistic(nees),
     ]
     return " | ".join(cells)
 
@@ -245,7 +244,7 @@ def section_unknowns(missions: int) -> str:
             for threshold_m in case.thresholds_m:
                 rows.append((f"{name}, N {count:,}", row(results, threshold_m)))
                 nees = np.array([flight.stops[threshold_m].nees_all for flight in results if threshold_m in flight.stops])
-                means.append(f"| {name}, N {count:,} | {threshold_m:g} | {bootstrap(nees, lambda values: float(values.mean()))} |")
+                means.append(f"| {name}, N {count:,} | {threshold_m:g} | {statistic(nees)} |")
     words = (
         "`q`: the rate is unknown too, U(100, 500). `all eight`: x, y, z ~ U(0, 5) m below a flight at 5 m, q ~ gamma(2, 150), wind speed\n"
         "and direction within N(0, 0.5 m/s) and N(0, 10°) of what is thought, d ~ U(1, 8), τ ~ U(5, 20); the truth is drawn from these."
@@ -284,7 +283,7 @@ def section_faults(missions: int) -> str:
     rows = []
     for fault in (zero, three, frozen, hum, doubled):
         results = flights(Case(fault.__name__, thresholds_m=LATER_THRESHOLDS_M, fault=fault), missions)
-        warned = wilson(sum(flight.warned for flight in results), len(results))
+        warned = share(sum(flight.warned for flight in results), len(results))
         name = f"{(fault.__doc__ or '').rstrip('.').lower()}; warned in {warned}%"
         rows += [(name, row(results, threshold_m)) for threshold_m in LATER_THRESHOLDS_M]
     words = "N 1,000. While readings do not fit the model (p < 1e-4, or the last three equal), and before the third, nothing is claimed."
@@ -329,7 +328,7 @@ def section_harsh(missions: int) -> str:
         "0, 0.3, 2 and 30 m, and five readings on it.\n\n"
         "| missions | unsound: NaN, empty weights, particles outside | NEES ever above 50 | of missions, % | greatest NEES |\n"
         "|---|---|---|---|---|\n"
-        f"| {len(results)} | {sum(not sound for sound, _ in results)} | {beyond} | {wilson(beyond, len(results))} | "
+        f"| {len(results)} | {sum(not sound for sound, _ in results)} | {beyond} | {share(beyond, len(results))} | "
         f"{max(nees for _, nees in results):.0f} |"
     )
 

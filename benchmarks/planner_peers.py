@@ -140,8 +140,8 @@ class StoneSoup:
             position_mapping=(0, 1, 2),
             action_mapping=(0, 1),
             action_space=np.array([[0, reach.area_m], [0, reach.area_m]]),
-            max_speed=reach.step_m,
-            resolution=reach.step_m,
+            max_speed=reach.step,
+            resolution=reach.step,
             angle_resolution=2 * np.pi / reach.headings,
         )
         self._platform: Any = FixedPlatform(movement_controller=controller, sensors=[sensor])

@@ -92,15 +92,17 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
 
 def add_reach_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags that say how a planner may move, and how much it imagines."""
+    parser.add_argument("--headings", type=int, choices=(4, 8), help="directions that a planner chooses from (default: the planner's own)")
+    parser.add_argument("--step", type=number(0, 10, above=True), metavar="M", help="length of a move (default: 1 m)")
     parser.add_argument(
-        "--headings", type=int, choices=(4, 8), default=4, help="directions that a planner chooses from (default: %(default)s)"
+        "--measurements", type=whole(1, 10_000), metavar="K", help="hypothetical readings for each move (default: the planner's own)"
     )
-    parser.add_argument(
-        "--step", type=number(0, 10, above=True), default=1.0, metavar="M", help="length of a move (default: %(default)g m)"
-    )
-    parser.add_argument(
-        "--measurements", type=whole(1, 10_000), default=25, metavar="K", help="hypothetical readings for each move (default: %(default)s)"
-    )
+
+
+def reach_given(args: argparse.Namespace) -> dict[str, float]:
+    """Of the flags of `add_reach_arguments`, those that were given: by the flag's name."""
+    given = {"headings": args.headings, "step": args.step, "measurements": args.measurements}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def checked(parse: Callable[[str], object]) -> Callable[[str], str]:

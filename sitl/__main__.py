@@ -107,7 +107,7 @@ def _fly(args: argparse.Namespace) -> int:
     if args.home:
         handed_on.append("--home=" + ",".join(map(repr, args.home)))
     filter_arguments = [flag for prior in args.prior for flag in ("--prior", prior)] + ["--stop-on", args.stop_on]
-    agent_arguments = ["--headings", str(args.headings), "--step", repr(args.step), "--measurements", str(args.measurements)]
+    agent_arguments = [word for name, value in cli.reach_given(args).items() for word in (f"--{name}", repr(value))]
     mission = Mission(
         args.seed, args.policy, args.particles, args.threshold, args.budget, args.speedup, args.instance, args.listen, args.sensor,
         filter_arguments, agent_arguments, handed_on,

@@ -1,7 +1,9 @@
 """Planners by name: each a pure function from a belief to the next waypoint, one small file each."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib import import_module
+from types import MappingProxyType
 
 import numpy as np
 
@@ -21,8 +23,15 @@ PLANNERS = {
     "thompson": "agent.planners.thompson",
     "space-aware-infotaxis": "agent.planners.space_aware_infotaxis",
     "greedy": "agent.planners.greedy",
+    "lookahead": "agent.planners.lookahead",
+    "homing": "agent.planners.homing",
 }
 """The module of each planner; it is imported when the planner is asked for."""
+
+
+def reach(name: str, given: Mapping[str, float] = MappingProxyType({})) -> Reach:
+    """What a planner chooses from: what is given of the fields of `Reach`, else its own `REACH`, else what is usual."""
+    return replace(getattr(import_module(PLANNERS[name]), "REACH", Reach()), **given)
 
 
 def planner(name: str) -> Planner:

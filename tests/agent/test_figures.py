@@ -11,7 +11,8 @@ from agent.figures import Flown, Interval, bootstrap, figures, wilson
 
 def flown(seed: int, ceased: bool, error_m: float, distance_m: float) -> Flown:
     return Flown(
-        policy="greedy", particles=100, threshold_m=0.5, seed=seed, ceased=ceased, located=ceased and error_m <= 1, estimate_x=0.0,
+        policy="greedy", particles=100, threshold_m=0.5, seed=seed, budget=300, headings=4, step_m=1.0, measurements=25,
+        ceased=ceased, located=ceased and error_m <= 1, estimate_x=0.0,
         estimate_y=0.0, source_x=error_m, source_y=0.0, error_m=error_m, spread_m=0.4, nees=2.0 * seed, steps=int(distance_m),
         distance_m=distance_m, floor_m=distance_m / 2 if seed else 25.0, search_time_s=0.5, decision_ms=2.0, update_ms=1.0,
     )  # fmt: skip

@@ -192,7 +192,7 @@ def test_moves_are_steps_of_a_metre() -> None:
     eight = Reach(headings=8).moves(HERE)
     assert np.linalg.norm(eight - HERE, axis=1) == pytest.approx(np.ones(8), abs=1e-6)
     assert np.degrees(np.arctan2(*(eight - HERE).T[::-1])) % 360 == pytest.approx(np.arange(8) * 45.0, abs=1e-4)
-    assert Reach(step_m=2.5).moves(HERE)[0].tolist() == [16.5, 13.0]
+    assert Reach(step=2.5).moves(HERE)[0].tolist() == [16.5, 13.0]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import pytest
 from agent.evaluate import named, read_csv, write_csv
 from agent.figures import Flown
 from agent.floor import floors_m
-from agent.moves import Reach
 from agent.rollout import rollout
 from agent.sweep import Sweep, fly, fly_all, journal_of, ordered
 from plume.scenario import draw
@@ -81,7 +80,7 @@ def test_a_table_of_missions_reads_back_as_it_was_written(tmp_path: Path, name: 
     assert rows[0].floor_m is None  # too small a ζ for it
     write_csv(rows, tmp_path / name)
     text = (gzip.decompress if name.endswith("gz") else bytes)((tmp_path / name).read_bytes()).decode()
-    assert text.startswith("policy,particles,threshold_m,seed,ceased,located,")
+    assert text.startswith("policy,particles,threshold_m,seed,budget,headings,step_m,measurements,ceased,located,")
     assert read_csv(tmp_path / name) == rows
 
 
@@ -95,5 +94,5 @@ def test_rows_carry_the_floor_of_their_scenario_where_it_is_known() -> None:
     flight = ("greedy", 100, 7)
     (rows,) = fly(SMALL, [flight])
     assert {row.threshold_m: row.floor_m for row in rows} == floors_m(draw(7), SMALL.thresholds_m)
-    for other in (replace(SMALL, reach=Reach(step_m=0.5)), replace(SMALL, knowledge={"sensor": Hits()})):
+    for other in (replace(SMALL, moves={"step": 0.5}), replace(SMALL, knowledge={"sensor": Hits()})):
         assert {row.floor_m for row in fly(other, [flight])[0]} == {None}

@@ -1,0 +1,27 @@
+"""Homing: close in on the source and on what is still possible at once; ours, the best without learning (docs/planners.md)."""
+
+import numpy as np
+
+from agent.moves import Reach
+from agent.predict import cloud, entropy_spread, imagine
+from link.messages import Belief, Particles
+
+REACH = Reach(headings=8, measurements=100)
+PARTICLES = 500
+"""Of the belief, to plan with."""
+AHEAD = 2.0
+"""Readings are imagined so many steps ahead: one step further the belief is hardly another."""
+WEIGHT = 4.0
+"""Metres to fly that a metre of spread is expected to cost."""
+
+
+def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
+    """The move with the least expected ‖p − s‖ + c · spread after a reading at p, two steps ahead; the spread is that of entropy."""
+    moves = reach.moves(belief.position)
+    places = np.clip(belief.position + AHEAD * (moves - belief.position), 0.0, reach.area_m)
+    hypotheses = cloud(belief, particles).thinned(PARTICLES)
+    distances = np.linalg.norm(places[:, :, None] - hypotheses.places, axis=1)  # (A, N)
+    imagined = imagine(belief, hypotheses, places, reach.measurements, rng, distances[:, None])
+    gains = imagined.log_likelihood - imagined.log_predictive  # (A, K) nats
+    spreads = entropy_spread(hypotheses, belief.spread) * np.exp(-gains / 2)
+    return int(np.argmin((imagined.expectations[:, :, 0] + WEIGHT * spreads).mean(axis=1)))

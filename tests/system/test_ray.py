@@ -1,0 +1,176 @@
+"""Protects sweeps on a Ray cluster: two nodes give what the cores give, an interrupt loses nothing, and what cannot work is said."""
+
+import contextlib
+import json
+import os
+import re
+import secrets
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from agent.evaluate import read_csv
+from agent.figures import Flown
+from agent.sweep import PACKAGES
+
+pytest.importorskip("ray")
+
+SWEEP = ("agent", "evaluate", "--policy", "greedy,thompson", "--particles", "100", "--budget", "40", "--threshold", "0.5,2")
+START = "--num-cpus=1", "--block", "--object-store-memory=100000000", "--include-log-monitor=false", "--disable-usage-stats"
+
+
+class Cluster:
+    """`ray start`, typed on several machines that all are this one."""
+
+    def __init__(self, folder: Path, wait_until: Callable) -> None:
+        self.folder = folder
+        self.wait_until = wait_until
+        self.nodes: list[subprocess.Popen] = []
+
+    def add(self, name: str, *flags: str, **environment: str) -> str:
+        """Start a node; returns what it says."""
+        said = self.folder / f"{name}.log"
+        with said.open("w") as file:
+            node = subprocess.Popen(
+                [sys.executable, "-m", "ray.scripts.scripts", "start", *flags, *START, f"--temp-dir={self.folder / name}"],
+                stdin=subprocess.DEVNULL, stdout=file, stderr=file, cwd=self.folder, env=os.environ | environment, start_new_session=True,
+            )  # fmt: skip
+        self.nodes.append(node)
+        self.wait_until(lambda: "will now block" in said.read_text() or node.poll() is not None, timeout_s=60)
+        assert node.poll() is None, said.read_text()
+        return said.read_text()
+
+    def head(self, **environment: str) -> str:
+        """Start the first node; returns the address of the cluster."""
+        with socket.create_server(("", 0)) as server:
+            free = server.getsockname()[1]
+        said = self.add("head", "--head", "--port=0", f"--ray-client-server-port={free}", "--include-dashboard=false", **environment)
+        return re.search(r"--address='(\S+)'", said)[1]
+
+    def flew(self, name: str) -> bool:
+        """Whether a worker of this node has done a task of a sweep: its log names it."""
+        return any(":task_name:fly_there\n" in log.read_text() for log in self.folder.glob(f"{name}/session_2*/logs/worker-*.out"))
+
+    def stop(self) -> None:
+        for node in reversed(self.nodes):
+            node.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                node.wait(20)
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(node.pid, signal.SIGKILL)
+            node.wait()
+
+
+@pytest.fixture
+def cluster(monkeypatch: pytest.MonkeyPatch, wait_until: Callable) -> Iterator[Cluster]:
+    """A cluster without nodes yet, which nobody else can join."""
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")
+    monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex())
+    folder = Path(tempfile.mkdtemp(prefix="ray-", dir="/tmp"))  # the paths of its sockets may have 107 bytes
+    cluster = Cluster(folder, wait_until)
+    try:
+        yield cluster
+    finally:
+        cluster.stop()
+        shutil.rmtree(folder)
+
+
+def untimed(path: Path) -> list[Flown]:
+    """Rows without what is measured and not computed."""
+    return [msgspec.structs.replace(row, search_time_s=0.0, decision_ms=0.0, update_ms=0.0) for row in read_csv(path)]
+
+
+@pytest.mark.timeout(300)
+def test_two_nodes_give_what_the_cores_give_and_an_interrupt_loses_nothing(
+    start, cluster: Cluster, tmp_path: Path, wait_until: Callable
+) -> None:
+    address = cluster.head()
+    cluster.add("second", f"--address={address}")
+    few = (*SWEEP, "--first-seed", "7", "--scenarios", "50", "--json")
+    on_ray = start(*few, "--ray", address, "--missions", "ray.csv", cwd=tmp_path)
+    assert on_ray.ended() == 0, on_ray.err
+    assert cluster.flew("head")
+    assert cluster.flew("second")
+    (figures,) = on_ray.out
+    assert json.loads(figures)["greedy particles=100 threshold=0.5"]["missions"] == 50
+    assert not on_ray.says("ray")  # nothing of its chatter
+    on_cores = start(*few, "--workers", "2", "--missions", "cores.csv", cwd=tmp_path)
+    assert on_cores.ended() == 0, on_cores.err
+    rows = untimed(tmp_path / "ray.csv")
+    assert len(rows) == 2 * 2 * 50
+    assert rows == untimed(tmp_path / "cores.csv")
+
+    def journal() -> bytes:
+        return b"".join(path.read_bytes() for path in tmp_path.glob("runs/*"))
+
+    def interrupted(sign: signal.Signals) -> bytes:
+        kept = journal()
+        sweep = start(*SWEEP, "--scenarios", "3000", "--ray", address, cwd=tmp_path)
+        wait_until(lambda: len(journal()) > len(kept) + 1, timeout_s=60)
+        sweep.process.send_signal(sign)
+        assert sweep.ended() == 130
+        assert sweep.says("the same command goes on from there")
+        assert not sweep.says("ray")
+        assert journal().startswith(kept)
+        return journal()
+
+    first = interrupted(signal.SIGINT)
+    assert len(interrupted(signal.SIGTERM)) > len(first)
+
+
+@pytest.mark.timeout(300)
+def test_a_node_with_other_code_is_refused(start, cluster: Cluster, tmp_path: Path) -> None:
+    """Its missions could come out otherwise."""
+    other = cluster.folder / "other"
+    for package in PACKAGES:
+        shutil.copytree(Path(__file__).parents[2] / package, other / package)
+    address = cluster.head(PYTHONPATH=str(other))
+    sweep = other / "agent" / "sweep.py"
+    for code in (f"{sweep.read_text()}# newer", "raise ImportError('no numba')"):
+        sweep.write_text(code)
+        refused = start(*SWEEP, "--scenarios", "2", "--ray", address, cwd=tmp_path)
+        assert refused.ended() == 2
+        assert refused.err[-1].startswith("error: --ray: node ")
+        assert refused.err[-1].endswith("lacks the plumeward, numpy and numba that are here; install the same there\n")
+        assert not refused.says("Traceback")
+
+
+@pytest.mark.parametrize(
+    ("address", "error"),
+    [
+        ("127.0.0.1:1", "cannot join '127.0.0.1:1' ([Errno 111] Connection refused); wanted HOST:PORT of a Ray cluster that this machine"),
+        ("local", "'local' is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto"),
+        ("", "'' is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto"),
+        ("ray://127.0.0.1:70000", "'ray://127.0.0.1:70000' is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto"),
+        ("auto", "cannot join 'auto' (Could not find any running Ray instance); wanted HOST:PORT of a Ray cluster that this machine"),
+    ],
+)
+def test_where_there_is_no_cluster_one_line_says_so(
+    start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str, error: str
+) -> None:
+    if address == "auto":
+        monkeypatch.delenv("RAY_ADDRESS", raising=False)
+        if subprocess.run(["pgrep", "-x", "raylet"], stdout=subprocess.DEVNULL).returncode == 0:
+            pytest.skip("a Ray cluster is running here")
+    sweep = start(*SWEEP, "--ray", address, cwd=tmp_path)
+    assert sweep.ended(20) == 2
+    (line,) = sweep.err
+    assert f"error: --ray: {error}" in line
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_ray_one_line_says_what_to_install(start, tmp_path: Path) -> None:
+    (tmp_path / "ray.py").write_text("raise ImportError")
+    sweep = start(*SWEEP, "--ray", "auto", cwd=tmp_path)
+    assert sweep.ended() == 2
+    assert sweep.err == ["error: --ray: Ray is not installed; pip install 'plumeward[ray]'\n"]
