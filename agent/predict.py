@@ -1,5 +1,6 @@
 """What a belief predicts of readings not yet taken, and what it would become by them."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +35,7 @@ class Cloud:
 
     def thinned(self, most: int) -> "Cloud":
         """Every so many-th particle, so that there are at most so many: enough to plan with, where N are needed to know."""
-        every = -(-len(self.weights) // most)
+        every = math.ceil(len(self.weights) / most)
         weights = self.weights[::every]
         return Cloud(np.ascontiguousarray(self.values[:, ::every]), weights / weights.sum())
 
@@ -51,10 +52,9 @@ class Imagined:
     """(A, K, F): of the values asked for, under the belief after it."""
 
     @property
-    def information(self) -> Array:
-        """(A,): Kullback–Leibler divergence from the belief to the belief after a reading, nats; mean over readings."""
-        gains: Array = (self.log_likelihood - self.log_predictive).mean(axis=1)
-        return gains
+    def gains(self) -> Array:
+        """(A, K): Kullback–Leibler divergence from the belief to the belief after the reading, nats."""
+        return self.log_likelihood - self.log_predictive
 
 
 def cloud(belief: Belief, particles: Particles) -> Cloud:
@@ -90,14 +90,15 @@ def imagine(
     values: (F, N) or (A, F, N), of the particles.  The draws are stratified over the belief, and all places share the same ones, so
     that chance does not decide between them.
     """
-    if values is None:
-        values = np.empty((0, len(hypotheses.weights)))
-    values = values[None, None] if values.ndim == 2 else values[:, None]
+    if values is not None:
+        values = values[None, None] if values.ndim == 2 else values[:, None]
     along = imagine_along(belief, hypotheses, places[:, None], number, rng, values)
     return Imagined(along.log_predictive[:, 0], along.log_likelihood[:, 0], along.expectations[:, 0])
 
 
-def imagine_along(belief: Belief, hypotheses: Cloud, paths: Array, number: int, rng: np.random.Generator, values: Array) -> Imagined:
+def imagine_along(
+    belief: Belief, hypotheses: Cloud, paths: Array, number: int, rng: np.random.Generator, values: Array | None = None
+) -> Imagined:
     """The same for readings at all places along paths (A, L, 2): what is imagined (A, L, K) counts those before. values: (A, L, F, N)."""
     sensor = parse(belief.sensor)
     means = concentrations(belief, hypotheses, paths.reshape(-1, 2)).reshape(*paths.shape[:2], -1)
@@ -111,6 +112,8 @@ def imagine_along(belief: Belief, hypotheses: Cloud, paths: Array, number: int, 
         generator = np.random.Generator(bits)
         for row, of_place in zip(along, of_path, strict=True):
             of_place[:] = sensor.measure(row[drawn], generator)
+    if values is None:
+        values = np.empty((1, 1, 0, len(cumulative)))
     return Imagined(*kernels.imagine(means, hypotheses.weights, np.ascontiguousarray(values), drawn, readings, sensor_row(sensor)))
 
 

@@ -16,12 +16,14 @@ WEIGHT = 4.0
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The move with the least expected ‖p − s‖ + c · spread after a reading at p, two steps ahead; the spread is that of entropy."""
+    """The move with the least E‖p − s‖ + c · E[spread after a reading at p], p two steps ahead; the spread is that of entropy.
+
+    No reading changes how far off the source is expected to be: the first term is the belief's own.
+    """
     moves = reach.moves(belief.position)
     places = np.clip(belief.position + AHEAD * (moves - belief.position), 0.0, reach.area_m)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
-    distances = np.linalg.norm(places[:, :, None] - hypotheses.places, axis=1)  # (A, N)
-    imagined = imagine(belief, hypotheses, places, reach.measurements, rng, distances[:, None])
-    gains = imagined.log_likelihood - imagined.log_predictive  # (A, K) nats
-    spreads = entropy_spread(hypotheses, belief.spread) * np.exp(-gains / 2)
-    return int(np.argmin((imagined.expectations[:, :, 0] + WEIGHT * spreads).mean(axis=1)))
+    distances = np.linalg.norm(places[:, :, None] - hypotheses.places, axis=1) @ hypotheses.weights
+    gains = imagine(belief, hypotheses, places, reach.measurements, rng).gains
+    spreads = entropy_spread(hypotheses, belief.spread) * np.exp(-gains / 2).mean(axis=1)
+    return int(np.argmin(distances + WEIGHT * spreads))

@@ -10,4 +10,4 @@ from link.messages import Belief, Particles
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the greatest expected information gain (Vergassola 2007; Hutchinson 2018, eq. 14)."""
     moves = reach.moves(belief.position)
-    return int(np.argmax(imagine(belief, cloud(belief, particles), moves, reach.measurements, rng).information))
+    return int(np.argmax(imagine(belief, cloud(belief, particles), moves, reach.measurements, rng).gains.mean(axis=1)))

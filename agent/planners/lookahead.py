@@ -16,18 +16,16 @@ WEIGHT = 3.0
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The move that begins the path with the least expected metres flown + ‖p − s‖ + c · spread, at the best of its places p.
+    """The move that begins the path with the least metres flown + E‖p − s‖ + c · E[spread], at the best of its places p.
 
-    A reading is taken at each place up to p. The spread is that of entropy.
+    The spread, that of entropy, is the one after readings at all places up to p.
     """
     moves = reach.moves(belief.position)
     ahead = np.array(AHEAD)[:, None]
     paths = np.clip(belief.position + ahead * (moves - belief.position)[:, None], 0.0, reach.area_m)  # (A, L, 2)
     flown = np.linalg.norm(paths - belief.position, axis=2)  # (A, L)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
-    distances = np.linalg.norm(paths[..., None] - hypotheses.places, axis=2)  # (A, L, N)
-    imagined = imagine_along(belief, hypotheses, paths, reach.measurements, rng, distances[:, :, None])
-    gains = imagined.log_likelihood - imagined.log_predictive  # (A, L, K) nats
-    spreads = entropy_spread(hypotheses, belief.spread) * np.exp(-gains / 2)
-    costs = flown + (imagined.expectations[..., 0] + WEIGHT * spreads).mean(axis=2)
-    return int(np.argmin(costs.min(axis=1)))
+    distances = np.linalg.norm(paths[..., None] - hypotheses.places, axis=2) @ hypotheses.weights  # (A, L)
+    gains = imagine_along(belief, hypotheses, paths, reach.measurements, rng).gains
+    spreads = entropy_spread(hypotheses, belief.spread) * np.exp(-gains / 2).mean(axis=2)
+    return int(np.argmin((flown + distances + WEIGHT * spreads).min(axis=1)))

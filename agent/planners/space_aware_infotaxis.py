@@ -23,6 +23,6 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     columns, rows = (hypotheses.places // CELL_M).astype(np.int64)
     shares = np.bincount(columns * (1 + rows.max()) + rows, hypotheses.weights)
     entropy = -np.sum(shares[shares > 0] * np.log2(shares[shares > 0]))
-    entropies = np.maximum(entropy - (imagined.log_likelihood - imagined.log_predictive) / np.log(2), 0.0)  # (A, K)
+    entropies = np.maximum(entropy - imagined.gains / np.log(2), 0.0)  # (A, K)
     scores = np.log2(imagined.expectations[:, :, 0] + (np.exp2(entropies) - 1) / 2)
     return int(np.argmin(scores.mean(axis=1)))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from agent.moves import Reach
-from agent.planners import PLANNERS, planner
-from agent.predict import Imagined, cloud, concentrations, imagine, variances
+from agent.planners import PLANNERS, planner, reach
+from agent.predict import Cloud, Imagined, cloud, concentrations, entropy_spread, imagine, imagine_along, variances
 from estimator.filter import Config
 from link.messages import Belief
 from plume.dispersion import concentration
@@ -80,7 +80,7 @@ def test_scores_converge_to_their_integrals(seed: int) -> None:
 
     said = draws(seed)
     # Information and entropy of one imagined reading scatter by about 1 nat: 4 standard errors of 40,000 are 0.02.
-    assert said.information == pytest.approx([e.information for e in exact], abs=0.02)
+    assert said.gains.mean(axis=1) == pytest.approx([e.information for e in exact], abs=0.02)
     assert -said.log_predictive.mean(axis=1) == pytest.approx([e.entropy for e in exact], abs=0.02)
     mean_x, mean_y, squares, log_weights = said.expectations.transpose(2, 0, 1)
     left = said.log_predictive - said.log_likelihood - log_weights
@@ -146,6 +146,33 @@ def test_the_fused_imagination_equals_the_readable_one(sensor: Sensor) -> None:
         assert said.expectations[a] == pytest.approx(after @ values.T, rel=1e-9)
 
 
+@pytest.mark.parametrize("sensor", SENSORS, ids=text)
+def test_readings_along_a_path_are_weighed_together(sensor: Sensor) -> None:
+    particles = particles_of(300, 6)
+    belief = belief_at(HERE, sensor)
+    hypotheses = cloud(belief, particles)
+    paths = HERE + np.arange(1, 4)[:, None] * np.array([(1.0, 0.0), (0.0, 1.0)])[:, None]  # (2, 3, 2)
+    values = np.linalg.norm(paths[..., None] - hypotheses.places, axis=2)[:, :, None]
+    said = imagine_along(belief, hypotheses, paths, 25, np.random.default_rng(5), values)
+    rng = np.random.default_rng(5)
+    strata = (np.arange(25) + rng.random()) / 25
+    drawn = np.searchsorted(np.cumsum(hypotheses.weights), strata, side="right")
+    seed = int(rng.integers(2**63))
+    for a, path in enumerate(paths):
+        rng, joint, left_out = np.random.Generator(np.random.Philox(seed)), np.zeros((25, 300)), np.zeros(25)
+        for step, place in enumerate(path):
+            means = concentration(place, hypotheses.places.T, WIND, rate=RATE, diffusivity=DIFFUSIVITY, lifetime=LIFETIME)
+            readings = sensor.measure(means[drawn], rng)
+            joint += sensor.log_likelihood(readings[:, None], means)
+            if isinstance(sensor, Hits):
+                left_out += [math.lgamma(z + 1) for z in readings]
+            predictive = np.exp(joint) @ hypotheses.weights
+            after = hypotheses.weights * np.exp(joint) / predictive[:, None]
+            assert said.log_predictive[a, step] == pytest.approx(np.log(predictive) + left_out, abs=1e-9)
+            assert said.log_likelihood[a, step] == pytest.approx((after * joint).sum(axis=1) + left_out, abs=1e-9)
+            assert said.expectations[a, step, :, 0] == pytest.approx(after @ values[a, step, 0], rel=1e-9)
+
+
 @pytest.mark.parametrize("unknowns", [("x", "y"), ("y", "q"), ("x", "y", "z", "q", "u", "phi", "d", "tau"), ("x", "y", "phi")], ids=len)
 def test_concentrations_are_those_of_the_plume(unknowns: tuple[str, ...]) -> None:
     rng = np.random.default_rng(6)
@@ -170,14 +197,53 @@ def test_a_certain_belief_has_nothing_to_learn() -> None:
     particles = np.array([[20.0, 20.0, 1.0]], np.float32)
     belief = belief_at(HERE)
     said = imagine(belief, cloud(belief, particles), FOUR.moves(HERE), 25, np.random.default_rng(1))
-    assert said.information == pytest.approx(np.zeros(4), abs=1e-12)
+    assert said.gains.mean(axis=1) == pytest.approx(np.zeros(4), abs=1e-12)
 
 
-@pytest.mark.parametrize("name", ["thompson", "greedy", "space-aware-infotaxis", "dcee"])
+@pytest.mark.parametrize("name", ["thompson", "greedy", "space-aware-infotaxis", "dcee", "lookahead", "homing"])
 def test_who_is_certain_heads_for_the_source(name: str) -> None:
     for source, best in (((20.0, 14.0), 0), ((13.0, 25.0), 1), ((2.0, 12.0), 2), ((14.5, 1.0), 3)):
         particles = np.array([[*source, 1.0]], np.float32)
         assert planner(name)(belief_at(HERE, mean=source), particles, FOUR, np.random.default_rng(1)) == best
+
+
+def test_the_spread_of_entropy_is_that_of_a_normal_belief() -> None:
+    # 20,000 particles in some 130 cells: entropy is known to 0.01 nats, cells blur a variance by 1/12 of their area, 0.5% of it.
+    places = np.random.default_rng(3).normal((15.0, 12.0), 2.0, (20_000, 2)).T
+    assert entropy_spread(Cloud(places, np.full(20_000, 1 / 20_000)), math.sqrt(8)) == pytest.approx(math.sqrt(8), rel=0.02)
+
+
+def test_the_spread_of_entropy_shrinks_where_places_are_ruled_out_and_the_spread_does_not() -> None:
+    # Uniform over an area A it is sqrt(A / (π e)); over its left and its right third, that by sqrt(2/3).
+    places = np.random.default_rng(4).uniform(0, 24, (2, 40_000))
+    outer = places[:, np.abs(places[0] - 12) > 4]
+    spreads = [math.sqrt(of.var(axis=1).sum()) for of in (places, outer)]
+    assert spreads[1] > spreads[0]
+    said = [entropy_spread(Cloud(of, np.full(of.shape[1], 1 / of.shape[1])), spreads[0]) for of in (places, outer)]
+    # Cells at the edges are not full: 10% is allowed.
+    assert said == pytest.approx([24 / math.sqrt(math.pi * math.e), 24 * math.sqrt(2 / 3 / (math.pi * math.e))], rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["lookahead", "homing"])
+def test_who_is_almost_certain_of_one_of_two_places_looks_at_the_nearer_one(name: str) -> None:
+    # 2 m to the east or 12 m to the west, as likely: east is found out by going there, and costs little.
+    particles = np.array([[16.0, 13.0, 0.5], [2.0, 13.0, 0.5]], np.float32)
+    belief = belief_at(HERE, mean=(9.0, 13.0))
+    assert planner(name)(belief, particles, FOUR, np.random.default_rng(1)) == 0
+
+
+@pytest.mark.parametrize(("name", "own"), [("infotaxis", (4, 25)), ("homing", (8, 100)), ("lookahead", (8, 50))])
+def test_a_planner_has_its_own_reach_where_none_is_given(name: str, own: tuple[int, int]) -> None:
+    assert (reach(name).headings, reach(name).measurements) == own
+    assert reach(name, {"headings": 4, "step": 0.5}) == Reach(4, 0.5, own[1])
+
+
+def test_a_thinned_cloud_keeps_every_so_many_th_particle() -> None:
+    hypotheses = cloud(belief_at(HERE), particles_of(1000, 7))
+    thin = hypotheses.thinned(400)
+    assert np.array_equal(thin.values, hypotheses.values[:, ::3])
+    assert thin.weights == pytest.approx(hypotheses.weights[::3] / hypotheses.weights[::3].sum())
+    assert np.array_equal(hypotheses.thinned(1000).values, hypotheses.values)
 
 
 def test_thompson_takes_a_side_as_often_as_it_is_believed() -> None:

@@ -27,7 +27,7 @@ def ours(name: str, case: Case, reach: Reach, rng: np.random.Generator) -> np.nd
     squared = np.square(moves[:, :, None] - hypotheses.places).sum(axis=1)
     imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, squared[:, None])
     return {
-        "infotaxis": imagined.information,
+        "infotaxis": imagined.gains.mean(axis=1),
         "entrotaxis": -imagined.log_predictive.mean(axis=1),
         "dcee": -imagined.expectations.mean(axis=(1, 2)),
     }[name]
