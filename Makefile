@@ -2,8 +2,9 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 READY := .venv/.ready
+POLICIES := infotaxis,entrotaxis,dcee,random,infotaxis-variance,entrotaxis-belief,thompson,space-aware-infotaxis,greedy,lookahead,homing
 
-.PHONY: setup mission test lint docs bench bench-filter calibration clean
+.PHONY: setup mission test lint docs bench bench-filter bench-planners results report calibration clean
 
 setup: $(READY)
 
@@ -37,6 +38,21 @@ bench-filter: setup
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps particles==0.4
 	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.filter
+
+# The peer is Stone Soup.
+bench-planners: setup
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
+	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.planners
+
+# Cut off, the same command goes on where it was.
+results: setup
+	mkdir -p results
+	$(BIN)/python -m agent evaluate --policy $(POLICIES) --particles 100,500,1000,2000,4000 --missions results/particles.csv.gz
+	$(BIN)/python -m agent evaluate --policy $(POLICIES) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/thresholds.csv.gz
+
+report: setup
+	$(BIN)/python -m agent report
+	cp report/results.md report/particles.png report/trajectories.png docs/
 
 calibration: setup
 	$(BIN)/python benchmarks/calibration.py

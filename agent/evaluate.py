@@ -16,9 +16,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from agent.cluster import ClusterError, join, on_cluster
 from agent.figures import Flown, figures
 from agent.planners import PLANNERS
-from agent.sweep import ClusterError, Sweep, fly_all, join, journal_of, ordered
+from agent.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 from estimator.options import add_sensor_argument
 from link import cli
 from plume.randomness import MAX_SEED
@@ -106,7 +107,7 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
     try:
         with _progress() as progress:
             task = progress.add_task("missions", total=total)
-            for flown in fly_all(sweep, journal, args.workers, bool(args.ray)):
+            for flown in fly_all(sweep, journal, on_cluster if args.ray else on_cores(args.workers)):
                 rows += flown
                 progress.advance(task)
     except KeyboardInterrupt:
@@ -137,11 +138,12 @@ def named(rows: Sequence[Flown]) -> dict[str, Any]:
 
 
 def write_csv(rows: Sequence[Flown], path: Path) -> None:
-    """Write a row a mission, under a row of names; a name that ends in .gz is compressed."""
+    """Write a row a mission, under a row of names, to six significant digits; a name that ends in .gz is compressed."""
     with _open(path, "wt") as file:
         writer = csv.writer(file)
         writer.writerow(Flown.__struct_fields__)
-        writer.writerows(msgspec.structs.astuple(row) for row in rows)
+        for row in rows:
+            writer.writerow(f"{cell:.6g}" if isinstance(cell, float) else cell for cell in msgspec.structs.astuple(row))
 
 
 def read_csv(path: Path) -> list[Flown]:

@@ -1,14 +1,10 @@
-"""Sweeps: many missions of policies over seeds, particles and thresholds, on all cores or a Ray cluster; what is flown is kept."""
+"""Sweeps: many missions of policies over seeds, particles and thresholds, on all cores; what is flown is kept."""
 
 import hashlib
-import logging
 import math
 import multiprocessing
 import os
-import pickle
-import signal
-import socket
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import groupby
@@ -56,6 +52,8 @@ class Sweep:
 
 Flight = tuple[str, int, int]
 """(policy, particles, seed)."""
+Flyer = Callable[[Sweep, Sequence[Sequence[Flight]]], Iterator[list[Flown]]]
+"""(sweep, flights by seed) -> the rows of each flight, in any order."""
 
 
 def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[Flown]]:
@@ -144,10 +142,10 @@ def _row(
     )
 
 
-def fly_all(sweep: Sweep, journal: Path, workers: int, on_ray: bool = False) -> Iterator[list[Flown]]:
+def fly_all(sweep: Sweep, journal: Path, fly_tasks: Flyer) -> Iterator[list[Flown]]:
     """Fly what the journal does not hold yet; yields the rows of each flight as it ends, those of the journal first.
 
-    The journal takes each flight as it ends, so that a sweep that is cut off goes on where it was. Ray flies on the cluster joined.
+    The journal takes each flight as it ends, so that a sweep that is cut off goes on where it was.
     """
     done: dict[Flight, list[Flown]] = {}
     if journal.exists():
@@ -164,12 +162,17 @@ def fly_all(sweep: Sweep, journal: Path, workers: int, on_ray: bool = False) -> 
     journal.parent.mkdir(parents=True, exist_ok=True)
     with journal.open("ab", buffering=0) as file:
         file.write(b"\n")  # ends a line that was cut off
-        for rows in _on_ray(sweep, tasks) if on_ray else _on_cores(sweep, tasks, workers):
+        for rows in fly_tasks(sweep, tasks):
             file.write(msgspec.json.encode(rows) + b"\n")
             yield rows
 
 
-def _on_cores(sweep: Sweep, tasks: Sequence[Sequence[Flight]], workers: int) -> Iterator[list[Flown]]:
+def on_cores(workers: int) -> Flyer:
+    """Fly in so many processes."""
+    return partial(_on_cores, workers)
+
+
+def _on_cores(workers: int, sweep: Sweep, tasks: Sequence[Sequence[Flight]]) -> Iterator[list[Flown]]:
     if not tasks:
         return
     for name in THREADS:
@@ -177,58 +180,6 @@ def _on_cores(sweep: Sweep, tasks: Sequence[Sequence[Flight]], workers: int) -> 
     with multiprocessing.get_context("spawn").Pool(min(workers, len(tasks))) as pool:
         for flown in pool.imap_unordered(partial(fly, sweep), tasks):
             yield from flown
-
-
-class ClusterError(Exception):
-    """The Ray cluster cannot fly a sweep; the message says why in one line."""
-
-
-def join(address: str) -> None:
-    """Join the Ray cluster there, of which this machine must be a node: HOST:PORT of its head, or auto."""
-    os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "1")  # at 40 s each
-    try:
-        import ray
-    except ImportError:
-        raise ClusterError("Ray is not installed; pip install 'plumeward[ray]'") from None
-    terminate = signal.getsignal(signal.SIGTERM)
-    try:
-        if address != "auto":
-            host, _, port = address.rpartition(":")
-            socket.create_connection((host.strip("[]"), int(port)), timeout=5).close()  # Ray itself is slow to see that nobody answers
-        ray.init(address, log_to_driver=False, logging_level=logging.ERROR, runtime_env={"env_vars": dict.fromkeys(THREADS, "1")})
-    except (OSError, RuntimeError, ValueError) as error:
-        why = str(error.__cause__ or error).strip().splitlines()[-1].partition(". ")[0].rstrip(".")
-        allowed = "HOST:PORT of a Ray cluster that this machine is in, or auto"
-        raise ClusterError(f"cannot join {address!r} ({why}); wanted {allowed}") from error
-    signal.signal(signal.SIGTERM, terminate)  # Ray took it
-
-
-def _on_ray(sweep: Sweep, tasks: Sequence[Sequence[Flight]]) -> Iterator[list[Flown]]:
-    import ray
-
-    here = code()
-
-    def fly_there(packed: bytes) -> Any:  # nested, it travels by value: it can say that what it needs is not there
-        try:
-            from agent.sweep import code, fly
-
-            if code() == here:
-                return fly(*pickle.loads(packed))
-        except ImportError:
-            pass
-        return socket.gethostname()
-
-    try:
-        remote = ray.remote(num_cpus=1)(fly_there)
-        waiting = [remote.remote(pickle.dumps((sweep, flights))) for flights in tasks]
-        while waiting:
-            finished, waiting = ray.wait(waiting, num_returns=len(waiting), timeout=1)
-            for flown in ray.get(finished):
-                if isinstance(flown, str):
-                    raise ClusterError(f"node {flown!r} lacks the plumeward, numpy and numba that are here; install the same there")
-                yield from flown
-    finally:
-        ray.shutdown()
 
 
 @cache

@@ -9,9 +9,9 @@ from link.messages import Belief, Particles
 REACH = Reach(headings=8, measurements=50)
 PARTICLES = 500
 """Of the belief, to plan with."""
-AHEAD = (2.0, 4.0, 6.0)
+AHEAD = (2.0, 4.0)
 """Where readings are imagined, in steps: not at each one, for neighbours tell much the same."""
-WEIGHT = 3.0
+WEIGHT = 4.0
 """Metres to fly that a metre of spread is expected to cost."""
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from agent.planners import PLANNERS
+
 
 def flown(folder: Path, *command: str) -> dict:
     done = subprocess.run([sys.executable, "-m", *command, "--json", "--trace"], capture_output=True, text=True, cwd=folder, timeout=120)
@@ -25,6 +27,22 @@ def test_a_mission_over_the_bus_equals_the_one_in_process(tmp_path: Path, seed: 
     for result in (over_the_bus, in_process):
         assert result.pop("search_time_s") > 0  # the one field that is measured, not computed
     assert over_the_bus == in_process
+
+
+@pytest.mark.parametrize("policy", [policy for policy in PLANNERS if policy not in ("infotaxis", "random")])
+def test_every_policy_flies_the_same_over_the_bus(tmp_path: Path, policy: str) -> None:
+    chosen = ["--seed", "7", "--policy", policy, "--particles", "300", "--budget", "40"]
+    over_the_bus = flown(tmp_path, "sitl", "fly", *chosen, "--speedup", "0")
+    assert over_the_bus["trace"] == flown(tmp_path, "agent", "rollout", *chosen)["trace"]
+
+
+@pytest.mark.parametrize("reach", [["--headings", "8", "--measurements", "10"], ["--headings", "4", "--step", "0.5"]])
+def test_how_a_planner_moves_reaches_it(tmp_path: Path, reach: list[str]) -> None:
+    chosen = ["--seed", "5", "--policy", "homing", "--particles", "200", "--budget", "20"]
+    usual = flown(tmp_path, "agent", "rollout", *chosen)["trace"]
+    in_process = flown(tmp_path, "agent", "rollout", *chosen, *reach)["trace"]
+    assert in_process != usual
+    assert in_process == flown(tmp_path, "sitl", "fly", *chosen, *reach, "--speedup", "0")["trace"]
 
 
 def test_options_reach_every_part(tmp_path: Path) -> None:
