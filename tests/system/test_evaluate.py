@@ -1,5 +1,6 @@
 """Protects `python -m agent evaluate` as it is typed: its figures, its errors, and that an interrupt loses nothing."""
 
+import csv
 import json
 import signal
 from collections.abc import Callable
@@ -15,12 +16,22 @@ def test_it_prints_the_figures_as_json_and_writes_a_row_a_mission(start, tmp_pat
     assert sweep.ended() == 0, sweep.err
     figures = json.loads(sweep.out[-1])
     assert list(figures) == ["greedy", "thompson"]
-    wanted = {"missions", "ceased", "located", "false_stop", "mtd_m", "nees_mean", "search_time_s", "decision_ms", "update_ms"}
+    wanted = {
+        "missions",
+        "ceased",
+        "located",
+        "false_stop",
+        "mtd_m",
+        "mtd_floors",
+        "nees_mean",
+        "search_time_s",
+        "decision_ms",
+        "update_ms",
+    }
     assert wanted < set(figures["greedy"])
-    rows = (tmp_path / "missions.csv").read_text().splitlines()
-    assert len(rows) == 1 + 2 * 3
-    ceased = sum(row.split(",")[4] == "True" for row in rows[1:4])
-    assert figures["greedy"]["ceased"] == pytest.approx(ceased / 3)
+    rows = list(csv.DictReader((tmp_path / "missions.csv").read_text().splitlines()))
+    assert [(row["policy"], row["seed"]) for row in rows] == [(name, seed) for name in figures for seed in "789"]
+    assert figures["greedy"]["ceased"] == pytest.approx(sum(row["ceased"] == "True" for row in rows[:3]) / 3)
     assert not list((tmp_path / "runs").iterdir())  # the journal of a sweep that is done is gone
 
 
