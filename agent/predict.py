@@ -50,6 +50,8 @@ class Imagined:
     """(A, K): its expected log-likelihood under the belief after it, less the same."""
     expectations: Array
     """(A, K, F): of the values asked for, under the belief after it."""
+    means: Array
+    """(A, N): concentration at each place under each particle, g/m³."""
 
     @property
     def gains(self) -> Array:
@@ -93,7 +95,7 @@ def imagine(
     if values is not None:
         values = values[None, None] if values.ndim == 2 else values[:, None]
     along = imagine_along(belief, hypotheses, places[:, None], number, rng, values)
-    return Imagined(along.log_predictive[:, 0], along.log_likelihood[:, 0], along.expectations[:, 0])
+    return Imagined(along.log_predictive[:, 0], along.log_likelihood[:, 0], along.expectations[:, 0], along.means[:, 0])
 
 
 def imagine_along(
@@ -114,7 +116,7 @@ def imagine_along(
             of_place[:] = sensor.measure(row[drawn], generator)
     if values is None:
         values = np.empty((1, 1, 0, len(cumulative)))
-    return Imagined(*kernels.imagine(means, hypotheses.weights, np.ascontiguousarray(values), drawn, readings, sensor_row(sensor)))
+    return Imagined(*kernels.imagine(means, hypotheses.weights, np.ascontiguousarray(values), drawn, readings, sensor_row(sensor)), means)
 
 
 def entropy_spread(hypotheses: Cloud, spread: float) -> float:

@@ -34,6 +34,8 @@ class Imagined:
     """(N, 2): where the particles see the source, m."""
     weights: Array
     """(N,), sum one."""
+    means: Array
+    """(N,): concentration at the place, g/m³."""
     log_likelihoods: Array
     """(K, N)."""
     likelihoods: Array
@@ -56,22 +58,24 @@ def imagine(belief: Belief, particles: Particles, reach: Reach, rng: np.random.G
         readings = sensor.measure(means[drawn], np.random.Generator(np.random.Philox(seed)))
         log_likelihoods = sensor.log_likelihood(readings[:, None], means)
         likelihoods = np.exp(log_likelihoods)
-        yield Imagined(place, sources, weights, log_likelihoods, likelihoods, likelihoods @ weights)
+        yield Imagined(place, sources, weights, means, log_likelihoods, likelihoods, likelihoods @ weights)
+
+
+def information(there: Imagined) -> float:
+    """Kullback–Leibler divergence from the belief to the belief after a reading, nats; mean over readings."""
+    after = (there.likelihoods * there.log_likelihoods) @ there.weights / there.predictive
+    return float(np.mean(after - np.log(there.predictive)))
 
 
 def infotaxis(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Array:
-    """Kullback–Leibler divergence from the belief to the belief after a reading, nats."""
-    return np.array(
-        [
-            np.mean((there.likelihoods * there.log_likelihoods) @ there.weights / there.predictive - np.log(there.predictive))
-            for there in imagine(belief, particles, reach, rng)
-        ]
-    )
+    """What a reading is expected to tell about the source, nats."""
+    return np.array([information(there) for there in imagine(belief, particles, reach, rng)])
 
 
 def entrotaxis(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Array:
-    """Entropy of the reading, nats: −log of its predictive density."""
-    return np.array([-np.mean(np.log(there.predictive)) for there in imagine(belief, particles, reach, rng)])
+    """Entropy of the reading, nats: the information that it holds, and what of it is noise."""
+    sensor = parse(belief.sensor)
+    return np.array([information(there) + there.weights @ sensor.entropy(there.means) for there in imagine(belief, particles, reach, rng)])
 
 
 def dcee(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Array:

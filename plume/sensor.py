@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 SURPRISE = 10.0
 """A reading so many standard deviations beyond what the strongest plume could give is no measurement."""
+MANY = 12
+"""Hits that are so many that the asymptotic series of their entropy is good."""
 
 _erf = np.vectorize(math.erf, otypes=[np.float64])
 _log_gamma = np.vectorize(math.lgamma, otypes=[np.float64])
@@ -41,6 +43,10 @@ class Gaussian:
         std = self.noise_std(mean)
         residual = np.asarray(reading, np.float64) - np.asarray(mean, np.float64)
         return np.asarray(-0.5 * np.square(residual / std) - np.log(std) - 0.5 * np.log(2 * np.pi))
+
+    def entropy(self, mean: ArrayLike) -> Array:
+        """Entropy of a reading at each mean concentration, nats."""
+        return np.asarray(np.log(self.noise_std(mean)) + 0.5 * np.log(2 * np.pi * np.e))
 
     def is_noisy(self, _reading: float) -> bool:
         """Whether noise keeps this reading from coming twice in a row, to the last bit."""
@@ -85,6 +91,17 @@ class Threshold:
         heard = math.log1p(-self.missed) + self._analog().log_likelihood(reading, mean)
         return np.where(np.asarray(reading) == 0.0, silent, heard)
 
+    def entropy(self, mean: ArrayLike) -> Array:
+        """Entropy of a reading at each mean concentration, nats: of the probability of 0 and the density above the threshold."""
+        std = self._analog().noise_std(mean)
+        standard = (self.threshold - np.asarray(mean)) / std
+        above = 1 - _normal_cdf(standard)
+        silent = 1 - (1 - self.missed) * above
+        density = np.exp(-0.5 * np.square(standard)) / math.sqrt(2 * np.pi)
+        # Of x = v/σ beyond the threshold, E[x²; above] = standard · density + above.
+        heard = above * (math.log1p(-self.missed) - np.log(std) - 0.5 * np.log(2 * np.pi)) - 0.5 * (standard * density + above)
+        return np.asarray(-silent * np.log(np.maximum(silent, 1e-300)) - (1 - self.missed) * heard)
+
     def is_noisy(self, reading: float) -> bool:
         """Whether noise keeps this reading from coming twice in a row, to the last bit."""
         return reading != 0.0
@@ -116,6 +133,20 @@ class Hits:
         expected = self.efficiency * np.asarray(mean, np.float64) + self.background
         count = np.asarray(reading, np.float64)
         return np.asarray(count * np.log(expected) - expected - _log_gamma(count + 1.0))
+
+    def entropy(self, mean: ArrayLike) -> Array:
+        """Entropy of a count at each mean concentration, nats: summed up to MANY hits, beyond by its asymptotic series to 1e-5."""
+        expected = self.efficiency * np.asarray(mean, np.float64) + self.background
+        many = np.maximum(expected, MANY)
+        series = 0.5 * np.log(2 * np.pi * np.e * many) - 1 / (12 * many) - 1 / (24 * many**2) - 19 / (360 * many**3)
+        few = np.minimum(expected, MANY)
+        probability = np.exp(-few)
+        log_factorial, summed = 0.0, few - few * np.log(few)
+        for count in range(1, 4 * MANY):
+            probability = probability * few / count
+            log_factorial += math.log(count)
+            summed = summed + probability * log_factorial
+        return np.where(expected > MANY, series, summed)
 
     def is_noisy(self, _reading: float) -> bool:
         """Whether noise keeps this reading from coming twice in a row, to the last bit."""

@@ -82,6 +82,8 @@ def test_scores_converge_to_their_integrals(seed: int) -> None:
     # Information and entropy of one imagined reading scatter by about 1 nat: 4 standard errors of 40,000 are 0.02.
     assert said.gains.mean(axis=1) == pytest.approx([e.information for e in exact], abs=0.02)
     assert -said.log_predictive.mean(axis=1) == pytest.approx([e.entropy for e in exact], abs=0.02)
+    noise = GAUSSIAN.entropy(said.means) @ hypotheses.weights
+    assert said.gains.mean(axis=1) + noise == pytest.approx([e.entropy for e in exact], abs=0.02)
     mean_x, mean_y, squares, log_weights = said.expectations.transpose(2, 0, 1)
     left = said.log_predictive - said.log_likelihood - log_weights
     assert left.mean(axis=1) == pytest.approx([e.entropy_of_weights for e in exact], abs=0.02)
@@ -108,6 +110,23 @@ def test_a_planner_goes_where_its_integral_is_best(name: str, quantity: str, sig
         average += sum(exact) / 4
     # 25 imagined readings do not always find the best of four moves, but lose far less than a random move.
     assert best - chosen < 0.5 * (best - average)
+
+
+def test_entrotaxis_goes_where_counts_are_the_least_certain() -> None:
+    # The exact entropy of the mixture of Poisson distributions, summed. The planner's 100 readings find the best move or nearly so.
+    sensor, reach, chosen, best, average = Hits(), Reach(measurements=100), 0.0, 0.0, 0.0
+    for seed in range(20):
+        particles, moves = particles_of(40, seed, 8.0, 22.0), FOUR.moves((11.0, 13.0))
+        weights = particles[:, 2] / particles[:, 2].sum()
+        entropies = []
+        for place in moves:
+            means = np.array([mean_and_std(place, x, y)[0] for x, y, _ in particles])
+            mixture = np.exp(sensor.log_likelihood(np.arange(2000.0)[:, None], means)) @ weights
+            entropies.append(-float(mixture @ np.log(np.maximum(mixture, 1e-300))))
+        chosen += entropies[planner("entrotaxis")(belief_at((11.0, 13.0), sensor), particles, reach, np.random.default_rng(seed))]
+        best += max(entropies)
+        average += sum(entropies) / 4
+    assert best - chosen < 0.1 * (best - average)
 
 
 def test_what_dcee_wants_does_not_depend_on_the_reading() -> None:

@@ -10,6 +10,7 @@ from agent.service import choose
 from benchmarks import planner_peers
 from benchmarks.planner_peers import NUMPY
 from benchmarks.planners import FIRST_SEED, Case, beliefs
+from plume.sensor import parse
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +29,7 @@ def ours(name: str, case: Case, reach: Reach, rng: np.random.Generator) -> np.nd
     imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, squared[:, None])
     return {
         "infotaxis": imagined.gains.mean(axis=1),
-        "entrotaxis": -imagined.log_predictive.mean(axis=1),
+        "entrotaxis": imagined.gains.mean(axis=1) + parse(belief.sensor).entropy(imagined.means) @ hypotheses.weights,
         "dcee": -imagined.expectations.mean(axis=(1, 2)),
     }[name]
 

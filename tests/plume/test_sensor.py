@@ -28,6 +28,22 @@ def kolmogorov_smirnov(readings: np.ndarray, sensor: Sensor, mean: float, low: f
     return float(np.abs(empirical - cumulative / cumulative[-1]).max() * math.sqrt(len(readings)))
 
 
+@pytest.mark.parametrize("mean", [0.0, 0.4, 1.0, 3.9, 4.1, 10.0, 100.0])
+@pytest.mark.parametrize("sensor", [GAUSSIAN, Threshold(), Threshold(2.0, 0.0), Hits(), Hits(1.0, 5.0)], ids=text)
+def test_the_entropy_is_the_expected_log_likelihood_with_its_sign_turned(sensor: Sensor, mean: float) -> None:
+    if isinstance(sensor, Hits):
+        values, steps = np.arange(0.0, 1000.0), np.ones(1000)
+    else:
+        low = sensor.threshold if isinstance(sensor, Threshold) else mean - 12 * (0.3 * mean + 0.2)
+        values = np.linspace(low, max(mean, low) + 12 * (0.3 * mean + 0.2), 400_001)
+        steps = np.full(len(values), values[1] - values[0])
+        steps[[0, -1]] /= 2
+    if isinstance(sensor, Threshold):
+        values, steps = np.append(values, 0.0), np.append(steps, 1.0)
+    log_likelihood = sensor.log_likelihood(values, mean)
+    assert sensor.entropy(mean) == pytest.approx(-float(steps @ (np.exp(log_likelihood) * log_likelihood)), abs=2e-5)
+
+
 @pytest.mark.parametrize("mean", MEANS)
 def test_the_gaussian_likelihood_is_the_density_of_its_readings(mean: float) -> None:
     readings = GAUSSIAN.measure(np.full(DRAWS, mean), np.random.default_rng(2))
