@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 
 GAUSSIAN, THRESHOLD, HITS = 0.0, 1.0, 2.0
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
-LANES = 128
-"""Sums run in so many parts: enough that none waits for another, few enough to stay in the processor's nearest cache."""
+BLOCK = 1024
+"""So many particles are done at once: what is computed of them stays in the processor's nearest cache."""
 
 
 @numba.njit(error_model="numpy")
@@ -66,26 +66,35 @@ def _sum(values: Array) -> float:
 
 
 @numba.njit(error_model="numpy")
-def _reweight(one: Array, two: Array, three: Array, z: float, own: float, weights: Array, values: Array, lanes: Array, sums: Array) -> None:
-    """Reweight by a reading z: sums becomes Σ w L, Σ w L log L and Σ w L v of each row of values (F, N); N is a multiple of LANES.
+def _likelihoods(
+    one: Array, two: Array, three: Array, z: float, own: float, weights: Array, exponents: Array, likelihoods: Array, products: Array
+) -> None:
+    """w L and w L log L of a reading z under some particles. Few arrays a loop: of too many LLVM does not see that they are apart."""
+    for i in range(len(weights)):
+        exponents[i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
+    for i in range(len(weights)):
+        likelihoods[i] = weights[i] * exp(exponents[i])
+        products[i] = likelihoods[i] * exponents[i]
 
-    One pass over the particles. Sums are kept in LANES lanes, which need not wait for each other and whose order never changes.
-    """
-    lanes[:] = 0.0
-    totals, logs, likelihoods = lanes[0], lanes[1], lanes[-1]
-    for start in range(0, len(weights), LANES):
-        for j in range(LANES):
-            i = start + j
-            exponent = fma(fma(one[i], z, two[i]), z, three[i]) - own
-            likelihoods[j] = weights[i] * exp(exponent)
-            totals[j] += likelihoods[j]
-            logs[j] = fma(likelihoods[j], exponent, logs[j])
+
+@numba.njit(error_model="numpy")
+def _reweight(
+    one: Array, two: Array, three: Array, z: float, own: float, weights: Array, values: Array, buffers: Array, sums: Array
+) -> None:
+    """Reweight by a reading z: sums becomes Σ w L, Σ w L log L and Σ w L v of each row of values (F, N). buffers: (3, BLOCK)."""
+    sums[:] = 0.0
+    for start in range(0, len(weights), BLOCK):
+        part = slice(start, min(start + BLOCK, len(weights)))
+        size = part.stop - start
+        likelihoods, products = buffers[0, :size], buffers[1, :size]
+        _likelihoods(one[part], two[part], three[part], z, own, weights[part], buffers[2, :size], likelihoods, products)
+        sums[0] += _sum(likelihoods)
+        sums[1] += _sum(products)
         for f in range(len(values)):
-            row, lane = values[f], lanes[2 + f]
-            for j in range(LANES):
-                lane[j] = fma(likelihoods[j], row[start + j], lane[j])
-    for f in range(len(sums)):
-        sums[f] = _sum(lanes[f])
+            row = values[f, part]
+            for i in range(len(row)):
+                products[i] = likelihoods[i] * row[i]
+            sums[2 + f] += _sum(products)
 
 
 @numba.njit(
@@ -108,19 +117,15 @@ def imagine(
     left out of both logarithms: the reading alone decides it.
     """
     (paths, length, count), number, rows = means.shape, len(imagined), values.shape[2]
-    padded = count + -count % LANES  # the last few have no weight
-    quadratic, linear, constant = np.zeros(padded), np.zeros(padded), np.zeros(padded)
-    silent, zeros, offset = np.zeros(padded), np.zeros(padded), np.zeros(padded)
-    before, owns = np.zeros((number if length > 1 else 0, padded)), np.zeros(number)
-    padded_weights, padded_values = np.zeros(padded), np.zeros((rows, padded))
-    padded_weights[:count] = weights
-    lanes, sums = np.empty((3 + rows, LANES)), np.empty(2 + rows)
+    quadratic, linear, constant = np.empty(count), np.empty(count), np.empty(count)
+    silent, zeros, offset = np.empty(count), np.zeros(count), np.empty(count)
+    before, owns = np.empty((number if length > 1 else 0, count)), np.zeros(number)
+    buffers, sums = np.empty((3, BLOCK)), np.empty(2 + rows)
     log_predictive, log_likelihood = np.empty((paths, length, number)), np.empty((paths, length, number))
     expectations = np.empty((paths, length, number, rows))
     for a in range(paths):
         for step in range(length):
-            if a + step == 0 or values.shape[1] > 1 or (step == 0 and len(values) > 1):
-                padded_values[:, :count] = values[a, step]
+            seen = values[min(a, len(values) - 1), min(step, values.shape[1] - 1)]
             _exponents(means[a, step], sensor, quadratic, linear, constant)
             if sensor[0] == THRESHOLD:
                 _silence(means[a, step], sensor, silent)
@@ -132,14 +137,14 @@ def imagine(
                     one, two, three = quadratic, linear, constant
                 own = fma(fma(one[imagined[k]], z, two[imagined[k]]), z, three[imagined[k]])  # the greatest are not far above it
                 if step > 0:
-                    for i in range(padded):
+                    for i in range(count):
                         offset[i] = three[i] + before[k, i]
                     three = offset
-                _reweight(one, two, three, z, own, padded_weights, padded_values, lanes, sums)
+                _reweight(one, two, three, z, own, weights, seen, buffers, sums)
                 total = own if step == 0 else owns[k] + own
                 if step + 1 < length:
                     owns[k] = total
-                    for i in range(padded):
+                    for i in range(count):
                         before[k, i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
                 log_predictive[a, step, k] = total + math.log(sums[0])
                 log_likelihood[a, step, k] = total + sums[1] / sums[0]

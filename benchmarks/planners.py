@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from agent.moves import Reach
 from agent.planners import PLANNERS
+from agent.planners import reach as own
 from agent.rollout import mission
 from agent.service import choose
 from benchmarks import planner_peers
@@ -67,7 +68,7 @@ def decisions(case: Case, reach: Reach) -> dict[str, Callable[[], object]]:
     result = np.empty(len(particles))
     one, many = StoneSoup(said, particles, reach), StoneSoup(said, particles, reach, reach.measurements)
     return {
-        **{name: partial(choose, name, said, particles, 0, reach) for name in PLANNERS},
+        **{name: partial(choose, name, said, particles, 0, own(name, {"headings": reach.headings})) for name in PLANNERS},
         **{f"{name}, plain NumPy": partial(planner_peers.choose, name, said, particles, 0, reach) for name in planner_peers.NUMPY},
         "infotaxis, Stone Soup, 1 measurement": one.choose,
         f"infotaxis, Stone Soup, {MEASUREMENTS} measurements": many.choose,
@@ -95,8 +96,11 @@ def main() -> None:
         cases = [case for i in range(MISSIONS) for case in beliefs(FIRST_SEED + i, count)]
         for headings in HEADINGS:
             columns[f"N {count:,}, {headings} headings"] = medians(cases, Reach(headings=headings, measurements=MEASUREMENTS))
-    print(f"ms a decision, {MEASUREMENTS} measurements a move: median over {MISSIONS * KEPT} beliefs of {MISSIONS} missions; in brackets")
-    print("how many times ours of the same name\n")
+    others = ", ".join(f"{own(name).measurements} of {name}" for name in PLANNERS if own(name).measurements != MEASUREMENTS)
+    print(
+        f"ms a decision, {MEASUREMENTS} readings imagined a move ({others}): median over {MISSIONS * KEPT} beliefs of {MISSIONS} missions;"
+    )
+    print("in brackets how many times ours of the same name\n")
     print(f"| planner | {' | '.join(columns)} |\n|---|{'---|' * len(columns)}")
     for name in next(iter(columns.values())):
         ours = name.split(",")[0]

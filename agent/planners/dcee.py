@@ -14,6 +14,7 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     """
     moves = reach.moves(belief.position)
     hypotheses = cloud(belief, particles)
-    squared = np.square(moves[:, :, None] - hypotheses.places).sum(axis=1)  # (A, N)
+    east, north = (moves[:, axis, None] - hypotheses.places[axis] for axis in (0, 1))  # (A, N)
+    squared = east * east + north * north
     imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, squared[:, None])
     return int(np.argmin(imagined.expectations.mean(axis=(1, 2))))
