@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from agent.cluster import ClusterError, join, on_cluster
-from agent.figures import Flown, figures
+from agent.figures import COLUMNS, Flown, cell, figures
 from agent.planners import PLANNERS
 from agent.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 from estimator.options import add_sensor_argument
@@ -143,14 +143,14 @@ def write_csv(rows: Sequence[Flown], path: Path) -> None:
         writer = csv.writer(file)
         writer.writerow(Flown.__struct_fields__)
         for row in rows:
-            writer.writerow(f"{cell:.6g}" if isinstance(cell, float) else cell for cell in msgspec.structs.astuple(row))
+            writer.writerow(f"{value:.6g}" if isinstance(value, float) else value for value in msgspec.structs.astuple(row))
 
 
 def read_csv(path: Path) -> list[Flown]:
     """Read what `write_csv` wrote. Raises ValueError on anything else."""
     with _open(path, "rt") as file:
         try:
-            rows = ({name: cell or None for name, cell in row.items()} for row in csv.DictReader(file))
+            rows = ({name: value or None for name, value in row.items()} for row in csv.DictReader(file))
             return [msgspec.convert(row, Flown, strict=False) for row in rows]
         except (msgspec.ValidationError, csv.Error, OSError, UnicodeDecodeError) as error:
             raise ValueError(f"{path}: {error}") from error
@@ -174,30 +174,9 @@ def _progress() -> Progress:
 
 
 def _print_table(result: dict[str, Any]) -> None:
-    table = Table(box=None, header_style="bold")
-    for heading in (
-        "policy",
-        "missions",
-        "ceased, %",
-        "located, %",
-        "false stop, %",
-        "MTD, m",
-        "floors",
-        "NEES",
-        "ST, s",
-        "decision, ms",
-        "update, ms",
-    ):
-        table.add_column(heading, justify="left" if heading == "policy" else "right")
+    table = Table("policy", box=None, header_style="bold")
+    for heading in ("missions", *(heading for heading, _, _ in COLUMNS.values())):
+        table.add_column(heading, justify="right")
     for name, said in result.items():
-        shares = [_cell(said, key, 100.0, 1) for key in ("ceased", "located", "false_stop")]
-        means = [_cell(said, key, 1.0, digits) for key, digits in (("mtd_m", 1), ("mtd_floors", 2), ("nees_mean", 2), ("search_time_s", 3))]
-        table.add_row(name, str(said["missions"]), *shares, *means, f"{said['decision_ms']:.2f}", f"{said['update_ms']:.2f}")
-    Console(stderr=True, width=None if sys.stderr.isatty() else 160).print(table)
-
-
-def _cell(said: dict[str, Any], key: str, scale: float, digits: int) -> str:
-    if said[key] is None:
-        return "–"
-    low, high = said[f"{key}_interval"]
-    return f"{scale * said[key]:.{digits}f} [{scale * low:.{digits}f}, {scale * high:.{digits}f}]"
+        table.add_row(name, str(said["missions"]), *(cell(said, key) for key in COLUMNS))
+    Console(stderr=True, width=None if sys.stderr.isatty() else 200).print(table)

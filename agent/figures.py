@@ -14,6 +14,21 @@ LARGEST = 2_000_000
 """So many values are drawn at once."""
 
 
+COLUMNS = {
+    "ceased": ("ceased, %", 100.0, 1),
+    "located": ("located, %", 100.0, 1),
+    "false_stop": ("false stop, %", 100.0, 1),
+    "mtd_m": ("MTD, m", 1.0, 1),
+    "mtd_floors": ("MTD, floors", 1.0, 2),
+    "nees_mean": ("NEES", 1.0, 2),
+    "search_time_s": ("ST, s", 1.0, 3),
+    "decision_ms": ("decision, ms", 1.0, 2),
+    "update_ms": ("update, ms", 1.0, 2),
+}
+"""Heading, scale and digits of figures in tables."""
+UNKNOWN = "–"
+
+
 class Flown(msgspec.Struct, frozen=True):
     """What came of one mission: a row of the raw results. Where it did not cease, its figures are those of its last step."""
 
@@ -103,12 +118,21 @@ def figures(rows: Sequence[Flown]) -> dict[str, Any]:
         "nees_mean": mean_of("nees"),
         "error_mean_m": mean_of("error_m"),
         "search_time_s": mean_of("search_time_s"),
+        "decision_ms": bootstrap(np.array([row.decision_ms for row in rows])),
+        "update_ms": bootstrap(np.array([row.update_ms for row in rows])),
     }
     summary: dict[str, Any] = {"missions": len(rows), "particles": rows[0].particles, "threshold_m": rows[0].threshold_m}
     for name, interval in intervals.items():
         known = not math.isnan(interval.value)
         summary[name] = interval.value if known else None
         summary[f"{name}_interval"] = [interval.low, interval.high] if known else None
-    for name in ("decision_ms", "update_ms"):
-        summary[name] = float(np.mean([getattr(row, name) for row in rows]))
     return summary
+
+
+def cell(said: dict[str, Any], key: str) -> str:
+    """Say one of the figures with its interval, as a table does."""
+    if said[key] is None:
+        return UNKNOWN
+    _, scale, digits = COLUMNS[key]
+    low, high = said[f"{key}_interval"]
+    return f"{scale * said[key]:.{digits}f} [{scale * low:.{digits}f}, {scale * high:.{digits}f}]"

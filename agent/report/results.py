@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agent.evaluate import read_csv
-from agent.figures import Flown, bootstrap, figures
+from agent.figures import Flown, figures
 from agent.planners import PLANNERS
 
 AS_GOOD = 0.01
@@ -35,7 +35,7 @@ class Results:
 
     rows: Mapping[Key, list[Flown]]
     figures: Mapping[Key, dict[str, Any]]
-    """What `agent.figures.figures` says of the rows, and an interval of decision_ms."""
+    """What `agent.figures.figures` says of the rows."""
 
     @property
     def policies(self) -> list[str]:
@@ -97,13 +97,8 @@ def read(folder: Path) -> Results:
     rank = {policy: i for i, policy in enumerate(PLANNERS)}
     order = sorted(missions, key=lambda key: (rank.get(key[0], len(rank)), key))
     rows = {key: [missions[key][seed] for seed in sorted(missions[key])] for key in order}
-    return Results(rows, {key: _figures(of) for key, of in rows.items()})
+    return Results(rows, {key: figures(of) for key, of in rows.items()})
 
 
 def _way(row: Flown) -> tuple[float, ...]:
     return row.budget, row.headings, row.step_m, row.measurements
-
-
-def _figures(rows: list[Flown]) -> dict[str, Any]:
-    decision_ms = bootstrap(np.array([row.decision_ms for row in rows]))
-    return figures(rows) | {"decision_ms_interval": [decision_ms.low, decision_ms.high]}

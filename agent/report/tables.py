@@ -7,23 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from agent.figures import COLUMNS, UNKNOWN, cell
 from agent.report.published import PUBLISHED, Published
 from agent.report.results import USUAL, Key, Results, Setting
 from agent.rollout import mission
 from plume.scenario import BUDGET_STEPS, LIFETIME_S, SUCCESS_RADIUS_M
-
-COLUMNS = {
-    "ceased": ("ceased, %", 100.0, 1),
-    "located": ("located, %", 100.0, 1),
-    "false_stop": ("false stop, %", 100.0, 1),
-    "mtd_m": ("MTD, m", 1.0, 1),
-    "mtd_floors": ("MTD, floors", 1.0, 2),
-    "nees_mean": ("NEES", 1.0, 2),
-    "search_time_s": ("ST, s", 1.0, 3),
-    "decision_ms": ("decision, ms", 1.0, 2),
-}
-"""(heading, scale, digits) of what `agent.figures.figures` says."""
-UNKNOWN = "–"
 
 
 @dataclass(frozen=True)
@@ -39,15 +27,6 @@ class Table:
         """Return it as a section of Markdown."""
         lines = ["| " + " | ".join(row) + " |" for row in (self.heads, ["---"] * len(self.heads), *self.rows)]
         return "\n".join([f"## {self.title}", "", *lines, "", *(f"{note}\n" for note in self.notes)])
-
-
-def cell(said: dict[str, Any], key: str) -> str:
-    """Return a figure with its 95% interval."""
-    if said[key] is None:
-        return UNKNOWN
-    _, scale, digits = COLUMNS[key]
-    low, high = said[f"{key}_interval"]
-    return f"{scale * said[key]:.{digits}f} [{scale * low:.{digits}f}, {scale * high:.{digits}f}]"
 
 
 def tables(results: Results) -> list[Table]:
@@ -74,7 +53,7 @@ def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
         " share of ceased. *MTD*: mean distance travelled over ceased missions; *floors*: it as a multiple of the mean information floor of"
         " the same missions. *NEES*: normalised estimation error squared at the stop; its mean is 2 for an honest belief. *ST*: compute"
         " time of estimator and agent over a ceased mission, mean; its ratios carry over to other machines better than its seconds."
-        " *decision*: compute time of the agent, mean.",
+        " *decision*, *update*: compute time of the agent a decision, of the estimator a reading; mean.",
     ]
     return Table(title, ["N", "ζ, m", "policy", "missions", *(head for head, _, _ in COLUMNS.values())], rows, notes)
 
