@@ -27,6 +27,8 @@ from plume.scenario import BUDGET_STEPS
 
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
+SHOWN = ("ceased", "located", "false_stop", "mtd_m", "mtd_floors", "search_time_s", "decision_ms")
+"""Figures in the table; all are in the JSON."""
 
 
 def policy(text: str) -> str:
@@ -174,9 +176,12 @@ def _progress() -> Progress:
 
 
 def _print_table(result: dict[str, Any]) -> None:
-    table = Table("policy", box=None, header_style="bold")
-    for heading in ("missions", *(heading for heading, _, _ in COLUMNS.values())):
-        table.add_column(heading, justify="right")
+    table = Table(*("policy", "N", "ζ, m", "missions"), *(COLUMNS[key][0] for key in SHOWN), box=None, header_style="bold")
+    for column in table.columns[1:]:
+        column.justify = "right"
     for name, said in result.items():
-        table.add_row(name, str(said["missions"]), *(cell(said, key) for key in COLUMNS))
-    Console(stderr=True, width=None if sys.stderr.isatty() else 200).print(table)
+        figures_and_intervals = (cell(said, key).replace(" ", "\n", 1) for key in SHOWN)
+        table.add_row(
+            name.split()[0], f"{said['particles']:,}", f"{said['threshold_m']:g}", f"{said['missions']:,}", *figures_and_intervals
+        )
+    Console(stderr=True, width=None if sys.stderr.isatty() else 160).print(table)
