@@ -100,7 +100,7 @@ def _panels(results: Results, keys: Sequence[Key], x_of: Callable[[Setting | Pub
     figure = Figure(figsize=(WIDTH_IN, 4.8), layout="constrained")
     policies = [policy for policy in results.policies if policy in {key[0] for key in keys}]
     for ax, (name, label, scale) in zip(figure.subplots(1, 3), PANELS, strict=True):
-        ax.set(ylabel=label)
+        ax.set(ylabel=label, xmargin=0.1)
         for i, policy in enumerate(policies):
             said = [(x_of(key[1]), results.figures[key]) for key in keys if key[0] == policy]
             curve = [(x, it[name], *it[f"{name}_interval"]) for x, it in said if it[name] is not None]
