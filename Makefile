@@ -58,5 +58,5 @@ calibration: setup
 	$(BIN)/python benchmarks/calibration.py
 
 clean:
-	rm -rf .venv build *.egg-info runs
+	rm -rf .venv build *.egg-info runs report
 	find . -name __pycache__ -prune -exec rm -rf {} +

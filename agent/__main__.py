@@ -20,16 +20,9 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         "--policy", choices=PLANNERS, default="infotaxis", help="how to choose waypoints: %(choices)s (default: %(default)s)"
     )
     parser.add_argument(
-        "--budget",
-        type=cli.whole(1, 1_000_000),
-        default=BUDGET_STEPS,
-        metavar="STEPS",
-        help="moves before giving up (default: %(default)s)",
-    )
-    parser.add_argument(
         "--seed", type=cli.whole(0, MAX_SEED), default=0, help="of the policy's draws; of the mission in a rollout (default: %(default)s)"
     )
-    cli.add_reach_arguments(parser)
+    cli.add_reach_arguments(parser, BUDGET_STEPS)
 
 
 def _parse() -> argparse.Namespace:

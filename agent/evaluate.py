@@ -59,14 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--first-seed", type=cli.whole(0, MAX_SEED), default=FIRST_TEST_SEED, metavar="S", help="of the first one (default: %(default)s)"
     )
-    parser.add_argument(
-        "--budget",
-        type=cli.whole(1, 1_000_000),
-        default=BUDGET_STEPS,
-        metavar="STEPS",
-        help="moves before giving up (default: %(default)s)",
-    )
-    cli.add_reach_arguments(parser)
+    cli.add_reach_arguments(parser, BUDGET_STEPS)
     cli.add_filter_arguments(parser, several=True)
     add_sensor_argument(parser)
     parser.add_argument("--missions", type=Path, metavar="FILE.csv", help="write a row a mission there; FILE.csv.gz compresses")

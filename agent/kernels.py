@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from plume.numerics import exp, fma, log
+from plume.numerics import exp, fma, log, total_of
 
 Array = NDArray[np.float64]
 
@@ -47,25 +47,6 @@ def _silence(means: Array, sensor: Array, constant: Array) -> None:
 
 
 @numba.njit(error_model="numpy")
-def _sum(values: Array) -> float:
-    """Sum in eight interleaved parts: the additions need not wait for each other, and their order never changes."""
-    a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    whole = len(values) - len(values) % 8
-    for i in range(0, whole, 8):
-        a += values[i]
-        b += values[i + 1]
-        c += values[i + 2]
-        d += values[i + 3]
-        e += values[i + 4]
-        f += values[i + 5]
-        g += values[i + 6]
-        h += values[i + 7]
-    for i in range(whole, len(values)):
-        a += values[i]
-    return ((a + b) + (c + d)) + ((e + f) + (g + h))
-
-
-@numba.njit(error_model="numpy")
 def _likelihoods(
     one: Array, two: Array, three: Array, z: float, own: float, weights: Array, exponents: Array, likelihoods: Array, products: Array
 ) -> None:
@@ -88,13 +69,13 @@ def _reweight(
         size = part.stop - start
         likelihoods, products = buffers[0, :size], buffers[1, :size]
         _likelihoods(one[part], two[part], three[part], z, own, weights[part], buffers[2, :size], likelihoods, products)
-        sums[0] += _sum(likelihoods)
-        sums[1] += _sum(products)
+        sums[0] += total_of(likelihoods)
+        sums[1] += total_of(products)
         for f in range(len(values)):
             row = values[f, part]
             for i in range(len(row)):
                 products[i] = likelihoods[i] * row[i]
-            sums[2 + f] += _sum(products)
+            sums[2 + f] += total_of(products)
 
 
 @numba.njit(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from estimator.priors import GAMMA, MEASURED, NORMAL
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.numerics import exp, log
+from plume.numerics import exp, log, total_of
 
 Array = NDArray[np.float64]
 
@@ -290,27 +290,8 @@ def _predictive_rank(means: Array, weights: Array, gas: float, sensor: Array, ch
 
 
 @numba.njit(error_model="numpy")
-def _sum(values: Array) -> float:
-    """Sum in eight interleaved parts: the additions need not wait for each other, and their order never changes."""
-    a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    whole = len(values) - len(values) % 8
-    for i in range(0, whole, 8):
-        a += values[i]
-        b += values[i + 1]
-        c += values[i + 2]
-        d += values[i + 3]
-        e += values[i + 4]
-        f += values[i + 5]
-        g += values[i + 6]
-        h += values[i + 7]
-    for i in range(whole, len(values)):
-        a += values[i]
-    return ((a + b) + (c + d)) + ((e + f) + (g + h))
-
-
-@numba.njit(error_model="numpy")
 def _dot(one: Array, other: Array) -> float:
-    """Σ one · other, summed as `_sum` does."""
+    """Σ one · other, summed as `total_of` does."""
     a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     whole = len(one) - len(one) % 8
     for i in range(0, whole, 8):
@@ -350,14 +331,14 @@ def _weigh(log_weights: Array, share: float, log_densities: Array, weights: Arra
     highest = _greatest(weights)
     for i in range(len(weights)):
         weights[i] = exp(weights[i] - highest)
-    total = _sum(weights)
+    total = total_of(weights)
     return total * total / _dot(weights, weights)
 
 
 @numba.njit("float64(float64[::1])", cache=True)
 def effective_sample_size(weights: Array) -> float:
     """(Σ w)² / Σ w² of weights (N,) that need not be normalised."""
-    total = _sum(weights)
+    total = total_of(weights)
     return total * total / _dot(weights, weights)
 
 
@@ -365,7 +346,7 @@ def effective_sample_size(weights: Array) -> float:
 def moments(particles: Array, weights: Array) -> tuple[Array, Array]:
     """Weighted mean (D,) and covariance (D, D) of particles (D, N); the weights need not be normalised."""
     rows, count = particles.shape
-    total = _sum(weights)
+    total = total_of(weights)
     mean = np.empty(rows)
     covariance = np.empty((rows, rows))
     offsets = np.empty((rows, count))
@@ -386,7 +367,7 @@ def systematic(weights: Array, offset: float) -> NDArray[np.int64]:
     """Systematic resampling: ancestor k is where the cumulative weight passes (k + offset) / N of the whole, offset in [0, 1)."""
     count = len(weights)
     ancestors = np.empty(count, np.int64)
-    scale = count / _sum(weights)
+    scale = count / total_of(weights)
     ancestor = 0
     cumulative = weights[0] * scale
     for k in range(count):
@@ -485,7 +466,7 @@ def metropolis(
     frozen = particles.copy()
     stds = np.empty(rows)
     for row in range(rows):
-        offsets = frozen[row] - _sum(frozen[row]) / count
+        offsets = frozen[row] - total_of(frozen[row]) / count
         stds[row] = math.sqrt(_dot(offsets, offsets) / count)
     best = 0.0
     for t in range(last):

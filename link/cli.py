@@ -90,8 +90,11 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
     )  # fmt: skip
 
 
-def add_reach_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags that say how a planner may move, and how much it imagines."""
+def add_reach_arguments(parser: argparse.ArgumentParser, budget: int) -> None:
+    """Add the flags that say how often and how a planner may move, and how much it imagines."""
+    parser.add_argument(
+        "--budget", type=whole(1, 1_000_000), default=budget, metavar="STEPS", help="moves before giving up (default: %(default)s)"
+    )
     parser.add_argument("--headings", type=int, choices=(4, 8), help="directions that a planner chooses from (default: the planner's own)")
     parser.add_argument("--step", type=number(0, 10, above=True), metavar="M", help="length of a move (default: 1 m)")
     parser.add_argument(

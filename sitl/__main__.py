@@ -72,14 +72,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
     fly.add_argument(
         "--policy", default="infotaxis", help="how waypoints are chosen; `python -m agent -h` lists them (default: %(default)s)"
     )
-    fly.add_argument(
-        "--budget",
-        type=cli.whole(1, 1_000_000),
-        default=BUDGET_STEPS,
-        metavar="STEPS",
-        help="moves before giving up (default: %(default)s)",
-    )
-    cli.add_reach_arguments(fly)
+    cli.add_reach_arguments(fly, BUDGET_STEPS)
     cli.add_filter_arguments(fly)
     fly.add_argument(
         "-l", "--listen", metavar="ENDPOINT", default="tcp/127.0.0.1:0", help="where the router listens (default: a free local port)"
