@@ -86,6 +86,9 @@ def run(args: argparse.Namespace) -> int:
     if args.missions and not args.missions.parent.is_dir():
         print(f"error: --missions: no folder {str(args.missions.parent)!r} to write in", file=sys.stderr)
         return cli.BAD_INPUT
+    if args.missions and args.missions.is_dir():
+        print(f"error: --missions: {str(args.missions)!r} is a folder; wanted a file", file=sys.stderr)
+        return cli.BAD_INPUT
     try:
         if args.ray:
             join(args.ray)
@@ -113,7 +116,11 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
         raise
     rows = ordered(rows, sweep)
     if args.missions:
-        write_csv(rows, args.missions)
+        try:
+            write_csv(rows, args.missions)
+        except OSError as error:
+            print(f"error: --missions: {error}; what was flown is kept: name another file in the same command", file=sys.stderr)
+            return cli.BAD_INPUT
     result = named(rows)
     _print_table(result)
     if args.json:

@@ -12,8 +12,6 @@ Array = NDArray[np.float64]
 RESAMPLES = 1000
 LARGEST = 2_000_000
 """So many values are drawn at once."""
-
-
 COLUMNS = {
     "ceased": ("ceased, %", 100.0, 1),
     "located": ("located, %", 100.0, 1),
@@ -67,6 +65,11 @@ class Interval(msgspec.Struct, frozen=True):
     value: float
     low: float
     high: float
+
+    def text(self, scale: float, digits: int) -> str:
+        """Say it as a table does."""
+        value, low, high = (f"{scale * end:.{digits}f}" for end in (self.value, self.low, self.high))
+        return f"{value} [{low}, {high}]"
 
 
 def wilson(hits: int, of: int) -> Interval:
@@ -134,5 +137,4 @@ def cell(said: dict[str, Any], key: str) -> str:
     if said[key] is None:
         return UNKNOWN
     _, scale, digits = COLUMNS[key]
-    low, high = said[f"{key}_interval"]
-    return f"{scale * said[key]:.{digits}f} [{scale * low:.{digits}f}, {scale * high:.{digits}f}]"
+    return Interval(said[key], *said[f"{key}_interval"]).text(scale, digits)

@@ -26,15 +26,11 @@ class Reach:
 
     def moves(self, position: tuple[float, float]) -> Array:
         """Return the waypoints (A, 2) m that one step reaches without leaving the area; float32 values, as the wire carries them."""
-        return self.inside(np.asarray(position) + self.step * self.directions)
+        places = (np.asarray(position) + self.step * self.directions).astype(np.float32).astype(np.float64)
+        return places[((places >= 0) & (places <= self.area_m)).all(axis=1)]
 
     @cached_property
     def directions(self) -> Array:
         """Unit vectors (A, 2) of the headings."""
         angles = 2 * np.pi * np.arange(self.headings) / self.headings
         return np.round(np.stack([np.cos(angles), np.sin(angles)], axis=1), 15)  # east is east, not east and 6e-17 north
-
-    def inside(self, places: Array) -> Array:
-        """Return those of the places (A, 2), as float32 values, that lie in the area."""
-        places = places.astype(np.float32).astype(np.float64)
-        return places[((places >= 0) & (places <= self.area_m)).all(axis=1)]

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.figures import Interval, bootstrap, mean, wilson
+from agent.figures import bootstrap, mean, wilson
 from agent.moves import Reach
 from agent.service import choose
 from estimator import kernels, priors
@@ -162,18 +162,12 @@ def flights(case: Case, missions: int) -> list[Flight]:
 
 def share(hits: int, of: int) -> str:
     """A share in percent with its interval."""
-    return "–" if of == 0 else cell(wilson(hits, of), 100.0, 1)
+    return "–" if of == 0 else wilson(hits, of).text(100.0, 1)
 
 
 def statistic(values: Array, of_samples: Callable[[Array], Array] = mean) -> str:
     """A statistic with its interval."""
-    return "–" if len(values) == 0 else cell(bootstrap(values, of_samples), 1.0, 2)
-
-
-def cell(interval: Interval, scale: float, digits: int) -> str:
-    """A figure and its interval in a table."""
-    value, low, high = (f"{scale * end:.{digits}f}" for end in (interval.value, interval.low, interval.high))
-    return f"{value} [{low}, {high}]"
+    return "–" if len(values) == 0 else bootstrap(values, of_samples).text(1.0, 2)
 
 
 def quantile(level: float, samples: Array) -> Array:

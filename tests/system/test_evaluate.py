@@ -51,6 +51,18 @@ def test_an_interrupted_sweep_goes_on_where_it_was(start, tmp_path: Path, wait_u
     assert second.ended() == 130
 
 
+def test_a_table_that_cannot_be_written_loses_nothing(start, tmp_path: Path) -> None:
+    command = (*QUICK, "--scenarios", "2", "--missions")
+    refused = start(*command, "/proc/missions.csv", cwd=tmp_path)
+    assert refused.ended() == 2
+    assert "error: --missions: " in refused.err[-1]
+    (journal,) = tmp_path.glob("runs/*.jsonl")
+    kept = [line for line in journal.read_bytes().splitlines() if line]
+    assert len(kept) == 2 * 2
+    assert start(*command, "missions.csv", cwd=tmp_path).ended() == 0
+    assert len((tmp_path / "missions.csv").read_text().splitlines()) == 1 + len(kept)
+
+
 @pytest.mark.parametrize(
     ("flags", "error"),
     [
@@ -59,6 +71,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(start, tmp_path: Path, wait_u
         (("--threshold", "0.5,"), "--threshold: '' is not allowed; wanted a number above 0 up to 100"),
         (("--scenarios", "0"), "--scenarios: '0' is not allowed"),
         (("--headings", "5"), "--headings: invalid choice: 5 (choose from 4, 8)"),
+        (("--missions", "/tmp"), "--missions: '/tmp' is a folder; wanted a file"),
         (("--missions", "nowhere/missions.csv"), "--missions: no folder 'nowhere' to write in"),
         (("--stop-on", "q=3"), "--stop-on: 'q=3' is not allowed"),
     ],
