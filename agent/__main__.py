@@ -1,13 +1,15 @@
-"""`python -m agent`: the agent service alone, on any router; `rollout`: a mission in-process; `evaluate`: many; `report`."""
+"""`python -m agent`: the agent service alone, on any router; `rollout`, `evaluate`, `train`, `report`."""
 
 import argparse
 import sys
 
 from agent.evaluate import add_arguments as add_evaluate_arguments
 from agent.evaluate import run as evaluate
-from agent.planners import PLANNERS, reach
+from agent.policies import named, policy_argument, reach
 from agent.report import add_arguments as add_report_arguments
 from agent.report import run as report
+from agent.train import add_arguments as add_train_arguments
+from agent.train import run as train
 from estimator.options import add_sensor_argument, knowledge
 from link import cli
 from link.bus import Bus
@@ -17,7 +19,8 @@ from plume.scenario import BUDGET_STEPS
 
 def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--policy", choices=PLANNERS, default="infotaxis", help="how to choose waypoints: %(choices)s (default: %(default)s)"
+        "--policy", type=policy_argument, default="infotaxis", metavar="NAME",
+        help=f"how to choose waypoints: {', '.join(named())}, or a bundle, FILE.zip (default: %(default)s)",
     )
     parser.add_argument(
         "--seed", type=cli.whole(0, MAX_SEED), default=0, help="of the policy's draws; of the mission in a rollout (default: %(default)s)"
@@ -30,7 +33,7 @@ def _parse() -> argparse.Namespace:
     cli.add_bus_arguments(parser)
     _add_policy_arguments(parser)
     parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="MAVLink system id of the vehicle (default: %(default)s)")
-    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="rollout | evaluate | report")
+    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="rollout | evaluate | train | report")
     rollout = commands.add_parser("rollout", help="fly one mission in-process, without Zenoh")
     _add_policy_arguments(rollout)
     cli.add_filter_arguments(rollout)
@@ -38,6 +41,7 @@ def _parse() -> argparse.Namespace:
     cli.add_output_arguments(rollout)
     evaluate = commands.add_parser("evaluate", help="the figures of policies over many missions, in-process")
     add_evaluate_arguments(evaluate)
+    add_train_arguments(commands.add_parser("train", help="learn a policy, and write it down as a bundle that the agent flies"))
     add_report_arguments(commands.add_parser("report", help="tables, pictures and a page from the missions that `evaluate` flew"))
     args = parser.parse_args()
     if args.command in ("rollout", "evaluate"):
@@ -45,6 +49,11 @@ def _parse() -> argparse.Namespace:
             args.knowledge = knowledge(args)
         except ValueError as error:
             commands.choices[args.command].error(str(error))
+    if args.command in (None, "rollout"):
+        try:
+            args.reach = reach(args.policy, cli.reach_given(args))
+        except ValueError as error:
+            (commands.choices[args.command] if args.command else parser).error(str(error))
     return args
 
 
@@ -63,6 +72,8 @@ def main() -> int | None:
     args = _parse()
     if args.command == "evaluate":
         return evaluate(args)
+    if args.command == "train":
+        return train(args)
     if args.command == "report":
         return report(args)
     if args.command == "rollout":
@@ -71,7 +82,7 @@ def main() -> int | None:
     from agent.service import run
 
     with Bus("agent", args.connect, args.namespace) as bus:
-        run(bus, args.policy, args.seed, args.budget, args.sysid, reach(args.policy, cli.reach_given(args)))
+        run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach)
     return None
 
 

@@ -18,7 +18,8 @@ from rich.table import Table
 
 from agent.cluster import ClusterError, join, on_cluster
 from agent.figures import COLUMNS, Flown, cell, figures
-from agent.planners import PLANNERS
+from agent.policies import named as policy_names
+from agent.policies import policy_argument, reach
 from agent.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 from estimator.options import add_sensor_argument
 from link import cli
@@ -29,13 +30,6 @@ FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
 SHOWN = ("ceased", "located", "false_stop", "mtd_m", "mtd_floors", "search_time_s", "decision_ms")
 """Figures in the table; all are in the JSON."""
-
-
-def policy(text: str) -> str:
-    """Argument type: the name of a policy."""
-    if text not in PLANNERS:
-        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted {', '.join(PLANNERS)}, with commas between several")
-    return text
 
 
 def address(text: str) -> str:
@@ -50,10 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `evaluate`."""
     parser.add_argument(
         "--policy",
-        type=cli.listed(policy),
+        type=cli.listed(policy_argument),
         default=["infotaxis"],
         metavar="NAME,NAME",
-        help=f"of {', '.join(PLANNERS)} (default: infotaxis)",
+        help=f"of {', '.join(policy_names())}, or bundles, FILE.zip (default: infotaxis)",
     )
     parser.add_argument("--scenarios", type=cli.whole(1, 10_000_000), default=1000, metavar="N", help="missions (default: %(default)s)")
     parser.add_argument(
@@ -83,6 +77,12 @@ def run(args: argparse.Namespace) -> int:
         args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.threshold, args.budget,
         cli.reach_given(args), args.knowledge,
     )  # fmt: skip
+    try:
+        for name in args.policy:
+            reach(name, cli.reach_given(args))
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
     if args.missions and not args.missions.parent.is_dir():
         print(f"error: --missions: no folder {str(args.missions.parent)!r} to write in", file=sys.stderr)
         return cli.BAD_INPUT
@@ -103,7 +103,7 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
     total = len(sweep.flights)
     rows: list[Flown] = []
     try:
-        with _progress() as progress:
+        with progress_bar() as progress:
             task = progress.add_task("missions", total=total)
             for flown in fly_all(sweep, journal, on_cluster if args.ray else on_cores(args.workers)):
                 rows += flown
@@ -122,7 +122,7 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
             print(f"error: --missions: {error}; what was flown is kept: name another file in the same command", file=sys.stderr)
             return cli.BAD_INPUT
     result = named(rows)
-    _print_table(result)
+    print_table(result)
     if args.json:
         print(json.dumps(result))
     journal.unlink()
@@ -163,7 +163,8 @@ def _open(path: Path, mode: str) -> IO[str]:
     return cast(IO[str], opener(path, mode, newline=""))
 
 
-def _progress() -> Progress:
+def progress_bar() -> Progress:
+    """Return a bar of missions flown."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -175,7 +176,8 @@ def _progress() -> Progress:
     return Progress(*columns, console=Console(stderr=True))
 
 
-def _print_table(result: dict[str, Any]) -> None:
+def print_table(result: dict[str, Any]) -> None:
+    """Print the figures of `named` as a table, for people."""
     table = Table(*("policy", "N", "ζ, m", "missions"), *(COLUMNS[key][0] for key in SHOWN), box=None, header_style="bold")
     for column in table.columns[1:]:
         column.justify = "right"

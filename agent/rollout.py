@@ -6,8 +6,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from agent.moves import Reach
-from agent.planners import reach
-from agent.service import choose
+from agent.policies import choose, reach
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link.mavlink import Reading

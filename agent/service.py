@@ -3,25 +3,18 @@
 import time
 
 from agent.moves import Reach
-from agent.planners import planner
+from agent.policies import choose
+from agent.policies import policy as find_policy
 from link.bus import Arrival, Bus
 from link.keys import BELIEF, MAVLINK_IN
 from link.mavlink import ONBOARD_COMPUTER, Codec, waypoint_message
 from link.messages import Belief, Particles, unpack_particles
-from plume.randomness import keyed
 from plume.sensor import parse
-
-
-def choose(policy: str, belief: Belief, particles: Particles, seed: int, reach: Reach) -> tuple[float, float]:
-    """Return the next waypoint (x, y) m: a function of the belief and the seed alone."""
-    chosen = planner(policy)(belief, particles, reach, keyed(seed, policy, belief.step))
-    x, y = reach.moves(belief.position)[chosen].tolist()
-    return x, y
 
 
 def run(bus: Bus, policy: str, seed: int, budget: int, system: int, reach: Reach) -> None:
     """Serve until interrupted: answer each belief, except where the search has ceased or the budget is spent."""
-    planner(policy)  # compiles or loads its kernels before the first belief comes
+    find_policy(policy)  # compiles or loads what it needs before the first belief comes
     codec = Codec(system, ONBOARD_COMPUTER)
     bus.subscribe(BELIEF)
     bus.publish_health()

@@ -17,7 +17,7 @@ import numpy as np
 
 from agent.figures import Flown
 from agent.floor import LEAST_THRESHOLD_M, floors_m
-from agent.planners import reach
+from agent.policies import bundle_path, reach
 from agent.rollout import Mission, mission
 from estimator.belief import may_claim, sure_enough
 from estimator.filter import Config
@@ -195,7 +195,8 @@ def code() -> str:
 
 def journal_of(sweep: Sweep, folder: Path) -> Path:
     """Return the file in which a sweep is kept: another for another question, or for other code."""
-    question = (code(), sweep.thresholds_m, sweep.budget, sorted(sweep.moves.items()), sorted(sweep.knowledge.items()))
+    bundles = [hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest() for name in sweep.policies if (path := bundle_path(name))]
+    question = (code(), bundles, sweep.thresholds_m, sweep.budget, sorted(sweep.moves.items()), sorted(sweep.knowledge.items()))
     digest = hashlib.blake2b(repr(question).encode(), digest_size=8)
     return folder / f"evaluate-{digest.hexdigest()}.jsonl"
 

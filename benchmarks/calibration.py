@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from agent.figures import bootstrap, mean, wilson
 from agent.moves import Reach
-from agent.service import choose
+from agent.policies import choose
 from estimator import kernels, priors
 from estimator.belief import INCOMPATIBLE, belief, may_claim
 from estimator.filter import Config, assimilate, prior

@@ -18,7 +18,7 @@ from agent.moves import Reach
 from agent.planners import PLANNERS
 from agent.planners import reach as own
 from agent.rollout import mission
-from agent.service import choose
+from agent.policies import choose
 from benchmarks import planner_peers
 from benchmarks.planner_peers import StoneSoup
 from link.messages import Belief, Particles

@@ -1,77 +1,107 @@
 """Posteriors of many missions at once, by the very kernel that serves one: mission i is bit-identical to mission i alone."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimator import kernels
+from estimator.belief import fit, may_claim
 from estimator.filter import Config, Posterior, prior
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 MISSIONS_PER_TASK = 8
 """Missions cost very different times, so threads take them in portions no greater than this."""
 
 
 class Batch:
-    """Missions that take their readings in step; changed in place. All have the same number of particles and the same unknowns."""
+    """Missions side by side, each as far as it is; changed in place. All have the same number of particles and the same unknowns."""
 
     def __init__(self, configs: Sequence[Config], threads: int = 1) -> None:
         """Begin with the priors. Raises ValueError where missions differ in their particles or unknowns."""
-        first = configs[0]
-        if any((c.particles, c.unknowns) != (first.particles, first.unknowns) for c in configs):
-            raise ValueError("all missions of a batch have the same number of particles and the same unknowns")
-        posteriors = [prior(config) for config in configs]
-        self._particles = np.stack([p.particles for p in posteriors])
-        self._log_weights = np.stack([p.log_weights for p in posteriors])
-        self._weights = np.stack([p.weights for p in posteriors])
-        self._log_targets = np.stack([p.log_targets for p in posteriors])
-        self._readings = np.empty((len(configs), 64, 7))
-        self._ranks = np.empty((len(configs), 64))
-        self._count = 0
+        first, count = configs[0], len(configs)
+        rows, particles = len(first.unknown_indices), first.particles
+        self.particles = np.empty((count, rows, particles))
+        self.weights = np.empty((count, particles))
+        """The greatest of each mission is 1."""
+        self.means = np.empty((count, rows))
+        self.covariances = np.empty((count, rows, rows))
+        self.counts = np.zeros(count, np.int64)
+        """Readings that each mission has taken."""
+        self._log_weights = np.empty((count, particles))
+        self._log_targets = np.empty((count, particles))
+        self._readings = np.empty((count, 64, 7))
+        self._ranks = np.empty((count, 64))
+        self._priors = np.empty((count, *first.prior_rows.shape))
+        self._sensors = np.empty((count, len(first.sensor_row)))
+        self._seeds = np.empty(count, np.uint64)
         self._unknowns = first.unknown_indices
-        self._priors = np.stack([c.prior_rows for c in configs])
-        self._sensors = np.stack([c.sensor_row for c in configs])
-        self._seeds = np.array([c.seed for c in configs], np.uint64)
         self._sweeps = first.sweeps
+        self._configs = list(configs)
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads)
+        for mission, config in enumerate(configs):
+            self.begin(mission, config)
 
-    def assimilate(self, readings: Array) -> None:
-        """Take one reading for each mission: (B, 7) rows as of `Config.row`."""
-        if self._count == self._readings.shape[1]:
+    def begin(self, mission: int, config: Config) -> None:
+        """Put another mission in the place of one. Raises ValueError where it differs in its particles or unknowns."""
+        first = self._configs[0]
+        if (config.particles, config.unknowns) != (first.particles, first.unknowns):
+            raise ValueError("all missions of a batch have the same number of particles and the same unknowns")
+        posterior = prior(config)
+        self.particles[mission] = posterior.particles
+        self.weights[mission] = posterior.weights
+        self.counts[mission] = 0
+        self._log_weights[mission] = posterior.log_weights
+        self._log_targets[mission] = posterior.log_targets
+        self._priors[mission] = config.prior_rows
+        self._sensors[mission] = config.sensor_row
+        self._seeds[mission] = config.seed
+        self._configs[mission] = config
+
+    def assimilate(self, readings: Array, missions: Indices | None = None) -> None:
+        """Take one reading for each of these missions, of all where none are named: (M, 7) rows as of `Config.row`."""
+        missions = np.arange(len(self.counts)) if missions is None else missions
+        if self.counts[missions].max() == self._readings.shape[1]:
             self._readings = np.concatenate([self._readings, np.empty_like(self._readings)], axis=1)
             self._ranks = np.concatenate([self._ranks, np.empty_like(self._ranks)], axis=1)
-        self._readings[:, self._count] = readings
-        self._count += 1
+        self._readings[missions, self.counts[missions]] = readings
+        self.counts[missions] += 1
 
-        def update(begin: int) -> None:
+        def update(portion: Indices) -> None:
             kernels.update_missions(
-                self._particles, self._log_weights, self._weights, self._log_targets, self._readings, self._ranks, self._count,
-                self._unknowns, self._priors, self._sensors, self._seeds, self._sweeps, begin, min(begin + portion, len(readings)),
+                self.particles, self._log_weights, self.weights, self._log_targets, self._readings, self._ranks, self.counts,
+                self._unknowns, self._priors, self._sensors, self._seeds, self._sweeps, portion,
             )  # fmt: skip
+            kernels.moments_of_missions(self.particles, self.weights, portion, self.means, self.covariances)
 
+        self.share_out(update, missions)
+
+    def share_out(self, task: Callable[[Indices], None], missions: Indices) -> None:
+        """Let the threads do a task for each of these missions, in portions."""
         if self._threads == 1:
-            portion = len(readings)
-            update(0)
-        else:
-            portion = min(MISSIONS_PER_TASK, -(-len(readings) // self._threads))
-            list(self._pool.map(update, range(0, len(readings), portion)))
+            task(missions)
+            return
+        portion = min(MISSIONS_PER_TASK, -(-len(missions) // self._threads))
+        list(self._pool.map(task, np.split(missions, range(portion, len(missions), portion))))
 
-    def moments(self) -> tuple[Array, Array]:
-        """Weighted means (B, D) and covariances (B, D, D)."""
-        each = [kernels.moments(*pair) for pair in zip(self._particles, self._weights, strict=True)]
-        return np.array([mean for mean, _ in each]), np.array([covariance for _, covariance in each])
+    def may_claim(self, mission: int) -> bool:
+        """Whether a find may be claimed at all: as `estimator.belief.may_claim`."""
+        count = self.counts[mission]
+        p_value = fit(self._readings[mission, :count], self._ranks[mission, :count], self._configs[mission])
+        return may_claim(p_value, int(count))
 
     def posterior(self, mission: int) -> Posterior:
         """Return a copy of one mission's posterior."""
+        count = self.counts[mission]
         return Posterior(
-            self._particles[mission].copy(),
+            self.particles[mission].copy(),
             self._log_weights[mission].copy(),
-            self._weights[mission].copy(),
+            self.weights[mission].copy(),
             self._log_targets[mission].copy(),
-            self._readings[mission, : self._count].copy(),
-            self._ranks[mission, : self._count].copy(),
+            self._readings[mission, :count].copy(),
+            self._ranks[mission, :count].copy(),
         )

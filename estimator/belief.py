@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from estimator import kernels
-from estimator.filter import Config, Posterior
+from estimator.filter import Array, Config, Posterior
 from estimator.priors import PARAMETERS
 from link.mavlink import Reading
 from link.messages import Belief, Particles, Stop
@@ -35,7 +35,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     )
     (xx, xy), (_, yy) = covariance[:2, :2].tolist()
     spread = math.sqrt(xx + yy)
-    p_value = fit(posterior, config)
+    p_value = fit(posterior.readings, posterior.ranks, config)
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
         step=len(posterior.readings) - 1,
@@ -62,12 +62,15 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     return summary, np.vstack([posterior.particles, weights]).T.astype(np.float32)
 
 
-def fit(posterior: Posterior, config: Config) -> float:
-    """p-value of the recent readings under the model: of their ranks in their predictive distributions, which should be uniform."""
-    last = posterior.readings[-STUCK:, 5]
+def fit(readings: Array, ranks: Array, config: Config) -> float:
+    """p-value of the recent readings under the model: of their ranks in their predictive distributions, which should be uniform.
+
+    readings: (T, 7), ranks: (T,), as of `Posterior`.
+    """
+    last = readings[-STUCK:, 5]
     if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
         return 0.0
-    return 1.0 if len(posterior.ranks) < FEWEST else float(kernels.uniformity_p_value(posterior.ranks[-RECENT:]))
+    return 1.0 if len(ranks) < FEWEST else float(kernels.uniformity_p_value(ranks[-RECENT:]))
 
 
 def may_claim(p_value: float, readings: int) -> bool:

@@ -611,8 +611,8 @@ def update(
 
 
 @numba.njit(
-    "void(float64[:, :, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], int64, int64[::1], "
-    "float64[:, :, ::1], float64[:, ::1], uint64[::1], int64, int64, int64)",
+    "void(float64[:, :, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], int64[::1], int64[::1], "
+    "float64[:, :, ::1], float64[:, ::1], uint64[::1], int64, int64[::1])",
     cache=True,
     nogil=True,
 )
@@ -623,20 +623,31 @@ def update_missions(
     log_targets: Array,
     readings: Array,
     ranks: Array,
-    count: int,
+    counts: NDArray[np.int64],
     unknowns: NDArray[np.int64],
     priors: Array,
     sensors: Array,
     seeds: NDArray[np.uint64],
     sweeps: int,
-    begin: int,
-    end: int,
+    missions: NDArray[np.int64],
 ) -> None:
-    """Let missions begin..end of a batch assimilate reading number count − 1, each as if alone; arrays as in `update`, stacked."""
-    for b in range(begin, end):
+    """Let these missions of a batch assimilate the last of their `counts` readings, each as if alone; arrays as in `update`, stacked."""
+    for b in missions:
+        count = counts[b]
         ranks[b, count - 1] = update(
             particles[b], log_weights[b], weights[b], log_targets[b], readings[b, :count], unknowns, priors[b], sensors[b], seeds[b], sweeps
         )
+
+
+@numba.njit(
+    "void(float64[:, :, ::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[:, :, ::1])",
+    cache=True,
+    nogil=True,
+)
+def moments_of_missions(particles: Array, weights: Array, missions: NDArray[np.int64], means: Array, covariances: Array) -> None:
+    """Put the `moments` of these missions of a batch into means (B, D) and covariances (B, D, D)."""
+    for b in missions:
+        means[b], covariances[b] = moments(particles[b], weights[b])
 
 
 @numba.njit("float64(float64[::1])", cache=True)

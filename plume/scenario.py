@@ -9,6 +9,8 @@ from plume.randomness import keyed
 
 AREA_M = 30.0
 """Side of the square search area [0, AREA_M]², m."""
+SOURCE_LOW_M, SOURCE_HIGH_M = 10.0, 25.0
+"""Table 1 draws sources from this square in the middle of the area."""
 STEP_M = 1.0
 """Length of one move, m."""
 BUDGET_STEPS = 300
@@ -48,7 +50,7 @@ class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
 def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:
     """Draw a scenario of the paper's training and test distribution (Table 1)."""
     rng = keyed(seed, "scenario")
-    low = np.array([10.0, 10.0, 100.0, 1.0, 0.0, 1.0, 0.0, 0.0])
-    high = np.array([25.0, 25.0, 500.0, 4.0, 2 * np.pi, 8.0, 5.0, 5.0])
+    low = np.array([SOURCE_LOW_M, SOURCE_LOW_M, 100.0, 1.0, 0.0, 1.0, 0.0, 0.0])
+    high = np.array([SOURCE_HIGH_M, SOURCE_HIGH_M, 500.0, 4.0, 2 * np.pi, 8.0, 5.0, 5.0])
     x, y, q, u, phi, d, start_x, start_y = rng.uniform(low, high).tolist()
     return Scenario(source=(x, y), q=q, u=u, phi=phi, d=d, tau=lifetime_s, start=(start_x, start_y))

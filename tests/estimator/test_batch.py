@@ -58,10 +58,9 @@ def test_each_mission_of_a_batch_is_bit_identical_to_the_mission_alone(knowledge
 def test_a_batch_tells_the_moments_of_each_mission() -> None:
     configs, flights = missions()
     batch = together(configs, flights, 2)
-    means, covariances = batch.moments()
     posterior = batch.posterior(3)
-    assert means[3] == pytest.approx(np.average(posterior.particles, axis=1, weights=posterior.weights))
-    assert covariances[3] == pytest.approx(np.cov(posterior.particles, aweights=posterior.weights, ddof=0))
+    assert batch.means[3] == pytest.approx(np.average(posterior.particles, axis=1, weights=posterior.weights))
+    assert batch.covariances[3] == pytest.approx(np.cov(posterior.particles, aweights=posterior.weights, ddof=0))
 
 
 def test_missions_that_do_not_fit_together_are_refused() -> None:

@@ -1,0 +1,113 @@
+"""Many missions flown side by side in one process, each to the same bits as `rollout` flies it alone."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent import observation
+from agent.observation import FACTS, SCHEMAS, Observation
+from estimator.batch import Batch
+from estimator.filter import Config
+from plume.dispersion import concentration
+from plume.randomness import Keyed, derived_seed
+from plume.scenario import SUCCESS_RADIUS_M, draw
+from plume.sensor import GAUSSIAN
+from plume.world import World
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class Missions:
+    """Missions of the paper's case, x and y unknown and a Gaussian sensor; all arrays have a row a mission."""
+
+    def __init__(self, seeds: Sequence[int], schema: str, particles: int, threshold_m: float, threads: int = 1) -> None:
+        """Begin the mission of each seed: its first reading is taken."""
+        count = len(seeds)
+        self._schema = SCHEMAS[schema]
+        self._particles, self._threshold_m = particles, threshold_m
+        self.seeds = np.array(seeds, np.int64)
+        self.steps = np.zeros(count, np.int64)
+        self.positions = np.empty((count, 2))
+        self.distances_m = np.zeros(count)
+        self.spreads_m = np.empty(count)
+        self.ceased = np.zeros(count, np.bool_)
+        self.frames = np.empty((count, 3))
+        """Of the observation, for the action."""
+        self.observations = np.empty((count, self._schema.size), np.float32)
+        self._facts = np.empty((count, len(FACTS)))
+        self._sources, self._winds = np.empty((count, 2)), np.empty((count, 2))
+        self._noise = Keyed()
+        self._batch = Batch([self._draw(mission) for mission in range(count)], threads)
+        self._read(np.arange(count))
+
+    def begin(self, missions: Indices, seeds: Sequence[int]) -> None:
+        """Put the missions of other seeds in the places of these."""
+        self.seeds[missions] = seeds
+        for mission in missions.tolist():
+            self._batch.begin(mission, self._draw(mission))
+        self._read(missions)
+
+    def move(self, waypoints: Array) -> None:
+        """Fly each mission to its waypoint, and take a reading there; (B, 2) float32 values in the area."""
+        self.steps += 1
+        self.distances_m += np.sqrt(np.square(waypoints - self.positions).sum(axis=1))
+        self.positions[:] = waypoints
+        self._read(np.arange(len(self.steps)))
+
+    @property
+    def estimates(self) -> Array:
+        """(B, 2) m."""
+        return self._batch.means
+
+    @property
+    def located(self) -> NDArray[np.bool_]:
+        """Whether each would be right to stop here; only to judge by."""
+        return np.sqrt(np.square(self._batch.means - self._sources).sum(axis=1)) <= SUCCESS_RADIUS_M
+
+    def _draw(self, mission: int) -> Config:
+        seed = int(self.seeds[mission])
+        scenario = draw(seed)
+        world = World(scenario, seed)
+        self.steps[mission], self.distances_m[mission], self.ceased[mission] = 0, 0.0, False
+        self.positions[mission], self._sources[mission], self._winds[mission] = world.start, scenario.source, scenario.wind
+        known = (scenario.q, scenario.d, scenario.tau)
+        self._facts[mission, observation.WIND_X : observation.LIFETIME + 1] = *world.wind, *known
+        return Config(self._particles, self._threshold_m, derived_seed(seed, "estimator"), *known)
+
+    def _read(self, missions: Indices) -> None:
+        """Take a reading in each of these missions; what is believed, seen and claimed follows from it."""
+        facts = self._facts
+        facts[missions, : observation.GAS] = self.positions[missions]
+        facts[missions, observation.GAS] = self._gas(missions)
+        readings = np.zeros((len(missions), 7))
+        readings[:, [0, 1, 5, 3, 4]] = facts[missions][:, [observation.X, observation.Y, observation.GAS, observation.WIND_X, observation.WIND_Y]]
+        readings[:, 6] = 1.0
+        self._batch.assimilate(readings, missions)
+        covariances = self._batch.covariances[missions]
+        facts[missions, observation.MEAN_X : observation.XX] = self._batch.means[missions]
+        facts[missions, observation.XX : observation.WIND_X] = covariances.reshape(-1, 4)[:, [0, 1, 3]]
+        self.spreads_m[missions] = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
+        for mission in missions[self.spreads_m[missions] < self._threshold_m].tolist():
+            self.ceased[mission] = self._batch.may_claim(mission)
+        totals = self._batch.weights.sum(axis=1)
+
+        def see(portion: Indices) -> None:
+            self._schema.see_missions(
+                self._batch.particles, self._batch.weights, totals, facts, portion, self.frames, self.observations
+            )
+
+        self._batch.share_out(see, missions)
+
+    def _gas(self, missions: Indices) -> Array:
+        """As `World.gas`, for many."""
+        rate, diffusivity, lifetime = self._facts[missions][:, observation.RATE :].T
+        mean = concentration(
+            self.positions[missions], self._sources[missions], self._winds[missions],
+            rate=rate, diffusivity=diffusivity, lifetime=lifetime,
+        )  # fmt: skip
+        keys = zip(self.seeds[missions].tolist(), self.steps[missions].tolist(), strict=True)
+        noise = np.array([self._noise.at(seed, "sensor", step).standard_normal() for seed, step in keys])
+        return (mean + GAUSSIAN.noise_std(mean) * noise).astype(np.float32).astype(np.float64)

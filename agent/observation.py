@@ -1,0 +1,264 @@
+"""What a learned policy sees of a belief, by schema: one function for the env, for many missions at once, and in flight.
+
+`paper` (version 1, 5 numbers, in the world's frame): position (x, y), reading and estimate (x, y), as in the paper.
+
+`polar` (version 1): the belief as seen from the vehicle. Its frame has the x axis towards the estimate, and is mirrored where the
+wind would come from the right, so that what differs by a turn or a mirror only looks alike. In it are, in this order,
+- the belief's mass in 16 sectors of 8 rings, as 2 √mass;
+- how much a reading 1.5, 4 and 8 m ahead in each of 16 headings would tell, ½ log(1 + Var g(m)), where g(m) = asinh(α m/β)/α turns the
+  concentrations that the particles expect there into values whose noise is 1;
+- the estimate's distance, the spread and the covariance; wind and plume; the place in the area, and where the frame points.
+
+The policy has a prior of its own: sources are drawn from the middle of the area when it is trained (Table 1), so the particles outside
+of it count a twentieth. The spread as the estimator says it, which the stop is decided on, is among the numbers too.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from link.messages import Belief, Particles
+from plume.dispersion import SOURCE_RADIUS_M
+from plume.numerics import exp, log
+from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
+from plume.sensor import GAUSSIAN
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Observation = NDArray[np.float32]
+Frame = Array
+"""(3,): the direction (cos, sin) of the observation's x axis in the world, and 1, or −1 where its y axis is mirrored."""
+
+FACTS = ("x", "y", "gas", "mean_x", "mean_y", "xx", "xy", "yy", "wind_x", "wind_y", "rate", "diffusivity", "lifetime")
+"""What is looked at of a belief beside its particles, as of `link.messages.Belief`; columns of arrays (B, 13)."""
+X, Y, GAS, MEAN_X, MEAN_Y, XX, XY, YY, WIND_X, WIND_Y, RATE, DIFFUSIVITY, LIFETIME = range(len(FACTS))
+
+SECTORS = 16
+RINGS_M = np.array([1.5, 3.0, 5.0, 8.0, 11.5, 15.5, 20.0])
+"""Where one ring ends and the next begins."""
+CELLS = SECTORS * (len(RINGS_M) + 1)
+AHEAD_M = np.array([1.5, 4.0, 8.0])
+HEADINGS = 16
+OUTSIDE = 0.05
+"""Weight of a particle outside of where sources are drawn, beside one inside."""
+FEW = 200
+"""So many particles, drawn evenly by weight, tell what readings would tell."""
+NUMBERS = 24
+"""Of a polar observation, after the cells and the headings."""
+POLAR = CELLS + HEADINGS * len(AHEAD_M) + NUMBERS
+PAPER = 5
+BOUND = 10.0
+"""No number of an observation is larger: what would be, of a world unlike any trained in, is cut off."""
+
+STEEPNESS = GAUSSIAN.sensor_noise / GAUSSIAN.environment_noise  # α/β
+INVERSE_NOISE_SQUARED = 1 / GAUSSIAN.sensor_noise**2  # 1/α²
+TANGENTS = np.tan(np.pi / 16 * np.array([1, 3, 5, 7]))
+COSINES = np.cos(2 * np.pi / HEADINGS * np.arange(HEADINGS))
+SINES = np.sin(2 * np.pi / HEADINGS * np.arange(HEADINGS))
+
+
+@numba.njit(error_model="numpy")
+def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+    """Lengths as shares of the area, and the reading on a scale where large ones do not drown the small."""
+    frame[0], frame[1], frame[2] = 1.0, 0.0, 1.0
+    gas = facts[GAS]
+    result[0], result[1] = facts[X] / AREA_M, facts[Y] / AREA_M
+    result[2] = math.copysign(min(math.log1p(abs(gas)), BOUND), gas)
+    result[3], result[4] = facts[MEAN_X] / AREA_M, facts[MEAN_Y] / AREA_M
+
+
+@numba.njit(error_model="numpy")
+def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+    """Fill `frame` and `result` (POLAR,) from particles (N,), whose weights are changed, and facts (13,)."""
+    inside, off, spread, xx, xy = _frame(x, y, weights, facts, frame)
+    _fill_cells(x, y, weights, facts, frame, result[:CELLS])
+    _fill_gains(x, y, weights, facts, frame, result[CELLS : POLAR - NUMBERS])
+    px, py = facts[X], facts[Y]
+    c, s, mirror = frame
+    speed, diffusivity = math.hypot(facts[WIND_X], facts[WIND_Y]), facts[DIFFUSIVITY]
+    wind_x, wind_y = c * facts[WIND_X] + s * facts[WIND_Y], mirror * (c * facts[WIND_Y] - s * facts[WIND_X])
+    length = 1 / math.sqrt(1 / (diffusivity * facts[LIFETIME]) + speed * speed / (4 * diffusivity * diffusivity))
+    said = math.sqrt(facts[XX] + facts[YY])
+    middle = 0.5 * (SOURCE_LOW_M + SOURCE_HIGH_M)
+    to_x, to_y = middle - px, middle - py
+    # The area mirrored at its diagonal is the same area: there a mirrored frame is a plain one.
+    plain = mirror > 0
+    numbers = (
+        off / 15, math.log(off + 0.1) / 3, math.log(said + 0.05) / 3, said / 8, math.log(spread + 0.05) / 3, spread / 8, 2 * xx - 1, 2 * xy,
+        wind_x / 4, wind_y / 4, wind_x / max(speed, 1e-9), wind_y / max(speed, 1e-9), speed / (2 * diffusivity), math.log(diffusivity) / 2,
+        length / 10, math.log(length), math.log(facts[RATE] / (4 * math.pi * diffusivity)) / 3,
+        (c * to_x + s * to_y) / 15, mirror * (c * to_y - s * to_x) / 15,
+        c if plain else s, s if plain else c, (px if plain else py) / AREA_M, (py if plain else px) / AREA_M, math.log(inside + 1e-3) / 3,
+    )  # fmt: skip
+    for k in range(NUMBERS):
+        result[POLAR - NUMBERS + k] = min(max(numbers[k], -BOUND), BOUND)
+
+
+@numba.njit(error_model="numpy")
+def _frame(x: Array, y: Array, weights: Array, facts: Array, frame: Frame) -> tuple[float, float, float, float, float]:
+    """Take the policy's prior into the weights, normalised, and find the frame.
+
+    Returns the mass that lies where sources are drawn, the estimate's distance, the spread, and in the frame the shares xx and xy of
+    its square.
+    """
+    inside, total, mean_x, mean_y = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(x)):
+        drawn = SOURCE_LOW_M <= x[i] <= SOURCE_HIGH_M and SOURCE_LOW_M <= y[i] <= SOURCE_HIGH_M
+        total += weights[i]
+        inside += weights[i] if drawn else 0.0
+        weights[i] *= 1.0 if drawn else OUTSIDE
+    inside /= total
+    total *= inside + OUTSIDE * (1 - inside)
+    for i in range(len(x)):
+        weights[i] /= total
+        mean_x += weights[i] * x[i]
+        mean_y += weights[i] * y[i]
+    xx, xy, yy = 0.0, 0.0, 0.0
+    for i in range(len(x)):
+        dx, dy = x[i] - mean_x, y[i] - mean_y
+        xx += weights[i] * dx * dx
+        xy += weights[i] * dx * dy
+        yy += weights[i] * dy * dy
+    dx, dy = mean_x - facts[X], mean_y - facts[Y]
+    off = math.sqrt(dx * dx + dy * dy)
+    c, s = (dx / off, dy / off) if off > 1e-6 else (1.0, 0.0)
+    mirror = 1.0 if c * facts[WIND_Y] - s * facts[WIND_X] >= 0 else -1.0
+    frame[0], frame[1], frame[2] = c, s, mirror
+    square = max(xx + yy, 1e-12)
+    along = (c * c * xx + 2 * c * s * xy + s * s * yy) / square
+    across = mirror * ((c * c - s * s) * xy + c * s * (yy - xx)) / square
+    return inside, off, math.sqrt(square), along, across
+
+
+@numba.njit(error_model="numpy")
+def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+    """2 √mass of each sector, ring after ring; the first sector is centred on the frame's x axis."""
+    c, s, mirror = frame
+    squares = RINGS_M * RINGS_M
+    mass = np.zeros(CELLS)
+    for i in range(len(x)):
+        dx, dy = x[i] - facts[X], y[i] - facts[Y]
+        along, across = dx * c + dy * s, mirror * (dy * c - dx * s)
+        square = along * along + across * across
+        ring = 0
+        for edge in squares:
+            ring += square > edge
+        # Without an arc tangent: which sector of a quadrant, then which quadrant.
+        wide, high = abs(along), abs(across)
+        sector = 0
+        for tangent in TANGENTS:
+            sector += high > tangent * wide
+        sector = sector if along >= 0 else SECTORS // 2 - sector
+        sector = sector if across >= 0 else (SECTORS - sector) % SECTORS
+        mass[ring * SECTORS + sector] += weights[i]
+    for cell in range(CELLS):
+        result[cell] = 2 * math.sqrt(mass[cell])
+
+
+@numba.njit(error_model="numpy")
+def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+    """Fill in what a reading at each distance ahead, heading after heading, would tell of the source: about so many nats."""
+    few_x, few_y = np.empty(FEW), np.empty(FEW)
+    last, mass = 0, weights[0]
+    for k in range(FEW):
+        while mass <= (k + 0.5) / FEW and last < len(x) - 1:
+            last += 1
+            mass += weights[last]
+        few_x[k], few_y[k] = x[last], y[last]
+    c, s, mirror = frame
+    diffusivity, wind_x, wind_y = facts[DIFFUSIVITY], facts[WIND_X], facts[WIND_Y]
+    decay = math.sqrt(1 / (diffusivity * facts[LIFETIME]) + (wind_x * wind_x + wind_y * wind_y) / (4 * diffusivity * diffusivity))
+    scale = STEEPNESS * facts[RATE] / (4 * math.pi * diffusivity)
+    drift_x, drift_y = wind_x / (2 * diffusivity), wind_y / (2 * diffusivity)
+    steady = np.empty(FEW)
+    for ahead in range(len(AHEAD_M)):
+        for heading in range(HEADINGS):
+            along, across = AHEAD_M[ahead] * COSINES[heading], AHEAD_M[ahead] * mirror * SINES[heading]
+            there_x = min(max(facts[X] + c * along - s * across, 0.0), AREA_M)
+            there_y = min(max(facts[Y] + s * along + c * across, 0.0), AREA_M)
+            for k in range(FEW):
+                dx, dy = there_x - few_x[k], there_y - few_y[k]
+                distance = max(math.sqrt(dx * dx + dy * dy), SOURCE_RADIUS_M)
+                m = scale / distance * exp(-distance * decay - (dx * drift_x + dy * drift_y))
+                steady[k] = log(m + math.sqrt(m * m + 1))
+            total, squares = 0.0, 0.0
+            for k in range(FEW):
+                total += steady[k]
+                squares += steady[k] * steady[k]
+            variance = max(squares / FEW - (total / FEW) ** 2, 0.0)
+            result[ahead * HEADINGS + heading] = 0.5 * math.log(1 + variance * INVERSE_NOISE_SQUARED)
+
+
+SEE_ALONE = "void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float32[::1])"
+SEE_MISSIONS = (
+    "void(float64[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], int64[::1], float64[:, ::1], float32[:, ::1])"
+)
+
+
+@numba.njit(SEE_ALONE, cache=True)
+def _see_paper(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+    _paper(x, y, weights, facts, frame, result)
+
+
+@numba.njit(SEE_ALONE, cache=True)
+def _see_polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
+    _polar(x, y, weights, facts, frame, result)
+
+
+@numba.njit(error_model="numpy")
+def _as_sent(particles: Array, weights: Array, total: float, x: Array, y: Array, sent: Array) -> None:
+    """Particles (2, N) as they cross the wire, weights normalised: float32 values."""
+    for i in range(len(x)):
+        x[i], y[i], sent[i] = np.float32(particles[0, i]), np.float32(particles[1, i]), np.float32(weights[i] / total)
+
+
+@numba.njit(SEE_MISSIONS, cache=True, nogil=True)
+def _paper_of_missions(
+    _particles: Array, _weights: Array, _totals: Array, facts: Array, missions: Indices, frames: Array, results: NDArray[np.float32]
+) -> None:
+    nothing = np.empty(0)
+    for b in missions:
+        _paper(nothing, nothing, nothing, facts[b], frames[b], results[b])
+
+
+@numba.njit(SEE_MISSIONS, cache=True, nogil=True)
+def _polar_of_missions(
+    particles: Array, weights: Array, totals: Array, facts: Array, missions: Indices, frames: Array, results: NDArray[np.float32]
+) -> None:
+    x, y, sent = np.empty((3, particles.shape[2]))
+    for b in missions:
+        _as_sent(particles[b], weights[b], totals[b], x, y, sent)
+        _polar(x, y, sent, facts[b], frames[b], results[b])
+
+
+@dataclass(frozen=True)
+class Schema:
+    """A way to see a belief; who changes what it says gives it another version."""
+
+    version: int
+    size: int
+    """Numbers in an observation."""
+    _see: Callable[[Array, Array, Array, Array, Frame, Observation], None]
+    see_missions: Callable[[Array, Array, Array, Array, Indices, Array, NDArray[np.float32]], None]
+    """(particles (B, 2, N), weights (B, N), their sums (B,), facts (B, 13), missions (M,), frames (B, 3), observations (B, size)): fills in
+    the last two for these missions."""
+
+    def see(self, belief: Belief, particles: Particles) -> tuple[Observation, Frame]:
+        """What is seen of a belief, (size,), and the frame that it is seen in, and acted in."""
+        columns = dict(zip(belief.unknowns, particles.T.astype(np.float64), strict=False))
+        weights = particles[:, -1].astype(np.float64)
+        x, y = (columns.get(name, np.full(len(weights), known)) for name, known in zip("xy", belief.mean, strict=True))
+        facts = (*belief.position, belief.gas, *belief.mean, *belief.covariance, *belief.wind, belief.rate, belief.diffusivity, belief.lifetime)
+        frame, result = np.empty(3), np.empty(self.size, np.float32)
+        self._see(x, y, weights, np.array(facts), frame, result)
+        return result, frame
+
+
+SCHEMAS: Mapping[str, Schema] = {
+    "paper": Schema(1, PAPER, _see_paper, _paper_of_missions),
+    "polar": Schema(1, POLAR, _see_polar, _polar_of_missions),
+}

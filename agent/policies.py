@@ -1,0 +1,98 @@
+"""Policies by name: planners, the bundles that ship, bundles in files, and what other packages plug in."""
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from agent import planners
+from agent.bundle import BundleError, load
+from agent.moves import Reach
+from agent.planners import PLANNERS
+from link.messages import Belief, Particles
+from plume.randomness import keyed
+
+Policy = Callable[[Belief, Particles, Reach, np.random.Generator], Sequence[float]]
+"""(belief, particles, how it may move, keyed randomness) -> the next waypoint (x, y) m."""
+
+SHIPPED = {name: Path(__file__).parent / "bundles" / f"{name}.zip" for name in ("ppo", "dqn", "ddpg")}
+"""Learned policies that come with the project; `make train` makes them anew."""
+PLUGINS = "plumeward.policies"
+"""Entry points of this group are policies of other packages: docs/policies.md."""
+
+
+def named() -> tuple[str, ...]:
+    """Return all the names; a path to a bundle is good too."""
+    return (*PLANNERS, *SHIPPED, *(plugin.name for plugin in entry_points(group=PLUGINS)))
+
+
+@cache
+def policy(name: str) -> Policy:
+    """Find a policy by its name or its file. Raises ValueError with what is wrong and what is allowed."""
+    if name in PLANNERS:
+        return _planned(name)
+    if path := bundle_path(name):
+        try:
+            return load(path).waypoint
+        except BundleError as error:
+            raise ValueError(f"{path}: {error}") from error
+    for plugin in entry_points(group=PLUGINS, name=name):
+        try:
+            found: Policy = plugin.load()
+        except Exception as error:
+            raise ValueError(f"{name} of {plugin.value} does not load: {error!r}") from error
+        if not callable(found):
+            raise ValueError(f"{name} is {plugin.value}, which cannot be called; wanted a function (belief, particles, reach, rng) -> (x, y)")
+        return found
+    raise ValueError(f"{name!r} is not allowed; wanted {', '.join(named())}, or the path of a bundle, FILE.zip")
+
+
+def bundle_path(name: str) -> Path | None:
+    """Where the bundle of a policy is; None where it is not a learned one."""
+    return SHIPPED.get(name) or (Path(name) if name.endswith(".zip") else None)
+
+
+def policy_argument(text: str) -> str:
+    """Argument type: a policy that can be flown, by its name or its file."""
+    try:
+        policy(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text
+
+
+def _planned(name: str) -> Policy:
+    plan = planners.planner(name)
+
+    def waypoint(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Sequence[float]:
+        chosen: Sequence[float] = reach.moves(belief.position)[plan(belief, particles, reach, rng)].tolist()
+        return chosen
+
+    return waypoint
+
+
+def reach(name: str, given: Mapping[str, float] = MappingProxyType({})) -> Reach:
+    """What a policy may choose from: a planner's own, but for what is given of the fields of `Reach`. Raises ValueError."""
+    if name in PLANNERS:
+        return planners.reach(name, given)
+    if given and bundle_path(name):
+        flags = ", ".join(f"--{flag}" for flag in given)
+        raise ValueError(f"{flags} is for planners; {name} moves as it was trained to")
+    return Reach(**given)  # type: ignore[arg-type]
+
+
+def choose(name: str, belief: Belief, particles: Particles, seed: int, within: Reach) -> tuple[float, float]:
+    """Return the next waypoint (x, y) m in the area, a float32 pair: a function of the belief and the seed alone.
+
+    Raises ValueError where a policy says what is no place.
+    """
+    said = policy(name)(belief, particles, within, keyed(seed, name, belief.step))
+    place = np.asarray(said, np.float64)
+    if place.shape != (2,) or not np.isfinite(place).all():
+        raise ValueError(f"policy {name} said {said!r}; wanted a waypoint (x, y) in metres")
+    x, y = np.clip(place, 0.0, within.area_m).astype(np.float32).tolist()
+    return x, y

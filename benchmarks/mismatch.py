@@ -1,0 +1,320 @@
+"""Outside its comfort: every policy in worlds that are not what the estimator takes them for. Writes docs/mismatch.md.
+
+    python -m benchmarks.mismatch                                       # every world and policy, on all cores
+    python -m benchmarks.mismatch --only wind-30 --policy homing,ppo    # these again; what else was flown stays
+    python -m benchmarks.mismatch --resume                              # what is missing yet; if nothing is, only the page is written
+
+Scenarios are the test seeds (1,000,000 and up). The rows of each world, one a mission, are in results/mismatch/WORLD.csv.gz: a file for
+each world, for rows do not name it, and in a folder of their own, for `python -m agent report` takes all rows of a folder to be
+missions in one world. A policy's rows are put there when all its missions in that world have been flown.
+"""
+
+import math
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from msgspec.structs import replace
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from agent.evaluate import FIRST_TEST_SEED, read_csv, write_csv
+from agent.figures import COLUMNS, UNKNOWN, Flown, cell, figures
+from agent.policies import choose, policy, reach
+from agent.rollout import ALTITUDE_M, Step
+from agent.sweep import THREADS
+from estimator.belief import belief
+from estimator.filter import Config, assimilate, prior
+from link import cli
+from link.mavlink import Reading
+from plume.outcome import TracePoint, outcome
+from plume.randomness import derived_seed, keyed
+from plume.scenario import AREA_M, BUDGET_STEPS, SOURCE_HIGH_M, SOURCE_LOW_M, SUCCESS_RADIUS_M, Scenario, draw
+from plume.sensor import GAUSSIAN, Gaussian
+from plume.world import World, float32
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "results" / "mismatch"
+PAGE = ROOT / "docs" / "mismatch.md"
+PARTICLES = 1000
+THRESHOLD_M = 0.5
+POLICIES = (
+    "infotaxis", "entrotaxis", "dcee", "space-aware-infotaxis", "homing", "greedy", "thompson", "random", "ppo", "dqn", "ddpg",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """A world, by what the estimator takes to be otherwise: a row of each table."""
+
+    words: str
+    lifetime_factor: float = 1.0
+    """On τ; the estimator keeps to that of Table 1."""
+    wind_error_deg: float = 0.0
+    """The anemometer is turned by so much, in half of the missions to the left and in half to the right; the speed is right."""
+    noise_factor: float = 1.0
+    """On α and β; the estimator keeps to the paper's."""
+    lost_share: float = 0.0
+    """Of readings, never the first: they do not reach the estimator."""
+    source_outside: bool = False
+    """The source is where Table 1 never has one. The estimator's prior is uniform over the area: it is the policies that are surprised."""
+
+    @property
+    def sensor(self) -> Gaussian:
+        """The sensor that readings are drawn from."""
+        return Gaussian(self.noise_factor * GAUSSIAN.sensor_noise, self.noise_factor * GAUSSIAN.environment_noise)
+
+    def scenario(self, seed: int) -> Scenario:
+        """Return the truth of a mission: that of the seed, but for what is otherwise here."""
+        usual = draw(seed)
+        source = outside(seed) if self.source_outside else usual.source
+        return replace(usual, source=source, tau=self.lifetime_factor * usual.tau)
+
+    def measured_wind(self, seed: int) -> tuple[float, float]:
+        """Return the wind as the anemometer of a mission reports it, a float32 pair, m/s."""
+        true = self.scenario(seed)
+        side = 1.0 if keyed(seed, "wind error").random() < 0.5 else -1.0
+        x, y = replace(true, phi=true.phi + side * math.radians(self.wind_error_deg)).wind
+        return float32(x), float32(y)
+
+    def loses(self, seed: int, step: int) -> bool:
+        """Whether reading number `step` of a mission is lost."""
+        return step > 0 and bool(keyed(seed, "lost reading", step).random() < self.lost_share)
+
+
+WORLDS = {
+    "as-modelled": Mismatch("as modelled"),
+    "tau-halved": Mismatch("τ halved, 5 s", lifetime_factor=0.5),
+    "tau-doubled": Mismatch("τ doubled, 20 s", lifetime_factor=2.0),
+    "wind-10": Mismatch("wind direction 10° wrong", wind_error_deg=10.0),
+    "wind-30": Mismatch("wind direction 30° wrong", wind_error_deg=30.0),
+    "noise-doubled": Mismatch("noise doubled", noise_factor=2.0),
+    "readings-lost": Mismatch("20% of readings lost", lost_share=0.2),
+    "source-outside": Mismatch("source outside U(10, 25)²", source_outside=True),
+}
+"""By the names that --only takes."""
+
+
+def outside(seed: int) -> tuple[float, float]:
+    """Draw a source uniformly from the area without Table 1's square, (x, y) m."""
+    rng = keyed(seed, "source outside")
+    while True:
+        x, y = rng.uniform(0.0, AREA_M, 2).tolist()
+        if not (SOURCE_LOW_M <= x <= SOURCE_HIGH_M and SOURCE_LOW_M <= y <= SOURCE_HIGH_M):
+            return x, y
+
+
+def steps(mismatch: Mismatch, name: str, seed: int, particles: int = PARTICLES, budget: int = BUDGET_STEPS) -> Iterator[Step]:
+    """Fly a mission of a policy as `agent.rollout` does, but in a world that may not be the one that the estimator is told of.
+
+    Where a reading was lost the belief is the one before it, with the place that the vehicle is at and the moves that it has made:
+    it knows both without the estimator, and each decision has its own randomness.
+    """
+    known = draw(seed)
+    config = Config(particles, THRESHOLD_M, derived_seed(seed, "estimator"), known.q, known.d, known.tau)
+    world, wind = World(mismatch.scenario(seed), seed, mismatch.sensor), mismatch.measured_wind(seed)
+    agent_seed, within = derived_seed(seed, "agent"), reach(name)
+    posterior, position, decision_s = prior(config), world.start, 0.0
+    for step in range(budget + 1):
+        update_s = 0.0
+        if not mismatch.loses(seed, step):
+            reading = Reading(step, position, ALTITUDE_M, wind, world.gas(position, step))
+            began = time.perf_counter()
+            posterior = assimilate(posterior, reading, config)
+            said, cloud = belief(posterior, reading, config)
+            update_s = time.perf_counter() - began
+        said = replace(said, position=position, step=step)
+        yield Step(said, cloud, update_s, decision_s)
+        if said.ceased or step == budget:
+            return
+        began = time.perf_counter()
+        position = choose(name, said, cloud, agent_seed, within)
+        decision_s = time.perf_counter() - began
+
+
+def fly(world: str, name: str, seed: int, particles: int = PARTICLES, budget: int = BUDGET_STEPS) -> Flown:
+    """Fly a mission of a policy in a world; returns its row."""
+    mismatch, within = WORLDS[world], reach(name)
+    flown = list(steps(mismatch, name, seed, particles, budget))
+    last = flown[-1].belief
+    trace = [TracePoint(step.belief.position, step.belief.gas, step.belief.mean, step.belief.spread) for step in flown]
+    updates_s, decisions_s = [step.update_s for step in flown if step.update_s], [step.decision_s for step in flown[1:]]
+    result = outcome(seed, name, mismatch.scenario(seed), trace, last.ceased, sum(updates_s) + sum(decisions_s))
+    error = np.subtract(result.estimate, result.source)
+    xx, xy, yy = last.covariance
+    return Flown(
+        policy=name,
+        particles=particles,
+        threshold_m=THRESHOLD_M,
+        seed=seed,
+        budget=budget,
+        headings=within.headings,
+        step_m=within.step,
+        measurements=within.measurements,
+        ceased=result.ceased,
+        located=result.located,
+        estimate_x=result.estimate[0],
+        estimate_y=result.estimate[1],
+        source_x=result.source[0],
+        source_y=result.source[1],
+        error_m=result.error_m,
+        spread_m=result.spread_m,
+        nees=float(error @ np.linalg.pinv([[xx, xy], [xy, yy]]) @ error),
+        steps=result.steps,
+        distance_m=result.distance_m,
+        floor_m=None,
+        search_time_s=result.search_time_s,
+        decision_ms=1e3 * float(np.mean(decisions_s)) if decisions_s else 0.0,
+        update_ms=1e3 * float(np.mean(updates_s)),
+    )
+
+
+Cell = tuple[str, str]
+"""(world, policy)."""
+
+
+def fly_all(cells: Sequence[Cell], seeds: Sequence[int], progress: Progress) -> Iterator[tuple[Cell, list[Flown]]]:
+    """Fly the missions of all seeds in each cell, on all cores; yields the rows of each cell when it has been flown."""
+    for variable in THREADS:
+        os.environ.setdefault(variable, "1")
+    bar = progress.add_task("missions", total=len(cells) * len(seeds))
+    with multiprocessing.get_context("spawn").Pool() as pool:
+        for world, name in cells:
+            progress.update(bar, description=f"{world}, {name}")
+            rows = []
+            for row in pool.imap(partial(fly, world, name), seeds, chunksize=4):
+                rows.append(row)
+                progress.advance(bar)
+            yield (world, name), rows
+
+
+def read(results: Path) -> dict[Cell, list[Flown]]:
+    """Read the rows of all that has been flown."""
+    rows: dict[Cell, list[Flown]] = {}
+    for world in WORLDS:
+        for row in _read(results, world):
+            rows.setdefault((world, row.policy), []).append(row)
+    return rows
+
+
+def keep(results: Path, world: str, name: str, rows: Sequence[Flown]) -> None:
+    """Put the rows of a policy in a world beside those of others, in the place of its own from before."""
+    results.mkdir(parents=True, exist_ok=True)
+    part = results / f"{world}.part.csv.gz"  # cut off while it is written, nothing is lost
+    write_csv([*(row for row in _read(results, world) if row.policy != name), *rows], part)
+    part.replace(_path(results, world))
+
+
+def _read(results: Path, world: str) -> list[Flown]:
+    path = _path(results, world)
+    return read_csv(path) if path.exists() else []
+
+
+def _path(results: Path, world: str) -> Path:
+    return results / f"{world}.csv.gz"
+
+
+SHOWN = ("ceased", "located", "false_stop", "mtd_m")
+"""Figures in the tables of policies."""
+
+HEAD = f"""# Outside its comfort
+
+Made by `python -m benchmarks.mismatch`. Each policy flies in worlds that are not what the estimator is told, and it is not told so:
+
+- *as modelled*: the world is what the estimator takes it for. A mission here is that of `python -m agent rollout`, to the last bit.
+- *τ halved*, *τ doubled*: the gas lives for 5 s or 20 s; the estimator assumes 10 s.
+- *wind direction 10° wrong*, *30°*: the wind in the readings is turned by so much against the wind that carries the gas, to the left or to
+  the right by the mission's seed. Its speed is right.
+- *noise doubled*: readings are drawn with α = 0.6 and β = 0.4 g/m³; the estimator assumes 0.3 and 0.2 g/m³.
+- *20% of readings lost*: each but the first with this probability, by (seed, step). The filter never sees them; the vehicle goes on, and
+  the policy decides from the belief as it was, at the place where it is now.
+- *source outside U(10, 25)²*: it is drawn uniformly from the rest of the area. The estimator's prior is uniform over the whole area, so
+  its model holds; policies that were trained or tuned on Table 1 have never met such sources. They are at other distances from the
+  start than those of the other rows: compare MTD within this row only.
+
+Scenarios are those of the test seeds, from {FIRST_TEST_SEED:,} on, the same ones in all worlds; N = {PARTICLES:,}, ζ = {THRESHOLD_M} m,
+at most {BUDGET_STEPS} steps. *ceased*: AGDC declared a stop within the step budget. *located*: ceased, and the estimate is within
+{SUCCESS_RADIUS_M:g} m of the source. *false stop*: ceased but not located, as a share of ceased. *MTD*: mean distance travelled over
+ceased missions. In brackets: 95% intervals, Wilson's for shares and bootstrap for MTD. –: not flown, or no mission ceased; the first
+table rests on the missions that the others count. A row a mission: `results/mismatch/`.
+"""
+
+CONCLUSIONS = """To be written when the learned policies have flown."""
+"""What the tables say, in words; written by hand, here, so that it stays when the page is made again."""
+
+
+def page(rows: dict[Cell, list[Flown]]) -> str:
+    """Return the page, from the rows of all that has been flown."""
+    said = {flown: figures(of) for flown, of in rows.items()}
+    flown = {name for _, name in said}
+    names = [name for name in POLICIES if name in flown] + sorted(flown.difference(POLICIES))
+
+    def figure(world: str, name: str, key: str) -> str:
+        return cell(said[world, name], key) if (world, name) in said else UNKNOWN
+
+    parts = [HEAD, f"## What it shows\n\n{CONCLUSIONS}\n", f"## {COLUMNS['located'][0]}\n"]
+    located = ([it.words, *(figure(world, name, "located") for name in names)] for world, it in WORLDS.items())
+    parts.append(_table(["world", *names], located))
+    for name in names:
+        lines = (
+            [it.words, f"{len(rows.get((world, name), [])):,}", *(figure(world, name, key) for key in SHOWN)]
+            for world, it in WORLDS.items()
+        )
+        parts += [f"## {name}\n", _table(["world", "missions", *(COLUMNS[key][0] for key in SHOWN)], lines)]
+    return "\n".join(parts)
+
+
+def _table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    return "".join(f"| {' | '.join(line)} |\n" for line in (heads, ["---"] * len(heads), *lines))
+
+
+def _is_world(text: str) -> None:
+    if text not in WORLDS:
+        raise ValueError(f"{text!r} is not allowed; wanted {', '.join(WORLDS)}, with commas between several")
+
+
+def main() -> int:
+    """Fly what is asked for, keep its rows, and write the page from all that are kept."""
+    parser = cli.Parser(prog="python -m benchmarks.mismatch", description="Fly policies in worlds that the estimator does not expect.")
+    parser.add_argument(
+        "--only", type=cli.listed(cli.checked(_is_world)), default=list(WORLDS), metavar="WORLD,WORLD",
+        help=f"of {', '.join(WORLDS)} (default: all)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--policy", type=cli.listed(cli.checked(policy)), default=",".join(POLICIES), metavar="NAME,NAME", help="(default: %(default)s)"
+    )
+    parser.add_argument("--missions", type=cli.whole(1, 1_000_000), default=1000, metavar="N", help="in each cell (default: %(default)s)")
+    parser.add_argument("--resume", action="store_true", help="fly only the cells of which there are not so many missions yet")
+    parser.add_argument("--results", type=Path, default=RESULTS, metavar="DIR", help="where rows are kept (default: %(default)s)")
+    parser.add_argument("--page", type=Path, default=PAGE, metavar="FILE.md", help="what is written (default: %(default)s)")
+    args = parser.parse_args()
+    seeds = range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.missions)
+    there = read(args.results) if args.resume else {}
+    cells = [it for it in product(args.only, args.policy) if not {row.seed for row in there.get(it, [])}.issuperset(seeds)]
+    kept = 0
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"))
+    try:
+        with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as progress:
+            for (world, name), rows in fly_all(cells, seeds, progress) if cells else ():
+                keep(args.results, world, name, rows)
+                kept += 1
+                said = figures(rows)
+                line = f"{world}, {name}: " + "; ".join(f"{COLUMNS[key][0]} {cell(said, key)}" for key in SHOWN)
+                progress.console.print(line, markup=False, soft_wrap=True)
+    finally:
+        if kept < len(cells):
+            print(f"{kept} of {len(cells)} cells were flown; the same command with --resume flies the others", file=sys.stderr)
+        args.page.write_text(page(read(args.results)))
+    print(args.page)
+    return 0
+
+
+if __name__ == "__main__":
+    cli.run(main)
