@@ -19,7 +19,10 @@ from plume.scenario import BUDGET_STEPS
 
 def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--policy", type=policy_argument, default="infotaxis", metavar="NAME",
+        "--policy",
+        type=policy_argument,
+        default="infotaxis",
+        metavar="NAME",
         help=f"how to choose waypoints: {', '.join(named())}, or a bundle, FILE.zip (default: %(default)s)",
     )
     parser.add_argument(

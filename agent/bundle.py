@@ -78,7 +78,6 @@ class Bundle:
             raise BundleError(f"{GRAPH} gives {said.shape}; wanted ({page.move.outputs},)")
 
     def _say(self, observation: NDArray[np.float32]) -> NDArray[np.float64]:
-        import onnxruntime
 
         try:
             return np.asarray(self._session.run(None, {self._input: observation[None]})[0][0], np.float64)

@@ -76,8 +76,9 @@ class Settings:
         """Fly each mission to where its action leads; returns rewards, whether it is terminated, and whether truncated, (B,) each."""
         missions.move(self.move.waypoints(missions.positions, missions.frames, actions, AREA_M))
         step, stop = REWARDS[self.reward]
-        terminated = missions.ceased.copy()
-        return step + stop * terminated, terminated, ~terminated & (missions.steps >= self.budget)
+        terminated: Flags = missions.ceased.copy()
+        truncated: Flags = ~terminated & (missions.steps >= self.budget)
+        return np.where(terminated, step + stop, step), terminated, truncated
 
 
 def _told(missions: Missions) -> dict[str, Any]:
@@ -125,7 +126,7 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         return {name: values[0] for name, values in _told(self._missions).items()}
 
 
-class SourceSearchVector(VectorEnv[Observation, NDArray[Any], Floats]):
+class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     """Missions side by side in this process, on the filter's batch kernels: each to the same bits as in `SourceSearch`.
 
     A mission that ends is followed by the next one in the same step; `final_obs` and `final_info` tell of the one that ended.
@@ -144,7 +145,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], Floats]):
         self._draws: list[np.random.Generator] = []
         self._missions: Missions | None = None
 
-    def reset(  # type: ignore[override]
+    def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence; without one, those that follow."""
@@ -160,7 +161,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], Floats]):
             self._missions.begin(np.arange(self.num_envs), seeds)
         return self._missions.observations.copy(), _told(self._missions)
 
-    def step(self, actions: NDArray[Any]) -> tuple[Observation, Floats, Flags, Flags, dict[str, Any]]:
+    def step(self, actions: NDArray[Any]) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Fly each mission to where its action leads, and take a reading there."""
         missions = self._missions
         if missions is None:
@@ -174,7 +175,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], Floats]):
             for i in ended:
                 final[i] = missions.observations[i].copy()
             infos = {"final_obs": final, "_final_obs": over, "final_info": _told(missions), "_final_info": over}
-            missions.begin(ended, [self._next(i) for i in ended])
+            missions.begin(ended, [self._next(i) for i in ended.tolist()])
         return missions.observations.copy(), rewards, terminated, truncated, infos | _told(missions)
 
     def _next(self, i: int) -> int:

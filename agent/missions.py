@@ -1,13 +1,12 @@
 """Many missions flown side by side in one process, each to the same bits as `rollout` flies it alone."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent import observation
-from agent.observation import FACTS, SCHEMAS, Observation
+from agent.observation import FACTS, SCHEMAS
 from estimator.batch import Batch
 from estimator.filter import Config
 from plume.dispersion import concentration
@@ -65,7 +64,8 @@ class Missions:
     @property
     def located(self) -> NDArray[np.bool_]:
         """Whether each would be right to stop here; only to judge by."""
-        return np.sqrt(np.square(self._batch.means - self._sources).sum(axis=1)) <= SUCCESS_RADIUS_M
+        errors_m: Array = np.sqrt(np.square(self._batch.means - self._sources).sum(axis=1))
+        return errors_m <= SUCCESS_RADIUS_M
 
     def _draw(self, mission: int) -> Config:
         seed = int(self.seeds[mission])
@@ -83,7 +83,9 @@ class Missions:
         facts[missions, : observation.GAS] = self.positions[missions]
         facts[missions, observation.GAS] = self._gas(missions)
         readings = np.zeros((len(missions), 7))
-        readings[:, [0, 1, 5, 3, 4]] = facts[missions][:, [observation.X, observation.Y, observation.GAS, observation.WIND_X, observation.WIND_Y]]
+        readings[:, [0, 1, 5, 3, 4]] = facts[missions][
+            :, [observation.X, observation.Y, observation.GAS, observation.WIND_X, observation.WIND_Y]
+        ]
         readings[:, 6] = 1.0
         self._batch.assimilate(readings, missions)
         covariances = self._batch.covariances[missions]
@@ -95,9 +97,7 @@ class Missions:
         totals = self._batch.weights.sum(axis=1)
 
         def see(portion: Indices) -> None:
-            self._schema.see_missions(
-                self._batch.particles, self._batch.weights, totals, facts, portion, self.frames, self.observations
-            )
+            self._schema.see_missions(self._batch.particles, self._batch.weights, totals, facts, portion, self.frames, self.observations)
 
         self._batch.share_out(see, missions)
 
@@ -110,4 +110,5 @@ class Missions:
         )  # fmt: skip
         keys = zip(self.seeds[missions].tolist(), self.steps[missions].tolist(), strict=True)
         noise = np.array([self._noise.at(seed, "sensor", step).standard_normal() for seed, step in keys])
-        return (mean + GAUSSIAN.noise_std(mean) * noise).astype(np.float32).astype(np.float64)
+        gas: Array = (mean + GAUSSIAN.noise_std(mean) * noise).astype(np.float32).astype(np.float64)
+        return gas

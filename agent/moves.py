@@ -50,8 +50,7 @@ class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", fo
 
     def action(self, said: Array) -> Array:
         """Return the best action (B,) by what a network says (B, count)."""
-        best: Array = said.argmax(axis=1)
-        return best
+        return np.asarray(said.argmax(axis=1))
 
     def waypoints(self, positions: Array, frames: Array, actions: Array, area_m: float) -> Array:
         """Return where actions (B,) lead from positions (B, 2): (B, 2) m."""
@@ -59,7 +58,7 @@ class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", fo
 
 
 class HeadingAndStep(msgspec.Struct, frozen=True, tag_field="kind", tag="heading and step", forbid_unknown_fields=True):
-    """Continuous actions in [−1, 1]²: a heading, −1 and 1 both against the frame's x axis and 0 along it, and a step from 0 to all of it."""
+    """Continuous actions in [−1, 1]²: a heading, 0 along the frame's x axis and ±1 against it, and a step, from none at −1 to all at 1."""
 
     step_m: float = STEP_M
 
@@ -82,8 +81,9 @@ Move = Headings | HeadingAndStep
 
 
 def _moved(positions: Array, frames: Array, angles: Array, lengths: Array, area_m: float) -> Array:
-    """Positions after moves at angles in their frames (`agent.observation.Frame`), kept in the area; float32 values, as the wire has them."""
+    """Positions after moves at angles in their frames (`agent.observation.Frame`), kept in the area; float32 values, as on the wire."""
     cosine, sine, mirror = frames.T
     along, across = lengths * np.cos(angles), mirror * lengths * np.sin(angles)
     moves = np.stack([cosine * along - sine * across, sine * along + cosine * across], axis=1)
-    return np.clip(positions + moves, 0.0, area_m).astype(np.float32).astype(np.float64)
+    places: Array = np.clip(positions + moves, 0.0, area_m).astype(np.float32).astype(np.float64)
+    return places

@@ -194,9 +194,7 @@ def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
 
 
 SEE_ALONE = "void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float32[::1])"
-SEE_MISSIONS = (
-    "void(float64[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], int64[::1], float64[:, ::1], float32[:, ::1])"
-)
+SEE_MISSIONS = "void(float64[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], int64[::1], float64[:, ::1], float32[:, ::1])"
 
 
 @numba.njit(SEE_ALONE, cache=True)
@@ -252,7 +250,16 @@ class Schema:
         columns = dict(zip(belief.unknowns, particles.T.astype(np.float64), strict=False))
         weights = particles[:, -1].astype(np.float64)
         x, y = (columns.get(name, np.full(len(weights), known)) for name, known in zip("xy", belief.mean, strict=True))
-        facts = (*belief.position, belief.gas, *belief.mean, *belief.covariance, *belief.wind, belief.rate, belief.diffusivity, belief.lifetime)
+        facts = (
+            *belief.position,
+            belief.gas,
+            *belief.mean,
+            *belief.covariance,
+            *belief.wind,
+            belief.rate,
+            belief.diffusivity,
+            belief.lifetime,
+        )
         frame, result = np.empty(3), np.empty(self.size, np.float32)
         self._see(x, y, weights, np.array(facts), frame, result)
         return result, frame

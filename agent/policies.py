@@ -46,7 +46,9 @@ def policy(name: str) -> Policy:
         except Exception as error:
             raise ValueError(f"{name} of {plugin.value} does not load: {error!r}") from error
         if not callable(found):
-            raise ValueError(f"{name} is {plugin.value}, which cannot be called; wanted a function (belief, particles, reach, rng) -> (x, y)")
+            raise ValueError(
+                f"{name} is {plugin.value}, which cannot be called; wanted a function (belief, particles, reach, rng) -> (x, y)"
+            )
         return found
     raise ValueError(f"{name!r} is not allowed; wanted {', '.join(named())}, or the path of a bundle, FILE.zip")
 

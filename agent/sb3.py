@@ -16,26 +16,26 @@ class StableBaselinesEnv(VecEnv):
     def __init__(self, vector: SourceSearchVector) -> None:
         """Take over a vector env."""
         self.vector = vector
-        self._seeds: int | Sequence[int] | None = None
+        self._seed: int | None = None
         self._actions: NDArray[Any] = np.empty(0)
         super().__init__(vector.num_envs, vector.single_observation_space, vector.single_action_space)
 
-    def reset(self) -> NDArray[np.float32]:  # type: ignore[override]
+    def reset(self) -> NDArray[np.float32]:
         """Begin new missions."""
-        observations, _ = self.vector.reset(seed=self._seeds)
-        self._seeds = None
+        observations, _ = self.vector.reset(seed=self._seed)
+        self._seed = None
         return observations
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Let the next reset begin with this seed."""
-        self._seeds = seed
+        self._seed = seed
         return [seed] * self.num_envs
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Take the actions."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:  # type: ignore[override]
+    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Fly them."""
         observations, rewards, terminated, truncated, told = self.vector.step(self._actions)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]

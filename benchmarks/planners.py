@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from agent.moves import Reach
 from agent.planners import PLANNERS
 from agent.planners import reach as own
-from agent.rollout import mission
 from agent.policies import choose
+from agent.rollout import mission
 from benchmarks import planner_peers
 from benchmarks.planner_peers import StoneSoup
 from link.messages import Belief, Particles

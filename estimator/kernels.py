@@ -611,8 +611,8 @@ def update(
 
 
 @numba.njit(
-    "void(float64[:, :, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], int64[::1], int64[::1], "
-    "float64[:, :, ::1], float64[:, ::1], uint64[::1], int64, int64[::1])",
+    "void(float64[:, :, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], int64[::1], "
+    "int64[::1], float64[:, :, ::1], float64[:, ::1], uint64[::1], int64, int64[::1])",
     cache=True,
     nogil=True,
 )

@@ -15,7 +15,7 @@ MAY_IMPORT = {
     "agent": {"plume", "link", "estimator"},
 }
 TRUTH = {"draw", "Scenario", "World"}
-JUDGES = ("rollout.py", "floor.py")
+JUDGES = ("rollout.py", "missions.py", "floor.py")
 """Of the agent's: what flies missions in-process, and what they are judged by."""
 FILES = sorted(path for package in MAY_IMPORT for path in (ROOT / package).rglob("*.py"))
 

@@ -24,7 +24,9 @@ EVALUATED_AT = (100, 1000, 4000)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `train`."""
     parser.add_argument("algorithm", choices=PRESETS["tuned"], help="what learns: %(choices)s")
-    parser.add_argument("--preset", choices=PRESETS, default="tuned", help="the recipe: what did best, or the paper's (default: %(default)s)")
+    parser.add_argument(
+        "--preset", choices=PRESETS, default="tuned", help="the recipe: what did best, or the paper's (default: %(default)s)"
+    )
     parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="the same seed gives the same policy (default: %(default)s)")
     parser.add_argument("--steps", type=cli.whole(1, 10**12), metavar="N", help="moves to learn from (default: the recipe's)")
     parser.add_argument(
@@ -35,7 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="that share the missions; they change no result (default: all cores, %(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--scenarios", type=cli.whole(0, 10_000_000), default=1000, metavar="N", help="test missions to judge the bundle by (default: %(default)s)"
+        "--scenarios",
+        type=cli.whole(0, 10_000_000),
+        default=1000,
+        metavar="N",
+        help="test missions to judge the bundle by (default: %(default)s)",
     )
 
 

@@ -62,8 +62,8 @@ class State(msgspec.Struct):
     """What a run has to remember beside the learner."""
 
     steps: int = 0
-    curve: list[Point] = []  # noqa: RUF012
-    ended: list[Ended] = []  # noqa: RUF012
+    curve: list[Point] = []
+    ended: list[Ended] = []
     """Missions since the last point of the curve."""
 
 
@@ -116,7 +116,7 @@ class Legs(BaseCallback):
     def _begin_leg(self) -> None:
         key = derived_seed(self._seed, f"train/{self.num_timesteps}")
         random.seed(key)
-        np.random.seed(key % 2**32)  # noqa: NPY002: stable-baselines3 draws from it
+        np.random.seed(key % 2**32)  # noqa: NPY002  # stable-baselines3 draws from it
         torch.manual_seed(key)
         model = self.model
         model.action_space.seed(key % 2**32)

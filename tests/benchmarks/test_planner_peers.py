@@ -5,8 +5,8 @@ import pytest
 
 from agent.moves import Reach
 from agent.planners import planner
-from agent.predict import cloud, imagine
 from agent.policies import choose
+from agent.predict import cloud, imagine
 from benchmarks import planner_peers
 from benchmarks.planner_peers import NUMPY
 from benchmarks.planners import FIRST_SEED, Case, beliefs
