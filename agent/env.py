@@ -19,6 +19,7 @@ from agent.missions import Missions
 from agent.moves import HeadingAndStep, Headings, Move
 from agent.observation import BOUND, SCHEMAS, Observation
 from plume.scenario import AREA_M, BUDGET_STEPS
+from plumeward_gymnasium import register
 
 TRAINING_SEEDS = 900_000
 """Missions are drawn from the seeds below it; those from it to a million are there to choose by, those from there on to test."""
@@ -53,8 +54,9 @@ class Settings:
             if getattr(self, name) not in names:
                 raise ValueError(f"{name} {getattr(self, name)!r} is not allowed; wanted {' or '.join(names)}")
         for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} {getattr(self, name)!r} is not allowed; wanted a whole number from {least}")
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or value < least:
+                raise ValueError(f"{name} {value!r} is not allowed; wanted a whole number from {least}")
         if not self.threshold_m > 0:
             raise ValueError(f"threshold_m {self.threshold_m!r} is not allowed; wanted a number above 0")
 
@@ -74,6 +76,8 @@ class Settings:
 
     def fly(self, missions: Missions, actions: NDArray[Any]) -> tuple[Floats, Flags, Flags]:
         """Fly each mission to where its action leads; returns rewards, whether it is terminated, and whether truncated, (B,) each."""
+        if not np.isfinite(actions).all():
+            raise ValueError(f"action {actions!r} is not allowed; wanted finite numbers")
         missions.move(self.move.waypoints(missions.positions, missions.frames, actions, AREA_M))
         step, stop = REWARDS[self.reward]
         terminated: Flags = missions.ceased.copy()
@@ -136,6 +140,9 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     def __init__(self, num_envs: int = 1, threads: int = 1, **settings: Any) -> None:
         """Make so many; `threads` share the compiled part of the work. Raises ValueError with what is allowed."""
+        for name, value in (("num_envs", num_envs), ("threads", threads)):
+            if value < 1:
+                raise ValueError(f"{name} {value!r} is not allowed; wanted a whole number from 1")
         self.num_envs = num_envs
         self.settings = Settings(**settings)
         self.single_observation_space, self.single_action_space = self.settings.spaces()
@@ -152,8 +159,11 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         if seed is None and self._draws:
             seeds = [self._next(i) for i in range(self.num_envs)]
         else:
-            first = int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed
-            seeds = [first + i for i in range(self.num_envs)] if isinstance(first, int) else list(first)
+            if seed is None:
+                seed = self.np_random.integers(TRAINING_SEEDS, size=self.num_envs).tolist()
+            seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+            if len(seeds) != self.num_envs:
+                raise ValueError(f"{len(seeds)} seeds for {self.num_envs} missions")
             self._draws = [np.random.default_rng(each) for each in seeds]
         if self._missions is None:
             self._missions = self.settings.begin(seeds, self._threads)
@@ -180,17 +190,6 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     def _next(self, i: int) -> int:
         return int(self._draws[i].integers(TRAINING_SEEDS))
-
-
-def register() -> None:
-    """Make the names known to gymnasium."""
-    for name, continuous in (("SourceSearch", False), ("SourceSearchContinuous", True)):
-        gymnasium.register(
-            f"plumeward/{name}-v0",
-            entry_point="agent.env:SourceSearch",
-            vector_entry_point="agent.env:SourceSearchVector",
-            kwargs={"continuous": continuous},
-        )
 
 
 register()

@@ -92,6 +92,7 @@ class Missions:
         facts[missions, observation.MEAN_X : observation.XX] = self._batch.means[missions]
         facts[missions, observation.XX : observation.WIND_X] = covariances.reshape(-1, 4)[:, [0, 1, 3]]
         self.spreads_m[missions] = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
+        self.ceased[missions] = False
         for mission in missions[self.spreads_m[missions] < self._threshold_m].tolist():
             self.ceased[mission] = self._batch.may_claim(mission)
         totals = self._batch.weights.sum(axis=1)

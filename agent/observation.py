@@ -5,7 +5,7 @@
 `polar` (version 1): the belief as seen from the vehicle. Its frame has the x axis towards the estimate, and is mirrored where the
 wind would come from the right, so that what differs by a turn or a mirror only looks alike. In it are, in this order,
 - the belief's mass in 16 sectors of 8 rings, as 2 √mass;
-- how much a reading 1.5, 4 and 8 m ahead in each of 16 headings would tell, ½ log(1 + Var g(m)), where g(m) = asinh(α m/β)/α turns the
+- how much a reading 2 and 5 m ahead in each of 16 headings would tell, ½ log(1 + Var g(m)), where g(m) = asinh(α m/β)/α turns the
   concentrations that the particles expect there into values whose noise is 1;
 - the estimate's distance, the spread and the covariance; wind and plume; the place in the area, and where the frame points.
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from link.messages import Belief, Particles
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.numerics import exp, log
+from plume.numerics import exp, log, total_of
 from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
 from plume.sensor import GAUSSIAN
 
@@ -41,11 +41,11 @@ SECTORS = 16
 RINGS_M = np.array([1.5, 3.0, 5.0, 8.0, 11.5, 15.5, 20.0])
 """Where one ring ends and the next begins."""
 CELLS = SECTORS * (len(RINGS_M) + 1)
-AHEAD_M = np.array([1.5, 4.0, 8.0])
+AHEAD_M = np.array([2.0, 5.0])
 HEADINGS = 16
 OUTSIDE = 0.05
 """Weight of a particle outside of where sources are drawn, beside one inside."""
-FEW = 200
+FEW = 128
 """So many particles, drawn evenly by weight, tell what readings would tell."""
 NUMBERS = 24
 """Of a polar observation, after the cells and the headings."""
@@ -66,9 +66,9 @@ def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, re
     """Lengths as shares of the area, and the reading on a scale where large ones do not drown the small."""
     frame[0], frame[1], frame[2] = 1.0, 0.0, 1.0
     gas = facts[GAS]
-    result[0], result[1] = facts[X] / AREA_M, facts[Y] / AREA_M
-    result[2] = math.copysign(min(math.log1p(abs(gas)), BOUND), gas)
-    result[3], result[4] = facts[MEAN_X] / AREA_M, facts[MEAN_Y] / AREA_M
+    numbers = facts[X] / AREA_M, facts[Y] / AREA_M, math.copysign(math.log1p(abs(gas)), gas), facts[MEAN_X] / AREA_M, facts[MEAN_Y] / AREA_M
+    for k in range(PAPER):
+        result[k] = min(max(numbers[k], -BOUND), BOUND)
 
 
 @numba.njit(error_model="numpy")
@@ -185,11 +185,10 @@ def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
                 distance = max(math.sqrt(dx * dx + dy * dy), SOURCE_RADIUS_M)
                 m = scale / distance * exp(-distance * decay - (dx * drift_x + dy * drift_y))
                 steady[k] = log(m + math.sqrt(m * m + 1))
-            total, squares = 0.0, 0.0
+            mean = total_of(steady) / FEW
             for k in range(FEW):
-                total += steady[k]
-                squares += steady[k] * steady[k]
-            variance = max(squares / FEW - (total / FEW) ** 2, 0.0)
+                steady[k] = (steady[k] - mean) * (steady[k] - mean)
+            variance = total_of(steady) / FEW
             result[ahead * HEADINGS + heading] = 0.5 * math.log(1 + variance * INVERSE_NOISE_SQUARED)
 
 
@@ -247,8 +246,8 @@ class Schema:
 
     def see(self, belief: Belief, particles: Particles) -> tuple[Observation, Frame]:
         """What is seen of a belief, (size,), and the frame that it is seen in, and acted in."""
-        columns = dict(zip(belief.unknowns, particles.T.astype(np.float64), strict=False))
-        weights = particles[:, -1].astype(np.float64)
+        rows = np.array(particles.T, np.float64, order="C")
+        columns, weights = dict(zip(belief.unknowns, rows, strict=False)), rows[-1]
         x, y = (columns.get(name, np.full(len(weights), known)) for name, known in zip("xy", belief.mean, strict=True))
         facts = (
             *belief.position,

@@ -1,9 +1,10 @@
 """Policies by name: planners, the bundles that ship, bundles in files, and what other packages plug in."""
 
 import argparse
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType
 
@@ -21,13 +22,19 @@ Policy = Callable[[Belief, Particles, Reach, np.random.Generator], Sequence[floa
 
 SHIPPED = {name: Path(__file__).parent / "bundles" / f"{name}.zip" for name in ("ppo", "dqn", "ddpg")}
 """Learned policies that come with the project; `make train` makes them anew."""
+OURS = (*PLANNERS, *SHIPPED)
+"""The policies of the project, in the order of its tables."""
 PLUGINS = "plumeward.policies"
 """Entry points of this group are policies of other packages: docs/policies.md."""
 
 
+class PolicyError(ValueError):
+    """A policy failed at a decision, or said what is no place, in one line."""
+
+
 def named() -> tuple[str, ...]:
     """Return all the names; a path to a bundle is good too."""
-    return (*PLANNERS, *SHIPPED, *(plugin.name for plugin in entry_points(group=PLUGINS)))
+    return (*OURS, *(plugin.name for plugin in entry_points(group=PLUGINS)))
 
 
 @cache
@@ -40,16 +47,8 @@ def policy(name: str) -> Policy:
             return load(path).waypoint
         except BundleError as error:
             raise ValueError(f"{path}: {error}") from error
-    for plugin in entry_points(group=PLUGINS, name=name):
-        try:
-            found: Policy = plugin.load()
-        except Exception as error:
-            raise ValueError(f"{name} of {plugin.value} does not load: {error!r}") from error
-        if not callable(found):
-            raise ValueError(
-                f"{name} is {plugin.value}, which cannot be called; wanted a function (belief, particles, reach, rng) -> (x, y)"
-            )
-        return found
+    if plugins := tuple(entry_points(group=PLUGINS, name=name)):
+        return _plugged_in(name, plugins)
     raise ValueError(f"{name!r} is not allowed; wanted {', '.join(named())}, or the path of a bundle, FILE.zip")
 
 
@@ -65,6 +64,19 @@ def policy_argument(text: str) -> str:
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return text
+
+
+def _plugged_in(name: str, plugins: Sequence[EntryPoint]) -> Policy:
+    plugin = plugins[0]
+    if len(plugins) > 1:
+        raise ValueError(f"{name} is plugged in more than once, by {' and '.join(each.value for each in plugins)}; wanted one")
+    try:
+        found: Policy = plugin.load()
+    except Exception as error:  # it may be anybody's code
+        raise ValueError(f"{name} of {plugin.value} does not load: {type(error).__name__}: {_short(str(error))}") from error
+    if not callable(found):
+        raise ValueError(f"{name} is {plugin.value}, which cannot be called; wanted a function (belief, particles, reach, rng) -> (x, y)")
+    return found
 
 
 def _planned(name: str) -> Policy:
@@ -90,11 +102,27 @@ def reach(name: str, given: Mapping[str, float] = MappingProxyType({})) -> Reach
 def choose(name: str, belief: Belief, particles: Particles, seed: int, within: Reach) -> tuple[float, float]:
     """Return the next waypoint (x, y) m in the area, a float32 pair: a function of the belief and the seed alone.
 
-    Raises ValueError where a policy says what is no place.
+    Raises PolicyError where a policy fails, or says what is no place.
     """
-    said = policy(name)(belief, particles, within, keyed(seed, name, belief.step))
-    place = np.asarray(said, np.float64)
+    decide = policy(name)
+    seen = np.asfortranarray(particles).view()  # one order of numbers in memory, on the bus and off it: sums depend on it
+    seen.flags.writeable = False
+    try:
+        said = decide(belief, seen, within, keyed(seed, name, belief.step))
+    except Exception as error:  # it may be anybody's code
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        raise PolicyError(
+            f"policy {name} failed: {type(error).__name__}: {_short(str(error))} ({Path(where.filename).name}, line {where.lineno})"
+        ) from error
+    try:
+        place = np.asarray(said, np.float64)
+    except (TypeError, ValueError):
+        place = np.empty(0)
     if place.shape != (2,) or not np.isfinite(place).all():
-        raise ValueError(f"policy {name} said {said!r}; wanted a waypoint (x, y) in metres")
+        raise PolicyError(f"policy {name} said {_short(repr(said))}; wanted a waypoint (x, y) in metres")
     x, y = np.clip(place, 0.0, within.area_m).astype(np.float32).tolist()
     return x, y
+
+
+def _short(text: str) -> str:
+    return " ".join(text.split())[:200]

@@ -52,7 +52,7 @@ class StableBaselinesEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """One object serves all: the same value for each."""
-        return [getattr(self.vector, attr_name, None) for _ in self._get_indices(indices)]
+        return [getattr(self.vector, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
         """One object serves all: there is nothing to set for one."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from agent.evaluate import FIRST_TEST_SEED
-from agent.planners import PLANNERS
+from agent.policies import OURS
 from agent.report.page import Picture, page
 from agent.report.results import USUAL, Results, read
 from agent.report.tables import tables
@@ -117,16 +117,16 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
     setting = results.nearest(USUAL)
     set_to = f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, {BUDGET_STEPS} steps at most"
     flags = f"--particles {setting.particles} --threshold {setting.threshold_m:g}"
-    _say(f"flying {len(PLANNERS)} policies on one scenario")
+    _say(f"flying {len(OURS)} policies on one scenario")
     yield (
         "trajectories",
         "All methods on one scenario",
         f"Seed {TELLING_SEED}, chosen because methods differ in it; {set_to}. One mission a policy. Flown by `python -m agent report`;"
         f" one alone: `python -m agent rollout --seed {TELLING_SEED} --policy infotaxis {flags}`.",
-        drawing.trajectories([rollout(TELLING_SEED, policy, *setting) for policy in PLANNERS]),
+        drawing.trajectories([rollout(TELLING_SEED, policy, *setting) for policy in OURS]),
     )
-    best = results.best(setting, PLANNERS)
-    policy = best or next(iter(PLANNERS))
+    best = results.best(setting, OURS)
+    policy = best or OURS[0]
     _say(f"flying {flights} missions of {policy}")
     flown = [rollout(seed, policy, *setting) for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + flights)]
     ceased, located = (sum(it) for it in zip(*((result.ceased, result.located) for result, _ in flown), strict=True))

@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.evaluate import read_csv
 from agent.figures import Flown, figures
-from agent.planners import PLANNERS
+from agent.policies import OURS
 
 AS_GOOD = 0.01
 """Policies whose ceased shares differ by no more than this are told apart by their MTD."""
@@ -94,7 +94,7 @@ def read(folder: Path) -> Results:
                 raise ValueError(f"{path}: {row.policy} was flown in another way there (budget, headings, step, measurements)")
     if not missions:
         raise ValueError(f"no mission in {str(folder)!r}; `python -m agent evaluate --missions FILE.csv` writes them")
-    rank = {policy: i for i, policy in enumerate(PLANNERS)}
+    rank = {policy: i for i, policy in enumerate(OURS)}
     order = sorted(missions, key=lambda key: (rank.get(key[0], len(rank)), key))
     rows = {key: [missions[key][seed] for seed in sorted(missions[key])] for key in order}
     return Results(rows, {key: figures(of) for key, of in rows.items()})

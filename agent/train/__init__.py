@@ -60,8 +60,6 @@ def run(args: argparse.Namespace) -> int:
         print(f"error: --out: {error}", file=sys.stderr)
         return cli.BAD_INPUT
     bundle = folder / f"{args.algorithm}.zip"
-    # Idle threads of torch's that spin would take the core from the missions.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         _learn(recipe, args.seed, folder, args.threads, bundle)
         if args.scenarios:
@@ -81,7 +79,9 @@ def _claim(folder: Path, recipe: Recipe, seed: int) -> None:
     path = folder / "recipe.json"
     if path.exists() and path.read_bytes() != said:
         raise ValueError(f"{str(folder)!r} holds a run of another recipe or seed; wanted an empty folder, or the same command as then")
-    path.write_bytes(said)
+    partial = folder / "recipe.partial"
+    partial.write_bytes(said)
+    partial.replace(path)
 
 
 def _learn(recipe: Recipe, seed: int, folder: Path, threads: int, bundle: Path) -> None:

@@ -7,6 +7,7 @@ and the moves so far; so a leg is a function of the checkpoint before it, and a 
 import random
 import shutil
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -99,18 +100,20 @@ class Legs(BaseCallback):
         """Tells how it stands at each point of the curve."""
         super().__init__()
         self._recipe, self._seed, self._folder, self._state, self._tell = recipe, seed, folder, state, tell
-        self._next_checkpoint = state.steps
+        self._begun = False
         self._every = max(recipe.steps // POINTS, 1)
-        self._writer = SummaryWriter(folder / "tensorboard", purge_step=state.steps)
+        self._writer = SummaryWriter(folder / "tensorboard", purge_step=state.steps + 1)
         self._since, self._at = time.monotonic(), state.steps
 
     def _on_rollout_start(self) -> None:
-        if self.num_timesteps >= self._next_checkpoint:
+        every = self._recipe.checkpoint_steps
+        if not self._begun:  # at the start, or at the checkpoint that the run goes on from
+            self._begun = True
+            self._begin_leg()
+        elif self.num_timesteps // every > self._state.steps // every:
             self._state.steps = self.num_timesteps
-            if self.num_timesteps > 0:
-                save(self.model, self._state, self._folder)
-            while self._next_checkpoint <= self.num_timesteps:
-                self._next_checkpoint += self._recipe.checkpoint_steps
+            self._writer.flush()
+            save(self.model, self._state, self._folder)
             self._begin_leg()
 
     def _begin_leg(self) -> None:
@@ -121,7 +124,7 @@ class Legs(BaseCallback):
         model = self.model
         model.action_space.seed(key % 2**32)
         assert model.env is not None
-        model.env.seed(key % TRAINING_SEEDS)
+        model.env.seed(key % (TRAINING_SEEDS - model.n_envs))
         model._last_obs = model.env.reset()  # type: ignore[assignment]
         model._last_episode_starts = np.ones(model.n_envs, dtype=bool)
         if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None and model.num_timesteps:
@@ -191,10 +194,12 @@ def checkpoints(folder: Path) -> list[Path]:
 
 def train(recipe: Recipe, seed: int, folder: Path, threads: int, tell: Tell) -> tuple[BaseAlgorithm, list[Point]]:
     """Train by a recipe, from the last checkpoint in the folder where there is one; returns the learner and its curve."""
+    torch.set_num_threads(1)  # more of them change the last bits, and their idle ones spin on cores that the missions want
     env = StableBaselinesEnv(SourceSearchVector(recipe.missions, threads, **recipe.env))
     model, state = learner(recipe, env, seed % 2**32), State()
     if kept := checkpoints(folder):
-        model = type(model).load(kept[-1] / "learner.zip", env=env, device="cpu")
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of returns over several moves, which the loaded buffer has
+            model = type(model).load(kept[-1] / "learner.zip", env=env, device="cpu")
         if isinstance(model, OffPolicyAlgorithm):
             model.load_replay_buffer(kept[-1] / "replay.pkl")
         state = msgspec.json.decode((kept[-1] / "state.json").read_bytes(), type=State)

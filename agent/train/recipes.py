@@ -55,22 +55,22 @@ PAPER = {
 
 TUNED = {
     "ppo": Recipe(
-        algorithm="ppo", steps=5_000_000, missions=128, env=TUNED_ENV, layers=(256, 256), learning_rate=5e-4, final_learning_rate=2.5e-5,
+        algorithm="ppo", steps=4_000_000, missions=128, env=TUNED_ENV, layers=(256, 256), learning_rate=5e-4, final_learning_rate=1e-5,
         settings={"n_steps": 64, "batch_size": 2048, "n_epochs": 4, "gamma": 0.99, "gae_lambda": 0.95, "ent_coef": 0.003},
     ),
     "dqn": Recipe(
-        algorithm="dqn", steps=1_000_000, missions=64, env=TUNED_ENV, layers=(256, 256), learning_rate=5e-4, final_learning_rate=2.5e-5,
+        algorithm="dqn", steps=1_500_000, missions=64, env=TUNED_ENV, layers=(256, 256), learning_rate=5e-4, final_learning_rate=1e-5,
         settings={
-            "batch_size": 512, "buffer_size": 200_000, "learning_starts": 10_000, "train_freq": 1, "gradient_steps": 4, "n_steps": 3,
-            "gamma": 0.99, "target_update_interval": 6400, "exploration_fraction": 0.3, "exploration_final_eps": 0.02,
+            "batch_size": 256, "buffer_size": 200_000, "learning_starts": 10_000, "train_freq": 1, "gradient_steps": 4, "n_steps": 3,
+            "gamma": 0.99, "target_update_interval": 6400, "exploration_fraction": 0.1, "exploration_final_eps": 0.02,
         },
     ),
     "ddpg": Recipe(
         algorithm="ddpg", steps=1_000_000, missions=64, env={**TUNED_ENV, "continuous": True}, layers=(256, 256), learning_rate=5e-4,
-        final_learning_rate=2.5e-5, action_noise=0.1,
+        final_learning_rate=1e-5, action_noise=0.2, actor_learning_rate_share=0.2,
         settings={
-            "batch_size": 512, "buffer_size": 200_000, "learning_starts": 10_000, "train_freq": 1, "gradient_steps": 4, "n_steps": 3,
-            "gamma": 0.99, "tau": 0.01,
+            "batch_size": 256, "buffer_size": 200_000, "learning_starts": 20_000, "train_freq": 1, "gradient_steps": 4, "n_steps": 3,
+            "gamma": 0.99, "tau": 0.005,
         },
     ),
 }  # fmt: skip
