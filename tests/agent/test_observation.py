@@ -17,8 +17,8 @@ from plume.scenario import AREA_M
 SENSOR_NOISE, ENVIRONMENT_NOISE = 0.3, 0.2
 EDGES_M = (1.5, 3.0, 5.0, 8.0, 11.5, 15.5, 20.0)
 SECTORS, HEADINGS = 16, 16
-CELLS, GAINS, NUMBERS = slice(0, 128), slice(128, 176), slice(176, 200)
-PLACE = slice(195, 199)
+CELLS, GAINS, NUMBERS = slice(0, 128), slice(128, 160), slice(160, 184)
+PLACE = slice(179, 183)
 """Where the frame points, and the place in the area."""
 MIDDLE = 17.5
 """Of where sources are drawn, both ways."""
@@ -79,7 +79,7 @@ class Plain:
         b, result = self.belief, []
         wind = complex(*b.wind)
         decay = math.sqrt(b.diffusivity * b.lifetime / (1 + abs(wind) ** 2 * b.lifetime / (4 * b.diffusivity)))
-        for ahead in (1.5, 4.0, 8.0):
+        for ahead in (2.0, 5.0):
             for heading in range(HEADINGS):
                 arrow = cmath.rect(ahead, 2 * math.pi * heading / HEADINGS)
                 there = self.here + self.turn * (arrow.conjugate() if self.mirrored else arrow)
@@ -123,7 +123,7 @@ def test_the_papers_observation_is_position_reading_and_estimate() -> None:
 
 
 def test_an_observation_has_the_size_that_its_schema_says() -> None:
-    assert {name: (schema.version, schema.size) for name, schema in SCHEMAS.items()} == {"paper": (1, 5), "polar": (1, 200)}
+    assert {name: (schema.version, schema.size) for name, schema in SCHEMAS.items()} == {"paper": (1, 5), "polar": (1, 184)}
     for schema in SCHEMAS.values():
         seen, frame = schema.see(belief_at(), scattered(0))
         assert (seen.shape, seen.dtype, frame.shape) == ((schema.size,), np.float32, (3,))
@@ -191,21 +191,21 @@ def test_cells_and_numbers_are_those_of_plain_numpy(seed: int) -> None:
 @pytest.mark.parametrize("position", [(14.0, 13.0), (0.5, 2.0), (29.0, 12.0)], ids=["amid", "in a corner", "at a side"])
 @pytest.mark.parametrize("seed", range(3))
 def test_what_readings_would_tell_is_what_plain_numpy_says(seed: int, position: tuple[float, float]) -> None:
-    # 200 particles are looked at, drawn evenly by weight: one whose share is k/200 is looked at k times, and the sum is exact.
+    # 128 particles are looked at, drawn evenly by weight: one whose share is k/128 is looked at k times, and the sum is exact.
     rng = np.random.default_rng(seed)
-    shares = rng.multinomial(200, rng.dirichlet(np.ones(60)))
+    shares = rng.multinomial(128, rng.dirichlet(np.ones(60)))
     cloud = particles_of(rng.uniform(10.5, 24.5, (60, 2)), shares)
     # The wind blows from the sources, so that there is gas, a little from the left or the right.
     to_middle = complex(MIDDLE, MIDDLE) - complex(*position)
     wind = to_middle / abs(to_middle) * cmath.rect(2, 0.4 if seed else -0.4)
     said = belief_at(position, wind=(wind.real, wind.imag))
     expected = Plain(said, cloud).gains()
-    assert expected.max() > 0.03
+    assert expected.max() > 0.01
     assert polar(said, cloud)[GAINS] == pytest.approx(expected, rel=1e-4, abs=1e-5)
 
 
-def test_two_hundred_particles_tell_what_all_would() -> None:
-    # A variance from 200 particles is off by a tenth, more where few of them count, and half its logarithm by half of that: 0.05 nats.
+def test_a_few_particles_tell_what_all_would() -> None:
+    # A variance from 128 particles is off by a tenth, more where few of them count, and half its logarithm by half of that: 0.05 nats.
     clouds = [scattered(seed, 5000, 10.5, 24.5) for seed in range(5)]
     off = [polar(belief_at(), cloud)[GAINS] - Plain(belief_at(), cloud).gains() for cloud in clouds]
     assert np.abs(off).mean() < 0.1
@@ -213,7 +213,7 @@ def test_two_hundred_particles_tell_what_all_would() -> None:
 
 def test_where_the_source_is_known_no_reading_tells_anything() -> None:
     seen = polar(belief_at(), particles_of(np.tile([20.0, 20.0], (50, 1))))
-    assert seen[GAINS] == pytest.approx(np.zeros(48), abs=1e-6)
+    assert seen[GAINS] == pytest.approx(np.zeros(32), abs=1e-6)
 
 
 def turned(said: Belief, cloud: np.ndarray, turn: complex, mirrored: bool) -> tuple[Belief, np.ndarray]:

@@ -178,14 +178,19 @@ def scalars(folder: Path) -> dict[str, list[tuple[int, float]]]:
     return {tag: [(event.step, event.value) for event in log.Scalars(tag)] for tag in log.Tags()["scalars"]}
 
 
+def wait_until_the_next_second(wait_until: Callable[..., None]) -> None:
+    """TensorBoard reads files in the order of their names, which are seconds: a run that goes on in the same one is none of a user's."""
+    began = int(time.time())
+    wait_until(lambda: int(time.time()) > began)
+
+
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_tensorboard_holds_the_curve_once_even_of_a_run_that_was_cut_off(
     tmp_path: Path, wait_until: Callable[..., None], algorithm: str
 ) -> None:
-    began = int(time.time())
     with pytest.raises(CutOff):
         learn(tmp_path, tiny(algorithm), tell=cut_at(250))
-    wait_until(lambda: int(time.time()) > began)  # TensorBoard reads files in the order of their names, which are seconds
+    wait_until_the_next_second(wait_until)
     curve = learn(tmp_path, tiny(algorithm)).curve
     logged = scalars(tmp_path)
     for name in ("ceased", "located", "mtd_m"):
@@ -285,9 +290,11 @@ def test_a_run_that_is_killed_comes_to_the_same_end(
     if number != signal.SIGKILL:
         assert f"interrupted: {tmp_path / 'run'} keeps the last checkpoint; the same command goes on from there" in err
         assert "Traceback" not in err
+    wait_until_the_next_second(wait_until)
     resumed = learn(tmp_path / "run", tiny("dqn"))
     assert resumed.curve == whole("dqn").curve
     assert resumed.bundle == whole("dqn").bundle
+    assert [steps for steps, _ in scalars(tmp_path / "run")["missions/ceased"]] == [point.steps for point in resumed.curve]
 
 
 def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(tmp_path: Path, start: Callable[..., Any]) -> None:
