@@ -28,7 +28,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True):
     """DDPG explores with it: standard deviation, of actions in [−1, 1]."""
     actor_learning_rate_share: float = 1.0
     """DDPG's policy learns at this share of the value's rate."""
-    checkpoint_steps: int = 250_000
+    checkpoint_steps: int = 100_000
     """After so many moves all that the run needs is written down, and all missions begin anew."""
 
 
@@ -55,7 +55,7 @@ PAPER = {
 
 TUNED = {
     "ppo": Recipe(
-        algorithm="ppo", steps=4_000_000, missions=128, env=TUNED_ENV, layers=(256, 256), learning_rate=5e-4, final_learning_rate=1e-5,
+        algorithm="ppo", steps=6_000_000, missions=128, env=TUNED_ENV, layers=(256, 256), learning_rate=5e-4, final_learning_rate=1e-5,
         settings={"n_steps": 64, "batch_size": 2048, "n_epochs": 4, "gamma": 0.99, "gae_lambda": 0.95, "ent_coef": 0.003},
     ),
     "dqn": Recipe(

@@ -408,10 +408,13 @@ def test_the_documented_package_installs_and_flies(tmp_path: Path) -> None:
     assert over_the_bus["trace"] == in_process["trace"]
 
 
-def test_the_documented_page_has_every_field_of_a_bundle() -> None:
+def test_the_documented_page_has_every_field_of_a_bundle_and_every_observation() -> None:
     from agent.bundle import Page
+    from agent.observation import SCHEMAS
 
     page = (ROOT / "docs" / "policies.md").read_text()
     for name in Page.__struct_fields__:
         assert f"| `{name}` |" in page
+    for name, schema in SCHEMAS.items():
+        assert f"| `{name}`, {schema.version} | {schema.size} |" in page
     assert policies.PLUGINS in page
