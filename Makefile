@@ -3,8 +3,11 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 READY := .venv/.ready
 POLICIES := infotaxis,entrotaxis,dcee,random,infotaxis-variance,entrotaxis-belief,thompson,space-aware-infotaxis,greedy,lookahead,homing
+LEARNERS := ppo dqn ddpg
+# With a planner, so that compute times are compared in one run.
+LEARNED := infotaxis,ppo,dqn,ddpg
 
-.PHONY: setup mission test lint docs bench bench-filter bench-planners results report calibration clean
+.PHONY: setup mission test lint docs bench bench-filter bench-planners bench-env train results report calibration mismatch clean
 
 setup: $(READY)
 
@@ -44,15 +47,27 @@ bench-planners: setup
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
 	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.planners
 
-# Cut off, the same command goes on where it was.
+bench-env: setup
+	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.env
+
+# Makes the policies that ship anew; these and the next take long: cut off, the same command goes on where it was.
+train: setup
+	mkdir -p agent/bundles
+	for learner in $(LEARNERS); do $(BIN)/python -m agent train $$learner && cp runs/train/$$learner-tuned-0/$$learner.zip agent/bundles/ || exit; done
+
 results: setup
 	mkdir -p results
 	$(BIN)/python -m agent evaluate --policy $(POLICIES) --particles 100,500,1000,2000,4000 --missions results/particles.csv.gz
 	$(BIN)/python -m agent evaluate --policy $(POLICIES) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/thresholds.csv.gz
+	$(BIN)/python -m agent evaluate --policy $(LEARNED) --particles 100,500,1000,2000,4000 --missions results/learned-particles.csv.gz
+	$(BIN)/python -m agent evaluate --policy $(LEARNED) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/learned-thresholds.csv.gz
 
 report: setup
 	$(BIN)/python -m agent report
 	cp report/results.md report/particles.png report/trajectories.png docs/
+
+mismatch: setup
+	$(BIN)/python -m benchmarks.mismatch --resume
 
 calibration: setup
 	$(BIN)/python benchmarks/calibration.py

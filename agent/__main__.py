@@ -2,10 +2,11 @@
 
 import argparse
 import sys
+import traceback
 
 from agent.evaluate import add_arguments as add_evaluate_arguments
 from agent.evaluate import run as evaluate
-from agent.policies import named, policy_argument, reach
+from agent.policies import PolicyError, named, policy_argument, reach
 from agent.report import add_arguments as add_report_arguments
 from agent.report import run as report
 from agent.train import add_arguments as add_train_arguments
@@ -71,8 +72,18 @@ def _rollout(args: argparse.Namespace) -> None:
 
 
 def main() -> int | None:
-    """Parse the command line, then serve, roll out, evaluate or report."""
+    """Parse the command line, then serve, roll out, evaluate, train or report."""
     args = _parse()
+    try:
+        return _run(args)
+    except PolicyError as error:
+        if error.__cause__:
+            traceback.print_exception(error.__cause__)
+        print(f"error: {error}", file=sys.stderr)
+        return cli.FAILED
+
+
+def _run(args: argparse.Namespace) -> int | None:
     if args.command == "evaluate":
         return evaluate(args)
     if args.command == "train":

@@ -183,7 +183,8 @@ def print_table(result: dict[str, Any]) -> None:
         column.justify = "right"
     for name, said in result.items():
         figures_and_intervals = (cell(said, key).replace(" ", "\n", 1) for key in SHOWN)
+        policy = name.split(" particles=")[0]
         table.add_row(
-            name.split()[0], f"{said['particles']:,}", f"{said['threshold_m']:g}", f"{said['missions']:,}", *figures_and_intervals
+            policy, f"{said['particles']:,}", f"{said['threshold_m']:g}", f"{said['missions']:,}", *figures_and_intervals
         )
     Console(stderr=True, width=None if sys.stderr.isatty() else 160).print(table)

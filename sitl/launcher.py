@@ -168,6 +168,6 @@ def write_summary(mission: Mission, result: Outcome, trace: Sequence[TracePoint]
         "outcome": json.loads(outcome_json(result, trace)),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{now:%Y%m%d-%H%M%S}-{mission.policy}-seed{mission.seed}-{os.getpid()}.json"
+    path = folder / f"{now:%Y%m%d-%H%M%S}-{Path(mission.policy).stem}-seed{mission.seed}-{os.getpid()}.json"
     path.write_text(json.dumps(summary, indent=1) + "\n")
     return path

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plume.dispersion import concentration
-from plume.randomness import derived_seed, keyed
+from plume.randomness import Keyed, derived_seed, keyed
 from plume.scenario import draw
 from plume.sensor import GAUSSIAN
 from plume.world import World
@@ -43,3 +43,12 @@ def test_streams_of_one_seed_are_uncorrelated() -> None:
 
 def test_services_get_seeds_that_differ_from_the_missions_and_from_each_other() -> None:
     assert len({7, derived_seed(7, "estimator"), derived_seed(7, "agent"), derived_seed(8, "estimator")}) == 4
+
+
+def test_one_generator_set_from_place_to_place_draws_as_a_new_one_each() -> None:
+    places = [(seed, stream, step) for seed in (0, 5, 2**63 - 1) for stream in ("sensor", "scenario") for step in (0, 1, 299)]
+    one = Keyed()
+    for place in places + places[::-1]:
+        drawn = one.at(*place)
+        drawn.integers(7, dtype=np.uint32)  # leaves half a word behind, which must not be found by the next
+        assert one.at(*place).standard_normal(5).tolist() == keyed(*place).standard_normal(5).tolist()

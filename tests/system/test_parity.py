@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.planners import PLANNERS
+from agent.policies import OURS
 
 
 def flown(folder: Path, *command: str) -> dict:
@@ -29,7 +29,7 @@ def test_a_mission_over_the_bus_equals_the_one_in_process(tmp_path: Path, seed: 
     assert over_the_bus == in_process
 
 
-@pytest.mark.parametrize("policy", [policy for policy in PLANNERS if policy not in ("infotaxis", "random")])
+@pytest.mark.parametrize("policy", [policy for policy in OURS if policy not in ("infotaxis", "random")])
 def test_every_policy_flies_the_same_over_the_bus(tmp_path: Path, policy: str) -> None:
     chosen = ["--seed", "7", "--policy", policy, "--particles", "300", "--budget", "40"]
     over_the_bus = flown(tmp_path, "sitl", "fly", *chosen, "--speedup", "0")
