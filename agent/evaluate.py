@@ -184,7 +184,5 @@ def print_table(result: dict[str, Any]) -> None:
     for name, said in result.items():
         figures_and_intervals = (cell(said, key).replace(" ", "\n", 1) for key in SHOWN)
         policy = name.split(" particles=")[0]
-        table.add_row(
-            policy, f"{said['particles']:,}", f"{said['threshold_m']:g}", f"{said['missions']:,}", *figures_and_intervals
-        )
+        table.add_row(policy, f"{said['particles']:,}", f"{said['threshold_m']:g}", f"{said['missions']:,}", *figures_and_intervals)
     Console(stderr=True, width=None if sys.stderr.isatty() else 160).print(table)

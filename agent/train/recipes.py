@@ -38,15 +38,15 @@ TUNED_ENV = {"observation": "polar", "reward": "cost", "headings": 16}
 
 PAPER = {
     "ppo": Recipe(
-        algorithm="ppo", steps=1_000_000, missions=16, env=PAPER_ENV, layers=PAPER_LAYERS, learning_rate=1e-4, final_learning_rate=1e-4,
+        algorithm="ppo", steps=500_000, missions=16, env=PAPER_ENV, layers=PAPER_LAYERS, learning_rate=1e-4, final_learning_rate=1e-4,
         settings={"n_steps": 128, "batch_size": 64, "gamma": 0.99, "gae_lambda": 0.95},
     ),
     "dqn": Recipe(
-        algorithm="dqn", steps=500_000, missions=1, env=PAPER_ENV, layers=PAPER_LAYERS, learning_rate=1e-4, final_learning_rate=1e-4,
+        algorithm="dqn", steps=200_000, missions=1, env=PAPER_ENV, layers=PAPER_LAYERS, learning_rate=1e-4, final_learning_rate=1e-4,
         settings={"batch_size": 64, "buffer_size": 1000, "learning_starts": 1000, "gamma": 0.99, "target_update_interval": 100},
     ),
     "ddpg": Recipe(
-        algorithm="ddpg", steps=200_000, missions=1, env={**PAPER_ENV, "continuous": True}, layers=PAPER_LAYERS, learning_rate=1e-4,
+        algorithm="ddpg", steps=100_000, missions=1, env={**PAPER_ENV, "continuous": True}, layers=PAPER_LAYERS, learning_rate=1e-4,
         final_learning_rate=1e-4, actor_learning_rate_share=0.1, action_noise=0.1,
         settings={"batch_size": 64, "buffer_size": 1000, "learning_starts": 1000, "gamma": 0.99},
     ),
