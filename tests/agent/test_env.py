@@ -330,3 +330,14 @@ def test_the_document_says_what_each_number_of_an_observation_is() -> None:
         section = DOCUMENT.read_text().split(f"### `{name}`")[1].split("\n#")[0]
         rows = [(int(first), int(last or first)) for first, last in re.findall(r"^\| (\d+)(?: to (\d+))? \|", section, re.MULTILINE)]
         assert [i for first, last in rows for i in range(first, last + 1)] == list(range(schema.size))
+
+
+def test_an_install_makes_the_names_known_as_soon_as_gymnasium_is_imported(tmp_path: Path) -> None:
+    code = (
+        "import sys; assert 'numba' not in sys.modules\n"
+        "import gymnasium; made = gymnasium.make('plumeward/SourceSearchContinuous-v0', particles=20)\n"
+        "print(made.reset(seed=7)[0].shape, [type(finder).__name__ for finder in sys.meta_path])"
+    )
+    said = subprocess.run([sys.executable, "-c", code], check=True, timeout=60, capture_output=True, text=True, cwd=tmp_path).stdout
+    assert said.startswith("(184,)")
+    assert "WhenImported" not in said  # it has gone out of the way
