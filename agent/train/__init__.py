@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from agent.train.recipes import PRESETS, Recipe
 from link import cli
@@ -93,9 +93,9 @@ def _learn(recipe: Recipe, seed: int, folder: Path, threads: int, bundle: Path) 
     from agent.train.loop import checkpoints, train
 
     began = time.monotonic()
+    # So narrow that all of it stands in a line of 80.
     columns = (
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:,.0f} of {task.total:,.0f} moves"), TimeElapsedColumn(),
-        TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[stands]}"),
+        TextColumn("{task.description}"), BarColumn(bar_width=8), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.fields[stands]}"),
     )  # fmt: skip
     with Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task(recipe.algorithm, total=recipe.steps, stands="")
@@ -104,7 +104,7 @@ def _learn(recipe: Recipe, seed: int, folder: Path, threads: int, bundle: Path) 
 
         def tell(point: Point, speed: float) -> None:
             mtd = "–" if point.mtd_m is None else f"{point.mtd_m:.1f} m"
-            stands = f"{speed:,.0f} moves/s  ceased {100 * point.ceased:.1f}%  located {100 * point.located:.1f}%  MTD {mtd}"
+            stands = f"{speed:,.0f} moves/s ceased {100 * point.ceased:.1f}% located {100 * point.located:.1f}% MTD {mtd}"
             progress.update(task, completed=point.steps, stands=stands)
             if not progress.console.is_terminal:
                 progress.console.print(f"{point.steps:,} moves: {stands}")
