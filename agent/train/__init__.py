@@ -95,8 +95,12 @@ def _learn(recipe: Recipe, seed: int, folder: Path, threads: int, bundle: Path) 
     began = time.monotonic()
     # So narrow that all of it stands in a line of 80.
     columns = (
-        TextColumn("{task.description}"), BarColumn(bar_width=8), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.fields[stands]}"),
-    )  # fmt: skip
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=8),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[stands]}"),
+    )
     with Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task(recipe.algorithm, total=recipe.steps, stands="")
         if kept := checkpoints(folder):

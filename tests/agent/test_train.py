@@ -302,7 +302,7 @@ def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(tmp_
     run = start(tmp_path / "run", recipe, "--scenarios", "2", "--seed", "6")
     out, err = run.communicate(timeout=110)
     assert (run.returncode, out) == (0, ""), err
-    assert "moves/s  ceased " in err
+    assert "moves/s ceased " in err
     assert "located " in err
     assert "MTD " in err
     assert f"{tmp_path / 'run' / 'ppo.zip'}: fly it with" in err
