@@ -67,7 +67,7 @@ report: setup
 	cp report/results.md report/particles.png report/trajectories.png docs/
 
 mismatch: setup
-	$(BIN)/python -m benchmarks.mismatch --resume
+	$(BIN)/python -m benchmarks.mismatch --missions 300 --resume
 
 calibration: setup
 	$(BIN)/python benchmarks/calibration.py
