@@ -249,12 +249,13 @@ table rests on the missions that the others count. A row a mission: `results/mis
 CONCLUSIONS = """\
 - A gas that lives half or twice as long, a wind that is 10° off and a fifth of the readings lost cost every policy up to six points of
   located, and the learned ones no more than the planners. They stay the fastest.
-- A wind that is 30° off and noise twice as strong make stops false, whoever flies: 15 to 33% of them with the first, 14 to 22% with the second,
-  for `infotaxis`, `homing`, `greedy` and the learned ones. The estimator is sure of what the wrong model says, and that its readings do
-  not fit the model shows too late or not at all. No policy can mend that: it takes an estimator that knows wind or noise less well.
+- A wind that is 30° off and noise twice as strong make stops false, whoever flies: 15 to 33% of them with the first, 14 to 22% with the
+  second, for `infotaxis`, `homing`, `greedy` and the learned ones. The estimator is sure of what the wrong model says, and that its
+  readings do not fit the model shows too late or not at all. No policy can mend that: it takes an estimator that knows less of the wind
+  or the noise.
 - Sources where Table 1 never draws one are what the learned policies were not trained for: `ppo` locates 90% of them, `ddpg` 89% and
-  `dqn` 81%, where `infotaxis`, `homing` and `space-aware-infotaxis` locate 97% and more. They are not deceived, false stops are as rare as
-  ever: they do not get there within the budget. Whoever searches elsewhere than in the middle should fly `homing`, or train anew."""
+  `dqn` 81%, where `infotaxis`, `homing` and `space-aware-infotaxis` locate 97% and more. They are not deceived, false stops are as rare
+  as ever: they do not get there within the budget. Whoever searches elsewhere than in the middle should fly `homing`, or train anew."""
 """What the tables say, in words; written by hand, here, so that it stays when the page is made again."""
 
 
