@@ -6,7 +6,7 @@ import sys
 import pytest
 
 COMMANDS = [
-    (["agent", "rollout", "--policy", "clairvoyance"], ["--policy", "'clairvoyance'", "'infotaxis', 'entrotaxis'"]),
+    (["agent", "rollout", "--policy", "clairvoyance"], ["--policy", "'clairvoyance'", "wanted infotaxis, entrotaxis"]),
     (["agent", "rollout", "--particles", "-5"], ["--particles", "'-5'", "from 10 to 1000000"]),
     (["agent", "rollout", "--seed", "x"], ["--seed", "'x'", "whole number"]),
     (["agent", "--budget", "0"], ["--budget", "'0'", "from 1"]),

@@ -90,7 +90,7 @@ def test_an_unknown_policy_is_one_line_and_status_2(start, tmp_path: Path) -> No
     mission = start("sitl", "fly", "--policy", "clairvoyance", cwd=tmp_path)
     assert mission.ended() == 2
     (line,) = mission.err
-    assert line.startswith("error: --policy: invalid choice: 'clairvoyance' (choose from 'infotaxis', 'entrotaxis', ")
+    assert line.startswith("error: --policy: 'clairvoyance' is not allowed; wanted infotaxis, entrotaxis, ")
 
 
 def test_an_occupied_port_is_one_line_and_status_2(start, router: str, tmp_path: Path) -> None:
