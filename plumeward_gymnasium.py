@@ -7,7 +7,6 @@ import sys
 from collections.abc import Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
-from importlib.util import find_spec
 from types import ModuleType
 
 
@@ -29,15 +28,16 @@ class WhenImported(MetaPathFinder):
     """Waits until gymnasium is imported, then registers and is gone."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        """Find gymnasium as Python would have without this, and let it register when it has been run."""
+        """Find gymnasium as Python would have without this, and let it register when it has been run: to be found is not to be imported."""
         if name != "gymnasium":
             return None
-        sys.meta_path.remove(self)
-        spec = find_spec(name)
+        others = (finder.find_spec(name, path, target) for finder in sys.meta_path if finder is not self)
+        spec = next((spec for spec in others if spec is not None), None)
         if spec is not None and spec.loader is not None:
             run = spec.loader.exec_module
 
             def run_and_register(module: ModuleType) -> None:
+                sys.meta_path.remove(self)
                 run(module)
                 register()
 
@@ -46,5 +46,6 @@ class WhenImported(MetaPathFinder):
 
 
 def install() -> None:
-    """Begin to wait."""
-    sys.meta_path.insert(0, WhenImported())
+    """Begin to wait, once: Python may read a .pth file twice."""
+    if not any(isinstance(finder, WhenImported) for finder in sys.meta_path):
+        sys.meta_path.insert(0, WhenImported())

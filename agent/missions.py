@@ -83,9 +83,9 @@ class Missions:
         facts[missions, : observation.GAS] = self.positions[missions]
         facts[missions, observation.GAS] = self._gas(missions)
         readings = np.zeros((len(missions), 7))
-        readings[:, [0, 1, 5, 3, 4]] = facts[missions][
-            :, [observation.X, observation.Y, observation.GAS, observation.WIND_X, observation.WIND_Y]
-        ]
+        readings[:, :2] = self.positions[missions]
+        readings[:, 3:5] = facts[missions, observation.WIND_X : observation.RATE]
+        readings[:, 5] = facts[missions, observation.GAS]
         readings[:, 6] = 1.0
         self._batch.assimilate(readings, missions)
         covariances = self._batch.covariances[missions]

@@ -334,7 +334,8 @@ def test_the_document_says_what_each_number_of_an_observation_is() -> None:
 
 def test_an_install_makes_the_names_known_as_soon_as_gymnasium_is_imported(tmp_path: Path) -> None:
     code = (
-        "import sys; assert 'numba' not in sys.modules\n"
+        "import sys, importlib.util; assert 'numba' not in sys.modules\n"
+        "assert importlib.util.find_spec('gymnasium')\n"  # others look for it before they import it
         "import gymnasium; made = gymnasium.make('plumeward/SourceSearchContinuous-v0', particles=20)\n"
         "print(made.reset(seed=7)[0].shape, [type(finder).__name__ for finder in sys.meta_path])"
     )
