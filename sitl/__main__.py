@@ -1,4 +1,4 @@
-"""`python -m sitl`: fly one mission with all its parts, or run the router or the uav alone."""
+"""`python -m sitl`: fly one mission with all its parts, replay one, look into its log, or run one part alone."""
 
 import argparse
 import math
@@ -10,6 +10,7 @@ from link.bus import DEFAULT_ROUTER
 from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
+from sitl import log, recorder, replay
 
 
 def _udp_url(text: str) -> str:
@@ -65,7 +66,7 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
 
 def _parse(arguments: list[str]) -> argparse.Namespace:
     parser = cli.Parser(prog="python -m sitl", description="Simulated flights to a gas leak. Without a command: fly, with its defaults.")
-    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, required=True, metavar="fly | uav | router")
+    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, required=True, metavar="fly | replay | log | uav | router | record")
 
     fly = commands.add_parser("fly", help="fly one mission: router, uav, estimator and agent as processes")
     _add_vehicle_arguments(fly, speedup=10.0)
@@ -86,6 +87,10 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
 
     router = commands.add_parser("router", help="a Zenoh router alone")
     router.add_argument("-l", "--listen", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="where to listen (default: %(default)s)")
+
+    log.add_arguments(commands.add_parser("log", help="what a log holds: a summary, or one key as CSV"))
+    replay.add_arguments(commands.add_parser("replay", help="fly a log again: what the vehicle said then, to services that run now"))
+    recorder.add_arguments(commands.add_parser("record", help="record all that is said on a bus, until interrupted"))
 
     if not arguments or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
         arguments = ["fly", *arguments]
@@ -170,6 +175,8 @@ def main() -> int:
         return _fly(args)
     if args.command == "uav":
         return _uav(args)
+    if args.command in ("log", "replay", "record"):
+        return {"log": log, "replay": replay, "record": recorder}[args.command].run(args)
     from sitl.router import run
 
     run(args.listen)

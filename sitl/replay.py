@@ -1,0 +1,12 @@
+"""`python -m sitl replay`: source substitution."""
+
+import argparse
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run it."""
+    return 0
