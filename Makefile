@@ -31,6 +31,7 @@ lint: setup
 
 docs: setup
 	$(BIN)/python -m link > docs/bus.md
+	$(BIN)/python -m sitl.script > missions/mission.schema.json
 	$(BIN)/python docs/picture.py
 
 bench: setup

@@ -9,6 +9,7 @@ from agent.evaluate import run as evaluate
 from agent.policies import PolicyError, named, policy_argument, reach
 from agent.report import add_arguments as add_report_arguments
 from agent.report import run as report
+from agent.service import waypoints
 from agent.train import add_arguments as add_train_arguments
 from agent.train import run as train
 from estimator.options import add_sensor_argument, knowledge
@@ -36,6 +37,10 @@ def _parse() -> argparse.Namespace:
     parser = cli.Parser(prog="python -m agent", description="Beliefs in, waypoints out.")
     cli.add_bus_arguments(parser)
     _add_policy_arguments(parser)
+    parser.add_argument(
+        "--waypoints", type=waypoints, action="append", default=[], metavar="STEP:X,Y;X,Y;...",
+        help="fly these instead of the policy's, from the answer to this step's belief on",
+    )  # fmt: skip
     parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="MAVLink system id of the vehicle (default: %(default)s)")
     commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="rollout | evaluate | train | report")
     rollout = commands.add_parser("rollout", help="fly one mission in-process, without Zenoh")
@@ -96,7 +101,8 @@ def _run(args: argparse.Namespace) -> int | None:
     from agent.service import run
 
     with Bus("agent", args.connect, args.namespace) as bus:
-        run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach)
+        scripted = {step: point for path in args.waypoints for step, point in path.items()}
+        run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, scripted)
     return None
 
 

@@ -1,6 +1,9 @@
 """The agent service: beliefs in, one waypoint for each out."""
 
+import argparse
 import time
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from agent.moves import Reach
 from agent.policies import choose
@@ -9,11 +12,33 @@ from link.bus import Arrival, Bus
 from link.keys import BELIEF, MAVLINK_IN
 from link.mavlink import ONBOARD_COMPUTER, Codec, waypoint_message
 from link.messages import Belief, Particles, unpack_particles
+from plume.scenario import AREA_M
 from plume.sensor import parse
+from plume.world import float32
+
+NONE: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
 
-def run(bus: Bus, policy: str, seed: int, budget: int, system: int, reach: Reach) -> None:
-    """Serve until interrupted: answer each belief, except where the search has ceased or the budget is spent."""
+def waypoints(text: str) -> dict[int, tuple[float, float]]:
+    """Argument type: waypoints by the step of the belief that they answer, from STEP:X,Y;X,Y; as float32, as the wire carries them."""
+    first, _, rest = text.partition(":")
+    try:
+        points = [tuple(map(float, point.split(","))) for point in rest.split(";")]
+        path = {int(first) + number: (float32(x), float32(y)) for number, (x, y) in enumerate(points)}
+        if min(path) >= 0 and all(0.0 <= value <= AREA_M for point in path.values() for value in point):
+            return path
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to {AREA_M:g} m")
+
+
+def run(
+    bus: Bus, policy: str, seed: int, budget: int, system: int, reach: Reach, scripted: Mapping[int, tuple[float, float]] = NONE
+) -> None:
+    """Serve until interrupted: answer each belief, except where the search has ceased or the budget is spent.
+
+    `scripted` are waypoints that are flown instead of the policy's, by the step of the belief that they answer.
+    """
     find_policy(policy)  # compiles or loads what it needs before the first belief comes
     codec = Codec(system, ONBOARD_COMPUTER)
     bus.subscribe(BELIEF)
@@ -30,7 +55,7 @@ def run(bus: Bus, policy: str, seed: int, budget: int, system: int, reach: Reach
             continue
         if belief.time_boot_ms > answered:
             began = time.perf_counter()
-            waypoint = choose(policy, belief, particles, seed, reach)
+            waypoint = scripted[belief.step] if belief.step in scripted else choose(policy, belief, particles, seed, reach)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.step = belief.step
             answered = belief.time_boot_ms

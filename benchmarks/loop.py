@@ -16,9 +16,9 @@ from link.bus import Arrival, Bus
 from link.keys import BELIEF, HEALTH, MAVLINK_IN, READING
 from link.mavlink import unpack_reading
 from link.messages import Belief, Health
-from plume.scenario import draw
 from sitl.launcher import Mission, start_parts
 from sitl.processes import Processes
+from sitl.script import Script
 
 RING_ROUNDS = 2000
 
@@ -26,11 +26,11 @@ RING_ROUNDS = 2000
 def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
     """Fly one mission; returns the milliseconds of each step."""
     processes = Processes(queue.SimpleQueue())
-    mission = Mission(seed, policy, particles, 0.5, 300, 0.0, 0, "tcp/127.0.0.1:0")
+    script = Script().changed({"seed": seed, "agent.policy": policy, "estimator.particles": particles})
     read_at: list[tuple[int, float]] = []
     compute: dict[str, dict[int, float]] = defaultdict(dict)
     try:
-        endpoint = start_parts(processes, mission, draw(seed))
+        endpoint = start_parts(processes, Mission(script, uav_arguments=("--seed", str(seed), "--speedup", "0")), {})
         with Bus("bench", endpoint) as bus:
             bus.subscribe(READING, BELIEF, HEALTH)
             last: int | None = None
@@ -44,7 +44,7 @@ def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
                             read_at.append((time_boot_ms, now))
                     case Arrival(key) if key is BELIEF:
                         belief = bus.decode(item, Belief)
-                        if belief and (belief.ceased or belief.step == mission.budget):
+                        if belief and (belief.ceased or belief.step == script.budget):
                             last = belief.step
                     case Arrival(key) if key is HEALTH:
                         health = bus.decode(item, Health)

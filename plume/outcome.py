@@ -1,8 +1,10 @@
 """What one mission came to, in the words that all tables use."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from types import MappingProxyType
+from typing import Any
 
 import msgspec
 
@@ -58,9 +60,9 @@ def outcome(seed: int, policy: str, scenario: Scenario, trace: Sequence[TracePoi
     )
 
 
-def outcome_json(result: Outcome, trace: Sequence[TracePoint] | None) -> str:
-    """One line of JSON, with the trace as an extra field where it was asked for."""
-    fields = msgspec.to_builtins(result)
+def outcome_json(result: Outcome, trace: Sequence[TracePoint] | None, more: Mapping[str, Any] = MappingProxyType({})) -> str:
+    """One line of JSON, with the trace as an extra field where it was asked for, and whatever more there is to say."""
+    fields = {**msgspec.to_builtins(result), **more}
     del fields["scenario"]["source"]  # stated once, beside the estimate
     if trace is not None:
         fields["trace"] = trace

@@ -1,16 +1,19 @@
 """`python -m sitl`: fly one mission with all its parts, replay one, look into its log, or run one part alone."""
 
 import argparse
+import importlib
 import math
 import sys
 from pathlib import Path
+from types import ModuleType
 
 from link import cli
 from link.bus import DEFAULT_ROUTER
 from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
-from sitl import log, recorder, replay
+from sitl.script import OnBoard, Script, load
+from sitl.typed_yaml import Document, FileError
 
 
 def _udp_url(text: str) -> str:
@@ -35,7 +38,15 @@ def _home(text: str) -> tuple[float, float, float, float]:
     return lat, lon, alt, heading
 
 
+def _record(text: str) -> Path:
+    path = Path(text)
+    if path.suffix != ".mcap":
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a file that ends in .mcap")
+    return path
+
+
 def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> None:
+    parser.add_argument("mission", nargs="?", metavar="MISSION.yaml", help="a mission script; flags given beside it win")
     parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=1, help="of the scenario and the sensor (default: %(default)s)")
     parser.add_argument(
         "--speedup",
@@ -64,9 +75,46 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
     )  # fmt: skip
 
 
-def _parse(arguments: list[str]) -> argparse.Namespace:
+SCRIPTS = (".yaml", ".yml")
+OTHERS = {
+    "replay": "fly a log again: what the vehicle said then, to services that run now",
+    "log": "what a log holds: a summary, or one key as CSV",
+    "record": "record all that is said on a bus, until interrupted",
+}
+"""Commands with a module of their own, loaded only when asked for: a part has to start fast."""
+FIELDS = {
+    "seed": "seed", "speedup": "speedup", "sensor": "sensor", "silence": "vehicle.silence_s", "policy": "agent.policy",
+    "budget": "agent.budget", "headings": "agent.headings", "step": "agent.step_m", "measurements": "agent.measurements",
+    "particles": "estimator.particles", "threshold": "estimator.threshold_m", "prior": "estimator.prior",
+    "stop_on": "estimator.stop_on",
+}  # fmt: skip
+"""The field of a mission script that each flag sets."""
+HOME = ("home_lat_deg", "home_lon_deg", "home_alt_m", "home_heading_deg")
+
+
+def _script(args: argparse.Namespace, given: argparse.Namespace) -> Script:
+    """Return the mission script that was named, or the usual one, with the flags that were given in it; raises FileError."""
+    flags = {**vars(given)}
+    if "prior" in flags:
+        flags["prior"] = dict(item.partition("=")[::2] for item in given.prior)
+    if args.mission:
+        script = load(args.mission)
+    else:
+        script, flags = Script(), {**flags, "speedup": args.speedup}
+    changes = {field: flags[name] for name, field in FIELDS.items() if name in flags}
+    if "home" in flags:
+        changes |= {f"vehicle.{field}": value for field, value in zip(HOME, given.home, strict=True)}
+    return script.changed(changes)
+
+
+def _module(command: str) -> ModuleType:
+    return importlib.import_module("sitl.recorder" if command == "record" else f"sitl.{command}")
+
+
+def _parse(arguments: list[str]) -> tuple[argparse.Namespace, argparse.Namespace]:
+    """Return the arguments, and of them those that were given."""
     parser = cli.Parser(prog="python -m sitl", description="Simulated flights to a gas leak. Without a command: fly, with its defaults.")
-    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, required=True, metavar="fly | replay | log | uav | router | record")
+    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, required=True, metavar="COMMAND")
 
     fly = commands.add_parser("fly", help="fly one mission: router, uav, estimator and agent as processes")
     _add_vehicle_arguments(fly, speedup=10.0)
@@ -78,6 +126,8 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
     fly.add_argument(
         "-l", "--listen", metavar="ENDPOINT", default="tcp/127.0.0.1:0", help="where the router listens (default: a free local port)"
     )
+    fly.add_argument("--record", type=_record, metavar="FILE.mcap", help="where to record to, with a .tlog beside it (default: in runs/)")
+    fly.add_argument("--no-record", action="store_true", help="record nothing")
     cli.add_output_arguments(fly)
 
     uav = commands.add_parser("uav", help="the simulated vehicle alone")
@@ -88,64 +138,85 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
     router = commands.add_parser("router", help="a Zenoh router alone")
     router.add_argument("-l", "--listen", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="where to listen (default: %(default)s)")
 
-    log.add_arguments(commands.add_parser("log", help="what a log holds: a summary, or one key as CSV"))
-    replay.add_arguments(commands.add_parser("replay", help="fly a log again: what the vehicle said then, to services that run now"))
-    recorder.add_arguments(commands.add_parser("record", help="record all that is said on a bus, until interrupted"))
+    for command, help_text in OTHERS.items():
+        other = commands.add_parser(command, help=help_text)
+        if command in arguments[:1]:
+            _module(command).add_arguments(other)
 
-    if not arguments or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
+    if not arguments or arguments[0].endswith(SCRIPTS) or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
         arguments = ["fly", *arguments]
-    return parser.parse_args(arguments)
+    args = parser.parse_args(arguments)
+    for action in commands.choices[args.command]._actions:
+        action.default = argparse.SUPPRESS
+    return args, parser.parse_args(arguments)
 
 
-def _fly(args: argparse.Namespace) -> int:
-    from plume.outcome import outcome_json, outcome_text
-    from sitl.launcher import Mission, MissionFailed, fly, write_summary
-
-    handed_on = [flag for url in args.out for flag in ("--out", url)] + ["--silence", repr(args.silence)]
+def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]:
+    """Return the words of the command line that the uav has to know, too."""
+    words = [args.mission] if args.mission else []
+    changed = vars(given)
+    for name in ("seed", "sensor", "silence"):
+        if name in changed:
+            words += [f"--{name}", str(changed[name])]
     if args.home:
-        handed_on.append("--home=" + ",".join(map(repr, args.home)))
-    filter_arguments = [flag for prior in args.prior for flag in ("--prior", prior)] + ["--stop-on", args.stop_on]
-    agent_arguments = [word for name, value in cli.reach_given(args).items() for word in (f"--{name}", repr(value))]
-    mission = Mission(
-        args.seed, args.policy, args.particles, args.threshold, args.budget, args.speedup, args.instance, args.listen, args.sensor,
-        filter_arguments, agent_arguments, handed_on,
-    )  # fmt: skip
+        words.append("--home=" + ",".join(map(repr, args.home)))
+    if "speedup" in changed or not args.mission:
+        words += ["--speedup", repr(args.speedup)]
+    return words + [word for url in args.out for word in ("--out", url)]
+
+
+def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
+    from plume.outcome import outcome_text
+    from sitl.launcher import Mission, MissionFailed, fly, run_name, write_summary
+
+    script = _script(args, given)
+    summary = Path("runs") / f"{run_name(script)}.json"
+    record = None if args.no_record else args.record or summary.with_suffix(".mcap")
     try:
-        result, trace = fly(mission)
+        flown = fly(Mission(script, args.instance, args.listen, _handed_on(args, given), record))
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         raise
     except MissionFailed as failure:
-        print(f"error: {failure}", file=sys.stderr)
+        print(f"error: {_in_script(str(failure), args, given) if failure.status == cli.BAD_INPUT else failure}", file=sys.stderr)
         return failure.status
-    print(outcome_text(result), file=sys.stderr)
+    finally:
+        if record and record.exists():
+            print(f"record in {record}", file=sys.stderr)
+    print(outcome_text(flown.outcome), file=sys.stderr)
     try:
-        print(f"summary in {write_summary(mission, result, trace, Path('runs'))}", file=sys.stderr)
+        write_summary(script, flown, summary)
+        print(f"summary in {summary}", file=sys.stderr)
     except OSError as error:
         print(f"warning: no summary written to runs/: {error.strerror}", file=sys.stderr)
+    for expectation, so in flown.expectations.items():
+        print(f"expected {expectation}: {'yes' if so else 'NO'}", file=sys.stderr)
     if args.json:
-        print(outcome_json(result, trace if args.trace else None))
-    return 0
+        print(flown.json(with_trace=args.trace))
+    return 0 if all(flown.expectations.values()) else cli.FAILED
 
 
-def _uav(args: argparse.Namespace) -> int:
+def _in_script(refusal: str, args: argparse.Namespace, given: argparse.Namespace) -> str:
+    """Where a part refuses a flag that the script gave it: name the script's line and field instead."""
+    flag, _, reason = refusal.partition(": ")
+    name = flag.removeprefix("--").replace("-", "_")
+    if args.mission and name in FIELDS and name not in given:
+        return str(Document(Path(args.mission)).error([*FIELDS[name].split(".")], reason))
+    return refusal
+
+
+def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     import contextlib
     import queue
 
     from link.bus import Bus
     from link.log import Log
-    from plume.scenario import draw
-    from plume.world import World
     from sitl.clock import Clock
     from sitl.uav import Uav
-    from sitl.vehicle import VehicleConfig
 
-    silence_s = args.silence * (args.speedup or 1.0)  # who is silent lives in real time; at speed-up 0 so does a waiting vehicle
-    config = VehicleConfig(args.instance + 1, silence_s=silence_s)
-    if args.home:
-        lat, lon, alt, heading = args.home
-        config = VehicleConfig(args.instance + 1, lat, lon, alt, heading, silence_s=silence_s)
-    scenario = draw(args.seed)
+    script = _script(args, given)
+    config = script.vehicle_config(args.instance + 1)
+    release = script.release()
     inbox: queue.SimpleQueue[object] = queue.SimpleQueue()
     log = Log("uav")
     with contextlib.ExitStack() as stack:
@@ -156,11 +227,12 @@ def _uav(args: argparse.Namespace) -> int:
             bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox))
             log.info(f"on the bus at {endpoint} as {namespace}; takes off when estimator and agent are there")
             joining = f"--connect {endpoint} --namespace {namespace}"
-            chosen = "" if args.sensor == "gaussian" else f" --sensor {args.sensor}"
+            chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
             who = "" if config.sysid == 1 else f" --sysid {config.sysid}"
-            log.info(f"its estimator: python -m estimator {joining} --rate {scenario.q!r} --diffusivity {scenario.d!r}{chosen}{who}")
+            log.info(f"its estimator: python -m estimator {joining} --rate {release.q!r} --diffusivity {release.d!r}{chosen}{who}")
             log.info(f"its agent: python -m agent {joining} --sysid {config.sysid}")
-        uav = Uav(config, World(scenario, args.seed, sensor.parse(args.sensor)), Clock(args.speedup), inbox, bus, args.out)
+        events = [event for event in script.events if isinstance(event, OnBoard)]
+        uav = Uav(config, script.world(), Clock(script.speedup), inbox, bus, args.out, events)
         for url in args.out:
             port = url.rpartition(":")[2]
             log.info(f"MAVLink to {url}; MAVSDK: udpin://0.0.0.0:{port}, pymavlink and MAVProxy: udpin:0.0.0.0:{port}")
@@ -170,13 +242,16 @@ def _uav(args: argparse.Namespace) -> int:
 
 def main() -> int:
     """Parse the command line and run what it names."""
-    args = _parse(sys.argv[1:])
-    if args.command == "fly":
-        return _fly(args)
-    if args.command == "uav":
-        return _uav(args)
-    if args.command in ("log", "replay", "record"):
-        return {"log": log, "replay": replay, "record": recorder}[args.command].run(args)
+    args, given = _parse(sys.argv[1:])
+    if args.command in ("fly", "uav"):
+        try:
+            return {"fly": _fly, "uav": _uav}[args.command](args, given)
+        except FileError as error:
+            print(f"error: {error}", file=sys.stderr)
+            return cli.BAD_INPUT
+    if args.command in OTHERS:
+        status: int = _module(args.command).run(args)
+        return status
     from sitl.router import run
 
     run(args.listen)

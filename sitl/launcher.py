@@ -1,45 +1,53 @@
 """One whole mission: router, uav, estimator and agent as processes, watched until the search ends."""
 
 import contextlib
+import itertools
 import json
 import math
 import os
 import queue
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
+from pymavlink.dialects.v20 import common as mavlink
+
 from link.bus import Arrival, Bus
 from link.cli import BAD_INPUT, FAILED, INTERRUPTED
-from link.keys import BELIEF, HEALTH, STOP
+from link.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, STOP
+from link.mavlink import BadFrame, Codec, Message, unpack
 from link.messages import Belief, Health
 from plume import __version__
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.randomness import derived_seed
-from plume.scenario import Scenario, draw
+from sitl.disturbances import Disturbances
+from sitl.operator import OPERATOR, command
 from sitl.processes import Ended, Processes, Said
 from sitl.progress import Progress
+from sitl.relay import Relay
+from sitl.script import Cut, Expectation, Kill, Script
+
+CALL_EVERY_S = 1.0
+AT_HOME_M = 0.5
 
 
 class Mission(NamedTuple):
     """What to fly, and with what."""
 
-    seed: int
-    policy: str
-    particles: int
-    threshold_m: float
-    budget: int
-    speedup: float
-    instance: int
-    listen: str
-    sensor: str = "gaussian"
-    filter_arguments: Sequence[str] = ()
-    """Flags that are handed on to the estimator."""
-    agent_arguments: Sequence[str] = ()
-    """Flags that are handed on to the agent."""
+    script: Script
+    instance: int = 0
+    listen: str = "tcp/127.0.0.1:0"
     uav_arguments: Sequence[str] = ()
-    """Flags that are handed on to the uav."""
+    """The script's file and the flags that change it, for the uav to read them itself."""
+    record: Path | None = None
+    """The MCAP file to record to."""
+
+    @property
+    def namespace(self) -> str:
+        """The vehicle's key prefix."""
+        return f"uav/{self.instance + 1}"
 
 
 class MissionFailed(Exception):
@@ -51,96 +59,218 @@ class MissionFailed(Exception):
         self.status = status
 
 
-def fly(mission: Mission) -> tuple[Outcome, list[TracePoint]]:
-    """Fly a mission; returns its outcome and trace. Raises MissionFailed where a part dies or the vehicle gives up."""
+class Flown(NamedTuple):
+    """What came of a mission."""
+
+    outcome: Outcome
+    trace: list[TracePoint]
+    expectations: dict[Expectation, bool]
+    """What the script expects, and whether it is so."""
+
+    def json(self, *, with_trace: bool) -> str:
+        """One line of JSON; whether the expectations hold is in it where there are any."""
+        expectations = {"expectations": self.expectations} if self.expectations else {}
+        return outcome_json(self.outcome, self.trace if with_trace else None, expectations)
+
+
+def fly(mission: Mission) -> Flown:
+    """Fly a mission. Raises MissionFailed where a part dies or the vehicle gives up, and nobody expected that."""
     inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    scenario = draw(mission.seed)
     with contextlib.ExitStack() as stack:
-        progress = stack.enter_context(Progress(mission.budget))
+        progress = stack.enter_context(Progress(mission.script.budget))
         processes = Processes(inbox)
         stack.callback(processes.stop)
-        endpoint = start_parts(processes, mission, scenario)
+        relays: dict[str, Relay] = {}
+        stack.callback(lambda: [relay.close() for relay in relays.values()])
+        endpoint = start_parts(processes, mission, relays)
         if not endpoint:
             _raise_for(_first_end(inbox))
-        bus = stack.enter_context(Bus("mission", endpoint, f"uav/{mission.instance + 1}", inbox))
+        bus = stack.enter_context(Bus("mission", endpoint, mission.namespace, inbox))
         bus.subscribe(BELIEF, STOP, HEALTH)
-        return _watch(mission, scenario, bus, endpoint, progress)
+        events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
+        watch = _Watch(mission, bus, progress, Disturbances(events, processes, relays, progress.say))
+        return watch.until_the_end(endpoint)
 
 
-def start_parts(processes: Processes, mission: Mission, scenario: Scenario) -> str:
-    """Start all parts; returns the router's endpoint, empty where it could not listen."""
+def start_parts(processes: Processes, mission: Mission, relays: dict[str, Relay]) -> str:
+    """Start all parts; returns the router's endpoint, empty where it could not listen. Links that the script cuts get a relay."""
+    script = mission.script
     endpoint = processes.start("router", "sitl", "router", "--listen", mission.listen).readline().strip()
     if not endpoint:
         return ""
-    joining = ("--connect", endpoint, "--namespace", f"uav/{mission.instance + 1}")
-    instance = str(mission.instance)
-    seed, speedup = str(mission.seed), repr(mission.speedup)
-    flight = ("-I", instance, "--seed", seed, "--speedup", speedup, "--sensor", mission.sensor)
-    processes.start("uav", "sitl", "uav", *joining, *flight, *mission.uav_arguments)
-    # Only what the paper's estimator knows, and seeds of their own: from the mission's seed the source could be drawn.
-    knowledge = ("--rate", repr(scenario.q), "--diffusivity", repr(scenario.d), "--lifetime", repr(scenario.tau))
-    system = str(mission.instance + 1)
-    filter_flags = ("--particles", str(mission.particles), "--threshold", repr(mission.threshold_m), "--sensor", mission.sensor)
-    estimator_seed, agent_seed = (str(derived_seed(mission.seed, service)) for service in ("estimator", "agent"))
-    own = ("--seed", estimator_seed, "--sysid", system)
-    processes.start("estimator", "estimator", *joining, *filter_flags, *knowledge, *mission.filter_arguments, *own)
-    policy_flags = ("--policy", mission.policy, "--budget", str(mission.budget), "--sysid", system)
-    processes.start("agent", "agent", *joining, *policy_flags, "--seed", agent_seed, *mission.agent_arguments)
+    # Router and relays keep their address: one that is killed or cut comes back where it was.
+    processes.start_again_as("router", "sitl", "router", "--listen", endpoint)
+    relays |= {part: Relay(endpoint) for part in sorted({event.part for event in script.events if isinstance(event, Cut)})}
+
+    def joining(part: str) -> tuple[str, ...]:
+        return "--connect", relays[part].endpoint if part in relays else endpoint, "--namespace", mission.namespace
+
+    estimator, agent = estimator_arguments(mission), agent_arguments(mission)
+    recording = None
+    if mission.record:
+        about = {
+            "mission": script, "seed": script.seed, "policy": script.agent.policy, "budget": script.budget, "scenario": script.release(),
+            "parts": {"estimator": estimator, "agent": agent},
+        }  # fmt: skip
+        about_json = msgspec.json.encode(about).decode()
+        recording = processes.start("recorder", "sitl", "record", str(mission.record), *joining("recorder"), "--about", about_json)
+    processes.start("estimator", "estimator", *joining("estimator"), *estimator)
+    processes.start("agent", "agent", *joining("agent"), *agent)
+    if recording:
+        recording.readline()  # it hears all from now on
+    processes.start("uav", "sitl", "uav", *mission.uav_arguments, *joining("uav"), "-I", str(mission.instance))
     return endpoint
 
 
-def _watch(mission: Mission, scenario: Scenario, bus: Bus, endpoint: str, progress: Progress) -> tuple[Outcome, list[TracePoint]]:
-    trace: dict[int, TracePoint] = {}
-    compute: dict[str, Health] = {}
-    last: Belief | None = None
-    distance_m = 0.0
-    last_words: dict[str, str] = {}
-    for message in _messages(bus):
-        if isinstance(message, Said):
-            last_words[message.part] = message.line
-            if "warning:" in message.line:
-                progress.say(message.line)
-        elif isinstance(message, Health):
-            compute[message.service] = message
-            if message.state == "landed":
-                raise MissionFailed(f"the uav has landed before the search was over; its last words: {last_words.get('uav', 'none')}")
-        elif message.step not in trace:
-            if last is None:
-                progress.say(f"mission: seed {mission.seed}, {mission.policy}, speed-up {mission.speedup:g}, router at {endpoint}")
-            else:
-                distance_m += math.dist(last.position, message.position)
-            last = message
-            trace[message.step] = TracePoint(message.position, message.gas, message.mean, message.spread)
-            progress.show(message, distance_m)
-        if last is None or not (last.ceased or last.step >= mission.budget):
-            continue
-        # The last compute times come just behind the last belief.
+def estimator_arguments(mission: Mission) -> list[str]:
+    """Return the estimator's flags: only what the paper's knows, and a seed of its own; from the mission's the source could be drawn."""
+    script, told = mission.script, mission.script.estimator
+    release = script.release()
+    flags = {
+        "--particles": told.particles, "--threshold": told.threshold_m, "--sensor": script.sensor, "--stop-on": told.stop_on,
+        "--rate": told.rate or release.q, "--diffusivity": told.diffusivity or release.d, "--lifetime": told.lifetime or release.tau,
+        "--seed": derived_seed(script.seed, "estimator"), "--sysid": mission.instance + 1,
+    }  # fmt: skip
+    priors = [word for name, prior in told.prior.items() for word in ("--prior", f"{name}={prior}" if prior else name)]
+    return [*_words(flags), *priors]
+
+
+def agent_arguments(mission: Mission) -> list[str]:
+    """Return the agent's flags."""
+    script, agent = mission.script, mission.script.agent
+    flags = {
+        "--policy": None if agent.policy == "none" else agent.policy, "--budget": script.budget, "--headings": agent.headings,
+        "--step": agent.step_m, "--measurements": agent.measurements, "--seed": derived_seed(script.seed, "agent"),
+        "--sysid": mission.instance + 1,
+    }  # fmt: skip
+    scripted = script.scripted()
+    starts = [step for step in scripted if step - 1 not in scripted]
+    paths = [_path(scripted, step) for step in sorted(starts)]
+    return [*_words(flags), *(word for path in paths for word in ("--waypoints", path))]
+
+
+def _path(scripted: Mapping[int, tuple[float, float]], start: int) -> str:
+    """Write the waypoints from a step on, up to the first gap, as the agent's --waypoints takes them."""
+    points = [scripted[step] for step in itertools.takewhile(scripted.__contains__, itertools.count(start))]
+    return f"{start}:" + ";".join(f"{x!r},{y!r}" for x, y in points)
+
+
+def _words(flags: Mapping[str, Any]) -> list[str]:
+    return [word for flag, value in flags.items() if value is not None for word in (flag, str(value))]
+
+
+class _Watch:
+    """Watches one mission until its end."""
+
+    def __init__(self, mission: Mission, bus: Bus, progress: Progress, disturbances: Disturbances) -> None:
+        self._mission = mission
+        self._script = mission.script
+        self._bus = bus
+        self._progress = progress
+        self._disturbances = disturbances
+        self._trace: dict[int, TracePoint] = {}
+        self._compute: dict[str, Health] = {}
+        self._last: Belief | None = None
+        self._distance_m = 0.0
+        self._last_words: dict[str, str] = {}
+        self._warned = False
+        self._landed = False
+        self._position = (math.nan, math.nan)
+
+    def until_the_end(self, endpoint: str) -> Flown:
+        """Watch; returns what came of it."""
+        script = self._script
+        while not self._over:
+            self._take(self._bus.receive(self._disturbances.wait_s()), endpoint)
+            if self._last:
+                self._disturbances.reached(self._last.step, self._last.time_boot_ms / 1000)
+            if self._landed:
+                break
+        if self._last is None or (self._landed and not self._over and not script.expectations):
+            words = self._last_words.get("uav", "none")
+            raise MissionFailed(f"the uav has landed before the search was over; its last words: {words}")
+        if {"returned home", "landed"} & set(script.expectations):
+            self._await_landing(call_home="returned home" in script.expectations)
+        return self._flown(self._last)
+
+    @property
+    def _over(self) -> bool:
+        """Whether the search is over, and the last compute times, which come just behind the last belief, are in."""
+        last, compute = self._last, self._compute
+        if last is None or not (last.ceased or last.step >= self._script.budget):
+            return False
         wanted = {"estimator": last.step, "agent": last.step - 1}
-        if all(service in compute and compute[service].step >= step for service, step in wanted.items()):
-            break
-    assert last is not None
-    points = [trace[step] for step in sorted(trace)]
-    if len(points) != last.step + 1:
-        raise MissionFailed(f"{last.step + 1 - len(points)} of {last.step + 1} beliefs were not received: the trace has gaps")
-    search_time_s = compute["estimator"].compute_s + compute["agent"].compute_s
-    return outcome(mission.seed, mission.policy, scenario, points, last.ceased, search_time_s), points
+        return all(service in compute and compute[service].step >= step for service, step in wanted.items())
 
-
-def _messages(bus: Bus) -> Iterator[Belief | Health | Said]:
-    """What comes from the bus and from the parts; the end of a part ends the mission."""
-    while True:
-        item = bus.receive()
+    def _take(self, item: Any, endpoint: str) -> None:
         match item:
+            case Ended(part="recorder"):
+                self._progress.say(f"warning: the record has ended: {item.last_words}")
             case Ended():
                 _raise_for(item)
-            case Said():
-                yield item
+            case Said(part, line):
+                self._last_words[part] = line
+                if "warning:" in line or "Script: " in line:
+                    self._progress.say(line)
             case Arrival(key) if key is BELIEF:
-                if belief := bus.decode(item, Belief):
-                    yield belief
+                if (belief := self._bus.decode(item, Belief)) and belief.step not in self._trace:
+                    self._follow(belief, endpoint)
             case Arrival(key) if key is HEALTH:
-                if health := bus.decode(item, Health):
-                    yield health
+                if health := self._bus.decode(item, Health):
+                    self._compute[health.service] = health
+                    self._warned = self._warned or bool(health.service == "estimator" and health.warnings)
+                    self._landed = self._landed or health.state == "landed"
+            case Arrival(key, payload) if key is MAVLINK_OUT:
+                for message in _frames(payload):
+                    if message.get_type() == "LOCAL_POSITION_NED":
+                        self._position = (message.y, message.x)
+
+    def _follow(self, belief: Belief, endpoint: str) -> None:
+        script = self._script
+        if self._last is None:
+            title = f" {script.about}," if script.about else ""
+            self._progress.say(
+                f"mission:{title} seed {script.seed}, {script.agent.policy}, speed-up {script.speedup:g}, router at {endpoint}"
+            )
+        else:
+            self._distance_m += math.dist(self._last.position, belief.position)
+        self._last = belief
+        self._trace[belief.step] = TracePoint(belief.position, belief.gas, belief.mean, belief.spread)
+        self._progress.show(belief, self._distance_m)
+
+    def _await_landing(self, *, call_home: bool) -> None:
+        """Wait until it has landed, and where; as an operator calls it home first, again each second until it is on its way."""
+        self._bus.subscribe(MAVLINK_OUT)
+        codec = Codec(*OPERATOR)
+        while not self._landed or math.isnan(self._position[0]):
+            state = self._compute["uav"].state if "uav" in self._compute else ""
+            if call_home and state == "searching":
+                self._bus.publish(MAVLINK_IN, codec.pack(command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)))
+            self._take(self._bus.receive(CALL_EVERY_S), "")
+
+    def _flown(self, last: Belief) -> Flown:
+        script = self._script
+        points = [self._trace[step] for step in sorted(self._trace)]
+        if len(points) != last.step + 1:
+            raise MissionFailed(f"{last.step + 1 - len(points)} of {last.step + 1} beliefs were not received: the trace has gaps")
+        for number, event in enumerate(script.events):
+            if event.step is not None and event.step > last.step:
+                self._progress.say(f"warning: events[{number}] of step {event.step} did not happen: the search ended at step {last.step}")
+        search_time_s = sum(self._compute[service].compute_s for service in ("estimator", "agent") if service in self._compute)
+        result = outcome(script.seed, script.agent.policy, script.release(), points, last.ceased, search_time_s)
+        so = {
+            "ceased": result.ceased, "not ceased": not result.ceased, "located": result.located, "not located": not result.located,
+            "false stop": result.ceased and not result.located, "warned": self._warned, "landed": self._landed,
+            "returned home": self._landed and math.hypot(*self._position) < AT_HOME_M,
+        }  # fmt: skip
+        return Flown(result, points, {expected: so[expected] for expected in script.expectations})
+
+
+def _frames(payload: bytes) -> list[Message]:
+    try:
+        return unpack(payload)
+    except BadFrame:
+        return []
 
 
 def _first_end(inbox: "queue.SimpleQueue[Any]") -> Ended:
@@ -158,16 +288,18 @@ def _raise_for(ended: Ended) -> None:
     raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
 
 
-def write_summary(mission: Mission, result: Outcome, trace: Sequence[TracePoint], folder: Path) -> Path:
-    """Write a mission's outcome, trace and how it was flown to a new file in a folder."""
-    now = datetime.now(UTC)
+def run_name(script: Script) -> str:
+    """Return a name for a run's files that no other run has."""
+    return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{Path(script.agent.policy).stem}-seed{script.seed}-{os.getpid()}"
+
+
+def write_summary(script: Script, flown: Flown, path: Path) -> None:
+    """Write a mission's outcome, trace and how it was flown to a file."""
     summary = {
-        "flown_at": now.isoformat(timespec="seconds"),
+        "flown_at": datetime.now(UTC).isoformat(timespec="seconds"),
         "plumeward": __version__,
-        "mission": mission._asdict(),
-        "outcome": json.loads(outcome_json(result, trace)),
+        "mission": msgspec.to_builtins(script),
+        "outcome": json.loads(flown.json(with_trace=True)),
     }
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{now:%Y%m%d-%H%M%S}-{Path(mission.policy).stem}-seed{mission.seed}-{os.getpid()}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(summary, indent=1) + "\n")
-    return path

@@ -59,6 +59,8 @@ class Processes:
         """Start with none."""
         self._inbox = inbox
         self._children: dict[str, subprocess.Popen[str]] = {}
+        self._commands: dict[str, tuple[str, ...]] = {}
+        self._killed: list[subprocess.Popen[str]] = []
         self._threads: list[threading.Thread] = []
 
     def start(self, part: str, module: str, *arguments: str) -> IO[str]:
@@ -73,11 +75,27 @@ class Processes:
                 preexec_fn=_die_with_the_launcher,
             )
             self._children[part] = child
+            self._commands[part] = (module, *arguments)
             thread = threading.Thread(target=self._watch, args=(part, child), daemon=True)
             thread.start()
             self._threads.append(thread)
         assert child.stdout is not None
         return child.stdout
+
+    def kill(self, part: str) -> None:
+        """Kill a part on purpose: its end does not go into the inbox."""
+        child = self._children[part]
+        self._killed.append(child)
+        child.kill()
+        child.wait()
+
+    def restart(self, part: str) -> None:
+        """Start a part that was killed again, as it was started first or as `start_again_as` says."""
+        self.start(part, *self._commands[part])
+
+    def start_again_as(self, part: str, module: str, *arguments: str) -> None:
+        """Say how to start a part again."""
+        self._commands[part] = (module, *arguments)
 
     def _watch(self, part: str, child: "subprocess.Popen[str]") -> None:
         assert child.stderr is not None
@@ -86,7 +104,9 @@ class Processes:
             if line.strip():
                 words.append(line.strip())
                 self._inbox.put(Said(part, line.strip()))
-        self._inbox.put(Ended(part, child.wait(), words[-1] if words else "no last words"))
+        status = child.wait()
+        if child not in self._killed:
+            self._inbox.put(Ended(part, status, words[-1] if words else "no last words"))
 
     def stop(self) -> None:
         """End all of them, kindly first; afterwards none is left, however often Ctrl-C is pressed meanwhile."""
@@ -107,7 +127,7 @@ class Processes:
                 child.wait()
         for thread in self._threads:
             thread.join()
-        for child in self._children.values():
+        for child in (*self._killed, *self._children.values()):
             if child.stdout:
                 child.stdout.close()
             if child.stderr:

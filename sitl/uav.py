@@ -1,9 +1,13 @@
 """The UAV service: flies, measures, and speaks MAVLink on the bus and over UDP."""
 
+import math
 import queue
 import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
+
+import msgspec
+from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.keys import MAVLINK_IN, MAVLINK_OUT, READING, STOP
@@ -12,8 +16,12 @@ from link.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack
 from link.messages import Stop
 from plume.world import World
 from sitl.clock import Clock
+from sitl.faults import FaultyRadio, FaultySensor
+from sitl.operator import OPERATOR, change_mode, command, setpoint
 from sitl.protocol import COMPONENT, MavlinkProtocol
+from sitl.script import Abort, Delay, Dropout, Duplicate, Lose, OnBoard, Pause, Resume, Spike, Stuck, Wind
 from sitl.telemetry import Snapshot, Telemetry
+from sitl.timeline import Timeline
 from sitl.udp import UdpLink
 from sitl.vehicle import Arrived, Mode, Result, Vehicle, VehicleConfig
 
@@ -21,6 +29,8 @@ SEARCHERS = {"estimator", "agent"}
 """The search begins when these services are there."""
 RESEND_FIRST_S, RESEND_LAST_S = 0.25, 2.0
 """Real time after which an unanswered reading is sent again; doubled each time."""
+TRY_AGAIN_S = 1.0
+"""Simulation time after which a silent sensor is asked again."""
 
 
 class Link(Protocol):
@@ -68,8 +78,9 @@ class Uav:
         inbox: "queue.SimpleQueue[Any]",
         bus: Bus | None,
         outs: Sequence[str],
+        events: Sequence[OnBoard] = (),
     ) -> None:
-        """Join the links; raises ValueError for a UDP URL that cannot be used."""
+        """Join the links; raises ValueError for a UDP URL that cannot be used. `events` are what a script has happen on board."""
         self._vehicle = Vehicle(config)
         self._protocol = MavlinkProtocol(self._vehicle)
         self._world = world
@@ -77,6 +88,10 @@ class Uav:
         self._inbox = inbox
         self._bus = bus
         self._log = bus.log if bus else Log("uav")
+        self._timeline = Timeline(events)
+        self._after_pause_s = [event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None]
+        self._sensor = FaultySensor()
+        self._radio = FaultyRadio(self._publish_reading)
         self._gas: float | None = None
         self._last_reading = b""
         self._last_time_boot_ms = -1
@@ -110,13 +125,8 @@ class Uav:
         try:
             while True:
                 busy_since = time.perf_counter()
-                self._clock.jump(self._vehicle.moving, self._vehicle.next_event_s())
-                for event in self._vehicle.advance(self._clock.now_s()):
-                    if isinstance(event, Arrived):
-                        self._sample(event)
-                    else:
-                        self._log.info(event.text)
-                        self._broadcast(self._protocol.statustext(event.severity, event.text))
+                self._clock.jump(self._busy, self._next_event_s())
+                self._live_until(self._clock.now_s())
                 self._go_on_with_the_search()
                 self._resend()
                 for port in self._ports:
@@ -129,15 +139,42 @@ class Uav:
             for link in self._udp:
                 link.close()
 
+    # ---- time ----
+
+    def _next_event_s(self) -> float | None:
+        """When the next thing happens to the vehicle or by the script, if no message comes."""
+        return min((at for at in (self._vehicle.next_event_s(), self._timeline.next_s()) if at is not None), default=None)
+
+    @property
+    def _busy(self) -> bool:
+        """Whether nobody is waited for: at speed-up 0 time may then leap to the next event."""
+        return self._vehicle.moving or (self._state == "searching" and self._timeline.next_s() is not None and not self._must_resend)
+
+    def _live_until(self, now_s: float) -> None:
+        """Let time pass, and each event of the script happen at its very own."""
+        while (at := self._timeline.next_s()) is not None and at <= now_s:
+            self._let_pass(max(at, self._vehicle.now_s))
+            if (at := self._timeline.next_s()) is not None and at <= self._vehicle.now_s:
+                self._perform(self._timeline.pop())
+        self._let_pass(now_s)
+
+    def _let_pass(self, now_s: float) -> None:
+        for event in self._vehicle.advance(now_s):
+            if isinstance(event, Arrived):
+                self._sample(event)
+            else:
+                self._log.info(event.text)
+                self._broadcast(self._protocol.statustext(event.severity, event.text))
+
     def _receive(self) -> Any:
-        next_event_s = self._vehicle.next_event_s()
-        if self._vehicle.moving and not self._clock.speedup:
+        next_event_s = self._next_event_s()
+        if self._busy and not self._clock.speedup:
             timeout_s = 0.0
         else:
             next_stream_s = min(port.telemetry.next_due_s() for port in self._ports)
             timeout_s = self._clock.wait_s(next_event_s, next_stream_s)
-            if self._must_resend:
-                timeout_s = min(timeout_s, max(self._resend_at - time.monotonic(), 0.0))
+            real_s = min(self._radio.next_s(), self._resend_at if self._must_resend else math.inf)
+            timeout_s = min(timeout_s, max(real_s - time.monotonic(), 0.0))
         try:
             return self._inbox.get(timeout=min(timeout_s, SIGNAL_POLL_S))  # a client may have turned all streams off
         except queue.Empty:
@@ -209,19 +246,34 @@ class Uav:
 
     def _sample(self, arrived: Arrived) -> None:
         """Take one reading where the vehicle came to rest, and publish it."""
+        for event in self._timeline.before(self._readings):
+            self._perform(event)
         north, east, down = arrived.position
-        self._last_time_boot_ms = max(round(arrived.time_s * 1000), self._last_time_boot_ms + 1)
-        self._gas = self._world.gas((east, north), self._readings)
-        reading = Reading(self._last_time_boot_ms, (east, north), -down, self._world.wind, self._gas)
-        self._vehicle.sampled(reading.time_boot_ms)
-        self._last_reading = pack_reading(self._codec, reading)
+        self._last_time_boot_ms = max(round(self._vehicle.now_s * 1000), self._last_time_boot_ms + 1)
+        silent = self._sensor.silent(self._vehicle.now_s)
+        gas = math.nan if silent else self._sensor.read(self._world.gas((east, north), self._readings))
+        reading = pack_reading(self._codec, Reading(self._last_time_boot_ms, (east, north), -down, self._world.wind, gas))
+        if silent:
+            self._publish_reading(reading)
+            self._timeline.schedule(self._vehicle.now_s + TRY_AGAIN_S, arrived)
+            return
+        self._gas = gas
+        self._vehicle.sampled(self._last_time_boot_ms)
+        self._last_reading = reading
+        self._radio.new_reading()
+        self._radio.send(reading, time.monotonic())
         if self._bus:
-            self._bus.publish(READING, self._last_reading)
             self._bus.tally.step = self._readings
             self._bus.publish_health()
         self._readings += 1
         self._resend_s = RESEND_FIRST_S
         self._resend_at = time.monotonic() + self._resend_s
+        for event in self._timeline.after(self._readings - 1):
+            self._perform(event)
+
+    def _publish_reading(self, reading: bytes) -> None:
+        if self._bus:
+            self._bus.publish(READING, reading)
 
     @property
     def _must_resend(self) -> bool:
@@ -229,10 +281,54 @@ class Uav:
 
     def _resend(self) -> None:
         """Send an unanswered reading again: whichever message of the round trip was lost, this one has it said once more."""
-        if self._bus and self._must_resend and time.monotonic() >= self._resend_at:
-            self._bus.publish(READING, self._last_reading)
+        now_s = time.monotonic()
+        self._radio.deliver(now_s)
+        if self._must_resend and now_s >= self._resend_at:
+            self._radio.send(self._last_reading, now_s)
             self._resend_s = min(2 * self._resend_s, RESEND_LAST_S)
-            self._resend_at = time.monotonic() + self._resend_s
+            self._resend_at = now_s + self._resend_s
+
+    # ---- the script ----
+
+    def _perform(self, event: OnBoard | Arrived) -> None:
+        """Have an event of the script happen now."""
+        if isinstance(event, Arrived):
+            if self._vehicle.state(self._vehicle.now_s).mode is Mode.OFFBOARD and not self._vehicle.moving:
+                self._sample(event)
+            return
+        words = " ".join(f"{name} {value}" for name, value in msgspec.structs.asdict(event).items() if value is not None)
+        text = f"Script: {event.__struct_config__.tag} {words}"
+        self._log.info(text)
+        self._broadcast(self._protocol.statustext(mavlink.MAV_SEVERITY_INFO, text))
+        match event:
+            case Wind(u=u, phi=phi):
+                scenario = self._world.scenario
+                turned = {"u": scenario.u if u is None else u, "phi": scenario.phi if phi is None else phi}
+                self._world = World(msgspec.structs.replace(scenario, **turned), self._world.seed, self._world.sensor)
+            case Dropout() | Stuck() | Spike():
+                self._sensor.begin(event, self._vehicle.now_s)
+            case Delay() | Duplicate() | Lose():
+                self._radio.begin(event)
+            case Pause():
+                self._operate(change_mode(Mode.HOLD))
+                for after_s in self._after_pause_s[:1]:
+                    self._timeline.schedule(self._vehicle.now_s + after_s, Resume(time_s=self._vehicle.now_s + after_s))
+                del self._after_pause_s[:1]
+            case Resume():
+                # A pause may outlast the time that a setpoint is good for.
+                if self._vehicle.waypoint:
+                    self._operate(setpoint(self._vehicle.waypoint))
+                self._operate(change_mode(Mode.OFFBOARD))
+            case Abort():
+                self._operate(command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH))
+
+    def _operate(self, message: Message) -> None:
+        """Take a message of the script's operator, as if it had come over a link."""
+        message.pack(mavlink.MAVLink(None, *OPERATOR))
+        answers = self._protocol.receive(message, self._vehicle.now_s)
+        for text in (answer.text for answer in answers if answer.get_type() == "STATUSTEXT"):
+            self._log.warn(text)
+        self._broadcast(answers)
 
     def _broadcast(self, messages: Sequence[Message]) -> None:
         for port in self._ports:

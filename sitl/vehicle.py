@@ -428,6 +428,11 @@ class Vehicle:
         self._newest, self._answered = time_boot_ms, False
 
     @property
+    def waypoint(self) -> Vector | None:
+        """The setpoint that was taken last."""
+        return self._setpoint
+
+    @property
     def awaiting_answer(self) -> bool:
         """Whether the newest reading has not been answered."""
         return not self._answered

@@ -56,6 +56,7 @@ def test_the_services_get_neither_the_missions_seed_nor_its_source(monkeypatch: 
     from plume.scenario import draw
     from sitl.launcher import Mission, start_parts
     from sitl.processes import Processes
+    from sitl.script import Script
 
     started: dict[str, tuple[str, ...]] = {}
 
@@ -69,7 +70,8 @@ def test_the_services_get_neither_the_missions_seed_nor_its_source(monkeypatch: 
 
     monkeypatch.setattr(Processes, "start", start)
     scenario = draw(123456)
-    start_parts(Processes(queue.SimpleQueue()), Mission(123456, "infotaxis", 1000, 0.5, 300, 0.0, 0, "tcp/127.0.0.1:0"), scenario)
+    mission = Mission(Script(seed=123456), uav_arguments=("--seed", "123456"), record=Path("record.mcap"))
+    start_parts(Processes(queue.SimpleQueue()), mission, {})
     secrets = {"123456", *map(repr, scenario.source)}
     assert "123456" in started["uav"]
     for part in ("estimator", "agent"):
