@@ -175,25 +175,35 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     try:
         flown = fly(Mission(script, args.instance, args.listen, _handed_on(args, given), record))
     except KeyboardInterrupt:
+        _tell_record(record)
         print("interrupted", file=sys.stderr)
         raise
     except MissionFailed as failure:
-        print(f"error: {_in_script(str(failure), args, given) if failure.status == cli.BAD_INPUT else failure}", file=sys.stderr)
+        refused = failure.status == cli.BAD_INPUT
+        _tell_record(record, keep=not refused)
+        print(f"error: {_in_script(str(failure), args, given) if refused else failure}", file=sys.stderr)
         return failure.status
-    finally:
-        if record and record.exists():
-            print(f"record in {record}", file=sys.stderr)
     print(outcome_text(flown.outcome), file=sys.stderr)
     try:
         write_summary(script, flown, summary)
         print(f"summary in {summary}", file=sys.stderr)
     except OSError as error:
         print(f"warning: no summary written to runs/: {error.strerror}", file=sys.stderr)
+    _tell_record(record)
     for expectation, so in flown.expectations.items():
         print(f"expected {expectation}: {'yes' if so else 'NO'}", file=sys.stderr)
     if args.json:
         print(flown.json(with_trace=args.trace))
     return 0 if all(flown.expectations.values()) else cli.FAILED
+
+
+def _tell_record(record: Path | None, *, keep: bool = True) -> None:
+    """Say where the record is; of a mission that never began none is kept."""
+    if record and not keep:
+        for begun in (record, record.with_suffix(".tlog")):
+            begun.unlink(missing_ok=True)
+    elif record and record.exists():
+        print(f"record in {record}", file=sys.stderr)
 
 
 def _in_script(refusal: str, args: argparse.Namespace, given: argparse.Namespace) -> str:

@@ -33,13 +33,13 @@ Expectation = Literal["ceased", "not ceased", "located", "not located", "false s
 class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The gas release; what is left out is drawn by the seed."""
 
-    source: Annotated[Point | None, Meta(description="(x, y) m, x east, y north")] = None
+    source: Annotated[Point | None, Meta(description="(x, y) m, x east, y north, each from 0 to 30")] = None
     q: Annotated[Positive | None, Meta(description="release rate, a number above 0, g/s")] = None
     u: Annotated[Annotated[float, Meta(ge=0)] | None, Meta(description="wind speed, a number from 0, m/s")] = None
     phi: Annotated[Radians | None, Meta(description="direction the wind comes from, counter-clockwise from east, rad, -2π to 2π")] = None
     d: Annotated[Positive | None, Meta(description="effective diffusivity, a number above 0, m²/s")] = None
     tau: Annotated[Positive | None, Meta(description="lifetime of the gas, a number above 0, s")] = None
-    start: Annotated[Point | None, Meta(description="where the search begins: (x, y) m")] = None
+    start: Annotated[Point | None, Meta(description="where the search begins: (x, y) m, each from 0 to 30")] = None
     height: Annotated[float | None, Meta(description="of the source above the plane that is searched, m")] = None
 
 

@@ -28,7 +28,8 @@ def test_it_flies_to_a_stop_and_says_what_it_found(start, tmp_path: Path) -> Non
     assert result["error_m"] == pytest.approx(
         ((result["estimate"][0] - result["source"][0]) ** 2 + (result["estimate"][1] - result["source"][1]) ** 2) ** 0.5
     )
-    (summary,) = (tmp_path / "runs").iterdir()
+    assert sorted(path.suffix for path in (tmp_path / "runs").iterdir()) == [".json", ".mcap", ".tlog"]
+    (summary,) = (tmp_path / "runs").glob("*.json")
     written = json.loads(summary.read_text())
     assert written["outcome"]["estimate"] == result["estimate"]
     assert len(written["outcome"]["trace"]) == result["steps"] + 1
@@ -53,17 +54,26 @@ def test_a_part_that_dies_is_named_and_ends_the_mission(start, family, wait_unti
     assert nothing_is_left(pids)
 
 
+def test_a_recorder_that_dies_is_told_and_the_mission_goes_on(start, family, wait_until: Callable, tmp_path: Path) -> None:
+    mission = start("sitl", "fly", "--policy", "random", "--budget", "12", cwd=tmp_path)
+    wait_until(lambda: mission.says("step   0"))
+    os.kill(family(mission.process.pid)["record"], signal.SIGKILL)
+    assert mission.ended() == 0
+    assert mission.says("warning: the record has ended: ")
+    assert mission.says("not ceased within 12 steps")
+
+
 @pytest.mark.parametrize("hit", ["launcher", *PARTS])
 def test_ctrl_c_ends_all_of_it_whichever_process_it_hits(start, family, wait_until: Callable, tmp_path: Path, hit: str) -> None:
     mission = start(*LONG, cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
     pids = family(mission.process.pid)
-    assert sorted(pids) == sorted(PARTS)
+    assert sorted(pids) == sorted([*PARTS, "record"])
     port = int(next(line for line in mission.err if "router at" in line).rpartition(":")[2])
     os.kill(mission.process.pid if hit == "launcher" else pids[hit], signal.SIGINT)
     assert mission.ended(timeout_s=10) == 130
     assert nothing_is_left(pids)
-    assert not any(tmp_path.iterdir())
+    assert {path.suffix for path in (tmp_path / "runs").iterdir()} == {".mcap", ".tlog"}  # what was flown is not lost
     assert "Traceback" not in "".join(mission.err)
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
@@ -107,9 +117,18 @@ def test_an_unreachable_router_is_one_line_and_status_2(start, service: tuple[st
     assert ended.err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: python -m sitl router)\n"]
 
 
-def test_the_summary_folder_cannot_be_written_and_the_outcome_is_still_told(start, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_costs_summary_and_record_not_the_mission(start, tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("in the way")
     mission = start("sitl", "fly", "--budget", "2", "--speedup", "0", "--json", cwd=tmp_path)
     assert mission.ended() == 0
+    assert mission.says("warning: the record has ended: ")
     assert mission.says("warning: no summary written to runs/")
     assert json.loads(mission.out[-1])["steps"] == 2
+
+
+def test_without_a_record_there_is_none_and_a_chosen_place_is_kept_to(start, tmp_path: Path) -> None:
+    brief = ("sitl", "fly", "--budget", "2", "--speedup", "0")
+    assert start(*brief, "--no-record", cwd=tmp_path).ended() == 0
+    assert [path.suffix for path in (tmp_path / "runs").iterdir()] == [".json"]
+    assert start(*brief, "--record", "mine/flight.mcap", cwd=tmp_path).ended() == 0
+    assert sorted(path.name for path in (tmp_path / "mine").iterdir()) == ["flight.mcap", "flight.tlog"]

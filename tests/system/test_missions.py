@@ -1,0 +1,124 @@
+"""Protects mission scripts end to end: every mission of ours does what it says, and events do what they promise and nothing else."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.rollout import rollout
+from plume.randomness import keyed
+from plume.scenario import draw
+from plume.sensor import GAUSSIAN
+
+MISSIONS = Path(__file__).parents[2] / "missions"
+UNDISTURBED = ("bad-radio", "crashing-services", "link-cut", "operator-pause", "router-restart", "sensor-dropout")
+"""Missions of seed 2 whose events cost time and nothing else."""
+
+
+def flown(start, folder: Path, mission: Path | str, *flags: str) -> tuple[int, dict, list[str]]:
+    part = start("sitl", "fly", str(mission), "--speedup", "0", "--json", "--trace", *flags, cwd=folder)
+    status = part.ended(timeout_s=100)
+    return status, json.loads(part.out[-1]) if part.out else {}, part.err
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "mission.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def undisturbed() -> list[dict]:
+    """The trace of seed 2 in-process."""
+    return [
+        {"position": list(point.position), "reading": point.reading, "mean": list(point.mean), "spread": point.spread}
+        for point in rollout(2, "infotaxis")[1]
+    ]
+
+
+@pytest.mark.parametrize("mission", sorted(path.stem for path in MISSIONS.glob("*.yaml")))
+def test_every_mission_of_ours_meets_what_it_expects(start, tmp_path: Path, undisturbed: list[dict], mission: str) -> None:
+    status, result, said = flown(start, tmp_path, MISSIONS / f"{mission}.yaml")
+    assert status == 0, said
+    assert result["expectations"]
+    assert all(result["expectations"].values())
+    assert not [line for line in said if "did not happen" in line]
+    if mission in UNDISTURBED:
+        assert result["trace"] == undisturbed
+
+
+def test_an_expectation_that_does_not_hold_is_told_and_is_status_1(start, tmp_path: Path) -> None:
+    script = "agent: {policy: random, budget: 3}\nexpect: [not ceased, located]\n"
+    status, result, said = flown(start, tmp_path, written(tmp_path, script))
+    assert status == 1
+    assert result["expectations"] == {"not ceased": True, "located": False}
+    assert said[-2:] == ["expected not ceased: yes\n", "expected located: NO\n"]
+
+
+def test_flags_beside_a_script_win(start, tmp_path: Path) -> None:
+    path = written(tmp_path, "seed: 5\nagent: {policy: random, budget: 7}\nestimator: {particles: 50}\n")
+    _, result, _ = flown(start, tmp_path, path, "--seed", "6", "--budget", "4")
+    assert (result["seed"], result["policy"], result["steps"]) == (6, "random", 4)
+    in_process = rollout(6, "random", particles=50, budget=4)[1]
+    assert [point["mean"] for point in result["trace"]] == [list(point.mean) for point in in_process]
+
+
+def test_the_wind_turns_with_the_reading_that_it_says_and_the_plume_with_it(start, tmp_path: Path) -> None:
+    path = written(tmp_path, "seed: 9\nagent: {policy: random, budget: 6}\nevents: [{step: 3, do: wind, u: 3.5, phi: 1.0}]\n")
+    _, result, _ = flown(start, tmp_path, path)
+    release = draw(9)
+    for step, point in enumerate(result["trace"]):
+        u, phi = (release.u, release.phi) if step < 3 else (3.5, 1.0)
+        # The paper's equation once more, with numbers: gas lies downwind of where the wind comes from.
+        dx, dy = point["position"][0] - release.source[0], point["position"][1] - release.source[1]
+        r = max(math.hypot(dx, dy), 0.1)
+        decay = math.sqrt(release.d * release.tau / (1 + u * u * release.tau / (4 * release.d)))
+        psi = -(dx * u * math.cos(phi) + dy * u * math.sin(phi)) / (2 * release.d)
+        mean = release.q / (4 * math.pi * release.d * r) * math.exp(-r / decay + psi)
+        assert point["reading"] == pytest.approx(float(GAUSSIAN.measure(mean, keyed(9, "sensor", step))), rel=1e-5)
+
+
+def test_scripted_waypoints_are_flown_and_then_the_agent_goes_on(start, tmp_path: Path) -> None:
+    points = [[4.25, 5.5], [6.75, 5.5], [6.1, 8.3]]
+    path = written(
+        tmp_path, f"seed: 9\nagent: {{policy: random, budget: 6}}\nevents: [{{step: 1, do: waypoints, points: {json.dumps(points)}}}]\n"
+    )
+    _, result, _ = flown(start, tmp_path, path)
+    positions = [point["position"] for point in result["trace"]]
+    assert positions[2:5] == [[float(np.float32(value)) for value in point] for point in points]
+    for before, after in ((positions[0], positions[1]), (positions[4], positions[5])):
+        assert math.dist(before, after) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_scenario_that_is_given_is_the_one_that_is_flown(start, tmp_path: Path) -> None:
+    given = "{source: [20.5, 11.25], q: 200, u: 2, phi: 0.5, d: 3, tau: 12, start: [1.5, 2.5]}"
+    _, result, _ = flown(start, tmp_path, written(tmp_path, f"scenario: {given}\nagent: {{budget: 2}}\n"))
+    assert result["source"] == [20.5, 11.25]
+    assert result["scenario"] == {"q": 200, "u": 2, "phi": 0.5, "d": 3, "tau": 12, "start": [1.5, 2.5]}
+    assert result["trace"][0]["position"] == [1.5, 2.5]
+
+
+def test_an_event_that_comes_too_late_is_told(start, tmp_path: Path) -> None:
+    path = written(tmp_path, "agent: {policy: random, budget: 2}\nevents: [{step: 5, do: spike, gas: 1}]\n")
+    status, _, said = flown(start, tmp_path, path)
+    assert status == 0
+    assert "warning: events[0] of step 5 did not happen: the search ended at step 2\n" in said
+
+
+@pytest.mark.parametrize(
+    ("script", "told"),
+    [
+        ("sead: 3\n", "1: sead: there is no such field; allowed: "),
+        ("seed: 3\nagent:\n  policy: foo\n", "3: agent.policy: 'foo' is not allowed; wanted infotaxis, "),
+        ("estimator:\n  particles: 50\n  prior: {q: 'gama:2,3'}\n", "3: estimator.prior: 'q=gama:2,3' is not allowed; wanted "),
+        ("estimator:\n  stop_on: luck\n", "2: estimator.stop_on: 'luck' is not allowed; wanted "),
+    ],
+)
+def test_a_bad_script_is_one_line_and_status_2_and_leaves_nothing(start, tmp_path: Path, script: str, told: str) -> None:
+    path = written(tmp_path, script)
+    status, _, said = flown(start, tmp_path, path)
+    assert status == 2
+    assert said[-1].startswith(f"error: {path}:{told}")
+    assert [file for file in tmp_path.rglob("*") if file.is_file()] == [path]
