@@ -6,6 +6,7 @@ from estimator.options import add_sensor_argument, knowledge
 from link import cli
 from link.bus import Bus
 from plume.randomness import MAX_SEED
+from plume.scenario import AREA_M
 
 
 def main() -> None:
@@ -19,17 +20,21 @@ def main() -> None:
     parser.add_argument("--rate", type=positive, default=300.0, metavar="Q", help="release rate q (default: %(default)s g/s)")
     parser.add_argument("--diffusivity", type=positive, default=4.5, metavar="D", help="diffusivity d (default: %(default)s m²/s)")
     parser.add_argument("--lifetime", type=positive, default=10.0, metavar="TAU", help="lifetime τ of the gas (default: %(default)s s)")
+    parser.add_argument(
+        "--area", type=cli.number(0, 100_000, above=True), default=AREA_M, metavar="M",
+        help="side of the square search area, whose corner is home (default: %(default)g m)",
+    )  # fmt: skip
     parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="MAVLink system id of the vehicle (default: %(default)s)")
     args = parser.parse_args()
     try:
-        known = knowledge(args)
+        known = knowledge(args, args.area)
     except ValueError as error:
         parser.error(str(error))
 
     from estimator.filter import Config  # compiles or loads the kernels: after the command line is known to be good
     from estimator.service import run
 
-    config = Config(args.particles, args.threshold, args.seed, args.rate, args.diffusivity, args.lifetime, **known)
+    config = Config(args.particles, args.threshold, args.seed, args.rate, args.diffusivity, args.lifetime, args.area, **known)
     with Bus("estimator", args.connect, args.namespace) as bus:
         run(bus, config, args.sysid)
 

@@ -18,14 +18,14 @@ def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def knowledge(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the fields of `Config` that the flags --prior, --stop-on and --sensor give; raises ValueError with what is allowed."""
+def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any]:
+    """Return the fields of `Config` that --prior, in an area, --stop-on and --sensor give; raises ValueError with what is allowed."""
     priors: dict[str, Prior] = {}
     for text in args.prior:
         try:
             name, prior = parse(text)
             if not isinstance(prior, Fixed):
-                support(name, prior, AREA_M)
+                support(name, prior, area_m)
         except ValueError as error:
             raise ValueError(f"--prior: {error}") from None
         priors[name] = prior
