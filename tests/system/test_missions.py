@@ -2,12 +2,17 @@
 
 import json
 import math
+from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from agent.rollout import rollout
+from link.mavlink import Reading
+from link.record import read
 from plume.randomness import keyed
 from plume.scenario import draw
 from plume.sensor import GAUSSIAN
@@ -98,6 +103,44 @@ def test_a_scenario_that_is_given_is_the_one_that_is_flown(start, tmp_path: Path
     assert result["source"] == [20.5, 11.25]
     assert result["scenario"] == {"q": 200, "u": 2, "phi": 0.5, "d": 3, "tau": 12, "start": [1.5, 2.5]}
     assert result["trace"][0]["position"] == [1.5, 2.5]
+
+
+def recorded_readings(folder: Path) -> list[Reading]:
+    """The readings of the only record, repeats included."""
+    (path,) = (folder / "runs").glob("*.mcap")
+    return [unpack(entry.payload) for entry in read(path).entries if entry.key == "reading"]
+
+
+def unpack(payload: bytes) -> Reading:
+    """What a reading says, also one without a value."""
+    position, wind, gas = mavlink.MAVLink(None).parse_buffer(payload)
+    return Reading(position.time_boot_ms, (position.y, position.x), -position.z, (-wind.wind_y, -wind.wind_x), gas.value)
+
+
+def test_a_pause_takes_as_long_as_it_says(start, tmp_path: Path) -> None:
+    events = "[{step: 2, do: pause}, {after_s: 45, do: resume}]"
+    flown(start, tmp_path, written(tmp_path, f"agent: {{policy: random, budget: 5}}\nevents: {events}\n"))
+    times = sorted({reading.time_boot_ms for reading in recorded_readings(tmp_path)})
+    legs = [after - before for before, after in pairwise(times)]
+    leg_ms = 1000 * 2 * math.sqrt(1 / 3)  # a metre from rest to rest at 3 m/s²
+    assert legs == pytest.approx([leg_ms, leg_ms, leg_ms + 45_000, leg_ms, leg_ms], abs=2)
+
+
+def test_a_silent_sensor_says_nan_each_second_and_the_reading_comes_after_it(start, tmp_path: Path) -> None:
+    flown(start, tmp_path, written(tmp_path, "agent: {policy: random, budget: 2}\nevents: [{step: 1, do: dropout, for_s: 2.5}]\n"))
+    readings = sorted({reading.time_boot_ms: reading for reading in recorded_readings(tmp_path)}.items())
+    assert [math.isnan(reading.gas) for _, reading in readings] == [False, True, True, True, False, False]
+    assert [after - before for before, after in pairwise(time for time, _ in readings[1:5])] == [1000, 1000, 1000]
+    assert len({reading.position for _, reading in readings[1:5]}) == 1
+
+
+def test_doubled_readings_are_there_as_often_as_it_says(start, tmp_path: Path) -> None:
+    path = written(tmp_path, "agent: {policy: random, budget: 4}\nevents: [{step: 1, do: duplicate, readings: 2, copies: 3}]\n")
+    flown(start, tmp_path, path)
+    counted = Counter(reading.time_boot_ms for reading in recorded_readings(tmp_path))
+    counts = [counted[time] for time in sorted(counted)]
+    assert len(counts) == 5
+    assert [count % 4 == 0 for count in counts[1:3]] == [True, True]  # each time that it is sent: on a busy machine that may be twice
 
 
 def test_an_event_that_comes_too_late_is_told(start, tmp_path: Path) -> None:
