@@ -8,7 +8,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import msgspec
 import zenoh
@@ -39,12 +39,25 @@ class Arrival(NamedTuple):
     attachment: bytes
 
 
+class Stamped(NamedTuple):
+    """One message from the bus, with all that a record says of it."""
+
+    key: Key
+    payload: bytes
+    attachment: bytes
+    name: str
+    """The key that it was published on, within the namespace: of HEALTH it names the service."""
+    published_ns: int
+    """By the publisher's clock, or, where it has put no time to its message, by the router's; ns since the Unix epoch."""
+    received_ns: int
+
+
 class _Numbered(NamedTuple):
     """A message with its publisher's identity and count."""
 
     source: str
     number: int
-    arrival: Arrival
+    arrival: Arrival | Stamped
 
 
 class LivelinessChange(NamedTuple):
@@ -109,6 +122,7 @@ class Bus:
             "client",
             {"connect": [connect]},
             namespace=namespace,
+            timestamping__enabled=True,  # otherwise it is the router that says when a message was published
             connect__timeout_ms=int(CONNECT_TIMEOUT_S * 1000),
             # Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s.
             connect__retry={"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
@@ -124,7 +138,7 @@ class Bus:
         self._inbox: queue.SimpleQueue[Any] = inbox or queue.SimpleQueue()
         self._publishers: dict[str, Any] = {}
         self._subscribers: dict[str, Any] = {}
-        self._sequences: dict[str, Sequence[Arrival]] = {}
+        self._sequences: dict[str, Sequence[Arrival | Stamped]] = {}
         self._ready: deque[Any] = deque()
         self._started = time.monotonic()
         self._token = self._session.liveliness().declare_token(self._own_health())
@@ -176,7 +190,7 @@ class Bus:
         """Have what is published under a key, kept messages first, handed to a callback in the session's thread."""
 
         def received(sample: zenoh.Sample) -> None:
-            arrival = Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b"")
+            arrival = self._arrival(key, sample)
             if key.name in self._sequences and (info := sample.source_info) is not None:
                 arrived(_Numbered(str(info.source_id), info.source_sn, arrival))
             else:
@@ -194,6 +208,9 @@ class Bus:
         else:
             subscriber = self._session.declare_subscriber(name, received)
         self._subscribers[key.name] = subscriber
+
+    def _arrival(self, key: Key, sample: zenoh.Sample) -> Arrival | Stamped:
+        return Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b"")
 
     def watch_services(self) -> None:
         """Have the coming and going of services put into the inbox, beginning with those that are there."""
@@ -228,8 +245,11 @@ class Bus:
         now_s = time.monotonic()
         for name, sequence in self._sequences.items():
             if sequence.should_ask_again(now_s):
-                self._subscribers.pop(name).undeclare()  # a new subscriber is given the history anew
-                self.subscribe(next(key for key in KEYS if key.name == name))
+                if self._session.info.routers_zid():
+                    self._subscribers.pop(name).undeclare()  # a new subscriber is given the history anew
+                    self.subscribe(next(key for key in KEYS if key.name == name))
+                else:
+                    sequence.wait_on(now_s)
             missing, ready = sequence.given_up(now_s)
             if missing:
                 self.log.warn(f"{missing} messages of {name} are lost: nobody has kept them")
@@ -263,10 +283,20 @@ class Bus:
         self._token.undeclare()  # type: ignore[no-untyped-call]
         self._session.close()  # type: ignore[no-untyped-call]
 
-    def __enter__(self) -> "Bus":
+    def __enter__(self) -> Self:
         """Enter a with block, which closes the bus at its end."""
         return self
 
     def __exit__(self, *_: object) -> None:
         """Leave the bus."""
         self.close()
+
+
+class Tap(Bus):
+    """A place on the bus where what arrives is Stamped."""
+
+    def _arrival(self, key: Key, sample: zenoh.Sample) -> Stamped:
+        received_ns = time.time_ns()
+        published_ns = received_ns if sample.timestamp is None else sample.timestamp.get_time_as_ntp64().as_nanos()
+        attachment = sample.attachment.to_bytes() if sample.attachment else b""
+        return Stamped(key, sample.payload.to_bytes(), attachment, str(sample.key_expr), published_ns, received_ns)

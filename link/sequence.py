@@ -49,6 +49,11 @@ class Sequence(Generic[T]):
             state.ask_at_s = now_s + ASK_EVERY_S
         return bool(late)
 
+    def wait_on(self, now_s: float) -> None:
+        """Begin to wait anew: there is nobody to ask."""
+        for state in self._sources.values():
+            state.waiting_since_s = now_s
+
     def given_up(self, now_s: float) -> tuple[int, list[T]]:
         """Return how many messages have been missing for too long, and those that waited for them, in order."""
         missing, ready = 0, []

@@ -47,3 +47,11 @@ def test_what_nobody_has_kept_is_given_up_and_counted() -> None:
     assert sequence.given_up(10.0 + 0.9 * GIVE_UP_S) == (0, [])
     assert sequence.given_up(10.0 + GIVE_UP_S) == (6, ["m5", "m7"])
     assert sequence.arrived("uav", 8, "m8", 20.0) == ["m8"]
+
+
+def test_time_in_which_there_is_nobody_to_ask_does_not_count() -> None:
+    sequence: Sequence[str] = Sequence()
+    sequence.arrived("uav", 5, "m5", 10.0)
+    sequence.wait_on(10.0 + 0.9 * GIVE_UP_S)
+    assert sequence.given_up(10.0 + 1.8 * GIVE_UP_S) == (0, [])
+    assert sequence.given_up(10.0 + 1.9 * GIVE_UP_S) == (5, ["m5"])

@@ -1,19 +1,31 @@
 """Protects the loop against loss: whatever message is lost and whichever service dies, the mission goes on to the same bits."""
 
 import json
+import math
 import os
 import signal
+import socket
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
+import msgspec
 import pytest
 
-from agent.rollout import rollout
+from agent.rollout import Step, mission, rollout
+from estimator.belief import stop
+from estimator.filter import Config
+from link.bus import Arrival, Bus
+from link.keys import BELIEF, MAVLINK_IN, READING, STOP
+from link.mavlink import unpack, unpack_reading
+from link.messages import Belief, Stop, pack_particles
 from plume.randomness import derived_seed
-from plume.scenario import draw
+from plume.scenario import BUDGET_STEPS, draw
 from tests.system.stranger import Stranger, belief, messages
 
-SEED = 2
+SEED = 1
 SCENARIO = draw(SEED)
 ESTIMATOR = (
     "--rate", repr(SCENARIO.q), "--diffusivity", repr(SCENARIO.d), "--lifetime", repr(SCENARIO.tau),
@@ -107,3 +119,248 @@ def test_the_launcher_says_so_when_the_vehicle_gives_up(start, family, wait_unti
     assert (
         "error: the uav has landed before the search was over; its last words: uav: No setpoint for 20 s: returning home" in mission.err[-1]
     )
+
+
+LAST = 29
+"""The step at which infotaxis ceases in this mission. The filter resamples there, and at steps 11, 15, 23 and 27."""
+
+
+@cache
+def undisturbed_mission(policy: str, budget: int) -> tuple[Config, list[Step]]:
+    """What is said in the same mission in-process."""
+    flown = mission(SEED, policy, 1000, 0.5, budget)
+    return flown.config, list(flown.steps)
+
+
+class Viewer:
+    """Watches a mission: all that it is told must be what is said in an undisturbed one, to the last bit but for the vehicle's times."""
+
+    def __init__(self, router: str, policy: str = "infotaxis", budget: int = BUDGET_STEPS) -> None:
+        self._config, self._undisturbed = undisturbed_mission(policy, budget)
+        self._bus = Bus("viewer", router)
+        self._bus.subscribe(BELIEF, STOP, MAVLINK_IN, READING)
+        self.beliefs: dict[int, int] = {}
+        """time_boot_ms by step."""
+        self._readings: dict[int, bytes] = {}
+        """By time_boot_ms, as the next two."""
+        self._waypoints: dict[int, tuple[float, float]] = {}
+        self._stops: set[int] = set()
+
+    def __enter__(self) -> "Viewer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bus.close()
+
+    def watch_until(self, holds: Callable[[], object]) -> None:
+        deadline = time.monotonic() + 60.0
+        while not holds():
+            assert time.monotonic() < deadline, f"seen are beliefs {self.beliefs}, readings {list(self._readings)}, stops {self._stops}"
+            if arrival := self._bus.receive(timeout_s=0.05):
+                self._take(arrival)
+
+    def _take(self, arrival: Arrival) -> None:
+        if arrival.key is BELIEF:
+            said = msgspec.json.decode(arrival.payload, type=Belief)
+            assert self.beliefs.setdefault(said.step, said.time_boot_ms) == said.time_boot_ms
+            expected, cloud = self._undisturbed[said.step][:2]
+            assert arrival.payload == msgspec.json.encode(msgspec.structs.replace(expected, time_boot_ms=said.time_boot_ms))
+            assert arrival.attachment == pack_particles(cloud)
+        elif arrival.key is STOP:
+            time_boot_ms = msgspec.json.decode(arrival.payload, type=Stop).time_boot_ms
+            ceased = msgspec.structs.replace(self._undisturbed[-1].belief, time_boot_ms=time_boot_ms)
+            assert arrival.payload == msgspec.json.encode(stop(ceased, self._config))
+            self._stops.add(time_boot_ms)
+        elif arrival.key is READING:
+            time_boot_ms = unpack_reading(arrival.payload, 1).time_boot_ms
+            assert self._readings.setdefault(time_boot_ms, arrival.payload) == arrival.payload
+        else:
+            (answer,) = unpack(arrival.payload)
+            assert self._waypoints.setdefault(answer.time_boot_ms, (answer.y, answer.x)) == (answer.y, answer.x)
+
+    @property
+    def has_seen_the_end(self) -> bool:
+        """Whether the last belief has come, its reading, and the stop where there is one."""
+        last = self.beliefs.get(len(self._undisturbed) - 1)
+        return last in self._readings and bool(self._stops) == self._undisturbed[-1].belief.ceased
+
+    @property
+    def has_seen_all(self) -> bool:
+        """Whether each belief has come as well."""
+        return self.has_seen_the_end and len(self.beliefs) == len(self._undisturbed)
+
+    def check(self) -> None:
+        """Each reading was taken once and where it should be, each waypoint led there, and each belief is about its reading."""
+        taken = [unpack_reading(frames, 1) for frames in self._readings.values()]
+        assert [(reading.position, reading.gas) for reading in taken] == [(said.position, said.gas) for said, *_ in self._undisturbed]
+        times = [reading.time_boot_ms for reading in taken]
+        assert times == sorted(times)
+        assert self.beliefs == {step: times[step] for step in self.beliefs}
+        assert self._stops <= {times[-1]}
+        for answered, waypoint in self._waypoints.items():
+            assert waypoint == taken[times.index(answered) + 1].position
+
+
+def check_from_the_end(router: str, policy: str = "infotaxis", budget: int = BUDGET_STEPS) -> None:
+    """One that joins when all is over is told the last belief, the stop, and every reading."""
+    with Viewer(router, policy, budget) as late:
+        late.watch_until(lambda: late.has_seen_the_end)
+        late.check()
+
+
+def parts(router: str, speedup: int) -> dict[str, tuple[str, ...]]:
+    """The services of the mission as commands."""
+    return {
+        "uav": ("sitl", "uav", "-e", router, "--seed", str(SEED), "--speedup", str(speedup)),
+        "estimator": ("estimator", "-e", router, *ESTIMATOR),
+        "agent": ("agent", "-e", router, *AGENT),
+    }
+
+
+@pytest.mark.parametrize(
+    "deaths",
+    [
+        # The second life and the third end while they rebuild from the first reading.
+        pytest.param(["before:belief:0", "after:belief:0", "before:belief:0"], id="at the start"),
+        # Where it resamples, in the midst of rebuilding from that, where it resamples again, and in between.
+        pytest.param(["before:belief:11", "before:belief:4", "before:belief:15", "after:belief:21"], id="midway"),
+        pytest.param(["before:agdc/stop:0"], id="before the stop"),
+        # Whether the stop left the first of these or not, the second is about to say its belief.
+        pytest.param(["after:agdc/stop:0", f"before:belief:{LAST}"], id="between the stop and its belief"),
+        pytest.param([f"after:belief:{LAST}"], id="after the last belief"),
+    ],
+)
+def test_an_estimator_that_dies_at_any_step_goes_on_as_if_it_had_not(start, router: str, deaths: list[str]) -> None:
+    services = parts(router, speedup=0)
+    with Viewer(router) as viewer:  # from before the first belief on: it must see them all
+        start(*services["uav"])
+        start(*services["agent"])
+        for death in deaths:
+            assert start("tests.system.dies", "self", death, *services["estimator"]).ended() == -signal.SIGKILL
+        heir = start(*services["estimator"])
+        viewer.watch_until(lambda: viewer.has_seen_all and heir.says("ceased"))
+        viewer.check()
+        check_from_the_end(router)
+
+
+@pytest.mark.parametrize(
+    ("policy", "budget", "deaths"),
+    [
+        ("infotaxis", BUDGET_STEPS, ["before:mavlink/in:0", "after:mavlink/in:0", f"before:mavlink/in:{LAST - 1}"]),
+        ("thompson", BUDGET_STEPS, ["before:mavlink/in:5", "after:mavlink/in:6"]),
+        ("random", 12, ["after:mavlink/in:4", "before:mavlink/in:11"]),
+        ("ppo", BUDGET_STEPS, ["before:mavlink/in:7", "after:mavlink/in:18"]),
+    ],
+)
+def test_an_agent_that_dies_at_any_step_goes_on_as_if_it_had_not(start, router: str, policy: str, budget: int, deaths: list[str]) -> None:
+    services = parts(router, speedup=0)
+    agent = (*services["agent"], "--policy", policy, "--budget", str(budget))
+    with Viewer(router, policy, budget) as viewer:
+        start(*services["uav"])
+        start(*services["estimator"])
+        for death in deaths:
+            assert start("tests.system.dies", "self", death, *agent).ended() == -signal.SIGKILL
+        start(*agent)
+        viewer.watch_until(lambda: viewer.has_seen_all)
+        viewer.check()
+        check_from_the_end(router, policy, budget)
+
+
+def test_estimator_and_agent_may_die_in_the_same_round_trip(start, router: str) -> None:
+    services = parts(router, speedup=0)
+    with Viewer(router) as viewer:
+        start(*services["uav"])
+        estimator = start(*services["estimator"])
+        assert start("tests.system.dies", "self", "before:mavlink/in:11", *services["agent"]).ended() == -signal.SIGKILL
+        estimator.kill()
+        start(*services["estimator"])
+        start(*services["agent"])
+        viewer.watch_until(lambda: viewer.has_seen_all)
+        viewer.check()
+
+
+@pytest.fixture
+def listen(start, wait_until: Callable, tmp_path: Path) -> Callable:
+    """Start a router as a process, on the same port each time; the file `router` tells its id."""
+    # Below the ports that the system gives to connections: a client that tries to connect to one of those may meet itself.
+    ports = range(20_000 + os.getpid() % 10_000, 32_000)
+    endpoint = f"tcp/127.0.0.1:{next(filter(is_free, ports))}"
+
+    def listen():
+        router = start("sitl", "router", "--listen", endpoint)
+        (tmp_path / "router").write_text(str(router.process.pid))
+        wait_until(lambda: router.out)
+        return router
+
+    return listen
+
+
+def is_free(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) != 0
+
+
+@pytest.mark.parametrize(
+    ("service", "deaths"),
+    [
+        pytest.param("uav", ["after:health/<service>:-1", "before:reading:8"], id="before the search, a reading"),
+        pytest.param("agent", ["before:mavlink/in:5", "after:mavlink/in:12"], id="waypoints"),
+        pytest.param("estimator", ["before:belief:0", "after:belief:11", "before:agdc/stop:0"], id="beliefs, the stop"),
+        pytest.param("estimator", [f"before:belief:{LAST}"], id="between the stop and its belief"),
+        pytest.param("estimator", [f"after:belief:{LAST}"], id="after the last belief"),
+    ],
+)
+def test_a_mission_survives_its_router_whatever_the_cut_swallows(
+    start, listen: Callable, tmp_path: Path, service: str, deaths: list
+) -> None:
+    """A service kills the router at the very message that is not to come through, or has perhaps just not come through."""
+    router = listen()
+    endpoint = router.out[0].strip()
+    services = parts(endpoint, speedup=20)
+    services[service] = ("tests.system.dies", str(tmp_path / "router"), ",".join(deaths), *services[service])
+    with Viewer(endpoint) as viewer:
+        for command in services.values():
+            start(*command)
+        for _ in deaths:
+            assert router.ended() == -signal.SIGKILL
+            router = listen()
+        viewer.watch_until(lambda: viewer.has_seen_the_end)
+        viewer.check()
+        check_from_the_end(endpoint)
+
+
+def test_a_mission_survives_its_router_while_the_vehicle_is_moving(start, listen: Callable) -> None:
+    router = listen()
+    endpoint = router.out[0].strip()
+    with Viewer(endpoint) as viewer:
+        for command in parts(endpoint, speedup=20).values():
+            start(*command)
+        for step in (4, 14):
+            viewer.watch_until(lambda step=step: step in viewer.beliefs)
+            with Stranger(endpoint) as witness:
+                out = witness.subscribe("mavlink/out")
+                speed = 0.0
+                while speed < 1.0:
+                    place = messages(out.get(timeout=30)).get("LOCAL_POSITION_NED")
+                    speed = math.hypot(place.vx, place.vy) if place else 0.0
+                router.kill()
+            router = listen()
+        viewer.watch_until(lambda: viewer.has_seen_the_end)
+        viewer.check()
+        check_from_the_end(endpoint)
+
+
+def test_missing_readings_are_not_given_up_while_the_router_is_away(listen: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("link.sequence.GIVE_UP_S", 1.0)
+    forgetful = replace(READING, delivery=replace(READING.delivery, kept=1))
+    router = listen()
+    endpoint = router.out[0].strip()
+    with Bus("uav", endpoint) as uav, Bus("estimator", endpoint) as estimator:
+        for frames in (b"first", b"second", b"third"):
+            uav.publish(forgetful, frames)
+        estimator.subscribe(READING)
+        assert estimator.receive(timeout_s=0.1) is None  # it has the third, and asks for the others
+        router.kill()
+        assert estimator.receive(timeout_s=1.5) is None
+        listen()
+        assert estimator.receive(timeout_s=30.0).payload == b"third"

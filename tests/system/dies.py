@@ -1,0 +1,39 @@
+"""A service that kills at points of its own choice: `python -m tests.system.dies WHOM POINT,… MODULE ARGUMENTS`.
+
+It is `python -m MODULE ARGUMENTS` but for this: the first time that it publishes `key` at `step` or later, a point `before:key:step`
+sends SIGKILL right before the message is handed to Zenoh, `after:key:step` right after; whether that message still leaves the dying
+process is up to Zenoh's threads. WHOM is `self`, or a file that tells the id of the process to kill.
+"""
+
+import os
+import runpy
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+from link.bus import Bus
+from link.keys import Key
+
+
+def main(whom: str, points: list[str], module: str, *arguments: str) -> None:
+    """Run the module with a Bus that kills."""
+    publish = Bus.publish
+
+    def strike(when: str, key: Key, step: int) -> None:
+        for point in [point for point in points if point.startswith(f"{when}:{key.name}:") and step >= int(point.rpartition(":")[2])]:
+            points.remove(point)
+            os.kill(os.getpid() if whom == "self" else int(Path(whom).read_text()), signal.SIGKILL)
+
+    def killing(bus: Bus, key: Key, *message: Any) -> None:
+        strike("before", key, bus.tally.step)
+        publish(bus, key, *message)
+        strike("after", key, bus.tally.step)
+
+    Bus.publish = killing  # type: ignore[method-assign]
+    sys.argv = [module, *arguments]
+    runpy.run_module(module, run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2].split(","), *sys.argv[3:])
