@@ -79,7 +79,7 @@ def read(
     """
     source = parse_gas(gas)
     _check(wind, every_s, origin, area_m, plume)
-    log, notes = _open(path)
+    log, notes = open_log(path)
     autopilot = tlog_vehicle.choose(log, system)
     notes += tlog_vehicle.notes_on_senders(log, autopilot)
     clock, told = tlog_vehicle.vehicle_clock(log, autopilot)
@@ -169,7 +169,8 @@ def _check(wind: Pair | None, every_s: float, origin: Pair | None, area_m: float
 # ---- the file ----
 
 
-def _open(path: Path) -> tuple[Log, list[str]]:
+def open_log(path: Path) -> tuple[Log, list[str]]:
+    """Return a log's records and what there is to say of the file; raises FlightError where it holds none."""
     try:
         data = path.read_bytes()
     except OSError as error:

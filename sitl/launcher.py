@@ -81,8 +81,9 @@ def fly(mission: Mission) -> Flown:
         processes = Processes(inbox)
         stack.callback(processes.stop)
         relays: dict[str, Relay] = {}
-        stack.callback(lambda: [relay.close() for relay in relays.values()])
         endpoint = start_parts(processes, mission, relays)
+        for relay in relays.values():
+            stack.callback(relay.close)
         if not endpoint:
             _raise_for(_first_end(inbox))
         bus = stack.enter_context(Bus("mission", endpoint, mission.namespace, inbox))
