@@ -28,8 +28,8 @@ class Snapshot(NamedTuple):
     state: State
     wind: tuple[float, float]
     """(u cos φ, u sin φ) m/s: points to where the wind comes from, as everywhere in the search plane."""
-    gas: float | None
-    """The last reading taken, g/m³; None before the first."""
+    gas: tuple[int, float] | None
+    """time_boot_ms and value of the last reading, in the sensor's unit; None before the first."""
 
     @property
     def time_boot_ms(self) -> int:
@@ -203,8 +203,8 @@ def wind_cov(s: Snapshot) -> Message:
 
 
 def named_value_float_gas(s: Snapshot) -> Message | None:
-    """The last reading; nothing before the first."""
-    return None if s.gas is None else gas_message(s.time_boot_ms, s.gas)
+    """The last reading, with the time and so the position that it was taken at; nothing before the first."""
+    return None if s.gas is None else gas_message(*s.gas)
 
 
 def autopilot_version(s: Snapshot) -> Message:

@@ -92,7 +92,7 @@ class Uav:
         self._after_pause_s = [event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None]
         self._sensor = FaultySensor()
         self._radio = FaultyRadio(self._publish_reading)
-        self._gas: float | None = None
+        self._gas: tuple[int, float] | None = None
         self._last_reading = b""
         self._last_time_boot_ms = -1
         self._readings = 0
@@ -257,7 +257,7 @@ class Uav:
             self._publish_reading(reading)
             self._timeline.schedule(self._vehicle.now_s + TRY_AGAIN_S, arrived)
             return
-        self._gas = gas
+        self._gas = self._last_time_boot_ms, gas
         self._vehicle.sampled(self._last_time_boot_ms)
         self._last_reading = reading
         self._radio.new_reading()

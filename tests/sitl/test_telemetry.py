@@ -37,7 +37,7 @@ NUMBER = {name.removeprefix("MAVLINK_MSG_ID_"): value for name, value in vars(ma
 GYRO, ACCEL, MAG, GPS, BATTERY, PREARM = 1, 2, 4, 0x20, 0x2000000, 0x10000000
 
 
-def telemetry(state=FLYING, wind=(0.0, 0.0), gas=0.25, config=CONFIG):
+def telemetry(state=FLYING, wind=(0.0, 0.0), gas=(12_500, 0.25), config=CONFIG):
     return Telemetry(lambda t: Snapshot(config, state._replace(time_s=t), wind, gas))
 
 
@@ -225,9 +225,15 @@ def test_airspeed_is_the_speed_against_the_wind():
 
 
 def test_position_wind_and_gas_of_one_time_make_a_reading():
-    source, packer = telemetry(wind=(1.5, -0.5), gas=0.25), mavlink.MAVLink(None)
+    source, packer = telemetry(wind=(1.5, -0.5)), mavlink.MAVLink(None)
     frames = [source.build(NUMBER[name], 12.5).pack(packer) for name in ("LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT")]
     assert unpack_reading(b"".join(frames)) == Reading(12_500, (20.0, 10.0), 5.0, (1.5, -0.5), 0.25)
+
+
+def test_a_gas_value_that_is_told_again_keeps_the_time_it_was_read_at():
+    told = report("NAMED_VALUE_FLOAT", at_s=99.0, gas=(12_500, 0.25))
+    assert (told.name, told.value, told.time_boot_ms) == ("gas", 0.25, 12_500)
+    assert report("LOCAL_POSITION_NED", at_s=99.0).time_boot_ms == 99_000
 
 
 def test_the_battery_tells_what_is_left():

@@ -1,0 +1,150 @@
+"""Protects the recorder as a process: it hears everything, and neither its death nor a full disk costs more than the last second."""
+
+import json
+import os
+import resource
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from agent.rollout import rollout
+from link.bus import Bus
+from link.keys import BELIEF, MAVLINK_OUT, READING
+from link.mavlink import Codec, Reading, pack_reading, unpack
+from link.record import Recording, read
+
+
+def mission_record(folder: Path) -> Recording:
+    (path,) = (folder / "runs").glob("*.mcap")
+    return read(path)
+
+
+def steps(recording: Recording) -> list[int]:
+    return [json.loads(entry.payload)["step"] for entry in recording.entries if entry.key == "belief"]
+
+
+def test_a_mission_is_recorded_from_its_first_to_its_last_message(start, tmp_path: Path) -> None:
+    mission = start("sitl", "fly", "--seed", "3", "--policy", "homing", "--speedup", "0", "--json", cwd=tmp_path)
+    assert mission.ended() == 0
+    result, recording = json.loads(mission.out[-1]), mission_record(tmp_path)
+    trace = rollout(3, "homing")[1]
+    assert recording.complete
+    beliefs = [json.loads(entry.payload) for entry in recording.entries if entry.key == "belief"]
+    told = {said["step"]: (said["mean"], said["spread"]) for said in beliefs}
+    assert [told[step] for step in sorted(told)] == [(list(point.mean), point.spread) for point in trace]
+    assert all(len(entry.attachment) == 12 * 1000 for entry in recording.entries if entry.key == "belief")
+    keys = {"reading", "mavlink/out", "mavlink/in", "belief", "agdc/stop", "health/uav", "health/estimator", "health/agent"}
+    assert keys <= {entry.key for entry in recording.entries}
+    waypoints = {m.time_boot_ms for entry in recording.entries if entry.key == "mavlink/in" for m in unpack(entry.payload)}
+    assert len(waypoints) == result["steps"]
+    about = recording.about
+    assert (about["seed"], about["policy"], about["namespace"]) == (3, "homing", "uav/1")
+    assert about["scenario"]["source"] == result["source"]
+    assert about["mission"]["agent"]["policy"] == "homing"
+    assert {"plumeward", "python", "eclipse-zenoh", "numpy", "pymavlink"} <= set(about["versions"])
+    assert about["host"]
+
+
+def test_publish_times_are_the_publishers_own(start, router: str, tmp_path: Path, wait_until: Callable) -> None:
+    recorder = start("sitl", "record", str(tmp_path / "run.mcap"), "--connect", router)
+    wait_until(lambda: recorder.out)
+    with Bus("uav", router) as bus:
+        before = time.time_ns()
+        bus.publish(READING, pack_reading(Codec(1, 1), Reading(1000, (3.0, 4.0), 5.0, (2.0, -1.0), 0.5)))
+        after = time.time_ns()
+        recorder.process.send_signal(signal.SIGTERM)
+        assert recorder.ended() == 0
+    (entry,) = (entry for entry in read(tmp_path / "run.mcap").entries if entry.key == "reading")
+    assert before - 1_000_000 <= entry.published_ns <= after + 1_000_000  # Zenoh's clock may run ahead of the system's by less
+    assert entry.simulation_s == 1.0
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT])
+def test_what_was_said_before_it_is_told_to_end_is_in_the_file(start, router: str, tmp_path: Path, wait_until: Callable, end: int) -> None:
+    recorder = start("sitl", "record", str(tmp_path / "run.mcap"), "--connect", router)
+    wait_until(lambda: recorder.out)
+    assert recorder.out == [f"recording to {tmp_path / 'run.mcap'}\n"]
+    with Bus("uav", router) as bus, Bus("viewer", router) as viewer:
+        viewer.subscribe(MAVLINK_OUT)
+        bus.publish(MAVLINK_OUT, b"first")
+        bus.publish(BELIEF, b"what is no belief is recorded, too", b"attached")
+        bus.publish(MAVLINK_OUT, b"last")
+        while viewer.receive(10.0).payload != b"last":  # the router has passed it on
+            pass
+        recorder.process.send_signal(end)
+        assert recorder.ended(timeout_s=10) == 0
+    recording = read(tmp_path / "run.mcap")
+    assert recording.complete
+    said = [(entry.key, entry.payload, entry.attachment) for entry in recording.entries if not entry.key.startswith("health")]
+    assert sorted(said) == sorted(
+        [("mavlink/out", b"first", b""), ("belief", b"what is no belief is recorded, too", b"attached"), ("mavlink/out", b"last", b"")]
+    )
+
+
+def test_a_recorder_that_is_killed_loses_a_second_at_most(start, router: str, tmp_path: Path, wait_until: Callable) -> None:
+    path = tmp_path / "run.mcap"
+    recorder = start("sitl", "record", str(path), "--connect", router)
+    wait_until(lambda: recorder.out)
+    published: list[tuple[float, bytes]] = []
+    with Bus("uav", router) as bus:
+        began = time.monotonic()
+
+        def say_more() -> bool:
+            number = b"%d" % len(published)
+            bus.publish(READING, number)
+            published.append((time.monotonic(), number))
+            return time.monotonic() - began > 2.5
+
+        wait_until(say_more)
+        killed = time.monotonic()
+        recorder.kill()
+    recording = read(path)
+    assert not recording.complete
+    there = [entry.payload for entry in recording.entries if entry.key == "reading"]
+    assert there == [payload for _, payload in published][: len(there)]
+    assert len(there) >= sum(at < killed - 1.0 for at, _ in published)
+    tlog_bytes = path.with_suffix(".tlog").stat().st_size
+    assert tlog_bytes == 0  # none of it was MAVLink
+
+
+def test_a_full_disk_stops_the_record_with_a_line_and_not_the_mission(
+    start, family: Callable, wait_until: Callable, tmp_path: Path
+) -> None:
+    mission = start("sitl", "fly", "--policy", "random", "--budget", "25", "--speedup", "20", "--json", cwd=tmp_path)
+    wait_until(lambda: "record" in family(mission.process.pid))
+    limit = 40_000  # bytes that a file may have: a write beyond it fails as on a full disk
+    resource.prlimit(family(mission.process.pid)["record"], resource.RLIMIT_FSIZE, (limit, limit))
+    assert mission.ended() == 0
+    assert json.loads(mission.out[-1])["steps"] == 25
+    (line,) = (line for line in mission.err if "record stopped" in line and "warning: the record has ended" not in line)
+    assert line.startswith("recorder: warning: record stopped: File too large (runs/")
+    (path,) = (tmp_path / "runs").glob("*.mcap")
+    assert 0 < path.stat().st_size <= limit
+    recording = read(path)
+    assert not recording.complete
+    assert recording.about["stopped"] == "File too large"
+    assert steps(recording) == list(range(len(steps(recording))))
+
+
+def test_a_place_that_cannot_be_written_is_one_line_and_status_2(start, router: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    recorder = start("sitl", "record", str(tmp_path / "file" / "run.mcap"), "--connect", router)
+    assert recorder.ended() == 2
+    (line,) = recorder.err
+    assert line.startswith("error: ")
+    assert str(tmp_path / "file" / "run.mcap") in line
+
+
+def test_records_survive_a_router_that_comes_back(start, tmp_path: Path) -> None:
+    path = tmp_path / "mission.yaml"
+    path.write_text("seed: 3\nagent: {policy: homing}\nevents: [{step: 6, do: kill, part: router}]\n")
+    mission = start("sitl", "fly", str(path), "--speedup", "0", "--json", cwd=tmp_path)
+    assert mission.ended() == 0
+    recording = mission_record(tmp_path)
+    assert recording.complete
+    readings = {entry.simulation_s for entry in recording.entries if entry.key == "reading"}
+    assert len(readings) == json.loads(mission.out[-1])["steps"] + 1
+    assert os.path.getsize(next((tmp_path / "runs").glob("*.tlog"))) > 0
