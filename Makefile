@@ -7,7 +7,7 @@ LEARNERS := ppo dqn ddpg
 # With a planner, so that compute times are compared in one run.
 LEARNED := infotaxis,ppo,dqn,ddpg
 
-.PHONY: setup mission test lint docs bench bench-filter bench-planners bench-env train results report calibration mismatch clean
+.PHONY: setup mission test lint docs bench bench-filter bench-planners bench-env train results report calibration mismatch golden clean
 
 setup: $(READY)
 
@@ -72,6 +72,10 @@ mismatch: setup
 
 calibration: setup
 	$(BIN)/python benchmarks/calibration.py
+
+# After a change that is meant to change what is said: which golden missions say what else, and their new records.
+golden: setup
+	$(BIN)/python -m tests.golden
 
 clean:
 	rm -rf .venv build *.egg-info runs report

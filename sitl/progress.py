@@ -12,11 +12,12 @@ PLAIN_EVERY_STEPS = 10
 class Progress:
     """Shows the newest belief on stderr."""
 
-    def __init__(self, budget: int) -> None:
-        """Take the step budget, which is shown beside the step."""
+    def __init__(self, budget: int, starting: str = "router, uav, estimator, agent") -> None:
+        """Take the step budget, which is shown beside the step, and what is being started meanwhile."""
         self._budget = budget
+        self._ceased = False
         self._console = Console(stderr=True, highlight=False)
-        self._live = Live(Text("starting router, uav, estimator, agent"), console=self._console, refresh_per_second=10, transient=True)
+        self._live = Live(Text(f"starting {starting}"), console=self._console, refresh_per_second=10, transient=True)
 
     def __enter__(self) -> "Progress":
         """Begin to show."""
@@ -41,5 +42,6 @@ class Progress:
         )
         if self._console.is_terminal:
             self._live.update(Text(line))
-        elif belief.step % PLAIN_EVERY_STEPS == 0 or belief.ceased:
+        elif belief.step % PLAIN_EVERY_STEPS == 0 or (belief.ceased and not self._ceased):
             self.say(line)
+        self._ceased = belief.ceased

@@ -1,5 +1,6 @@
-"""Protects records: what is written is read back byte for byte, other people's readers read it, and what is cut off or full loses no more."""
+"""Protects records: what is written is read back byte for byte, other people's readers read it, and a file cut off reads up to there."""
 
+import contextlib
 import io
 import json
 import math
@@ -23,6 +24,7 @@ BEGAN = 1_700_000_000_000_000_000
 ABOUT = {"seed": 3, "policy": "homing", "mission": {"about": "a test", "events": []}, "text": "3"}
 ATTITUDE = mavlink.MAVLink_attitude_message(2500, 0.1, math.nan, 0.3, 0.0, 0.0, 0.0)
 PARTICLES = pack_particles(np.arange(30, dtype=np.float32).reshape(10, 3))
+OTHERS_JSON = b'{ "service" : "agent", "state": "ready", "step": 1, "compute_s": 0, "uptime_s": 1, "refused": {} }\n'
 UAV, AGENT = Codec(1, 1), Codec(1, 191)
 
 ENTRIES = [
@@ -32,7 +34,7 @@ ENTRIES = [
     Entry("agdc/stop", BEGAN + 30, 4.0, msgspec.json.encode(Stop(4000, 3, (14.0, 12.0), (0.09, 0.0, 0.04), 0.36, 0.5))),
     Entry("mavlink/in", BEGAN + 40, 3.0, AGENT.pack(waypoint_message(1, 3000, (4.0, 4.5), 5.0))),
     Entry("health/uav", BEGAN + 50, 3.0, msgspec.json.encode(Health("uav", "searching", 4, 0.5, 1.5, {"late": 2}))),
-    Entry("health/agent", BEGAN + 60, 3.0, b'{ "service" : "agent", "state": "ready", "step": 1, "compute_s": 0, "uptime_s": 1, "refused": {} }\n'),
+    Entry("health/agent", BEGAN + 60, 3.0, OTHERS_JSON),
     Entry("belief", BEGAN + 70, 3.0, b"no JSON \xff", b"odd"),
     Entry("reading", BEGAN + 80, 3.0, b"noise"),
     Entry("mavlink/in", BEGAN + 90, 3.0, b""),
@@ -160,12 +162,8 @@ def test_damage_never_raises_anything_but_a_record_error(tmp_path: Path) -> None
     for at in range(0, len(whole), 11):
         whole[at] ^= 0x5A
         damaged.write_bytes(whole)
-        try:
-            entries = read(damaged).entries
-        except RecordError as error:
-            assert "\n" not in str(error)
-        else:
-            assert len(entries) <= len(ENTRIES)
+        with contextlib.suppress(RecordError):
+            assert len(read(damaged).entries) <= len(ENTRIES)
         whole[at] ^= 0x5A
 
 
