@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from typing import IO, Any, NamedTuple
 
 STOP_TIMEOUT_S = 1.0
+LAST = ("recorder", "router")
+"""Ended behind the others, in this order: the record is to hold their last words."""
 PR_SET_PDEATHSIG = 1
 LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 
@@ -114,17 +116,8 @@ class Processes:
             self._stop()
 
     def _stop(self) -> None:
-        for child in self._children.values():
-            with contextlib.suppress(ProcessLookupError):
-                child.send_signal(signal.SIGTERM)
-                child.send_signal(signal.SIGCONT)  # one that was stopped could not end
-        deadline = time.monotonic() + STOP_TIMEOUT_S
-        for child in self._children.values():
-            try:
-                child.wait(max(deadline - time.monotonic(), 0.0))
-            except subprocess.TimeoutExpired:
-                child.kill()
-                child.wait()
+        for group in (set(self._children) - set(LAST), *({part} for part in LAST)):
+            self._end([child for part, child in self._children.items() if part in group])
         for thread in self._threads:
             thread.join()
         for child in (*self._killed, *self._children.values()):
@@ -132,3 +125,17 @@ class Processes:
                 child.stdout.close()
             if child.stderr:
                 child.stderr.close()
+
+    @staticmethod
+    def _end(children: "list[subprocess.Popen[str]]") -> None:
+        for child in children:
+            with contextlib.suppress(ProcessLookupError):
+                child.send_signal(signal.SIGTERM)
+                child.send_signal(signal.SIGCONT)  # one that was stopped could not end
+        deadline = time.monotonic() + STOP_TIMEOUT_S
+        for child in children:
+            try:
+                child.wait(max(deadline - time.monotonic(), 0.0))
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.wait()

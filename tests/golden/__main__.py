@@ -1,0 +1,101 @@
+"""`python -m tests.golden`: flies the golden missions anew, keeps the records of those that say something else now, and tells what."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from agent.policies import OURS
+from link.record import Recording, read
+from sitl import verify
+
+FOLDER = Path(__file__).parent
+SENSORS = ("gaussian", "threshold", "hits")
+FLAGS = ("--seed", "26", "--particles", "100", "--budget", "45", "--speedup", "0")
+"""One small mission that nearly all cease in; those that do not spend their budget."""
+GOLDEN: Mapping[str, tuple[str, ...]] = {
+    f"{policy}-{sensor}": ("--policy", policy, "--sensor", sensor, *FLAGS) for policy in OURS for sensor in SENSORS
+}
+
+
+def path(name: str) -> Path:
+    """Where a golden record lies."""
+    return FOLDER / f"{name}.mcap"
+
+
+def beliefs(log: Recording) -> list[dict[str, Any]]:
+    """All beliefs of a mission, by step."""
+    return [answer.fields for (_, kind), answer in verify.said(log.entries).items() if kind == "belief"]
+
+
+def lacks(log: Recording, result: Mapping[str, Any]) -> str:
+    """What a record does not hold of a mission of this result: a belief for each step, a waypoint between any two; empty if nothing."""
+    if not log.complete:
+        return "its end"
+    there = Counter(kind for _, kind in verify.said(log.entries))
+    missing = Counter(belief=result["steps"] + 1, waypoint=result["steps"], stop=int(result["ceased"])) - there
+    return ", ".join(f"{n} {kind}" for kind, n in missing.items())
+
+
+def outcome(log: Recording) -> str:
+    """What a mission came to, in a line."""
+    last = beliefs(log)[-1]
+    ceased = "ceased" if last["ceased"] else "not ceased"
+    return f"{ceased} after {last['step']} steps at ({last['mean'][0]:.2f}, {last['mean'][1]:.2f}) ± {last['spread']:.2f} m"
+
+
+def changes(then: Recording, now: Recording) -> str:
+    """What is different now, in a line; empty where nothing is."""
+    if found := verify.compare(verify.said(then.entries), verify.said(now.entries)):
+        return f"{found.text()}; {outcome(then)} -> {outcome(now)}"
+    for part, words in now.about["parts"].items():
+        if words != (before := then.about["parts"][part]):
+            return f"{part} was started with {' '.join(before)}, is with {' '.join(words)}"
+    return ""
+
+
+class NotFlown(Exception):
+    """A golden mission could not be flown, or not be recorded whole; the text says which and why."""
+
+
+def renew(name: str) -> str:
+    """Fly a golden mission; returns what changed, and keeps the new record where something did."""
+    with tempfile.TemporaryDirectory(dir=FOLDER) as folder:
+        flown = Path(folder) / "flown.mcap"
+        command = [sys.executable, "-m", "sitl", "fly", *GOLDEN[name], "--json", "--record", str(flown)]
+        mission = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+        if mission.returncode:
+            raise NotFlown(mission.stderr.splitlines()[-1])
+        now = read(flown)
+        if missing := lacks(now, json.loads(mission.stdout)):
+            raise NotFlown(f"the record lacks {missing}")
+        what = changes(read(path(name)), now) if path(name).exists() else f"new: {outcome(now)}"
+        if what:
+            flown.replace(path(name))
+    return what or "unchanged"
+
+
+def main() -> int:
+    """Renew all of them, and remove those that are none any more; returns the exit status."""
+    status = 0
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for name, renewed in {name: pool.submit(renew, name) for name in GOLDEN}.items():
+            try:
+                print(f"{name}: {renewed.result()}", flush=True)
+            except NotFlown as failure:
+                print(f"{name}: NOT RENEWED: {failure}", flush=True)
+                status = 1
+    for stale in set(FOLDER.glob("*.mcap")) - set(map(path, GOLDEN)):
+        stale.unlink()
+        print(f"{stale.stem}: removed")
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

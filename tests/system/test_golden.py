@@ -1,0 +1,82 @@
+"""Protects what the project says: missions recorded once have to be answered as they were then, by every policy with every sensor."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from agent.policies import OURS, SHIPPED
+from link.record import Writer, read
+from sitl import verify
+from tests.golden.__main__ import FOLDER, GOLDEN, SENSORS, changes, path, renew
+from tests.system.live import Services, run_sitl
+
+LEARNED_TOLERANCE = 1e-4
+"""What a learned policy may differ by, m: ONNX Runtime sums in another order on other CPUs. Everything else is exact to the last bit."""
+
+
+def flags(name: str) -> list[str]:
+    return ["--tolerance", repr(LEARNED_TOLERANCE)] if name.partition("-")[0] in SHIPPED else []
+
+
+@pytest.fixture
+def services(monkeypatch: pytest.MonkeyPatch, router: str) -> Iterator[Services]:
+    with Services(monkeypatch, router) as running:
+        yield running
+
+
+def test_there_is_a_small_golden_record_of_every_policy_with_every_sensor() -> None:
+    assert set(GOLDEN) == {f"{policy}-{sensor}" for policy in OURS for sensor in SENSORS}
+    records = {record.stem: record.stat().st_size for record in FOLDER.glob("*.mcap")}
+    assert set(records) == set(GOLDEN), "make golden"
+    assert max(records.values()) < 200_000
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_a_golden_mission_is_answered_as_it_was(
+    name: str, router: str, services: Services, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    services.start(read(path(name)).about["parts"])
+    status, _, err = run_sitl(
+        monkeypatch, capsys, "replay", str(path(name)), "--verify", "--speedup", "0", "--connect", router, *flags(name)
+    )
+    assert status == 0, err[-1]
+    assert err[-1].startswith("verified: ")
+
+
+@pytest.mark.parametrize("name", ["infotaxis-gaussian", "thompson-threshold", "ppo-hits"])
+def test_so_it_is_by_the_command_and_its_own_processes(start, name: str) -> None:
+    replay = start("sitl", "replay", str(path(name)), "--verify", "--speedup", "0", *flags(name))
+    assert replay.ended() == 0, replay.err[-1]
+
+
+def test_the_golden_missions_cover_stops_and_spent_budgets() -> None:
+    said = {name: verify.said(read(path(name)).entries) for name in GOLDEN}
+    stopped = {name for name, answers in said.items() if any(kind == "stop" for _, kind in answers)}
+    assert all({f"{policy}-{sensor}" for policy in OURS} & stopped for sensor in SENSORS)
+    assert set(GOLDEN) - stopped
+
+
+def test_one_that_says_something_else_now_is_recorded_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    golden = read(path("greedy-gaussian"))
+    writer = Writer(tmp_path / "greedy-gaussian.mcap", golden.about)
+    for entry in golden.entries:
+        writer.write(entry._replace(payload=entry.payload.replace(b'"step":3,', b'"step":33,')), entry.published_ns)
+    writer.close()
+    monkeypatch.setattr("tests.golden.__main__.FOLDER", tmp_path)
+    told = renew("greedy-gaussian")
+    assert ": step was 33, is 3; ceased after " in told
+    assert changes(golden, read(tmp_path / "greedy-gaussian.mcap")) == ""
+    assert renew("greedy-gaussian") == "unchanged"
+
+
+def test_making_them_anew_tells_what_changed() -> None:
+    then = read(path("greedy-gaussian"))
+    assert changes(then, then) == ""
+    fewer = then._replace(entries=[entry for entry in then.entries if entry.key != "agdc/stop"])
+    assert ": it was estimate [" in changes(then, fewer)
+    assert changes(then, fewer).count("ceased after ") == 2
+    words = [*then.about["parts"]["agent"], "--headings", "8"]
+    told = changes(then, then._replace(about={**then.about, "parts": {**then.about["parts"], "agent": words}}))
+    assert told.startswith("agent was started with --policy greedy ")
+    assert told.endswith(" --headings 8")
