@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import queue
 import re
 import time
@@ -21,6 +22,9 @@ from link.sequence import Sequence
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
+WAITING_MESSAGES = 4096
+"""Of each key, beside those that are kept: where more wait to be taken, the oldest are dropped rather than the flight held up."""
+ONE_THREAD = "(rx: (handover: net), tx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1))"
 SIGNAL_POLL_S = 0.2
 """Waits are cut into slices of this length: a signal that the system hands to one of Zenoh's threads wakes no other thread."""
 
@@ -50,6 +54,7 @@ class Stamped(NamedTuple):
     published_ns: int
     """By the publisher's clock, or, where it has put no time to its message, by the router's; ns since the Unix epoch."""
     received_ns: int
+    """The same, but neither before the messages that were taken earlier nor in the future: for all but clocks that differ."""
 
 
 class _Numbered(NamedTuple):
@@ -112,11 +117,16 @@ class Bus:
     """One service's place on the bus of one vehicle."""
 
     def __init__(
-        self, service: str, connect: str = DEFAULT_ROUTER, namespace: str = "uav/1", inbox: "queue.SimpleQueue[Any] | None" = None
+        self,
+        service: str,
+        connect: str = DEFAULT_ROUTER,
+        namespace: str = "uav/1",
+        inbox: "queue.SimpleQueue[Any] | None" = None,
+        **settings: Any,
     ) -> None:
         """Join a router as a client; raises BusError where none answers within CONNECT_TIMEOUT_S.
 
-        All that arrives goes into `inbox`: give one's own where other things than the bus fill it too.
+        All that arrives goes into `inbox`: give one's own where other things than the bus fill it too. Further settings are Zenoh's.
         """
         config = _config(
             "client",
@@ -126,6 +136,7 @@ class Bus:
             connect__timeout_ms=int(CONNECT_TIMEOUT_S * 1000),
             # Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s.
             connect__retry={"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+            **settings,
         )
         try:
             self._session = zenoh.open(config)
@@ -190,27 +201,27 @@ class Bus:
         """Have what is published under a key, kept messages first, handed to a callback in the session's thread."""
 
         def received(sample: zenoh.Sample) -> None:
-            arrival = self._arrival(key, sample)
+            arrival = Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b"")
             if key.name in self._sequences and (info := sample.source_info) is not None:
                 arrived(_Numbered(str(info.source_id), info.source_sn, arrival))
             else:
                 arrived(arrival)
 
+        self._declare(key, received)
+
+    def _declare(self, key: Key, handler: Any) -> None:
         name = key.name.replace("<service>", "*")
         if key.delivery.kept:
             subscriber: Any = zenoh.ext.declare_advanced_subscriber(
                 self._session,
                 name,
-                received,
+                handler,
                 history=zenoh.ext.HistoryConfig(),  # with detect_late_publishers half of the joins to a live publisher lose the rest
                 recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
             )
         else:
-            subscriber = self._session.declare_subscriber(name, received)
+            subscriber = self._session.declare_subscriber(name, handler)
         self._subscribers[key.name] = subscriber
-
-    def _arrival(self, key: Key, sample: zenoh.Sample) -> Arrival | Stamped:
-        return Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b"")
 
     def watch_services(self) -> None:
         """Have the coming and going of services put into the inbox, beginning with those that are there."""
@@ -293,10 +304,46 @@ class Bus:
 
 
 class Tap(Bus):
-    """A place on the bus where what arrives is Stamped."""
+    """A place on the bus for who writes everything down: messages wait in Zenoh, not in Python, and are taken many at once, Stamped.
 
-    def _arrival(self, key: Key, sample: zenoh.Sample) -> Stamped:
-        received_ns = time.time_ns()
-        published_ns = received_ns if sample.timestamp is None else sample.timestamp.get_time_as_ntp64().as_nanos()
-        attachment = sample.attachment.to_bytes() if sample.attachment else b""
-        return Stamped(key, sample.payload.to_bytes(), attachment, str(sample.key_expr), published_ns, received_ns)
+    A Python callback for each message would cost more than all that is done with it afterwards.
+    """
+
+    def __init__(self, service: str, connect: str = DEFAULT_ROUTER, namespace: str = "uav/1") -> None:
+        """Join as any other."""
+        # Read by the first session of a process. By default four pools of threads hand each message on to each other.
+        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)
+        # A message keeps the buffer that it came in: at the usual 64 kB each, clearing these is half the cost of receiving.
+        super().__init__(service, connect, namespace, transport__link__tx__batch_size=16_384)
+        self._taken_ns = 0
+
+    def subscribe(self, *keys: Key) -> None:
+        """Have what is published under these keys, kept messages first, wait to be taken."""
+        for key in keys:
+            if key.delivery.kept > 1:
+                self._sequences.setdefault(key.name, Sequence())
+            self._declare(key, zenoh.handlers.RingChannel(WAITING_MESSAGES + key.delivery.kept))
+
+    def take(self) -> list[Stamped]:
+        """Return what has arrived since the last time, in the order in which it was published."""
+        now_ns = time.time_ns()
+        for key in KEYS:
+            if key.name in self._subscribers:
+                self._take_from(key, now_ns)
+        self._taken_ns = now_ns
+        self._look_after_sequences()
+        taken = sorted(self._ready, key=lambda message: message.published_ns)
+        self._ready.clear()
+        return taken
+
+    def _take_from(self, key: Key, now_ns: int) -> None:
+        handler, sequence = self._subscribers[key.name].handler, self._sequences.get(key.name)
+        while (sample := handler.try_recv()) is not None:
+            published_ns = sample.timestamp.get_time_as_ntp64().as_nanos() if sample.timestamp else now_ns
+            received_ns = min(max(published_ns, self._taken_ns), now_ns)
+            attachment = sample.attachment.to_bytes() if sample.attachment else b""
+            message = Stamped(key, sample.payload.to_bytes(), attachment, str(sample.key_expr), published_ns, received_ns)
+            if sequence and (info := sample.source_info) is not None:
+                self._ready += sequence.arrived(str(info.source_id), info.source_sn, message, time.monotonic())
+            else:
+                self._ready.append(message)

@@ -14,17 +14,16 @@ from pathlib import Path
 from typing import Any
 
 from link import cli
-from link.bus import Stamped, Tap
+from link.bus import Tap
 from link.keys import KEYS
 from link.record import Entry, SimulationClock, Writer
 from plume import __version__
 
-BATCH_S = 0.05
+BATCH_S = 0.2
 """Messages are taken in batches: to wake for each of them would cost more than to write it."""
-FLUSH_S = 0.4
-"""The most that a killed recorder loses, but for a batch."""
-LAST_BATCH_S = 0.4
-"""Who ends a recorder gives it a second; the files want to be finished too."""
+FLUSH_S = 0.35
+"""With every second batch, what was taken is handed to the system: a killed recorder loses 0.4 s."""
+SIGNAL_POLL_S = 0.05
 NICENESS = 5
 """The flight goes before its record."""
 PACKAGES = ("eclipse-zenoh", "numpy", "pymavlink", "numba", "mcap")
@@ -85,22 +84,21 @@ def _record(bus: Tap, writer: Writer, ends: list[int]) -> None:
     clock = SimulationClock()
     flush_at = 0.0
     while not ends:
-        time.sleep(BATCH_S)
-        _take_batch(bus, writer, clock)
+        _await_batch(ends)
+        for message in bus.take():
+            simulation_s = clock.time_s(message.name, message.payload, message.published_ns)
+            entry = Entry(message.name, message.published_ns, simulation_s, message.payload, message.attachment)
+            writer.write(entry, message.received_ns)
         if time.monotonic() >= flush_at:
             writer.flush()
             flush_at = time.monotonic() + FLUSH_S
-    _take_batch(bus, writer, clock)
     writer.close()
 
 
-def _take_batch(bus: Tap, writer: Writer, clock: SimulationClock) -> None:
-    """Write what has arrived so far."""
-    until = time.monotonic() + LAST_BATCH_S
-    while time.monotonic() < until and (item := bus.receive(timeout_s=0.0)):
-        assert isinstance(item, Stamped)
-        simulation_s = clock.time_s(item.name, item.payload, item.published_ns)
-        writer.write(Entry(item.name, item.published_ns, simulation_s, item.payload, item.attachment), item.received_ns)
+def _await_batch(ends: list[int]) -> None:
+    until = time.monotonic() + BATCH_S
+    while not ends and (left_s := until - time.monotonic()) > 0.0:
+        time.sleep(min(left_s, SIGNAL_POLL_S))
 
 
 def _give_way() -> None:

@@ -1,0 +1,128 @@
+"""What recording costs: how much slower the loop at --speedup 0 is with a recorder than without one, on the same missions.
+
+A recorder joins a mission that is under way and leaves it again, over and over. Its stretch of steps is compared with the stretches of
+the same length before it joined and after it has left, within a second or two: a machine that others use too slows all of them.
+"""
+
+import argparse
+import queue
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from link.bus import Bus
+from link.keys import READING
+from link.mavlink import unpack_reading
+from sitl.launcher import Mission, start_parts
+from sitl.processes import Processes
+from sitl.script import load
+
+SETTLE_STEPS = 40
+"""Steps that are not counted after a recorder has come or gone."""
+MISSION_STEPS = 700
+"""A longer mission is begun anew: a recorder that joins is given all readings so far."""
+MISSION = """\
+seed: {seed}
+speedup: 0
+agent: {{policy: {policy}, budget: 100000}}
+estimator: {{threshold_m: 1.0e-9}}
+vehicle: {{endurance_s: 1.0e+6}}
+"""
+"""It never ends by itself."""
+
+
+def comparisons(seed: int, policy: str, stretch: int, log: Path) -> Iterator[tuple[float, float]]:
+    """Fly a mission; yields milliseconds a step without and with a recorder, again and again."""
+    processes = Processes(queue.SimpleQueue())
+    mission = log.with_name("mission.yaml")
+    mission.write_text(MISSION.format(seed=seed, policy=policy))
+    try:
+        endpoint = start_parts(processes, Mission(load(mission), uav_arguments=(str(mission),)), {})
+        with Bus("bench", endpoint) as bus:
+            bus.subscribe(READING)
+            newest = -1
+            flown = 0
+
+            def fly(steps: int) -> float:
+                nonlocal newest, flown
+                began, count = time.perf_counter(), 0
+                while count < steps:
+                    time_boot_ms = unpack_reading(bus.receive().payload).time_boot_ms
+                    if time_boot_ms > newest:
+                        newest, count = time_boot_ms, count + 1
+                flown += count
+                return 1000.0 * (time.perf_counter() - began) / steps
+
+            def fly_until(done: Callable[[], bool]) -> None:
+                while not done():
+                    fly(1)
+                fly(SETTLE_STEPS)
+
+            fly(SETTLE_STEPS)
+            while flown < MISSION_STEPS:
+                before = fly(stretch)
+                command = [sys.executable, "-m", "sitl", "record", str(log), "--connect", endpoint]
+                with subprocess.Popen(command, stdout=subprocess.PIPE) as recorder:
+                    fly_until(recording(recorder))
+                    recorded = fly(2 * stretch)
+                    recorder.send_signal(signal.SIGTERM)
+                    fly_until(ended(recorder))
+                yield (before + fly(stretch)) / 2, recorded
+    finally:
+        processes.stop()
+
+
+def recording(recorder: "subprocess.Popen[bytes]") -> Callable[[], bool]:
+    """Return what tells whether a recorder has begun."""
+    assert recorder.stdout
+    out = recorder.stdout.fileno()
+    return lambda: bool(select.select([out], [], [], 0)[0])
+
+
+def ended(recorder: "subprocess.Popen[bytes]") -> Callable[[], bool]:
+    """Return what tells whether a recorder is gone."""
+    return lambda: recorder.poll() is not None
+
+
+def interval(ratios: list[float]) -> tuple[float, float]:
+    """95% bootstrap interval of the median."""
+    draws = np.random.default_rng(1).choice(ratios, (10_000, len(ratios)))
+    low, high = np.quantile(np.median(draws, axis=1), [0.025, 0.975])
+    return float(low), float(high)
+
+
+def main() -> None:
+    """Fly and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
+    parser.add_argument("--comparisons", type=int, default=40)
+    parser.add_argument("--stretch", type=int, default=150, metavar="STEPS")
+    parser.add_argument("--policy", default="random,infotaxis")
+    parser.add_argument("--first-seed", type=int, default=1_000_000)
+    args = parser.parse_args()
+    print("| policy | comparisons | ms a step without | with | ratio | 95% interval |")
+    print("|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        for policy in args.policy.split(","):
+            pairs: list[tuple[float, float]] = []
+            seed = args.first_seed
+            while len(pairs) < args.comparisons:
+                pairs += comparisons(seed, policy, args.stretch, Path(folder) / "bench.mcap")
+                seed += 1
+            alone, recorded = np.median(pairs, axis=0)
+            ratios = [with_it / without for without, with_it in pairs]
+            low, high = interval(ratios)
+            print(
+                f"| {policy} | {len(pairs)} | {alone:.3f} | {recorded:.3f} | {np.median(ratios):.3f} | {low:.3f} to {high:.3f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
