@@ -167,7 +167,8 @@ def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]
 
 def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from plume.outcome import outcome_text
-    from sitl.launcher import Mission, MissionFailed, fly, run_name, write_summary
+    from sitl.launcher import Mission, fly, run_name, write_summary
+    from sitl.processes import MissionFailed
 
     script = _script(args, given)
     summary = Path("runs") / f"{run_name(script)}.json"

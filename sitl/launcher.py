@@ -15,7 +15,6 @@ import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus import Arrival, Bus
-from link.cli import BAD_INPUT, FAILED, INTERRUPTED
 from link.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, STOP
 from link.mavlink import BadFrame, Codec, Message, unpack
 from link.messages import Belief, Health
@@ -24,13 +23,14 @@ from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.randomness import derived_seed
 from sitl.disturbances import Disturbances
 from sitl.operator import OPERATOR, command
-from sitl.processes import Ended, Processes, Said
+from sitl.processes import Ended, MissionFailed, Processes, Said, raise_for
 from sitl.progress import Progress
 from sitl.relay import Relay
 from sitl.script import Cut, Expectation, Kill, Script
 
 CALL_EVERY_S = 1.0
-AT_HOME_M = 0.5
+"""Real time between two calls to come home."""
+AT_HOME_M, ON_GROUND_M = 0.5, 0.1
 
 
 class Mission(NamedTuple):
@@ -48,15 +48,6 @@ class Mission(NamedTuple):
     def namespace(self) -> str:
         """The vehicle's key prefix."""
         return f"uav/{self.instance + 1}"
-
-
-class MissionFailed(Exception):
-    """The mission cannot go on; the text says why, the status is the launcher's."""
-
-    def __init__(self, text: str, status: int = FAILED) -> None:
-        """Take the reason and the exit status."""
-        super().__init__(text)
-        self.status = status
 
 
 class Flown(NamedTuple):
@@ -85,7 +76,7 @@ def fly(mission: Mission) -> Flown:
         for relay in relays.values():
             stack.callback(relay.close)
         if not endpoint:
-            _raise_for(_first_end(inbox))
+            raise_for(_first_end(inbox))
         bus = stack.enter_context(Bus("mission", endpoint, mission.namespace, inbox))
         bus.subscribe(BELIEF, STOP, HEALTH)
         events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
@@ -153,7 +144,7 @@ def agent_arguments(mission: Mission) -> list[str]:
 def _path(scripted: Mapping[int, tuple[float, float]], start: int) -> str:
     """Write the waypoints from a step on, up to the first gap, as the agent's --waypoints takes them."""
     points = [scripted[step] for step in itertools.takewhile(scripted.__contains__, itertools.count(start))]
-    return f"{start}:" + ";".join(f"{x!r},{y!r}" for x, y in points)
+    return f"{start}:" + ";".join(f"{x:.9g},{y:.9g}" for x, y in points)  # 9 digits tell one float32 from the next
 
 
 def _words(flags: Mapping[str, Any]) -> list[str]:
@@ -176,7 +167,7 @@ class _Watch:
         self._last_words: dict[str, str] = {}
         self._warned = False
         self._landed = False
-        self._position = (math.nan, math.nan)
+        self._landed_at = (math.nan, math.nan)
 
     def until_the_end(self, endpoint: str) -> Flown:
         """Watch; returns what came of it."""
@@ -208,7 +199,7 @@ class _Watch:
             case Ended(part="recorder"):
                 self._progress.say(f"warning: the record has ended: {item.last_words}")
             case Ended():
-                _raise_for(item)
+                raise_for(item)
             case Said(part, line):
                 self._last_words[part] = line
                 if "warning:" in line or "Script: " in line:
@@ -223,8 +214,8 @@ class _Watch:
                     self._landed = self._landed or health.state == "landed"
             case Arrival(key, payload) if key is MAVLINK_OUT:
                 for message in _frames(payload):
-                    if message.get_type() == "LOCAL_POSITION_NED":
-                        self._position = (message.y, message.x)
+                    if message.get_type() == "LOCAL_POSITION_NED" and -message.z < ON_GROUND_M:
+                        self._landed_at = (message.y, message.x)
 
     def _follow(self, belief: Belief, endpoint: str) -> None:
         script = self._script
@@ -243,7 +234,7 @@ class _Watch:
         """Wait until it has landed, and where; as an operator calls it home first, again each second until it is on its way."""
         self._bus.subscribe(MAVLINK_OUT)
         codec = Codec(*OPERATOR)
-        while not self._landed or math.isnan(self._position[0]):
+        while not self._landed or math.isnan(self._landed_at[0]):
             state = self._compute["uav"].state if "uav" in self._compute else ""
             if call_home and state == "searching":
                 self._bus.publish(MAVLINK_IN, codec.pack(command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)))
@@ -262,7 +253,7 @@ class _Watch:
         so = {
             "ceased": result.ceased, "not ceased": not result.ceased, "located": result.located, "not located": not result.located,
             "false stop": result.ceased and not result.located, "warned": self._warned, "landed": self._landed,
-            "returned home": self._landed and math.hypot(*self._position) < AT_HOME_M,
+            "returned home": self._landed and math.hypot(*self._landed_at) < AT_HOME_M,
         }  # fmt: skip
         return Flown(result, points, {expected: so[expected] for expected in script.expectations})
 
@@ -278,15 +269,6 @@ def _first_end(inbox: "queue.SimpleQueue[Any]") -> Ended:
     while not isinstance(item := inbox.get(), Ended):
         pass
     return item
-
-
-def _raise_for(ended: Ended) -> None:
-    if ended.status == INTERRUPTED:
-        raise KeyboardInterrupt  # somebody interrupted a part: that ends the mission as Ctrl-C does
-    if ended.status == BAD_INPUT:
-        raise MissionFailed(ended.last_words.rpartition("error: ")[2], BAD_INPUT)
-    how = f"was killed by signal {-ended.status}" if ended.status < 0 else f"exited with status {ended.status}"
-    raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
 
 
 def run_name(script: Script) -> str:

@@ -6,15 +6,14 @@ import queue
 import time
 from collections import deque
 from collections.abc import Iterator
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
-from link import cli
 from link.bus import Arrival, Bus, LivelinessChange
 from link.keys import BELIEF, HEALTH, MAVLINK_IN, READING, STOP
 from link.messages import Belief, Health
 from link.record import Entry
 from sitl import verify
-from sitl.processes import Ended, Processes, Said
+from sitl.processes import Ended, Processes, Said, raise_for
 from sitl.progress import Progress
 from sitl.source import SERVICES, VEHICLE_KEYS, Source, reading_time
 from sitl.uav import RESEND_FIRST_S, RESEND_LAST_S
@@ -24,15 +23,6 @@ ANSWER_TIMEOUT_S = 10.0
 """Real time within which an answer has to come, or three times the longest that one took then."""
 SETTLE_S = 0.3
 """Real time in which what should not be said at the end would be said, or twice the longest that an answer took."""
-
-
-class PartEnded(Exception):
-    """A part of the replay is gone; the text says which and why, the status is the replay's."""
-
-    def __init__(self, text: str, status: int) -> None:
-        """Take the reason and the exit status."""
-        super().__init__(text)
-        self.status = status
 
 
 class Result(NamedTuple):
@@ -47,7 +37,7 @@ class Result(NamedTuple):
 
 
 def replay(source: Source, rules: Rules | None, speedup: float, connect: str | None) -> Result:
-    """Replay once; what was started for it has ended when it returns, whatever happened. Raises PartEnded."""
+    """Replay once; what was started for it has ended when it returns, whatever happened. Raises MissionFailed."""
     inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
     with contextlib.ExitStack() as stack:
         readings = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
@@ -78,7 +68,7 @@ def _start(processes: Processes, source: Source, inbox: "queue.SimpleQueue[Any]"
     endpoint = processes.start("router", "sitl", "router", "--listen", "tcp/127.0.0.1:0").readline().strip()
     while not endpoint:
         if isinstance(item := inbox.get(), Ended):
-            _raise_for(item)
+            raise_for(item)
     for part, words in source.parts.items():
         processes.start(part, part, "--connect", endpoint, "--namespace", source.namespace, *words)
     return endpoint
@@ -202,7 +192,7 @@ class Player:
     def _take(self, item: Any) -> None:
         match item:
             case Ended():
-                _raise_for(item)
+                raise_for(item)
             case Said(part, line):
                 if "warning:" in line:
                     self._progress.say(line)
@@ -256,12 +246,3 @@ class Player:
             self._ceased_at = belief.step
         self._last = belief
         self._progress.show(belief, self._flown_m)
-
-
-def _raise_for(ended: Ended) -> NoReturn:
-    if ended.status == cli.INTERRUPTED:
-        raise KeyboardInterrupt  # somebody interrupted a part: that ends the replay as Ctrl-C does
-    if ended.status == cli.BAD_INPUT:
-        raise PartEnded(f"{ended.part}: {ended.last_words.rpartition('error: ')[2]}", cli.BAD_INPUT)
-    how = f"was killed by signal {-ended.status}" if ended.status < 0 else f"exited with status {ended.status}"
-    raise PartEnded(f"{ended.part} {how}; its last words: {ended.last_words}", cli.FAILED)

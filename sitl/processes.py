@@ -10,7 +10,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator
-from typing import IO, Any, NamedTuple
+from typing import IO, Any, NamedTuple, NoReturn
+
+from link.cli import BAD_INPUT, FAILED, INTERRUPTED
 
 STOP_TIMEOUT_S = 1.0
 LAST = ("recorder", "router")
@@ -32,6 +34,25 @@ class Said(NamedTuple):
 
     part: str
     line: str
+
+
+class MissionFailed(Exception):
+    """A mission or a replay cannot go on; the text says why, the status is the launcher's."""
+
+    def __init__(self, text: str, status: int = FAILED) -> None:
+        """Take the reason and the exit status."""
+        super().__init__(text)
+        self.status = status
+
+
+def raise_for(ended: Ended) -> NoReturn:
+    """Raise what the end of a part means for the whole."""
+    if ended.status == INTERRUPTED:
+        raise KeyboardInterrupt  # somebody interrupted a part: that ends all as Ctrl-C does
+    if ended.status == BAD_INPUT:
+        raise MissionFailed(ended.last_words.rpartition("error: ")[2], BAD_INPUT)
+    how = f"was killed by signal {-ended.status}" if ended.status < 0 else f"exited with status {ended.status}"
+    raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
 
 
 def _die_with_the_launcher() -> None:

@@ -104,7 +104,8 @@ def _given(args: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
 
 def run(args: argparse.Namespace) -> int:
     """Replay once, or until interrupted; returns the exit status."""
-    from sitl.player import PartEnded, replay
+    from sitl.player import replay
+    from sitl.processes import MissionFailed
     from sitl.source import BadSource, find
 
     try:
@@ -124,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         raise
-    except PartEnded as failure:
+    except MissionFailed as failure:
         print(f"error: {failure}", file=sys.stderr)
         return failure.status
     if args.json:

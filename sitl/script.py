@@ -27,6 +27,8 @@ Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 StepNumber = Annotated[int, Meta(ge=0, description="a whole number from 0: of the reading, 0 at the start")]
 TimeS = Annotated[float, Meta(ge=0, description="a number from 0: simulation time, s")]
 Radians = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
+MOST_WAYPOINTS = 1000
+"""They go to the agent on its command line, whose words the system limits to 128 kB."""
 Expectation = Literal["ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"]
 
 
@@ -177,8 +179,8 @@ class Lawnmower(Event, frozen=True, tag="lawnmower"):
 
     low: Point = (0.0, 0.0)
     high: Point = (AREA_M, AREA_M)
-    spacing_m: Annotated[float, Meta(gt=0, description="a number above 0: between two rows, m")] = 5.0
-    step_m: Annotated[float, Meta(gt=0, description="a number above 0: between two readings, m")] = STEP_M
+    spacing_m: Annotated[float, Meta(ge=0.1, description="a number from 0.1: between two rows, m")] = 5.0
+    step_m: Annotated[float, Meta(ge=0.1, description="a number from 0.1: between two readings, m")] = STEP_M
 
     def path(self) -> list[Point]:
         """Return the waypoints: every row ends on the rectangle's edge, and so does the last row."""
@@ -277,6 +279,8 @@ def load(path: str | Path) -> Script:
             for step in range(event.step, event.step + len(event.path())):
                 if (other := taken.setdefault(step, number)) != number:
                     raise document.error(["events", number], f"step {step} has its waypoint from events[{other}]; wanted one for each step")
+    if len(taken) > MOST_WAYPOINTS:
+        raise document.error(["events"], f"{len(taken):,} scripted waypoints are not allowed; wanted {MOST_WAYPOINTS:,} at most")
     if script.agent.policy == "none" and (not taken or max(taken) >= len(taken)):
         wanted = "a policy, or scripted waypoints from step 0 on without a gap"
         raise document.error(["agent", "policy"], f"'none' is not allowed; wanted {wanted}")
@@ -293,8 +297,6 @@ def _check(document: Document, number: int, event: Event) -> None:
             raise document.error([*field, "time_s"], "waypoints answer readings; wanted step")
         case Lawnmower(low=low, high=high) if not (low[0] < high[0] and low[1] < high[1]):
             raise document.error([*field, "high"], f"{list(high)} is not allowed; wanted a corner north-east of low, {list(low)}")
-        case Lawnmower() if len(event.path()) > 1_000_000:
-            raise document.error(field, "more than 1,000,000 waypoints; wanted a greater spacing_m or step_m")
 
 
 def schema() -> dict[str, Any]:

@@ -124,6 +124,13 @@ def test_without_a_policy_the_search_ends_with_the_waypoints(tmp_path: Path) -> 
     assert load(path).budget == 3
 
 
+def test_more_waypoints_than_a_command_line_holds_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mission.yaml"
+    path.write_text("events:\n- {step: 0, do: lawnmower, spacing_m: 0.1, step_m: 0.1}\n")
+    with pytest.raises(FileError, match=r"mission.yaml:1: events: 90,601 scripted waypoints are not allowed; wanted 1,000 at most"):
+        load(path)
+
+
 def test_two_waypoints_for_one_step_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
     event = "- {step: %d, do: waypoints, points: [[1, 2], [2, 2]]}\n"
