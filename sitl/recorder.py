@@ -24,7 +24,7 @@ BATCH_S = 0.2
 FLUSH_S = 0.35
 """With every second batch, what was taken is handed to the system: a killed recorder loses 0.4 s."""
 SIGNAL_POLL_S = 0.05
-NICENESS = 5
+NICENESS = 19
 """The flight goes before its record."""
 PACKAGES = ("eclipse-zenoh", "numpy", "pymavlink", "numba", "mcap")
 ROOT = Path(__file__).parents[1]
@@ -55,7 +55,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Record until interrupted; stdout tells when that has begun."""
-    _give_way()
     with Tap("recorder", args.connect, args.namespace) as bus:
         try:
             writer = Writer(args.file, {**args.about, **surroundings(args.namespace)})
@@ -69,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
         bus.tally.state = "recording"
         bus.publish_health()
         print(f"recording to {args.file}", flush=True)
+        _give_way()
         try:
             _record(bus, writer, ends)
         except OSError as error:
@@ -102,9 +102,9 @@ def _await_batch(ends: list[int]) -> None:
 
 
 def _give_way() -> None:
-    """Have the scheduler prefer the flight; threads that are started from now on inherit it."""
-    os.nice(NICENESS)
-    if sys.platform == "linux":
+    """Have the scheduler prefer all others to this thread; not so Zenoh's, which run already: where those are late the router waits."""
+    if sys.platform == "linux":  # elsewhere it would be the whole process
+        os.nice(NICENESS)
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
