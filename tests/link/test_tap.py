@@ -8,7 +8,7 @@ from itertools import pairwise
 import zenoh
 
 from link.bus import Bus, Stamped, Tap
-from link.keys import BELIEF, HEALTH, KEYS, MAVLINK_OUT, READING
+from link.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING
 from link.record import SimulationClock
 from tests.link.test_record import ATTITUDE, ENTRIES, UAV
 
@@ -43,26 +43,26 @@ def test_messages_from_before_one_joined_have_the_time_they_were_published_at(ro
 
 
 def test_messages_of_many_are_taken_in_the_order_in_which_they_were_published(router: str, wait_until: Callable[..., None]) -> None:
-    expected = [(name, b"%d" % number) for number in range(50) for name in ("reading", "belief")]
+    expected = [(name, b"%d" % number) for number in range(50) for name in ("reading", "mavlink/in")]
     batches: list[list[Stamped]] = []
-    with Bus("uav", router) as uav, Bus("estimator", router) as estimator, Tap("recorder", router) as tap:
+    with Bus("uav", router) as uav, Bus("agent", router) as agent, Tap("recorder", router) as tap:
 
         def all_there() -> bool:
             batches.append([message for message in tap.take() if message.payload != b"?"])
             return sum(map(len, batches)) >= len(expected)
 
         tap.subscribe(*KEYS)
-        wait_until(lambda: estimator.publish(BELIEF, b"?") or tap.take())  # beliefs are not kept for who is not known to listen yet
+        wait_until(lambda: agent.publish(MAVLINK_IN, b"?") or tap.take())  # waypoints are not kept for who is not known to listen yet
         for _, payload in expected[::2]:
             uav.publish(READING, payload)
-            estimator.publish(BELIEF, payload, b"array")
+            agent.publish(MAVLINK_IN, payload, b"array")
         wait_until(all_there)
     assert sorted((message.name, message.payload) for batch in batches for message in batch) == sorted(expected)
     for batch in batches:  # from one batch to the next they may overtake each other on their way here
         order = [expected.index((message.name, message.payload)) for message in batch]
         assert order == sorted(order)
         assert all(message.published_ns <= message.received_ns <= time.time_ns() for message in batch)
-        assert {message.attachment for message in batch if message.key is BELIEF} <= {b"array"}
+        assert {message.attachment for message in batch if message.key is MAVLINK_IN} <= {b"array"}
 
 
 def test_who_puts_no_time_to_a_message_is_given_the_routers(router: str, wait_until: Callable[..., None]) -> None:

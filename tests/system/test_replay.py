@@ -402,7 +402,7 @@ class TestAutopilotLog:
     def test_flags_that_the_estimator_refuses_are_told_as_it_tells_them(self, start, log: Path) -> None:
         replay = start("sitl", "replay", str(log.with_suffix(".tlog")), "--prior", "q=often")
         assert replay.ended() == 2
-        assert replay.err[-1].startswith("error: estimator: --prior: ")
+        assert replay.err[-1].startswith("error: --prior: ")
 
 
 class TestBadInput:
@@ -450,7 +450,7 @@ class TestBadInput:
         foreign = rewritten(log, tmp_path / "foreign.mcap", about=with_flag(log, "agent", "--policy", "clairvoyance"))
         replay = start("sitl", "replay", str(foreign), "--speedup", "0")
         assert replay.ended() == 2
-        assert replay.err[-1].startswith("error: agent: ")
+        assert replay.err[-1].startswith("error: --policy: ")
         assert "'clairvoyance' is not allowed" in replay.err[-1]
         broken = rewritten(log, tmp_path / "broken.mcap", about={"parts": "all"})
         assert "broken.mcap: what it tells about itself cannot be used: " in refusal(str(broken))
