@@ -137,6 +137,11 @@ class SimulationClock:
                 self._newest_ms, self._told_ns = own, published_ns
         return (self._newest_ms if own is None else own) / 1000.0
 
+    @property
+    def step(self) -> int:
+        """Number of the newest reading, 0 at the start; -1 before the first."""
+        return len(self._readings) - 1
+
 
 # ---- writing ----
 

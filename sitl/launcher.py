@@ -6,6 +6,7 @@ import json
 import math
 import os
 import queue
+import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,6 +32,8 @@ from sitl.script import Cut, Expectation, Kill, Script
 CALL_EVERY_S = 1.0
 """Real time between two calls to come home."""
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
+RECORD_TIMEOUT_S = 5.0
+"""Real time that the record may be behind the mission's end: a recorder whose link was down is given what it missed."""
 
 
 class Mission(NamedTuple):
@@ -166,6 +169,7 @@ class _Watch:
         self._distance_m = 0.0
         self._last_words: dict[str, str] = {}
         self._warned = False
+        self._record_ended = False
         self._landed = False
         self._landed_at = (math.nan, math.nan)
 
@@ -183,6 +187,7 @@ class _Watch:
             raise MissionFailed(f"the uav has landed before the search was over; its last words: {words}")
         if {"returned home", "landed"} & set(script.expectations):
             self._await_landing(call_home="returned home" in script.expectations)
+        self._await_record(self._last.step)
         return self._flown(self._last)
 
     @property
@@ -197,6 +202,7 @@ class _Watch:
     def _take(self, item: Any, endpoint: str) -> None:
         match item:
             case Ended(part="recorder"):
+                self._record_ended = True
                 self._progress.say(f"warning: the record has ended: {item.last_words}")
             case Ended():
                 raise_for(item)
@@ -239,6 +245,17 @@ class _Watch:
             if call_home and state == "searching":
                 self._bus.publish(MAVLINK_IN, codec.pack(command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)))
             self._take(self._bus.receive(CALL_EVERY_S), "")
+
+    def _await_record(self, step: int) -> None:
+        """Wait until the record has all readings: those that are missing can be had only while the vehicle lives."""
+        if not self._mission.record:
+            return
+        deadline = time.monotonic() + RECORD_TIMEOUT_S
+        while not self._record_ended and not ("recorder" in self._compute and self._compute["recorder"].step >= step):
+            if time.monotonic() >= deadline:
+                self._progress.say("warning: the record lacks the last readings: the recorder was not given them in time")
+                return
+            self._take(self._bus.receive(deadline - time.monotonic()), "")
 
     def _flown(self, last: Belief) -> Flown:
         script = self._script

@@ -89,6 +89,9 @@ def _record(bus: Tap, writer: Writer, ends: list[int]) -> None:
             simulation_s = clock.time_s(message.name, message.payload, message.published_ns)
             entry = Entry(message.name, message.published_ns, simulation_s, message.payload, message.attachment)
             writer.write(entry, message.received_ns)
+        if clock.step != bus.tally.step:
+            bus.tally.step = clock.step
+            bus.publish_health()
         if time.monotonic() >= flush_at:
             writer.flush()
             flush_at = time.monotonic() + FLUSH_S
