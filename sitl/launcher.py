@@ -72,14 +72,11 @@ def fly(mission: Mission) -> Flown:
     inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
     with contextlib.ExitStack() as stack:
         progress = stack.enter_context(Progress(mission.script.budget))
-        processes = Processes(inbox)
-        stack.callback(processes.stop)
+        processes = stack.enter_context(Processes(inbox))
         relays: dict[str, Relay] = {}
         endpoint = start_parts(processes, mission, relays)
         for relay in relays.values():
             stack.callback(relay.close)
-        if not endpoint:
-            raise_for(_first_end(inbox))
         bus = stack.enter_context(Bus("mission", endpoint, mission.namespace, inbox))
         bus.subscribe(BELIEF, STOP, HEALTH)
         events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
@@ -88,13 +85,9 @@ def fly(mission: Mission) -> Flown:
 
 
 def start_parts(processes: Processes, mission: Mission, relays: dict[str, Relay]) -> str:
-    """Start all parts; returns the router's endpoint, empty where it could not listen. Links that the script cuts get a relay."""
+    """Start all parts; returns the router's endpoint. Links that the script cuts get a relay. Raises MissionFailed: no router."""
     script = mission.script
-    endpoint = processes.start("router", "sitl", "router", "--listen", mission.listen).readline().strip()
-    if not endpoint:
-        return ""
-    # Router and relays keep their address: one that is killed or cut comes back where it was.
-    processes.start_again_as("router", "sitl", "router", "--listen", endpoint)
+    endpoint = processes.start_router(mission.listen)
     relays |= {part: Relay(endpoint) for part in sorted({event.part for event in script.events if isinstance(event, Cut)})}
 
     def joining(part: str) -> tuple[str, ...]:
@@ -280,12 +273,6 @@ def _frames(payload: bytes) -> list[Message]:
         return unpack(payload)
     except BadFrame:
         return []
-
-
-def _first_end(inbox: "queue.SimpleQueue[Any]") -> Ended:
-    while not isinstance(item := inbox.get(), Ended):
-        pass
-    return item
 
 
 def run_name(script: Script) -> str:

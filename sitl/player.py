@@ -5,7 +5,6 @@ import math
 import queue
 import time
 from collections import deque
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from link.bus import Arrival, Bus, LivelinessChange
@@ -43,7 +42,7 @@ def replay(source: Source, rules: Rules | None, speedup: float, connect: str | N
         readings = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
         started = ", ".join(["router", *source.parts]) if connect is None else "replay"
         progress = stack.enter_context(Progress(max(len(readings) - 1, 0), started))
-        endpoint = connect or _start(stack.enter_context(_ended_together(inbox)), source, inbox)
+        endpoint = connect or _start(stack.enter_context(Processes(inbox)), source)
         bus = stack.enter_context(Bus("uav", endpoint, source.namespace, inbox))
         bus.subscribe(BELIEF, STOP, MAVLINK_IN, HEALTH)
         bus.watch_services()
@@ -54,21 +53,9 @@ def replay(source: Source, rules: Rules | None, speedup: float, connect: str | N
         return player.result()
 
 
-@contextlib.contextmanager
-def _ended_together(inbox: "queue.SimpleQueue[Any]") -> Iterator[Processes]:
-    processes = Processes(inbox)
-    try:
-        yield processes
-    finally:
-        processes.stop()
-
-
-def _start(processes: Processes, source: Source, inbox: "queue.SimpleQueue[Any]") -> str:
+def _start(processes: Processes, source: Source) -> str:
     """Start a router and the services; returns the router's endpoint."""
-    endpoint = processes.start("router", "sitl", "router", "--listen", "tcp/127.0.0.1:0").readline().strip()
-    while not endpoint:
-        if isinstance(item := inbox.get(), Ended):
-            raise_for(item)
+    endpoint = processes.start_router("tcp/127.0.0.1:0")
     for part, words in source.parts.items():
         processes.start(part, part, "--connect", endpoint, "--namespace", source.namespace, *words)
     return endpoint

@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator
-from typing import IO, Any, NamedTuple, NoReturn
+from typing import IO, Any, NamedTuple, NoReturn, Self
 
 from link.cli import BAD_INPUT, FAILED, INTERRUPTED
 
@@ -105,6 +105,15 @@ class Processes:
         assert child.stdout is not None
         return child.stdout
 
+    def start_router(self, listen: str) -> str:
+        """Start a router; returns its endpoint, where it is started again too. Raises MissionFailed where it cannot listen."""
+        endpoint = self.start("router", "sitl", "router", "--listen", listen).readline().strip()
+        while not endpoint:
+            if isinstance(item := self._inbox.get(), Ended):
+                raise_for(item)
+        self._commands["router"] = ("sitl", "router", "--listen", endpoint)
+        return endpoint
+
     def kill(self, part: str) -> None:
         """Kill a part on purpose: its end does not go into the inbox."""
         child = self._children[part]
@@ -113,12 +122,8 @@ class Processes:
         child.wait()
 
     def restart(self, part: str) -> None:
-        """Start a part that was killed again, as it was started first or as `start_again_as` says."""
+        """Start a part that was killed again, as it was started first; a router where it was."""
         self.start(part, *self._commands[part])
-
-    def start_again_as(self, part: str, module: str, *arguments: str) -> None:
-        """Say how to start a part again."""
-        self._commands[part] = (module, *arguments)
 
     def _watch(self, part: str, child: "subprocess.Popen[str]") -> None:
         assert child.stderr is not None
@@ -130,6 +135,14 @@ class Processes:
         status = child.wait()
         if child not in self._killed:
             self._inbox.put(Ended(part, status, words[-1] if words else "no last words"))
+
+    def __enter__(self) -> Self:
+        """Enter a with block, which ends all of them at its end."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End all of them."""
+        self.stop()
 
     def stop(self) -> None:
         """End all of them, kindly first; afterwards none is left, however often Ctrl-C is pressed meanwhile."""
