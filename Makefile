@@ -11,11 +11,12 @@ LEARNED := infotaxis,ppo,dqn,ddpg
 
 setup: $(READY)
 
-# Made anew when what it is made from changes.
+# Made anew when what it is made from changes. particles, a peer of the benchmarks, says that it wants an older numpy, and works with ours.
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Plumeward needs Python 3.11 or newer; name one with: make PYTHON=...")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps particles
 	@touch $@
 
 mission: setup
@@ -37,15 +38,11 @@ docs: setup
 bench: setup
 	$(BIN)/python benchmarks/loop.py
 
-# The peers: particles says that it wants an older numpy, and works with ours.
 bench-filter: setup
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps particles==0.4
 	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.filter
 
 # The peer is Stone Soup.
 bench-planners: setup
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
 	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.planners
 
 bench-env: setup

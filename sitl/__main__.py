@@ -1,4 +1,4 @@
-"""`python -m sitl`: fly one mission with all its parts, replay one, look into its log, or run one part alone."""
+"""`plumeward`, also `python -m sitl`: fly one mission with all its parts, replay one, look into its log, or run one part alone."""
 
 import argparse
 import importlib
@@ -6,13 +6,14 @@ import math
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import NoReturn
 
 from link import cli
 from link.bus import DEFAULT_ROUTER
 from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
-from sitl.script import OnBoard, Script, load
+from sitl.script import OnBoard, Script, find, load
 from sitl.typed_yaml import Document, FileError
 
 
@@ -46,7 +47,10 @@ def _record(text: str) -> Path:
 
 
 def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> None:
-    parser.add_argument("mission", nargs="?", metavar="MISSION.yaml", help="a mission script; flags given beside it win")
+    parser.add_argument(
+        "mission", nargs="?", metavar="MISSION",
+        help="a mission script, MISSION.yaml, or the name of one that ships, such as wind-shift; flags given beside it win",
+    )  # fmt: skip
     parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=1, help="of the scenario and the sensor (default: %(default)s)")
     parser.add_argument(
         "--speedup",
@@ -112,9 +116,9 @@ def _module(command: str) -> ModuleType:
     return importlib.import_module("sitl.recorder" if command == "record" else f"sitl.{command}")
 
 
-def _parse(arguments: list[str]) -> tuple[argparse.Namespace, argparse.Namespace]:
+def _parse(prog: str, arguments: list[str]) -> tuple[argparse.Namespace, argparse.Namespace]:
     """Return the arguments, and of them those that were given."""
-    parser = cli.Parser(prog="python -m sitl", description="Simulated flights to a gas leak. Without a command: fly, with its defaults.")
+    parser = cli.Parser(prog=prog, description="Simulated flights to a gas leak. Without a command: fly, with its defaults.")
     commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, required=True, metavar="COMMAND")
 
     fly = commands.add_parser("fly", help="fly one mission: router, uav, estimator and agent as processes")
@@ -228,7 +232,7 @@ def _in_script(refusal: str, args: argparse.Namespace, given: argparse.Namespace
     flag, _, reason = refusal.partition(": ")
     name = flag.removeprefix("--").replace("-", "_")
     if args.mission and name in FIELDS and name not in given:
-        return str(Document(Path(args.mission)).error([*FIELDS[name].split(".")], reason))
+        return str(Document(find(args.mission)).error([*FIELDS[name].split(".")], reason))
     return refusal
 
 
@@ -269,9 +273,9 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     return 0
 
 
-def main() -> int:
+def main(prog: str = "python -m sitl") -> int:
     """Parse the command line and run what it names."""
-    args, given = _parse(sys.argv[1:])
+    args, given = _parse(prog, sys.argv[1:])
     if args.command in ("fly", "uav"):
         try:
             return {"fly": _fly, "uav": _uav}[args.command](args, given)
@@ -285,6 +289,11 @@ def main() -> int:
 
     run(args.listen)
     return 0
+
+
+def command() -> NoReturn:
+    """Run as `plumeward`, the command that an install gives."""
+    cli.run(lambda: main("plumeward"))
 
 
 if __name__ == "__main__":

@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="tlog: south-western corner of the search area, m in the log's local frame (default: around the flight)",
     )  # fmt: skip
     parser.add_argument("--area", type=positive, metavar="M", help="tlog: side of the search area (default: around the flight)")
-    parser.add_argument("--plume", type=Path, metavar="MISSION.yaml", help="tlog: take the gas from this mission's plume, along the path")
+    parser.add_argument("--plume", metavar="MISSION", help="tlog: take the gas from this mission's plume, along the path")
     cli.add_filter_arguments(parser)
     for name in ("particles", "threshold", "stop_on"):
         parser.set_defaults(**{name: _Unset(parser.get_default(name))})

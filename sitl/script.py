@@ -5,6 +5,7 @@
 
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,7 +17,7 @@ from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario, draw
 from plume.world import World
-from sitl.typed_yaml import Document
+from sitl.typed_yaml import Document, FileError
 from sitl.vehicle import VehicleConfig
 
 Positive = Annotated[float, Meta(gt=0)]
@@ -264,9 +265,33 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return script
 
 
-def load(path: str | Path) -> Script:
-    """Read a mission script; raises FileError with one line that names file, line, field and what is allowed."""
-    document = Document(Path(path))
+def shipped() -> dict[str, Path]:
+    """Return the missions that come with the project, by name: a wheel has them in this package, a checkout beside it."""
+    package = Path(__file__).parent
+    folder = package / "missions"
+    if not folder.is_dir():
+        folder = package.parent / "missions"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def find(mission: str | Path) -> Path:
+    """Return the file of a mission: the one so named, or else the shipped one of that name. Raises FileError."""
+    missions = shipped()
+    if not os.path.isfile(mission) and (found := missions.get(str(mission).removesuffix(".yaml"))):
+        return found
+    try:
+        os.stat(mission)
+    except FileNotFoundError:
+        wanted = f"a mission script, or one of {', '.join(missions)}"
+        raise FileError(f"{mission}: no such file and no shipped mission; wanted {wanted}") from None
+    except OSError as error:
+        raise FileError(f"{mission}: {error.strerror}") from None
+    return Path(mission)
+
+
+def load(mission: str | Path) -> Script:
+    """Read a mission script, or a shipped one by its name; raises FileError: one line with file, line, field and what is allowed."""
+    document = Document(find(mission))
     script = document.to(Script)
     try:
         sensor.parse(script.sensor)

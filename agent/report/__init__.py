@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the report on a folder of raw results."""
     if find_spec("matplotlib") is None:
-        print("error: pictures are drawn with matplotlib: pip install 'plumeward[report]'", file=sys.stderr)
+        print("error: pictures are drawn with matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
         return cli.FAILED
     try:
         results = read(args.results)

@@ -165,7 +165,7 @@ def test_a_report_is_files_that_need_nothing_else(tmp_path: Path) -> None:
 def test_without_matplotlib_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert run(argparse.Namespace(results=tmp_path, out=tmp_path)) == 1
-    assert capsys.readouterr().err == "error: pictures are drawn with matplotlib: pip install 'plumeward[report]'\n"
+    assert capsys.readouterr().err == "error: pictures are drawn with matplotlib: pip install 'plumeward[view]'\n"
 
 
 def test_the_service_does_not_pay_for_it() -> None:

@@ -85,9 +85,34 @@ def test_what_is_no_mission_at_all_is_one_line(tmp_path: Path, content: bytes) -
 
 
 def test_a_missing_file_and_a_folder_are_one_line(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.yaml", tmp_path):
-        with pytest.raises(FileError, match=str(path)):
+    for path in (tmp_path / "none.yaml", tmp_path, tmp_path / ("long" * 100)):
+        with pytest.raises(FileError, match=f"^{path}: .*$"):
             load(path)
+
+
+@pytest.mark.parametrize("path", MISSIONS, ids=lambda path: path.stem)
+def test_a_shipped_mission_is_found_by_its_name_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / path.stem).mkdir()  # a folder is no mission, whatever it is called
+    assert load(path.stem) == load(path.name) == load(path)
+
+
+def test_a_file_that_is_there_wins_over_a_shipped_mission_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("wind-shift.yaml").write_text("about: mine")
+    assert load("wind-shift.yaml").about == "mine"
+    assert load("wind-shift") == load(ROOT / "missions" / "wind-shift.yaml")
+    Path("wind-shift").write_text("about: mine without a suffix")
+    assert load("wind-shift").about == "mine without a suffix"
+
+
+@pytest.mark.parametrize("name", ["wnd-shift", "missions/wind-shift.yaml", "./wind-shift", "wind-shift.yml"])
+def test_a_name_that_is_none_is_told_with_those_that_ship(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileError) as error:
+        load(name)
+    shipped = ", ".join(path.stem for path in MISSIONS)
+    assert str(error.value) == f"{name}: no such file and no shipped mission; wanted a mission script, or one of {shipped}"
 
 
 def test_an_empty_script_is_the_usual_mission(tmp_path: Path) -> None:
