@@ -107,9 +107,9 @@ def mirror() -> str:
     """Where this machine has its Debian packages from."""
     if shutil.which("apt-get"):
         targets = said("apt-get", "indextargets", "--format", "$(REPO_URI) $(ORIGIN) $(COMPONENT)", "Created-By: Packages").splitlines()
-        for uri, origin, component in (target.split() for target in targets if target.count(" ") == 2):
-            if (origin, component) == ("Debian", "main"):
-                return uri
+        for target in targets:
+            if target.endswith(" Debian main"):
+                return target.split()[0]
     return "http://deb.debian.org/debian"
 
 
