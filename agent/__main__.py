@@ -100,7 +100,7 @@ def _run(args: argparse.Namespace) -> int | None:
         return None
     from agent.service import run
 
-    with Bus("agent", args.connect, args.namespace) as bus:
+    with Bus("agent", args.connect, args.namespace, log_level=args.log_level) as bus:
         scripted = {step: point for path in args.waypoints for step, point in path.items()}
         run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, scripted)
     return None

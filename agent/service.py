@@ -42,6 +42,7 @@ def run(
     find_policy(policy)  # compiles or loads what it needs before the first belief comes
     codec = Codec(system, ONBOARD_COMPUTER)
     bus.subscribe(BELIEF)
+    bus.tally.about = policy
     bus.publish_health()
     bus.log.info(f"ready: {policy}")
     answered = -1
@@ -57,11 +58,11 @@ def run(
             began = time.perf_counter()
             waypoint = scripted[belief.step] if belief.step in scripted else choose(policy, belief, particles, seed, reach)
             bus.tally.compute_s += time.perf_counter() - began
-            bus.tally.step = belief.step
+            bus.tally.did(belief.step)
             answered = belief.time_boot_ms
         # A belief that comes again means that our waypoint did not arrive: the same one is sent again.
         bus.publish(MAVLINK_IN, codec.pack(waypoint_message(system, belief.time_boot_ms, waypoint, belief.altitude_m)))
-        bus.publish_health()
+        bus.answered()
 
 
 def _newest_belief(bus: Bus) -> tuple[Belief, Particles] | None:

@@ -35,7 +35,7 @@ def main() -> None:
     from estimator.service import run
 
     config = Config(args.particles, args.threshold, args.seed, args.rate, args.diffusivity, args.lifetime, args.area, **known)
-    with Bus("estimator", args.connect, args.namespace) as bus:
+    with Bus("estimator", args.connect, args.namespace, log_level=args.log_level) as bus:
         run(bus, config, args.sysid)
 
 

@@ -10,6 +10,7 @@ from link.bus import Arrival, Bus
 from link.keys import BELIEF, READING, STOP
 from link.mavlink import BadFrame, Reading, unpack_reading
 from link.messages import pack_particles
+from link.tally import REPEATED
 from plume.sensor import text
 
 
@@ -22,8 +23,8 @@ def run(bus: Bus, config: Config, system: int) -> None:
         refused = refusal(reading, latest, config)
         if refused:
             kind, reason = refused
-            bus.refuse(READING, reason, kind, bus.log.info if kind == "repeated" else bus.log.warn)
-            if kind != "repeated":
+            bus.refuse(READING, reason, kind)
+            if kind != REPEATED:
                 continue
         else:
             began = time.perf_counter()
@@ -31,7 +32,7 @@ def run(bus: Bus, config: Config, system: int) -> None:
             summary, array = belief(posterior, reading, config)
             particles = pack_particles(array)
             bus.tally.compute_s += time.perf_counter() - began
-            bus.tally.step = summary.step
+            bus.tally.did(summary.step)
             latest = reading
             _judge(bus, summary.p_value)
             if summary.ceased and not stopped:
@@ -41,7 +42,7 @@ def run(bus: Bus, config: Config, system: int) -> None:
         # A reading that comes again was not answered: whatever was lost on the way, saying the same belief again mends it.
         assert summary is not None
         bus.publish(BELIEF, summary, particles)
-        bus.publish_health()
+        bus.answered()
 
 
 def _judge(bus: Bus, p_value: float) -> None:
@@ -58,10 +59,11 @@ def _judge(bus: Bus, p_value: float) -> None:
 
 def _readings(bus: Bus, config: Config, system: int) -> Iterator[Reading]:
     bus.subscribe(READING)
+    bus.tally.about = f"{config.particles} particles over {' '.join(config.unknowns)}, stop below {config.threshold_m:g} m"
     bus.publish_health()
     bus.log.info(
-        f"ready: {config.particles} particles over {' '.join(config.unknowns)}, stop below {config.threshold_m:g} m; assuming q "
-        f"{config.rate:g} g/s, d {config.diffusivity:g} m²/s, tau {config.lifetime:g} s; sensor {text(config.sensor)}"
+        f"ready: {bus.tally.about}; assuming q {config.rate:g} g/s, d {config.diffusivity:g} m²/s, tau {config.lifetime:g} s; "
+        f"sensor {text(config.sensor)}"
     )
     while True:
         arrival: Arrival = bus.receive()

@@ -84,6 +84,12 @@ never stops a service.
 | `conflicting` | another reading under the newest one's time |
 | `repeated` | the newest reading again: it is not taken twice, but the belief is said again |
 
+## Health
+
+A service declares the liveliness token `health/<service>` when it joins: its process is there. It publishes its health on the same key
+when it is ready, after each step, and at least once a second. One that has been silent for five seconds hangs, or its link is cut;
+`python -m sitl status` says so.
+
 ## Messages
 """
 

@@ -6,9 +6,8 @@ import os
 import queue
 import re
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Self, TypeVar
 
 import msgspec
@@ -19,12 +18,15 @@ from link.keys import HEALTH, KEYS, Key
 from link.log import Log
 from link.messages import Health
 from link.sequence import Sequence
+from link.tally import REPEATED, Tally
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
 WAITING_MESSAGES = 4096
 """Of each key, beside those that are kept: where more wait to be taken, the oldest are dropped rather than the flight held up."""
 ONE_THREAD = "(rx: (handover: net), tx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1))"
+HEALTH_EVERY_S = 1.0
+"""A service that has nothing to do says at least so often that it is well."""
 SIGNAL_POLL_S = 0.2
 """Waits are cut into slices of this length: a signal that the system hands to one of Zenoh's threads wakes no other thread."""
 
@@ -35,12 +37,18 @@ class BusError(Exception):
     """The bus cannot be joined or opened; the text is one clear line."""
 
 
+class NoRouter(BusError):
+    """There is no router where one was to be."""
+
+
 class Arrival(NamedTuple):
     """One message from the bus."""
 
     key: Key
     payload: bytes
     attachment: bytes
+    at: float = 0.0
+    """When it came, by time.monotonic()."""
 
 
 class Stamped(NamedTuple):
@@ -70,16 +78,6 @@ class LivelinessChange(NamedTuple):
 
     service: str
     alive: bool
-
-
-@dataclass
-class Tally:
-    """What a service counts about itself; published as its Health."""
-
-    state: str = "ready"
-    step: int = -1
-    compute_s: float = 0.0
-    warnings: tuple[str, ...] = ()
 
 
 def _config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zenoh.Config:
@@ -122,11 +120,14 @@ class Bus:
         connect: str = DEFAULT_ROUTER,
         namespace: str = "uav/1",
         inbox: "queue.SimpleQueue[Any] | None" = None,
+        log_level: str = "info",
+        announced: bool = True,
         **settings: Any,
     ) -> None:
-        """Join a router as a client; raises BusError where none answers within CONNECT_TIMEOUT_S.
+        """Join a router as a client; raises NoRouter where none answers within CONNECT_TIMEOUT_S, BusError where `connect` is no endpoint.
 
-        All that arrives goes into `inbox`: give one's own where other things than the bus fill it too. Further settings are Zenoh's.
+        All that arrives goes into `inbox`: give one's own where other things than the bus fill it too. Who is not announced has no
+        liveliness token: it looks on. Further settings are Zenoh's.
         """
         config = _config(
             "client",
@@ -141,18 +142,18 @@ class Bus:
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError:
-            raise BusError(f"--connect: no router at {connect} (start one with: python -m sitl router)") from None
+            raise NoRouter(f"--connect: no router at {connect} (start one with: python -m sitl router)") from None
         self.service = service
-        self.log = Log(service)
-        self.refused: Counter[str] = Counter()
         self.tally = Tally()
+        self.log = Log(service, namespace, self.tally, log_level)
         self._inbox: queue.SimpleQueue[Any] = inbox or queue.SimpleQueue()
         self._publishers: dict[str, Any] = {}
         self._subscribers: dict[str, Any] = {}
         self._sequences: dict[str, Sequence[Arrival | Stamped]] = {}
         self._ready: deque[Any] = deque()
-        self._started = time.monotonic()
-        self._token = self._session.liveliness().declare_token(self._own_health())
+        self._given_at = time.monotonic()
+        self._health_at = math.inf
+        self._token = self._session.liveliness().declare_token(self._own_health()) if announced else None
 
     def _own_health(self) -> str:
         return HEALTH.name.replace("<service>", self.service)
@@ -201,7 +202,7 @@ class Bus:
         """Have what is published under a key, kept messages first, handed to a callback in the session's thread."""
 
         def received(sample: zenoh.Sample) -> None:
-            arrival = Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b"")
+            arrival = Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b"", time.monotonic())
             if key.name in self._sequences and (info := sample.source_info) is not None:
                 arrived(_Numbered(str(info.source_id), info.source_sn, arrival))
             else:
@@ -233,11 +234,22 @@ class Bus:
         name = HEALTH.name.replace("<service>", "*")
         self._subscribers["liveliness"] = self._session.liveliness().declare_subscriber(name, changed, history=True)
 
+    def services(self) -> set[str]:
+        """Return the services that are there."""
+        replies = self._session.liveliness().get(HEALTH.name.replace("<service>", "*"))
+        return {str(reply.ok.key_expr).rpartition("/")[2] for reply in replies if reply.ok is not None}
+
+    @property
+    def connected(self) -> bool:
+        """Whether the router is there now."""
+        return bool(self._session.info.routers_zid())
+
     def receive(self, timeout_s: float | None = None) -> Any:
         """Return the next item of the inbox; None after timeout_s, or, where that is None, never."""
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while not self._ready:
             self._look_after_sequences()
+            self.keep_health()
             left_s = max(deadline - time.monotonic(), 0.0)
             try:
                 item = self._inbox.get(timeout=min(SIGNAL_POLL_S, left_s))
@@ -250,13 +262,16 @@ class Bus:
                 self._ready += sequence.arrived(item.source, item.number, item.arrival, time.monotonic())
             else:
                 self._ready.append(item)
-        return self._ready.popleft()
+        item = self._ready.popleft()
+        if isinstance(item, Arrival):
+            self._given_at = item.at
+        return item
 
     def _look_after_sequences(self) -> None:
         now_s = time.monotonic()
         for name, sequence in self._sequences.items():
             if sequence.should_ask_again(now_s):
-                if self._session.info.routers_zid():
+                if self.connected:
                     self._subscribers.pop(name).undeclare()  # a new subscriber is given the history anew
                     self.subscribe(next(key for key in KEYS if key.name == name))
                 else:
@@ -266,10 +281,10 @@ class Bus:
                 self.log.warn(f"{missing} messages of {name} are lost: nobody has kept them")
             self._ready += ready
 
-    def refuse(self, key: Key, reason: str, kind: str, log: Callable[[str], None] | None = None) -> None:
-        """Count and log a message that is dropped; `kind` is what it is counted under. It is a warning unless `log` says otherwise."""
-        self.refused[kind] += 1
-        (log or self.log.warn)(f"refused {key.name}: {reason}")
+    def refuse(self, key: Key, reason: str, kind: str) -> None:
+        """Count and log a message that is dropped; `kind` is what it is counted under. It is a warning where it is not just repeated."""
+        self.tally.refuse(kind)
+        (self.log.info if kind == REPEATED else self.log.warn)(f"refused {key.name}: {reason}")
 
     def decode(self, arrival: Arrival, kind: type[T]) -> T | None:
         """Decode JSON into its struct; what does not decode is refused, and None."""
@@ -279,19 +294,35 @@ class Bus:
             self.refuse(arrival.key, str(error), "malformed")
             return None
 
+    def answered(self) -> None:
+        """Say what has become of the message that was received last: how long it has taken, and how this service is doing now."""
+        tally = self.tally
+        tally.latency_s = time.monotonic() - self._given_at
+        self.log.debug(f"answered after {1000 * tally.latency_s:.2f} ms; {1000 * tally.compute_s:.2f} ms computed so far")
+        self.publish_health()
+
     def publish_health(self) -> None:
-        """Publish how this service is doing now."""
-        uptime_s = time.monotonic() - self._started
+        """Publish how this service is doing now; it is, from the first time on, at least every HEALTH_EVERY_S while one receives."""
+        tally = self.tally
         health = Health(
-            self.service, self.tally.state, self.tally.step, self.tally.compute_s, uptime_s, dict(self.refused), self.tally.warnings
-        )
+            service=self.service, state=tally.state, about=tally.about, step=tally.step, rate_hz=tally.rate_hz, latency_s=tally.latency_s,
+            compute_s=tally.compute_s, uptime_s=tally.uptime_s, refused=dict(tally.refused), refused_lately=tally.refused_lately,
+            last_error=tally.last_error, warnings=tally.warnings,
+        )  # fmt: skip
         self.publish(HEALTH, health)
+        self._health_at = time.monotonic() + HEALTH_EVERY_S
+
+    def keep_health(self) -> None:
+        """Publish how this service is doing where it has not been said lately."""
+        if time.monotonic() >= self._health_at:
+            self.publish_health()
 
     def close(self) -> None:
         """Leave the bus. A session that is left open would hang the process's exit."""
         for subscriber in self._subscribers.values():
             subscriber.undeclare()
-        self._token.undeclare()  # type: ignore[no-untyped-call]
+        if self._token:
+            self._token.undeclare()  # type: ignore[no-untyped-call]
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:
@@ -309,12 +340,12 @@ class Tap(Bus):
     A Python callback for each message would cost more than all that is done with it afterwards.
     """
 
-    def __init__(self, service: str, connect: str = DEFAULT_ROUTER, namespace: str = "uav/1") -> None:
+    def __init__(self, service: str, connect: str = DEFAULT_ROUTER, namespace: str = "uav/1", log_level: str = "info") -> None:
         """Join as any other."""
         # Read by the first session of a process. By default four pools of threads hand each message on to each other.
         os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)
         # A message keeps the buffer that it came in: at the usual 64 kB each, clearing these is half the cost of receiving.
-        super().__init__(service, connect, namespace, transport__link__tx__batch_size=16_384)
+        super().__init__(service, connect, namespace, log_level=log_level, transport__link__tx__batch_size=16_384)
         self._taken_ns = 0
 
     def subscribe(self, *keys: Key) -> None:
@@ -332,6 +363,7 @@ class Tap(Bus):
                 self._take_from(key, now_ns)
         self._taken_ns = now_ns
         self._look_after_sequences()
+        self.keep_health()
         taken = sorted(self._ready, key=lambda message: message.published_ns)
         self._ready.clear()
         return taken

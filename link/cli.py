@@ -9,6 +9,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from link.bus import DEFAULT_ROUTER, BusError
+from link.log import LEVELS
 
 INTERRUPTED = 130
 BAD_INPUT = 2
@@ -64,6 +65,14 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags that say which bus to join."""
     parser.add_argument("-e", "--connect", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="Zenoh router to join (default: %(default)s)")
     parser.add_argument("--namespace", metavar="NAME", default="uav/1", help="the vehicle's key prefix (default: %(default)s)")
+    add_log_argument(parser)
+
+
+def add_log_argument(parser: argparse.ArgumentParser, default: str = "info") -> None:
+    """Add the flag that says how much is logged."""
+    parser.add_argument(
+        "--log-level", choices=LEVELS, default=default, help="the least that is logged; debug is a line a step (default: %(default)s)"
+    )
 
 
 def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = False) -> None:

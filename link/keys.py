@@ -68,7 +68,7 @@ STOP = Key(
 HEALTH = Key(
     "health/<service>", Health, "all", "all",
     Delivery(kept=1),
-    "1 a step",
+    "1 a step, 1 a second at least",
     "How a service is doing. A liveliness token on the same key says that its process is there.",
 )  # fmt: skip
 

@@ -68,6 +68,13 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     uptime_s: Annotated[float, Meta(ge=0, description="seconds since it joined the bus")]
     refused: Annotated[dict[str, Count], Meta(description="messages dropped so far, by kind of reason")]
     warnings: Annotated[tuple[str, ...], Meta(description="what is wrong now, in words; empty where nothing is")] = ()
+    refused_lately: Annotated[Count, Meta(description="messages dropped within the last 60 s, but for those that were only `repeated`")] = 0
+    last_error: Annotated[str, Meta(description="the last thing that went wrong, as the log says it; empty where nothing has")] = ""
+    rate_hz: Annotated[float, Meta(ge=0, description="steps a second over the last 10 s; of the recorder: messages")] = 0.0
+    latency_s: Annotated[
+        float, Meta(ge=0, description="from what it was given last to its answer, the uav's from its reading to the waypoint, s")
+    ] = 0.0
+    about: Annotated[str, Meta(description="what it runs with: the agent's policy, the estimator's particles")] = ""
 
 
 def pack_particles(particles: Particles) -> bytes:

@@ -83,6 +83,7 @@ SCRIPTS = (".yaml", ".yml")
 OTHERS = {
     "replay": "fly a log again: what the vehicle said then, to services that run now",
     "log": "what a log holds: a summary, or one key as CSV",
+    "status": "how the parts of a mission are doing: at a glance, or as JSON; status 1 where something is wrong",
     "record": "record all that is said on a bus, until interrupted",
 }
 """Commands with a module of their own, loaded only when asked for: a part has to start fast."""
@@ -130,8 +131,12 @@ def _parse(prog: str, arguments: list[str]) -> tuple[argparse.Namespace, argpars
     fly.add_argument(
         "-l", "--listen", metavar="ENDPOINT", default="tcp/127.0.0.1:0", help="where the router listens (default: a free local port)"
     )
+    fly.add_argument(
+        "-e", "--connect", metavar="ENDPOINT", help="fly with router, estimator and agent that run elsewhere; start only the vehicle"
+    )
     fly.add_argument("--record", type=_record, metavar="FILE.mcap", help="where to record to, with a .tlog beside it (default: in runs/)")
     fly.add_argument("--no-record", action="store_true", help="record nothing")
+    cli.add_log_argument(fly, "warning")
     cli.add_output_arguments(fly)
 
     uav = commands.add_parser("uav", help="the simulated vehicle alone")
@@ -175,10 +180,13 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from sitl.processes import MissionFailed
 
     script = _script(args, given)
-    summary = Path("runs") / f"{run_name(script)}.json"
+    if args.connect and (reason := _unfit_for_connect(script, given)):
+        print(f"error: {reason}", file=sys.stderr)
+        return cli.BAD_INPUT
+    summary = Path("runs") / f"{run_name('connected' if args.connect else script.agent.policy, script.seed)}.json"
     record = None if args.no_record else args.record or summary.with_suffix(".mcap")
     try:
-        flown = fly(Mission(script, args.instance, args.listen, _handed_on(args, given), record))
+        flown = fly(Mission(script, args.instance, args.listen, _handed_on(args, given), record, args.connect, args.log_level))
     except KeyboardInterrupt:
         _tell_record(record)
         print("interrupted", file=sys.stderr)
@@ -190,7 +198,7 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
         return failure.status
     print(outcome_text(flown.outcome), file=sys.stderr)
     try:
-        write_summary(script, flown, summary)
+        write_summary(flown, summary)
         print(f"summary in {summary}", file=sys.stderr)
     except OSError as error:
         print(f"warning: no summary written to runs/: {error.strerror}", file=sys.stderr)
@@ -200,6 +208,14 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     if args.json:
         print(flown.json(with_trace=args.trace))
     return 0 if all(flown.expectations.values()) else cli.FAILED
+
+
+def _unfit_for_connect(script: Script, given: argparse.Namespace) -> str | None:
+    from sitl.joining import refusal
+
+    if "listen" in given:
+        return "--listen: not with --connect, whose router runs elsewhere"
+    return refusal(script, [FIELDS[name] for name in vars(given) if name in FIELDS])
 
 
 def _tell_record(record: Path | None, *, keep: bool = True) -> None:
@@ -226,6 +242,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
 
     from link.bus import Bus
     from link.log import Log
+    from link.tally import Tally
     from sitl.clock import Clock
     from sitl.uav import Uav
 
@@ -233,13 +250,14 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     config = script.vehicle_config(args.instance + 1)
     release = script.release()
     inbox: queue.SimpleQueue[object] = queue.SimpleQueue()
-    log = Log("uav")
+    namespace = args.namespace or f"uav/{args.instance + 1}"
+    log = Log("uav", namespace, Tally(), args.log_level)
     with contextlib.ExitStack() as stack:
         bus = None
         if args.connect or not args.out:  # with --out alone it is a plain MAVLink vehicle, without a bus
             endpoint = args.connect or DEFAULT_ROUTER
-            namespace = args.namespace or f"uav/{args.instance + 1}"
-            bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox))
+            bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox, args.log_level))
+            log = bus.log
             log.info(f"on the bus at {endpoint} as {namespace}; takes off when estimator and agent are there")
             joining = f"--connect {endpoint} --namespace {namespace}"
             chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
@@ -247,7 +265,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
             log.info(f"its estimator: python -m estimator {joining} --rate {release.q!r} --diffusivity {release.d!r}{chosen}{who}")
             log.info(f"its agent: python -m agent {joining} --sysid {config.sysid}")
         events = [event for event in script.events if isinstance(event, OnBoard)]
-        uav = Uav(config, script.world(), Clock(script.speedup), inbox, bus, args.out, events)
+        uav = Uav(config, script.world(), Clock(script.speedup), inbox, bus, args.out, log, events)
         for url in args.out:
             port = url.rpartition(":")[2]
             log.info(f"MAVLink to {url}; MAVSDK: udpin://0.0.0.0:{port}, pymavlink and MAVProxy: udpin:0.0.0.0:{port}")

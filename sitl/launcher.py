@@ -15,19 +15,22 @@ from typing import Any, NamedTuple
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus import Arrival, Bus
+from link.bus import Arrival, Bus, LivelinessChange
 from link.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, STOP
+from link.log import LEVELS
 from link.mavlink import BadFrame, Codec, Message, unpack
 from link.messages import Belief, Health
 from plume import __version__
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.randomness import derived_seed
 from sitl.disturbances import Disturbances
+from sitl.joining import await_services
 from sitl.operator import OPERATOR, command
 from sitl.processes import Ended, MissionFailed, Processes, Said, raise_for
 from sitl.progress import Progress
 from sitl.relay import Relay
 from sitl.script import Cut, Expectation, Kill, Script
+from sitl.uav import SEARCHERS
 
 CALL_EVERY_S = 1.0
 """Real time between two calls to come home."""
@@ -46,6 +49,9 @@ class Mission(NamedTuple):
     """The script's file and the flags that change it, for the uav to read them itself."""
     record: Path | None = None
     """The MCAP file to record to."""
+    connect: str | None = None
+    """A router whose estimator and agent fly it; without one they are started."""
+    log_level: str = "warning"
 
     @property
     def namespace(self) -> str:
@@ -56,6 +62,8 @@ class Mission(NamedTuple):
 class Flown(NamedTuple):
     """What came of a mission."""
 
+    script: Script
+    """With the policy that the agent had, where that runs elsewhere."""
     outcome: Outcome
     trace: list[TracePoint]
     expectations: dict[Expectation, bool]
@@ -71,39 +79,55 @@ def fly(mission: Mission) -> Flown:
     """Fly a mission. Raises MissionFailed where a part dies or the vehicle gives up, and nobody expected that."""
     inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
     with contextlib.ExitStack() as stack:
-        progress = stack.enter_context(Progress(mission.script.budget))
+        progress = stack.enter_context(Progress(mission.script.budget, "uav" if mission.connect else "router, uav, estimator, agent"))
         processes = stack.enter_context(Processes(inbox))
         relays: dict[str, Relay] = {}
-        endpoint = start_parts(processes, mission, relays)
+
+        def join(endpoint: str) -> Bus:
+            bus = stack.enter_context(Bus("mission", endpoint, mission.namespace, inbox, announced=False))
+            bus.subscribe(BELIEF, STOP, HEALTH)
+            return bus
+
+        if mission.connect:
+            bus = join(mission.connect)
+            policy = await_services(bus, mission.namespace, progress.say)
+            mission = mission._replace(script=mission.script.changed({"agent.policy": policy}))
+            endpoint = start_parts(processes, mission, relays)
+        else:
+            endpoint = start_parts(processes, mission, relays)
+            bus = join(endpoint)
         for relay in relays.values():
             stack.callback(relay.close)
-        bus = stack.enter_context(Bus("mission", endpoint, mission.namespace, inbox))
-        bus.subscribe(BELIEF, STOP, HEALTH)
         events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
         watch = _Watch(mission, bus, progress, Disturbances(events, processes, relays, progress.say))
         return watch.until_the_end(endpoint)
 
 
 def start_parts(processes: Processes, mission: Mission, relays: dict[str, Relay]) -> str:
-    """Start all parts; returns the router's endpoint. Links that the script cuts get a relay. Raises MissionFailed: no router."""
+    """Start all parts that do not run elsewhere; returns the router's endpoint. Links that the script cuts get a relay.
+
+    Raises MissionFailed: no router.
+    """
     script = mission.script
-    endpoint = processes.start_router(mission.listen)
+    endpoint = mission.connect or processes.start_router(mission.listen)
+    level = "debug" if mission.log_level == "debug" else "info"  # what is shown is chosen later
     relays |= {part: Relay(endpoint) for part in sorted({event.part for event in script.events if isinstance(event, Cut)})}
 
     def joining(part: str) -> tuple[str, ...]:
-        return "--connect", relays[part].endpoint if part in relays else endpoint, "--namespace", mission.namespace
+        router = relays[part].endpoint if part in relays else endpoint
+        return "--connect", router, "--namespace", mission.namespace, "--log-level", level
 
-    estimator, agent = estimator_arguments(mission), agent_arguments(mission)
+    services = {} if mission.connect else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
     recording = None
     if mission.record:
         about = {
             "mission": script, "seed": script.seed, "policy": script.agent.policy, "budget": script.budget, "scenario": script.release(),
-            "parts": {"estimator": estimator, "agent": agent},
+            "parts": services,
         }  # fmt: skip
         about_json = msgspec.json.encode(about).decode()
         recording = processes.start("recorder", "sitl", "record", str(mission.record), *joining("recorder"), "--about", about_json)
-    processes.start("estimator", "estimator", *joining("estimator"), *estimator)
-    processes.start("agent", "agent", *joining("agent"), *agent)
+    for service, words in services.items():
+        processes.start(service, service, *joining(service), *words)
     if recording:
         recording.readline()  # it hears all from now on
     processes.start("uav", "sitl", "uav", *mission.uav_arguments, *joining("uav"), "-I", str(mission.instance))
@@ -162,6 +186,7 @@ class _Watch:
         self._distance_m = 0.0
         self._last_words: dict[str, str] = {}
         self._warned = False
+        self._gone: set[str] = set()
         self._record_ended = False
         self._landed = False
         self._landed_at = (math.nan, math.nan)
@@ -199,10 +224,16 @@ class _Watch:
                 self._progress.say(f"warning: the record has ended: {item.last_words}")
             case Ended():
                 raise_for(item)
-            case Said(part, line):
+            case Said(part, line, level):
                 self._last_words[part] = line
-                if "warning:" in line or "Script: " in line:
+                if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or "Script: " in line:
                     self._progress.say(line)
+            case LivelinessChange(service, alive) if self._mission.connect and service in SEARCHERS:
+                if not alive:
+                    self._progress.say(f"warning: the {service} is gone")
+                elif service in self._gone:
+                    self._progress.say(f"the {service} is back")
+                (self._gone.discard if alive else self._gone.add)(service)
             case Arrival(key) if key is BELIEF:
                 if (belief := self._bus.decode(item, Belief)) and belief.step not in self._trace:
                     self._follow(belief, endpoint)
@@ -265,7 +296,7 @@ class _Watch:
             "false stop": result.ceased and not result.located, "warned": self._warned, "landed": self._landed,
             "returned home": self._landed and math.hypot(*self._landed_at) < AT_HOME_M,
         }  # fmt: skip
-        return Flown(result, points, {expected: so[expected] for expected in script.expectations})
+        return Flown(script, result, points, {expected: so[expected] for expected in script.expectations})
 
 
 def _frames(payload: bytes) -> list[Message]:
@@ -275,17 +306,17 @@ def _frames(payload: bytes) -> list[Message]:
         return []
 
 
-def run_name(script: Script) -> str:
+def run_name(policy: str, seed: int) -> str:
     """Return a name for a run's files that no other run has."""
-    return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{Path(script.agent.policy).stem}-seed{script.seed}-{os.getpid()}"
+    return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{Path(policy).stem}-seed{seed}-{os.getpid()}"
 
 
-def write_summary(script: Script, flown: Flown, path: Path) -> None:
+def write_summary(flown: Flown, path: Path) -> None:
     """Write a mission's outcome, trace and how it was flown to a file."""
     summary = {
         "flown_at": datetime.now(UTC).isoformat(timespec="seconds"),
         "plumeward": __version__,
-        "mission": msgspec.to_builtins(script),
+        "mission": msgspec.to_builtins(flown.script),
         "outcome": json.loads(flown.json(with_trace=True)),
     }
     path.parent.mkdir(parents=True, exist_ok=True)

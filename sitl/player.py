@@ -180,8 +180,8 @@ class Player:
         match item:
             case Ended():
                 raise_for(item)
-            case Said(part, line):
-                if "warning:" in line:
+            case Said(part, line, level):
+                if level == "warning":
                     self._progress.say(line)
                 if part == "estimator" and "warning: refused reading" in line and not self._source.recorded:
                     self._due.clear()

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import IO, Any, NamedTuple, NoReturn, Self
 
+from link import log
 from link.cli import BAD_INPUT, FAILED, INTERRUPTED
 
 STOP_TIMEOUT_S = 1.0
@@ -30,10 +31,11 @@ class Ended(NamedTuple):
 
 
 class Said(NamedTuple):
-    """A line that a part wrote on stderr."""
+    """A line that a part wrote on stderr, as people are told it."""
 
     part: str
     line: str
+    level: str = "info"
 
 
 class MissionFailed(Exception):
@@ -130,8 +132,9 @@ class Processes:
         words: deque[str] = deque(maxlen=1)
         for line in child.stderr:
             if line.strip():
-                words.append(line.strip())
-                self._inbox.put(Said(part, line.strip()))
+                level, text = log.parse(line.strip())
+                words.append(text)
+                self._inbox.put(Said(part, text, level))
         status = child.wait()
         if child not in self._killed:
             self._inbox.put(Ended(part, status, words[-1] if words else "no last words"))

@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Record until interrupted; stdout tells when that has begun."""
-    with Tap("recorder", args.connect, args.namespace) as bus:
+    with Tap("recorder", args.connect, args.namespace, args.log_level) as bus:
         try:
             writer = Writer(args.file, {**args.about, **surroundings(args.namespace)})
         except OSError as error:
@@ -85,12 +85,16 @@ def _record(bus: Tap, writer: Writer, ends: list[int]) -> None:
     flush_at = 0.0
     while not ends:
         _await_batch(ends)
-        for message in bus.take():
+        messages = bus.take()
+        for message in messages:
             simulation_s = clock.time_s(message.name, message.payload, message.published_ns)
             entry = Entry(message.name, message.published_ns, simulation_s, message.payload, message.attachment)
             writer.write(entry, message.received_ns)
-        if clock.step != bus.tally.step:
-            bus.tally.step = clock.step
+        stepped = clock.step != bus.tally.step
+        if messages:
+            bus.tally.did(clock.step, len(messages))
+            bus.tally.latency_s = max(time.time_ns() - messages[0].received_ns, 0) / 1e9
+        if stepped:
             bus.publish_health()
         if time.monotonic() >= flush_at:
             writer.flush()

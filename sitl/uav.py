@@ -78,16 +78,21 @@ class Uav:
         inbox: "queue.SimpleQueue[Any]",
         bus: Bus | None,
         outs: Sequence[str],
+        log: Log,
         events: Sequence[OnBoard] = (),
     ) -> None:
-        """Join the links; raises ValueError for a UDP URL that cannot be used. `events` are what a script has happen on board."""
+        """Join the links; raises ValueError for a UDP URL that cannot be used. `events` are what a script has happen on board.
+
+        `log` is the bus's, where there is one.
+        """
         self._vehicle = Vehicle(config)
         self._protocol = MavlinkProtocol(self._vehicle)
         self._world = world
         self._clock = clock
         self._inbox = inbox
         self._bus = bus
-        self._log = bus.log if bus else Log("uav")
+        self._log = log
+        self._tally = log.tally
         self._timeline = Timeline(events)
         self._after_pause_s = [event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None]
         self._sensor = FaultySensor()
@@ -101,7 +106,8 @@ class Uav:
         self._resend_at = time.monotonic()
         self._searchers: set[str] = set()
         self._stopped = False
-        self._state = "standby"
+        self._tally.state = "standby"
+        self._sampled_at = time.monotonic()
         self._ports: list[Port] = []
         self._udp: list[UdpLink] = []
         if bus is not None:
@@ -132,8 +138,9 @@ class Uav:
                 for port in self._ports:
                     if due := port.telemetry.due(self._clock.stream_s()):
                         port.link.send(*due)
+                self._tally.compute_s += time.perf_counter() - busy_since
                 if self._bus:
-                    self._bus.tally.compute_s += time.perf_counter() - busy_since
+                    self._bus.keep_health()
                 self._handle(self._receive())
         finally:
             for link in self._udp:
@@ -148,7 +155,7 @@ class Uav:
     @property
     def _busy(self) -> bool:
         """Whether nobody is waited for: at speed-up 0 time may then leap to the next event."""
-        return self._vehicle.moving or (self._state == "searching" and self._timeline.next_s() is not None and not self._must_resend)
+        return self._vehicle.moving or (self._tally.state == "searching" and self._timeline.next_s() is not None and not self._must_resend)
 
     def _live_until(self, now_s: float) -> None:
         """Let time pass, and each event of the script happen at its very own."""
@@ -202,12 +209,14 @@ class Uav:
                 (self._searchers.add if alive else self._searchers.discard)(service)
 
     def _message(self, message: Message, port: Port) -> None:
-        refused = self._protocol.refused.total()
+        refused, awaited = self._protocol.refused.total(), self._vehicle.awaiting_answer
         answers = self._protocol.receive(message, self._clock.now_s(), port.telemetry)
         if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
             self._clock.heard()
-        if self._bus and self._protocol.refused.total() > refused:
-            self._bus.refused["waypoint"] += 1
+        if awaited and not self._vehicle.awaiting_answer:
+            self._tally.latency_s = time.monotonic() - self._sampled_at
+        if self._protocol.refused.total() > refused:
+            self._tally.refuse("waypoint")
         if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
             self._log.warn("".join(texts))
         if answers:
@@ -219,19 +228,19 @@ class Uav:
         """Arm, take off and go to the start when estimator and agent are there; then their waypoints lead."""
         now_s = self._vehicle.now_s
         mode = self._vehicle.state(now_s).mode
-        if self._state == "standby" and self._searchers >= SEARCHERS:
+        if self._tally.state == "standby" and self._searchers >= SEARCHERS:
             if not self._vehicle.state(now_s).armed:
                 self._warn_where_refused(self._vehicle.arm(now_s))
             self._warn_where_refused(self._vehicle.take_off(now_s))
             self._set_state("taking off")
-        elif self._state == "taking off" and mode is Mode.HOLD:
+        elif self._tally.state == "taking off" and mode is Mode.HOLD:
             start_x, start_y = self._world.start
             self._warn_where_refused(self._vehicle.setpoint(now_s, (start_y, start_x, -self._vehicle.config.takeoff_altitude_m)))
             self._warn_where_refused(self._vehicle.set_mode(now_s, Mode.OFFBOARD))
             self._set_state("searching")
-        elif self._state == "searching" and mode in (Mode.RETURN, Mode.LAND):
+        elif self._tally.state == "searching" and mode in (Mode.RETURN, Mode.LAND):
             self._set_state("returning")
-        elif self._state == "returning" and not self._vehicle.state(now_s).armed:
+        elif self._tally.state == "returning" and not self._vehicle.state(now_s).armed:
             self._set_state("landed")
 
     def _warn_where_refused(self, result: Result) -> None:
@@ -239,9 +248,8 @@ class Uav:
             self._log.warn(result.reason)
 
     def _set_state(self, state: str) -> None:
-        self._state = state
+        self._tally.state = state
         if self._bus:
-            self._bus.tally.state = state
             self._bus.publish_health()
 
     def _sample(self, arrived: Arrived) -> None:
@@ -262,8 +270,10 @@ class Uav:
         self._last_reading = reading
         self._radio.new_reading()
         self._radio.send(reading, time.monotonic())
+        self._sampled_at = time.monotonic()
+        self._tally.did(self._readings)
+        self._log.debug(f"reading {gas:.4g} at ({east:.2f}, {north:.2f}) m, {self._vehicle.now_s:.2f} s")
         if self._bus:
-            self._bus.tally.step = self._readings
             self._bus.publish_health()
         self._readings += 1
         self._resend_s = RESEND_FIRST_S
@@ -277,7 +287,7 @@ class Uav:
 
     @property
     def _must_resend(self) -> bool:
-        return self._bus is not None and self._state == "searching" and self._vehicle.awaiting_answer and not self._stopped
+        return self._bus is not None and self._tally.state == "searching" and self._vehicle.awaiting_answer and not self._stopped
 
     def _resend(self) -> None:
         """Send an unanswered reading again: whichever message of the round trip was lost, this one has it said once more."""

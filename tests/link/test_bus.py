@@ -79,7 +79,7 @@ def test_what_does_not_decode_is_counted_and_logged_with_key_and_reason(router: 
     with Bus("viewer", router) as viewer:
         for payload in (b"{}", b"not json", b"\xff", b'{"step": -1}'):
             assert viewer.decode(Arrival(STOP, payload, b""), Stop) is None
-        assert viewer.refused == {"malformed": 4}
+        assert viewer.tally.refused == {"malformed": 4}
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 4
     assert all("refused agdc/stop: " in line for line in lines)

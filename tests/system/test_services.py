@@ -88,7 +88,7 @@ class TestEstimator:
             "malformed frame", "is absurd; allowed is -2 to 212.", "a reading of system 2; this is the estimator of system 1",
             "5000 again, but it is another",
         ):  # fmt: skip
-            wait_until(lambda words=words: any("warning: refused reading: " in line and words in line for line in estimator.err))
+            wait_until(lambda words=words: any("level=warning" in line and "refused reading: " in line and words in line for line in estimator.err))
         counted: dict = {}
         while not counted.get("repeated"):
             counted = json.loads(get(health).payload.to_bytes())["refused"]
@@ -129,7 +129,7 @@ class TestEstimator:
             publish(stranger.reading(1000 * (step + 1), north=1.0 + step % 10 * 2.5, east=1.0 + step // 10 * 4.5, gas=3.0 + step / 256))
             said = belief(get(beliefs))
         assert said["p_value"] < 1e-4
-        wait_until(lambda: estimator.says("warning: the readings do not fit the model (p = "))
+        wait_until(lambda: estimator.says("the readings do not fit the model (p = "))
         warnings: list = []
         while not warnings:
             warnings = json.loads(get(health).payload.to_bytes())["warnings"]
@@ -208,7 +208,7 @@ class TestAgent:
         ):
             put(attachment, **changes)
             wait_until(lambda words=words: agent.says(words))
-        assert agent.says("warning: refused belief: ")
+        assert agent.says('event="refused belief: ')
         put()
         assert messages(get(waypoints))["SET_POSITION_TARGET_LOCAL_NED"].time_boot_ms == 1000
 
@@ -272,7 +272,7 @@ class TestUav:
         publish(b"noise")
         publish(stranger.waypoint(start.time_boot_ms, math.nan, 10.0))
         publish(stranger.waypoint(start.time_boot_ms, 10.0, 31.0))
-        wait_until(lambda: uav.says("warning: refused mavlink/in: malformed frame"))
+        wait_until(lambda: uav.says("refused mavlink/in: malformed frame"))
         wait_until(lambda: uav.says("Waypoint refused: (31.0, 10.0) m is outside the area [0, 30] x [0, 30] m"))
         text = ""
         while "outside the area" not in text:
