@@ -46,14 +46,39 @@ INSTEAD = {
     "make mismatch": "make mismatch FLAGS='--missions 1 --policy greedy --only as-modelled'",
     "make calibration": "make calibration FLAGS='--missions 2 --only stop'",
     "make golden": "python -c 'from tests.golden import __main__ as g; g.GOLDEN = {k: g.GOLDEN[k] for k in [\"greedy-hits\"]}; g.main()'",
-    "make mission": "make mission",
-}
+    "python benchmarks/calibration.py": "python benchmarks/calibration.py --missions 2 --only sensors",
+    "python benchmarks/floor.py": "python benchmarks/floor.py --missions 2 --threshold 0.9",
+    "python benchmarks/floor.py --fly": "python benchmarks/floor.py --fly --missions 2 --threshold 0.9",
+    "python benchmarks/floor.py --missions 200 --threshold 0.1 0.3 0.5 0.9 --convergence": "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
+    "python -m benchmarks.mismatch": "python -m benchmarks.mismatch --missions 1 --policy greedy --only wind-30",
+    "python -m benchmarks.record": "python -m benchmarks.record --comparisons 1 --stretch 10",
+    "python -m agent evaluate": "python -m agent evaluate --scenarios 2",
+    "python -m agent evaluate --policy infotaxis,homing --scenarios 200": "python -m agent evaluate --policy infotaxis,homing --scenarios 2",
+    "python -m agent evaluate --policy infotaxis,infotaxis-variance,dcee --scenarios 400 --measurements K": "python -m agent evaluate --policy infotaxis,infotaxis-variance,dcee --scenarios 2 --measurements 5",
+    "python -m agent evaluate --policy beeline.zip,greedy --scenarios 200": "python -m agent evaluate --policy beeline.zip,greedy --scenarios 2",
+    "python -m agent evaluate --policy weave,greedy --scenarios 200": "python -m agent evaluate --policy weave,greedy --scenarios 2",
+    "python -m agent evaluate --missions FILE.csv": "python -m agent evaluate --missions FILE.csv --scenarios 2",
+    "python -m agent train ppo": "python -m agent train ppo --steps 1 --scenarios 0",
+    "python -m agent train ppo --preset paper": "python -m agent train ppo --preset paper --steps 1 --scenarios 0",
+    "pip install .": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
+    "python -m sitl status": "python -m sitl status --connect tcp/127.0.0.1:7447",
+    "tensorboard --logdir runs/train": "tensorboard --logdir runs/train --port 0",
+}  # fmt: skip
 """What is run in place of a command: less of what takes long."""
 STAYS = {
     "python -m sitl router --listen tcp/127.0.0.1:7447": "tcp/127.0.0.1:",
+    "python -m sitl uav --seed 7 --connect tcp/127.0.0.1:7447": "its agent: ",
+    "python -m sitl uav --out udpout:127.0.0.1:14540": "MAVLink to ",
+    "python -m sitl record flight.mcap --connect tcp/127.0.0.1:7447": "flight.mcap",
+    "python -m estimator --connect tcp/127.0.0.1:7447": "ready: ",
+    "python -m estimator --connect tcp/127.0.0.1:7447 --particles 4000": "ready: ",
+    "python -m estimator --connect tcp/127.0.0.1:7447 --rate 364.9238897255652 --diffusivity 5.890049834047215": "ready: ",
+    "python -m agent --connect tcp/127.0.0.1:7447 --policy homing": "ready: ",
+    "python -m agent --connect tcp/127.0.0.1:7447 --policy infotaxis": "ceased at step",  # says the estimator: a whole mission is flown
+    "tensorboard --logdir runs/train": "http://",
 }
 """Commands that stay up, and what must have been said before the next command of the block is run; then they are interrupted."""
-VARIES = re.compile(r"router at|runs/\d|begun 20|^(belief|health|mavlink|reading)|replayed in| passed in ")
+VARIES = re.compile(r"router at|runs/\d|begun 20|messages in|^(belief|health|mavlink|reading)|replayed in")
 """A line of output with figures that are others in each run: times, rates, ports, names."""
 
 
@@ -244,7 +269,7 @@ def smaller(command: str) -> str:
 
 def words(line: str) -> str:
     """A line without its figures."""
-    return " ".join(re.sub(r"\([0-9a-f]{12}\)|[\d.,:]*\d[\d.,:]*", "", line).split())
+    return " ".join(re.sub(r"[\d.,:]*\d[\d.,:]*", "", re.sub(r" \([0-9a-f]{12}\)", "", line)).split())
 
 
 def lacking(shown: tuple[str, ...], output: str, *, whole: bool) -> list[str]:
