@@ -46,7 +46,7 @@ class Log:
         if LEVELS.index(level) < self._least:
             return
         now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        event = json.dumps(text, ensure_ascii=False)
+        event = json.dumps(text, ensure_ascii=not text.isprintable())  # others would break the line, or the terminal
         line = f"time={now} level={level} service={self._service} mission={self._mission} step={self.tally.step} event={event}"
         print(line, file=sys.stderr, flush=True)
 

@@ -132,3 +132,13 @@ def test_without_a_record_there_is_none_and_a_chosen_place_is_kept_to(start, tmp
     assert [path.suffix for path in (tmp_path / "runs").iterdir()] == [".json"]
     assert start(*brief, "--record", "mine/flight.mcap", cwd=tmp_path).ended() == 0
     assert sorted(path.name for path in (tmp_path / "mine").iterdir()) == ["flight.mcap", "flight.tlog"]
+
+
+def test_at_log_level_debug_each_service_tells_each_step_and_otherwise_only_what_goes_wrong(start, tmp_path: Path) -> None:
+    brief = ("sitl", "fly", "--budget", "5", "--speedup", "0", "--no-record")
+    quiet, loud = (start(*brief, *level, cwd=tmp_path) for level in ((), ("--log-level", "debug")))
+    assert quiet.ended() == loud.ended() == 0
+    assert not quiet.says("ready")
+    assert loud.says("estimator: ready: 1000 particles")
+    for line in ("estimator: answered after ", "agent: answered after ", "uav: reading "):  # the last ones may be cut off by the end
+        assert sum(said.startswith(line) for said in loud.err) >= 1

@@ -88,7 +88,9 @@ class TestEstimator:
             "malformed frame", "is absurd; allowed is -2 to 212.", "a reading of system 2; this is the estimator of system 1",
             "5000 again, but it is another",
         ):  # fmt: skip
-            wait_until(lambda words=words: any("level=warning" in line and "refused reading: " in line and words in line for line in estimator.err))
+            wait_until(
+                lambda words=words: any("level=warning" in line and "refused reading: " in line and words in line for line in estimator.err)
+            )
         counted: dict = {}
         while not counted.get("repeated"):
             counted = json.loads(get(health).payload.to_bytes())["refused"]

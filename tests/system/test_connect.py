@@ -1,0 +1,121 @@
+"""Protects `fly --connect`: the vehicle and its watch join services that run elsewhere, and the mission is the very same."""
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from link.bus import Bus
+from sitl.launcher import Mission, agent_arguments, estimator_arguments
+from sitl.script import load
+
+MISSION = """
+seed: 7
+speedup: 0
+scenario: {q: 300, d: 4.5, tau: 10}
+expect: located
+"""
+
+
+@pytest.fixture
+def mission(tmp_path: Path) -> str:
+    """A release as the estimator assumes it unless told otherwise."""
+    (tmp_path / "mission.yaml").write_text(MISSION)
+    return "mission.yaml"
+
+
+def test_it_is_the_mission_that_a_launcher_of_all_parts_flies_to_the_last_bit(start, router: str, mission: str, tmp_path: Path) -> None:
+    whole = start("sitl", "fly", mission, "--policy", "homing", "--json", "--trace", cwd=tmp_path)
+    assert whole.ended() == 0
+    script = load(tmp_path / mission).changed({"agent.policy": "homing"})
+    for service, words in (("estimator", estimator_arguments(Mission(script))), ("agent", agent_arguments(Mission(script)))):
+        start(service, "--connect", router, *words)
+    joined = start("sitl", "fly", mission, "--connect", router, "--json", "--trace", cwd=tmp_path)
+    assert joined.ended() == 0, joined.err
+    one, other = (json.loads(part.out[-1]) for part in (whole, joined))
+    assert one["policy"] == other["policy"] == "homing"  # told by the agent: this command line does not name it
+    assert {**one, "search_time_s": 0} == {**other, "search_time_s": 0}
+    (summary,) = (tmp_path / "runs").glob("*-connected-*.json")
+    assert json.loads(summary.read_text())["mission"]["agent"]["policy"] == "homing"
+    assert len(list((tmp_path / "runs").glob("*-connected-*.mcap"))) == 1
+
+
+def test_an_expectation_that_does_not_hold_is_status_1_and_used_services_fly_no_second_mission(
+    start, router: str, mission: str, tmp_path: Path
+) -> None:
+    services = [start("estimator", "--connect", router), start("agent", "--connect", router)]
+    (tmp_path / mission).write_text(MISSION.replace("located", "not ceased"))
+    first = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
+    assert first.ended() == 1
+    assert first.err[-1] == "expected not ceased: NO\n"
+    second = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
+    assert second.ended() == 1
+    assert "has a mission behind it, at step" in second.err[-1]
+    assert all(service.process.poll() is None for service in services)  # they are not ours to end
+
+
+def test_it_waits_for_services_and_says_for_whom(start, router: str, mission: str, wait_until: Callable, tmp_path: Path) -> None:
+    flight = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
+    wait_until(lambda: flight.says("waits for agent and estimator on uav/1"))
+    start("estimator", "--connect", router)
+    start("agent", "--connect", router)
+    assert flight.ended() == 0
+
+
+def test_a_service_that_is_lost_is_told_and_the_mission_goes_on_when_it_is_back(
+    start, router: str, mission: str, wait_until: Callable, tmp_path: Path
+) -> None:
+    start("estimator", "--connect", router)
+    agent = start("agent", "--connect", router)
+    flight = start("sitl", "fly", mission, "--connect", router, "--speedup", "20", cwd=tmp_path)
+    wait_until(lambda: flight.says("step   0"))
+    agent.kill()
+    wait_until(lambda: flight.says("warning: the agent is gone"))
+    start("agent", "--connect", router)
+    wait_until(lambda: flight.says("the agent is back"))
+    assert flight.ended() == 0
+
+
+def test_ctrl_c_ends_the_vehicle_and_leaves_the_services(start, router: str, mission: str, wait_until: Callable, tmp_path: Path) -> None:
+    services = [start("estimator", "--connect", router), start("agent", "--connect", router)]
+    flight = start("sitl", "fly", mission, "--connect", router, "--speedup", "1", cwd=tmp_path)
+    wait_until(lambda: flight.says("step   0"))
+    flight.process.send_signal(signal.SIGINT)
+    assert flight.ended() == 130
+    assert all(service.process.poll() is None for service in services)
+
+
+def test_a_second_vehicle_in_the_same_namespace_is_refused(start, router: str, mission: str, tmp_path: Path) -> None:
+    with Bus("uav", router):
+        flight = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
+        assert flight.ended() == 1
+        assert flight.err[-1] == "error: there is a uav on uav/1 already\n"
+
+
+@pytest.mark.parametrize(
+    ("flags", "line"),
+    [
+        (["--policy", "ppo"], "--connect: agent.policy cannot be chosen: the agent runs elsewhere, with flags of its own"),
+        (["--particles", "500"], "--connect: estimator.particles cannot be chosen: the estimator runs elsewhere, with flags of its own"),
+        (["--listen", "tcp/127.0.0.1:0"], "--listen: not with --connect, whose router runs elsewhere"),
+        (["missions/link-cut.yaml"], "--connect: events[0], cut, cannot happen: it needs parts that were started for the mission"),
+        (
+            ["missions/unknown-rate.yaml"],
+            "--connect: estimator.particles cannot be chosen: the estimator runs elsewhere, with flags of its own",
+        ),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_what_only_own_services_can_do_is_refused_in_one_line(start, flags: list[str], line: str) -> None:
+    refused = start("sitl", "fly", "--connect", "tcp/127.0.0.1:1", *flags)
+    assert refused.ended() == 2
+    assert refused.err == [f"error: {line}\n"]
+
+
+def test_without_a_router_it_is_one_line_and_status_2(start, tmp_path: Path) -> None:
+    refused = start("sitl", "fly", "--connect", "tcp/127.0.0.1:1", cwd=tmp_path)
+    assert refused.ended() == 2
+    assert refused.err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: python -m sitl router)\n"]
+    assert not (tmp_path / "runs").exists()

@@ -1,0 +1,142 @@
+"""Protects `python -m sitl status` on real processes: its exit status is what health checks and scripts go by."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from link.bus import Bus
+from tests.system.stranger import Stranger, belief
+
+STATUS = [sys.executable, "-m", "sitl", "status"]
+
+
+def status(router: str, *flags: str) -> tuple[int, dict[str, Any]]:
+    """Its exit status and its JSON."""
+    ended = subprocess.run([*STATUS, "--connect", router, "--json", *flags], capture_output=True, text=True, timeout=60)
+    assert ended.stderr == ""
+    return ended.returncode, json.loads(ended.stdout)
+
+
+def verdicts(report: dict[str, Any]) -> dict[str, str]:
+    return {name: part["status"] for name, part in report["parts"].items()}
+
+
+@pytest.fixture
+def stack(start, router: str, wait_until: Callable) -> dict[str, Any]:
+    """A vehicle on the ground with its services: without a mission, as it takes off with both there, one part is always asked of."""
+    parts = {"estimator": start("estimator", "--connect", router), "agent": start("agent", "--connect", router)}
+    wait_until(lambda: all(part.says("ready") for part in parts.values()))
+    return parts
+
+
+def test_a_stack_that_flies_is_well_and_each_part_tells_its_figures(
+    start, router: str, stack: dict[str, Any], wait_until: Callable
+) -> None:
+    assert status(router)[0] == 1
+    uav = start("sitl", "uav", "--connect", router, "--seed", "7", "--speedup", "20")
+    wait_until(lambda: uav.says("takes off when"))
+    reports = []
+    wait_until(lambda: reports.append(status(router)) or reports[-1][1]["parts"]["agent"]["step"] >= 2, 60)
+    code, report = reports[-1]
+    assert (code, report["ok"], report["router"]) == (0, True, {"endpoint": router, "status": "ok"})
+    assert verdicts(report) == {"uav": "ok", "estimator": "ok", "agent": "ok"}
+    for part in report["parts"].values():
+        assert part["step"] >= 2
+        assert part["rate_hz"] > 0
+        assert 0 < part["latency_s"] < 10
+        assert part["uptime_s"] > 0
+        assert part["refused"] == {}
+        assert part["last_error"] == ""
+    assert report["parts"]["agent"]["about"] == "infotaxis"
+    assert report["parts"]["uav"]["state"] == "searching"
+    # The vehicle's answer takes the two services, and the way there and back.
+    parts = report["parts"]
+    assert parts["uav"]["compute_s"] > 0 < parts["estimator"]["compute_s"]
+
+
+def test_a_part_that_was_killed_is_missing(router: str, stack: dict[str, Any]) -> None:
+    assert status(router, "--parts", "estimator,agent")[0] == 0
+    stack["estimator"].kill()
+    code, report = status(router, "--parts", "estimator,agent")
+    assert (code, verdicts(report)) == (1, {"estimator": "missing", "agent": "ok"})
+    assert status(router, "--parts", "agent")[0] == 0
+
+
+def test_a_part_that_hangs_is_stale_and_one_that_was_never_ready_is_starting(router: str) -> None:
+    with Bus("estimator", router) as hangs, Bus("agent", router):
+        hangs.publish_health()  # and never again: it does not come to receive
+        code, report = status(router, "--parts", "estimator,agent")
+    assert (code, verdicts(report)) == (1, {"estimator": "stale", "agent": "starting"})
+
+
+def test_a_part_that_refuses_messages_is_refusing_and_says_why(router: str, stack: dict[str, Any], wait_until: Callable) -> None:
+    with Stranger(router) as stranger:
+        beliefs, publish = stranger.subscribe("belief"), stranger.publisher("reading")
+        publish(stranger.reading(5000))
+        assert belief(beliefs.get(timeout=30))["step"] == 0
+        publish(stranger.reading(5000))  # once more: that happens on any radio
+        assert belief(beliefs.get(timeout=30))["step"] == 0
+        assert status(router, "--parts", "estimator")[0] == 0
+        publish(b"noise")
+        wait_until(lambda: stack["estimator"].says("refused reading: malformed"))
+        code, report = status(router, "--parts", "estimator")
+        estimator = report["parts"]["estimator"]
+        assert (code, estimator["status"]) == (1, "refusing")
+        assert estimator["refused"] == {"repeated": 1, "malformed": 1}
+        assert estimator["refused_lately"] == 1
+        assert estimator["last_error"].startswith("refused reading: malformed")
+
+
+def test_without_a_router_all_is_missing_and_the_last_line_says_how_to_get_one() -> None:
+    ended = subprocess.run([*STATUS, "--connect", "tcp/127.0.0.1:1"], capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 1
+    assert ended.stdout.count("missing") == 4
+    assert ended.stderr == "error: --connect: no router at tcp/127.0.0.1:1 (start one with: python -m sitl router)\n"
+    code, report = status("tcp/127.0.0.1:1", "--parts", "estimator")
+    assert (code, report["router"]["status"], verdicts(report)) == (1, "missing", {"estimator": "missing"})
+
+
+def test_the_table_names_parts_verdicts_and_figures(router: str, stack: dict[str, Any]) -> None:
+    ended = subprocess.run([*STATUS, "--connect", router], capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 1
+    rows = {line.split()[0]: line.split() for line in ended.stdout.splitlines()[2:]}
+    assert rows["router"][1] == rows["estimator"][1] == rows["agent"][1] == "ok"
+    assert rows["uav"][1] == "missing"
+    assert rows["agent"][2:4] == ["ready:", "infotaxis"]
+
+
+def test_a_watch_follows_who_comes_and_goes_until_interrupted(start, router: str, stack: dict[str, Any], wait_until: Callable) -> None:
+    watch = start("sitl", "status", "--connect", router, "--json", "--watch", "--parts", "estimator,agent")
+
+    def last() -> dict[str, Any]:
+        return json.loads(watch.out[-1]) if watch.out else {"parts": {}}
+
+    wait_until(lambda: verdicts(last()) == {"estimator": "ok", "agent": "ok"})
+    stack["agent"].kill()
+    wait_until(lambda: verdicts(last()) == {"estimator": "ok", "agent": "missing"})
+    start("agent", "--connect", router)
+    wait_until(lambda: verdicts(last()) == {"estimator": "ok", "agent": "ok"})
+    watch.process.send_signal(signal.SIGINT)
+    assert watch.ended() == 130
+    assert watch.err == []
+
+
+def test_a_watch_outlives_the_router(start, wait_until: Callable) -> None:
+    router = start("sitl", "router", "--listen", "tcp/127.0.0.1:0")
+    wait_until(lambda: router.out)
+    endpoint = router.out[0].strip()
+    watch = start("sitl", "status", "--connect", endpoint, "--json", "--watch")
+
+    def router_is(verdict: str) -> bool:
+        return bool(watch.out) and json.loads(watch.out[-1])["router"]["status"] == verdict
+
+    wait_until(lambda: router_is("ok"))
+    router.kill()
+    wait_until(lambda: router_is("missing"))
+    start("sitl", "router", "--listen", endpoint)
+    wait_until(lambda: router_is("ok"))
