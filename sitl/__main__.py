@@ -71,7 +71,7 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
     )
     parser.add_argument(
         "--out", type=_udp_url, action="append", default=[], metavar="URL",
-        help="also speak MAVLink there; by convention udpout:127.0.0.1:14540 (MAVSDK, MAVROS), udpout:127.0.0.1:14550 (ground stations)",
+        help="speak MAVLink to udpout:HOST:PORT, too, by convention 14540 (MAVSDK, MAVROS), 14550 (ground stations); udpin: to who calls",
     )  # fmt: skip
     parser.add_argument(
         "--silence", type=cli.number(0, math.inf, above=True), default=30.0, metavar="S",
@@ -245,6 +245,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from link.tally import Tally
     from sitl.clock import Clock
     from sitl.uav import Uav
+    from sitl.udp import parse_url
 
     script = _script(args, given)
     config = script.vehicle_config(args.instance + 1)
@@ -265,10 +266,13 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
             log.info(f"its estimator: python -m estimator {joining} --rate {release.q!r} --diffusivity {release.d!r}{chosen}{who}")
             log.info(f"its agent: python -m agent {joining} --sysid {config.sysid}")
         events = [event for event in script.events if isinstance(event, OnBoard)]
-        uav = Uav(config, script.world(), Clock(script.speedup), inbox, bus, args.out, log, events)
+        try:
+            uav = Uav(config, script.world(), Clock(script.speedup), inbox, bus, args.out, log, events)
+        except ValueError as error:
+            print(f"error: --out: {error}", file=sys.stderr)
+            return cli.BAD_INPUT
         for url in args.out:
-            port = url.rpartition(":")[2]
-            log.info(f"MAVLink to {url}; MAVSDK: udpin://0.0.0.0:{port}, pymavlink and MAVProxy: udpin:0.0.0.0:{port}")
+            log.info(f"MAVLink to {url}; {parse_url(url).counterpart}")
         uav.run()
     return 0
 
