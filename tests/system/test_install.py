@@ -1,0 +1,280 @@
+"""Protects the install: what a release holds, and that its wheel flies in a fresh environment, without torch and away from the checkout."""
+
+import email
+import functools
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from agent.policies import SHIPPED
+from agent.rollout import rollout
+from plume.outcome import outcome_json
+
+pytestmark = pytest.mark.timeout(600)  # an environment is made and filled, and kernels are compiled in it
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("plume", "link", "sitl", "estimator", "agent")
+PLUG_IN = ("plumeward_gymnasium.py", "plumeward_gymnasium.pth")
+CONSTRAINTS = ROOT / "constraints.txt"
+OWN = f"{sys.version_info.major}.{sys.version_info.minor}"
+VERSIONS = ("3.11", "3.12", "3.13")
+ENVIRONMENT = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL_ENV", "NUMBA_"))}
+"""Without what would show the checkout, or its environment, to another Python."""
+
+
+def files(folder: Path) -> Iterator[Path]:
+    return (path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+
+
+def build(source: Path, out: Path, *kinds: str) -> Path:
+    """Build a release of a source tree, without a network."""
+    command = [sys.executable, "-P", "-m", "hatchling", "build", *kinds, "-d", str(out)]
+    built = subprocess.run(command, cwd=source, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr
+    return out
+
+
+@pytest.fixture(scope="module")
+def release(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder with the wheel and the sdist of this checkout."""
+    return build(ROOT, tmp_path_factory.mktemp("release"))
+
+
+@pytest.fixture(scope="module")
+def wheel(release: Path) -> Path:
+    (wheel,) = release.glob("*.whl")
+    return wheel
+
+
+@pytest.fixture(scope="module")
+def sdist(release: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sdist's folder, unpacked."""
+    (packed,) = release.glob("*.tar.gz")
+    unpacked = tmp_path_factory.mktemp("sdist")
+    with tarfile.open(packed) as archive:
+        archive.extractall(unpacked, filter="data")
+    return unpacked / packed.name.removesuffix(".tar.gz")
+
+
+def contents(wheel: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(wheel) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def about(wheel: Path, name: str) -> str:
+    """A file of the wheel's metadata."""
+    (text,) = (content for path, content in contents(wheel).items() if re.fullmatch(rf"plumeward-[^/]+\.dist-info/{name}", path))
+    return text.decode()
+
+
+def requirements(wheel: Path) -> list[Requirement]:
+    return [Requirement(line) for line in email.message_from_string(about(wheel, "METADATA")).get_all("Requires-Dist", [])]
+
+
+def test_a_wheel_has_the_packages_the_missions_and_the_gymnasium_plug_in_and_nothing_else(wheel: Path) -> None:
+    held = {name: content for name, content in contents(wheel).items() if ".dist-info/" not in name}
+    ours = {path.relative_to(ROOT).as_posix(): path for package in PACKAGES for path in files(ROOT / package)}
+    missions = {f"sitl/missions/{path.name}": path for path in (ROOT / "missions").iterdir()}
+    expected = {**ours, **missions, **{name: ROOT / name for name in PLUG_IN}}
+    assert set(held) == set(expected)
+    assert all(content == expected[name].read_bytes() for name, content in held.items())
+    assert {path.relative_to(ROOT).as_posix() for path in SHIPPED.values()} <= set(held)
+    assert {"sitl/missions/default-release.yaml", "sitl/missions/mission.schema.json"} <= set(held)
+
+
+def test_an_sdist_has_what_the_wheel_is_made_of_and_no_records(sdist: Path) -> None:
+    ours = {*PACKAGES, *PLUG_IN, "missions", "docs", "pyproject.toml", "constraints.txt", "Makefile", "LICENSE", "README.md"}
+    assert {path.name for path in sdist.iterdir()} == ours | {"PKG-INFO", ".gitignore"}
+    assert sum(path.stat().st_size for path in files(sdist)) < 5_000_000
+
+
+def test_a_wheel_made_from_the_sdist_is_the_wheel_made_from_the_checkout(wheel: Path, sdist: Path, tmp_path: Path) -> None:
+    (other,) = build(sdist, tmp_path, "-t", "wheel").glob("*.whl")
+    assert other.name == wheel.name
+    assert contents(other) == contents(wheel)
+
+
+def test_an_install_needs_no_torch_but_with_the_extra_that_trains(wheel: Path) -> None:
+    extras = {"": set(), "train": set(), "view": set(), "ray": set(), "bench": set(), "test": set()}
+    for requirement in requirements(wheel):
+        extras[next((extra for extra in extras if extra and f'extra == "{extra}"' in str(requirement)), "")].add(requirement.name)
+    learning = {"torch", "stable-baselines3", "gymnasium", "onnx", "tensorboard"}
+    assert extras["train"] == learning
+    assert extras["view"] == {"matplotlib"}
+    assert extras["ray"] == {"ray"}
+    assert "stonesoup" in extras["bench"]
+    assert extras["test"] > extras["train"] | extras["view"] | extras["ray"] | extras["bench"]
+    assert not extras[""] & extras["test"]
+    assert "onnxruntime" in extras[""]
+
+
+def test_the_wheel_names_ranges_and_the_repository_pins_a_version_in_each(wheel: Path) -> None:
+    pins = dict(line.split("#")[0].strip().split("==") for line in CONSTRAINTS.read_text().splitlines() if not line.startswith("#"))
+    pinned = {canonicalize_name(name): version for name, version in pins.items()}
+    for requirement in requirements(wheel):
+        assert {each.operator for each in requirement.specifier} in ({">="}, {">=", "<"}), requirement
+        assert requirement.specifier.contains(pinned[canonicalize_name(requirement.name)]), requirement
+
+
+def test_the_wheel_gives_one_command_and_says_which_pythons_it_is_for(wheel: Path) -> None:
+    assert about(wheel, "entry_points.txt").split("\n") == ["[console_scripts]", "plumeward = sitl.__main__:command", ""]
+    metadata = email.message_from_string(about(wheel, "METADATA"))
+    assert metadata["Requires-Python"] == ">=3.11"
+    assert {f"Programming Language :: Python :: {version}" for version in VERSIONS} <= set(metadata.get_all("Classifier"))
+    assert metadata["Version"] in wheel.name
+    assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dynamic"] == ["version"]
+
+
+class Installed:
+    """A fresh environment with the wheel and what it requires, and an empty folder to run it in."""
+
+    def __init__(self, python: str, wheel: Path, folder: Path) -> None:
+        self.bin = folder / "environment" / "bin"
+        self.empty = folder / "empty"
+        self.empty.mkdir()
+        subprocess.run([python, "-m", "venv", folder / "environment"], env=ENVIRONMENT, check=True)
+        pip = ("pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile", "--only-binary", ":all:")
+        self.pip = self("python", "-m", *pip, "-c", str(CONSTRAINTS), str(wheel))
+
+    def __call__(self, command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """Run a command of it in the empty folder, which every command finds empty."""
+        words = [self.bin / command, *arguments]
+        ran = subprocess.run(words, cwd=self.empty, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+        shutil.rmtree(self.empty / "runs", ignore_errors=True)
+        return ran
+
+
+def interpreter(version: str) -> str | None:
+    """A Python of this version that can make environments, where the machine has one."""
+    elsewhere = sorted(map(str, Path.home().glob(f".pyenv/versions/{version}.*/bin/python")))
+    for candidate in (sys.executable if version == OWN else None, shutil.which(f"python{version}"), *elsewhere):
+        usable = f"import sys, venv, ensurepip; sys.exit('%d.%d' % sys.version_info[:2] != {version!r})"
+        if candidate and subprocess.run([candidate, "-c", usable], env=ENVIRONMENT, capture_output=True, check=False).returncode == 0:
+            return candidate
+    return None
+
+
+@pytest.fixture(scope="module")
+def install(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Installed]]:
+    """Install the wheel for a version of Python, once; skips where there is none, or where a dependency has no wheel for it."""
+    folders: list[Path] = []
+
+    @functools.cache
+    def once(version: str) -> Installed | str:
+        python = interpreter(version)
+        if python is None:
+            return f"there is no Python {version} here that can make environments"
+        folders.append(tmp_path_factory.mktemp(f"python{version}-"))
+        installed = Installed(python, wheel, folders[-1])
+        missing = re.search("No matching distribution found for .*", installed.pip.stderr)
+        return missing[0] if missing and version != OWN else installed
+
+    def install(version: str) -> Installed:
+        installed = once(version)
+        if isinstance(installed, str):
+            pytest.skip(installed)
+        assert installed.pip.returncode == 0, installed.pip.stderr
+        return installed
+
+    yield install
+    for folder in folders:  # half a gigabyte each
+        shutil.rmtree(folder)
+
+
+@pytest.fixture
+def own(install: Callable[[str], Installed]) -> Installed:
+    return install(OWN)
+
+
+def outcome(ran: subprocess.CompletedProcess[str]) -> dict:
+    """The outcome that a mission printed, without the time it took."""
+    assert ran.returncode == 0, ran.stderr
+    result = json.loads(ran.stdout.splitlines()[-1])
+    del result["search_time_s"]
+    return result
+
+
+@pytest.fixture(scope="module")
+def in_process() -> dict:
+    """Seed 7 flown by ppo from the checkout, in this process."""
+    result, trace = rollout(7, "ppo")
+    result = json.loads(outcome_json(result, trace))
+    del result["search_time_s"]
+    return result
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_wheel_flies_a_shipped_policy_in_a_fresh_environment(
+    install: Callable[[str], Installed], in_process: dict, version: str
+) -> None:
+    installed = install(version)
+    flown = outcome(installed("plumeward", "fly", "--policy", "ppo", "--seed", "7", "--speedup", "0", "--json", "--trace"))
+    assert (flown["steps"], flown["ceased"], flown["located"]) == (in_process["steps"], True, True)
+    assert flown["estimate"] == pytest.approx(in_process["estimate"], abs=1e-4)
+    assert flown["distance_m"] == pytest.approx(in_process["distance_m"])
+    if version == OWN:
+        assert flown == in_process
+
+    where = "import agent, sitl; print(agent.__file__, sitl.__file__)"
+    for place in installed("python", "-c", where).stdout.split():
+        assert Path(place).is_relative_to(installed.bin.parent)
+    for module in ("torch", "stable_baselines3", "gymnasium", "matplotlib", "ray", "pytest"):
+        assert installed("python", "-c", f"import {module}").stderr.endswith(f"ModuleNotFoundError: No module named '{module}'\n")
+
+
+def test_without_zenoh_it_flies_the_same_mission(own: Installed, in_process: dict) -> None:
+    rolled = own("python", "-m", "agent", "rollout", "--policy", "ppo", "--seed", "7", "--json", "--trace")
+    assert outcome(rolled) == in_process
+
+
+def test_a_shipped_mission_is_flown_by_its_name(own: Installed) -> None:
+    ran = own("plumeward", "fly", "default-release", "--speedup", "0", "--json")
+    flown = outcome(ran)
+    assert flown["expectations"] == {"located": True}
+    assert (flown["seed"], flown["scenario"]["q"], flown["scenario"]["d"], flown["scenario"]["tau"]) == (7, 300, 4.5, 10)
+    assert ran.stderr.startswith("mission: a release as the estimator assumes it unless told otherwise, seed 7, infotaxis, ")
+
+
+def test_a_mission_that_is_none_is_one_line_with_those_that_ship(own: Installed) -> None:
+    ran = own("plumeward", "fly", "wnd-shift")
+    missions = ", ".join(sorted(path.stem for path in (ROOT / "missions").glob("*.yaml")))
+    assert ran.returncode == 2
+    assert ran.stderr == f"error: wnd-shift: no such file and no shipped mission; wanted a mission script, or one of {missions}\n"
+
+
+def test_the_command_and_the_module_take_the_same_command_lines(own: Installed) -> None:
+    for words in (["--help"], *([command, "--help"] for command in ("fly", "uav", "router", "replay", "log", "record"))):
+        command, module = own("plumeward", *words), own("python", "-m", "sitl", *words)
+        assert command.returncode == module.returncode == 0
+        assert command.stdout.startswith(f"usage: plumeward {words[0] if words[1:] else '[-h]'} ")
+        assert command.stdout.split() == module.stdout.replace("usage: python -m sitl", "usage: plumeward").split()
+    command, module = own("plumeward", "fly", "--seed", "x"), own("python", "-m", "sitl", "fly", "--seed", "x")
+    assert command.returncode == module.returncode == 2
+    assert command.stderr.startswith("plumeward fly: error: --seed: 'x' is not allowed; wanted ")
+    assert command.stderr.replace("plumeward", "python -m sitl") == module.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "told"),
+    [
+        (("report",), 1, "pictures are drawn with matplotlib: pip install 'plumeward[view]'"),
+        (("train", "ppo"), 2, "training needs torch, stable_baselines3, gymnasium, onnx, tensorboard: pip install 'plumeward[train]'"),
+        (("evaluate", "--ray", "auto"), 2, "--ray: Ray is not installed; pip install 'plumeward[ray]'"),
+    ],
+    ids=["view", "train", "ray"],
+)
+def test_an_extra_that_is_missing_is_one_line(own: Installed, words: tuple[str, ...], status: int, told: str) -> None:
+    ran = own("python", "-m", "agent", *words)
+    assert (ran.returncode, ran.stderr) == (status, f"error: {told}\n")
