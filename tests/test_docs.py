@@ -17,6 +17,7 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,41 +36,50 @@ FLIES = re.compile(r"(python -m sitl|plumeward)( fly\b.*| uav\b.*)?")
 """Commands that take less time with `--speedup 0`."""
 TIMEOUT_S = 200
 
+FEW = "--scenarios 2"
 INSTEAD = {
     "make test": "make test FLAGS=tests/plume/test_world.py",
+    "make lint": "make --dry-run lint",  # .ci/run runs it
     "make bench": "make bench FLAGS='--missions 1'",
-    "make bench-env": "python -c 'from benchmarks import env as b; b.PARTICLES, b.MISSIONS, b.BATCHES = (500,), 1, (1, 64); b.main()'",
-    "make bench-filter": "python -c 'from benchmarks import filter as b; b.SIZES, b.BATCHES, b.MISSIONS = (100,), (1,), 1; b.main()'",
+    "make bench-env":
+        "python -c 'from benchmarks import env as b; b.PARTICLES, b.BATCHES, b.MISSIONS, b.REPEATS = (500,), (1,), 1, 1; b.main()'",
+    "make bench-filter": "python -c 'from benchmarks import filter as b; b.SIZES, b.BATCHES, b.MISSIONS = (1000,), (1,), 1; b.main()'",
     "make bench-planners": "python -c 'from benchmarks import planners as b; b.SIZES, b.MISSIONS, b.REPEATS = (100,), 1, 1; b.main()'",
-    "make train": "make train FLAGS='--steps 1 --scenarios 0'",
-    "make results": "make results FLAGS='--scenarios 2'",
+    "make train": "make train LEARNERS=ddpg FLAGS='--steps 1 --scenarios 0'",
+    "make results": "make results POLICIES=greedy LEARNED=ppo FLAGS='--scenarios 2'",
     "make mismatch": "make mismatch FLAGS='--missions 1 --policy greedy --only as-modelled'",
     "make calibration": "make calibration FLAGS='--missions 2 --only stop'",
     "make golden": "python -c 'from tests.golden import __main__ as g; g.GOLDEN = {k: g.GOLDEN[k] for k in [\"greedy-hits\"]}; g.main()'",
     "python benchmarks/calibration.py": "python benchmarks/calibration.py --missions 2 --only sensors",
     "python benchmarks/floor.py": "python benchmarks/floor.py --missions 2 --threshold 0.9",
-    "python benchmarks/floor.py --fly": "python benchmarks/floor.py --fly --missions 2 --threshold 0.9",
-    "python benchmarks/floor.py --missions 200 --threshold 0.1 0.3 0.5 0.9 --convergence": "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
+    "python benchmarks/floor.py --fly": "python benchmarks/floor.py --missions 2 --threshold 0.9 --fly",
+    "python benchmarks/floor.py --missions 200 --threshold 0.1 0.3 0.5 0.9 --convergence":
+        "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
     "python -m benchmarks.mismatch": "python -m benchmarks.mismatch --missions 1 --policy greedy --only wind-30",
     "python -m benchmarks.record": "python -m benchmarks.record --comparisons 1 --stretch 10",
-    "python -m agent evaluate": "python -m agent evaluate --scenarios 2",
-    "python -m agent evaluate --policy infotaxis,homing --scenarios 200": "python -m agent evaluate --policy infotaxis,homing --scenarios 2",
-    "python -m agent evaluate --policy infotaxis,infotaxis-variance,dcee --scenarios 400 --measurements K": "python -m agent evaluate --policy infotaxis,infotaxis-variance,dcee --scenarios 2 --measurements 5",
-    "python -m agent evaluate --policy beeline.zip,greedy --scenarios 200": "python -m agent evaluate --policy beeline.zip,greedy --scenarios 2",
-    "python -m agent evaluate --policy weave,greedy --scenarios 200": "python -m agent evaluate --policy weave,greedy --scenarios 2",
-    "python -m agent evaluate --missions FILE.csv": "python -m agent evaluate --missions FILE.csv --scenarios 2",
+    "python -m agent evaluate": f"python -m agent evaluate {FEW}",
+    "python -m agent evaluate --missions FILE.csv": f"python -m agent evaluate --missions FILE.csv {FEW}",
+    "python -m agent evaluate --policy infotaxis,homing --scenarios 200": f"python -m agent evaluate --policy infotaxis,homing {FEW}",
+    "python -m agent evaluate --policy infotaxis,infotaxis-variance,dcee --scenarios 400 --measurements K":
+        f"python -m agent evaluate --policy infotaxis,infotaxis-variance,dcee {FEW} --measurements 5",
+    "python -m agent evaluate --policy beeline.zip,greedy --scenarios 200": f"python -m agent evaluate --policy beeline.zip,greedy {FEW}",
+    "python -m agent evaluate --policy weave,greedy --scenarios 200": f"python -m agent evaluate --policy weave,greedy {FEW}",
+    "python -m agent report":
+        f"mkdir few && python -m agent evaluate {FEW} --missions few/rows.csv && python -m agent report --results few --out few",
     "python -m agent train ppo": "python -m agent train ppo --steps 1 --scenarios 0",
     "python -m agent train ppo --preset paper": "python -m agent train ppo --preset paper --steps 1 --scenarios 0",
     "pip install .": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
+    "python -m hatchling build": "python -m hatchling build --target wheel",
     "python -m sitl status": "python -m sitl status --connect tcp/127.0.0.1:7447",
+    "python -m sitl replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "python -m sitl replay flight.tlog --gas gas*1.0 --wind 2.5,270",
     "tensorboard --logdir runs/train": "tensorboard --logdir runs/train --port 0",
 }  # fmt: skip
-"""What is run in place of a command: less of what takes long."""
+"""What is run in place of a command: less of what takes long, and what does not need what only others have."""
 STAYS = {
     "python -m sitl router --listen tcp/127.0.0.1:7447": "tcp/127.0.0.1:",
     "python -m sitl uav --seed 7 --connect tcp/127.0.0.1:7447": "its agent: ",
     "python -m sitl uav --out udpout:127.0.0.1:14540": "MAVLink to ",
-    "python -m sitl record flight.mcap --connect tcp/127.0.0.1:7447": "flight.mcap",
+    "python -m sitl record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
     "python -m estimator --connect tcp/127.0.0.1:7447": "ready: ",
     "python -m estimator --connect tcp/127.0.0.1:7447 --particles 4000": "ready: ",
     "python -m estimator --connect tcp/127.0.0.1:7447 --rate 364.9238897255652 --diffusivity 5.890049834047215": "ready: ",
@@ -200,7 +210,7 @@ def make_environment(copy: Path) -> None:
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the checkout to run in, as a user has it."""
     copy = tmp_path_factory.mktemp("checkout")
-    compiled = [str(path.relative_to(ROOT)) for path in ROOT.glob("*/__pycache__/*.nb[ci]")]  # numba's: a minute that need not be waited for
+    compiled = [str(path.relative_to(ROOT)) for path in ROOT.glob("*/__pycache__/*.nb[ci]")]  # by numba: that takes a minute
     for name in (*checkout_files(), *compiled):
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, copy / name)
@@ -228,9 +238,8 @@ def started(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subproc
         "COLUMNS": "160",
     }
     with said.open("ab") as output:
-        process = subprocess.Popen(
-            ["bash", "-c", command], cwd=cwd, env=environment, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
-        )
+        shell, null = ["bash", "-c", command], subprocess.DEVNULL
+        process = subprocess.Popen(shell, cwd=cwd, env=environment, stdin=null, stdout=output, stderr=output, start_new_session=True)
     try:
         yield process
     finally:
@@ -269,7 +278,7 @@ def smaller(command: str) -> str:
 
 def words(line: str) -> str:
     """A line without its figures."""
-    return " ".join(re.sub(r"[\d.,:]*\d[\d.,:]*", "", re.sub(r" \([0-9a-f]{12}\)", "", line)).split())
+    return " ".join(re.sub(r"\(?[\d.,:]*\d[\d.,:]*\)?", "", re.sub(r" \([0-9a-f]{12}\)", "", line)).split())
 
 
 def lacking(shown: tuple[str, ...], output: str, *, whole: bool) -> list[str]:
@@ -335,7 +344,7 @@ def check_containers(command: str) -> None:
     profiles = {profile for service in compose["services"].values() for profile in service.get("profiles", [])}
     said = shlex.split(command)
     assert said[1] == "compose"
-    given = dict(zip(said, said[1:], strict=False))
+    given = dict(pairwise(said))
     if "--profile" in given:
         assert given["--profile"] in profiles
     if "--exit-code-from" in given:
