@@ -71,6 +71,7 @@ INSTEAD = {
     "pip install .": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
     "python -m hatchling build": "python -m hatchling build --target wheel",
     "python -m sitl status": "python -m sitl status --connect tcp/127.0.0.1:7447",
+    "python -m sitl uav --out udpin:127.0.0.1:14550": "python -m sitl uav --out udpin:127.0.0.1:7447",
     "python -m sitl replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "python -m sitl replay flight.tlog --gas gas*1.0 --wind 2.5,270",
     "tensorboard --logdir runs/train": "tensorboard --logdir runs/train --port 0",
 }  # fmt: skip
@@ -79,6 +80,7 @@ STAYS = {
     "python -m sitl router --listen tcp/127.0.0.1:7447": "tcp/127.0.0.1:",
     "python -m sitl uav --seed 7 --connect tcp/127.0.0.1:7447": "its agent: ",
     "python -m sitl uav --out udpout:127.0.0.1:14540": "MAVLink to ",
+    "python -m sitl uav --out udpin:127.0.0.1:14550": "MAVLink to ",
     "python -m sitl record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
     "python -m estimator --connect tcp/127.0.0.1:7447": "ready: ",
     "python -m estimator --connect tcp/127.0.0.1:7447 --particles 4000": "ready: ",
@@ -88,7 +90,7 @@ STAYS = {
     "tensorboard --logdir runs/train": "http://",
 }
 """Commands that stay up, and what must have been said before the next command of the block is run; then they are interrupted."""
-VARIES = re.compile(r"router at|runs/\d|begun 20|messages in|^(belief|health|mavlink|reading)|replayed in")
+VARIES = re.compile(r"router at|runs/\d|begun 20|messages in|^time=|^(belief|health|mavlink|reading)|replayed in")
 """A line of output with figures that are others in each run: times, rates, ports, names."""
 
 
@@ -339,16 +341,16 @@ def check_install(command: str) -> None:
 
 
 def check_containers(command: str) -> None:
-    """A compose command names services and profiles that there are; tests/system/test_containers.py flies with them."""
-    compose = YAML(typ="safe").load((ROOT / "compose.yaml").read_text())
-    profiles = {profile for service in compose["services"].values() for profile in service.get("profiles", [])}
+    """A compose command names services and profiles that compose.yaml has; tests/system/test_containers.py flies with them."""
+    text = (ROOT / "compose.yaml").read_text()
+    services = YAML(typ="safe").load(text)["services"]
     said = shlex.split(command)
     assert said[1] == "compose"
-    given = dict(pairwise(said))
-    if "--profile" in given:
-        assert given["--profile"] in profiles
-    if "--exit-code-from" in given:
-        assert given["--exit-code-from"] in compose["services"]
+    for flag, value in pairwise(said):
+        if flag in ("--exit-code-from", "cp"):
+            assert value.partition(":")[0] in services, f"{command}: no service {value}"
+        if flag == "--profile":
+            assert f"--profile {value}" in text, f"{command}: compose.yaml says nothing of this profile"
 
 
 @pytest.mark.timeout(TIMEOUT_S)
