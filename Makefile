@@ -6,6 +6,8 @@ POLICIES := infotaxis,entrotaxis,dcee,random,infotaxis-variance,entrotaxis-belie
 LEARNERS := ppo dqn ddpg
 # With a planner, so that compute times are compared in one run.
 LEARNED := infotaxis,ppo,dqn,ddpg
+# More flags for what a target runs, such as: make results FLAGS='--scenarios 20'
+FLAGS ?=
 
 .PHONY: setup mission test lint docs bench bench-filter bench-planners bench-env train results report calibration mismatch golden clean
 
@@ -20,10 +22,10 @@ $(READY): pyproject.toml constraints.txt
 	@touch $@
 
 mission: setup
-	$(BIN)/python -m sitl
+	$(BIN)/python -m sitl $(FLAGS)
 
 test: setup
-	$(BIN)/pytest -n 2
+	$(BIN)/pytest -n 2 $(FLAGS)
 
 lint: setup
 	$(BIN)/ruff check .
@@ -36,7 +38,7 @@ docs: setup
 	$(BIN)/python docs/picture.py
 
 bench: setup
-	$(BIN)/python benchmarks/loop.py
+	$(BIN)/python benchmarks/loop.py $(FLAGS)
 
 bench-filter: setup
 	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.filter
@@ -51,24 +53,24 @@ bench-env: setup
 # Makes the policies that ship anew; these and the next take long: cut off, the same command goes on where it was.
 train: setup
 	mkdir -p agent/bundles
-	for learner in $(LEARNERS); do $(BIN)/python -m agent train $$learner && cp runs/train/$$learner-tuned-0/$$learner.zip agent/bundles/ || exit; done
+	for learner in $(LEARNERS); do $(BIN)/python -m agent train $$learner $(FLAGS) && cp runs/train/$$learner-tuned-0/$$learner.zip agent/bundles/ || exit; done
 
 results: setup
 	mkdir -p results
-	$(BIN)/python -m agent evaluate --policy $(POLICIES) --particles 100,500,1000,2000,4000 --missions results/particles.csv.gz
-	$(BIN)/python -m agent evaluate --policy $(POLICIES) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/thresholds.csv.gz
-	$(BIN)/python -m agent evaluate --policy $(LEARNED) --particles 100,500,1000,2000,4000 --missions results/learned-particles.csv.gz
-	$(BIN)/python -m agent evaluate --policy $(LEARNED) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/learned-thresholds.csv.gz
+	$(BIN)/python -m agent evaluate --policy $(POLICIES) --particles 100,500,1000,2000,4000 --missions results/particles.csv.gz $(FLAGS)
+	$(BIN)/python -m agent evaluate --policy $(POLICIES) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/thresholds.csv.gz $(FLAGS)
+	$(BIN)/python -m agent evaluate --policy $(LEARNED) --particles 100,500,1000,2000,4000 --missions results/learned-particles.csv.gz $(FLAGS)
+	$(BIN)/python -m agent evaluate --policy $(LEARNED) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/learned-thresholds.csv.gz $(FLAGS)
 
 report: setup
-	$(BIN)/python -m agent report
+	$(BIN)/python -m agent report $(FLAGS)
 	cp report/results.md report/particles.png report/trajectories.png docs/
 
 mismatch: setup
-	$(BIN)/python -m benchmarks.mismatch --missions 300 --resume
+	$(BIN)/python -m benchmarks.mismatch --missions 300 --resume $(FLAGS)
 
 calibration: setup
-	$(BIN)/python benchmarks/calibration.py
+	$(BIN)/python benchmarks/calibration.py $(FLAGS)
 
 # After a change that is meant to change what is said: which golden missions say what else, and their new records.
 golden: setup

@@ -1,0 +1,394 @@
+"""Protects README and docs: every command and example on these pages runs, what they show is what is printed, every link leads somewhere.
+
+The commands run in a copy of the checkout. What takes long runs smaller, what stays up runs until it has said what it should; the tables
+below say how, and a line of theirs that no page needs any more fails, too.
+"""
+
+import os
+import re
+import shlex
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from ruamel.yaml import YAML
+
+from sitl.script import load
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+LANGUAGES = {"sh", "console", "python", "yaml", "toml", "text", "mermaid"}
+"""sh: commands. console: commands behind `$ `, each with what it prints below it. text and mermaid: nothing to run."""
+RUNS = ("python ", "make ", "plumeward ", "pip ", "docker ", "podman ", "source ", "tensorboard ")
+"""A code span in a sentence that begins so is a command, too."""
+FLIES = re.compile(r"(python -m sitl|plumeward)( fly\b.*| uav\b.*)?")
+"""Commands that take less time with `--speedup 0`."""
+TIMEOUT_S = 200
+
+FEW = "--scenarios 2"
+INSTEAD = {
+    "make test": "make test FLAGS=tests/plume/test_world.py",
+    "make lint": "make --dry-run lint",  # .ci/run runs it
+    "make bench": "make bench FLAGS='--missions 1'",
+    "make bench-env":
+        "python -c 'from benchmarks import env as b; b.PARTICLES, b.BATCHES, b.MISSIONS, b.REPEATS = (500,), (1,), 1, 1; b.main()'",
+    "make bench-filter": "python -c 'from benchmarks import filter as b; b.SIZES, b.BATCHES, b.MISSIONS = (1000,), (1,), 1; b.main()'",
+    "make bench-planners": "python -c 'from benchmarks import planners as b; b.SIZES, b.MISSIONS, b.REPEATS = (100,), 1, 1; b.main()'",
+    "make train": "make train LEARNERS=ddpg FLAGS='--steps 1 --scenarios 0'",
+    "make results": "make results POLICIES=greedy LEARNED=ppo FLAGS='--scenarios 2'",
+    "make mismatch": "make mismatch FLAGS='--missions 1 --policy greedy --only as-modelled'",
+    "make calibration": "make calibration FLAGS='--missions 2 --only stop'",
+    "make golden": "python -c 'from tests.golden import __main__ as g; g.GOLDEN = {k: g.GOLDEN[k] for k in [\"greedy-hits\"]}; g.main()'",
+    "python benchmarks/calibration.py": "python benchmarks/calibration.py --missions 2 --only sensors",
+    "python benchmarks/floor.py": "python benchmarks/floor.py --missions 2 --threshold 0.9",
+    "python benchmarks/floor.py --fly": "python benchmarks/floor.py --missions 2 --threshold 0.9 --fly",
+    "python benchmarks/floor.py --missions 200 --threshold 0.1 0.3 0.5 0.9 --convergence":
+        "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
+    "python -m benchmarks.mismatch": "python -m benchmarks.mismatch --missions 1 --policy greedy --only wind-30",
+    "python -m benchmarks.record": "python -m benchmarks.record --comparisons 1 --stretch 10",
+    "python -m agent evaluate": f"python -m agent evaluate {FEW}",
+    "python -m agent evaluate --missions FILE.csv": f"python -m agent evaluate --missions FILE.csv {FEW}",
+    "python -m agent evaluate --policy infotaxis,homing --scenarios 200": f"python -m agent evaluate --policy infotaxis,homing {FEW}",
+    "python -m agent evaluate --policy infotaxis,infotaxis-variance,dcee --scenarios 400 --measurements K":
+        f"python -m agent evaluate --policy infotaxis,infotaxis-variance,dcee {FEW} --measurements 5",
+    "python -m agent evaluate --policy beeline.zip,greedy --scenarios 200": f"python -m agent evaluate --policy beeline.zip,greedy {FEW}",
+    "python -m agent evaluate --policy weave,greedy --scenarios 200": f"python -m agent evaluate --policy weave,greedy {FEW}",
+    "python -m agent report":
+        f"mkdir few && python -m agent evaluate {FEW} --missions few/rows.csv && python -m agent report --results few --out few",
+    "python -m agent train ppo": "python -m agent train ppo --steps 1 --scenarios 0",
+    "python -m agent train ppo --preset paper": "python -m agent train ppo --preset paper --steps 1 --scenarios 0",
+    "pip install .": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
+    "python -m hatchling build": "python -m hatchling build --target wheel",
+    "python -m sitl status": "python -m sitl status --connect tcp/127.0.0.1:7447",
+    "python -m sitl uav --out udpin:127.0.0.1:14550": "python -m sitl uav --out udpin:127.0.0.1:7447",
+    "python -m sitl replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "python -m sitl replay flight.tlog --gas gas*1.0 --wind 2.5,270",
+    "tensorboard --logdir runs/train": "tensorboard --logdir runs/train --port 0",
+}  # fmt: skip
+"""What is run in place of a command: less of what takes long, and what does not need what only others have."""
+STAYS = {
+    "python -m sitl router --listen tcp/127.0.0.1:7447": "tcp/127.0.0.1:",
+    "python -m sitl uav --seed 7 --connect tcp/127.0.0.1:7447": "its agent: ",
+    "python -m sitl uav --out udpout:127.0.0.1:14540": "MAVLink to ",
+    "python -m sitl uav --out udpin:127.0.0.1:14550": "MAVLink to ",
+    "python -m sitl record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
+    "python -m estimator --connect tcp/127.0.0.1:7447": "ready: ",
+    "python -m estimator --connect tcp/127.0.0.1:7447 --particles 4000": "ready: ",
+    "python -m estimator --connect tcp/127.0.0.1:7447 --rate 364.9238897255652 --diffusivity 5.890049834047215": "ready: ",
+    "python -m agent --connect tcp/127.0.0.1:7447 --policy homing": "ready: ",
+    "python -m agent --connect tcp/127.0.0.1:7447 --policy infotaxis": "ceased at step",  # says the estimator: a whole mission is flown
+    "tensorboard --logdir runs/train": "http://",
+}
+"""Commands that stay up, and what must have been said before the next command of the block is run; then they are interrupted."""
+VARIES = re.compile(r"router at|runs/\d|begun 20|messages in|^time=|^(belief|health|mavlink|reading)|replayed in")
+"""A line of output with figures that are others in each run: times, rates, ports, names."""
+
+
+class Block(NamedTuple):
+    """A fenced block of a page."""
+
+    page: Path
+    line: int
+    language: str
+    text: str
+
+
+class Command(NamedTuple):
+    """A command as a page has it, and the lines that the page says it prints."""
+
+    text: str
+    shown: tuple[str, ...] = ()
+
+
+class Session(NamedTuple):
+    """The commands of a block, in order, or the one of a sentence."""
+
+    page: Path
+    commands: tuple[Command, ...]
+
+    def __str__(self) -> str:
+        return f"{self.page.name}: {self.commands[0].text}"
+
+
+@cache
+def blocks(page: Path) -> list[Block]:
+    """All fenced blocks of a page."""
+    found, lines = [], page.read_text().splitlines()
+    fences = [number for number, line in enumerate(lines) if line.startswith("```")]
+    for begin, end in zip(fences[::2], fences[1::2], strict=True):
+        found.append(Block(page, begin + 1, lines[begin].removeprefix("```"), "\n".join(lines[begin + 1 : end]) + "\n"))
+    return found
+
+
+def of(language: str) -> list[Block]:
+    return [block for page in PAGES for block in blocks(page) if block.language == language]
+
+
+def named(block: Block) -> str:
+    """The file that a block is: the name in its first line, empty where there is none."""
+    first = re.match(r"# ([\w.-]+\.(py|toml|yaml))\n", block.text)
+    return first[1] if first else ""
+
+
+def folder(page: Path) -> str:
+    """Where a page's blocks run: a page with files has a folder of its own for them."""
+    return f"of-{page.stem}" if any(map(named, blocks(page))) else "."
+
+
+def typed(text: str) -> Iterator[Command]:
+    """The commands of a block, one a line, without prompts, comments and breaks."""
+    for line in text.replace("\\\n", " ").splitlines():
+        command = re.sub(r"(^|\s+)#\s.*", "", line).strip()
+        if command:
+            yield Command(command)
+
+
+def watched(text: str) -> Iterator[Command]:
+    """The commands of a console, each with the lines below it."""
+    for part in re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]:
+        command, _, shown = part.partition("\n")
+        yield Command(re.sub(r"\s+#\s.*", "", command), tuple(line for line in shown.splitlines() if line.strip()))
+
+
+def spans(page: Path) -> Iterator[str]:
+    """The code spans of a page's sentences."""
+    prose = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    for paragraph in prose.split("\n\n"):
+        yield from (" ".join(span.split()) for span in re.findall(r"(?<!`)`([^`]+)`(?!`)", paragraph))
+
+
+def sessions() -> list[Session]:
+    """All that is to be run; what a sentence only repeats is run once."""
+    found = [Session(block.page, tuple(typed(block.text))) for block in of("sh")]
+    found += [Session(block.page, tuple(watched(block.text))) for block in of("console")]
+    there = {command.text for session in found for command in session.commands}
+    for page in PAGES:
+        for span in spans(page):
+            if span.startswith(RUNS) and span not in there:
+                there.add(span)
+                found.append(Session(page, (Command(span),)))
+    return found
+
+
+SESSIONS = sessions()
+
+
+def checkout_files() -> list[str]:
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return [name for name in listed.stdout.split("\0") if name and (ROOT / name).is_file()]
+
+
+def make_environment(copy: Path) -> None:
+    """Give a copy a `.venv` that `make setup` leaves alone: the packages of the one that runs this test, commands of its own, no pip."""
+    bin_ = copy / ".venv" / "bin"
+    bin_.mkdir(parents=True)
+    for there in Path(sys.prefix).iterdir():
+        if there.name not in ("bin", ".ready"):
+            (copy / ".venv" / there.name).symlink_to(there)
+    for there in (Path(sys.prefix) / "bin").iterdir():
+        if not there.name.startswith("pip"):
+            (bin_ / there.name).symlink_to(there)
+    scripts = tomllib.loads((copy / "pyproject.toml").read_text())["project"].get("scripts", {})
+    for name, (module, _, function) in {name: target.partition(":") for name, target in scripts.items()}.items():
+        (bin_ / name).unlink(missing_ok=True)
+        (bin_ / name).write_text(f"#!/usr/bin/env python\nfrom {module} import {function}\n{function}()\n")
+        (bin_ / name).chmod(0o755)
+    (copy / ".venv" / ".ready").touch()
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the checkout to run in, as a user has it."""
+    copy = tmp_path_factory.mktemp("checkout")
+    compiled = [str(path.relative_to(ROOT)) for path in ROOT.glob("*/__pycache__/*.nb[ci]")]  # by numba: that takes a minute
+    for name in (*checkout_files(), *compiled):
+        (copy / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, copy / name)
+    make_environment(copy)
+    for page in PAGES:
+        for block in filter(named, blocks(page)):
+            (copy / folder(page)).mkdir(exist_ok=True)
+            (copy / folder(page) / named(block)).write_text(block.text)
+    return copy
+
+
+@pytest.fixture
+def said(tmp_path: Path) -> Path:
+    """Where all that a session's processes print is kept."""
+    return tmp_path / "said.txt"
+
+
+@contextmanager
+def started(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subprocess.Popen]:
+    """Run a command as a shell of the copy would; afterwards neither it nor a child of it is left."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "MAKE", "MFLAGS"))}
+    environment |= {
+        "PATH": f"{copy / '.venv' / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": os.pathsep.join(map(str, (copy, cwd / "site"))),
+        "COLUMNS": "160",
+    }
+    with said.open("ab") as output:
+        shell, null = ["bash", "-c", command], subprocess.DEVNULL
+        process = subprocess.Popen(shell, cwd=cwd, env=environment, stdin=null, stdout=output, stderr=output, start_new_session=True)
+    try:
+        yield process
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def ended(command: str, cwd: Path, copy: Path, said: Path) -> int:
+    with started(command, cwd, copy, said) as process:
+        return process.wait(TIMEOUT_S)
+
+
+@contextmanager
+def staying(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subprocess.Popen]:
+    """Keep a command up until the with block ends: Ctrl-C must end it, and be what ended it."""
+    with started(f"exec {command}", cwd, copy, said) as process:
+        yield process
+        assert process.poll() is None, f"{command}: did not stay up\n{said.read_text()}"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) in (0, 130), f"{command}: an interrupt did not end it cleanly\n{said.read_text()}"
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def smaller(command: str) -> str:
+    """What is run in place of a command."""
+    if command in INSTEAD:
+        return INSTEAD[command]
+    return f"{command} --speedup 0" if FLIES.fullmatch(command) else command
+
+
+def words(line: str) -> str:
+    """A line without its figures."""
+    return " ".join(re.sub(r"\(?[\d.,:]*\d[\d.,:]*\)?", "", re.sub(r" \([0-9a-f]{12}\)", "", line)).split())
+
+
+def lacking(shown: tuple[str, ...], output: str, *, whole: bool) -> list[str]:
+    """The lines that a page shows and a command did not print; figures count where the command was run whole, and where they stay."""
+    printed = output.splitlines()
+    same, alike = {" ".join(line.split()) for line in printed}, set(map(words, printed))
+    return [line for line in shown if not (" ".join(line.split()) in same or ((VARIES.search(line) or not whole) and words(line) in alike))]
+
+
+def put_in_place(command: str, copy: Path, said: Path) -> None:
+    """Have the records that a command names: NAME is any mission's."""
+    if "NAME" in command and not (copy / "runs" / "NAME.mcap").exists():
+        assert ended("python -m sitl fly missions/wind-shift.yaml --speedup 0 --record runs/NAME.mcap", copy, copy, said) == 0
+    if "flight.tlog" in command and not (copy / "flight.tlog").exists():
+        put_in_place("NAME", copy, said)
+        shutil.copy(copy / "runs" / "NAME.tlog", copy / "flight.tlog")
+
+
+@pytest.mark.timeout(TIMEOUT_S + 100)
+@pytest.mark.parametrize("session", SESSIONS, ids=str)
+def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: Path) -> None:
+    port, cwd = str(free_port()), checkout / folder(session.page)
+    with ExitStack() as up:
+        for command, shown in session.commands:
+            if command.startswith(("docker ", "podman ")):
+                check_containers(command)
+                continue
+            if command.startswith("pip ") and command not in INSTEAD:
+                check_install(command)
+                continue
+            put_in_place(command, checkout, said)
+            before = len(said.read_text()) if said.exists() else 0
+            run = smaller(command).replace("7447", port)
+            if command in STAYS:
+                process = up.enter_context(staying(run, cwd, checkout, said))
+                deadline = time.monotonic() + TIMEOUT_S
+                while STAYS[command] not in said.read_text()[before:]:
+                    assert process.poll() is None, f"{command}: ended\n{said.read_text()[before:]}"
+                    assert time.monotonic() < deadline, f"{command}: did not come to say {STAYS[command]!r}\n{said.read_text()[before:]}"
+                    time.sleep(0.05)
+            else:
+                status = ended(run, cwd, checkout, said)
+                assert status == 0, f"{command}: exit status {status}\n{said.read_text()[before:]}"
+            output = said.read_text()[before:]
+            missing = lacking(shown, output, whole=command not in INSTEAD)
+            assert not missing, f"{command}: the page shows what is not printed:\n{chr(10).join(missing)}\n\nprinted was:\n{output}"
+
+
+def check_install(command: str) -> None:
+    """An install of this project asks for what there is: a wheel of this version, extras of these names. It is not run here."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    version = re.search(r'__version__ = "(.+)"', (ROOT / "plume" / "__init__.py").read_text())
+    assert version
+    for word in [word for word in shlex.split(command)[2:] if not word.startswith("-")]:
+        what, _, extras = word.rstrip("]").partition("[")
+        assert what in (".", "plumeward", f"dist/plumeward-{version[1]}-py3-none-any.whl"), f"{command}: {what} is not ours"
+        assert set(filter(None, extras.split(","))) <= set(project["optional-dependencies"]), f"{command}: no such extra"
+
+
+def check_containers(command: str) -> None:
+    """A compose command names services and profiles that compose.yaml has; tests/system/test_containers.py flies with them."""
+    text = (ROOT / "compose.yaml").read_text()
+    services = YAML(typ="safe").load(text)["services"]
+    said = shlex.split(command)
+    assert said[1] == "compose"
+    for flag, value in pairwise(said):
+        if flag in ("--exit-code-from", "cp"):
+            assert value.partition(":")[0] in services, f"{command}: no service {value}"
+        if flag == "--profile":
+            assert f"--profile {value}" in text, f"{command}: compose.yaml says nothing of this profile"
+
+
+@pytest.mark.timeout(TIMEOUT_S)
+@pytest.mark.parametrize("block", of("python"), ids=lambda block: f"{block.page.name}:{block.line}")
+def test_an_example_in_python_runs(block: Block, checkout: Path, said: Path, tmp_path: Path) -> None:
+    script = tmp_path / "example.py"
+    script.write_text(block.text)
+    status = ended(f"python {shlex.quote(str(script))}", checkout / folder(block.page), checkout, said)
+    assert status == 0, said.read_text()
+
+
+@pytest.mark.parametrize("block", of("yaml"), ids=lambda block: f"{block.page.name}:{block.line}")
+def test_an_example_in_yaml_is_a_mission_that_can_be_flown(block: Block, tmp_path: Path) -> None:
+    script = tmp_path / "example.yaml"
+    script.write_text(block.text)
+    load(script)
+
+
+@pytest.mark.parametrize("block", of("toml"), ids=lambda block: f"{block.page.name}:{block.line}")
+def test_an_example_in_toml_can_be_read(block: Block) -> None:
+    tomllib.loads(block.text)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_block_says_what_it_is(page: Path) -> None:
+    unknown = [f"{page.name}:{block.line}: {block.language!r}" for block in blocks(page) if block.language not in LANGUAGES]
+    assert not unknown, f"allowed are {', '.join(sorted(LANGUAGES))}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_and_every_page_that_is_named_is_there(page: Path) -> None:
+    text = page.read_text()
+    links = [link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
+    gone = [link for link in filter(None, links) if not (page.parent / link).exists()]
+    gone += [name for name in re.findall(r"docs/[\w-]+\.(?:md|svg|png|py)", text) if not (ROOT / name).exists()]
+    assert not gone
+
+
+def test_the_tables_of_this_test_hold_nothing_that_no_page_says() -> None:
+    there = {command.text for session in SESSIONS for command in session.commands}
+    assert not (set(INSTEAD) | set(STAYS)) - there
