@@ -173,7 +173,7 @@ def install(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[C
             return f"there is no Python {version} here that can make environments"
         folders.append(tmp_path_factory.mktemp(f"python{version}-"))
         installed = Installed(python, wheel, folders[-1])
-        missing = re.search("No matching distribution found for .*", installed.pip.stderr)
+        missing = re.search("No matching distribution found for .*|Cannot install .*", installed.pip.stderr)
         return missing[0] if missing and version != OWN else installed
 
     def install(version: str) -> Installed:
