@@ -258,7 +258,7 @@ def test_a_mission_that_is_none_is_one_line_with_those_that_ship(own: Installed,
 
 
 def test_the_command_and_the_module_take_the_same_command_lines(own: Installed, tmp_path: Path) -> None:
-    for words in (["--help"], *([command, "--help"] for command in ("fly", "uav", "router", "replay", "log", "record"))):
+    for words in (["--help"], *([command, "--help"] for command in ("fly", "uav", "router", "status", "replay", "log", "record"))):
         command, module = own(tmp_path, "plumeward", *words), own(tmp_path, "python", "-m", "sitl", *words)
         assert command.returncode == module.returncode == 0
         assert command.stdout.startswith(f"usage: plumeward {words[0] if words[1:] else '[-h]'} ")
