@@ -3,6 +3,7 @@
 import argparse
 import importlib
 import math
+import os
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -297,6 +298,7 @@ def main(prog: str = "python -m sitl") -> int:
 
 def command() -> NoReturn:
     """Run as `plumeward`, the command that an install gives."""
+    os.environ["PYTHONSAFEPATH"] = "1"  # the parts are the installed ones, whatever an agent.py in this folder is
     cli.run(lambda: main("plumeward"))
 
 
