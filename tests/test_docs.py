@@ -209,8 +209,8 @@ def make_environment(copy: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the checkout to run in, as a user has it."""
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A copy of the checkout to run in, as a user has it; nothing of it stays."""
     copy = tmp_path_factory.mktemp("checkout")
     compiled = [str(path.relative_to(ROOT)) for path in ROOT.glob("*/__pycache__/*.nb[ci]")]  # by numba: that takes a minute
     for name in (*checkout_files(), *compiled):
@@ -221,7 +221,8 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for block in filter(named, blocks(page)):
             (copy / folder(page)).mkdir(exist_ok=True)
             (copy / folder(page) / named(block)).write_text(block.text)
-    return copy
+    yield copy
+    shutil.rmtree(copy)
 
 
 @pytest.fixture
@@ -239,15 +240,20 @@ def started(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subproc
         "PYTHONPATH": os.pathsep.join(map(str, (copy, cwd / "site"))),
         "COLUMNS": "160",
     }
-    with said.open("ab") as output:
+    with said.open("ab") as file:
         shell, null = ["bash", "-c", command], subprocess.DEVNULL
-        process = subprocess.Popen(shell, cwd=cwd, env=environment, stdin=null, stdout=output, stderr=output, start_new_session=True)
+        process = subprocess.Popen(shell, cwd=cwd, env=environment, stdin=null, stdout=file, stderr=file, start_new_session=True)
     try:
         yield process
     finally:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+
+
+def output(said: Path, before: int = 0) -> str:
+    """What was printed from this size of the file on."""
+    return said.read_bytes()[before:].decode(errors="replace") if said.exists() else ""
 
 
 def ended(command: str, cwd: Path, copy: Path, said: Path) -> int:
@@ -260,9 +266,9 @@ def staying(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subproc
     """Keep a command up until the with block ends: Ctrl-C must end it, and be what ended it."""
     with started(f"exec {command}", cwd, copy, said) as process:
         yield process
-        assert process.poll() is None, f"{command}: did not stay up\n{said.read_text()}"
+        assert process.poll() is None, f"{command}: did not stay up\n{output(said)}"
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) in (0, 130), f"{command}: an interrupt did not end it cleanly\n{said.read_text()}"
+        assert process.wait(30) in (0, 130), f"{command}: an interrupt did not end it cleanly\n{output(said)}"
 
 
 def free_port() -> int:
@@ -283,15 +289,14 @@ def words(line: str) -> str:
     return " ".join(re.sub(r"\(?[\d.,:]*\d[\d.,:]*\)?", "", re.sub(r" \([0-9a-f]{12}\)", "", line)).split())
 
 
-def lacking(shown: tuple[str, ...], output: str, *, whole: bool) -> list[str]:
+def lacking(shown: tuple[str, ...], printed: str, *, whole: bool) -> list[str]:
     """The lines that a page shows and a command did not print; figures count where the command was run whole, and where they stay."""
-    printed = output.splitlines()
-    same, alike = {" ".join(line.split()) for line in printed}, set(map(words, printed))
+    same, alike = {" ".join(line.split()) for line in printed.splitlines()}, set(map(words, printed.splitlines()))
     return [line for line in shown if not (" ".join(line.split()) in same or ((VARIES.search(line) or not whole) and words(line) in alike))]
 
 
 def put_in_place(command: str, copy: Path, said: Path) -> None:
-    """Have the records that a command names: NAME is any mission's."""
+    """Have the records that a command names: NAME is a mission's, flight.tlog was flown elsewhere."""
     if "NAME" in command and not (copy / "runs" / "NAME.mcap").exists():
         assert ended("python -m sitl fly missions/wind-shift.yaml --speedup 0 --record runs/NAME.mcap", copy, copy, said) == 0
     if "flight.tlog" in command and not (copy / "flight.tlog").exists():
@@ -312,21 +317,21 @@ def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: 
                 check_install(command)
                 continue
             put_in_place(command, checkout, said)
-            before = len(said.read_text()) if said.exists() else 0
+            before = said.stat().st_size if said.exists() else 0
             run = smaller(command).replace("7447", port)
             if command in STAYS:
                 process = up.enter_context(staying(run, cwd, checkout, said))
                 deadline = time.monotonic() + TIMEOUT_S
-                while STAYS[command] not in said.read_text()[before:]:
-                    assert process.poll() is None, f"{command}: ended\n{said.read_text()[before:]}"
-                    assert time.monotonic() < deadline, f"{command}: did not come to say {STAYS[command]!r}\n{said.read_text()[before:]}"
+                while STAYS[command] not in output(said, before):
+                    assert process.poll() is None, f"{command}: ended\n{output(said, before)}"
+                    assert time.monotonic() < deadline, f"{command}: did not come to say {STAYS[command]!r}\n{output(said, before)}"
                     time.sleep(0.05)
             else:
                 status = ended(run, cwd, checkout, said)
-                assert status == 0, f"{command}: exit status {status}\n{said.read_text()[before:]}"
-            output = said.read_text()[before:]
-            missing = lacking(shown, output, whole=command not in INSTEAD)
-            assert not missing, f"{command}: the page shows what is not printed:\n{chr(10).join(missing)}\n\nprinted was:\n{output}"
+                assert status == 0, f"{command}: exit status {status}\n{output(said, before)}"
+            printed = output(said, before)
+            missing = "\n".join(lacking(shown, printed, whole=command not in INSTEAD))
+            assert not missing, f"{command}: the page shows what is not printed:\n{missing}\n\nprinted was:\n{printed}"
 
 
 def check_install(command: str) -> None:
@@ -359,7 +364,7 @@ def test_an_example_in_python_runs(block: Block, checkout: Path, said: Path, tmp
     script = tmp_path / "example.py"
     script.write_text(block.text)
     status = ended(f"python {shlex.quote(str(script))}", checkout / folder(block.page), checkout, said)
-    assert status == 0, said.read_text()
+    assert status == 0, output(said)
 
 
 @pytest.mark.parametrize("block", of("yaml"), ids=lambda block: f"{block.page.name}:{block.line}")
