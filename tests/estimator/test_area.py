@@ -23,7 +23,7 @@ def chosen(monkeypatch: pytest.MonkeyPatch, *flags: str) -> Config:
     """What `python -m estimator` runs with."""
     configs: list[Config] = []
     monkeypatch.setattr(sys, "argv", ["estimator", *flags])
-    monkeypatch.setattr(command, "Bus", lambda *_: contextlib.nullcontext())
+    monkeypatch.setattr(command, "Bus", lambda *_, **__: contextlib.nullcontext())
     monkeypatch.setattr(service, "run", lambda _bus, config, _system: configs.append(config))
     command.main()
     return configs[0]
