@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import queue
 import re
 import time
@@ -24,7 +23,6 @@ DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
 WAITING_MESSAGES = 4096
 """Of each key, beside those that are kept: where more wait to be taken, the oldest are dropped rather than the flight held up."""
-ONE_THREAD = "(rx: (handover: net), tx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1))"
 HEALTH_EVERY_S = 1.0
 """A service that has nothing to do says at least so often that it is well."""
 SIGNAL_POLL_S = 0.2
@@ -342,8 +340,6 @@ class Tap(Bus):
 
     def __init__(self, service: str, connect: str = DEFAULT_ROUTER, namespace: str = "uav/1", log_level: str = "info") -> None:
         """Join as any other."""
-        # Read by the first session of a process. By default four pools of threads hand each message on to each other.
-        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)
         # A message keeps the buffer that it came in: at the usual 64 kB each, clearing these is half the cost of receiving.
         super().__init__(service, connect, namespace, log_level=log_level, transport__link__tx__batch_size=16_384)
         self._taken_ns = 0

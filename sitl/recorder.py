@@ -24,6 +24,9 @@ BATCH_S = 0.2
 FLUSH_S = 0.35
 """With every second batch, what was taken is handed to the system: a killed recorder loses 0.4 s."""
 SIGNAL_POLL_S = 0.05
+FEW_THREADS = "(rx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1), tx: (worker_threads: 1))"
+"""Zenoh's threads, as the first session of a process reads them: by default four pools hand each message on to each other. Sending keeps
+a thread of its own: who receives may wait for what is to be sent first, and would hold up the router, and with it the mission."""
 NICENESS = 19
 """The flight goes before its record."""
 PACKAGES = ("eclipse-zenoh", "numpy", "pymavlink", "numba", "mcap")
@@ -55,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Record until interrupted; stdout tells when that has begun."""
+    os.environ.setdefault("ZENOH_RUNTIME", FEW_THREADS)
     with Tap("recorder", args.connect, args.namespace, args.log_level) as bus:
         try:
             writer = Writer(args.file, {**args.about, **surroundings(args.namespace)})

@@ -1,6 +1,7 @@
 """Protects what a record is made from: every message once, with the publisher's time, also those from before one listened."""
 
 import json
+import os
 import time
 from collections.abc import Callable
 from itertools import pairwise
@@ -105,3 +106,10 @@ def test_the_newest_time_is_that_which_was_published_last() -> None:
 
 def _at(time_boot_ms: int) -> object:
     return type(ATTITUDE)(time_boot_ms, 0.1, 0.2, 0.3, 0.0, 0.0, 0.0)
+
+
+def test_who_taps_leaves_the_environment_as_it_was(router: str) -> None:
+    """Zenoh reads how many threads it may have from there: a setting for the recorder would be one for all that are started later."""
+    before = dict(os.environ)
+    with Tap("recorder", router):
+        assert dict(os.environ) == before
