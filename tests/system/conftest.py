@@ -33,8 +33,11 @@ class Part:
         return any(text in line for line in self.err)
 
     def ended(self, timeout_s: float = 60.0) -> int:
-        """Wait for its end; returns the exit status."""
-        status = self.process.wait(timeout_s)
+        """Wait for its end; returns the exit status. What it has said so far is told where it does not end."""
+        try:
+            status = self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f"still there after {timeout_s:g} s; it said:\n{''.join(self.err[-20:])}")
         for thread in self._threads:
             thread.join()
         return status
