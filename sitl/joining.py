@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Collection
 
-import msgspec
-
 from link.bus import Arrival, Bus, LivelinessChange
 from link.keys import HEALTH
 from link.messages import Health
@@ -42,15 +40,18 @@ def await_services(bus: Bus, namespace: str, say: Callable[[str], None]) -> str:
     health: dict[str, Health] = {}
     told = False
     while missing := SEARCHERS - (alive & set(health)):
-        match bus.receive(SAY_AFTER_S):
+        item = bus.receive(SAY_AFTER_S)
+        match item:
             case None if not told:
                 say(f"waits for {' and '.join(sorted(missing))} on {namespace}")
                 told = True
             case LivelinessChange(service, there):
                 (alive.add if there else alive.discard)(service)
-            case Arrival(key, payload) if key is HEALTH:
-                said = msgspec.json.decode(payload, type=Health)
-                health[said.service] = said
+                if not there:
+                    health.pop(service, None)  # its successor has yet to speak
+            case Arrival(key) if key is HEALTH:
+                if (said := bus.decode(item, Health)) is not None:
+                    health[said.service] = said
     for service in sorted(SEARCHERS):
         if health[service].step >= 0:
             raise MissionFailed(f"the {service} has a mission behind it, at step {health[service].step}: start it anew")

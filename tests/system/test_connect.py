@@ -10,6 +10,7 @@ import pytest
 from link.bus import Bus
 from sitl.launcher import Mission, agent_arguments, estimator_arguments
 from sitl.script import load
+from tests.system.stranger import Stranger
 
 MISSION = """
 seed: 7
@@ -56,9 +57,14 @@ def test_an_expectation_that_does_not_hold_is_status_1_and_used_services_fly_no_
     assert all(service.process.poll() is None for service in services)  # they are not ours to end
 
 
-def test_it_waits_for_services_and_says_for_whom(start, router: str, mission: str, wait_until: Callable, tmp_path: Path) -> None:
+def test_it_waits_for_services_and_says_for_whom_whatever_else_is_said(
+    start, router: str, mission: str, wait_until: Callable, tmp_path: Path
+) -> None:
     flight = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
     wait_until(lambda: flight.says("waits for agent and estimator on uav/1"))
+    with Stranger(router) as stranger:
+        stranger.publisher("health/estimator")(b"noise")
+        wait_until(lambda: flight.says("refused health/<service>: "))
     start("estimator", "--connect", router)
     start("agent", "--connect", router)
     assert flight.ended() == 0
