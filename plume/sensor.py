@@ -54,8 +54,9 @@ class Gaussian:
 
     def refusal(self, reading: float, greatest_mean: float) -> str | None:
         """Why this sensor cannot have given a reading where no concentration is above `greatest_mean`; None where it can."""
-        low = -SURPRISE * self.environment_noise
-        high = greatest_mean + SURPRISE * float(self.noise_std(greatest_mean))
+        surprise = SURPRISE * float(self.noise_std(greatest_mean))
+        # m − SURPRISE σ(m) is concave, so least at one of the ends; the noise of strong gas reaches far below 0.
+        low, high = min(-SURPRISE * self.environment_noise, greatest_mean - surprise), greatest_mean + surprise
         return None if low <= reading <= high else f"gas {reading:g} is absurd; allowed is {low:g} to {high:g} g/m³"
 
 

@@ -23,7 +23,7 @@ def test_a_new_reading_from_the_area_is_taken() -> None:
     [
         (GOOD._replace(position=(30.5, 4.0)), "outside", "outside the area"),
         (GOOD._replace(position=(3.0, -0.1)), "outside", "outside the area"),
-        (GOOD._replace(gas=1e4), "absurd", "gas 10000 is absurd; allowed is -2 to 21"),
+        (GOOD._replace(gas=1e4), "absurd", "gas 10000 is absurd; allowed is -106.116 to 212.219"),
         (GOOD._replace(gas=-3e38), "absurd", "absurd"),
         (GOOD._replace(time_boot_ms=1999), "late", "1999 is before 2000"),
         (GOOD._replace(gas=0.25), "conflicting", "2000 again, but it is another reading"),

@@ -102,7 +102,7 @@ def test_the_likelihoods_equal_hand_worked_values() -> None:
 @pytest.mark.parametrize(
     ("sensor", "allowed", "refused"),
     [
-        (GAUSSIAN, [-1.9, 0.0, 5.0, 12.0], [-2.1, 1e3, 3e38]),
+        (GAUSSIAN, [-6.2, 0.0, 5.0, 12.2], [-6.3, 12.3, 1e3, 3e38]),  # 3 ± 10 sqrt((0.3 · 3)² + 0.2²) = 3 ± 9.22
         (Threshold(0.5), [0.0, 0.5, 5.0], [0.3, -0.1, 1e3]),
         (Hits(), [0.0, 1.0, 20.0], [-1.0, 0.5, 1e3, 3e38]),
     ],
@@ -111,6 +111,13 @@ def test_the_likelihoods_equal_hand_worked_values() -> None:
 def test_a_reading_that_the_sensor_cannot_have_given_is_refused(sensor: Sensor, allowed: list[float], refused: list[float]) -> None:
     assert [sensor.refusal(gas, 3.0) for gas in allowed] == [None] * len(allowed)
     assert all("absurd" in str(sensor.refusal(gas, 3.0)) for gas in refused)
+
+
+def test_no_reading_of_strong_gas_is_refused_as_noise_that_cannot_be() -> None:
+    """Where a vehicle searches close to the source, a reading below 0 is rare, but its own."""
+    readings = GAUSSIAN.measure(np.full(100_000, 40.0), np.random.default_rng(6))
+    assert readings.min() < -5.0  # 10 β is 2
+    assert all(GAUSSIAN.refusal(float(gas), 50.0) is None for gas in readings)
 
 
 def test_a_threshold_that_is_no_float32_still_admits_its_own_readings() -> None:
