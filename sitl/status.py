@@ -117,7 +117,8 @@ def run(args: argparse.Namespace) -> int:
     console = Console()
     if not console.is_terminal:
         console.width = WIDTH
-    with Live(console=console, auto_refresh=False) if args.watch and console.is_terminal else _Printer(console) as shown:
+    live = args.watch and console.is_terminal and not args.json
+    with Live(console=console, auto_refresh=False) if live else _Printer(console) as shown:
         while True:
             try:
                 with Bus("status", args.connect, args.namespace, log_level=args.log_level, announced=False) as bus:
