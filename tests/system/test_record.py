@@ -75,7 +75,7 @@ def test_what_was_said_before_it_is_told_to_end_is_in_the_file(start, router: st
         while viewer.receive(10.0).payload != b"last":  # the router has passed it on
             pass
         recorder.process.send_signal(end)
-        assert recorder.ended(timeout_s=10) == 0
+        assert recorder.ended() == 0
     recording = read(tmp_path / "run.mcap")
     assert recording.complete
     said = [(entry.key, entry.payload, entry.attachment) for entry in recording.entries if not entry.key.startswith("health")]

@@ -296,7 +296,7 @@ class TestReplay:
         wait_until(lambda: replay.says("step   0"))
         pids = family(replay.process.pid)
         replay.process.send_signal(signal.SIGINT)
-        assert replay.ended(timeout_s=10) == 130
+        assert replay.ended() == 130
         assert replay.err[-1] == "interrupted\n"
         assert not any(Path(f"/proc/{pid}").exists() for pid in pids.values())
 
@@ -304,7 +304,7 @@ class TestReplay:
         replay = start("sitl", "replay", str(log), "--speedup", "0", "--loop", "--verify")
         wait_until(lambda: sum(line.startswith("verified: ") for line in replay.err) >= 2)
         replay.process.send_signal(signal.SIGINT)
-        assert replay.ended(timeout_s=10) == 130
+        assert replay.ended() == 130
 
     def test_a_loop_ends_with_the_first_difference(self, start, log: Path, tmp_path: Path) -> None:
         tampered = rewritten(log, tmp_path / "tampered.mcap", json_changed("belief", 0, spread=1.0))
