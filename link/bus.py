@@ -222,6 +222,12 @@ class Bus:
             subscriber = self._session.declare_subscriber(name, handler)
         self._subscribers[key.name] = subscriber
 
+    def settle(self, timeout_s: float) -> None:
+        """Wait until the router has what was published and subscribed here, and what it has passed on is here; for timeout_s at most."""
+        # A question to nobody: the router's own answer comes behind what it has been sent and has sent before.
+        for _ in self._session.get("nobody", timeout=timeout_s):
+            pass
+
     def watch_services(self) -> None:
         """Have the coming and going of services put into the inbox, beginning with those that are there."""
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from link import cli
-from link.bus import Tap
+from link.bus import CONNECT_TIMEOUT_S, Tap
 from link.keys import KEYS
 from link.record import Entry, SimulationClock, Writer
 from plume import __version__
@@ -24,6 +24,8 @@ BATCH_S = 0.2
 FLUSH_S = 0.35
 """With every second batch, what was taken is handed to the system: a killed recorder loses 0.4 s."""
 SIGNAL_POLL_S = 0.05
+LAST_WORDS_S = 0.5
+"""Told to end, it waits so long at most for what is still on its way to it."""
 FEW_THREADS = "(rx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1), tx: (worker_threads: 1))"
 """Zenoh's threads, as the first session of a process reads them: by default four pools hand each message on to each other. Sending keeps
 a thread of its own: who receives may wait for what is to be sent first, and would hold up the router, and with it the mission."""
@@ -66,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
             print(f"error: cannot write {args.file}: {error.strerror}", file=sys.stderr)
             return cli.BAD_INPUT
         bus.subscribe(*KEYS)
+        bus.settle(CONNECT_TIMEOUT_S)
         ends: list[int] = []
         for number in (signal.SIGINT, signal.SIGTERM):  # no exception: it could come in the middle of a message
             signal.signal(number, lambda number, _: ends.append(number))
@@ -87,8 +90,12 @@ def run(args: argparse.Namespace) -> int:
 def _record(bus: Tap, writer: Writer, ends: list[int]) -> None:
     clock = SimulationClock()
     flush_at = 0.0
-    while not ends:
+    ended = False
+    while not ended:
         _await_batch(ends)
+        ended = bool(ends)  # whenever that was, what has come by then is still written
+        if ended:
+            bus.settle(LAST_WORDS_S)
         messages = bus.take()
         for message in messages:
             simulation_s = clock.time_s(message.name, message.payload, message.published_ns)
