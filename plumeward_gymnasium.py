@@ -18,8 +18,8 @@ def register() -> None:
         if f"plumeward/{name}-v0" not in gymnasium.registry:
             gymnasium.register(
                 f"plumeward/{name}-v0",
-                entry_point="agent.env:SourceSearch",
-                vector_entry_point="agent.env:SourceSearchVector",
+                entry_point="agent.learn.env:SourceSearch",
+                vector_entry_point="agent.learn.env:SourceSearchVector",
                 kwargs={"continuous": continuous},
             )
 

@@ -1,1 +1,4 @@
-"""Planners that turn a belief into the next waypoint, their service, and missions flown in-process."""
+"""What flies: beliefs in, waypoints out, by planners and learned policies.
+
+Imports: plume, link, link.bus, agent.planning, agent.planners.
+"""

@@ -13,9 +13,9 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from agent.moves import Headings, Move, Reach
 from agent.observation import SCHEMAS, Schema
-from link.messages import Belief, Particles
+from agent.planning.moves import Headings, Move, Reach
+from link.bus.messages import Belief, Particles
 
 FORMAT = 1
 GRAPH, PAGE = "policy.onnx", "bundle.json"

@@ -21,7 +21,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from link.messages import Belief, Particles
+from link.bus.messages import Belief, Particles
+from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.numerics import exp, log, total_of
 from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
@@ -34,7 +35,7 @@ Frame = Array
 """(3,): the direction (cos, sin) of the observation's x axis in the world, and 1, or −1 where its y axis is mirrored."""
 
 FACTS = ("x", "y", "gas", "mean_x", "mean_y", "xx", "xy", "yy", "wind_x", "wind_y", "rate", "diffusivity", "lifetime")
-"""What is looked at of a belief beside its particles, as of `link.messages.Belief`; columns of arrays (B, 13)."""
+"""What is looked at of a belief beside its particles, as of `link.bus.messages.Belief`; columns of arrays (B, 13)."""
 X, Y, GAS, MEAN_X, MEAN_Y, XX, XY, YY, WIND_X, WIND_Y, RATE, DIFFUSIVITY, LIFETIME = range(len(FACTS))
 
 SECTORS = 16
@@ -196,12 +197,12 @@ SEE_ALONE = "void(float64[::1], float64[::1], float64[::1], float64[::1], float6
 SEE_MISSIONS = "void(float64[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], int64[::1], float64[:, ::1], float32[:, ::1])"
 
 
-@numba.njit(SEE_ALONE, cache=True)
+@kernel(SEE_ALONE)
 def _see_paper(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
     _paper(x, y, weights, facts, frame, result)
 
 
-@numba.njit(SEE_ALONE, cache=True)
+@kernel(SEE_ALONE)
 def _see_polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
     _polar(x, y, weights, facts, frame, result)
 
@@ -213,7 +214,7 @@ def _as_sent(particles: Array, weights: Array, total: float, x: Array, y: Array,
         x[i], y[i], sent[i] = np.float32(particles[0, i]), np.float32(particles[1, i]), np.float32(weights[i] / total)
 
 
-@numba.njit(SEE_MISSIONS, cache=True, nogil=True)
+@kernel(SEE_MISSIONS, nogil=True)
 def _paper_of_missions(
     _particles: Array, _weights: Array, _totals: Array, facts: Array, missions: Indices, frames: Array, results: NDArray[np.float32]
 ) -> None:
@@ -222,7 +223,7 @@ def _paper_of_missions(
         _paper(nothing, nothing, nothing, facts[b], frames[b], results[b])
 
 
-@numba.njit(SEE_MISSIONS, cache=True, nogil=True)
+@kernel(SEE_MISSIONS, nogil=True)
 def _polar_of_missions(
     particles: Array, weights: Array, totals: Array, facts: Array, missions: Indices, frames: Array, results: NDArray[np.float32]
 ) -> None:

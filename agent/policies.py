@@ -10,11 +10,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from agent import planners
 from agent.bundle import BundleError, load
-from agent.moves import Reach
-from agent.planners import PLANNERS
-from link.messages import Belief, Particles
+from agent.planners import registry as planners
+from agent.planners.registry import PLANNERS
+from agent.planning.moves import Reach
+from link.bus.messages import Belief, Particles
 from plume.randomness import keyed
 
 Policy = Callable[[Belief, Particles, Reach, np.random.Generator], Sequence[float]]

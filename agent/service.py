@@ -5,13 +5,13 @@ import time
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from agent.moves import Reach
+from agent.planning.moves import Reach
 from agent.policies import choose
 from agent.policies import policy as find_policy
-from link.bus import Arrival, Bus
-from link.keys import BELIEF, MAVLINK_IN
-from link.mavlink import ONBOARD_COMPUTER, Codec, waypoint_message
-from link.messages import Belief, Particles, unpack_particles
+from link.bus.keys import BELIEF, MAVLINK_IN
+from link.bus.mavlink import ONBOARD_COMPUTER, Codec, waypoint_message
+from link.bus.messages import Belief, Particles, unpack_particles
+from link.bus.session import Arrival, Bus
 from plume.scenario import AREA_M
 from plume.sensor import parse
 from plume.world import float32

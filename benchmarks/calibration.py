@@ -20,14 +20,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.figures import bootstrap, mean, wilson
-from agent.moves import Reach
+from agent.planning.moves import Reach
 from agent.policies import choose
-from estimator import kernels, priors
+from agent.trials.figures import bootstrap, mean, wilson
+from estimator import priors
 from estimator.belief import INCOMPATIBLE, belief, may_claim
 from estimator.filter import Config, assimilate, prior
+from estimator.kernels.weights import moments
 from estimator.priors import Gamma, Normal, Prior, Uniform
-from link.mavlink import Reading
+from link.bus.mavlink import Reading
 from plume.randomness import derived_seed, keyed
 from plume.scenario import AREA_M, BUDGET_STEPS, SUCCESS_RADIUS_M, Scenario, draw
 from plume.sensor import GAUSSIAN, Hits, Sensor, Threshold
@@ -128,7 +129,7 @@ def fly(case: Case, seed: int) -> Flight:
         warned = warned or summary.p_value < INCOMPATIBLE
         for threshold_m in case.thresholds_m:
             if summary.spread < threshold_m and may_claim(summary.p_value, step + 1) and threshold_m not in stops:
-                mean, covariance = kernels.moments(posterior.particles, posterior.weights)
+                mean, covariance = moments(posterior.particles, posterior.weights)
                 nees, nees_all = (squared_error((mean - wanted)[:n], covariance[:n, :n]) for n in (2, len(mean)))
                 error_m = math.dist(summary.mean, scenario.source)
                 stops[threshold_m] = Stop(threshold_m, step, error_m, nees, nees_all, warned)
@@ -307,7 +308,7 @@ def survive(seed: int) -> tuple[bool, float]:
         posterior = assimilate(posterior, Reading(step, place, ALTITUDE_M, world.wind, world.gas(place, step)), config)
         inside = bool((posterior.particles >= 0).all() and (posterior.particles <= AREA_M).all())  # NaN is not inside
         sound = sound and inside and bool(np.isfinite(posterior.log_targets).all()) and posterior.weights.max() == 1.0
-        mean, covariance = kernels.moments(posterior.particles, posterior.weights)
+        mean, covariance = moments(posterior.particles, posterior.weights)
         greatest = max(greatest, squared_error(mean - np.array(s.source), covariance))
     return sound, greatest
 

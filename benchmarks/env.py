@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from agent.env import SourceSearch, SourceSearchVector
+from agent.learn.env import SourceSearch, SourceSearchVector
 
 PARTICLES = (100, 500, 1000, 4000)
 BATCHES = (1, 4, 16, 64, 256, 1024)

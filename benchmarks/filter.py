@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.filter_peers import Particles, Peer, PlainNumpy, StoneSoup
-from estimator import kernels
 from estimator.batch import Batch
 from estimator.filter import Config, prior
+from estimator.kernels.densities import log_likelihoods
+from estimator.kernels.update import update
 from plume.scenario import AREA_M, draw
 from plume.world import World
 
@@ -47,7 +48,7 @@ def ours(seed: int, count: int, rows: Array) -> tuple[list[float], list[bool]]:
     for t in range(1, len(rows) + 1):
         first = p.particles[0, 0], p.particles[0, -1]
         began = time.perf_counter()
-        kernels.update(p.particles, p.log_weights, p.weights, p.log_targets, rows[:t], *model)
+        update(p.particles, p.log_weights, p.weights, p.log_targets, rows[:t], *model)
         times.append(time.perf_counter() - began)
         moved.append(first != (p.particles[0, 0], p.particles[0, -1]))
     return times, moved
@@ -72,7 +73,7 @@ def limit(seed: int, count: int, rows: Array) -> float:
     times = []
     for row in np.repeat(rows, 20, axis=0):
         began = time.perf_counter()
-        kernels.log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, row)
+        log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, row)
         times.append(time.perf_counter() - began)
     return float(np.median(times))
 

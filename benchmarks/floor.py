@@ -16,16 +16,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from agent import floor
-from agent.figures import bootstrap
-from agent.floor import LEAST_THRESHOLD_M, PRIOR, best_path, information, model, spread_m, weight
-from estimator import kernels
+from agent.trials import floor
+from agent.trials.figures import bootstrap
+from agent.trials.floor import LEAST_THRESHOLD_M, PRIOR, best_path, information, model, spread_m, weight
 from estimator.filter import Config, assimilate, prior
-from link.mavlink import Reading
+from estimator.kernels.weights import moments
+from link.bus.mavlink import Reading
+from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.randomness import derived_seed
 from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario, draw
@@ -65,7 +65,7 @@ class Bracket:
     """The path found, one heading a step, rad."""
 
 
-@numba.njit("float64[:, ::1](float64[::1], float64[::1], int64, float64)", error_model="numpy", cache=True)
+@kernel("float64[:, ::1](float64[::1], float64[::1], int64, float64)", error_model="numpy")
 def _cells(start: Array, model: Array, sectors: int, growth: float) -> Array:
     """Cells around the source that cover the area, by the step that can first reach them.
 
@@ -102,7 +102,7 @@ def _cells(start: Array, model: Array, sectors: int, growth: float) -> Array:
     return table[np.argsort(table[:, 0])]
 
 
-@numba.njit("boolean(int64, float64, float64[:, ::1], float64[::1], float64[::1], int64)", error_model="numpy", cache=True)
+@kernel("boolean(int64, float64, float64[:, ::1], float64[::1], float64[::1], int64)", error_model="numpy")
 def _excluded(steps: int, variance: float, cells: Array, start: Array, model: Array, iterations: int) -> bool:
     """Whether it is proven that no path of so many steps has a trace of the covariance below `variance`, m².
 
@@ -188,7 +188,7 @@ def fly(seed: int, headings: Sequence[float], threshold_m: float) -> float:
         position = float32(x), float32(y)
         reading = Reading(step, position, ALTITUDE_M, world.wind, world.gas(position, step))
         posterior = assimilate(posterior, reading, config)
-        _, covariance = kernels.moments(posterior.particles, posterior.weights)
+        _, covariance = moments(posterior.particles, posterior.weights)
         if math.sqrt(np.trace(covariance)) < threshold_m:
             return step * STEP_M
         if step < len(headings):

@@ -11,14 +11,14 @@ import sys
 import time
 from collections import defaultdict
 
-from agent.rollout import rollout
-from link.bus import Arrival, Bus
-from link.keys import BELIEF, HEALTH, MAVLINK_IN, READING
-from link.mavlink import unpack_reading
-from link.messages import Belief, Health
-from sitl.launcher import Mission, start_parts
-from sitl.processes import Processes
-from sitl.script import Script
+from agent.trials.rollout import rollout
+from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING
+from link.bus.mavlink import unpack_reading
+from link.bus.messages import Belief, Health
+from link.bus.session import Arrival, Bus
+from sitl.launch.launcher import Launch, start_parts
+from sitl.launch.processes import Processes
+from sitl.script.script import Script
 
 RING_ROUNDS = 2000
 
@@ -30,7 +30,7 @@ def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
     read_at: list[tuple[int, float]] = []
     compute: dict[str, dict[int, float]] = defaultdict(dict)
     try:
-        endpoint = start_parts(processes, Mission(script, uav_arguments=("--seed", str(seed), "--speedup", "0")), {})
+        endpoint = start_parts(processes, Launch(script, uav_arguments=("--seed", str(seed), "--speedup", "0")), {})
         with Bus("bench", endpoint) as bus:
             bus.subscribe(READING, BELIEF, HEALTH)
             last: int | None = None

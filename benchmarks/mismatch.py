@@ -25,15 +25,15 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from agent.evaluate import FIRST_TEST_SEED, read_csv, write_csv
-from agent.figures import COLUMNS, UNKNOWN, Flown, cell, figures
 from agent.policies import choose, policy, reach
-from agent.rollout import ALTITUDE_M, Step
-from agent.sweep import THREADS
+from agent.trials.evaluate import FIRST_TEST_SEED, read_csv, write_csv
+from agent.trials.figures import COLUMNS, UNKNOWN, MissionRow, cell, figures
+from agent.trials.rollout import ALTITUDE_M, Step
+from agent.trials.sweep import THREADS
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link import cli
-from link.mavlink import Reading
+from link.bus.mavlink import Reading
 from plume.outcome import TracePoint, outcome
 from plume.randomness import derived_seed, keyed
 from plume.scenario import AREA_M, BUDGET_STEPS, SOURCE_HIGH_M, SOURCE_LOW_M, SUCCESS_RADIUS_M, Scenario, draw
@@ -112,7 +112,7 @@ def outside(seed: int) -> tuple[float, float]:
 
 
 def steps(mismatch: Mismatch, name: str, seed: int, particles: int = PARTICLES, budget: int = BUDGET_STEPS) -> Iterator[Step]:
-    """Fly a mission of a policy as `agent.rollout` does, but in a world that may not be the one that the estimator is told of.
+    """Fly a mission of a policy as `agent.trials.rollout` does, but in a world that may not be the one that the estimator is told of.
 
     Where a reading was lost the belief is the one before it, with the place that the vehicle is at and the moves that it has made:
     it knows both without the estimator, and each decision has its own randomness.
@@ -139,7 +139,7 @@ def steps(mismatch: Mismatch, name: str, seed: int, particles: int = PARTICLES, 
         decision_s = time.perf_counter() - began
 
 
-def fly(world: str, name: str, seed: int, particles: int = PARTICLES, budget: int = BUDGET_STEPS) -> Flown:
+def fly(world: str, name: str, seed: int, particles: int = PARTICLES, budget: int = BUDGET_STEPS) -> MissionRow:
     """Fly a mission of a policy in a world; returns its row."""
     mismatch, within = WORLDS[world], reach(name)
     flown = list(steps(mismatch, name, seed, particles, budget))
@@ -149,7 +149,7 @@ def fly(world: str, name: str, seed: int, particles: int = PARTICLES, budget: in
     result = outcome(seed, name, mismatch.scenario(seed), trace, last.ceased, sum(updates_s) + sum(decisions_s))
     error = np.subtract(result.estimate, result.source)
     xx, xy, yy = last.covariance
-    return Flown(
+    return MissionRow(
         policy=name,
         particles=particles,
         threshold_m=THRESHOLD_M,
@@ -180,7 +180,7 @@ Cell = tuple[str, str]
 """(world, policy)."""
 
 
-def fly_all(cells: Sequence[Cell], seeds: Sequence[int], progress: Progress) -> Iterator[tuple[Cell, list[Flown]]]:
+def fly_all(cells: Sequence[Cell], seeds: Sequence[int], progress: Progress) -> Iterator[tuple[Cell, list[MissionRow]]]:
     """Fly the missions of all seeds in each cell, on all cores; yields the rows of each cell when it has been flown."""
     for variable in THREADS:
         os.environ.setdefault(variable, "1")
@@ -195,16 +195,16 @@ def fly_all(cells: Sequence[Cell], seeds: Sequence[int], progress: Progress) -> 
             yield (world, name), rows
 
 
-def read(results: Path) -> dict[Cell, list[Flown]]:
+def read(results: Path) -> dict[Cell, list[MissionRow]]:
     """Read the rows of all that has been flown."""
-    rows: dict[Cell, list[Flown]] = {}
+    rows: dict[Cell, list[MissionRow]] = {}
     for world in WORLDS:
         for row in _read(results, world):
             rows.setdefault((world, row.policy), []).append(row)
     return rows
 
 
-def keep(results: Path, world: str, name: str, rows: Sequence[Flown]) -> None:
+def keep(results: Path, world: str, name: str, rows: Sequence[MissionRow]) -> None:
     """Put the rows of a policy in a world beside those of others, in the place of its own from before."""
     results.mkdir(parents=True, exist_ok=True)
     part = results / f"{world}.part.csv.gz"  # cut off while it is written, nothing is lost
@@ -212,7 +212,7 @@ def keep(results: Path, world: str, name: str, rows: Sequence[Flown]) -> None:
     part.replace(_path(results, world))
 
 
-def _read(results: Path, world: str) -> list[Flown]:
+def _read(results: Path, world: str) -> list[MissionRow]:
     path = _path(results, world)
     return read_csv(path) if path.exists() else []
 
@@ -259,7 +259,7 @@ CONCLUSIONS = """\
 """What the tables say, in words; written by hand, here, so that it stays when the page is made again."""
 
 
-def page(rows: dict[Cell, list[Flown]]) -> str:
+def page(rows: dict[Cell, list[MissionRow]]) -> str:
     """Return the page, from the rows of all that has been flown."""
     said = {flown: figures(of) for flown, of in rows.items()}
     flown = {name for _, name in said}

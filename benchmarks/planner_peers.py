@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.moves import Reach
-from link.messages import Belief, Particles
+from agent.planning.moves import Reach
+from link.bus.messages import Belief, Particles
 from plume.dispersion import concentration
 from plume.randomness import keyed
 from plume.sensor import Gaussian, parse
@@ -45,7 +45,7 @@ class Imagined:
 
 
 def imagine(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Iterator[Imagined]:
-    """Draw readings at each place that can be reached from the predictive density there: the draws of `agent.predict.imagine`."""
+    """Draw readings at each place that can be reached from the predictive density there: the draws of `agent.planning.predict.imagine`."""
     sensor = parse(belief.sensor)
     sources, weights = particles[:, :2].astype(np.float64), particles[:, 2].astype(np.float64)
     weights = weights / weights.sum()

@@ -14,14 +14,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.moves import Reach
-from agent.planners import PLANNERS
-from agent.planners import reach as own
+from agent.planners.registry import PLANNERS
+from agent.planners.registry import reach as own
+from agent.planning.moves import Reach
 from agent.policies import choose
-from agent.rollout import mission
+from agent.trials.rollout import mission
 from benchmarks import planner_peers
 from benchmarks.planner_peers import StoneSoup
-from link.messages import Belief, Particles
+from link.bus.messages import Belief, Particles
 from plume.numerics import exp, fma
 from plume.scenario import BUDGET_STEPS
 

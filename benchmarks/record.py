@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from link.bus import Bus
-from link.keys import READING
-from link.mavlink import unpack_reading
-from sitl.launcher import Mission, start_parts
-from sitl.processes import Processes
-from sitl.script import load
+from link.bus.keys import READING
+from link.bus.mavlink import unpack_reading
+from link.bus.session import Bus
+from sitl.launch.launcher import Launch, start_parts
+from sitl.launch.processes import Processes
+from sitl.script.script import load
 
 SETTLE_STEPS = 40
 """Steps that are not counted after a recorder has come or gone."""
@@ -44,7 +44,7 @@ def comparisons(seed: int, policy: str, stretch: int, log: Path) -> Iterator[tup
     mission = log.with_name("mission.yaml")
     mission.write_text(MISSION.format(seed=seed, policy=policy))
     try:
-        endpoint = start_parts(processes, Mission(load(mission), uav_arguments=(str(mission),)), {})
+        endpoint = start_parts(processes, Launch(load(mission), uav_arguments=(str(mission),)), {})
         with Bus("bench", endpoint) as bus:
             bus.subscribe(READING)
             newest = -1

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.rollout import rollout
+from agent.trials.rollout import rollout
 from plume.dispersion import concentration
 from plume.scenario import AREA_M
 

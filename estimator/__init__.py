@@ -1,1 +1,1 @@
-"""The particle filter, the belief that it publishes, and cessation (AGDC)."""
+"""The particle filter: readings in, beliefs and the stop out. Imports: plume, link, link.bus, estimator.kernels."""

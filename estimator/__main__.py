@@ -4,7 +4,7 @@ import math
 
 from estimator.options import add_sensor_argument, knowledge
 from link import cli
-from link.bus import Bus
+from link.bus.session import Bus
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M
 

@@ -4,7 +4,7 @@ import math
 
 from estimator.filter import Config
 from estimator.priors import Fixed, Gamma, Normal, Prior, Uniform
-from link.mavlink import Reading
+from link.bus.mavlink import Reading
 from plume.dispersion import SOURCE_RADIUS_M
 
 

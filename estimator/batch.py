@@ -6,9 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import kernels
 from estimator.belief import fit, may_claim
 from estimator.filter import Config, Posterior, prior
+from estimator.kernels.update import update_missions
+from estimator.kernels.weights import moments_of_missions
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -72,11 +73,11 @@ class Batch:
         self.counts[missions] += 1
 
         def update(portion: Indices) -> None:
-            kernels.update_missions(
+            update_missions(
                 self.particles, self._log_weights, self.weights, self._log_targets, self._readings, self._ranks, self.counts,
                 self._unknowns, self._priors, self._sensors, self._seeds, self._sweeps, portion,
             )  # fmt: skip
-            kernels.moments_of_missions(self.particles, self.weights, portion, self.means, self.covariances)
+            moments_of_missions(self.particles, self.weights, portion, self.means, self.covariances)
 
         self.share_out(update, missions)
 

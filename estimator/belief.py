@@ -5,12 +5,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from estimator import kernels
 from estimator.filter import Array, Config, Posterior
-from estimator.priors import PARAMETERS
-from link.mavlink import Reading
-from link.messages import Belief, Particles, Stop
+from estimator.kernels.checks import uniformity_p_value
+from estimator.kernels.weights import effective_sample_size, moments
+from link.bus.mavlink import Reading
+from link.bus.messages import Belief, Particles, Stop
 from plume import sensor
+from plume.parameters import PARAMETERS
 
 RECENT = 30
 """So many readings are looked at together for whether they fit the model."""
@@ -24,7 +25,7 @@ STUCK = 3
 
 def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Belief, Particles]:
     """Summarise the posterior after `reading`, as it crosses the wire, and say whether the search has ceased."""
-    unknown_means, unknown_covariance = kernels.moments(posterior.particles, posterior.weights)
+    unknown_means, unknown_covariance = moments(posterior.particles, posterior.weights)
     means = config.prior_rows[:, 1].copy()  # known values; those of the unknowns are put in their places
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     means[config.unknown_indices] = unknown_means
@@ -54,7 +55,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         mean=(mean["x"], mean["y"]),
         covariance=(xx, xy, yy),
         spread=spread,
-        effective_sample_size=kernels.effective_sample_size(posterior.weights),
+        effective_sample_size=effective_sample_size(posterior.weights),
         p_value=p_value,
         ceased=may_claim(p_value, len(posterior.readings)) and sure_enough(spread, std, config, config.threshold_m),
     )
@@ -70,7 +71,7 @@ def fit(readings: Array, ranks: Array, config: Config) -> float:
     last = readings[-STUCK:, 5]
     if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
         return 0.0
-    return 1.0 if len(ranks) < FEWEST else float(kernels.uniformity_p_value(ranks[-RECENT:]))
+    return 1.0 if len(ranks) < FEWEST else float(uniformity_p_value(ranks[-RECENT:]))
 
 
 def may_claim(p_value: float, readings: int) -> bool:

@@ -7,27 +7,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator import kernels, priors
+from estimator import priors
+from estimator.kernels.densities import log_priors
+from estimator.kernels.update import update
 from estimator.priors import Prior, Uniform
-from link.mavlink import Reading
+from link.bus.mavlink import Reading
+from plume.parameters import KNOWN, MEASURED, PARAMETERS
 from plume.randomness import keyed
 from plume.scenario import AREA_M, LIFETIME_S
-from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold
+from plume.sensor import GAUSSIAN, Sensor, sensor_row
 
 Array = NDArray[np.float64]
-
-
-def sensor_row(sensor: Sensor) -> Array:
-    """(5,): a sensor as the kernels take it."""
-    row = np.zeros(5)
-    match sensor:
-        case Gaussian(slope, floor):
-            row[:3] = kernels.GAUSSIAN, slope, floor
-        case Threshold(threshold, missed, slope, floor):
-            row[:] = kernels.THRESHOLD, slope, floor, threshold, missed
-        case Hits(efficiency, background):
-            row[:3] = kernels.HITS, efficiency, background
-    return row
 
 
 @dataclass(frozen=True)
@@ -46,8 +36,8 @@ class Config:
     """τ, s."""
     area_m: float = AREA_M
     priors: Mapping[str, Prior] = field(default_factory=dict)
-    """What else than x and y is unknown, by name (`PARAMETERS`). Without a prior z is the height at which is flown, and u and φ are
-    measured; with one the vehicle's wind is not looked at."""
+    """What else than x and y is unknown, by its name of `PARAMETERS`. Without a prior z is the height at which is flown, and u and φ
+    are measured; with one the vehicle's wind is not looked at."""
     sensor: Sensor = GAUSSIAN
     stop_on_location: bool = True
     """Whether a stop wants the spread below ζ."""
@@ -73,13 +63,13 @@ class Config:
 
     @cached_property
     def unknown_indices(self) -> NDArray[np.int64]:
-        """(D,): which of `PARAMETERS` are unknown."""
-        return np.flatnonzero((self.prior_rows[:, 0] != priors.KNOWN) & (self.prior_rows[:, 0] != priors.MEASURED))
+        """(D,): which of `plume.parameters.PARAMETERS` are unknown."""
+        return np.flatnonzero((self.prior_rows[:, 0] != KNOWN) & (self.prior_rows[:, 0] != MEASURED))
 
     @cached_property
     def unknowns(self) -> tuple[str, ...]:
         """Names of what is unknown, in the order of the particles' rows."""
-        return tuple(priors.PARAMETERS[index] for index in self.unknown_indices)
+        return tuple(PARAMETERS[index] for index in self.unknown_indices)
 
     @cached_property
     def sensor_row(self) -> Array:
@@ -119,17 +109,17 @@ def prior(config: Config) -> Posterior:
     """Return the belief before any reading."""
     count = config.particles
     particles = priors.draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
-    log_targets = kernels.log_priors(particles, config.unknown_indices, config.prior_rows)
+    log_targets = log_priors(particles, config.unknown_indices, config.prior_rows)
     return Posterior(particles, np.zeros(count), np.ones(count), log_targets, np.empty((0, 7)), np.empty(0))
 
 
 def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Posterior:
-    """One reading: reweight, and where the weights degenerate, resample and move (`kernels.update`)."""
+    """One reading: reweight, and where the weights degenerate, resample and move (`estimator.kernels.update`)."""
     particles, log_weights, weights, log_targets = (
         array.copy() for array in (posterior.particles, posterior.log_weights, posterior.weights, posterior.log_targets)
     )
     readings = np.vstack([posterior.readings, config.row(reading)])
-    rank = kernels.update(
+    rank = update(
         particles, log_weights, weights, log_targets, readings, config.unknown_indices, config.prior_rows, config.sensor_row,
         config.seed, config.sweeps,
     )  # fmt: skip

@@ -4,9 +4,10 @@ import argparse
 import math
 from typing import Any
 
-from estimator.priors import PARAMETERS, Fixed, Prior, parse, support
+from estimator.priors import Fixed, Prior, parse, support
 from link import cli
 from plume import sensor
+from plume.parameters import PARAMETERS
 from plume.scenario import AREA_M
 
 

@@ -7,12 +7,10 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from plume.parameters import GAMMA, KNOWN, MEASURED, NORMAL, PARAMETERS, UNIFORM
+
 Array = NDArray[np.float64]
 
-PARAMETERS = ("x", "y", "z", "q", "u", "phi", "d", "tau")
-"""In the order of the kernels: position m (z above home), release rate g/s, wind m/s and rad, diffusivity m²/s, lifetime s."""
-KNOWN, UNIFORM, NORMAL, GAMMA, MEASURED = 0.0, 1.0, 2.0, 3.0, 4.0
-"""Kinds of rows of `table`."""
 SMALLEST = 1e-6
 """q, d and τ are above 0: no prior puts them below this."""
 

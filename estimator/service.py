@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from estimator.admission import refusal
 from estimator.belief import INCOMPATIBLE, RECENT, belief, stop
 from estimator.filter import Config, assimilate, prior
-from link.bus import Arrival, Bus
-from link.keys import BELIEF, READING, STOP
-from link.mavlink import BadFrame, Reading, unpack_reading
-from link.messages import pack_particles
-from link.tally import REPEATED
+from link.bus.keys import BELIEF, READING, STOP
+from link.bus.mavlink import BadFrame, Reading, unpack_reading
+from link.bus.messages import pack_particles
+from link.bus.session import Arrival, Bus
+from link.bus.tally import REPEATED
 from plume.sensor import text
 
 

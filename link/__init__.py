@@ -1,1 +1,1 @@
-"""How the processes talk: the table of keys, messages, sessions, the MAVLink codec, command lines."""
+"""What all commands share of talking on a bus: their flags, and the page that documents the bus. Imports: link.bus."""

@@ -4,12 +4,12 @@ from typing import Any
 
 import msgspec
 
-from link.bus import DEFAULT_ROUTER
-from link.keys import KEYS, Key
+from link.bus.keys import KEYS, Key
+from link.bus.session import DEFAULT_ROUTER
 
 HEAD = f"""# The bus
 
-Made from `link/keys.py` and `link/messages.py` by `make docs`; a test keeps it up to date. It says all that a client in any
+Made from `link/bus/keys.py` and `link/bus/messages.py` by `make docs`; a test keeps it up to date. It says all that a client in any
 language needs: any of vehicle, estimator and agent can be replaced by one that keeps to this page.
 
 ## Joining

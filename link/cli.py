@@ -8,8 +8,8 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, NoReturn
 
-from link.bus import DEFAULT_ROUTER, BusError
-from link.log import LEVELS
+from link.bus.log import LEVELS
+from link.bus.session import DEFAULT_ROUTER, BusError
 
 INTERRUPTED = 130
 BAD_INPUT = 2

@@ -1,7 +1,4 @@
-"""exp, log, a fused multiply-add and a sum for compiled loops: plain IEEE arithmetic, so the same bits on every machine, and vectorisable.
-
-Numba's caches do not notice a change in a file that a kernel calls into: after one here, `make clean`.
-"""
+"""exp, log, a fused multiply-add and a sum for compiled loops: plain IEEE arithmetic, the same bits on every machine, vectorisable."""
 
 from typing import Any
 

@@ -164,6 +164,8 @@ class Hits:
 Sensor = Gaussian | Threshold | Hits
 KINDS: dict[str, type[Gaussian] | type[Threshold] | type[Hits]] = {"gaussian": Gaussian, "threshold": Threshold, "hits": Hits}
 GAUSSIAN = Gaussian()
+GAUSSIAN_KIND, THRESHOLD_KIND, HITS_KIND = 0.0, 1.0, 2.0
+"""How compiled loops name the kinds of sensors."""
 
 
 def parse(text: str) -> Sensor:
@@ -189,3 +191,16 @@ def text(sensor: Sensor) -> str:
     """Name a sensor so that `parse` reads it back."""
     name = next(name for name, kind in KINDS.items() if type(sensor) is kind)
     return f"{name}:{','.join(map(repr, astuple(sensor)))}"
+
+
+def sensor_row(sensor: Sensor) -> Array:
+    """(5,): a sensor as compiled loops take it: its kind, α or e, β or b, the threshold, p_m."""
+    result = np.zeros(5)
+    match sensor:
+        case Gaussian(slope, floor):
+            result[:3] = GAUSSIAN_KIND, slope, floor
+        case Threshold(threshold, missed, slope, floor):
+            result[:] = THRESHOLD_KIND, slope, floor, threshold, missed
+        case Hits(efficiency, background):
+            result[:3] = HITS_KIND, efficiency, background
+    return result

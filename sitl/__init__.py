@@ -1,1 +1,4 @@
-"""The simulated vehicle, its autopilot protocol, the router and the launcher of whole missions."""
+"""The command that flies missions; the vehicle and all around it are in its rooms.
+
+Imports: nothing of ours.
+"""

@@ -10,16 +10,16 @@ from types import ModuleType
 from typing import NoReturn
 
 from link import cli
-from link.bus import DEFAULT_ROUTER
+from link.bus.session import DEFAULT_ROUTER
 from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
-from sitl.script import OnBoard, Script, find, load
-from sitl.typed_yaml import Document, FileError
+from sitl.script.script import OnBoard, Script, find, load
+from sitl.script.typed_yaml import Document, FileError
 
 
 def _udp_url(text: str) -> str:
-    from sitl.udp import parse_url
+    from sitl.uav.udp import parse_url
 
     try:
         parse_url(text)
@@ -82,10 +82,10 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
 
 SCRIPTS = (".yaml", ".yml")
 OTHERS = {
-    "replay": "fly a log again: what the vehicle said then, to services that run now",
-    "log": "what a log holds: a summary, or one key as CSV",
-    "status": "how the parts of a mission are doing: at a glance, or as JSON; status 1 where something is wrong",
-    "record": "record all that is said on a bus, until interrupted",
+    "replay": ("sitl.replay.command", "fly a log again: what the vehicle said then, to services that run now"),
+    "log": ("sitl.desk.summary", "what a log holds: a summary, or one key as CSV"),
+    "status": ("sitl.desk.status", "how the parts of a mission are doing: at a glance, or as JSON; status 1 where something is wrong"),
+    "record": ("sitl.desk.recorder", "record all that is said on a bus, until interrupted"),
 }
 """Commands with a module of their own, loaded only when asked for: a part has to start fast."""
 FIELDS = {
@@ -114,7 +114,7 @@ def _script(args: argparse.Namespace, given: argparse.Namespace) -> Script:
 
 
 def _module(command: str) -> ModuleType:
-    return importlib.import_module("sitl.recorder" if command == "record" else f"sitl.{command}")
+    return importlib.import_module(OTHERS[command][0])
 
 
 def _parse(prog: str, arguments: list[str]) -> tuple[argparse.Namespace, argparse.Namespace]:
@@ -148,7 +148,7 @@ def _parse(prog: str, arguments: list[str]) -> tuple[argparse.Namespace, argpars
     router = commands.add_parser("router", help="a Zenoh router alone")
     router.add_argument("-l", "--listen", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="where to listen (default: %(default)s)")
 
-    for command, help_text in OTHERS.items():
+    for command, (_, help_text) in OTHERS.items():
         other = commands.add_parser(command, help=help_text)
         if command in arguments[:1]:
             _module(command).add_arguments(other)
@@ -177,8 +177,8 @@ def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]
 
 def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from plume.outcome import outcome_text
-    from sitl.launcher import Mission, fly, run_name, write_summary
-    from sitl.processes import MissionFailed
+    from sitl.launch.launcher import Launch, fly, run_name, write_summary
+    from sitl.launch.processes import MissionFailed
 
     script = _script(args, given)
     if args.connect and (reason := _unfit_for_connect(script, given)):
@@ -187,7 +187,7 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     summary = Path("runs") / f"{run_name('connected' if args.connect else script.agent.policy, script.seed)}.json"
     record = None if args.no_record else args.record or summary.with_suffix(".mcap")
     try:
-        flown = fly(Mission(script, args.instance, args.listen, _handed_on(args, given), record, args.connect, args.log_level))
+        flown = fly(Launch(script, args.instance, args.listen, _handed_on(args, given), record, args.connect, args.log_level))
     except KeyboardInterrupt:
         _tell_record(record)
         print("interrupted", file=sys.stderr)
@@ -212,7 +212,7 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
 
 
 def _unfit_for_connect(script: Script, given: argparse.Namespace) -> str | None:
-    from sitl.joining import refusal
+    from sitl.launch.joining import refusal
 
     if "listen" in given:
         return "--listen: not with --connect, whose router runs elsewhere"
@@ -241,12 +241,12 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     import contextlib
     import queue
 
-    from link.bus import Bus
-    from link.log import Log
-    from link.tally import Tally
-    from sitl.clock import Clock
-    from sitl.uav import Uav
-    from sitl.udp import parse_url
+    from link.bus.log import Log
+    from link.bus.session import Bus
+    from link.bus.tally import Tally
+    from sitl.uav.clock import Clock
+    from sitl.uav.uav import Uav
+    from sitl.uav.udp import parse_url
 
     script = _script(args, given)
     config = script.vehicle_config(args.instance + 1)
@@ -290,7 +290,7 @@ def main(prog: str = "python -m sitl") -> int:
     if args.command in OTHERS:
         status: int = _module(args.command).run(args)
         return status
-    from sitl.router import run
+    from sitl.launch.router import run
 
     run(args.listen)
     return 0

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from hypothesis import settings
 
-from link.bus import open_router
+from link.bus.session import open_router
 
 # The same examples on every run, and no judgement of how long one takes: the machine may be busy.
 settings.register_profile("plumeward", derandomize=True, deadline=None)

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import pytest
 from ruamel.yaml import YAML
 
-from sitl.script import load
+from sitl.script.script import load
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from agent.moves import Reach
-from agent.predict import cloud, entropy_spread, imagine
-from link.messages import Belief, Particles
+from agent.planning.moves import Reach
+from agent.planning.predict import cloud, entropy_spread, imagine
+from link.bus.messages import Belief, Particles
 
 REACH = Reach(headings=8, measurements=100)
 PARTICLES = 500

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from agent.moves import Reach
-from agent.predict import cloud, imagine
-from link.messages import Belief, Particles
+from agent.planning.moves import Reach
+from agent.planning.predict import cloud, imagine
+from link.bus.messages import Belief, Particles
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:

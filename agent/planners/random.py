@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from agent.moves import Reach
-from link.messages import Belief, Particles
+from agent.planning.moves import Reach
+from link.bus.messages import Belief, Particles
 
 
 def plan(belief: Belief, _particles: Particles, reach: Reach, rng: np.random.Generator) -> int:

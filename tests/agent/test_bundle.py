@@ -18,11 +18,11 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from agent.bundle import FORMAT, GRAPH, MOST_BYTES, PAGE, BundleError, Page, Point, load, read, write
-from agent.moves import HeadingAndStep, Headings, Move, Reach
 from agent.observation import SCHEMAS
+from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
 from agent.policies import choose
-from agent.rollout import mission
-from link.messages import Belief, Particles
+from agent.trials.rollout import mission
+from link.bus.messages import Belief, Particles
 
 Layers = list[tuple[np.ndarray, np.ndarray]]
 Seen = tuple[Belief, Particles]
@@ -146,7 +146,7 @@ def test_a_graph_says_what_torch_says(tmp_path: Path, kinds: tuple[str, ...], sq
     import onnxruntime
     import torch
 
-    from agent.train.graph import graph
+    from agent.learn.train.graph import graph
 
     torch.manual_seed(5)
     widths = [12, *(9 + k for k in range(len(kinds))), 3]
@@ -165,7 +165,7 @@ def test_a_graph_says_what_torch_says(tmp_path: Path, kinds: tuple[str, ...], sq
 def test_a_layer_without_an_onnx_is_refused() -> None:
     import torch
 
-    from agent.train.graph import graph
+    from agent.learn.train.graph import graph
 
     with pytest.raises(TypeError, match="no ONNX for GELU"):
         graph([torch.nn.Linear(3, 4), torch.nn.GELU(), torch.nn.Linear(4, 2)])
@@ -374,7 +374,7 @@ FLY = """
 import sys
 for hidden in ("torch", "gymnasium", "stable_baselines3", "onnx", "tensorboard"):
     sys.modules[hidden] = None
-from agent.rollout import rollout
+from agent.trials.rollout import rollout
 flown, trace = rollout(1, sys.argv[1], particles=100, budget=9)
 print(len(trace))
 """
@@ -383,8 +383,8 @@ LOAD = """
 import sys
 from pathlib import Path
 from agent.policies import choose
-from agent.moves import Reach
-from agent.rollout import mission
+from agent.planning.moves import Reach
+from agent.trials.rollout import mission
 step = next(mission(1, "random", 100, 0.5, 1).steps)
 def watch(event, arguments):
     if event.startswith(("pickle.", "marshal.", "exec", "subprocess.", "os.system", "socket.", "ctypes.")):

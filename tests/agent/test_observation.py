@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.observation import BOUND, OUTSIDE, SCHEMAS
-from agent.rollout import mission
-from link.messages import Belief, pack_particles, unpack_particles
+from agent.trials.rollout import mission
+from link.bus.messages import Belief, pack_particles, unpack_particles
 from plume.scenario import AREA_M
 
 SENSOR_NOISE, ENVIRONMENT_NOISE = 0.3, 0.2

@@ -16,11 +16,11 @@ import pytest
 
 from agent import policies
 from agent.__main__ import main
-from agent.moves import HeadingAndStep, Headings, Move, Reach
-from agent.planners import PLANNERS
+from agent.planners.registry import PLANNERS
+from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
 from agent.policies import SHIPPED, PolicyError, choose, named, policy, reach
-from agent.rollout import mission, rollout
-from link.messages import Belief, Particles
+from agent.trials.rollout import mission, rollout
+from link.bus.messages import Belief, Particles
 from tests.agent.test_bundle import a_bundle
 
 ROOT = Path(__file__).parents[2]

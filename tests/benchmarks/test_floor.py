@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.floor import floors_m
+from agent.trials.floor import floors_m
 from benchmarks import floor
 from plume.scenario import Scenario, draw
 

@@ -12,12 +12,12 @@ import pytest
 from msgspec.structs import replace
 from rich.progress import Progress
 
-from agent.figures import Flown
-from agent.rollout import Step, rollout
+from agent.trials.figures import MissionRow
+from agent.trials.rollout import Step, rollout
 from benchmarks import mismatch
 from benchmarks.mismatch import WORLDS, fly, fly_all, keep, page, read, steps
 from estimator.filter import Posterior
-from link.mavlink import Reading
+from link.bus.mavlink import Reading
 from plume.outcome import TracePoint
 from plume.randomness import keyed
 from plume.scenario import draw
@@ -165,8 +165,8 @@ def test_sources_outside_are_uniform_over_the_area_without_the_square() -> None:
     assert shares == pytest.approx([300 / 675, 150 / 675, 150 / 675, 75 / 675], abs=0.045)
 
 
-def row(name: str, seed: int, ceased: bool = True, error_m: float = 0.5, distance_m: float = 40.0) -> Flown:
-    return Flown(
+def row(name: str, seed: int, ceased: bool = True, error_m: float = 0.5, distance_m: float = 40.0) -> MissionRow:
+    return MissionRow(
         policy=name, particles=1000, threshold_m=0.5, seed=seed, budget=300, headings=4, step_m=1.0, measurements=25, ceased=ceased,
         located=ceased and error_m <= 1, estimate_x=error_m, estimate_y=0.0, source_x=0.0, source_y=0.0, error_m=error_m, spread_m=0.4,
         nees=2.0, steps=int(distance_m), distance_m=distance_m, floor_m=None, search_time_s=0.5, decision_ms=2.0, update_ms=1.0,

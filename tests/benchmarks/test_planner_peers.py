@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from agent.moves import Reach
-from agent.planners import planner
+from agent.planners.registry import planner
+from agent.planning.moves import Reach
+from agent.planning.predict import cloud, imagine
 from agent.policies import choose
-from agent.predict import cloud, imagine
 from benchmarks import planner_peers
 from benchmarks.planner_peers import NUMPY
 from benchmarks.planners import FIRST_SEED, Case, beliefs

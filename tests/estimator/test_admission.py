@@ -7,7 +7,7 @@ import pytest
 from estimator.admission import greatest_concentration, refusal
 from estimator.filter import Config
 from estimator.priors import Gamma, Uniform
-from link.mavlink import Reading
+from link.bus.mavlink import Reading
 from plume.sensor import Hits, Threshold
 
 GOOD = Reading(2000, (3.0, 4.0), 5.0, (1.0, 0.5), 0.5)

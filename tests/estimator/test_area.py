@@ -12,7 +12,7 @@ from estimator import service
 from estimator.admission import refusal
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
-from link.mavlink import Reading
+from link.bus.mavlink import Reading
 from plume.scenario import Scenario
 from plume.world import World
 

@@ -6,7 +6,7 @@ import pytest
 from estimator.batch import Batch
 from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.priors import Gamma, Normal
-from link.mavlink import Reading
+from link.bus.mavlink import Reading
 from plume.scenario import draw
 from plume.sensor import Hits
 from plume.world import World

@@ -8,7 +8,7 @@ import pytest
 from estimator.belief import belief, stop
 from estimator.filter import Config, Posterior
 from estimator.priors import Fixed, Normal, Prior, Uniform
-from link.mavlink import Reading
+from link.bus.mavlink import Reading
 from plume.sensor import Hits, Threshold
 
 READING = Reading(77, (1.0, 2.0), 5.0, (1.0, 0.0), 0.5)

@@ -8,7 +8,7 @@ import pytest
 
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
-from link.mavlink import Reading
+from link.bus.mavlink import Reading
 from plume.scenario import Scenario, draw
 from plume.world import World
 from tests.estimator.exact import GridPosterior, log_likelihood

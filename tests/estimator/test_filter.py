@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from benchmarks.calibration import harsh
-from estimator import kernels
 from estimator.belief import belief
 from estimator.filter import Config, Posterior, assimilate, prior
-from link.mavlink import Reading
+from estimator.kernels.densities import log_likelihoods
+from estimator.kernels.weights import effective_sample_size, moments
+from link.bus.mavlink import Reading
 from plume.scenario import Scenario, draw
 from plume.world import World
 from tests.estimator.exact import GridPosterior
@@ -34,12 +35,10 @@ def test_a_reading_that_would_crush_the_weights_is_taken_in_stages() -> None:
     config = config_for(s, 1, 1000)
     ((reading, posterior),) = posteriors(s, 1, [(19.5, 19.875)], config)
     before = prior(config)
-    log_likelihoods = kernels.log_likelihoods(
-        before.particles, config.unknown_indices, config.prior_rows, config.sensor_row, config.row(reading)
-    )
-    weights = np.exp(log_likelihoods - log_likelihoods.max())
+    log_weights = log_likelihoods(before.particles, config.unknown_indices, config.prior_rows, config.sensor_row, config.row(reading))
+    weights = np.exp(log_weights - log_weights.max())
     assert weights.sum() ** 2 / (weights**2).sum() < 20  # what plain reweighting would be left with, of 1,000
-    assert kernels.effective_sample_size(posterior.weights) >= 500
+    assert effective_sample_size(posterior.weights) >= 500
     assert len(np.unique(posterior.particles, axis=1).T) > 500
     exact = GridPosterior(s.q, s.d, s.tau)
     exact.add(reading.position, reading.wind, reading.gas)
@@ -59,7 +58,7 @@ def test_harsh_missions_leave_a_sound_posterior() -> None:
             assert np.isfinite(posterior.log_targets).all()
             assert posterior.weights.max() == 1.0
             assert 0 <= posterior.particles.min() <= posterior.particles.max() <= 30
-            mean, covariance = kernels.moments(posterior.particles, posterior.weights)
+            mean, covariance = moments(posterior.particles, posterior.weights)
             nees = max(nees, float((mean - s.source) @ np.linalg.solve(covariance, mean - s.source)))
         worst.append(nees)
     # Wanted in at most 0.1% of missions; two among 150 would then come by chance once in 100 such tests.
@@ -74,7 +73,7 @@ def test_a_reading_far_from_all_that_is_believed_leaves_a_cloud_not_a_point(offs
     config, angles = config_for(s, 1, 1000), np.linspace(0, 4 * math.pi, 24, endpoint=False)
     *_, (_, posterior) = posteriors(s, 1, [(17 + math.cos(a), 22 + math.sin(a)) for a in angles], config)
     posterior = assimilate(posterior, Reading(24, (17.0 + offset_m, 22.0), 5.0, s.wind, gas), config)
-    assert kernels.effective_sample_size(posterior.weights) > 400
+    assert effective_sample_size(posterior.weights) > 400
     assert len(np.unique(posterior.particles, axis=1).T) > 900
     assert posterior.particles.std(axis=1).min() > 1e-3
 

@@ -6,10 +6,16 @@ import sys
 
 import numpy as np
 import pytest
+from numba import njit
 
-from estimator import kernels
 from estimator.filter import Config
+from estimator.kernels.checks import uniformity_p_value
+from estimator.kernels.densities import log_likelihoods, log_priors
+from estimator.kernels.draws import key_of, uniform
+from estimator.kernels.moves import metropolis
+from estimator.kernels.weights import effective_sample_size, moments, systematic
 from estimator.priors import Gamma, Normal, Prior, Uniform
+from plume import numerics
 from plume.dispersion import concentration
 from plume.sensor import GAUSSIAN, Hits, Sensor, Threshold
 
@@ -42,13 +48,33 @@ def readable(config: Config, particles: np.ndarray, reading: np.ndarray) -> np.n
     return config.sensor.log_likelihood(reading[5], mean)
 
 
+@njit
+def exp_and_log(values: np.ndarray) -> np.ndarray:
+    """e^v and ln |v| as the kernels compute them."""
+    result = np.empty((2, len(values)))
+    for i in range(len(values)):
+        result[0, i] = numerics.exp(values[i])
+        result[1, i] = numerics.log(abs(values[i]))
+    return result
+
+
+@njit
+def uniforms(seed: int, step: int, count: int) -> np.ndarray:
+    """The first draws of a sequence."""
+    key = key_of(np.uint64(seed), step, 0, 0)
+    result = np.empty(count)
+    for i in range(count):
+        result[i] = uniform(key, i)
+    return result
+
+
 def fused(config: Config, particles: np.ndarray, reading: np.ndarray) -> np.ndarray:
-    return kernels.log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, reading)
+    return log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, reading)
 
 
 def test_the_polynomials_are_exp_and_log() -> None:
     values = np.concatenate([np.linspace(-700, 700, 200_001), np.geomspace(1e-300, 1e300, 100_001), -np.geomspace(1e-12, 1, 10_001)])
-    exp, log = kernels.exp_and_log(values)
+    exp, log = exp_and_log(values)
     inside = np.abs(values) <= 700
     assert np.abs(exp[inside] / np.exp(values[inside]) - 1).max() < 4.5e-16  # two units in the last place
     nonzero = values != 0
@@ -57,14 +83,14 @@ def test_the_polynomials_are_exp_and_log() -> None:
 
 
 def test_what_is_drawn_is_uniform_and_uncorrelated() -> None:
-    draws = kernels.uniforms(kernels.uniform_key(5, 7), 1_000_000)
+    draws = uniforms(5, 7, 1_000_000)
     assert 0 < draws.min() < draws.max() < 1
     counts = np.histogram(draws, 1000, (0, 1))[0]
     chi_square = np.sum((counts - 1000) ** 2 / 1000)
     assert abs(chi_square - 999) < 4 * math.sqrt(2 * 999)  # 4 standard deviations
     for lag in (1, 2, 4):
         assert abs(np.corrcoef(draws[:-lag], draws[lag:])[0, 1]) < 4 / 1000
-    other = kernels.uniforms(kernels.uniform_key(5, 8), 1_000_000)
+    other = uniforms(5, 8, 1_000_000)
     assert abs(np.corrcoef(draws, other)[0, 1]) < 4 / 1000
 
 
@@ -83,14 +109,14 @@ def test_the_fused_likelihood_clamps_the_distance_too() -> None:
 
 
 def test_effective_sample_size_counts_equal_weights_and_ignores_a_common_factor() -> None:
-    assert kernels.effective_sample_size(np.full(8, 1e-200) ** 0.5) == pytest.approx(8.0)
-    assert kernels.effective_sample_size(np.array([0.5, 0.5, 1e-300])) == pytest.approx(2.0)
-    assert kernels.effective_sample_size(np.array([8.0, 2.0])) == pytest.approx(1 / (0.64 + 0.04))
+    assert effective_sample_size(np.full(8, 1e-200) ** 0.5) == pytest.approx(8.0)
+    assert effective_sample_size(np.array([0.5, 0.5, 1e-300])) == pytest.approx(2.0)
+    assert effective_sample_size(np.array([8.0, 2.0])) == pytest.approx(1 / (0.64 + 0.04))
 
 
 def test_moments_equal_the_hand_worked_values() -> None:
     particles = np.array([[0.0, 4.0, 0.0], [0.0, 0.0, 2.0]])
-    mean, covariance = kernels.moments(particles, np.array([2.0, 1.0, 1.0]))
+    mean, covariance = moments(particles, np.array([2.0, 1.0, 1.0]))
     # mean (1, 0.5);  xx = 4 − 1, xy = 0 − 0.5, yy = 1 − 0.25
     assert mean == pytest.approx([1.0, 0.5])
     assert covariance == pytest.approx(np.array([[3.0, -0.5], [-0.5, 0.75]]))
@@ -100,7 +126,7 @@ def test_moments_equal_the_hand_worked_values() -> None:
 def test_moments_of_any_number_of_particles_equal_numpys(count: int) -> None:
     rng = np.random.default_rng(6)
     particles, weights = rng.normal(5, 2, (3, count)), rng.random(count)
-    mean, covariance = kernels.moments(particles, weights)
+    mean, covariance = moments(particles, weights)
     assert mean == pytest.approx(np.average(particles, axis=1, weights=weights))
     assert covariance == pytest.approx(np.cov(particles, aweights=weights, ddof=0).reshape(3, 3), abs=1e-12)
 
@@ -108,15 +134,15 @@ def test_moments_of_any_number_of_particles_equal_numpys(count: int) -> None:
 def test_systematic_resampling_copies_each_particle_its_expected_number_of_times_rounded() -> None:
     weights = np.random.default_rng(2).dirichlet(np.full(50, 0.3))
     for offset in (0.0, 0.25, 0.999):
-        copies = np.bincount(kernels.systematic(3 * weights, offset), minlength=50)
+        copies = np.bincount(systematic(3 * weights, offset), minlength=50)
         assert copies.sum() == 50
         assert np.all(np.abs(copies - 50 * weights) < 1)
 
 
 def test_systematic_resampling_is_exact_at_its_edges() -> None:
-    assert kernels.systematic(np.array([0.25, 0.25, 0.25, 0.25]), 0.0).tolist() == [0, 1, 2, 3]
-    assert kernels.systematic(np.array([0.0, 0.0, 1.0]), 0.0).tolist() == [2, 2, 2]
-    assert kernels.systematic(np.array([1.0, 0.0, 0.0]), 0.999).tolist() == [0, 0, 0]
+    assert systematic(np.array([0.25, 0.25, 0.25, 0.25]), 0.0).tolist() == [0, 1, 2, 3]
+    assert systematic(np.array([0.0, 0.0, 1.0]), 0.0).tolist() == [2, 2, 2]
+    assert systematic(np.array([1.0, 0.0, 0.0]), 0.999).tolist() == [0, 0, 0]
 
 
 READINGS = np.array([[8.0, 8.0, 0.0, 1.9, 2.6, 0.9, 1.0], [12.0, 9.0, 0.0, 1.9, 2.6, 2.5, 1.0], [11.0, 12.0, 0.0, 1.9, 2.6, 1.1, 1.0]])
@@ -140,14 +166,12 @@ def grid_density(shares: Shares, cells: int) -> tuple[np.ndarray, np.ndarray]:
 
 def moved(start: np.ndarray, config: Config, shares: Shares, sweeps: int, seed: int = 9) -> tuple[np.ndarray, float]:
     """Particles after Metropolis sweeps over READINGS, and the share of moves that were taken."""
-    targets = kernels.log_priors(start, config.unknown_indices, config.prior_rows)
+    targets = log_priors(start, config.unknown_indices, config.prior_rows)
     for share, row in zip(shares, READINGS, strict=True):
         targets += share * fused(config, start, row)
     particles, readings = start.copy(), READINGS.copy()
     readings[:, 6] = shares
-    taken = kernels.metropolis(
-        particles, targets, readings, config.unknown_indices, config.prior_rows, config.sensor_row, seed, 2, 0, sweeps
-    )
+    taken = metropolis(particles, targets, readings, config.unknown_indices, config.prior_rows, config.sensor_row, seed, 2, 0, sweeps)
     return particles, taken / (sweeps * start.shape[1])
 
 
@@ -215,18 +239,19 @@ def test_a_rank_is_uniform_where_the_model_is_right() -> None:
     """Anderson–Darling p-values of ranks drawn uniformly are uniform themselves, and small where ranks pile up."""
     rng = np.random.default_rng(7)
     for count in (8, 30):
-        p_values = np.array([kernels.uniformity_p_value(rng.random(count)) for _ in range(20_000)])
+        p_values = np.array([uniformity_p_value(rng.random(count)) for _ in range(20_000)])
         for level in (0.5, 0.1, 0.01, 0.001):
             margin = 4 * math.sqrt(level * (1 - level) / 20_000) + 0.003 * (level > 0.05)  # 4 standard deviations, the formula's own error
             assert np.mean(p_values < level) == pytest.approx(level, abs=margin)
-    assert kernels.uniformity_p_value(np.full(30, 0.5)) < 1e-4
-    assert kernels.uniformity_p_value(np.linspace(0.9, 1.0, 30)) < 1e-6
+    assert uniformity_p_value(np.full(30, 0.5)) < 1e-4
+    assert uniformity_p_value(np.linspace(0.9, 1.0, 30)) < 1e-6
 
 
 CACHE_MISSES = """
-import numba
-from estimator import batch, kernels
-compiled = [f for f in vars(kernels).values() if isinstance(f, numba.core.dispatcher.Dispatcher)]
+import numba, sys
+from estimator import batch
+rooms = [module for name, module in sys.modules.items() if name.startswith(("estimator.kernels.", "plume.kernels"))]
+compiled = {id(f): f for room in rooms for f in vars(room).values() if isinstance(f, numba.core.dispatcher.Dispatcher)}.values()
 print(sum(sum(f.stats.cache_hits.values()) for f in compiled), sum(sum(f.stats.cache_misses.values()) for f in compiled))
 """
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from agent.policies import OURS
-from link.record import Recording, read
-from sitl import verify
+from link.record.record import Recording, read
+from sitl.replay import verify
 
 FOLDER = Path(__file__).parent
 SENSORS = ("gaussian", "threshold", "hits")

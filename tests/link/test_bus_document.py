@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 
 from link.__main__ import bus_document
-from link.keys import KEYS
+from link.bus.keys import KEYS
 
 PAGE = Path(__file__).parents[2] / "docs" / "bus.md"
 

@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from link.bus import Bus
-from link.keys import Key
+from link.bus.keys import Key
+from link.bus.session import Bus
 
 
 def main(whom: str, points: list[str], module: str, *arguments: str) -> None:

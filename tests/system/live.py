@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import sitl.__main__
-from link.bus import Bus
+from link.bus.session import Bus
 
 END = object()
 

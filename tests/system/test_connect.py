@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from link.bus import Bus
-from sitl.launcher import Mission, agent_arguments, estimator_arguments
-from sitl.script import load
+from link.bus.session import Bus
+from sitl.launch.launcher import Launch, agent_arguments, estimator_arguments
+from sitl.script.script import load
 from tests.system.stranger import Stranger
 
 MISSION = """
@@ -31,7 +31,7 @@ def test_it_is_the_mission_that_a_launcher_of_all_parts_flies_to_the_last_bit(st
     whole = start("sitl", "fly", mission, "--policy", "homing", "--json", "--trace", cwd=tmp_path)
     assert whole.ended() == 0
     script = load(tmp_path / mission).changed({"agent.policy": "homing"})
-    for service, words in (("estimator", estimator_arguments(Mission(script))), ("agent", agent_arguments(Mission(script)))):
+    for service, words in (("estimator", estimator_arguments(Launch(script))), ("agent", agent_arguments(Launch(script)))):
         start(service, "--connect", router, *words)
     joined = start("sitl", "fly", mission, "--connect", router, "--json", "--trace", cwd=tmp_path)
     assert joined.ended() == 0, joined.err

@@ -18,7 +18,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from agent.policies import SHIPPED
-from agent.rollout import rollout
+from agent.trials.rollout import rollout
 from plume import __version__
 from plume.outcome import outcome_json
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from agent.rollout import rollout
-from link.mavlink import Reading
-from link.record import read
+from agent.trials.rollout import rollout
+from link.bus.mavlink import Reading
+from link.record.record import read
 from plume.randomness import keyed
 from plume.scenario import draw
 from plume.sensor import GAUSSIAN

@@ -17,9 +17,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from agent.evaluate import read_csv
-from agent.figures import Flown
-from agent.sweep import PACKAGES
+from agent.trials.evaluate import read_csv
+from agent.trials.figures import MissionRow
+from agent.trials.sweep import PACKAGES
 
 pytest.importorskip("ray")
 
@@ -85,7 +85,7 @@ def cluster(monkeypatch: pytest.MonkeyPatch, wait_until: Callable) -> Iterator[C
         shutil.rmtree(folder)
 
 
-def untimed(path: Path) -> list[Flown]:
+def untimed(path: Path) -> list[MissionRow]:
     """Rows without what is measured and not computed."""
     return [msgspec.structs.replace(row, search_time_s=0.0, decision_ms=0.0, update_ms=0.0) for row in read_csv(path)]
 

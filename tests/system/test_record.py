@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from agent.rollout import rollout
-from link.bus import Bus
-from link.keys import BELIEF, MAVLINK_OUT, READING
-from link.mavlink import Codec, Reading, pack_reading, unpack
-from link.record import Recording, read
+from agent.trials.rollout import rollout
+from link.bus.keys import BELIEF, MAVLINK_OUT, READING
+from link.bus.mavlink import Codec, Reading, pack_reading, unpack
+from link.bus.session import Bus
+from link.record.record import Recording, read
 
 
 def mission_record(folder: Path) -> Recording:

@@ -14,13 +14,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from agent.rollout import Step, mission, rollout
+from agent.trials.rollout import Step, mission, rollout
 from estimator.belief import stop
 from estimator.filter import Config
-from link.bus import Arrival, Bus
-from link.keys import BELIEF, MAVLINK_IN, READING, STOP
-from link.mavlink import unpack, unpack_reading
-from link.messages import Belief, Stop, pack_particles
+from link.bus.keys import BELIEF, MAVLINK_IN, READING, STOP
+from link.bus.mavlink import unpack, unpack_reading
+from link.bus.messages import Belief, Stop, pack_particles
+from link.bus.session import Arrival, Bus
 from plume.randomness import derived_seed
 from plume.scenario import BUDGET_STEPS, draw
 from tests.system.stranger import Stranger, belief, messages
@@ -351,7 +351,7 @@ def test_a_mission_survives_its_router_while_the_vehicle_is_moving(start, listen
 
 
 def test_missing_readings_are_not_given_up_while_the_router_is_away(listen: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("link.sequence.GIVE_UP_S", 1.0)
+    monkeypatch.setattr("link.bus.sequence.GIVE_UP_S", 1.0)
     forgetful = replace(READING, delivery=replace(READING.delivery, kept=1))
     router = listen()
     endpoint = router.out[0].strip()

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.record import Entry, Writer, read
+from link.record.record import Entry, Writer, read
 from tests.golden.__main__ import path as golden
 from tests.system.live import Services, run_sitl
 from tests.system.stranger import Stranger
@@ -227,7 +227,7 @@ class TestVerify:
     def test_an_answer_that_does_not_come_any_more_is_a_difference(
         self, verify: Verify, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("sitl.player.ANSWER_TIMEOUT_S", 1.0)
+        monkeypatch.setattr("sitl.replay.player.ANSWER_TIMEOUT_S", 1.0)
         changed = rewritten(log, tmp_path / "changed.mcap", about=with_flag(log, "agent", "--budget", str(STEP)))
         text, found = verify.fails(changed)
         assert found["time_s"] == said(log, "belief")[STEP]["time_boot_ms"] / 1000
@@ -346,7 +346,7 @@ class TestOnAnotherBus:
     def test_an_estimator_that_knows_the_flight_already_is_found_out(
         self, router: str, log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        monkeypatch.setattr("sitl.player.ANSWER_TIMEOUT_S", 1.0)
+        monkeypatch.setattr("sitl.replay.player.ANSWER_TIMEOUT_S", 1.0)
         replay = ("replay", str(log), "--connect", router, "--speedup", "0", "--verify")
         with Services(monkeypatch, router) as services:
             services.start(read(log).about["parts"])

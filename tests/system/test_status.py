@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from link.bus import Bus
+from link.bus.session import Bus
 from tests.system.stranger import Stranger, belief
 
 STATUS = [sys.executable, "-m", "sitl", "status"]

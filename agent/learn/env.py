@@ -1,0 +1,195 @@
+"""The gymnasium environments: the networked stack without the network, one mission at a time or many side by side.
+
+`gymnasium.make("plumeward/SourceSearch-v0")` (discrete headings) and `gymnasium.make("plumeward/SourceSearchContinuous-v0")` (a heading
+and a step of up to 1 m), `gymnasium.make_vec` for many at once; docs/environment.md says all that a user has to know of them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from agent.learn.missions import Missions
+from agent.observation import BOUND, SCHEMAS, Observation
+from agent.planning.moves import HeadingAndStep, Headings, Move
+from plume.scenario import AREA_M, BUDGET_STEPS
+from plumeward_gymnasium import register
+
+TRAINING_SEEDS = 900_000
+"""Missions are drawn from the seeds below it; those from it to a million are there to choose by, those from there on to test."""
+REWARDS: Mapping[str, tuple[float, float]] = {"paper": (0.0, 1.0), "cost": (-0.01, 1.0)}
+"""What each step and the stop give."""
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How an environment is made. Raises ValueError with what is allowed."""
+
+    continuous: bool = False
+    """Whether an action is a heading and a step, or one of the headings."""
+    headings: int = 16
+    """So many, where actions are discrete."""
+    observation: str = "polar"
+    """A schema of agent/observation.py: `polar` or `paper`."""
+    reward: str = "cost"
+    """`cost`: −0.01 a step and 1 at the stop; `paper`: 0 and 1."""
+    particles: int = 500
+    threshold_m: float = 0.5
+    """ζ: AGDC stops when the spread is below it."""
+    budget: int = BUDGET_STEPS
+    """Moves after which a mission is given up."""
+
+    def __post_init__(self) -> None:
+        """Find what is not allowed now."""
+        for name, names in (("observation", SCHEMAS), ("reward", REWARDS)):
+            if getattr(self, name) not in names:
+                raise ValueError(f"{name} {getattr(self, name)!r} is not allowed; wanted {' or '.join(names)}")
+        for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or value < least:
+                raise ValueError(f"{name} {value!r} is not allowed; wanted a whole number from {least}")
+        if not self.threshold_m > 0:
+            raise ValueError(f"threshold_m {self.threshold_m!r} is not allowed; wanted a number above 0")
+
+    @property
+    def move(self) -> Move:
+        """What actions mean."""
+        return HeadingAndStep() if self.continuous else Headings(self.headings)
+
+    def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
+        """Observation space and action space."""
+        seen = spaces.Box(-BOUND, BOUND, (SCHEMAS[self.observation].size,), np.float32)
+        return seen, spaces.Box(-1.0, 1.0, (2,), np.float32) if self.continuous else spaces.Discrete(self.headings)
+
+    def begin(self, seeds: Sequence[int], threads: int = 1) -> Missions:
+        """Begin the missions of these seeds."""
+        return Missions(seeds, self.observation, self.particles, self.threshold_m, threads)
+
+    def fly(self, missions: Missions, actions: NDArray[Any]) -> tuple[Floats, Flags, Flags]:
+        """Fly each mission to where its action leads; returns rewards, whether it is terminated, and whether truncated, (B,) each."""
+        if not np.isfinite(actions).all():
+            raise ValueError(f"action {actions!r} is not allowed; wanted finite numbers")
+        missions.move(self.move.waypoints(missions.positions, missions.frames, actions, AREA_M))
+        step, stop = REWARDS[self.reward]
+        terminated: Flags = missions.ceased.copy()
+        truncated: Flags = ~terminated & (missions.steps >= self.budget)
+        return np.where(terminated, step + stop, step), terminated, truncated
+
+
+def _told(missions: Missions) -> dict[str, Any]:
+    """Infos: what a user wants to know of each mission beside what the policy sees. `located` is of those that ceased."""
+    return {
+        "seed": missions.seeds.copy(),
+        "position": missions.positions.copy(),
+        "estimate": missions.estimates.copy(),
+        "spread_m": missions.spreads_m.copy(),
+        "distance_m": missions.distances_m.copy(),
+        "located": missions.ceased & missions.located,
+    }
+
+
+class SourceSearch(gymnasium.Env[Observation, Any]):
+    """One mission at a time; keyword arguments as of `Settings`.
+
+    `reset(seed=s)` begins the mission of seed s, the very one that `python -m agent rollout --seed s` flies, and resets without a seed go
+    on with missions drawn by it. AGDC's stop *terminates* an episode, right or wrong; a spent budget *truncates* it.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012
+
+    def __init__(self, **settings: Any) -> None:
+        """Raises ValueError with what is allowed."""
+        self.settings = Settings(**settings)
+        self.observation_space, self.action_space = self.settings.spaces()
+        self._missions: Missions | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+        """Begin a mission; its first reading is taken."""
+        super().reset(seed=seed)
+        self._missions = self.settings.begin([int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed])
+        return self._missions.observations[0].copy(), self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Fly to where the action leads, and take a reading there."""
+        if self._missions is None:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        rewards, terminated, truncated = self.settings.fly(self._missions, np.asarray(action)[None])
+        return self._missions.observations[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), self._info()
+
+    def _info(self) -> dict[str, Any]:
+        assert self._missions is not None
+        return {name: values[0] for name, values in _told(self._missions).items()}
+
+
+class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
+    """Missions side by side in this process, on the filter's batch kernels: each to the same bits as in `SourceSearch`.
+
+    A mission that ends is followed by the next one in the same step; `final_obs` and `final_info` tell of the one that ended.
+    """
+
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
+
+    def __init__(self, num_envs: int = 1, threads: int = 1, **settings: Any) -> None:
+        """Make so many; `threads` share the compiled part of the work. Raises ValueError with what is allowed."""
+        for name, value in (("num_envs", num_envs), ("threads", threads)):
+            if value < 1:
+                raise ValueError(f"{name} {value!r} is not allowed; wanted a whole number from 1")
+        self.num_envs = num_envs
+        self.settings = Settings(**settings)
+        self.single_observation_space, self.single_action_space = self.settings.spaces()
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._threads = threads
+        self._draws: list[np.random.Generator] = []
+        self._missions: Missions | None = None
+
+    def reset(
+        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence; without one, those that follow."""
+        if seed is None and self._draws:
+            seeds = [self._next(i) for i in range(self.num_envs)]
+        else:
+            if seed is None:
+                seed = self.np_random.integers(TRAINING_SEEDS, size=self.num_envs).tolist()
+            seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+            if len(seeds) != self.num_envs:
+                raise ValueError(f"{len(seeds)} seeds for {self.num_envs} missions")
+            self._draws = [np.random.default_rng(each) for each in seeds]
+        if self._missions is None:
+            self._missions = self.settings.begin(seeds, self._threads)
+        else:
+            self._missions.begin(np.arange(self.num_envs), seeds)
+        return self._missions.observations.copy(), _told(self._missions)
+
+    def step(self, actions: NDArray[Any]) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Fly each mission to where its action leads, and take a reading there."""
+        missions = self._missions
+        if missions is None:
+            raise gymnasium.error.ResetNeeded("call reset before step")
+        rewards, terminated, truncated = self.settings.fly(missions, np.asarray(actions))
+        infos: dict[str, Any] = {}
+        over = terminated | truncated
+        if over.any():
+            ended = np.flatnonzero(over)
+            final = np.full(self.num_envs, None, object)
+            for i in ended:
+                final[i] = missions.observations[i].copy()
+            infos = {"final_obs": final, "_final_obs": over, "final_info": _told(missions), "_final_info": over}
+            missions.begin(ended, [self._next(i) for i in ended.tolist()])
+        return missions.observations.copy(), rewards, terminated, truncated, infos | _told(missions)
+
+    def _next(self, i: int) -> int:
+        return int(self._draws[i].integers(TRAINING_SEEDS))
+
+
+register()

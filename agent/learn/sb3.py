@@ -1,0 +1,67 @@
+"""Missions side by side as a stable-baselines3 VecEnv."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from agent.learn.env import SourceSearchVector
+
+
+class StableBaselinesEnv(VecEnv):
+    """`SourceSearchVector` as stable-baselines3 wants it."""
+
+    def __init__(self, vector: SourceSearchVector) -> None:
+        """Take over a vector env."""
+        self.vector = vector
+        self._seed: int | None = None
+        self._actions: NDArray[Any] = np.empty(0)
+        super().__init__(vector.num_envs, vector.single_observation_space, vector.single_action_space)
+
+    def reset(self) -> NDArray[np.float32]:
+        """Begin new missions."""
+        observations, _ = self.vector.reset(seed=self._seed)
+        self._seed = None
+        return observations
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Let the next reset begin with this seed."""
+        self._seed = seed
+        return [seed] * self.num_envs
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Take the actions."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Fly them."""
+        observations, rewards, terminated, truncated, told = self.vector.step(self._actions)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        over = terminated | truncated
+        for i in np.flatnonzero(over).tolist():
+            last = {name: values[i] for name, values in told["final_info"].items()}
+            infos[i] = last | {
+                "terminal_observation": told["final_obs"][i], "TimeLimit.truncated": bool(truncated[i]), "ceased": bool(terminated[i]),
+            }  # fmt: skip
+        return observations, rewards.astype(np.float32), over, infos
+
+    def close(self) -> None:
+        """Nothing is left open."""
+
+    def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
+        """One object serves all: the same value for each."""
+        return [getattr(self.vector, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
+        """One object serves all: there is nothing to set for one."""
+        raise NotImplementedError("the missions of a batch share their settings")
+
+    def env_method(self, method_name: str, *args: Any, indices: int | Iterable[int] | None = None, **kwargs: Any) -> list[Any]:
+        """One object serves all: there is no method to call of one."""
+        raise NotImplementedError("the missions of a batch share their methods")
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None) -> list[bool]:
+        """Nothing is wrapped."""
+        return [False for _ in self._get_indices(indices)]

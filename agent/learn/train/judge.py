@@ -1,0 +1,31 @@
+"""A bundle's figures: flown on the test missions, and written into it."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from agent.bundle import read, write
+from agent.trials.evaluate import FIRST_TEST_SEED, KEPT_IN, named, print_table, progress_bar
+from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
+
+
+def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
+    """Fly so many test missions with each number of particles; figures that a bundle has already are kept."""
+    page, graph = read(bundle)
+    if page.evaluation:
+        return
+    sweep = Sweep([str(bundle)], range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios), particles)
+    journal = journal_of(sweep, KEPT_IN)
+    rows = []
+    with progress_bar() as progress:
+        task = progress.add_task("test missions", total=len(sweep.flights))
+        for flown in fly_all(sweep, journal, on_cores(os.cpu_count() or 1)):
+            rows += flown
+            progress.advance(task)
+    evaluation = named(ordered(rows, sweep))
+    page = msgspec.structs.replace(page, evaluation={str(said["particles"]): said for said in evaluation.values()})
+    write(bundle, page, graph)
+    journal.unlink()
+    print_table(evaluation)

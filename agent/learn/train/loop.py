@@ -1,0 +1,209 @@
+"""The training loop around stable-baselines3: progress, TensorBoard, checkpoints, and a run that goes on where it was cut off.
+
+A run is cut into legs, from checkpoint to checkpoint. Each leg begins with new missions and new random generators, keyed by the seed
+and the moves so far; so a leg is a function of the checkpoint before it, and a run that was killed comes to the very same end.
+"""
+
+import random
+import shutil
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import torch
+from stable_baselines3 import DDPG, DQN, PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from torch import nn
+from torch.utils.tensorboard import SummaryWriter
+
+from agent.bundle import Point
+from agent.learn.env import TRAINING_SEEDS, SourceSearchVector
+from agent.learn.sb3 import StableBaselinesEnv
+from agent.learn.train.recipes import Recipe
+from plume.randomness import derived_seed
+
+POINTS = 100
+"""A curve has about so many points."""
+
+Tell = Callable[[Point, float], None]
+"""(how it stands, moves a second)."""
+
+
+class SlowActorDDPG(DDPG):
+    """DDPG whose policy may learn at another rate than its value."""
+
+    def __init__(self, *args: Any, actor_learning_rate_share: float = 1.0, **settings: Any) -> None:
+        """actor_learning_rate_share: the policy's rate as a share of the value's."""
+        self.actor_learning_rate_share = actor_learning_rate_share
+        super().__init__(*args, **settings)
+
+    def _update_learning_rate(self, optimizers: list[torch.optim.Optimizer] | torch.optim.Optimizer) -> None:
+        super()._update_learning_rate(optimizers)
+        for group in self.actor.optimizer.param_groups:
+            group["lr"] *= self.actor_learning_rate_share
+
+
+class EndedMission(msgspec.Struct, frozen=True):
+    """What came of a training mission."""
+
+    ceased: bool
+    located: bool
+    distance_m: float
+
+
+class RunState(msgspec.Struct):
+    """What a run has to remember beside the learner."""
+
+    steps: int = 0
+    curve: list[Point] = []
+    ended: list[EndedMission] = []
+    """Missions since the last point of the curve."""
+
+
+def learner(recipe: Recipe, env: StableBaselinesEnv, seed: int) -> BaseAlgorithm:
+    """Return the untrained learner of a recipe."""
+    low, high = recipe.final_learning_rate, recipe.learning_rate
+    common: dict[str, Any] = dict(
+        policy="MlpPolicy", env=env, seed=seed, device="cpu", learning_rate=lambda left: low + (high - low) * left,
+        policy_kwargs={"net_arch": list(recipe.layers), "activation_fn": nn.ReLU}, **recipe.settings,
+    )  # fmt: skip
+    match recipe.algorithm:
+        case "ppo":
+            return PPO(**common)
+        case "dqn":
+            return DQN(**common)
+        case _:
+            noise = NormalActionNoise(np.zeros(2), np.full(2, recipe.action_noise))
+            return SlowActorDDPG(**common, action_noise=noise, actor_learning_rate_share=recipe.actor_learning_rate_share)
+
+
+def layers_of(model: BaseAlgorithm) -> list[nn.Module]:
+    """The layers that turn an observation into what a policy says: scores of the headings, or the action."""
+    policy: Any = model.policy
+    if isinstance(model, PPO):
+        return [*policy.mlp_extractor.policy_net, policy.action_net]
+    return list(policy.q_net.q_net if isinstance(model, DQN) else policy.actor.mu)
+
+
+class Legs(BaseCallback):
+    """Cuts a run into legs, and tells how it stands."""
+
+    def __init__(self, recipe: Recipe, seed: int, folder: Path, state: RunState, tell: Tell) -> None:
+        """Tells how it stands at each point of the curve."""
+        super().__init__()
+        self._recipe, self._seed, self._folder, self._state, self._tell = recipe, seed, folder, state, tell
+        self._begun = False
+        self._every = max(recipe.steps // POINTS, 1)
+        self._writer = SummaryWriter(folder / "tensorboard", purge_step=state.steps + 1)
+        self._since, self._at = time.monotonic(), state.steps
+
+    def _on_rollout_start(self) -> None:
+        every = self._recipe.checkpoint_steps
+        if not self._begun:  # at the start, or at the checkpoint that the run goes on from
+            self._begun = True
+            self._begin_leg()
+        elif self.num_timesteps // every > self._state.steps // every:
+            self._state.steps = self.num_timesteps
+            self._writer.flush()
+            save(self.model, self._state, self._folder)
+            self._begin_leg()
+
+    def _begin_leg(self) -> None:
+        key = derived_seed(self._seed, f"train/{self.num_timesteps}")
+        random.seed(key)
+        np.random.seed(key % 2**32)  # noqa: NPY002  # stable-baselines3 draws from it
+        torch.manual_seed(key)
+        model = self.model
+        model.action_space.seed(key % 2**32)
+        assert model.env is not None
+        model.env.seed(key % (TRAINING_SEEDS - model.n_envs))
+        model._last_obs = model.env.reset()  # type: ignore[assignment]
+        model._last_episode_starts = np.ones(model.n_envs, dtype=bool)
+        if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None and model.num_timesteps:
+            # Returns over several moves must not run on from the missions that were broken off into the new ones.
+            last = model.replay_buffer.pos - 1
+            model.replay_buffer.timeouts[last] = 1.0 - model.replay_buffer.dones[last]
+
+    def _on_step(self) -> bool:
+        for i in np.flatnonzero(self.locals["dones"]):
+            info = self.locals["infos"][i]
+            self._state.ended.append(EndedMission(bool(info["ceased"]), bool(info["located"]), float(info["distance_m"])))
+        if self.num_timesteps // self._every > (self.num_timesteps - self.model.n_envs) // self._every:
+            self._point()
+        return True
+
+    def _point(self) -> None:
+        now = time.monotonic()
+        speed = (self.num_timesteps - self._at) / max(now - self._since, 1e-9)
+        self._since, self._at = now, self.num_timesteps
+        point = point_of(self.num_timesteps, self._state.ended)
+        self._state.curve.append(point)
+        self._state.ended.clear()
+        for name in ("ceased", "located", "mtd_m"):
+            if (value := getattr(point, name)) is not None:
+                self._writer.add_scalar(f"missions/{name}", value, self.num_timesteps)
+        self._writer.add_scalar("time/steps_per_second", speed, self.num_timesteps)
+        for name, value in self.model.logger.name_to_value.items():
+            if name.startswith("train/"):
+                self._writer.add_scalar(name, value, self.num_timesteps)
+        self._tell(point, speed)
+
+    def _on_training_end(self) -> None:
+        self._writer.close()
+
+
+def point_of(steps: int, ended: list[EndedMission]) -> Point:
+    """Sum up missions that ended."""
+    distances = [mission.distance_m for mission in ended if mission.ceased]
+    count = max(len(ended), 1)
+    return Point(
+        steps,
+        sum(mission.ceased for mission in ended) / count,
+        sum(mission.located for mission in ended) / count,
+        sum(distances) / len(distances) if distances else None,
+    )
+
+
+def save(model: BaseAlgorithm, state: RunState, folder: Path) -> None:
+    """Write a checkpoint, whole or not at all, and drop those before it."""
+    path = folder / f"checkpoint-{state.steps:012d}"
+    partial = folder / "checkpoint.partial"
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir()
+    model.save(partial / "learner.zip")
+    if isinstance(model, OffPolicyAlgorithm):
+        model.save_replay_buffer(partial / "replay.pkl")
+    (partial / "state.json").write_bytes(msgspec.json.encode(state))
+    partial.rename(path)
+    for older in checkpoints(folder)[:-1]:
+        shutil.rmtree(older)
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    """Return the checkpoints of a run, the last one last."""
+    return sorted(folder.glob("checkpoint-*"))
+
+
+def train(recipe: Recipe, seed: int, folder: Path, threads: int, tell: Tell) -> tuple[BaseAlgorithm, list[Point]]:
+    """Train by a recipe, from the last checkpoint in the folder where there is one; returns the learner and its curve."""
+    torch.set_num_threads(1)  # more of them change the last bits, and their idle ones spin on cores that the missions want
+    env = StableBaselinesEnv(SourceSearchVector(recipe.missions, threads, **recipe.env))
+    model, state = learner(recipe, env, seed % 2**32), RunState()
+    if kept := checkpoints(folder):
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of returns over several moves, which the loaded buffer has
+            model = type(model).load(kept[-1] / "learner.zip", env=env, device="cpu")
+        if isinstance(model, OffPolicyAlgorithm):
+            model.load_replay_buffer(kept[-1] / "replay.pkl")
+        state = msgspec.json.decode((kept[-1] / "state.json").read_bytes(), type=RunState)
+    model.set_logger(Logger(None, []))
+    legs = Legs(recipe, seed, folder, state, tell)
+    model.learn(recipe.steps - state.steps, legs, log_interval=None, reset_num_timesteps=not state.steps)  # type: ignore[arg-type]
+    return model, state.curve

@@ -1,0 +1,79 @@
+"""The recipes: everything that a training run is made with. A run is a function of its recipe and its seed."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+
+class Recipe(msgspec.Struct, frozen=True, kw_only=True):
+    """One training run, but for its seed."""
+
+    algorithm: str
+    """`ppo`, `dqn` or `ddpg`, as stable-baselines3 has them."""
+    steps: int
+    """Moves, of all missions together."""
+    missions: int
+    """So many are flown side by side."""
+    env: dict[str, Any]
+    """Settings of `agent.learn.env.Settings`."""
+    layers: tuple[int, ...]
+    """Widths of the hidden layers, of the policy and of the value alike."""
+    learning_rate: float
+    final_learning_rate: float
+    """The rate falls to it in a straight line."""
+    settings: dict[str, Any]
+    """Other arguments of stable-baselines3's class."""
+    action_noise: float = 0.0
+    """DDPG explores with it: standard deviation, of actions in [−1, 1]."""
+    actor_learning_rate_share: float = 1.0
+    """DDPG's policy learns at this share of the value's rate."""
+    checkpoint_steps: int = 100_000
+    """After so many moves all that the run needs is written down, and all missions begin anew."""
+
+
+PAPER_LAYERS = (128, 128, 128)
+PAPER_ENV = {"observation": "paper", "reward": "paper", "headings": 4}
+TUNED_ENV = {"observation": "polar", "reward": "cost", "headings": 16}
+
+PAPER = {
+    "ppo": Recipe(
+        algorithm="ppo", steps=500_000, missions=16, env=PAPER_ENV, layers=PAPER_LAYERS, learning_rate=1e-4, final_learning_rate=1e-4,
+        settings={"n_steps": 128, "batch_size": 64, "gamma": 0.99, "gae_lambda": 0.95},
+    ),
+    "dqn": Recipe(
+        algorithm="dqn", steps=200_000, missions=1, env=PAPER_ENV, layers=PAPER_LAYERS, learning_rate=1e-4, final_learning_rate=1e-4,
+        settings={"batch_size": 64, "buffer_size": 1000, "learning_starts": 1000, "gamma": 0.99, "target_update_interval": 100},
+    ),
+    "ddpg": Recipe(
+        algorithm="ddpg", steps=100_000, missions=1, env={**PAPER_ENV, "continuous": True}, layers=PAPER_LAYERS, learning_rate=1e-4,
+        final_learning_rate=1e-4, actor_learning_rate_share=0.1, action_noise=0.1,
+        settings={"batch_size": 64, "buffer_size": 1000, "learning_starts": 1000, "gamma": 0.99},
+    ),
+}  # fmt: skip
+"""What the paper states, and stable-baselines3's own where it is silent."""
+
+TUNED = {
+    "ppo": Recipe(
+        algorithm="ppo", steps=6_000_000, missions=128, env=TUNED_ENV, layers=(256, 256), learning_rate=5e-4, final_learning_rate=1e-5,
+        settings={"n_steps": 64, "batch_size": 2048, "n_epochs": 4, "gamma": 0.99, "gae_lambda": 0.95, "ent_coef": 0.003},
+    ),
+    "dqn": Recipe(
+        algorithm="dqn", steps=1_500_000, missions=64, env=TUNED_ENV, layers=(256, 256), learning_rate=5e-4, final_learning_rate=1e-5,
+        settings={
+            "batch_size": 256, "buffer_size": 200_000, "learning_starts": 10_000, "train_freq": 1, "gradient_steps": 4, "n_steps": 3,
+            "gamma": 0.99, "target_update_interval": 6400, "exploration_fraction": 0.1, "exploration_final_eps": 0.02,
+        },
+    ),
+    "ddpg": Recipe(
+        algorithm="ddpg", steps=1_000_000, missions=64, env={**TUNED_ENV, "continuous": True}, layers=(256, 256), learning_rate=5e-4,
+        final_learning_rate=1e-5, action_noise=0.2, actor_learning_rate_share=0.2,
+        settings={
+            "batch_size": 256, "buffer_size": 200_000, "learning_starts": 20_000, "train_freq": 1, "gradient_steps": 4, "n_steps": 3,
+            "gamma": 0.99, "tau": 0.005,
+        },
+    ),
+}  # fmt: skip
+"""What did best."""
+
+PRESETS: Mapping[str, Mapping[str, Recipe]] = {"tuned": TUNED, "paper": PAPER}

@@ -1,0 +1,134 @@
+"""The planners' fused loops, compiled by numba and cached: what hypothetical readings would do to a belief.
+
+Plain IEEE arithmetic in a fixed order: the same bits on every machine and on every run.
+"""
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from plume.compiled import kernel
+from plume.numerics import exp, fma, log, total_of
+from plume.sensor import HITS_KIND, THRESHOLD_KIND
+
+Array = NDArray[np.float64]
+
+HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
+BLOCK = 1024
+"""So many particles are done at once: what is computed of them stays in the processor's nearest cache."""
+
+
+@numba.njit(error_model="numpy")
+def _exponents(means: Array, sensor: Array, quadratic: Array, linear: Array, constant: Array) -> None:
+    """Log-likelihood of a reading z under each particle as quadratic · z² + linear · z + constant (but for log z! of hits)."""
+    offset = HALF_LOG_2PI - math.log1p(-sensor[4])
+    for i in range(len(means)):
+        if sensor[0] == HITS_KIND:
+            expected = sensor[1] * means[i] + sensor[2]
+            quadratic[i] = 0.0
+            linear[i] = log(expected)
+            constant[i] = -expected
+        else:
+            variance = sensor[1] * sensor[1] * means[i] * means[i] + sensor[2] * sensor[2]
+            inverse = 1 / variance
+            quadratic[i] = -0.5 * inverse
+            linear[i] = means[i] * inverse
+            constant[i] = -0.5 * (means[i] * means[i] * inverse + log(variance)) - offset
+
+
+@numba.njit(error_model="numpy")
+def _silence(means: Array, sensor: Array, constant: Array) -> None:
+    """Log-probability that a threshold sensor says 0, under each particle."""
+    for i in range(len(means)):
+        std = math.sqrt(sensor[1] * sensor[1] * means[i] * means[i] + sensor[2] * sensor[2])
+        below = 0.5 * math.erfc((means[i] - sensor[3]) / std * math.sqrt(0.5))
+        constant[i] = math.log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
+
+
+@numba.njit(error_model="numpy")
+def _likelihoods(
+    one: Array, two: Array, three: Array, z: float, own: float, weights: Array, exponents: Array, likelihoods: Array, products: Array
+) -> None:
+    """w L and w L log L of a reading z under some particles. Few arrays a loop: of too many LLVM does not see that they are apart."""
+    for i in range(len(weights)):
+        exponents[i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
+    for i in range(len(weights)):
+        likelihoods[i] = weights[i] * exp(exponents[i])
+        products[i] = likelihoods[i] * exponents[i]
+
+
+@numba.njit(error_model="numpy")
+def _reweight(
+    one: Array, two: Array, three: Array, z: float, own: float, weights: Array, values: Array, buffers: Array, sums: Array
+) -> None:
+    """Reweight by a reading z: sums becomes Σ w L, Σ w L log L and Σ w L v of each row of values (F, N). buffers: (3, BLOCK)."""
+    sums[:] = 0.0
+    for start in range(0, len(weights), BLOCK):
+        part = slice(start, min(start + BLOCK, len(weights)))
+        size = part.stop - start
+        likelihoods, products = buffers[0, :size], buffers[1, :size]
+        _likelihoods(one[part], two[part], three[part], z, own, weights[part], buffers[2, :size], likelihoods, products)
+        sums[0] += total_of(likelihoods)
+        sums[1] += total_of(products)
+        for f in range(len(values)):
+            row = values[f, part]
+            for i in range(len(row)):
+                products[i] = likelihoods[i] * row[i]
+            sums[2 + f] += total_of(products)
+
+
+@kernel(
+    "Tuple((float64[:, :, ::1], float64[:, :, ::1], float64[:, :, :, ::1]))(float64[:, :, ::1], float64[::1], float64[:, :, :, ::1], "
+    "int64[::1], float64[:, :, ::1], float64[::1])",
+    nogil=True,
+)
+def imagine(
+    means: Array, weights: Array, values: Array, imagined: NDArray[np.int64], readings: Array, sensor: Array
+) -> tuple[Array, Array, Array]:
+    """Reweight a belief by hypothetical readings along paths of L places.
+
+    means: (A, L, N) concentration at each place under each particle.  weights: (N,), sum one.
+    values: (A, L, F, N) of the particles, seen from each place, or (1, 1, F, N) the same from all.
+    imagined: (K,) the particles that the readings were drawn from.  readings: (A, L, K).  sensor: (5,) as of `plume.sensor.sensor_row`.
+
+    Returns, after each place and counting the readings before it, the log predictive density of the readings (A, L, K), and under
+    the belief after them their expected log-likelihood (A, L, K) and the expectation of each value (A, L, K, F). Of hits, log z! is
+    left out of both logarithms: the reading alone decides it.
+    """
+    (paths, length, count), number, rows = means.shape, len(imagined), values.shape[2]
+    quadratic, linear, constant = np.empty(count), np.empty(count), np.empty(count)
+    silent, zeros, offset = np.empty(count), np.zeros(count), np.empty(count)
+    before, owns = np.empty((number if length > 1 else 0, count)), np.zeros(number)
+    buffers, sums = np.empty((3, BLOCK)), np.empty(2 + rows)
+    log_predictive, log_likelihood = np.empty((paths, length, number)), np.empty((paths, length, number))
+    expectations = np.empty((paths, length, number, rows))
+    for a in range(paths):
+        for step in range(length):
+            seen = values[min(a, len(values) - 1), min(step, values.shape[1] - 1)]
+            _exponents(means[a, step], sensor, quadratic, linear, constant)
+            if sensor[0] == THRESHOLD_KIND:
+                _silence(means[a, step], sensor, silent)
+            for k in range(number):
+                z = readings[a, step, k]
+                if sensor[0] == THRESHOLD_KIND and z == 0.0:
+                    one, two, three = zeros, zeros, silent
+                else:
+                    one, two, three = quadratic, linear, constant
+                own = fma(fma(one[imagined[k]], z, two[imagined[k]]), z, three[imagined[k]])  # the greatest are not far above it
+                if step > 0:
+                    for i in range(count):
+                        offset[i] = three[i] + before[k, i]
+                    three = offset
+                _reweight(one, two, three, z, own, weights, seen, buffers, sums)
+                total = own if step == 0 else owns[k] + own
+                if step + 1 < length:
+                    owns[k] = total
+                    for i in range(count):
+                        before[k, i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
+                log_predictive[a, step, k] = total + math.log(sums[0])
+                log_likelihood[a, step, k] = total + sums[1] / sums[0]
+                for f in range(rows):
+                    expectations[a, step, k, f] = sums[2 + f] / sums[0]
+    return log_predictive, log_likelihood, expectations

@@ -1,0 +1,140 @@
+"""The figures of a set of missions, each with its 95% interval (Wilson's for shares, bootstrap for means)."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+RESAMPLES = 1000
+LARGEST = 2_000_000
+"""So many values are drawn at once."""
+COLUMNS = {
+    "ceased": ("ceased, %", 100.0, 1),
+    "located": ("located, %", 100.0, 1),
+    "false_stop": ("false stop, %", 100.0, 1),
+    "mtd_m": ("MTD, m", 1.0, 1),
+    "mtd_floors": ("MTD, floors", 1.0, 2),
+    "nees_mean": ("NEES", 1.0, 2),
+    "search_time_s": ("ST, s", 1.0, 3),
+    "decision_ms": ("decision, ms", 1.0, 2),
+    "update_ms": ("update, ms", 1.0, 2),
+}
+"""Heading, scale and digits of figures in tables."""
+UNKNOWN = "–"
+
+
+class MissionRow(msgspec.Struct, frozen=True):
+    """What came of one mission: a row of the raw results. Where it did not cease, its figures are those of its last step."""
+
+    policy: str
+    particles: int
+    threshold_m: float
+    seed: int
+    budget: int
+    headings: int
+    step_m: float
+    measurements: int
+    ceased: bool
+    located: bool
+    estimate_x: float
+    estimate_y: float
+    source_x: float
+    source_y: float
+    error_m: float
+    spread_m: float
+    nees: float
+    """Normalised estimation error squared of the location."""
+    steps: int
+    distance_m: float
+    floor_m: float | None
+    """The information floor at ζ, which an oracle could fly (docs/floor.md); None where it is not known."""
+    search_time_s: float
+    decision_ms: float
+    """Compute time of the agent, a decision; mean."""
+    update_ms: float
+    """Compute time of the estimator, a reading; mean."""
+
+
+class Interval(msgspec.Struct, frozen=True):
+    """A figure and its 95% interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def text(self, scale: float, digits: int) -> str:
+        """Say it as a table does."""
+        value, low, high = (f"{scale * end:.{digits}f}" for end in (self.value, self.low, self.high))
+        return f"{value} [{low}, {high}]"
+
+
+def wilson(hits: int, of: int) -> Interval:
+    """A share and its interval (Wilson 1927); of nothing, all is possible."""
+    if of == 0:
+        return Interval(math.nan, 0.0, 1.0)
+    z, p = 1.959964, hits / of
+    middle = (p + z * z / (2 * of)) / (1 + z * z / of)
+    half = z * math.sqrt(p * (1 - p) / of + z * z / (4 * of * of)) / (1 + z * z / of)
+    return Interval(p, max(middle - half, 0.0), min(middle + half, 1.0))
+
+
+def mean(samples: Array) -> Array:
+    """Mean of each of R samples (R, n): (R,)."""
+    means: Array = samples.mean(axis=1)
+    return means
+
+
+def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Interval:
+    """A statistic, which maps samples (R, n, …) to (R,), of values (n, …), and its percentile interval; NaN where there are none."""
+    if len(values) == 0:
+        return Interval(math.nan, math.nan, math.nan)
+    rng = np.random.default_rng(0)
+    at_once = max(LARGEST // len(values), 1)
+    sizes = [min(at_once, RESAMPLES - done) for done in range(0, RESAMPLES, at_once)]
+    again = np.concatenate([statistic(values[rng.integers(len(values), size=(size, len(values)))]) for size in sizes])
+    low, high = np.quantile(again, [0.025, 0.975])
+    return Interval(float(statistic(values[None])[0]), float(low), float(high))
+
+
+def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
+    """Sum up missions of one policy, one number of particles and one ζ; NaN figures, of no ceased mission, are None."""
+    ceased = [row for row in rows if row.ceased]
+    located = sum(row.located for row in ceased)
+
+    def mean_of(name: str) -> Interval:
+        return bootstrap(np.array([getattr(row, name) for row in ceased]))
+
+    # Pairs of distance and floor are drawn together: a far source is far for both.
+    both = np.array([(row.distance_m, row.floor_m) for row in ceased if row.floor_m is not None]).reshape(-1, 2)
+
+    intervals = {
+        "ceased": wilson(len(ceased), len(rows)),
+        "located": wilson(located, len(rows)),
+        "false_stop": wilson(len(ceased) - located, len(ceased)),
+        "mtd_m": mean_of("distance_m"),
+        "floor_m": bootstrap(both[:, 1]),
+        "mtd_floors": bootstrap(both, lambda pairs: pairs[..., 0].mean(axis=1) / pairs[..., 1].mean(axis=1)),
+        "nees_mean": mean_of("nees"),
+        "error_mean_m": mean_of("error_m"),
+        "search_time_s": mean_of("search_time_s"),
+        "decision_ms": bootstrap(np.array([row.decision_ms for row in rows])),
+        "update_ms": bootstrap(np.array([row.update_ms for row in rows])),
+    }
+    summary: dict[str, Any] = {"missions": len(rows), "particles": rows[0].particles, "threshold_m": rows[0].threshold_m}
+    for name, interval in intervals.items():
+        known = not math.isnan(interval.value)
+        summary[name] = interval.value if known else None
+        summary[f"{name}_interval"] = [interval.low, interval.high] if known else None
+    return summary
+
+
+def cell(said: dict[str, Any], key: str) -> str:
+    """Say one of the figures with its interval, as a table does."""
+    if said[key] is None:
+        return UNKNOWN
+    _, scale, digits = COLUMNS[key]
+    return Interval(said[key], *said[f"{key}_interval"]).text(scale, digits)

@@ -1,0 +1,176 @@
+"""The information floor of a mission: how far an oracle flies before the posterior can be below ζ; docs/floor.md derives it.
+
+It knows the source: missions are judged by it, nothing is planned with it.
+"""
+# mypy: allow-untyped-decorators
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plume.compiled import kernel
+from plume.dispersion import SOURCE_RADIUS_M
+from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario
+from plume.sensor import GAUSSIAN
+
+Array = NDArray[np.float64]
+
+LEAST_THRESHOLD_M = 0.03
+"""Below it the search takes long, and a floor need not be within the budget."""
+SLOPE, FLOOR = GAUSSIAN.sensor_noise**2, GAUSSIAN.environment_noise**2
+"""α² and β²: the variance of a reading is SLOPE m² + FLOOR."""
+PRIOR = 12 / AREA_M**2
+"""Precision of the prior for each axis, 1/m²: of the Gaussian that has the covariance of the uniform prior."""
+BENDS = np.array([(0.0, 1.0), *((sign * rate, last) for sign in (-1, 1) for rate in (0.15, 0.3, 0.6, 1.2, 2.0) for last in (2, 4, 8, 16))])
+"""(rad a step, over how many last steps): what a path that begins straight may end with."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard the shortest path is looked for."""
+
+    bearings: int = 21
+    """First bearings of the paths tried, evenly within 1 rad of the source's."""
+    refined: int = 4
+    """So many of the best paths tried are refined."""
+    finest: float = 0.02
+    """The refinement ends when no change of a heading by more than this helps, rad."""
+
+
+@kernel("float64(float64)", error_model="numpy")
+def weight(mean: float) -> float:
+    """Fisher information of a reading about log m: m²/σ² (1 + 2 α⁴ m²/σ²); it grows with m to 1/α² + 2."""
+    relative = mean * mean / (SLOPE * mean * mean + FLOOR)
+    return relative * (1 + 2 * SLOPE * SLOPE * relative)
+
+
+@kernel("Tuple((float64, float64, float64))(float64, float64, float64[::1])", error_model="numpy")
+def information(x: float, y: float, model: Array) -> tuple[float, float, float]:
+    """Fisher information c g gᵀ of a reading at (x, y) about the source's location, as (c, g_x, g_y); g = grad log m, 1/m."""
+    dx, dy = x - model[0], y - model[1]
+    distance = math.sqrt(dx * dx + dy * dy)
+    radius = max(distance, SOURCE_RADIUS_M)
+    mean = model[2] / radius * math.exp(-radius * model[3] - (dx * model[4] + dy * model[5]))
+    radial = (1 / radius + model[3]) / radius if distance > SOURCE_RADIUS_M else 0.0
+    return weight(mean), radial * dx + model[4], radial * dy + model[5]
+
+
+@kernel("float64(float64[::1], float64[::1], float64[::1])", error_model="numpy")
+def _variance(headings: Array, start: Array, model: Array) -> float:
+    """Trace of the covariance after a path, m²; infinite where the path leaves the area."""
+    x, y = start[0], start[1]
+    c, g, h = information(x, y, model)
+    xx, xy, yy = PRIOR + c * g * g, c * g * h, PRIOR + c * h * h
+    for heading in headings:
+        x += STEP_M * math.cos(heading)
+        y += STEP_M * math.sin(heading)
+        if not (0 <= x <= AREA_M and 0 <= y <= AREA_M):
+            return math.inf
+        c, g, h = information(x, y, model)
+        xx += c * g * g
+        xy += c * g * h
+        yy += c * h * h
+    return (xx + yy) / (xx * yy - xy * xy)
+
+
+@kernel("float64(float64[::1], float64[::1], float64[::1], float64)", error_model="numpy")
+def _refine(headings: Array, start: Array, model: Array, finest: float) -> float:
+    """Compass search, in place: turn all that follows a step, or shift one waypoint, while that helps; then by half as much."""
+    steps = len(headings)
+    best = _variance(headings, start, model)
+    tried = headings.copy()
+    change = 0.4
+    while change > finest:
+        before = best
+        for move in range(4 * steps):
+            first, shifts, turn = move // 4, move % 2 == 1, change if move % 4 < 2 else -change
+            tried[:] = headings
+            if shifts:
+                tried[first] += turn
+                if first + 1 < steps:
+                    tried[first + 1] -= turn
+            else:
+                tried[first:] += turn
+            variance = _variance(tried, start, model)
+            if variance < best * (1 - 1e-4):
+                best = variance
+                headings[:] = tried
+        if best == before:
+            change *= 0.5
+    return best
+
+
+@kernel("float64[::1](int64, float64[::1], float64[::1], float64[:, ::1], int64, int64, float64)", error_model="numpy")
+def _best_headings(steps: int, start: Array, model: Array, bends: Array, bearings: int, refined: int, finest: float) -> Array:
+    """Headings of the best path found of so many steps: the best of a family, refined."""
+    towards = math.atan2(model[1] - start[1], model[0] - start[0])
+    family = np.empty((bearings * len(bends), steps))
+    variances = np.empty(len(family))
+    for i in range(len(family)):
+        rate, last = bends[i % len(bends)]
+        bearing = towards - 1 + 2 * (i // len(bends)) / (bearings - 1)
+        for k in range(steps):
+            family[i, k] = bearing + rate * max(k + 1 - steps + last, 0)
+        variances[i] = _variance(family[i], start, model)
+    order = np.argsort(variances)
+    best = math.inf
+    result: Array = family[order[0]]
+    for i in order[:refined]:
+        headings = family[i].copy()
+        variance = _refine(headings, start, model, finest)
+        if variance < best:
+            best, result = variance, headings
+    return result
+
+
+def model(scenario: Scenario) -> Array:
+    """(6,): source x and y, q/(4π d), 1/λ, wind_x/(2d), wind_y/(2d)."""
+    s = scenario
+    if s.height != 0.0:
+        raise ValueError(f"height is {s.height:g} m; allowed is 0: the floor is that of a source in the plane that is searched")
+    inverse_length = math.sqrt((1 + s.u**2 * s.tau / (4 * s.d)) / (s.d * s.tau))
+    return np.array([*s.source, s.q / (4 * math.pi * s.d), inverse_length, s.wind[0] / (2 * s.d), s.wind[1] / (2 * s.d)])
+
+
+def fisher(scenario: Scenario, position: tuple[float, float]) -> Array:
+    """Fisher information (2, 2) of one reading at a position (x, y) m about the source's location, 1/m²."""
+    c, *g = information(*position, model(scenario))
+    return np.asarray(c * np.outer(g, g))
+
+
+def spread_m(scenario: Scenario, headings: Sequence[float]) -> float:
+    """Spread after a path of 1 m steps on these headings, rad, from the scenario's start, m; infinite where it leaves the area."""
+    return math.sqrt(_variance(np.array(headings, np.float64), np.array(scenario.start), model(scenario)))
+
+
+def best_path(scenario: Scenario, steps: int, effort: Effort = Effort()) -> tuple[float, ...]:
+    """Headings, rad, of the path of so many steps that was found to leave the least spread."""
+    start, parameters = np.array(scenario.start), model(scenario)
+    return tuple(_best_headings(steps, start, parameters, BENDS, effort.bearings, effort.refined, effort.finest).tolist())
+
+
+def floors_m(
+    scenario: Scenario, thresholds_m: Sequence[float], effort: Effort = Effort(), budget: int = BUDGET_STEPS
+) -> dict[float, float]:
+    """Length of the shortest path found after which the spread can be below each ζ, m; infinite where none is within the budget."""
+    steps = min(int(math.dist(scenario.start, scenario.source) / STEP_M), budget)  # seldom far from it
+    result: dict[float, float] = {}
+    for threshold_m in sorted(thresholds_m, reverse=True):  # a smaller ζ takes no fewer steps
+
+        def reaches(steps: int, threshold_m: float = threshold_m) -> bool:
+            return spread_m(scenario, best_path(scenario, steps, effort)) < threshold_m
+
+        while not result and steps > 0 and reaches(steps - 1):
+            steps -= 1
+        while steps <= budget and not reaches(steps):
+            steps += 1
+        result[threshold_m] = steps * STEP_M if steps <= budget else math.inf
+    return result
+
+
+def floor_m(scenario: Scenario, threshold_m: float) -> float:
+    """The same for one ζ, m."""
+    return floors_m(scenario, [threshold_m])[threshold_m]

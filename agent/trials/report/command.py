@@ -1,0 +1,153 @@
+"""`python -m agent report`: tables, pictures and one page from raw results."""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from agent.policies import OURS
+from agent.trials.evaluate import FIRST_TEST_SEED
+from agent.trials.report.page import Picture, page
+from agent.trials.report.results import USUAL, Results, read
+from agent.trials.report.tables import tables
+from agent.trials.rollout import rollout
+from link import cli
+from plume.scenario import BUDGET_STEPS, SUCCESS_RADIUS_M
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FLIGHTS = 100
+TELLING_SEED = 1_000_009
+"""A scenario in which methods differ: there is no gas between the start and the source."""
+UNDATED = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+"""What an SVG would say of its making: left out, the same picture is the same file."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `report`."""
+    parser.add_argument(
+        "--results", type=Path, default=Path("results"), metavar="DIR",
+        help="raw results: .csv and .csv.gz files of `evaluate --missions` (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, default=Path("report"), metavar="DIR", help="where to write (default: %(default)s)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the report on a folder of raw results."""
+    if find_spec("matplotlib") is None:
+        print("error: pictures are drawn with matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
+        return cli.FAILED
+    try:
+        results = read(args.results)
+    except ValueError as error:
+        print(f"error: --results: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        print(f"error: --out: no folder {str(args.out)!r} to write in: {error.strerror}", file=sys.stderr)
+        return cli.BAD_INPUT
+    write(results, args.out, FLIGHTS)
+    return 0
+
+
+def write(results: Results, out: Path, flights: int) -> None:
+    """Write pictures, tables and the page to a folder; `flights` missions are flown for the pictures of many."""
+    import matplotlib  # here, and below: only a report needs it, and it takes long to import
+
+    from agent.trials.report.drawing import STYLE
+
+    pictures = []
+    with matplotlib.rc_context(STYLE):
+        for name, title, caption, figure in _drawn(results, flights):
+            pictures.append(Picture(name, title, caption, save(figure, out / name)))
+            _say(f"{out / name}.png, .svg")
+    all_tables = tables(results)
+    (out / "results.md").write_text("\n".join(["# What was measured\n", _summary(results) + "\n", *(it.markdown() for it in all_tables)]))
+    _say(out / "results.md")
+    (out / "index.html").write_text(page(_summary(results), pictures, all_tables))
+    _say(out / "index.html")
+
+
+def save(figure: "Figure", stem: Path) -> bytes:
+    """Write a picture as stem.png and stem.svg; returns the SVG."""
+    png, svg = stem.with_suffix(".png"), stem.with_suffix(".svg")
+    figure.savefig(png)
+    figure.savefig(svg, metadata=UNDATED)
+    return svg.read_bytes()
+
+
+def _say(what: object) -> None:
+    print(what, file=sys.stderr)
+
+
+def _summary(results: Results) -> str:
+    return (
+        f"{sum(map(len, results.rows.values())):,} missions of {len(results.policies)} policies: {results.behind(list(results.rows))}."
+        " `python -m agent evaluate --missions FILE.csv` flew them, `python -m agent report` made all that is here from their rows."
+    )
+
+
+def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Figure"]]:
+    """Yield (name, title, caption, figure)."""
+    from agent.trials.report import drawing
+
+    curves = (
+        "Bars: 95% intervals, Wilson's for ceased, bootstrap for MTD and ST. Points stand beside each other so that all are seen; the scale"
+        " of ceased is stretched towards 100%. Dashed: the mean information floor. Hollow: the paper. MTD and ST are means over ceased"
+        " missions. Made by `python -m agent report`."
+    )
+    keys = [key for key in results.rows if key[1].threshold_m == results.threshold_m]
+    yield (
+        "particles",
+        "Against the number of particles",
+        f"ζ = {results.threshold_m:g} m; {results.behind(keys)}. {curves}",
+        drawing.against_particles(results),
+    )
+    keys = [key for key in results.rows if key[1].particles == results.particles]
+    yield (
+        "thresholds",
+        "Against the threshold ζ",
+        f"N = {results.particles:,}; {results.behind(keys)}. {curves}",
+        drawing.against_thresholds(results),
+    )
+    setting = results.nearest(USUAL)
+    set_to = f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, {BUDGET_STEPS} steps at most"
+    flags = f"--particles {setting.particles} --threshold {setting.threshold_m:g}"
+    _say(f"flying {len(OURS)} policies on one scenario")
+    yield (
+        "trajectories",
+        "All methods on one scenario",
+        f"Seed {TELLING_SEED}, chosen because methods differ in it; {set_to}. One mission a policy. MissionRow by `python -m agent report`;"
+        f" one alone: `python -m agent rollout --seed {TELLING_SEED} --policy infotaxis {flags}`.",
+        drawing.trajectories([rollout(TELLING_SEED, policy, *setting) for policy in OURS]),
+    )
+    best = results.best(setting, OURS)
+    policy = best or OURS[0]
+    _say(f"flying {flights} missions of {policy}")
+    flown = [rollout(seed, policy, *setting) for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + flights)]
+    ceased, located = (sum(it) for it in zip(*((result.ceased, result.located) for result, _ in flown), strict=True))
+    missions = (
+        f"{flights} missions of {policy}, seeds {FIRST_TEST_SEED} to {FIRST_TEST_SEED + flights - 1}, {set_to}: {ceased} ceased, {located}"
+        f" located."
+    )
+    if best:
+        missions += f" Of the policies whose ceased share is within one point of the highest at this N and ζ, {best} has the least MTD."
+    yield (
+        "hundred",
+        f"{flights} missions: ways of the UAV and of the belief's mean",
+        f"{missions} The source of each is at the origin. Dots: where each ended. Dashed: {SUCCESS_RADIUS_M:g} m around the source."
+        " MissionRow by `python -m agent report`.",
+        drawing.many(flown),
+    )
+    yield (
+        "distances",
+        f"{flights} missions: distances at each step",
+        f"{missions} Thin: each mission, to its end at the dot; black: the median; band: the quartiles. A mission that has ended stays in"
+        f" both with its last distance. Distances below {drawing.LEAST_DISTANCE_M:g} m are drawn as that. MissionRow by `python -m agent"
+        " report`.",
+        drawing.distances(flown),
+    )

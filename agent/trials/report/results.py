@@ -1,0 +1,104 @@
+"""Raw results: what `evaluate` wrote, joined over the files of a folder, and the figures of each policy, N and ζ."""
+
+from collections import Counter
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from agent.policies import OURS
+from agent.trials.evaluate import read_csv
+from agent.trials.figures import MissionRow, figures
+
+AS_GOOD = 0.01
+"""Policies whose ceased shares differ by no more than this are told apart by their MTD."""
+
+
+class Setting(NamedTuple):
+    """What the filter and its stop were set to."""
+
+    particles: int
+    threshold_m: float
+
+
+Key = tuple[str, Setting]
+"""(policy, setting)."""
+USUAL = Setting(1000, 0.5)
+"""What `rollout` and `evaluate` have when they are not told."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """All missions that were flown. Policies are in the registry's order, those that it does not know last."""
+
+    rows: Mapping[Key, list[MissionRow]]
+    figures: Mapping[Key, dict[str, Any]]
+    """What `agent.trials.figures.figures` says of the rows."""
+
+    @property
+    def policies(self) -> list[str]:
+        """Each policy once."""
+        return list(dict.fromkeys(policy for policy, _ in self.rows))
+
+    @property
+    def threshold_m(self) -> float:
+        """The ζ at which most was flown: there, numbers of particles are compared."""
+        return Counter(setting.threshold_m for _, setting in self.rows).most_common(1)[0][0]
+
+    @property
+    def particles(self) -> int:
+        """The N with which most was flown: there, thresholds are compared."""
+        return Counter(setting.particles for _, setting in self.rows).most_common(1)[0][0]
+
+    def nearest(self, wanted: Setting) -> Setting:
+        """Return the setting, of those flown, that is nearest to one: in N first."""
+        flown = {setting for _, setting in self.rows}
+        return min(flown, key=lambda it: (abs(it.particles - wanted.particles), abs(it.threshold_m - wanted.threshold_m)))
+
+    def best(self, setting: Setting, of: Collection[str]) -> str | None:
+        """Return the policy with the least MTD, of those within one point of the highest ceased share; None where none ceased."""
+        said = {policy: it for (policy, flown), it in self.figures.items() if flown == setting and policy in of and it["ceased"]}
+        most = max((it["ceased"] for it in said.values()), default=0.0)
+        return min((policy for policy in said if said[policy]["ceased"] >= most - AS_GOOD), key=lambda it: said[it]["mtd_m"], default=None)
+
+    def floor_m(self, threshold_m: float) -> float | None:
+        """Mean information floor of the scenarios flown at ζ, m; None where it is not known."""
+        floors = {
+            row.seed: row.floor_m
+            for (_, setting), rows in self.rows.items()
+            if setting.threshold_m == threshold_m
+            for row in rows
+            if row.floor_m is not None
+        }
+        return float(np.mean(list(floors.values()))) if floors else None
+
+    def behind(self, keys: Collection[Key]) -> str:
+        """Say how many missions, of which seeds, stand behind each of these figures."""
+        counts = sorted(len(self.rows[key]) for key in keys)
+        seeds = {row.seed for key in keys for row in self.rows[key]}
+        each = f"{counts[0]:,}" if counts[0] == counts[-1] else f"{counts[0]:,} to {counts[-1]:,}"
+        return f"{each} missions a policy and setting, of seeds {min(seeds)} to {max(seeds)}"
+
+
+def read(folder: Path) -> Results:
+    """Read every .csv and .csv.gz file of a folder; the same mission in two files counts once. Raises ValueError."""
+    if not folder.is_dir():
+        raise ValueError(f"no folder {str(folder)!r}; `python -m agent evaluate --missions FILE.csv` writes what belongs there")
+    missions: dict[Key, dict[int, MissionRow]] = {}
+    for path in sorted(path for path in folder.iterdir() if path.name.endswith((".csv", ".csv.gz"))):
+        for row in read_csv(path):
+            same = missions.setdefault((row.policy, Setting(row.particles, row.threshold_m)), {})
+            if _way(same.setdefault(row.seed, row)) != _way(next(iter(same.values()))):
+                raise ValueError(f"{path}: {row.policy} was flown in another way there (budget, headings, step, measurements)")
+    if not missions:
+        raise ValueError(f"no mission in {str(folder)!r}; `python -m agent evaluate --missions FILE.csv` writes them")
+    rank = {policy: i for i, policy in enumerate(OURS)}
+    order = sorted(missions, key=lambda key: (rank.get(key[0], len(rank)), key))
+    rows = {key: [missions[key][seed] for seed in sorted(missions[key])] for key in order}
+    return Results(rows, {key: figures(of) for key, of in rows.items()})
+
+
+def _way(row: MissionRow) -> tuple[float, ...]:
+    return row.budget, row.headings, row.step_m, row.measurements

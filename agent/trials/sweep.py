@@ -1,0 +1,207 @@
+"""Sweeps: many missions of policies over seeds, particles and thresholds, on all cores; what is flown is kept."""
+
+import hashlib
+import math
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numba
+import numpy as np
+
+from agent.policies import bundle_path, reach
+from agent.trials.figures import MissionRow
+from agent.trials.floor import LEAST_THRESHOLD_M, floors_m
+from agent.trials.rollout import Mission, mission
+from estimator.belief import may_claim, sure_enough
+from estimator.filter import Config
+from link.bus.messages import Belief
+from plume.scenario import BUDGET_STEPS, STEP_M, SUCCESS_RADIUS_M
+from plume.sensor import GAUSSIAN
+
+PACKAGES = ("plume", "link", "estimator", "agent")
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""One thread a worker: pools beside each other slow all of them down."""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Which missions are flown, and how."""
+
+    policies: Sequence[str]
+    seeds: range
+    particles: Sequence[int] = (1000,)
+    thresholds_m: Sequence[float] = (0.5,)
+    budget: int = BUDGET_STEPS
+    moves: dict[str, float] = field(default_factory=dict)
+    """Fields of `Reach`, where a planner's own are not wanted."""
+    knowledge: dict[str, Any] = field(default_factory=dict)
+    """More fields of `Config`."""
+
+    @property
+    def flights(self) -> list["Flight"]:
+        """All that is to be flown, seed by seed; one flight serves all thresholds."""
+        return [(policy, particles, seed) for seed in self.seeds for policy in self.policies for particles in self.particles]
+
+
+Flight = tuple[str, int, int]
+"""(policy, particles, seed)."""
+Flyer = Callable[[Sweep, Sequence[Sequence[Flight]]], Iterator[list[MissionRow]]]
+"""(sweep, flights by seed) -> the rows of each flight, in any order."""
+
+
+def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
+    """Fly missions of one seed until their spread is below the smallest ζ; returns for each a row a ζ: there it would have stopped."""
+    missions = [
+        mission(seed, policy, particles, min(sweep.thresholds_m), sweep.budget, sweep.moves, **sweep.knowledge)
+        for policy, particles, seed in flights
+    ]
+    floors = _floors(sweep, missions[0])
+    return [_fly(sweep, flight, ready, floors) for flight, ready in zip(flights, missions, strict=True)]
+
+
+def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
+    """The information floor of a mission at each ζ, m, where docs/floor.md knows it."""
+    config = ready.config
+    if config.sensor != GAUSSIAN or config.priors or config.stop_limits or sweep.moves.get("step", STEP_M) != STEP_M:
+        return {}
+    floors = floors_m(ready.scenario, [threshold_m for threshold_m in sweep.thresholds_m if threshold_m >= LEAST_THRESHOLD_M])
+    return {threshold_m: floor_m for threshold_m, floor_m in floors.items() if math.isfinite(floor_m)}
+
+
+def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float]) -> list[MissionRow]:
+    scenario, config, steps = ready
+    waiting = sorted(sweep.thresholds_m, reverse=True)
+    rows: dict[float, MissionRow] = {}
+    updates_s: list[float] = []
+    decisions_s: list[float] = []
+    distance_m = 0.0
+    position = scenario.start
+
+    def row(threshold_m: float, ceased: bool) -> MissionRow:
+        floor_m = floors.get(threshold_m)
+        return _row(sweep, flight, threshold_m, ceased, said, scenario.source, distance_m, floor_m, updates_s, decisions_s)
+
+    for said, _, update_s, decision_s in steps:
+        updates_s.append(update_s)
+        if said.step:
+            decisions_s.append(decision_s)
+            distance_m += math.dist(position, said.position)
+        position = said.position
+        while waiting and _ceased(said, config, waiting[0]):
+            threshold_m = waiting.pop(0)
+            rows[threshold_m] = row(threshold_m, True)
+    rows |= {threshold_m: row(threshold_m, False) for threshold_m in waiting}
+    return [rows[threshold_m] for threshold_m in sweep.thresholds_m]
+
+
+def _ceased(said: Belief, config: Config, threshold_m: float) -> bool:
+    stds = dict(zip(said.unknowns, said.stds, strict=True))
+    return may_claim(said.p_value, said.step + 1) and sure_enough(said.spread, stds, config, threshold_m)
+
+
+def _row(
+    sweep: Sweep, flight: Flight, threshold_m: float, ceased: bool, last: Belief, source: tuple[float, float], distance_m: float,
+    floor_m: float | None, updates_s: Sequence[float], decisions_s: Sequence[float],
+) -> MissionRow:  # fmt: skip
+    policy, particles, seed = flight
+    moves = reach(policy, sweep.moves)
+    error = np.subtract(last.mean, source)
+    error_m = math.dist(last.mean, source)
+    xx, xy, yy = last.covariance
+    return MissionRow(
+        policy=policy,
+        particles=particles,
+        threshold_m=threshold_m,
+        seed=seed,
+        budget=sweep.budget,
+        headings=moves.headings,
+        step_m=moves.step,
+        measurements=moves.measurements,
+        ceased=ceased,
+        located=ceased and error_m <= SUCCESS_RADIUS_M,
+        estimate_x=last.mean[0],
+        estimate_y=last.mean[1],
+        source_x=source[0],
+        source_y=source[1],
+        error_m=error_m,
+        spread_m=last.spread,
+        nees=float(error @ np.linalg.pinv([[xx, xy], [xy, yy]]) @ error),
+        steps=last.step,
+        distance_m=distance_m,
+        floor_m=floor_m,
+        search_time_s=sum(updates_s) + sum(decisions_s),
+        decision_ms=1e3 * float(np.mean(decisions_s)) if decisions_s else 0.0,
+        update_ms=1e3 * float(np.mean(updates_s)),
+    )
+
+
+def fly_all(sweep: Sweep, journal: Path, fly_tasks: Flyer) -> Iterator[list[MissionRow]]:
+    """Fly what the journal does not hold yet; yields the rows of each flight as it ends, those of the journal first.
+
+    The journal takes each flight as it ends, so that a sweep that is cut off goes on where it was.
+    """
+    done: dict[Flight, list[MissionRow]] = {}
+    if journal.exists():
+        for line in journal.read_bytes().splitlines():
+            try:
+                rows = msgspec.json.decode(line, type=list[MissionRow])
+            except msgspec.DecodeError:
+                continue  # the line that was being written when it was cut off
+            done[rows[0].policy, rows[0].particles, rows[0].seed] = rows
+    wanted = sweep.flights
+    yield from (done[flight] for flight in wanted if flight in done)
+    left = (flight for flight in wanted if flight not in done)
+    tasks = [list(flights) for _, flights in groupby(left, key=lambda flight: flight[2])]
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    with journal.open("ab", buffering=0) as file:
+        file.write(b"\n")  # ends a line that was cut off
+        for rows in fly_tasks(sweep, tasks):
+            file.write(msgspec.json.encode(rows) + b"\n")
+            yield rows
+
+
+def on_cores(workers: int) -> Flyer:
+    """Fly in so many processes."""
+    return partial(_on_cores, workers)
+
+
+def _on_cores(workers: int, sweep: Sweep, tasks: Sequence[Sequence[Flight]]) -> Iterator[list[MissionRow]]:
+    if not tasks:
+        return
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
+    with multiprocessing.get_context("spawn").Pool(min(workers, len(tasks))) as pool:
+        for flown in pool.imap_unordered(partial(fly, sweep), tasks):
+            yield from flown
+
+
+@cache
+def code() -> str:
+    """Digest of what flies: our sources, and the versions of what computes with them."""
+    digest = hashlib.blake2b(f"{np.__version__} {numba.__version__}".encode(), digest_size=8)
+    root = Path(__file__).parents[2]
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def journal_of(sweep: Sweep, folder: Path) -> Path:
+    """Return the file in which a sweep is kept: another for another question, or for other code."""
+    bundles = [hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest() for name in sweep.policies if (path := bundle_path(name))]
+    question = (code(), bundles, sweep.thresholds_m, sweep.budget, sorted(sweep.moves.items()), sorted(sweep.knowledge.items()))
+    digest = hashlib.blake2b(repr(question).encode(), digest_size=8)
+    return folder / f"evaluate-{digest.hexdigest()}.jsonl"
+
+
+def ordered(rows: Iterable[MissionRow], sweep: Sweep) -> list[MissionRow]:
+    """Sort rows as they were asked for; the order in which workers end does not show."""
+    rank = {policy: i for i, policy in enumerate(sweep.policies)}
+    return sorted(rows, key=lambda row: (rank[row.policy], row.particles, row.threshold_m, row.seed))

@@ -1,0 +1,112 @@
+"""Whether readings fit the model: their ranks in their predictive distributions, and a test that these are uniform."""
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.kernels.densities import normal_cdf
+from plume.compiled import kernel
+from plume.numerics import exp
+from plume.sensor import GAUSSIAN_KIND, HITS_KIND
+
+Array = NDArray[np.float64]
+
+CHECK_PARTICLES = 1000
+"""So many particles, evenly spaced, stand for all in the predictive check of a reading."""
+
+
+@numba.njit(error_model="numpy")
+def _gaussian_tails(means: Array, gas: float, slope: float, floor: float, result: Array) -> None:
+    """P(Z ≤ gas) for each mean, to 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
+    for i in range(len(means)):
+        residual = gas - means[i]
+        half_square = 0.5 * residual * residual / (slope * means[i] * means[i] + floor)
+        t = 1 / (1 + 0.3275911 * math.sqrt(half_square))
+        p = t * 1.061405429 - 1.453152027
+        p = p * t + 1.421413741
+        p = p * t - 0.284496736
+        p = p * t + 0.254829592
+        tail = 0.5 * p * t * exp(-half_square)
+        result[i] = 1 - tail if residual > 0 else tail
+
+
+@numba.njit(error_model="numpy")
+def _hits_cdf(count: float, expected: float) -> float:
+    """P(K ≤ count) of a Poisson count; beyond 100 by Wilson and Hilferty's cube root."""
+    if count < 0:
+        return 0.0
+    if count > 100:
+        k = count + 1
+        return normal_cdf(3 * math.sqrt(k) * (1 - 1 / (9 * k) - (expected / k) ** (1 / 3)))
+    term = math.exp(-expected)
+    total = term
+    for k in range(1, int(count) + 1):
+        term *= expected / k
+        total += term
+    return min(total, 1.0)
+
+
+@numba.njit(error_model="numpy")
+def predictive_rank(means: Array, weights: Array, gas: float, sensor: Array, chance: float) -> float:
+    """Return how far up its predictive distribution a reading lies: uniform in (0, 1) where the model is right (Dawid 1984).
+
+    means, weights: of particles before the reading.  chance: uniform in (0, 1); breaks ties of discrete readings.
+    """
+    count = len(means)
+    share, total = 0.0, 0.0
+    if sensor[0] == GAUSSIAN_KIND:
+        tails = np.empty(count)
+        _gaussian_tails(means, gas, sensor[1] * sensor[1], sensor[2] * sensor[2], tails)
+        for i in range(count):
+            share += weights[i] * tails[i]
+            total += weights[i]
+        return share / total
+    for i in range(count):
+        if sensor[0] == HITS_KIND:
+            expected = sensor[1] * means[i] + sensor[2]
+            below = _hits_cdf(gas - 1, expected)
+            tail = below + chance * (_hits_cdf(gas, expected) - below)
+        else:
+            std = math.sqrt((sensor[1] * means[i]) ** 2 + sensor[2] * sensor[2])
+            tail = sensor[4] + (1 - sensor[4]) * normal_cdf((max(gas, sensor[3]) - means[i]) / std)
+            if gas == 0.0:
+                tail *= chance
+        share += weights[i] * tail
+        total += weights[i]
+    return share / total
+
+
+@kernel("float64(float64[::1])")
+def uniformity_p_value(ranks: Array) -> float:
+    """p-value of the Anderson–Darling test that ranks (n ≥ 8,) are uniform in (0, 1) (Marsaglia and Marsaglia 2004)."""
+    count = len(ranks)
+    ordered = np.sort(ranks)
+    total = 0.0
+    for i in range(count):
+        low = min(max(ordered[i], 1e-15), 1 - 1e-15)
+        high = min(max(ordered[count - 1 - i], 1e-15), 1 - 1e-15)
+        total += (2 * i + 1) * (math.log(low) + math.log1p(-high))
+    z = -count - total / count
+    if z > 8:  # beyond the published formula's accuracy: the tail's own shape, joined to it at 8
+        return 0.94 * math.exp(-z) / math.sqrt(z)
+    if z < 2:
+        p = 2.00012 + (0.247105 - (0.0649821 - (0.0347962 - (0.011672 - 0.00168691 * z) * z) * z) * z) * z
+        limit = math.exp(-1.2337141 / z) / math.sqrt(z) * p
+    else:
+        limit = math.exp(-math.exp(1.0776 - (2.30695 - (0.43424 - (0.082433 - (0.008056 - 0.0003146 * z) * z) * z) * z) * z))
+    if limit > 0.8:
+        g = -130.2137 + (745.2337 - (1705.091 - (1950.646 - (1116.360 - 255.7844 * limit) * limit) * limit) * limit) * limit
+        limit += g / count
+    else:
+        c = 0.01265 + 0.1757 / count
+        if limit < c:
+            t = limit / c
+            t = math.sqrt(t) * (1 - t) * (49 * t - 102)
+            limit += t * (0.0037 / count**3 + 0.00078 / count**2 + 0.00006 / count)
+        else:
+            t = (limit - c) / (0.8 - c)
+            t = -0.00022633 + (6.54034 - (14.6538 - (14.458 - (8.259 - 1.91864 * t) * t) * t) * t) * t
+            limit += t * (0.04213 / count + 0.01365 / count**2)
+    return max(1 - limit, 0.0)

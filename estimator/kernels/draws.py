@@ -1,0 +1,36 @@
+"""Random numbers keyed by (seed, step, stage, stream): SplitMix64 sequences that can be entered anywhere."""
+
+import numba
+import numpy as np
+
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+MIX_ONE = np.uint64(0xBF58476D1CE4E5B9)
+MIX_TWO = np.uint64(0x94D049BB133111EB)
+
+
+@numba.njit(error_model="numpy")
+def mix(word: np.uint64) -> np.uint64:
+    """SplitMix64's finaliser (Steele et al. 2014)."""
+    word = (word ^ (word >> np.uint64(30))) * MIX_ONE
+    word = (word ^ (word >> np.uint64(27))) * MIX_TWO
+    return word ^ (word >> np.uint64(31))
+
+
+@numba.njit(error_model="numpy")
+def key_of(seed: int, step: int, stage: int, stream: int) -> np.uint64:
+    """Where the SplitMix64 sequence of one (seed, step, stage, stream) begins."""
+    word = mix(seed + GOLDEN)
+    word = mix(word ^ (np.uint64(step) + np.uint64(1)) * GOLDEN)
+    return mix(word ^ (np.uint64(stage * 1024 + stream) + np.uint64(1)) * GOLDEN)
+
+
+@numba.njit(error_model="numpy")
+def word_at(key: np.uint64, index: int) -> np.uint64:
+    """Draw number `index` of a sequence: 64 bits."""
+    return mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN)
+
+
+@numba.njit(error_model="numpy")
+def uniform(key: np.uint64, index: int) -> float:
+    """Draw number `index` of a sequence, uniform in (0, 1)."""
+    return (float(word_at(key, index) >> np.uint64(12)) + 0.5) * 2.0**-52

@@ -1,0 +1,109 @@
+"""One reading into the posterior: reweight, and where the weights degenerate, resample and move."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.kernels.checks import CHECK_PARTICLES, predictive_rank
+from estimator.kernels.densities import log_densities_of
+from estimator.kernels.draws import key_of, uniform
+from estimator.kernels.moves import metropolis
+from estimator.kernels.weights import systematic, tempered_share
+from plume.compiled import kernel
+from plume.kernels import DERIVED, derive, derived_means, is_location_only, location_means
+
+Array = NDArray[np.float64]
+
+RESAMPLE_BELOW = 0.5
+"""Share of N that the effective sample size must keep."""
+MAX_STAGES = 40
+"""After so many stages the rest of a reading is left out for good: no reading, however absurd, may crush the cloud to a point."""
+
+
+@kernel(
+    "float64(float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[::1], "
+    "uint64, int64)",
+    nogil=True,
+)
+def update(
+    particles: Array,
+    log_weights: Array,
+    weights: Array,
+    log_targets: Array,
+    readings: Array,
+    unknowns: NDArray[np.int64],
+    priors: Array,
+    sensor: Array,
+    seed: int,
+    sweeps: int,
+) -> float:
+    """Assimilate the last of the readings (T, 7), in place, its share included; returns its predictive rank.
+
+    Reweight, and where the weights degenerate, resample and move (Gordon 1993; Chopin 2002); a reading that would crush the weights
+    is taken in tempered stages (Del Moral 2006).  weights: exp(log_weights), the greatest 1.
+    """
+    rows, count = particles.shape
+    step = len(readings) - 1
+    reading = readings[step]
+    only_location = is_location_only(unknowns, priors)
+    derived = np.empty((0 if only_location else DERIVED, count))
+    means, densities = np.empty(count), np.empty(count)
+    rank = 0.5
+    exponent = 0.0
+    stage = 0
+    while True:
+        if only_location:
+            location_means(particles, count, reading, priors, means)
+        else:
+            derive(particles, count, unknowns, priors, derived)
+            derived_means(derived, count, reading, priors, means)
+        log_densities_of(means, count, reading[5], sensor, densities)
+        if stage == 0:
+            stride = max(count // CHECK_PARTICLES, 1)
+            chance = uniform(key_of(seed, step, 0, 1000), 0)
+            rank = predictive_rank(means[::stride].copy(), weights[::stride].copy(), reading[5], sensor, chance)
+        left = 1.0 - exponent
+        share, size = tempered_share(log_weights, densities, left, weights)
+        exponent = 1.0 if share >= left else exponent + share
+        reading[6] = exponent
+        for i in range(count):
+            log_weights[i] += share * densities[i]
+            log_targets[i] += share * densities[i]
+        if size < RESAMPLE_BELOW * count:
+            ancestors = systematic(weights, uniform(key_of(seed, step, stage, 0), 0))
+            for row in range(rows):
+                particles[row] = particles[row][ancestors]
+            log_targets[:] = log_targets[ancestors]
+            log_weights[:] = 0.0
+            weights[:] = 1.0
+            metropolis(particles, log_targets, readings, unknowns, priors, sensor, seed, step, stage, sweeps)
+            stage += 1
+        if exponent == 1.0 or stage == MAX_STAGES:
+            return rank
+
+
+@kernel(
+    "void(float64[:, :, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], int64[::1], "
+    "int64[::1], float64[:, :, ::1], float64[:, ::1], uint64[::1], int64, int64[::1])",
+    nogil=True,
+)
+def update_missions(
+    particles: Array,
+    log_weights: Array,
+    weights: Array,
+    log_targets: Array,
+    readings: Array,
+    ranks: Array,
+    counts: NDArray[np.int64],
+    unknowns: NDArray[np.int64],
+    priors: Array,
+    sensors: Array,
+    seeds: NDArray[np.uint64],
+    sweeps: int,
+    missions: NDArray[np.int64],
+) -> None:
+    """Let these missions of a batch assimilate the last of their `counts` readings, each as if alone; arrays as in `update`, stacked."""
+    for b in missions:
+        count = counts[b]
+        ranks[b, count - 1] = update(
+            particles[b], log_weights[b], weights[b], log_targets[b], readings[b, :count], unknowns, priors[b], sensors[b], seeds[b], sweeps
+        )

@@ -1,0 +1,129 @@
+"""Weights of particles: reweighting, effective sample size, moments, systematic resampling."""
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from plume.compiled import kernel
+from plume.numerics import exp, total_of
+
+Array = NDArray[np.float64]
+
+STAGE_FLOOR = 0.4
+"""Where one reading would crush the effective sample size below this share of N, it is taken in tempered stages."""
+
+
+@numba.njit(error_model="numpy")
+def dot(one: Array, other: Array) -> float:
+    """Σ one · other, summed as `total_of` does."""
+    a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    whole = len(one) - len(one) % 8
+    for i in range(0, whole, 8):
+        a += one[i] * other[i]
+        b += one[i + 1] * other[i + 1]
+        c += one[i + 2] * other[i + 2]
+        d += one[i + 3] * other[i + 3]
+        e += one[i + 4] * other[i + 4]
+        f += one[i + 5] * other[i + 5]
+        g += one[i + 6] * other[i + 6]
+        h += one[i + 7] * other[i + 7]
+    for i in range(whole, len(one)):
+        a += one[i] * other[i]
+    return ((a + b) + (c + d)) + ((e + f) + (g + h))
+
+
+@numba.njit(error_model="numpy")
+def _greatest(values: Array) -> float:
+    a, b, c, d = values[0], values[0], values[0], values[0]
+    whole = len(values) - len(values) % 4
+    for i in range(0, whole, 4):
+        a = max(a, values[i])
+        b = max(b, values[i + 1])
+        c = max(c, values[i + 2])
+        d = max(d, values[i + 3])
+    for i in range(whole, len(values)):
+        a = max(a, values[i])
+    greatest: float = max(max(a, b), max(c, d))
+    return greatest
+
+
+@numba.njit(error_model="numpy")
+def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array) -> float:
+    """Set weights ∝ exp(log_weights + share · log_densities), the greatest 1; returns the effective sample size."""
+    for i in range(len(weights)):
+        weights[i] = log_weights[i] + share * log_densities[i]
+    highest = _greatest(weights)
+    for i in range(len(weights)):
+        weights[i] = exp(weights[i] - highest)
+    total = total_of(weights)
+    return total * total / dot(weights, weights)
+
+
+@numba.njit(error_model="numpy")
+def tempered_share(log_weights: Array, log_densities: Array, left: float, weights: Array) -> tuple[float, float]:
+    """Return the greatest exponent, at most `left`, at which the likelihood leaves about STAGE_FLOOR · N effective particles, and those."""
+    floor = STAGE_FLOOR * len(weights)
+    size = weigh(log_weights, left, log_densities, weights)
+    if size >= floor:
+        return left, size
+    low, high = 0.0, left
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        size = weigh(log_weights, middle, log_densities, weights)
+        if size < floor:
+            high = middle
+        elif size > 1.2 * floor:
+            low = middle
+        else:
+            return middle, size
+    return high, weigh(log_weights, high, log_densities, weights)
+
+
+@kernel("float64(float64[::1])")
+def effective_sample_size(weights: Array) -> float:
+    """(Σ w)² / Σ w² of weights (N,) that need not be normalised."""
+    total = total_of(weights)
+    return total * total / dot(weights, weights)
+
+
+@kernel("Tuple((float64[::1], float64[:, ::1]))(float64[:, ::1], float64[::1])")
+def moments(particles: Array, weights: Array) -> tuple[Array, Array]:
+    """Weighted mean (D,) and covariance (D, D) of particles (D, N); the weights need not be normalised."""
+    rows, count = particles.shape
+    total = total_of(weights)
+    mean = np.empty(rows)
+    covariance = np.empty((rows, rows))
+    offsets = np.empty((rows, count))
+    weighted = np.empty(count)
+    for row in range(rows):
+        mean[row] = dot(weights, particles[row]) / total
+        for i in range(count):
+            offsets[row, i] = particles[row, i] - mean[row]
+            weighted[i] = weights[i] * offsets[row, i]
+        for other in range(row + 1):
+            covariance[row, other] = dot(weighted, offsets[other]) / total
+            covariance[other, row] = covariance[row, other]
+    return mean, covariance
+
+
+@kernel("void(float64[:, :, ::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[:, :, ::1])", nogil=True)
+def moments_of_missions(particles: Array, weights: Array, missions: NDArray[np.int64], means: Array, covariances: Array) -> None:
+    """Put the `moments` of these missions of a batch into means (B, D) and covariances (B, D, D)."""
+    for b in missions:
+        means[b], covariances[b] = moments(particles[b], weights[b])
+
+
+@kernel("int64[::1](float64[::1], float64)")
+def systematic(weights: Array, offset: float) -> NDArray[np.int64]:
+    """Systematic resampling: ancestor k is where the cumulative weight passes (k + offset) / N of the whole, offset in [0, 1)."""
+    count = len(weights)
+    ancestors = np.empty(count, np.int64)
+    scale = count / total_of(weights)
+    ancestor = 0
+    cumulative = weights[0] * scale
+    for k in range(count):
+        while cumulative <= k + offset and ancestor < count - 1:
+            ancestor += 1
+            cumulative += weights[ancestor] * scale
+        ancestors[k] = ancestor
+    return ancestors

@@ -1,0 +1,338 @@
+"""A session on the bus: publishers and subscribers made from the table of keys, and one inbox for all that arrives."""
+
+import json
+import math
+import queue
+import re
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple, Self, TypeVar
+
+import msgspec
+import zenoh
+import zenoh.ext
+
+from link.bus.keys import HEALTH, KEYS, Key
+from link.bus.log import Log
+from link.bus.messages import Health
+from link.bus.sequence import Sequence
+from link.bus.tally import REPEATED, Tally
+
+DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
+CONNECT_TIMEOUT_S = 5.0
+WAITING_MESSAGES = 4096
+"""Of each key, beside those that are kept: where more wait to be taken, the oldest are dropped rather than the flight held up."""
+HEALTH_EVERY_S = 1.0
+"""A service that has nothing to do says at least so often that it is well."""
+SIGNAL_POLL_S = 0.2
+"""Waits are cut into slices of this length: a signal that the system hands to one of Zenoh's threads wakes no other thread."""
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+class BusError(Exception):
+    """The bus cannot be joined or opened; the text is one clear line."""
+
+
+class NoRouter(BusError):
+    """There is no router where one was to be."""
+
+
+class Arrival(NamedTuple):
+    """One message from the bus."""
+
+    key: Key
+    payload: bytes
+    attachment: bytes
+    at: float = 0.0
+    """When it came, by time.monotonic()."""
+
+
+class Stamped(NamedTuple):
+    """One message from the bus, with all that a record says of it."""
+
+    key: Key
+    payload: bytes
+    attachment: bytes
+    name: str
+    """The key that it was published on, within the namespace: of HEALTH it names the service."""
+    published_ns: int
+    """By the publisher's clock, or, where it has put no time to its message, by the router's; ns since the Unix epoch."""
+    received_ns: int
+    """The same, but neither before the messages that were taken earlier nor in the future: for all but clocks that differ."""
+
+
+class _Numbered(NamedTuple):
+    """A message with its publisher's identity and count."""
+
+    source: str
+    number: int
+    arrival: Arrival | Stamped
+
+
+class LivelinessChange(NamedTuple):
+    """A service's process came or went."""
+
+    service: str
+    alive: bool
+
+
+def _config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zenoh.Config:
+    config = zenoh.Config()
+    config.insert_json5("mode", json.dumps(mode))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("scouting/gossip/enabled", "false")
+    config.insert_json5("scouting/delay", "0")  # there is nobody to scout for: a router opens at once instead of after 0.5 s
+    config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
+    for kind, urls in endpoints.items():
+        try:
+            config.insert_json5(f"{kind}/endpoints", json.dumps(urls))
+        except zenoh.ZError:
+            raise BusError(f"--{kind}: {', '.join(urls)!r} is no Zenoh endpoint; wanted one like {DEFAULT_ROUTER}") from None
+    for name, value in settings.items():
+        config.insert_json5(name.replace("__", "/"), json.dumps(value))
+    return config
+
+
+def open_router(endpoint: str) -> tuple[zenoh.Session, str]:
+    """Open a Zenoh router in this process; returns it and its endpoint, with the port chosen where port 0 was asked for."""
+    config = _config("router", {"listen": [endpoint]}, adminspace__enabled=True)
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError as error:
+        reason = re.search(r"(Address already in use|Permission denied|Cannot assign requested address|[Ff]ailed to lookup)", str(error))
+        raise BusError(f"--listen: cannot listen on {endpoint}: {reason.group(1) if reason else str(error).split(' at /')[0]}") from None
+    for reply in session.get(f"@/{session.zid()}/router"):
+        if reply.ok is not None:
+            return session, str(json.loads(reply.ok.payload.to_bytes())["locators"][0])
+    raise BusError(f"--listen: the router on {endpoint} does not tell its address")
+
+
+class Bus:
+    """One service's place on the bus of one vehicle."""
+
+    def __init__(
+        self,
+        service: str,
+        connect: str = DEFAULT_ROUTER,
+        namespace: str = "uav/1",
+        inbox: "queue.SimpleQueue[Any] | None" = None,
+        log_level: str = "info",
+        announced: bool = True,
+        **settings: Any,
+    ) -> None:
+        """Join a router as a client; raises NoRouter where none answers within CONNECT_TIMEOUT_S, BusError where `connect` is no endpoint.
+
+        All that arrives goes into `inbox`: give one's own where other things than the bus fill it too. Who is not announced has no
+        liveliness token: it looks on. Further settings are Zenoh's.
+        """
+        config = _config(
+            "client",
+            {"connect": [connect]},
+            namespace=namespace,
+            timestamping__enabled=True,  # otherwise it is the router that says when a message was published
+            connect__timeout_ms=int(CONNECT_TIMEOUT_S * 1000),
+            # Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s.
+            connect__retry={"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+            **settings,
+        )
+        try:
+            self._session = zenoh.open(config)
+        except zenoh.ZError:
+            raise NoRouter(f"--connect: no router at {connect} (start one with: python -m sitl router)") from None
+        self.service = service
+        self.tally = Tally()
+        self.log = Log(service, namespace, self.tally, log_level)
+        self._inbox: queue.SimpleQueue[Any] = inbox or queue.SimpleQueue()
+        self._publishers: dict[str, Any] = {}
+        self._subscribers: dict[str, Any] = {}
+        self._sequences: dict[str, Sequence[Arrival | Stamped]] = {}
+        self._ready: deque[Any] = deque()
+        self._given_at = time.monotonic()
+        self._health_at = math.inf
+        self._token = self._session.liveliness().declare_token(self._own_health()) if announced else None
+
+    def _own_health(self) -> str:
+        return HEALTH.name.replace("<service>", self.service)
+
+    def _publisher(self, key: Key) -> Any:
+        if key.name not in self._publishers:
+            name = self._own_health() if key is HEALTH else key.name
+            how = key.delivery
+            options: dict[str, Any] = {
+                "reliability": zenoh.Reliability.RELIABLE if how.reliable else zenoh.Reliability.BEST_EFFORT,
+                "congestion_control": zenoh.CongestionControl.BLOCK if how.blocking else zenoh.CongestionControl.DROP,
+                "priority": zenoh.Priority.REAL_TIME if how.realtime else zenoh.Priority.DATA,
+                "express": how.express,
+            }
+            if how.kept:
+                self._publishers[key.name] = zenoh.ext.declare_advanced_publisher(
+                    self._session,
+                    name,
+                    cache=zenoh.ext.CacheConfig(
+                        max_samples=how.kept,
+                        # By default kept messages are dropped where they are asked for while many new ones are published.
+                        replies_config=zenoh.ext.RepliesConfig(congestion_control=zenoh.CongestionControl.BLOCK),
+                    ),
+                    publisher_detection=True,
+                    sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5, sporadic_heartbeat=None),
+                    **options,
+                )
+            else:
+                self._publishers[key.name] = self._session.declare_publisher(name, **options)
+        return self._publishers[key.name]
+
+    def publish(self, key: Key, message: bytes | msgspec.Struct, attachment: bytes | None = None) -> None:
+        """Publish frames as they are, structs as JSON."""
+        payload = message if isinstance(message, bytes) else msgspec.json.encode(message)
+        self._publisher(key).put(payload, attachment=attachment)
+
+    def subscribe(self, *keys: Key) -> None:
+        """Have what is published under these keys, kept messages first, put into the inbox."""
+        for key in keys:
+            # Callbacks only queue: one that blocked or computed would hold up the session, stop messages included.
+            if key.delivery.kept > 1:
+                self._sequences.setdefault(key.name, Sequence())
+            self.on(key, self._inbox.put)
+
+    def on(self, key: Key, arrived: Callable[[Any], None]) -> None:
+        """Have what is published under a key, kept messages first, handed to a callback in the session's thread."""
+
+        def received(sample: zenoh.Sample) -> None:
+            arrival = Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b"", time.monotonic())
+            if key.name in self._sequences and (info := sample.source_info) is not None:
+                arrived(_Numbered(str(info.source_id), info.source_sn, arrival))
+            else:
+                arrived(arrival)
+
+        self._declare(key, received)
+
+    def _declare(self, key: Key, handler: Any) -> None:
+        name = key.name.replace("<service>", "*")
+        if key.delivery.kept:
+            subscriber: Any = zenoh.ext.declare_advanced_subscriber(
+                self._session,
+                name,
+                handler,
+                history=zenoh.ext.HistoryConfig(),  # with detect_late_publishers half of the joins to a live publisher lose the rest
+                recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
+            )
+        else:
+            subscriber = self._session.declare_subscriber(name, handler)
+        self._subscribers[key.name] = subscriber
+
+    def settle(self, timeout_s: float) -> None:
+        """Wait until the router has what was published and subscribed here, and what it has passed on is here; for timeout_s at most."""
+        # A question to nobody: the router's own answer comes behind what it has been sent and has sent before.
+        for _ in self._session.get("nobody", timeout=timeout_s):
+            pass
+
+    def watch_services(self) -> None:
+        """Have the coming and going of services put into the inbox, beginning with those that are there."""
+
+        def changed(sample: zenoh.Sample) -> None:
+            service = str(sample.key_expr).rpartition("/")[2]
+            self._inbox.put(LivelinessChange(service, sample.kind == zenoh.SampleKind.PUT))
+
+        name = HEALTH.name.replace("<service>", "*")
+        self._subscribers["liveliness"] = self._session.liveliness().declare_subscriber(name, changed, history=True)
+
+    def services(self) -> set[str]:
+        """Return the services that are there."""
+        replies = self._session.liveliness().get(HEALTH.name.replace("<service>", "*"))
+        return {str(reply.ok.key_expr).rpartition("/")[2] for reply in replies if reply.ok is not None}
+
+    @property
+    def connected(self) -> bool:
+        """Whether the router is there now."""
+        return bool(self._session.info.routers_zid())
+
+    def receive(self, timeout_s: float | None = None) -> Any:
+        """Return the next item of the inbox; None after timeout_s, or, where that is None, never."""
+        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        while not self._ready:
+            self._look_after_sequences()
+            self.keep_health()
+            left_s = max(deadline - time.monotonic(), 0.0)
+            try:
+                item = self._inbox.get(timeout=min(SIGNAL_POLL_S, left_s))
+            except queue.Empty:
+                if left_s <= SIGNAL_POLL_S:
+                    return None
+                continue
+            if isinstance(item, _Numbered):
+                sequence = self._sequences[item.arrival.key.name]
+                self._ready += sequence.arrived(item.source, item.number, item.arrival, time.monotonic())
+            else:
+                self._ready.append(item)
+        item = self._ready.popleft()
+        if isinstance(item, Arrival):
+            self._given_at = item.at
+        return item
+
+    def _look_after_sequences(self) -> None:
+        now_s = time.monotonic()
+        for name, sequence in self._sequences.items():
+            if sequence.should_ask_again(now_s):
+                if self.connected:
+                    self._subscribers.pop(name).undeclare()  # a new subscriber is given the history anew
+                    self.subscribe(next(key for key in KEYS if key.name == name))
+                else:
+                    sequence.wait_on(now_s)
+            missing, ready = sequence.given_up(now_s)
+            if missing:
+                self.log.warn(f"{missing} messages of {name} are lost: nobody has kept them")
+            self._ready += ready
+
+    def refuse(self, key: Key, reason: str, kind: str) -> None:
+        """Count and log a message that is dropped; `kind` is what it is counted under. It is a warning where it is not just repeated."""
+        self.tally.refuse(kind)
+        (self.log.info if kind == REPEATED else self.log.warn)(f"refused {key.name}: {reason}")
+
+    def decode(self, arrival: Arrival, kind: type[T]) -> T | None:
+        """Decode JSON into its struct; what does not decode is refused, and None."""
+        try:
+            return msgspec.json.decode(arrival.payload, type=kind)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            self.refuse(arrival.key, str(error), "malformed")
+            return None
+
+    def answered(self) -> None:
+        """Say what has become of the message that was received last: how long it has taken, and how this service is doing now."""
+        tally = self.tally
+        tally.latency_s = time.monotonic() - self._given_at
+        self.log.debug(f"answered after {1000 * tally.latency_s:.2f} ms; {1000 * tally.compute_s:.2f} ms computed so far")
+        self.publish_health()
+
+    def publish_health(self) -> None:
+        """Publish how this service is doing now; it is, from the first time on, at least every HEALTH_EVERY_S while one receives."""
+        tally = self.tally
+        health = Health(
+            service=self.service, state=tally.state, about=tally.about, step=tally.step, rate_hz=tally.rate_hz, latency_s=tally.latency_s,
+            compute_s=tally.compute_s, uptime_s=tally.uptime_s, refused=dict(tally.refused), refused_lately=tally.refused_lately,
+            last_error=tally.last_error, warnings=tally.warnings,
+        )  # fmt: skip
+        self.publish(HEALTH, health)
+        self._health_at = time.monotonic() + HEALTH_EVERY_S
+
+    def keep_health(self) -> None:
+        """Publish how this service is doing where it has not been said lately."""
+        if time.monotonic() >= self._health_at:
+            self.publish_health()
+
+    def close(self) -> None:
+        """Leave the bus. A session that is left open would hang the process's exit."""
+        for subscriber in self._subscribers.values():
+            subscriber.undeclare()
+        if self._token:
+            self._token.undeclare()  # type: ignore[no-untyped-call]
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        """Enter a with block, which closes the bus at its end."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the bus."""
+        self.close()

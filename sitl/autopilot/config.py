@@ -1,0 +1,73 @@
+"""What a simulated vehicle is and where it may fly."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sitl.autopilot.motion import Limits, Vector
+
+
+@dataclass(frozen=True)
+class VehicleConfig:
+    """What the vehicle is and where it may fly; speeds, battery warning and mode numbers are PX4's defaults where it has them."""
+
+    sysid: int = 1
+    home_lat_deg: float = 47.397742
+    home_lon_deg: float = 8.545594
+    home_alt_m: float = 488.0
+    """Above mean sea level."""
+    home_heading_deg: float = 0.0
+    area_m: float = 30.0
+    """Side of the search plane [0, area]²: x east, y north, home is its origin."""
+    ceiling_m: float = 120.0
+    speed_mps: float = 5.0
+    climb_mps: float = 3.0
+    descent_mps: float = 1.5
+    accel_mps2: float = 3.0
+    yaw_rate_dps: float = 45.0
+    takeoff_altitude_m: float = 5.0
+    return_altitude_m: float = 5.0
+    """A return climbs to it first when lower, and keeps its altitude when higher."""
+    silence_s: float = 30.0
+    endurance_s: float = 1800.0
+    """How long the battery lasts with the motors on; `math.inf` for one that never drains."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot fly."""
+        if not 1 <= self.sysid <= 255:
+            raise ValueError(f"sysid is {self.sysid}: allowed is 1 to 255")
+        for name, limit in (("home_lat_deg", 90.0), ("home_lon_deg", 180.0), ("home_heading_deg", 360.0), ("home_alt_m", 10_000.0)):
+            if not abs(getattr(self, name)) <= limit:
+                raise ValueError(f"{name} is {getattr(self, name)}: allowed is -{limit:g} to {limit:g}")
+        for name in ("area_m", "ceiling_m", "speed_mps", "climb_mps", "descent_mps", "accel_mps2", "yaw_rate_dps"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}: allowed is a finite number above 0")
+        for name in ("takeoff_altitude_m", "return_altitude_m"):
+            if not 0.0 < getattr(self, name) <= self.ceiling_m:
+                raise ValueError(f"{name} is {getattr(self, name)}: allowed is above 0 and up to the ceiling, {self.ceiling_m:g}")
+        for name in ("silence_s", "endurance_s"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} is {getattr(self, name)}: allowed is above 0, inf for never")
+
+    @property
+    def limits(self) -> Limits:
+        """The limits of motion."""
+        return Limits(self.speed_mps, self.climb_mps, self.descent_mps, self.accel_mps2)
+
+    def outside(self, position: Vector) -> tuple[str, str] | None:
+        """Return the kind of the reason and the reason why a position is not one inside the fence; None where it is."""
+        north, east, down = position
+        place = f"({metres(east)}, {metres(north)}) m"
+        if not all(map(math.isfinite, position)):
+            return "not finite", f"{place} at {metres(-down)} m is not finite"
+        if not (0.0 <= east <= self.area_m and 0.0 <= north <= self.area_m):
+            return "outside the area", f"{place} is outside the area [0, {self.area_m:g}] x [0, {self.area_m:g}] m"
+        if not 0.0 <= -down <= self.ceiling_m:
+            return "outside the altitudes", f"altitude {metres(-down)} m is outside [0, {self.ceiling_m:g}] m"
+        return None
+
+
+def metres(value: float) -> str:
+    """Write the shortest decimal that is this float32: 31.1, not 31.100000381."""
+    return str(np.float32(value))

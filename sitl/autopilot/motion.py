@@ -1,0 +1,179 @@
+"""Closed-form motion: where the vehicle is at time t is a formula of t, never the sum of steps, so any speed-up sees the same positions."""
+
+import math
+from typing import NamedTuple
+
+GRAVITY_MPS2 = 9.80665
+
+Vector = tuple[float, float, float]
+"""(north, east, down) m, or its derivatives."""
+
+ZERO: Vector = (0.0, 0.0, 0.0)
+NOTHING = 1e-9
+"""A target nearer than this (m) has been reached, a vehicle slower than this (m/s) stands: there is no direction to divide out."""
+
+
+class Limits(NamedTuple):
+    """How fast the vehicle may move; the acceleration bounds every change of speed along a line."""
+
+    speed_mps: float
+    climb_mps: float
+    descent_mps: float
+    accel_mps2: float
+
+
+class Motion(NamedTuple):
+    """Position, velocity and acceleration at one instant, NED."""
+
+    position: Vector
+    velocity: Vector = ZERO
+    acceleration: Vector = ZERO
+
+
+class Phase(NamedTuple):
+    """A stretch of constant acceleration, given by the motion at one instant of it.
+
+    A phase that ends at rest is given by its end: rounding then cannot carry it past, through the ground or the fence.
+    """
+
+    start_s: float
+    end_s: float
+    known_s: float
+    known: Motion
+
+    def at(self, t_s: float) -> Motion:
+        """Motion at a time within the phase."""
+        dt = max(t_s, self.start_s) - self.known_s
+        position, velocity, acceleration = self.known
+        return Motion(
+            _along(_along(position, velocity, dt), acceleration, dt * dt / 2.0),
+            _along(velocity, acceleration, dt),
+            acceleration,
+        )
+
+
+class Trajectory(NamedTuple):
+    """Phases one after the other, then rest on the target, exactly: the last bit of the position is the target's."""
+
+    start_s: float
+    target: Vector
+    phases: tuple[Phase, ...] = ()
+
+    @property
+    def end_s(self) -> float:
+        """When the path comes to rest."""
+        return self.phases[-1].end_s if self.phases else self.start_s
+
+    def at(self, t_s: float) -> Motion:
+        """Motion at any time from the start on."""
+        for phase in self.phases:
+            if t_s < phase.end_s:
+                return phase.at(t_s)
+        return Motion(self.target)
+
+    def to(self, target: Vector, limits: Limits) -> "Trajectory":
+        """This trajectory, then a straight leg from its end to another target: speed up, cruise (if long enough), slow down."""
+        difference = _minus(target, self.target)
+        length = math.hypot(*difference)
+        if length < NOTHING:
+            return self._replace(target=target)
+        direction = _times(difference, 1.0 / length)
+        accel = limits.accel_mps2
+        peak = min(_speed_limit(direction, limits), math.sqrt(accel * length))
+        ramp_s, ramp_m = peak / accel, peak * peak / accel / 2.0
+        cruise_m = max(length - 2.0 * ramp_m, 0.0)
+
+        started_s = self.end_s
+        fast_s = started_s + ramp_s
+        slowing_s = fast_s + cruise_m / peak
+        stopped_s = slowing_s + ramp_s
+        speed_up, slow_down = _times(direction, accel), _times(direction, -accel)
+        phases = (
+            Phase(started_s, fast_s, started_s, Motion(self.target, ZERO, speed_up)),
+            Phase(fast_s, slowing_s, fast_s, Motion(_along(self.target, direction, ramp_m), _times(direction, peak))),
+            Phase(slowing_s, stopped_s, stopped_s, Motion(target, ZERO, slow_down)),
+        )
+        return Trajectory(self.start_s, target, self.phases + phases)
+
+
+def halt(t_s: float, motion: Motion, limits: Limits) -> Trajectory:
+    """Brake to rest along the present direction; a vehicle at rest stays where it is."""
+    speed = math.hypot(*motion.velocity)
+    if speed < NOTHING:
+        return Trajectory(t_s, motion.position)
+    direction, end_s = _times(motion.velocity, 1.0 / speed), t_s + speed / limits.accel_mps2
+    north, east, down = _along(motion.position, direction, speed * speed / limits.accel_mps2 / 2.0)
+    stop = (north, east, min(down, 0.0))  # rounding, again: every leg ends above the ground or on it, so braking on it does, too
+    return Trajectory(t_s, stop, (Phase(t_s, end_s, end_s, Motion(stop, ZERO, _times(direction, -limits.accel_mps2))),))
+
+
+def fall(t_s: float, motion: Motion) -> Trajectory:
+    """Drop to the ground (down = 0) with the motors off, without air drag; it comes to rest where it hits."""
+    height, climb = -motion.position[2], -motion.velocity[2]
+    duration = (climb + math.sqrt(climb * climb + 2.0 * GRAVITY_MPS2 * max(height, 0.0))) / GRAVITY_MPS2
+    end_s, gravity = t_s + duration, (0.0, 0.0, GRAVITY_MPS2)
+    north, east, _ = _along(motion.position, motion.velocity, duration)
+    impact = Motion((north, east, 0.0), _along(motion.velocity, gravity, duration), gravity)
+    return Trajectory(t_s, impact.position, (Phase(t_s, end_s, end_s, impact),))
+
+
+class Turn(NamedTuple):
+    """A turn of the nose at a constant rate, the shorter way round; it ends on the target exactly."""
+
+    start_s: float
+    start_rad: float
+    target_rad: float
+    rate_radps: float
+
+    @property
+    def end_s(self) -> float:
+        """When the nose points to the target."""
+        return self.start_s + abs(self._angle()) / self.rate_radps
+
+    def at(self, t_s: float) -> tuple[float, float]:
+        """(yaw, yaw rate) at any time from the start on; yaw in [−π, π] from north, clockwise."""
+        if t_s >= self.end_s:
+            return self.target_rad, 0.0
+        rate = math.copysign(self.rate_radps, self._angle())
+        return wrapped(self.start_rad + rate * max(t_s - self.start_s, 0.0)), rate
+
+    def _angle(self) -> float:
+        return wrapped(self.target_rad - self.start_rad)
+
+
+def wrapped(angle_rad: float) -> float:
+    """The same angle in [−π, π]."""
+    return angle_rad if -math.pi <= angle_rad <= math.pi else math.remainder(angle_rad, 2.0 * math.pi)
+
+
+def attitude(acceleration: Vector, yaw_rad: float) -> tuple[float, float]:
+    """(roll, pitch) of a multirotor whose thrust gives this acceleration against gravity; air drag is left out."""
+    north, east, down = acceleration
+    forward = north * math.cos(yaw_rad) + east * math.sin(yaw_rad)
+    right = east * math.cos(yaw_rad) - north * math.sin(yaw_rad)
+    weight = GRAVITY_MPS2 - down
+    if forward == right == weight == 0.0:  # in free fall there is no thrust to tell an attitude from
+        return 0.0, 0.0
+    return math.atan2(right, math.hypot(forward, weight)), math.atan2(-forward, weight)
+
+
+def _speed_limit(direction: Vector, limits: Limits) -> float:
+    """The greatest speed along a unit vector that keeps its horizontal and its vertical part within their limits."""
+    horizontal, down = math.hypot(direction[0], direction[1]), direction[2]
+    vertical_limit = limits.descent_mps if down > 0.0 else limits.climb_mps
+    return min(
+        limits.speed_mps / horizontal if horizontal > 0.0 else math.inf,
+        vertical_limit / abs(down) if down != 0.0 else math.inf,
+    )
+
+
+def _minus(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _times(a: Vector, factor: float) -> Vector:
+    return a[0] * factor, a[1] * factor, a[2] * factor
+
+
+def _along(start: Vector, direction: Vector, distance: float) -> Vector:
+    return start[0] + direction[0] * distance, start[1] + direction[1] * distance, start[2] + direction[2] * distance

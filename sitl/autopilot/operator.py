@@ -1,0 +1,25 @@
+"""The messages of an operator at a ground station, as a script's operator sends them."""
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.mavlink import POSITION_ONLY, Message
+from sitl.autopilot.motion import Vector
+from sitl.autopilot.state import Mode
+
+OPERATOR = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
+"""System and component of a ground station."""
+
+
+def command(number: int, *params: float) -> Message:
+    """COMMAND_LONG (76) to whoever hears it."""
+    return mavlink.MAVLink_command_long_message(0, 0, number, 0, *params, *[0.0] * (7 - len(params)))
+
+
+def change_mode(mode: Mode) -> Message:
+    """DO_SET_MODE to one of PX4's modes."""
+    return command(mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *mode.value)
+
+
+def setpoint(position: Vector) -> Message:
+    """SET_POSITION_TARGET_LOCAL_NED (84) that answers no reading."""
+    return mavlink.MAVLink_set_position_target_local_ned_message(0, 0, 0, mavlink.MAV_FRAME_LOCAL_NED, POSITION_ONLY, *position, *[0.0] * 8)

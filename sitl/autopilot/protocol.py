@@ -1,0 +1,198 @@
+"""The autopilot's MAVLink protocol, as PX4 speaks it: commands and setpoints in; acknowledgements, requested messages and texts out."""
+
+import math
+from collections import Counter
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.mavlink import Message
+from sitl.autopilot.geodesy import to_local
+from sitl.autopilot.state import ACCEPTED, Mode, Result, denied
+from sitl.autopilot.telemetry import Telemetry
+from sitl.autopilot.vehicle import Vehicle
+
+COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
+FORCE = 21196.0
+"""param2 of an arm or disarm command that skips the checks (MAVLink's magic number)."""
+TEXT_LENGTH = 50
+GLOBAL_STEP_M = 0.02
+"""A little more than 1e-7 degrees, the resolution of latitude and longitude in MAVLink."""
+REFUSAL_INTERVAL_S = 1.0
+"""Clients repeat setpoints at 20 Hz: each kind of refusal is told once in this time at most."""
+
+ABOVE_SEA = {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
+ABOVE_HOME = {mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT}
+NUMBERED = {
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: 1,
+    mavlink.MAV_CMD_DO_SET_MODE: 2,
+    mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: 2,
+    mavlink.MAV_CMD_REQUEST_MESSAGE: 1,
+}
+"""How many of a command's first parameters have to be numbers; NaN elsewhere is "not given"."""
+NO_POSITION = (
+    mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
+)
+
+UNSUPPORTED = Result(mavlink.MAV_RESULT_UNSUPPORTED)
+
+
+class Params(NamedTuple):
+    """The parameters of COMMAND_LONG or COMMAND_INT alike; NaN means not given."""
+
+    p1: float
+    p2: float
+    p3: float
+    p4: float
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+    frame: int
+
+
+class MavlinkProtocol:
+    """What MAVLink clients can ask of one vehicle, each over a link of its own, and what they are told."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Speak for a vehicle."""
+        self.refused: Counter[str] = Counter()
+        """Setpoints refused, by kind of reason."""
+        self._vehicle = vehicle
+        self._told_s: dict[str, float] = {}  # when each kind of refusal was last told
+        self._chunked_texts = 0
+
+    def receive(self, message: Message, t_s: float, streams: Telemetry | None = None) -> list[Message]:
+        """Handle one decoded message; return the messages that answer it, unsent, for the link that it came over.
+
+        `streams` is the telemetry of that link: requests for messages and for their rates are about it.
+        """
+        self._vehicle.catch_up(t_s)
+        if getattr(message, "target_system", 0) not in (0, self._vehicle.config.sysid):
+            return []
+        if getattr(message, "target_component", 0) not in (0, COMPONENT):
+            return []
+        match message.get_type():
+            case "COMMAND_LONG" | "COMMAND_INT":
+                result, answers = self._command(message.command, _params(message), t_s, streams)
+                return [_acknowledge(message, message.command, result), *answers, *self._reason(result)]
+            case "SET_MODE":
+                result = self._set_custom_mode(t_s, message.base_mode, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24)
+                return [_acknowledge(message, mavlink.MAVLINK_MSG_ID_SET_MODE, result), *self._reason(result)]
+            case "SET_POSITION_TARGET_LOCAL_NED":
+                return self._refusal(self._setpoint(message, t_s), t_s)
+        return []
+
+    def statustext(self, severity: int, text: str) -> list[Message]:
+        """A text as STATUSTEXT, in chunks where it is long; the receiver joins those of one id until one is not full."""
+        raw = text.encode("ascii", "replace")
+        if len(raw) <= TEXT_LENGTH:
+            return [mavlink.MAVLink_statustext_message(severity, raw)]
+        self._chunked_texts = self._chunked_texts % 0xFFFF + 1
+        chunks = [raw[at : at + TEXT_LENGTH] for at in range(0, len(raw) + 1, TEXT_LENGTH)]
+        return [mavlink.MAVLink_statustext_message(severity, chunk, self._chunked_texts, n) for n, chunk in enumerate(chunks)]
+
+    def _reason(self, result: Result) -> list[Message]:
+        return self.statustext(mavlink.MAV_SEVERITY_WARNING, result.reason) if result.reason else []
+
+    # ---- commands ----
+
+    def _command(self, command: int, p: Params, t_s: float, streams: Telemetry | None) -> tuple[Result, list[Message]]:
+        for number, value in enumerate(p[: NUMBERED.get(command, 0)], start=1):
+            if not math.isfinite(value):
+                return denied(f"Command {command} refused: param {number} is {value}"), []
+        match command:
+            case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+                if p.p1 not in (0.0, 1.0):
+                    return denied(f"Arming refused: param 1 is {p.p1:g}, allowed is 0 or 1"), []
+                return self._vehicle.arm(t_s) if p.p1 else self._vehicle.disarm(t_s, force=p.p2 == FORCE), []
+            case mavlink.MAV_CMD_NAV_TAKEOFF:
+                return self._vehicle.take_off(t_s, self._above_home(p) if math.isfinite(p.alt_m) else None), []
+            case mavlink.MAV_CMD_NAV_LAND:
+                return self._vehicle.set_mode(t_s, Mode.LAND), []
+            case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+                return self._vehicle.set_mode(t_s, Mode.RETURN), []
+            case mavlink.MAV_CMD_DO_SET_MODE:
+                return self._set_custom_mode(t_s, int(p.p1), int(p.p2), int(p.p3) if math.isfinite(p.p3) else 0), []
+            case mavlink.MAV_CMD_DO_REPOSITION:
+                return self._reposition(p, t_s), []
+            case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+                if streams is None or not streams.set_interval(int(p.p1), p.p2, t_s):
+                    return UNSUPPORTED, []
+                return ACCEPTED, []
+            case mavlink.MAV_CMD_REQUEST_MESSAGE:
+                return _request(int(p.p1), t_s, streams)
+            case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
+                return _request(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, t_s, streams)
+            case mavlink.MAV_CMD_GET_HOME_POSITION:
+                return _request(mavlink.MAVLINK_MSG_ID_HOME_POSITION, t_s, streams)
+        return UNSUPPORTED, []
+
+    def _set_custom_mode(self, t_s: float, base_mode: int, main: int, sub: int) -> Result:
+        if not base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+            return denied("Mode refused: only PX4's custom modes are known")
+        if main == Mode.OFFBOARD.value[0]:
+            sub = 0
+        try:
+            mode = Mode((main, sub))
+        except ValueError:
+            return denied(f"Mode refused: PX4 mode {main}, {sub} is not flown here")
+        return self._vehicle.set_mode(t_s, mode)
+
+    def _reposition(self, p: Params, t_s: float) -> Result:
+        if p.frame not in ABOVE_SEA | ABOVE_HOME:
+            return denied(f"Go-to refused: frame {p.frame} is not global")
+        config = self._vehicle.config
+        north, east, down = self._vehicle.state(t_s).position
+        if math.isfinite(p.lat_deg) and math.isfinite(p.lon_deg):
+            local = to_local(config.home_lat_deg, config.home_lon_deg, p.lat_deg, p.lon_deg)
+            # The edge of the area, home itself on it, is hard to hit in steps of 1e-7 degrees: what misses it by less is on it.
+            north, east = (_snapped(metres, config.area_m) for metres in local)
+        if math.isfinite(p.alt_m):
+            down = -self._above_home(p)
+        return self._vehicle.go_to(t_s, (north, east, down), p.p4 if math.isfinite(p.p4) else None)
+
+    def _above_home(self, p: Params) -> float:
+        return p.alt_m if p.frame in ABOVE_HOME else p.alt_m - self._vehicle.config.home_alt_m
+
+    # ---- setpoints: they are not acknowledged, and an ignored one is not told at all ----
+
+    def _setpoint(self, m: Message, t_s: float) -> Result:
+        if m.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
+            reason = f"frame {m.coordinate_frame} is not LOCAL_NED ({mavlink.MAV_FRAME_LOCAL_NED})"
+            return denied(f"Waypoint refused: {reason}", "frame")
+        if m.type_mask & NO_POSITION:
+            return denied("Waypoint refused: it has no position x, y, z", "no position")
+        yaw = None if m.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE else m.yaw
+        return self._vehicle.setpoint(t_s, (m.x, m.y, m.z), yaw, m.time_boot_ms)
+
+    def _refusal(self, result: Result, t_s: float) -> list[Message]:
+        if result.code != mavlink.MAV_RESULT_DENIED:
+            return []
+        self.refused[result.kind] += 1
+        if t_s - self._told_s.get(result.kind, -math.inf) < REFUSAL_INTERVAL_S:
+            return []
+        self._told_s[result.kind] = t_s
+        return self._reason(result)
+
+
+def _params(m: Message) -> Params:
+    if m.get_type() == "COMMAND_LONG":
+        return Params(m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7, mavlink.MAV_FRAME_GLOBAL)
+    lat, lon = (math.nan if degrees == 0x7FFFFFFF else degrees / 1e7 for degrees in (m.x, m.y))  # INT32_MAX: not given
+    return Params(m.param1, m.param2, m.param3, m.param4, lat, lon, m.z, m.frame)
+
+
+def _request(message_id: int, t_s: float, streams: Telemetry | None) -> tuple[Result, list[Message]]:
+    message = streams.build(message_id, t_s) if streams is not None else None
+    return (UNSUPPORTED, []) if message is None else (ACCEPTED, [message])
+
+
+def _acknowledge(message: Message, command: int, result: Result) -> Message:
+    return mavlink.MAVLink_command_ack_message(
+        command, result.code, target_system=message.get_srcSystem(), target_component=message.get_srcComponent()
+    )
+
+
+def _snapped(metres: float, edge_m: float) -> float:
+    inside = min(max(metres, 0.0), edge_m)
+    return inside if abs(metres - inside) < GLOBAL_STEP_M else metres

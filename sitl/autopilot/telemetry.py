@@ -1,0 +1,312 @@
+"""Telemetry: a table of the messages that the vehicle streams, each built from one snapshot, at the rates of PX4's ONBOARD link."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.mavlink import Message, gas_message, wind_message
+from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.geodesy import to_global
+from sitl.autopilot.motion import GRAVITY_MPS2
+from sitl.autopilot.state import LOW_BATTERY, State
+
+CELLS = 4
+EMPTY_CELL_V, FULL_CELL_V = 3.5, 4.2
+HOVER_THROTTLE = 0.5
+FLIGHT_SW_VERSION = (0, 1, 0, mavlink.FIRMWARE_VERSION_TYPE_DEV)
+"""Plumeward's own: it speaks PX4's protocol but does not claim to be one of its releases."""
+FASTEST_HZ = 1000.0
+UNKNOWN_U16 = 0xFFFF
+
+
+class Snapshot(NamedTuple):
+    """What telemetry reports about: the vehicle and the air at one instant."""
+
+    config: VehicleConfig
+    state: State
+    wind: tuple[float, float]
+    """(u cos φ, u sin φ) m/s: points to where the wind comes from, as everywhere in the search plane."""
+    gas: tuple[int, float] | None
+    """time_boot_ms and value of the last reading, in the sensor's unit; None before the first."""
+
+    @property
+    def time_boot_ms(self) -> int:
+        """Milliseconds since the start of the simulation, as MAVLink counts them (it wraps after 49 days)."""
+        return round(self.state.time_s * 1000.0) & 0xFFFFFFFF
+
+    @property
+    def lat_lon_e7(self) -> tuple[int, int]:
+        """Latitude and longitude in 1e-7 degrees."""
+        north, east, _ = self.state.position
+        lat, lon = to_global(self.config.home_lat_deg, self.config.home_lon_deg, north, east)
+        return round(lat * 1e7), round(lon * 1e7)
+
+    @property
+    def altitude_m(self) -> float:
+        """Above mean sea level."""
+        return self.config.home_alt_m - self.state.position[2]
+
+
+def heartbeat(s: Snapshot) -> Message:
+    """A PX4 quadrotor, its mode and whether it is armed."""
+    mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+    mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED | mavlink.MAV_MODE_FLAG_AUTO_ENABLED
+    status = mavlink.MAV_STATE_STANDBY
+    if s.state.armed:
+        mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        status = mavlink.MAV_STATE_CRITICAL if s.state.failsafe else mavlink.MAV_STATE_ACTIVE
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, mode, s.state.mode.custom_mode, status, mavlink_version=3
+    )
+
+
+ALWAYS_HEALTHY = (
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    | mavlink.MAV_SYS_STATUS_AHRS
+    | mavlink.MAV_SYS_STATUS_GEOFENCE
+)
+"""What the simulation stands in for, perfectly. Nothing else is claimed: no barometer, no receiver, no logging."""
+
+
+def sys_status(s: Snapshot) -> Message:
+    """Health: a bit is set as healthy only for what is simulated and works; PREARM_CHECK when nothing would keep it from arming."""
+    simulated = ALWAYS_HEALTHY | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    healthy = ALWAYS_HEALTHY
+    if s.state.battery > LOW_BATTERY:
+        healthy |= mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
+    if s.state.fit:
+        healthy |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    return mavlink.MAVLink_sys_status_message(
+        onboard_control_sensors_present=simulated,
+        onboard_control_sensors_enabled=simulated,
+        onboard_control_sensors_health=healthy,
+        load=0,
+        voltage_battery=_voltage_mv(s),
+        current_battery=-1,
+        battery_remaining=_percent(s),
+        drop_rate_comm=0,
+        errors_comm=0,
+        errors_count1=0,
+        errors_count2=0,
+        errors_count3=0,
+        errors_count4=0,
+    )
+
+
+def gps_raw_int(s: Snapshot) -> Message:
+    """A GPS without error: its accuracy is given as unknown rather than as zero."""
+    lat, lon = s.lat_lon_e7
+    north, east, _ = s.state.velocity
+    speed = math.hypot(north, east)
+    return mavlink.MAVLink_gps_raw_int_message(
+        time_usec=round(s.state.time_s * 1e6),
+        fix_type=mavlink.GPS_FIX_TYPE_3D_FIX,
+        lat=lat,
+        lon=lon,
+        alt=round(s.altitude_m * 1000.0),
+        eph=UNKNOWN_U16,
+        epv=UNKNOWN_U16,
+        vel=round(speed * 100.0),
+        cog=_centidegrees(math.atan2(east, north)) if speed > 0.0 else UNKNOWN_U16,
+        satellites_visible=10,
+    )
+
+
+def global_position_int(s: Snapshot) -> Message:
+    """Where it is on the globe."""
+    lat, lon = s.lat_lon_e7
+    north, east, down = (round(speed * 100.0) for speed in s.state.velocity)
+    altitude, above_home = round(s.altitude_m * 1000.0), round(-s.state.position[2] * 1000.0)
+    heading = _centidegrees(s.state.yaw)
+    return mavlink.MAVLink_global_position_int_message(s.time_boot_ms, lat, lon, altitude, above_home, north, east, down, heading)
+
+
+def local_position_ned(s: Snapshot) -> Message:
+    """Where it is from home; these float32 are the position that a reading is taken at, exactly."""
+    values = np.array(s.state.position + s.state.velocity, np.float32).tolist()
+    return mavlink.MAVLink_local_position_ned_message(s.time_boot_ms, *values)
+
+
+def attitude(s: Snapshot) -> Message:
+    """Roll and pitch as thrust needs them, yaw; of the rates only yaw's is simulated."""
+    state = s.state
+    return mavlink.MAVLink_attitude_message(s.time_boot_ms, state.roll, state.pitch, state.yaw, 0.0, 0.0, state.yaw_rate)
+
+
+def vfr_hud(s: Snapshot) -> Message:
+    """Speeds over ground and through the air, heading, throttle, climb."""
+    north, east, down = s.state.velocity
+    a_north, a_east, a_down = s.state.acceleration
+    throttle = HOVER_THROTTLE * math.hypot(a_north, a_east, GRAVITY_MPS2 - a_down) / GRAVITY_MPS2 if s.state.armed else 0.0
+    return mavlink.MAVLink_vfr_hud_message(
+        airspeed=math.hypot(north + s.wind[1], east + s.wind[0], down),  # the air moves with −wind
+        groundspeed=math.hypot(north, east),
+        heading=round(math.degrees(s.state.yaw)) % 360,
+        throttle=min(round(throttle * 100.0), 100),
+        alt=s.altitude_m,
+        climb=-down,
+    )
+
+
+def battery_status(s: Snapshot) -> Message:
+    """A battery that drains evenly while the motors are on; no current is simulated."""
+    left = s.state.battery
+    if left <= 0.0:
+        charge = mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL
+    else:
+        charge = mavlink.MAV_BATTERY_CHARGE_STATE_OK if left > LOW_BATTERY else mavlink.MAV_BATTERY_CHARGE_STATE_LOW
+    return mavlink.MAVLink_battery_status_message(
+        id=0,
+        battery_function=mavlink.MAV_BATTERY_FUNCTION_ALL,
+        type=mavlink.MAV_BATTERY_TYPE_LIPO,
+        temperature=0x7FFF,
+        voltages=[_voltage_mv(s)] + [UNKNOWN_U16] * 9,
+        current_battery=-1,
+        current_consumed=-1,
+        energy_consumed=-1,
+        battery_remaining=_percent(s),
+        time_remaining=round(left * s.config.endurance_s) if s.config.endurance_s < 0x7FFFFFFF else 0,  # 0: no estimate
+        charge_state=charge,
+    )
+
+
+def home_position(s: Snapshot) -> Message:
+    """The origin of the local frame."""
+    heading = math.radians(s.config.home_heading_deg)
+    return mavlink.MAVLink_home_position_message(
+        latitude=round(s.config.home_lat_deg * 1e7),
+        longitude=round(s.config.home_lon_deg * 1e7),
+        altitude=round(s.config.home_alt_m * 1000.0),
+        x=0.0,
+        y=0.0,
+        z=0.0,
+        q=[math.cos(heading / 2.0), 0.0, 0.0, math.sin(heading / 2.0)],
+        approach_x=0.0,
+        approach_y=0.0,
+        approach_z=0.0,
+    )
+
+
+def extended_sys_state(s: Snapshot) -> Message:
+    """On the ground, taking off, in the air or landing."""
+    return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, s.state.landed)
+
+
+def wind_cov(s: Snapshot) -> Message:
+    """The air's velocity, NED."""
+    return wind_message(s.time_boot_ms, s.wind)
+
+
+def named_value_float_gas(s: Snapshot) -> Message | None:
+    """The last reading, with the time and so the position that it was taken at; nothing before the first."""
+    return None if s.gas is None else gas_message(*s.gas)
+
+
+def autopilot_version(s: Snapshot) -> Message:
+    """What it can do."""
+    major, minor, patch, kind = FLIGHT_SW_VERSION
+    return mavlink.MAVLink_autopilot_version_message(
+        capabilities=mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2,
+        flight_sw_version=major << 24 | minor << 16 | patch << 8 | kind,
+        middleware_sw_version=0,
+        os_sw_version=0,
+        board_version=0,
+        flight_custom_version=[0] * 8,
+        middleware_custom_version=[0] * 8,
+        os_custom_version=[0] * 8,
+        vendor_id=0,
+        product_id=0,
+        uid=s.config.sysid,
+    )
+
+
+class Stream(NamedTuple):
+    """A message, how often it is sent by default (0: on request only), and how it is made; where it makes None there is nothing to send."""
+
+    message_id: int
+    rate_hz: float
+    build: Callable[[Snapshot], Message | None]
+
+
+STREAMS = (
+    Stream(mavlink.MAVLINK_MSG_ID_HEARTBEAT, 1.0, heartbeat),
+    Stream(mavlink.MAVLINK_MSG_ID_SYS_STATUS, 5.0, sys_status),
+    Stream(mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, 10.0, gps_raw_int),
+    Stream(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 50.0, global_position_int),
+    Stream(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 30.0, local_position_ned),
+    Stream(mavlink.MAVLINK_MSG_ID_ATTITUDE, 100.0, attitude),
+    Stream(mavlink.MAVLINK_MSG_ID_VFR_HUD, 10.0, vfr_hud),
+    Stream(mavlink.MAVLINK_MSG_ID_BATTERY_STATUS, 0.5, battery_status),
+    Stream(mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.5, home_position),
+    Stream(mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 5.0, extended_sys_state),
+    Stream(mavlink.MAVLINK_MSG_ID_WIND_COV, 10.0, wind_cov),
+    Stream(mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, 10.0, named_value_float_gas),
+    Stream(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0, autopilot_version),
+)
+STREAM = {stream.message_id: stream for stream in STREAMS}
+
+
+class Telemetry:
+    """What one link is sent and when; each link has its own, because its client may change the rates."""
+
+    def __init__(self, snapshot: Callable[[float], Snapshot], start_s: float = 0.0) -> None:
+        """Take what gives the snapshot at a time; every stream is due at the start."""
+        self._snapshot = snapshot
+        self._rate_hz = {stream.message_id: stream.rate_hz for stream in STREAMS if stream.rate_hz > 0.0}
+        self._next_s = dict.fromkeys(self._rate_hz, start_s)
+
+    def due(self, now_s: float) -> list[Message]:
+        """The messages to send now: one of a stream at most, however late the call."""
+        due = [message_id for message_id, at in self._next_s.items() if at <= now_s]
+        if not due:
+            return []
+        snapshot = self._snapshot(now_s)
+        for message_id in due:
+            self._next_s[message_id] = _next_slot(now_s, self._rate_hz[message_id])
+        return [message for message_id in due if (message := STREAM[message_id].build(snapshot)) is not None]
+
+    def next_due_s(self) -> float:
+        """When to call `due` again; infinity where all streams are off."""
+        return min(self._next_s.values(), default=math.inf)
+
+    def set_interval(self, message_id: int, interval_us: float, now_s: float) -> bool:
+        """Stream a message at an interval: −1 turns it off, 0 is its default. False where it is not one of ours, or that is no interval."""
+        if message_id not in STREAM or not (interval_us >= 0.0 or interval_us == -1.0):
+            return False
+        default = STREAM[message_id].rate_hz if interval_us == 0.0 else 0.0
+        rate = min(1e6 / interval_us, FASTEST_HZ) if interval_us > 0.0 else default
+        self._rate_hz.pop(message_id, None)
+        self._next_s.pop(message_id, None)
+        if rate > 0.0:
+            self._rate_hz[message_id], self._next_s[message_id] = rate, _next_slot(now_s, rate)
+        return True
+
+    def build(self, message_id: int, now_s: float) -> Message | None:
+        """One message as of now; None where it is not one of ours, or there is nothing to say yet."""
+        return STREAM[message_id].build(self._snapshot(now_s)) if message_id in STREAM else None
+
+
+def _next_slot(now_s: float, rate_hz: float) -> float:
+    """The next multiple of the interval after now: streams keep their beat whenever they are asked."""
+    slot = math.floor(now_s * rate_hz) + 1
+    return slot / rate_hz if slot / rate_hz > now_s else (slot + 1) / rate_hz
+
+
+def _voltage_mv(s: Snapshot) -> int:
+    return round(1000.0 * CELLS * (EMPTY_CELL_V + (FULL_CELL_V - EMPTY_CELL_V) * s.state.battery))
+
+
+def _percent(s: Snapshot) -> int:
+    return math.ceil(s.state.battery * 100.0)
+
+
+def _centidegrees(angle_rad: float) -> int:
+    return round(math.degrees(angle_rad) * 100.0) % 36_000

@@ -1,0 +1,387 @@
+"""The autopilot: a state machine in simulation time that flies, refuses and fails safe like a PX4 quadrotor.
+
+It is a deterministic function of its configuration, the commands with their times, and the time: `advance` works through what
+happens at its exact, closed-form time, so one jump and a thousand small steps give the same events and the same bits.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.autopilot.config import VehicleConfig, metres
+from sitl.autopilot.motion import Motion, Trajectory, Turn, Vector, attitude, fall, halt, wrapped
+from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, Said, State, VehicleEvent, denied, not_now
+
+
+class Vehicle:
+    """One simulated multirotor with its autopilot.
+
+    Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`) takes the simulation time, which never runs backwards,
+    and first does what falls due until then. A program gives them itself, a MAVLink client through `sitl.autopilot.protocol`.
+    """
+
+    def __init__(self, config: VehicleConfig) -> None:
+        """Stand at home, disarmed, with a full battery, at time 0."""
+        self.config = config
+
+        self._now = 0.0
+        self._mode = Mode.HOLD
+        self._armed = False
+        self._failsafe = False
+        self._events: list[VehicleEvent] = []
+
+        heading = wrapped(math.radians(config.home_heading_deg))
+        self._turn = Turn(0.0, heading, heading, math.radians(config.yaw_rate_dps))
+        self._path = Trajectory(0.0, (0.0, 0.0, 0.0))
+        self._settled = True  # the end of the path has been dealt with
+
+        self._setpoint: Vector | None = None
+        self._setpoint_yaw: float | None = None
+        self._heard_s = -math.inf  # the last accepted setpoint
+        self._alone_since_s = 0.0  # the client has not had its say before: when OFFBOARD began to fly
+        self._readings: set[int] = set()
+        self._newest: int | None = None
+        self._answered = True
+
+        self._motors_on_s = 0.0
+        self._spent_s = 0.0  # battery time used up before the motors were last switched on
+        self._battery_alarms = 0
+
+    # ---- time ----
+
+    def advance(self, t_s: float) -> list[VehicleEvent]:
+        """Let time pass; return what happened since the last call, in order."""
+        self.catch_up(t_s)
+        events, self._events = self._events, []
+        return events
+
+    def catch_up(self, t_s: float) -> None:
+        """Let time pass; what happens is kept for the next `advance`."""
+        if not t_s >= self._now:
+            raise ValueError(f"time runs backwards: {t_s} s after {self._now} s")
+        while upcoming := [(at, happen) for at, happen in self._upcoming() if at <= t_s]:
+            at, happen = min(upcoming, key=lambda event: event[0])
+            self._now = max(at, self._now)
+            happen()
+        self._now = t_s
+
+    def next_event_s(self) -> float | None:
+        """When the next thing happens if no message comes: a leg ends, it touches down, silence or the battery runs out."""
+        if self._events:
+            return self._now
+        return min((at for at, _ in self._upcoming() if at < math.inf), default=None)
+
+    @property
+    def now_s(self) -> float:
+        """The time it has been brought to."""
+        return self._now
+
+    @property
+    def moving(self) -> bool:
+        """Whether it is under way to somewhere (the end of that is then among the next events)."""
+        return not self._settled
+
+    def state(self, t_s: float) -> State:
+        """Everything about it at a time between the last advance and the next event."""
+        position, velocity, acceleration = self._path.at(t_s)
+        yaw, yaw_rate = self._turn.at(t_s)
+        roll, pitch = attitude(acceleration, yaw)
+        return State(
+            time_s=t_s,
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration,
+            roll=roll,
+            pitch=pitch,
+            yaw=yaw,
+            yaw_rate=yaw_rate,
+            mode=self._mode,
+            armed=self._armed,
+            landed=self._landed_state(),
+            failsafe=self._failsafe,
+            battery=self._battery(t_s),
+            fit=not (self._battery_empty or self._falling),
+        )
+
+    def _upcoming(self) -> list[tuple[float, Callable[[], None]]]:
+        """What will happen by itself; of two things at the same time, the first one listed goes first."""
+        upcoming: list[tuple[float, Callable[[], None]]] = []
+        if not self._settled:
+            upcoming.append((self._path.end_s, self._settle))
+        if self._armed and self._mode is Mode.OFFBOARD:
+            # A leg may take longer than the client is allowed to be silent, so that silence counts from its end.
+            upcoming.append((max(self._heard_s, self._alone_since_s, self._path.end_s) + self.config.silence_s, self._lose_client))
+        if self._armed and self._battery_alarms < 2:
+            lasts_s = self.config.endurance_s * (1.0 - LOW_BATTERY if self._battery_alarms == 0 else 1.0)
+            upcoming.append((self._motors_on_s + lasts_s - self._spent_s, self._alarm_battery))
+        return upcoming
+
+    def _settle(self) -> None:
+        """The path has ended."""
+        self._settled = True
+        if not self._armed:
+            return  # it fell
+        match self._mode:
+            case Mode.TAKEOFF:
+                self._mode = Mode.HOLD
+            case Mode.OFFBOARD:
+                self._events.append(Arrived(self._now, self._path.target))
+            case Mode.RETURN:
+                self._mode = Mode.LAND
+                self._descend()
+            case Mode.LAND:
+                self._stop_motors()
+
+    def _lose_client(self) -> None:
+        self._failsafe = True
+        if self._on_ground:
+            self._say(mavlink.MAV_SEVERITY_CRITICAL, f"No setpoint for {self.config.silence_s:g} s: disarmed")
+            self._stop_motors()
+        else:
+            self._say(mavlink.MAV_SEVERITY_CRITICAL, f"No setpoint for {self.config.silence_s:g} s: returning home")
+            self._return()
+
+    def _alarm_battery(self) -> None:
+        """Warn when low, as PX4 does by default; land where it is when empty, for nothing flies on an empty battery."""
+        self._battery_alarms += 1
+        if self._battery_alarms == 1:
+            self._say(mavlink.MAV_SEVERITY_WARNING, f"Battery low: {LOW_BATTERY:.0%} left")
+        elif self._on_ground:
+            self._say(mavlink.MAV_SEVERITY_CRITICAL, "Battery empty: disarmed")
+            self._stop_motors()
+        else:
+            self._say(mavlink.MAV_SEVERITY_CRITICAL, "Battery empty: landing")
+            self._failsafe = True
+            if self._mode is not Mode.LAND:
+                self._mode = Mode.LAND
+                self._descend()
+
+    # ---- commands: each is done, or refused with a reason and then changes nothing ----
+
+    def arm(self, t_s: float) -> Result:
+        """Start the motors."""
+        self.catch_up(t_s)
+        if self._armed:
+            return ACCEPTED
+        if self._falling:
+            return not_now("Arming refused: falling")
+        if self._battery_empty:
+            return not_now("Arming refused: battery empty")
+        if self._mode is Mode.OFFBOARD and (missing := self._missing_setpoint()):
+            return not_now(f"Arming refused: {missing}")
+        self._armed, self._motors_on_s = True, self._now
+        if self._mode is Mode.OFFBOARD:
+            self._follow()
+        return ACCEPTED
+
+    def disarm(self, t_s: float, force: bool = False) -> Result:
+        """Stop the motors; in the air only by force, and then it drops."""
+        self.catch_up(t_s)
+        if not self._armed:
+            return ACCEPTED
+        if self._on_ground:
+            self._stop_motors()
+            return ACCEPTED
+        if not force:
+            return not_now("Disarm refused: in the air")
+        self._say(mavlink.MAV_SEVERITY_EMERGENCY, "Motors stopped in the air")
+        falling = fall(self._now, self._motion)
+        self._stop_motors()
+        self._fly(falling)
+        return ACCEPTED
+
+    def take_off(self, t_s: float, altitude_m: float | None = None) -> Result:
+        """Climb straight up to an altitude above home, then hold."""
+        self.catch_up(t_s)
+        altitude = self.config.takeoff_altitude_m if altitude_m is None else altitude_m
+        if not self._armed:
+            return not_now("Take-off refused: disarmed")
+        if not 0.0 < altitude <= self.config.ceiling_m:
+            return denied(f"Take-off refused: {metres(altitude)} m is not above 0 and up to {self.config.ceiling_m:g} m")
+        north, east, _ = self._motion.position
+        if self._mode is Mode.TAKEOFF and self._path.target[2] == -altitude:
+            return ACCEPTED  # the command again, because its acknowledgement was lost
+        if not self._on_ground:
+            return not_now("Take-off refused: already in the air")
+        self._mode, self._failsafe = Mode.TAKEOFF, False
+        self._go((north, east, -altitude))
+        return ACCEPTED
+
+    def go_to(self, t_s: float, position: Vector, yaw_rad: float | None = None) -> Result:
+        """Fly somewhere and hold there (the guided flight of DO_REPOSITION); no reading is taken on it."""
+        self.catch_up(t_s)
+        if refusal := self._unfit():
+            return not_now(f"Go-to refused: {refusal}")
+        if self._on_ground:
+            return not_now("Go-to refused: on the ground")
+        if outside := self.config.outside(position):
+            return denied(f"Go-to refused: {outside[1]}")
+        self._mode, self._failsafe = Mode.HOLD, False
+        self._go(position)
+        self._face(yaw_rad)
+        return ACCEPTED
+
+    def set_mode(self, t_s: float, mode: Mode) -> Result:
+        """Change the flight mode."""
+        self.catch_up(t_s)
+        if mode is Mode.TAKEOFF:
+            return self.take_off(t_s)
+        if mode is self._mode:
+            return ACCEPTED
+        name = mode.name.capitalize()
+        if self._falling:
+            return not_now(f"{name} refused: falling")
+        if self._battery_empty and mode is not Mode.LAND:
+            return not_now(f"{name} refused: battery empty")
+        match mode:
+            case Mode.OFFBOARD:
+                if missing := self._missing_setpoint():
+                    return not_now(f"Offboard refused: {missing}")
+                self._mode = mode
+                if self._armed:
+                    self._follow()
+            case Mode.RETURN | Mode.LAND:
+                if self._on_ground:
+                    return not_now(f"{name} refused: on the ground")
+                if mode is Mode.RETURN:
+                    self._return()
+                else:
+                    self._mode = mode
+                    self._descend()
+            case _:
+                self._mode = Mode.HOLD
+                if not self._on_ground:
+                    self._fly(self._halted())
+        self._failsafe = False
+        return ACCEPTED
+
+    def setpoint(self, t_s: float, position: Vector, yaw_rad: float | None = None, time_boot_ms: int | None = None) -> Result:
+        """Take a waypoint: fly there if in OFFBOARD, else remember it. It answers the reading of the same `time_boot_ms`, if any.
+
+        What answers a reading again or answers an old one is ignored, and gives TEMPORARILY_REJECTED.
+        """
+        self.catch_up(t_s)
+        position, answers = _float32(position), self.awaiting_answer and time_boot_ms == self._newest
+        if time_boot_ms in self._readings and not answers:
+            kind = "duplicate" if time_boot_ms == self._newest else "late"
+            return not_now(f"Waypoint ignored: {kind} answer to the reading of {time_boot_ms} ms")
+        if yaw_rad is not None and not math.isfinite(yaw_rad):
+            return denied(f"Waypoint refused: yaw {yaw_rad} is not finite", "not finite")
+        if outside := self.config.outside(position):
+            kind, reason = outside
+            return denied(f"Waypoint refused: {reason}", kind)
+
+        new = answers or position != self._setpoint
+        self._setpoint, self._setpoint_yaw, self._heard_s = position, yaw_rad, self._now
+        if answers:
+            self._answered = True
+        if self._armed and self._mode is Mode.OFFBOARD:
+            if new:
+                self._go(position)
+            self._face(yaw_rad)
+        return ACCEPTED
+
+    # ---- readings ----
+
+    def sampled(self, time_boot_ms: int) -> None:
+        """A reading was taken: setpoints that carry its time answer it, once."""
+        if self._newest is not None and time_boot_ms <= self._newest:
+            raise ValueError(f"a reading of {time_boot_ms} ms after one of {self._newest} ms: their times must grow to tell them apart")
+        self._readings.add(time_boot_ms)
+        self._newest, self._answered = time_boot_ms, False
+
+    @property
+    def waypoint(self) -> Vector | None:
+        """The setpoint that was taken last."""
+        return self._setpoint
+
+    @property
+    def awaiting_answer(self) -> bool:
+        """Whether the newest reading has not been answered."""
+        return not self._answered
+
+    # ---- flight ----
+
+    def _say(self, severity: int, text: str) -> None:
+        self._events.append(Said(self._now, severity, text))
+
+    @property
+    def _motion(self) -> Motion:
+        return self._path.at(self._now)
+
+    @property
+    def _on_ground(self) -> bool:
+        return self._settled and self._path.target[2] >= 0.0
+
+    @property
+    def _falling(self) -> bool:
+        return not self._armed and not self._settled
+
+    @property
+    def _battery_empty(self) -> bool:
+        return self._battery_alarms == 2
+
+    def _battery(self, t_s: float) -> float:
+        spent = self._spent_s + (t_s - self._motors_on_s if self._armed else 0.0)
+        return max(1.0 - spent / self.config.endurance_s, 0.0)
+
+    def _landed_state(self) -> int:
+        if self._on_ground:
+            return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
+        if self._mode is Mode.TAKEOFF:
+            return int(mavlink.MAV_LANDED_STATE_TAKEOFF)
+        return int(mavlink.MAV_LANDED_STATE_LANDING if self._mode is Mode.LAND else mavlink.MAV_LANDED_STATE_IN_AIR)
+
+    def _missing_setpoint(self) -> str:
+        if self._setpoint is None:
+            return "no setpoint received yet"
+        return "" if self._now - self._heard_s <= self.config.silence_s else f"no setpoint in the last {self.config.silence_s:g} s"
+
+    def _unfit(self) -> str:
+        if not self._armed:
+            return "disarmed"
+        return "battery empty" if self._battery_empty else ""
+
+    def _fly(self, path: Trajectory) -> None:
+        self._path, self._settled = path, False
+
+    def _halted(self) -> Trajectory:
+        return halt(self._now, self._motion, self.config.limits)
+
+    def _go(self, target: Vector) -> None:
+        self._fly(self._halted().to(target, self.config.limits))
+
+    def _follow(self) -> None:
+        """OFFBOARD begins to fly: to the setpoint remembered."""
+        assert self._setpoint is not None
+        self._alone_since_s = self._now
+        self._go(self._setpoint)
+        self._face(self._setpoint_yaw)
+
+    def _face(self, yaw_rad: float | None) -> None:
+        if yaw_rad is not None and wrapped(yaw_rad) != self._turn.target_rad:
+            self._turn = Turn(self._now, self._turn.at(self._now)[0], wrapped(yaw_rad), self._turn.rate_radps)
+
+    def _return(self) -> None:
+        self._mode = Mode.RETURN
+        path, limits = self._halted(), self.config.limits
+        north, east, down = path.target
+        down = min(down, -self.config.return_altitude_m)
+        self._fly(path.to((north, east, down), limits).to((0.0, 0.0, down), limits))
+
+    def _descend(self) -> None:
+        path = self._halted()
+        self._fly(path.to((path.target[0], path.target[1], 0.0), self.config.limits))
+
+    def _stop_motors(self) -> None:
+        self._spent_s += self._now - self._motors_on_s
+        self._armed, self._mode, self._failsafe = False, Mode.HOLD, False
+
+
+def _float32(position: Vector) -> Vector:
+    """The same as the wire carries it."""
+    with np.errstate(over="ignore"):  # what is too great becomes infinite, and is refused as that
+        north, east, down = np.array(position, np.float32).tolist()
+    return north, east, down

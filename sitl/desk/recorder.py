@@ -1,0 +1,149 @@
+"""`python -m sitl record`: writes down all that is said on a bus."""
+
+import argparse
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from link import cli
+from link.bus.keys import KEYS
+from link.bus.session import CONNECT_TIMEOUT_S
+from link.bus.tap import Tap
+from link.record.record import Entry, SimulationClock, Writer
+from plume import __version__
+
+BATCH_S = 0.2
+"""Messages are taken in batches: to wake for each of them would cost more than to write it."""
+FLUSH_S = 0.35
+"""With every second batch, what was taken is handed to the system: a killed recorder loses 0.4 s."""
+SIGNAL_POLL_S = 0.05
+LAST_WORDS_S = 0.5
+"""Told to end, it waits so long at most for what is still on its way to it."""
+FEW_THREADS = "(rx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1), tx: (worker_threads: 1))"
+"""Zenoh's threads, as the first session of a process reads them: by default four pools hand each message on to each other. Sending keeps
+a thread of its own: who receives may wait for what is to be sent first, and would hold up the router, and with it the mission."""
+NICENESS = 19
+"""The flight goes before its record."""
+PACKAGES = ("eclipse-zenoh", "numpy", "pymavlink", "numba", "mcap")
+ROOT = Path(__file__).parents[2]
+
+
+def _file(text: str) -> Path:
+    if not text.endswith(".mcap"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a name that ends in .mcap")
+    return Path(text)
+
+
+def _about(text: str) -> dict[str, Any]:
+    try:
+        about = json.loads(text)
+    except ValueError:
+        about = None
+    if not isinstance(about, dict):
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a JSON object")
+    return about
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+    parser.add_argument("file", type=_file, metavar="FILE.mcap", help="where to record to; a .tlog of all MAVLink is written beside it")
+    cli.add_bus_arguments(parser)
+    parser.add_argument("--about", type=_about, default={}, metavar="JSON", help="what the run is; it is written into the file")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record until interrupted; stdout tells when that has begun."""
+    os.environ.setdefault("ZENOH_RUNTIME", FEW_THREADS)
+    with Tap("recorder", args.connect, args.namespace, args.log_level) as bus:
+        try:
+            writer = Writer(args.file, {**args.about, **surroundings(args.namespace)})
+        except OSError as error:
+            print(f"error: cannot write {args.file}: {error.strerror}", file=sys.stderr)
+            return cli.BAD_INPUT
+        bus.subscribe(*KEYS)
+        bus.settle(CONNECT_TIMEOUT_S)
+        ends: list[int] = []
+        for number in (signal.SIGINT, signal.SIGTERM):  # no exception: it could come in the middle of a message
+            signal.signal(number, lambda number, _: ends.append(number))
+        bus.tally.state = "recording"
+        bus.publish_health()
+        print(f"recording to {args.file}", flush=True)
+        _give_way()
+        try:
+            _record(bus, writer, ends)
+        except OSError as error:
+            words = f"record stopped: {error.strerror} ({args.file})"
+            bus.log.warn(words)
+            bus.tally.state, bus.tally.warnings = "stopped", (words,)
+            bus.publish_health()
+            return cli.FAILED
+    return 0
+
+
+def _record(bus: Tap, writer: Writer, ends: list[int]) -> None:
+    clock = SimulationClock()
+    flush_at = 0.0
+    ended = False
+    while not ended:
+        _await_batch(ends)
+        ended = bool(ends)  # whenever that was, what has come by then is still written
+        if ended:
+            bus.settle(LAST_WORDS_S)
+        messages = bus.take()
+        for message in messages:
+            simulation_s = clock.time_s(message.name, message.payload, message.published_ns)
+            entry = Entry(message.name, message.published_ns, simulation_s, message.payload, message.attachment)
+            writer.write(entry, message.received_ns)
+        stepped = clock.step != bus.tally.step
+        if messages:
+            bus.tally.did(clock.step, len(messages))
+            bus.tally.latency_s = max(time.time_ns() - messages[0].received_ns, 0) / 1e9
+        if stepped:
+            bus.publish_health()
+        if time.monotonic() >= flush_at:
+            writer.flush()
+            flush_at = time.monotonic() + FLUSH_S
+    writer.close()
+
+
+def _await_batch(ends: list[int]) -> None:
+    until = time.monotonic() + BATCH_S
+    while not ends and (left_s := until - time.monotonic()) > 0.0:
+        time.sleep(min(left_s, SIGNAL_POLL_S))
+
+
+def _give_way() -> None:
+    """Have the scheduler prefer all others to this thread; not so Zenoh's, which run already: where those are late the router waits."""
+    if sys.platform == "linux":  # elsewhere it would be the whole process
+        os.nice(NICENESS)
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def surroundings(namespace: str) -> dict[str, Any]:
+    """Return what a run depends on beside its own settings."""
+    return {
+        "namespace": namespace,
+        "began": datetime.now(UTC).isoformat(timespec="milliseconds"),
+        "versions": {"plumeward": __version__, "python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+        "git": git_revision(),
+        "host": {"platform": platform.platform(), "machine": platform.machine(), "cpus": os.cpu_count()},
+    }
+
+
+def git_revision() -> str:
+    """Return the commit that this code is of, with "-dirty" where it has been changed since; empty where it is not known."""
+    if not (ROOT / ".git").exists():  # an installed package may lie within somebody else's repository
+        return ""
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=2.0, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""

@@ -1,0 +1,207 @@
+"""`python -m sitl status`: how the parts of a mission are doing, at a glance."""
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from link import cli
+from link.bus.keys import HEALTH
+from link.bus.messages import Health
+from link.bus.session import Arrival, Bus, LivelinessChange, NoRouter
+
+PARTS = ("uav", "estimator", "agent")
+STALE_S = 5.0
+"""A part says each second how it is doing: one that has not for so long hangs, or its link is cut."""
+WATCH_EVERY_S = 1.0
+WIDTH = 140
+"""Of the table where it does not go to a terminal."""
+OK, MISSING, STARTING, STALE, REFUSING = "ok", "missing", "starting", "stale", "refusing"
+COLOURS = {OK: "green", MISSING: "red", STARTING: "yellow", STALE: "red", REFUSING: "yellow"}
+
+
+@dataclass
+class Part:
+    """What is known of one part."""
+
+    alive: bool = False
+    known_since_s: float = 0.0
+    spoke_s: float = -math.inf
+    """When it last said something new: what the bus has kept of it may be old."""
+    health: Health | None = None
+
+
+class Board:
+    """What has been heard of the parts, and what that means. Times are of any one clock, s."""
+
+    def __init__(self, wanted: Iterable[str], alive: Iterable[str], now_s: float, *, only_wanted: bool = False) -> None:
+        """Begin with the parts that have to be there, and those that are; `only_wanted` leaves out all others."""
+        self._wanted = set(wanted)
+        self._only_wanted = only_wanted
+        self._parts = {name: Part(known_since_s=now_s) for name in wanted}
+        for name in alive:
+            self.lives(name, True, now_s)
+
+    def _part(self, name: str, now_s: float) -> Part | None:
+        if name not in self._parts and not self._only_wanted:
+            self._parts[name] = Part(known_since_s=now_s)
+        return self._parts.get(name)
+
+    def lives(self, name: str, alive: bool, now_s: float) -> None:
+        """A part came or went."""
+        if (part := self._part(name, now_s)) is None:
+            return
+        if alive and not part.alive:
+            self._parts[name] = Part(True, now_s)
+        elif not alive:
+            part.alive = False
+            if name not in self._wanted:
+                del self._parts[name]
+
+    def hears(self, health: Health, now_s: float) -> None:
+        """A part said how it is doing."""
+        if (part := self._part(health.service, now_s)) is None:
+            return
+        if part.health is not None and health.uptime_s != part.health.uptime_s:
+            part.spoke_s = now_s
+        part.health = health
+
+    def verdict(self, name: str, now_s: float) -> str:
+        """Return how a part is: ok, missing, starting, stale or refusing."""
+        part = self._parts[name]
+        if not part.alive:
+            return MISSING
+        if part.health is None:
+            return STARTING
+        if now_s - max(part.spoke_s, part.known_since_s) >= STALE_S:
+            return STALE
+        return REFUSING if part.health.refused_lately else OK
+
+    def settled(self, now_s: float) -> bool:
+        """Whether more waiting would tell nothing: who is there has spoken since, or had the time to."""
+        return all(
+            not part.alive or part.spoke_s >= part.known_since_s or now_s - part.known_since_s >= STALE_S for part in self._parts.values()
+        )
+
+    def report(self, now_s: float) -> dict[str, dict[str, Any]]:
+        """Return the parts by name, those that have to be there first: their verdict, and what they said of themselves."""
+        order = sorted(self._parts, key=lambda name: (name not in self._wanted, PARTS.index(name) if name in PARTS else len(PARTS), name))
+        return {
+            name: {"status": self.verdict(name, now_s), **(msgspec.to_builtins(health) if (health := self._parts[name].health) else {})}
+            for name in order
+        }
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+    cli.add_bus_arguments(parser)
+    parser.add_argument(
+        "--parts", type=cli.listed(str), metavar="NAME,NAME", help=f"look at these alone (default: {','.join(PARTS)} and all others there)"
+    )
+    parser.add_argument("--watch", action="store_true", help="go on until interrupted")
+    parser.add_argument("--json", action="store_true", help="print JSON, with --watch a line each second")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show it once, or until interrupted; returns 0 where all is well."""
+    console = Console()
+    if not console.is_terminal:
+        console.width = WIDTH
+    live = args.watch and console.is_terminal and not args.json
+    with Live(console=console, auto_refresh=False) if live else _Printer(console) as shown:
+        while True:
+            try:
+                with Bus("status", args.connect, args.namespace, log_level=args.log_level, announced=False) as bus:
+                    well = _look(bus, args, shown)
+            except NoRouter as error:
+                well = _show(args, shown, str(error), {name: {"status": MISSING} for name in args.parts or PARTS})
+            if not args.watch:
+                return 0 if well else cli.FAILED
+            time.sleep(WATCH_EVERY_S)
+
+
+class _Printer:
+    """Prints what a live display would show."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def update(self, table: Table, *, refresh: bool) -> None:
+        self._console.print(table)
+
+    def __enter__(self) -> "_Printer":
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+def _look(bus: Bus, args: argparse.Namespace, shown: "Live | _Printer") -> bool:
+    """Listen until it can be told how all are; with --watch until the router is gone."""
+    board = Board(args.parts or PARTS, bus.services(), time.monotonic(), only_wanted=bool(args.parts))
+    bus.watch_services()
+    bus.subscribe(HEALTH)
+    show_at = math.inf
+    while True:
+        now_s = time.monotonic()
+        gone = not bus.connected
+        if gone or now_s >= show_at or (math.isinf(show_at) and board.settled(now_s)):
+            router = f"--connect: the router at {args.connect} is gone" if gone else ""
+            report = {name: {"status": MISSING} for name in args.parts or PARTS} if gone else board.report(now_s)
+            well = _show(args, shown, router, report)
+            if gone or not args.watch:
+                return well
+            show_at = now_s + WATCH_EVERY_S
+        item = bus.receive(timeout_s=0.1)
+        match item:
+            case LivelinessChange(service, alive):
+                board.lives(service, alive, time.monotonic())
+            case Arrival():
+                if (health := bus.decode(item, Health)) is not None:
+                    board.hears(health, time.monotonic())
+
+
+def _show(args: argparse.Namespace, shown: "Live | _Printer", no_router: str, parts: dict[str, dict[str, Any]]) -> bool:
+    """Show a report; returns whether all is well."""
+    well = not no_router and all(part["status"] == OK for part in parts.values())
+    if args.json:
+        router = {"endpoint": args.connect, "status": MISSING if no_router else OK}
+        print(json.dumps({"ok": well, "namespace": args.namespace, "router": router, "parts": parts}), flush=True)
+    else:
+        shown.update(_table(args, no_router, parts), refresh=True)
+        if no_router and not args.watch:
+            print(f"error: {no_router}", file=sys.stderr)
+    return well
+
+
+def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, Any]]) -> Table:
+    table = Table(title=f"{args.namespace} at {args.connect}", title_justify="left", title_style="bold", box=None, pad_edge=False)
+    for heading, right in (
+        ("part", False), ("status", False), ("does", False), ("step", True), ("per s", True), ("latency, ms", True),
+        ("up, s", True), ("refused", False), ("warnings, last error", False),
+    ):  # fmt: skip
+        table.add_column(heading, justify="right" if right else "left", overflow="fold")
+    verdict = MISSING if no_router else OK
+    table.add_row("router", Text(verdict, COLOURS[verdict]), *[""] * 7)
+    for name, part in parts.items():
+        verdict = part["status"]
+        cells: list[str | Text] = [name, Text(verdict, COLOURS[verdict])]
+        if "state" in part:
+            refused = ", ".join(f"{count} {kind}" for kind, count in part["refused"].items())
+            does = f"{part['state']}: {part['about']}" if part["about"] else part["state"]
+            trouble = "; ".join(dict.fromkeys([*part["warnings"], *([part["last_error"]] if part["last_error"] else [])]))
+            cells += [
+                does, str(part["step"]) if part["step"] >= 0 else "", f"{part['rate_hz']:.2f}", f"{1000 * part['latency_s']:.2f}",
+                f"{part['uptime_s']:.0f}", refused, trouble,
+            ]  # fmt: skip
+        table.add_row(*cells)
+    return table

@@ -1,0 +1,358 @@
+"""`python -m sitl log`: what a log holds, as a summary, or one key of it as CSV."""
+
+import argparse
+import csv
+import json
+import math
+import os
+import statistics
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from link import cli
+
+if TYPE_CHECKING:
+    from link.record.record import Entry, Recording
+
+PAUSE_S = 2.0
+"""A silence of the whole bus that is worth a line: telemetry alone comes every second."""
+LISTED = 5
+"""So many of a kind are told one by one, the rest by their number."""
+
+
+class Row(NamedTuple):
+    """One message of a table: when it was published, when that was in the simulation, and its fields."""
+
+    published_s: float
+    simulation_s: float
+    fields: dict[str, Any]
+
+
+class KeyTable(NamedTuple):
+    """The messages of one key, or of one type of MAVLink message."""
+
+    name: str
+    published_s: list[float]
+    simulation_s: list[float]
+    repeats: int | None
+    """How many are another one again; None where that says nothing."""
+
+
+class Summary(NamedTuple):
+    """What there is to say of a log."""
+
+    head: list[str]
+    tables: list[KeyTable]
+    tail: list[str]
+    fields: dict[str, Any]
+    """The same for programs."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+    parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog")
+    output = parser.add_mutually_exclusive_group()
+    output.add_argument(
+        "--csv", metavar="KEY", help="print a key as CSV: belief, reading, health/uav, mavlink/out/ATTITUDE; of a .tlog ATTITUDE"
+    )
+    output.add_argument("--json", action="store_true", help="print the summary as one JSON object on the last line of stdout")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what was asked for; returns the exit status."""
+    from link.record.record import RecordError, read
+    from sitl.replay.source import BadSource, is_recording
+    from sitl.tlog.sender import FlightError
+
+    try:
+        if is_recording(args.log):
+            recording = read(args.log)
+            summary, rows = _summary(args.log, recording), _rows(recording.entries, args.csv) if args.csv else []
+        else:
+            summary, rows = _of_tlog(args.log, args.csv)
+    except (RecordError, FlightError, BadSource, _NoSuchKey) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
+    try:
+        if args.csv:
+            _print_csv(rows)
+        else:
+            _print(summary)
+            if args.json:
+                print(json.dumps(summary.fields))
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+class _NoSuchKey(ValueError):
+    """The log does not hold what is asked for; the text is one clear line."""
+
+
+# ---- records of the bus ----
+
+
+def _summary(path: Path, recording: "Recording") -> Summary:
+    entries = recording.entries
+    tables = [_table(key, [entry for entry in entries if entry.key == key]) for key in sorted({entry.key for entry in entries})]
+    beliefs = _by_step(entries)
+    outcome, lines = _outcome(recording.about, beliefs, entries)
+    gaps = _gaps(entries, beliefs) + _restarts(entries)
+    began = recording.about.get("began", "unknown")
+    policy, seed = recording.about.get("policy"), recording.about.get("seed")
+    mission = f"{policy}, seed {seed}" if policy is not None else "no mission told"
+    title = (recording.about.get("mission") or {}).get("about")
+    versions = recording.about.get("versions") or {}
+    commit, _, dirty = str(recording.about.get("git") or "").partition("-")
+    revision = commit[:12] + (f", {dirty}" if dirty else "")
+    wall_s, simulation_s = _span([entry.published_ns / 1e9 for entry in entries]), _span([entry.simulation_s for entry in entries])
+    whole = "complete" if recording.complete else f"CUT OFF{': ' + recording.about['stopped'] if 'stopped' in recording.about else ''}"
+    flown_with = f"plumeward {versions.get('plumeward', 'unknown')}{f' ({revision})' if revision else ''}"
+    head = [
+        f"{path}: {title + ', ' if title else ''}{mission}, begun {began}",
+        f"{flown_with}, {len(entries):,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
+    ]
+    fields = {
+        "log": str(path), "complete": recording.complete, "messages": len(entries), "duration_s": wall_s, "simulation_s": simulation_s,
+        "keys": {table.name: {"messages": len(table.published_s), "repeats": table.repeats} for table in tables},
+        "beliefs": len(beliefs), "gaps": gaps, **outcome,
+    }  # fmt: skip
+    return Summary(head, tables, [*(gaps or ["gaps: none"]), *lines], fields)
+
+
+def _table(key: str, entries: "Sequence[Entry]") -> KeyTable:
+    named = [repr((entry.simulation_s, entry.payload)) for entry in entries]
+    telling = key in ("reading", "belief", "agdc/stop")
+    repeats = len(named) - len(set(named)) if telling else None
+    return KeyTable(key, [entry.published_ns / 1e9 for entry in entries], [entry.simulation_s for entry in entries], repeats)
+
+
+def _span(times: Sequence[float]) -> float:
+    return max(times) - min(times) if times else 0.0
+
+
+def _by_step(entries: "Sequence[Entry]") -> dict[int, Any]:
+    """Return the beliefs by step, each the first time that it was said."""
+    import msgspec
+
+    from link.bus.messages import Belief
+
+    beliefs: dict[int, Any] = {}
+    for entry in entries:
+        if entry.key == "belief":
+            try:
+                belief = msgspec.json.decode(entry.payload, type=Belief)
+            except (msgspec.DecodeError, UnicodeDecodeError):
+                continue
+            beliefs.setdefault(belief.step, belief)
+    return dict(sorted(beliefs.items()))
+
+
+def _outcome(about: dict[str, Any], beliefs: dict[int, Any], entries: "Sequence[Entry]") -> tuple[dict[str, Any], list[str]]:
+    """Judge the search: by the source, where the log tells it."""
+    import msgspec
+
+    from plume.outcome import TracePoint, outcome, outcome_text
+    from plume.scenario import Scenario
+
+    if not beliefs:
+        return {"ceased": None}, ["no belief: nothing was searched for"]
+    last = beliefs[max(beliefs)]
+    estimate = f"estimate ({last.mean[0]:.2f}, {last.mean[1]:.2f}) ± {last.spread:.2f} m"
+    plain = {"ceased": last.ceased, "estimate": last.mean, "spread_m": last.spread, "steps": last.step}
+    try:
+        scenario = msgspec.convert(about["scenario"], Scenario)
+    except (KeyError, msgspec.ValidationError):
+        return plain, [f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps", estimate]
+    trace = [TracePoint(belief.position, belief.gas, belief.mean, belief.spread) for belief in beliefs.values()]
+    result = outcome(int(about.get("seed", 0)), str(about.get("policy", "")), scenario, trace, last.ceased, _compute_s(entries))
+    told = {**plain, "located": result.located, "error_m": result.error_m, "distance_m": result.distance_m, "source": result.source}
+    return told, outcome_text(result).splitlines()
+
+
+def _compute_s(entries: "Sequence[Entry]") -> float:
+    latest = {entry.key: json.loads(entry.payload).get("compute_s", 0.0) for entry in entries if entry.key.startswith("health/")}
+    return float(latest.get("health/estimator", 0.0) + latest.get("health/agent", 0.0))
+
+
+def _gaps(entries: "Sequence[Entry]", beliefs: dict[int, Any]) -> list[str]:
+    """What is missing: answers, steps, time."""
+    lines = []
+    answered = {belief.time_boot_ms for belief in beliefs.values()}
+    asked = {round(entry.simulation_s * 1000) for entry in entries if entry.key == "reading"}
+    if unanswered := sorted(asked - answered):
+        times = [f"{time_boot_ms / 1000:.2f} s" for time_boot_ms in unanswered]
+        lines.append(f"{len(unanswered)} readings without a belief, at {_few(times)} of simulation")
+    if missing := sorted(set(range(max(beliefs, default=-1) + 1)) - set(beliefs)):
+        lines.append(f"{len(missing)} beliefs missing, of step {_few([str(step) for step in missing])}")
+    published_s = sorted(entry.published_ns / 1e9 for entry in entries)
+    pauses = [
+        f"{after - before:.1f} s at {before - published_s[0]:.1f} s" for before, after in pairwise(published_s) if after - before > PAUSE_S
+    ]
+    if pauses:
+        lines.append(f"{len(pauses)} pauses of the whole bus: {_few(pauses)}")
+    return lines
+
+
+def _restarts(entries: "Sequence[Entry]") -> list[str]:
+    """Which services were started again: the time that they are up went back."""
+    up_s: dict[str, float] = {}
+    restarts: Counter[str] = Counter()
+    for entry in entries:
+        if entry.key.startswith("health/"):
+            try:
+                now_s = float(json.loads(entry.payload)["uptime_s"])
+            except (ValueError, KeyError, TypeError):
+                continue
+            restarts[entry.key.removeprefix("health/")] += now_s < up_s.get(entry.key, -math.inf)
+            up_s[entry.key] = now_s
+    return [f"{service} was started again {count} time{'s' * (count > 1)}" for service, count in sorted(restarts.items()) if count]
+
+
+def _few(texts: Sequence[str]) -> str:
+    return ", ".join(texts[:LISTED]) + (f" and {len(texts) - LISTED:,} more" if len(texts) > LISTED else "")
+
+
+def _rows(entries: "Sequence[Entry]", name: str) -> list[Row]:
+    """Return a key's messages with their fields; raises _NoSuchKey with what there is."""
+    tables: dict[str, list[Row]] = defaultdict(list)
+    for entry in entries:
+        for key, fields in _decoded(entry):
+            tables[key].append(Row(entry.published_ns / 1e9, entry.simulation_s, fields))
+    if name not in tables:
+        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {', '.join(sorted(tables)) or 'nothing: the log is empty'}")
+    return tables[name]
+
+
+def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Tell the fields of a message by the name that they are exported under; nothing of what is not what the bus contract says."""
+    from link.bus.mavlink import BadFrame
+    from link.record.decoded import decode
+
+    if entry.key in ("reading", "mavlink/out", "mavlink/in"):
+        try:
+            messages = decode(entry.payload)
+        except BadFrame:
+            return
+        if entry.key == "reading":
+            fields = {message.kind: json.loads(message.fields) for message in messages}
+            yield "reading", _flat_reading(fields)
+        else:
+            yield from ((f"{entry.key}/{message.kind}", json.loads(message.fields)) for message in messages)
+        return
+    try:
+        fields = json.loads(entry.payload)
+    except ValueError:
+        return
+    if isinstance(fields, dict):
+        yield entry.key, fields
+
+
+def _flat_reading(fields: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """A reading in the search plane: x east, y north, the wind to where it comes from. What is not finite is left empty."""
+    position, wind, gas = (fields.get(kind, {}) for kind in ("LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT"))
+    turned = {name: -value for name, value in wind.items() if name in ("wind_x", "wind_y")}
+    return {
+        "time_boot_ms": position.get("time_boot_ms"), "x": position.get("y"), "y": position.get("x"),
+        "altitude_m": -position["z"] if "z" in position else None, "wind_x": turned.get("wind_y"), "wind_y": turned.get("wind_x"),
+        "gas": gas.get("value"),
+    }  # fmt: skip
+
+
+# ---- logs of autopilots ----
+
+
+def _of_tlog(path: Path, name: str | None) -> tuple[Summary, list[Row]]:
+    """Summarise a .tlog by type of message; with a name return the rows of that type, too."""
+    from pymavlink.dialects.v20 import all as mavlink
+
+    from sitl.tlog.flight import open_log
+
+    log, notes = open_log(path)
+    kinds = {message_id: message.msgname for message_id, message in mavlink.mavlink_map.items()}
+    seconds: dict[str, list[float]] = defaultdict(list)
+    for index, message_id in enumerate(log.records.message_ids.tolist()):
+        seconds[kinds.get(message_id, f"unknown {message_id}")].append(log.seconds(index))
+    tables = [KeyTable(kind, times, [], None) for kind, times in sorted(seconds.items())]
+    span_s = _span([time for times in seconds.values() for time in times])
+    senders = ", ".join(f"{system}/{component}" for system, component in sorted(log.senders()))
+    head = [f"{path}: MAVLink of system/component {senders}", f"{len(log):,} messages in {span_s:.1f} s"]
+    counts = {table.name: {"messages": len(table.published_s)} for table in tables}
+    summary = Summary(head, tables, notes, {"log": str(path), "messages": len(log), "duration_s": span_s, "keys": counts, "notes": notes})
+    if name is None:
+        return summary, []
+    if name not in set(kinds.values()) & set(seconds):
+        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {', '.join(sorted(set(kinds.values()) & set(seconds)))}")
+    chosen = log.select(None, [message_id for message_id, kind in kinds.items() if kind == name])
+    rows = []
+    for index, message in log.messages(chosen):
+        fields = message.to_dict()
+        del fields["mavpackettype"]
+        rows.append(Row(float(log.times_us[index]) / 1e6, math.nan, {**fields, "system": message.get_srcSystem()}))
+    return summary, rows
+
+
+# ---- printing ----
+
+
+def _print(summary: Summary) -> None:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    console = Console(highlight=False)
+    for line in summary.head:
+        console.print(line, markup=False, soft_wrap=True)
+    simulated = any(table.simulation_s for table in summary.tables)
+    repeated = any(table.repeats is not None for table in summary.tables)
+    columns = ["key", "messages", "per s", *["per simulated s"] * simulated, *["repeats"] * repeated, "longest pause, s"]
+    grid = RichTable(*columns, box=None, header_style="", pad_edge=False)
+    for column in grid.columns[1:]:
+        column.justify = "right"
+    for table in summary.tables:
+        cells = [table.name, f"{len(table.published_s):,}", _rate(table.published_s)]
+        cells += [_rate(table.simulation_s)] * simulated + ["" if table.repeats is None else str(table.repeats)] * repeated
+        pauses = [after - before for before, after in pairwise(sorted(table.published_s))]
+        grid.add_row(*cells, f"{max(pauses):.2f}" if pauses else "")
+    console.print(grid)
+    for line in summary.tail:
+        console.print(line, markup=False, soft_wrap=True)
+
+
+def _rate(times: Sequence[float]) -> str:
+    """Messages a second: one over the mean time from one to the next."""
+    steps = [after - before for before, after in pairwise(sorted(times))]
+    mean_s = statistics.fmean(steps) if steps else 0.0
+    return f"{1 / mean_s:,.2f}" if mean_s > 0 else ""
+
+
+def _print_csv(rows: Sequence[Row]) -> None:
+    flat = [
+        {"published_s": repr(row.published_s), "simulation_s": _cell(row.simulation_s), **dict(_flattened("", row.fields))} for row in rows
+    ]
+    names = list(dict.fromkeys(name for row in flat for name in row))
+    writer = csv.DictWriter(sys.stdout, names, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(flat)
+
+
+def _flattened(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Name what lies within lists and objects: mean[0], refused.late."""
+    if isinstance(value, dict):
+        for field, inner in value.items():
+            yield from _flattened(f"{name}.{field}" if name else field, inner)
+    elif isinstance(value, list | tuple):
+        for number, inner in enumerate(value):
+            yield from _flattened(f"{name}[{number}]", inner)
+    else:
+        yield name, _cell(value)
+
+
+def _cell(value: Any) -> Any:
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    return repr(value) if isinstance(value, float) else value

@@ -1,0 +1,57 @@
+"""What a script does to processes and links: kills, restarts, cuts. Their delays are real time, for processes know of no speed-up."""
+
+import heapq
+import itertools
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+from sitl.launch.processes import Processes
+from sitl.launch.relay import Relay
+from sitl.script.script import Cut, Kill
+
+
+class Disturbances:
+    """The kills and cuts of one mission."""
+
+    def __init__(self, events: Sequence[Kill | Cut], processes: Processes, relays: Mapping[str, Relay], say: Callable[[str], None]) -> None:
+        """Take what can be disturbed, and who is told."""
+        self._to_come = list(events)
+        self._processes = processes
+        self._relays = relays
+        self._say = say
+        self._order = itertools.count()
+        self._mends: list[tuple[float, int, Callable[[], None], str]] = []
+
+    def reached(self, step: int, time_s: float) -> None:
+        """Do what is due when the search has come to a step, at a simulation time."""
+        for event in [event for event in self._to_come if _due(event, step, time_s)]:
+            self._to_come.remove(event)
+            match event:
+                case Kill(part=part, restart_after_s=delay_s):
+                    self._processes.kill(part)
+                    self._mend_after(delay_s, lambda part=part: self._processes.restart(part), f"{part} started again")  # type: ignore[misc]
+                    self._say(f"script: {part} killed at step {step}")
+                case Cut(part=part, for_s=delay_s):
+                    relay = self._relays[part]
+                    relay.cut()
+                    self._mend_after(delay_s, relay.restore, f"link of {part} restored")
+                    self._say(f"script: link of {part} cut at step {step} for {delay_s:g} s")
+        self.mend()
+
+    def mend(self) -> None:
+        """Restart and restore what is due."""
+        while self._mends and self._mends[0][0] <= time.monotonic():
+            _, _, mend, text = heapq.heappop(self._mends)
+            mend()
+            self._say(f"script: {text}")
+
+    def wait_s(self) -> float | None:
+        """Real time until something has to be mended; None where nothing has."""
+        return max(self._mends[0][0] - time.monotonic(), 0.0) if self._mends else None
+
+    def _mend_after(self, delay_s: float, mend: Callable[[], None], text: str) -> None:
+        heapq.heappush(self._mends, (time.monotonic() + delay_s, next(self._order), mend, text))
+
+
+def _due(event: Kill | Cut, step: int, time_s: float) -> bool:
+    return step >= event.step if event.step is not None else event.time_s is not None and time_s >= event.time_s

@@ -1,0 +1,57 @@
+"""Missions with a router, an estimator and an agent that run elsewhere: what can be flown so, and waiting for them."""
+
+from collections.abc import Callable, Collection
+
+from link.bus.keys import HEALTH, SEARCHERS
+from link.bus.messages import Health
+from link.bus.session import Arrival, Bus, LivelinessChange
+from sitl.launch.processes import MissionFailed
+from sitl.script.script import AgentPart, Cut, EstimatorPart, Kill, Lawnmower, Script, Waypoints
+
+THEIRS = {"estimator": EstimatorPart(), "agent": AgentPart()}
+SAY_AFTER_S = 1.0
+
+
+def refusal(script: Script, given: Collection[str]) -> str | None:
+    """Say why a script cannot be flown with services that run elsewhere; `given` are the fields that flags set, such as agent.policy."""
+    for part, usual in THEIRS.items():
+        told = getattr(script, part)
+        changed = {f"{part}.{field}" for field in told.__struct_fields__ if getattr(told, field) != getattr(usual, field)}
+        # The budget is also ours: the mission ends where it is spent.
+        for field in sorted((changed | {name for name in given if name.startswith(f"{part}.")}) - {"agent.budget"}):
+            return f"--connect: {field} cannot be chosen: the {part} runs elsewhere, with flags of its own"
+    for number, event in enumerate(script.events):
+        if isinstance(event, Kill | Cut | Waypoints | Lawnmower):
+            tag = event.__struct_config__.tag
+            return f"--connect: events[{number}], {tag}, cannot happen: it needs parts that were started for the mission"
+    return None
+
+
+def await_services(bus: Bus, namespace: str, say: Callable[[str], None]) -> str:
+    """Wait until estimator and agent are there; returns the agent's policy.
+
+    `bus` has subscribed to HEALTH. Raises MissionFailed where one of them has a mission behind it, or another vehicle is there.
+    """
+    if "uav" in bus.services():
+        raise MissionFailed(f"there is a uav on {namespace} already")
+    bus.watch_services()
+    alive: set[str] = set()
+    health: dict[str, Health] = {}
+    told = False
+    while missing := SEARCHERS - (alive & set(health)):
+        item = bus.receive(SAY_AFTER_S)
+        match item:
+            case None if not told:
+                say(f"waits for {' and '.join(sorted(missing))} on {namespace}")
+                told = True
+            case LivelinessChange(service, there):
+                (alive.add if there else alive.discard)(service)
+                if not there:
+                    health.pop(service, None)  # its successor has yet to speak
+            case Arrival(key) if key is HEALTH:
+                if (said := bus.decode(item, Health)) is not None:
+                    health[said.service] = said
+    for service in sorted(SEARCHERS):
+        if health[service].step >= 0:
+            raise MissionFailed(f"the {service} has a mission behind it, at step {health[service].step}: start it anew")
+    return health["agent"].about

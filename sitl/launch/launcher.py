@@ -1,0 +1,322 @@
+"""One whole mission: router, uav, estimator and agent as processes, watched until the search ends."""
+
+import contextlib
+import itertools
+import json
+import math
+import os
+import queue
+import time
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, SEARCHERS, STOP
+from link.bus.log import LEVELS
+from link.bus.mavlink import BadFrame, Codec, Message, unpack
+from link.bus.messages import Belief, Health
+from link.bus.session import Arrival, Bus, LivelinessChange
+from plume import __version__
+from plume.outcome import Outcome, TracePoint, outcome, outcome_json
+from plume.randomness import derived_seed
+from sitl.autopilot.operator import OPERATOR, command
+from sitl.launch.disturbances import Disturbances
+from sitl.launch.joining import await_services
+from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes, raise_for
+from sitl.launch.progress import Progress
+from sitl.launch.relay import Relay
+from sitl.script.script import Cut, Expectation, Kill, Script
+
+CALL_EVERY_S = 1.0
+"""Real time between two calls to come home."""
+AT_HOME_M, ON_GROUND_M = 0.5, 0.1
+RECORD_TIMEOUT_S = 5.0
+"""Real time that the record may be behind the mission's end: a recorder whose link was down is given what it missed."""
+
+
+class Launch(NamedTuple):
+    """What to fly, and with what."""
+
+    script: Script
+    instance: int = 0
+    listen: str = "tcp/127.0.0.1:0"
+    uav_arguments: Sequence[str] = ()
+    """The script's file and the flags that change it, for the uav to read them itself."""
+    record: Path | None = None
+    """The MCAP file to record to."""
+    connect: str | None = None
+    """A router whose estimator and agent fly it; without one they are started."""
+    log_level: str = "warning"
+
+    @property
+    def namespace(self) -> str:
+        """The vehicle's key prefix."""
+        return f"uav/{self.instance + 1}"
+
+
+class Flown(NamedTuple):
+    """What came of a mission."""
+
+    script: Script
+    """With the policy that the agent had, where that runs elsewhere."""
+    outcome: Outcome
+    trace: list[TracePoint]
+    expectations: dict[Expectation, bool]
+    """What the script expects, and whether it is so."""
+
+    def json(self, *, with_trace: bool) -> str:
+        """One line of JSON; whether the expectations hold is in it where there are any."""
+        expectations = {"expectations": self.expectations} if self.expectations else {}
+        return outcome_json(self.outcome, self.trace if with_trace else None, expectations)
+
+
+def fly(mission: Launch) -> Flown:
+    """Fly a mission. Raises MissionFailed where a part dies or the vehicle gives up, and nobody expected that."""
+    inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    with contextlib.ExitStack() as stack:
+        progress = stack.enter_context(Progress(mission.script.budget, "uav" if mission.connect else "router, uav, estimator, agent"))
+        processes = stack.enter_context(Processes(inbox))
+        relays: dict[str, Relay] = {}
+
+        def join(endpoint: str) -> Bus:
+            bus = stack.enter_context(Bus("mission", endpoint, mission.namespace, inbox, announced=False))
+            bus.subscribe(BELIEF, STOP, HEALTH)
+            return bus
+
+        if mission.connect:
+            bus = join(mission.connect)
+            policy = await_services(bus, mission.namespace, progress.say)
+            mission = mission._replace(script=mission.script.changed({"agent.policy": policy}))
+            endpoint = start_parts(processes, mission, relays)
+        else:
+            endpoint = start_parts(processes, mission, relays)
+            bus = join(endpoint)
+        for relay in relays.values():
+            stack.callback(relay.close)
+        events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
+        watch = _Watch(mission, bus, progress, Disturbances(events, processes, relays, progress.say))
+        return watch.until_the_end(endpoint)
+
+
+def start_parts(processes: Processes, mission: Launch, relays: dict[str, Relay]) -> str:
+    """Start all parts that do not run elsewhere; returns the router's endpoint. Links that the script cuts get a relay.
+
+    Raises MissionFailed: no router.
+    """
+    script = mission.script
+    endpoint = mission.connect or processes.start_router(mission.listen)
+    level = "debug" if mission.log_level == "debug" else "info"  # what is shown is chosen later
+    relays |= {part: Relay(endpoint) for part in sorted({event.part for event in script.events if isinstance(event, Cut)})}
+
+    def joining(part: str) -> tuple[str, ...]:
+        router = relays[part].endpoint if part in relays else endpoint
+        return "--connect", router, "--namespace", mission.namespace, "--log-level", level
+
+    services = {} if mission.connect else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
+    recording = None
+    if mission.record:
+        about = {
+            "mission": script, "seed": script.seed, "policy": script.agent.policy, "budget": script.budget, "scenario": script.release(),
+            "parts": services,
+        }  # fmt: skip
+        about_json = msgspec.json.encode(about).decode()
+        recording = processes.start("recorder", "sitl", "record", str(mission.record), *joining("recorder"), "--about", about_json)
+    for service, words in services.items():
+        processes.start(service, service, *joining(service), *words)
+    if recording:
+        recording.readline()  # it hears all from now on
+    processes.start("uav", "sitl", "uav", *mission.uav_arguments, *joining("uav"), "-I", str(mission.instance))
+    return endpoint
+
+
+def estimator_arguments(mission: Launch) -> list[str]:
+    """Return the estimator's flags: only what the paper's knows, and a seed of its own; from the mission's the source could be drawn."""
+    script, told = mission.script, mission.script.estimator
+    release = script.release()
+    flags = {
+        "--particles": told.particles, "--threshold": told.threshold_m, "--sensor": script.sensor, "--stop-on": told.stop_on,
+        "--rate": told.rate or release.q, "--diffusivity": told.diffusivity or release.d, "--lifetime": told.lifetime or release.tau,
+        "--seed": derived_seed(script.seed, "estimator"), "--sysid": mission.instance + 1,
+    }  # fmt: skip
+    priors = [word for name, prior in told.prior.items() for word in ("--prior", f"{name}={prior}" if prior else name)]
+    return [*_words(flags), *priors]
+
+
+def agent_arguments(mission: Launch) -> list[str]:
+    """Return the agent's flags."""
+    script, agent = mission.script, mission.script.agent
+    flags = {
+        "--policy": None if agent.policy == "none" else agent.policy, "--budget": script.budget, "--headings": agent.headings,
+        "--step": agent.step_m, "--measurements": agent.measurements, "--seed": derived_seed(script.seed, "agent"),
+        "--sysid": mission.instance + 1,
+    }  # fmt: skip
+    scripted = script.scripted()
+    starts = [step for step in scripted if step - 1 not in scripted]
+    paths = [_path(scripted, step) for step in sorted(starts)]
+    return [*_words(flags), *(word for path in paths for word in ("--waypoints", path))]
+
+
+def _path(scripted: Mapping[int, tuple[float, float]], start: int) -> str:
+    """Write the waypoints from a step on, up to the first gap, as the agent's --waypoints takes them."""
+    points = [scripted[step] for step in itertools.takewhile(scripted.__contains__, itertools.count(start))]
+    return f"{start}:" + ";".join(f"{x:.9g},{y:.9g}" for x, y in points)  # 9 digits tell one float32 from the next
+
+
+def _words(flags: Mapping[str, Any]) -> list[str]:
+    return [word for flag, value in flags.items() if value is not None for word in (flag, str(value))]
+
+
+class _Watch:
+    """Watches one mission until its end."""
+
+    def __init__(self, mission: Launch, bus: Bus, progress: Progress, disturbances: Disturbances) -> None:
+        self._mission = mission
+        self._script = mission.script
+        self._bus = bus
+        self._progress = progress
+        self._disturbances = disturbances
+        self._trace: dict[int, TracePoint] = {}
+        self._compute: dict[str, Health] = {}
+        self._last: Belief | None = None
+        self._distance_m = 0.0
+        self._last_words: dict[str, str] = {}
+        self._warned = False
+        self._gone: set[str] = set()
+        self._record_ended = False
+        self._landed = False
+        self._landed_at = (math.nan, math.nan)
+
+    def until_the_end(self, endpoint: str) -> Flown:
+        """Watch; returns what came of it."""
+        script = self._script
+        while not self._over:
+            self._take(self._bus.receive(self._disturbances.wait_s()), endpoint)
+            if self._last:
+                self._disturbances.reached(self._last.step, self._last.time_boot_ms / 1000)
+            if self._landed:
+                break
+        if self._last is None or (self._landed and not self._over and not script.expectations):
+            words = self._last_words.get("uav", "none")
+            raise MissionFailed(f"the uav has landed before the search was over; its last words: {words}")
+        if {"returned home", "landed"} & set(script.expectations):
+            self._await_landing(call_home="returned home" in script.expectations)
+        self._await_record(self._last.step)
+        return self._flown(self._last)
+
+    @property
+    def _over(self) -> bool:
+        """Whether the search is over, and the last compute times, which come just behind the last belief, are in."""
+        last, compute = self._last, self._compute
+        if last is None or not (last.ceased or last.step >= self._script.budget):
+            return False
+        wanted = {"estimator": last.step, "agent": last.step - 1}
+        return all(service in compute and compute[service].step >= step for service, step in wanted.items())
+
+    def _take(self, item: Any, endpoint: str) -> None:
+        match item:
+            case Ended(part="recorder"):
+                self._record_ended = True
+                self._progress.say(f"warning: the record has ended: {item.last_words}")
+            case Ended():
+                raise_for(item)
+            case LogLine(part, line, level):
+                self._last_words[part] = line
+                if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or "Script: " in line:
+                    self._progress.say(line)
+            case LivelinessChange(service, alive) if self._mission.connect and service in SEARCHERS:
+                if not alive:
+                    self._progress.say(f"warning: the {service} is gone")
+                elif service in self._gone:
+                    self._progress.say(f"the {service} is back")
+                (self._gone.discard if alive else self._gone.add)(service)
+            case Arrival(key) if key is BELIEF:
+                if (belief := self._bus.decode(item, Belief)) and belief.step not in self._trace:
+                    self._follow(belief, endpoint)
+            case Arrival(key) if key is HEALTH:
+                if health := self._bus.decode(item, Health):
+                    self._compute[health.service] = health
+                    self._warned = self._warned or bool(health.service == "estimator" and health.warnings)
+                    self._landed = self._landed or health.state == "landed"
+            case Arrival(key, payload) if key is MAVLINK_OUT:
+                for message in _frames(payload):
+                    if message.get_type() == "LOCAL_POSITION_NED" and -message.z < ON_GROUND_M:
+                        self._landed_at = (message.y, message.x)
+
+    def _follow(self, belief: Belief, endpoint: str) -> None:
+        script = self._script
+        if self._last is None:
+            title = f" {script.about}," if script.about else ""
+            self._progress.say(
+                f"mission:{title} seed {script.seed}, {script.agent.policy}, speed-up {script.speedup:g}, router at {endpoint}"
+            )
+        else:
+            self._distance_m += math.dist(self._last.position, belief.position)
+        self._last = belief
+        self._trace[belief.step] = TracePoint(belief.position, belief.gas, belief.mean, belief.spread)
+        self._progress.show(belief, self._distance_m)
+
+    def _await_landing(self, *, call_home: bool) -> None:
+        """Wait until it has landed, and where; as an operator calls it home first, again each second until it is on its way."""
+        self._bus.subscribe(MAVLINK_OUT)
+        codec = Codec(*OPERATOR)
+        while not self._landed or math.isnan(self._landed_at[0]):
+            state = self._compute["uav"].state if "uav" in self._compute else ""
+            if call_home and state == "searching":
+                self._bus.publish(MAVLINK_IN, codec.pack(command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)))
+            self._take(self._bus.receive(CALL_EVERY_S), "")
+
+    def _await_record(self, step: int) -> None:
+        """Wait until the record has all readings: those that are missing can be had only while the vehicle lives."""
+        if not self._mission.record:
+            return
+        deadline = time.monotonic() + RECORD_TIMEOUT_S
+        while not self._record_ended and not ("recorder" in self._compute and self._compute["recorder"].step >= step):
+            if time.monotonic() >= deadline:
+                self._progress.say("warning: the record lacks the last readings: the recorder was not given them in time")
+                return
+            self._take(self._bus.receive(deadline - time.monotonic()), "")
+
+    def _flown(self, last: Belief) -> Flown:
+        script = self._script
+        points = [self._trace[step] for step in sorted(self._trace)]
+        if len(points) != last.step + 1:
+            raise MissionFailed(f"{last.step + 1 - len(points)} of {last.step + 1} beliefs were not received: the trace has gaps")
+        for number, event in enumerate(script.events):
+            if event.step is not None and event.step > last.step:
+                self._progress.say(f"warning: events[{number}] of step {event.step} did not happen: the search ended at step {last.step}")
+        search_time_s = sum(self._compute[service].compute_s for service in ("estimator", "agent") if service in self._compute)
+        result = outcome(script.seed, script.agent.policy, script.release(), points, last.ceased, search_time_s)
+        so = {
+            "ceased": result.ceased, "not ceased": not result.ceased, "located": result.located, "not located": not result.located,
+            "false stop": result.ceased and not result.located, "warned": self._warned, "landed": self._landed,
+            "returned home": self._landed and math.hypot(*self._landed_at) < AT_HOME_M,
+        }  # fmt: skip
+        return Flown(script, result, points, {expected: so[expected] for expected in script.expectations})
+
+
+def _frames(payload: bytes) -> list[Message]:
+    try:
+        return unpack(payload)
+    except BadFrame:
+        return []
+
+
+def run_name(policy: str, seed: int) -> str:
+    """Return a name for a run's files that no other run has."""
+    return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{Path(policy).stem}-seed{seed}-{os.getpid()}"
+
+
+def write_summary(flown: Flown, path: Path) -> None:
+    """Write a mission's outcome, trace and how it was flown to a file."""
+    summary = {
+        "flown_at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "plumeward": __version__,
+        "mission": msgspec.to_builtins(flown.script),
+        "outcome": json.loads(flown.json(with_trace=True)),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(summary, indent=1) + "\n")

@@ -1,0 +1,170 @@
+"""`python -m sitl replay`: a log in the vehicle's place. What listens cannot tell, and `--verify` shows whether it says what it said."""
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from link import cli
+from plume import sensor
+from plume.randomness import MAX_SEED
+
+if TYPE_CHECKING:
+    from sitl.replay.player import Replayed
+    from sitl.replay.source import Source
+    from sitl.replay.verify import Rules
+
+
+READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume")
+"""Flags that say how an autopilot's log is read."""
+FILTER_FLAGS = ("particles", "threshold", "prior", "stop_on", "rate", "diffusivity", "lifetime", "sensor", "seed")
+"""Flags that are handed on to the estimator."""
+
+
+class _Unset:
+    """The default of a flag that is only handed on: help shows it, and a flag that was given can be told from one that was not."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def __str__(self) -> str:
+        return self._text
+
+
+def _pair(names: str) -> Callable[[str], tuple[float, float]]:
+    def parse(text: str) -> tuple[float, float]:
+        try:
+            one, two = (float(part) for part in text.split(","))
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted {names}, two numbers") from None
+        return one, two
+
+    return parse
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+    seconds, positive = cli.number(0, math.inf), cli.number(0, math.inf, above=True)
+    parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog")
+    parser.add_argument(
+        "-e", "--connect", metavar="ENDPOINT",
+        help="only be the vehicle, on this router (default: start router, estimator and agent too, as they were started then)",
+    )  # fmt: skip
+    parser.add_argument("--namespace", metavar="NAME", help="the vehicle's key prefix (default: the recorded one)")
+    parser.add_argument(
+        "--speedup", type=cli.number(0, 1000), default=1.0, metavar="X", help="1 the recorded pace, 0 as fast as possible (default: 1)"
+    )
+    parser.add_argument(
+        "--from", type=seconds, default=0.0, metavar="S", dest="from_s", help="leave out so many seconds of simulation time"
+    )
+    parser.add_argument("--to", type=seconds, default=math.inf, metavar="S", dest="to_s", help="end there, counted from the log's begin")
+    parser.add_argument("--loop", action="store_true", help="again and again, each time to services started anew; not with --connect")
+    parser.add_argument("--verify", action="store_true", help="compare with what was said then; status 1 and the first difference, or 0")
+    parser.add_argument(
+        "--ignore", action="append", default=[], metavar="FIELD",
+        help="with --verify: leave out a field such as belief.p_value, the particles, or all of belief, stop or waypoint",
+    )  # fmt: skip
+    parser.add_argument(
+        "--tolerance", type=seconds, default=0.0, metavar="X", help="with --verify: let numbers differ by so much (default: 0)"
+    )
+    parser.add_argument("--json", action="store_true", help="print what came of it as one JSON object on the last line of stdout")
+    parser.add_argument("--sysid", type=cli.whole(1, 255), metavar="N", help="tlog: which vehicle (default: the only one)")
+    parser.add_argument("--gas", metavar="NAME", help="tlog: the message with the gas readings, NAME or MESSAGE.FIELD (default: gas)")
+    parser.add_argument(
+        "--wind", type=_pair("SPEED,FROM"), metavar="SPEED,FROM", help="tlog: wind instead of the log's, m/s and degrees that it comes from"
+    )
+    parser.add_argument("--every", type=positive, metavar="S", help="tlog: time between two readings (default: 1 s)")
+    parser.add_argument(
+        "--origin", type=_pair("NORTH,EAST"), metavar="NORTH,EAST",
+        help="tlog: south-western corner of the search area, m in the log's local frame (default: around the flight)",
+    )  # fmt: skip
+    parser.add_argument("--area", type=positive, metavar="M", help="tlog: side of the search area (default: around the flight)")
+    parser.add_argument("--plume", metavar="MISSION", help="tlog: take the gas from this mission's plume, along the path")
+    cli.add_filter_arguments(parser)
+    for name in ("particles", "threshold", "stop_on"):
+        parser.set_defaults(**{name: _Unset(parser.get_default(name))})
+    parser.add_argument("--rate", type=positive, metavar="Q", help="release rate q (default: the plume's, or 300 g/s)")
+    parser.add_argument("--diffusivity", type=positive, metavar="D", help="diffusivity d (default: the plume's, or 4.5 m²/s)")
+    parser.add_argument("--lifetime", type=positive, metavar="TAU", help="lifetime τ of the gas (default: the plume's, or 10 s)")
+    parser.add_argument(
+        "--sensor", type=cli.checked(sensor.parse), metavar="KIND[:NUMBERS]",
+        help="gaussian, threshold or hits, with their numbers where chosen (default: the plume's, or gaussian)",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), metavar="N", help="of the filter's own draws (default: 0)")
+
+
+def _given(args: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
+    """Return those of some flags that were given."""
+    values = {name: getattr(args, name) for name in names}
+    return {name: value for name, value in values.items() if value not in (None, []) and not isinstance(value, _Unset)}
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay once, or until interrupted; returns the exit status."""
+    from sitl.launch.processes import MissionFailed
+    from sitl.replay.player import replay
+    from sitl.replay.source import BadSource, find
+
+    try:
+        source, rules = find(args, _given(args, READING_FLAGS), _given(args, FILTER_FLAGS))
+    except BadSource as error:
+        print(f"error: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
+    for note in source.notes:
+        print(f"replay: {note}", file=sys.stderr)
+    try:
+        while True:
+            began = time.monotonic()
+            result = replay(source, rules, args.speedup, args.connect)
+            _tell(result, source, rules, time.monotonic() - began)
+            if result.difference or not args.loop:
+                break
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise
+    except MissionFailed as failure:
+        print(f"error: {failure}", file=sys.stderr)
+        return failure.status
+    if args.json:
+        print(_json(result, source, rules))
+    return cli.FAILED if result.difference else 0
+
+
+def _tell(result: "Replayed", source: "Source", rules: "Rules | None", took_s: float) -> None:
+    """Say for people what the services said, and whether it is what they said then."""
+    last = result.last
+    outcome = "no belief came"
+    if last is not None:
+        x, y = last.mean
+        ceased = "not ceased" if result.ceased_at is None else f"ceased at step {result.ceased_at}"
+        outcome = f"{last.step + 1} readings, {ceased}\nestimate ({x:.2f}, {y:.2f}) ± {last.spread:.2f} m"
+        if source.truth:
+            outcome += f", source ({source.truth[0]:.2f}, {source.truth[1]:.2f}), error {math.dist(last.mean, source.truth):.2f} m"
+    print(f"replayed in {took_s:.1f} s: {outcome}", file=sys.stderr)
+    if rules is None:
+        return
+    if result.difference:
+        print(f"differs: {result.difference.text()}", file=sys.stderr)
+        return
+    counted = [f"{n} {kind}{'' if n == 1 else 's'}" for kind, n in result.counts.items() if kind not in rules.ignored]
+    relaxed = [f"within {rules.tolerance:g}"] * bool(rules.tolerance) + [f"without {name}" for name in sorted(rules.ignored)]
+    print(f"verified: {', '.join(counted)}" + f" ({', '.join(relaxed)})" * bool(relaxed), file=sys.stderr)
+
+
+def _json(result: "Replayed", source: "Source", rules: "Rules | None") -> str:
+    import msgspec
+
+    last = result.last
+    fields = {
+        "verified": None if rules is None else result.difference is None,
+        **{f"{kind}s": n for kind, n in result.counts.items()},
+        "difference": result.difference.as_json() if result.difference else None,
+        "ceased": result.ceased_at is not None,
+        "estimate": last.mean if last else None,
+        "spread_m": last.spread if last else None,
+        "error_m": math.dist(last.mean, source.truth) if last and source.truth else None,
+    }
+    return msgspec.json.encode(fields).decode()

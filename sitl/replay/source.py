@@ -1,0 +1,222 @@
+"""What a replay plays: a recording of the bus, with the answers of then, or an autopilot's log."""
+
+import argparse
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from link.bus.keys import HEALTH, MAVLINK_OUT, READING
+from link.bus.mavlink import BadFrame, unpack_reading
+from link.record.record import Entry, RecordError, read
+from plume import sensor
+from sitl.replay import verify
+from sitl.replay.verify import Answer, Rules
+from sitl.script import script
+from sitl.script.typed_yaml import FileError
+from sitl.tlog import flight
+from sitl.tlog.sender import FlightError
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+VEHICLE_KEYS = {READING.name: READING, MAVLINK_OUT.name: MAVLINK_OUT, HEALTH.name.replace("<service>", "uav"): HEALTH}
+"""What a vehicle publishes, by its key in a log."""
+SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
+"""Who answers with what."""
+
+OVERTAKE_NS = 500_000_000
+"""By so much messages may overtake each other on their way into a log."""
+
+
+class BadSource(ValueError):
+    """The log, or what is asked for of it, cannot be replayed; the text is one clear line."""
+
+
+class Source(NamedTuple):
+    """What is replayed, and to whom."""
+
+    path: Path
+    entries: list[Entry]
+    """What the vehicle published, in that order."""
+    then: Mapping[tuple[int, str], Answer]
+    """What the services answered; nothing in an autopilot's log."""
+    parts: Mapping[str, list[str]]
+    """The services to start, with their command lines."""
+    namespace: str
+    recorded: bool
+    """From the bus; otherwise an autopilot's log."""
+    sure_ms: float = math.inf
+    """Of readings up to this one the log has all answers; where it was cut off, later ones may lack some."""
+    slowest_s: float = 0.0
+    """The longest that an answer took then."""
+    budget: float = math.inf
+    """Moves after which the agent was to give up."""
+    truth: tuple[float, float] | None = None
+    """Where the source was, m."""
+    notes: tuple[str, ...] = ()
+    """What has to be said of the log, a line each."""
+
+
+class _Release(msgspec.Struct, frozen=True):
+    source: tuple[float, float] | None = None
+
+
+class _About(msgspec.Struct, frozen=True):
+    """What is used of what a recording tells about itself."""
+
+    parts: dict[str, list[str]] = {}
+    namespace: str = "uav/1"
+    budget: int | None = None
+    scenario: _Release = _Release()
+
+
+def recording(path: Path) -> Source:
+    """Read a recording of the bus; raises BadSource."""
+    try:
+        log = read(path)
+        told = msgspec.convert(log.about, _About)
+    except RecordError as error:
+        raise BadSource(str(error)) from None
+    except msgspec.ValidationError as error:
+        raise BadSource(f"{path}: what it tells about itself cannot be used: {error}") from None
+    notes: tuple[str, ...] = ()
+    sure_ms = math.inf
+    if not log.complete:
+        end_s = max((entry.simulation_s for entry in log.entries), default=0.0)
+        notes = (f"{path} is cut off: it is replayed up to where it ends, at {end_s:.2f} s",)
+        end_ns = max((entry.published_ns for entry in log.entries), default=0)
+        early = [entry for entry in log.entries if entry.key == READING.name and entry.published_ns <= end_ns - OVERTAKE_NS]
+        sure_ms = max((time for time in map(reading_time, early) if time is not None), default=-1)
+    return Source(
+        path,
+        sorted((entry for entry in log.entries if entry.key in VEHICLE_KEYS), key=lambda entry: entry.published_ns),
+        verify.said(log.entries),
+        {service: words for service, words in told.parts.items() if service in SERVICES.values()},
+        told.namespace,
+        recorded=True,
+        sure_ms=sure_ms,
+        slowest_s=_slowest_s(log.entries),
+        budget=math.inf if told.budget is None else told.budget,
+        truth=told.scenario.source,
+        notes=notes,
+    )
+
+
+def _slowest_s(entries: list[Entry]) -> float:
+    asked: dict[int | None, int] = {}
+    answered: dict[tuple[int, str], int] = {}
+    for entry in entries:
+        if entry.key == READING.name:
+            asked.setdefault(reading_time(entry), entry.published_ns)
+        for answer in verify.answers(entry.key, entry.payload, entry.attachment):
+            answered.setdefault((answer.time_boot_ms, answer.kind), entry.published_ns)
+    return max((ns - asked[time] for (time, _), ns in answered.items() if time in asked), default=0) / 1e9
+
+
+def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
+    """Read an autopilot's log as the flags `chosen` say, for an estimator with the flags `filtering`; raises BadSource."""
+    try:
+        world = script.load(chosen["plume"]).world() if "plume" in chosen else None
+        flown = flight.read(
+            path, system=chosen.get("sysid"), gas=chosen.get("gas", "gas"), wind=chosen.get("wind"), every_s=chosen.get("every", 1.0),
+            origin=chosen.get("origin"), area_m=chosen.get("area"), plume=world,
+        )  # fmt: skip
+    except (FlightError, FileError) as error:
+        raise BadSource(str(error)) from None
+    known: dict[str, Any] = {}
+    if world:
+        told = world.scenario
+        known = {"rate": told.q, "diffusivity": told.d, "lifetime": told.tau, "sensor": sensor.text(world.sensor)}
+    words = [
+        word
+        for name, value in {**known, **filtering}.items()
+        for each in (value if isinstance(value, list) else [value])
+        for word in (f"--{name.replace('_', '-')}", str(each))
+    ]
+    estimator = [*words, "--sysid", str(flown.system), "--area", repr(flown.area_m)]
+    truth = world.scenario.source if world else None
+    return Source(path, flown.entries, {}, {"estimator": estimator}, f"uav/{flown.system}", False, truth=truth, notes=tuple(flown.notes))
+
+
+def find(args: argparse.Namespace, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> tuple[Source, Rules | None]:
+    """Return what a command line asks for: the source, and what --verify lets differ; raises BadSource.
+
+    `chosen` and `filtering` are the flags given for autopilots' logs: how one is read, and the estimator's.
+    """
+    recorded = is_recording(args.log)
+    _refuse(args, recorded, chosen, filtering)
+    source = recording(args.log) if recorded else autopilot_log(args.log, chosen, filtering)
+    if not source.entries:
+        raise BadSource(f"{args.log}: there is nothing in it that a vehicle published")
+    source = source._replace(namespace=args.namespace or source.namespace, entries=_cut(source.entries, args))
+    rules = _rules(args, source) if args.verify else None
+    return (source if args.connect else _with_services(source, rules)), rules
+
+
+def reading_time(entry: Entry) -> int | None:
+    """The time under which a reading is answered; None of one that no estimator takes."""
+    try:
+        return unpack_reading(entry.payload).time_boot_ms
+    except BadFrame:
+        return None
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a log is an MCAP file; raises BadSource where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MCAP_MAGIC)) == MCAP_MAGIC
+    except OSError as error:
+        raise BadSource(f"{path}: {error.strerror}") from None
+
+
+def _refuse(args: argparse.Namespace, recorded: bool, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> None:
+    """Refuse the flags that have nothing to say here: not to heed them would be worse."""
+    for name in (*chosen, *filtering) if recorded else ():
+        raise BadSource(f"--{name.replace('_', '-')}: not allowed with {args.log}: a recording says itself how it was flown")
+    for name in filtering if args.connect else ():
+        raise BadSource(f"--{name.replace('_', '-')}: not allowed with --connect: the estimator there has flags of its own")
+    for name, value in () if args.verify else (("ignore", args.ignore), ("tolerance", args.tolerance)):
+        if value:
+            raise BadSource(f"--{name}: only allowed with --verify")
+    if args.loop and args.connect:
+        raise BadSource("--loop: not allowed with --connect: an estimator takes the same readings only once")
+    if args.verify and not recorded:
+        raise BadSource(f"--verify: not allowed with {args.log}: an autopilot's log holds no answers to compare with")
+    if args.verify and args.from_s:
+        raise BadSource(f"--from: {args.from_s:g} is not allowed with --verify; wanted 0: a belief depends on all readings before it")
+    if args.from_s > args.to_s:
+        raise BadSource(f"--to: {args.to_s:g} is not allowed; wanted at least --from, {args.from_s:g}")
+
+
+def _cut(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
+    first_s = entries[0].simulation_s
+    within = [entry for entry in entries if args.from_s <= entry.simulation_s - first_s <= args.to_s]
+    if not within:
+        long_s = max(entry.simulation_s for entry in entries) - first_s
+        raise BadSource(f"--from: nothing of {args.log} lies between {args.from_s:g} and {args.to_s:g} s; it is {long_s:.1f} s long")
+    return within
+
+
+def _rules(args: argparse.Namespace, source: Source) -> Rules:
+    try:
+        rules = Rules(verify.ignored(args.ignore, source.then.values()), args.tolerance)
+    except ValueError as error:
+        raise BadSource(str(error)) from None
+    published = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
+    if not any(time in published and kind not in rules.ignored for time, kind in source.then):
+        raise BadSource(f"--verify: no belief, stop or waypoint in {args.log} answers what is replayed: there is nothing to compare")
+    return rules
+
+
+def _with_services(source: Source, rules: Rules | None) -> Source:
+    """Say which services that answered then cannot be started; where their answers are to be compared that is an error."""
+    notes = list(source.notes)
+    for service in sorted({SERVICES[kind] for _, kind in source.then} - set(source.parts)):
+        text = f"{source.path} does not say how its {service} was started"
+        kinds = [kind for kind in SERVICES if SERVICES[kind] == service]
+        if rules and not rules.ignored.issuperset(kinds):
+            raise BadSource(f"{text}; start one and give --connect, or give {' '.join(f'--ignore {kind}' for kind in kinds)}")
+        notes.append(f"warning: {text}: it is replayed without")
+    return source._replace(notes=tuple(notes))

@@ -1,0 +1,263 @@
+"""What estimator and agent said then, held against what they say now, field by field. It knows their bytes, and none of their code."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.keys import BELIEF, MAVLINK_IN, STOP
+from link.bus.mavlink import ONBOARD_COMPUTER, BadFrame, unpack
+from link.bus.messages import Belief, Stop
+from link.record.record import Entry
+
+KINDS = {"stop": STOP.name, "belief": BELIEF.name, "waypoint": MAVLINK_IN.name}
+"""What a reading is answered with and on which key, in the order in which it is said."""
+PARTICLES = "particles"
+WAYPOINT = mavlink.MAVLink_set_position_target_local_ned_message
+FIELDS: Mapping[str, tuple[str, ...]] = {
+    "stop": Stop.__struct_fields__,
+    "belief": (*Belief.__struct_fields__, PARTICLES),
+    "waypoint": tuple(WAYPOINT.fieldnames),
+}
+HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}
+"""What is told of a message that only one side has."""
+
+
+class Answer(NamedTuple):
+    """One message of a service, about one reading."""
+
+    kind: str
+    time_boot_ms: int
+    """Of the reading that it answers."""
+    fields: dict[str, Any]
+
+
+class Difference(NamedTuple):
+    """The first thing that is not as it was."""
+
+    kind: str
+    time_boot_ms: int
+    step: int | None
+    """None where no belief tells it."""
+    field: str
+    """Which value; empty where the whole message is on one side only."""
+    was: Any
+    now: Any
+
+    @property
+    def time_s(self) -> float:
+        """Simulation time of the reading."""
+        return self.time_boot_ms / 1000
+
+    def text(self) -> str:
+        """One line for people."""
+        step = "" if self.step is None else f" (step {self.step})"
+        return f"{self.kind} at {self.time_s:.2f} s{step}: {self.field or 'it'} was {_text(self.was)}, is {_text(self.now)}"
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields that `--json` prints."""
+        return {"key": KINDS[self.kind], "time_s": self.time_s, "step": self.step, "field": self.field, "was": self.was, "is": self.now}
+
+
+class Rules(NamedTuple):
+    """What may differ."""
+
+    ignored: frozenset[str] = frozenset()
+    """Kinds, and fields as KIND.FIELD."""
+    tolerance: float = 0.0
+    """Numbers may differ by so much."""
+
+
+EXACTLY = Rules()
+
+
+def place(key: tuple[int, str]) -> tuple[int, int]:
+    """Where an answer, by time and kind, stands among all that is said: the order in which differences are looked for."""
+    time_boot_ms, kind = key
+    return time_boot_ms, list(KINDS).index(kind)
+
+
+def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
+    """Return what a message answers: nothing where it is no answer of a service, or does not decode."""
+    if key == MAVLINK_IN.name:
+        return _waypoints(payload)
+    kind = {BELIEF.name: "belief", STOP.name: "stop"}.get(key)
+    if kind is None:
+        return []
+    try:
+        fields = msgspec.json.decode(payload)
+        time_boot_ms = fields["time_boot_ms"]
+    except (msgspec.DecodeError, UnicodeDecodeError, KeyError, TypeError):
+        return []
+    if not isinstance(time_boot_ms, int):
+        return []
+    if kind == "belief":
+        fields[PARTICLES] = _particles(attachment, fields.get("unknowns"))
+    return [Answer(kind, time_boot_ms, fields)]
+
+
+def said(entries: Iterable[Entry]) -> dict[tuple[int, str], Answer]:
+    """Return what a log holds of answers, by reading and kind, in order; what is said again counts once."""
+    found: dict[tuple[int, str], Answer] = {}
+    for entry in entries:
+        for answer in answers(entry.key, entry.payload, entry.attachment):
+            found.setdefault((answer.time_boot_ms, answer.kind), answer)
+    return {key: found[key] for key in sorted(found, key=place)}
+
+
+def ignored(names: Sequence[str], then: Iterable[Answer] = ()) -> frozenset[str]:
+    """Read what --ignore takes; raises ValueError with what is allowed. Fields that only the log knows can be ignored too."""
+    fields = {kind: list(known) for kind, known in FIELDS.items()}
+    for answer in then:
+        fields[answer.kind] = list(dict.fromkeys((*fields[answer.kind], *answer.fields)))
+    kinds = {**{kind: kind for kind in KINDS}, **{key: kind for kind, key in KINDS.items()}}
+    found = set()
+    for name in names:
+        key, _, field = name.partition(".")
+        if name == PARTICLES:
+            found.add(f"belief.{PARTICLES}")
+        elif key not in kinds:
+            raise ValueError(f"--ignore: {name!r} is not allowed; wanted {', '.join(kinds)}, a field of theirs, or {PARTICLES}")
+        elif field and field not in fields[kinds[key]]:
+            raise ValueError(f"--ignore: {name!r} is not allowed; {key} has {', '.join(fields[kinds[key]])}")
+        else:
+            found.add(f"{kinds[key]}.{field}" if field else kinds[key])
+    return frozenset(found)
+
+
+def difference(was: Answer | None, now: Answer | None, rules: Rules = EXACTLY, step: int | None = None) -> Difference | None:
+    """Compare one message with its counterpart, either of which may be missing; returns the first field that differs.
+
+    `step` is for those that do not say theirs.
+    """
+    one = was or now
+    assert one is not None
+    if one.kind in rules.ignored:
+        return None
+    where = one.kind, one.time_boot_ms, next((known for known in (_step(was), _step(now), step) if known is not None), None)
+    if was is None or now is None:
+        return Difference(*where, "", _headline(was), _headline(now))
+    for name in dict.fromkeys((*was.fields, *now.fields)):
+        if f"{one.kind}.{name}" in rules.ignored:
+            continue
+        if found := _first(name, was.fields.get(name), now.fields.get(name), rules.tolerance):
+            return Difference(*where, *found)
+    return None
+
+
+def compare(then: Mapping[tuple[int, str], Answer], now: Mapping[tuple[int, str], Answer], rules: Rules = EXACTLY) -> Difference | None:
+    """Compare all that was said in two logs of the same kind of mission; returns the first difference."""
+    both = {**then, **now}
+    for key in sorted(both, key=place):
+        if found := difference(then.get(key), now.get(key), rules, _step(both.get((key[0], "belief")))):
+            return found
+    return None
+
+
+def must_be_silent(then: Mapping[tuple[int, str], Answer], time_boot_ms: int, kind: str, budget: float) -> bool:
+    """Whether the log's silence means that nothing was said, rather than that it begins later or ends before.
+
+    What is said to the last reading may have come when nobody recorded any more, unless the log shows that it was not to come.
+    """
+    times = [time for time, _ in then]
+    if not times or not times[0] <= time_boot_ms <= times[-1]:
+        return False
+    if time_boot_ms < times[-1]:
+        return True
+    belief = then.get((time_boot_ms, "belief"))
+    if kind != "waypoint" or belief is None:
+        return any((time_boot_ms, later) in then for later in ("belief", "waypoint") if later != kind)
+    step = _step(belief)
+    return bool(belief.fields.get("ceased")) or (step is not None and step >= budget)
+
+
+def _step(answer: Answer | None) -> int | None:
+    step = answer.fields.get("step") if answer else None
+    return step if isinstance(step, int) else None
+
+
+# ---- decoding ----
+
+
+def _waypoints(payload: bytes) -> list[Answer]:
+    try:
+        messages = unpack(payload)
+    except BadFrame:
+        return []
+    return [
+        Answer("waypoint", message.time_boot_ms, {name: _float32(getattr(message, name)) for name in WAYPOINT.fieldnames})
+        for message in messages
+        if message.get_type() == WAYPOINT.msgname and message.get_srcComponent() == ONBOARD_COMPUTER
+    ]
+
+
+def _particles(attachment: bytes, unknowns: Any) -> Any:
+    """Rows of float32; bytes that are no such rows stay what they are."""
+    columns = len(unknowns) + 1 if isinstance(unknowns, list) else 1
+    return attachment if len(attachment) % (4 * columns) else np.frombuffer(attachment, "<f4").reshape(-1, columns)
+
+
+def _float32(value: Any) -> Any:
+    """The number with the fewest digits that is the same float32: as many as the wire carries, and no more."""
+    return float(str(np.float32(value))) if isinstance(value, float | np.floating) else value
+
+
+# ---- comparing ----
+
+
+def _first(name: str, was: Any, now: Any, tolerance: float) -> tuple[str, Any, Any] | None:
+    """Return the first value that differs, with its full name."""
+    if isinstance(was, np.ndarray) and isinstance(now, np.ndarray):
+        return _first_of_rows(name, was, now, tolerance)
+    if isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
+        pairs = zip(was, now, strict=True)
+        return next((found for i, (a, b) in enumerate(pairs) if (found := _first(f"{name}[{i}]", a, b, tolerance))), None)
+    if _is_number(was) and _is_number(now):
+        return None if _same(was, now, tolerance) else (name, was, now)
+    return None if type(was) is type(now) and was == now else (name, _plain(was), _plain(now))
+
+
+def _first_of_rows(name: str, was: "np.ndarray[Any, Any]", now: "np.ndarray[Any, Any]", tolerance: float) -> tuple[str, Any, Any] | None:
+    if was.shape != now.shape:
+        return name, _plain(was), _plain(now)
+    if was.tobytes() == now.tobytes():
+        return None
+    for row, column in np.ndindex(was.shape):
+        a, b = float(was[row, column]), float(now[row, column])
+        if not _same(a, b, tolerance):
+            return f"{name}[{row}][{column}]", _float32(a), _float32(b)
+    return None
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _same(was: float, now: float, tolerance: float) -> bool:
+    if math.isnan(was) or math.isnan(now):
+        return math.isnan(was) and math.isnan(now)
+    if tolerance and abs(was - now) <= tolerance:
+        return True
+    return was == now and math.copysign(1.0, was) == math.copysign(1.0, now)
+
+
+def _plain(value: Any) -> Any:
+    """What can be printed of an array or of bytes: their size."""
+    if isinstance(value, np.ndarray):
+        return f"{len(value)} rows of {value.shape[1]}"
+    return f"{len(value)} bytes" if isinstance(value, bytes) else value
+
+
+def _headline(answer: Answer | None) -> dict[str, Any] | None:
+    return None if answer is None else {name: answer.fields.get(name) for name in HEADLINE[answer.kind]}
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_text(each)}" for name, each in value.items())
+    return value if isinstance(value, str) else msgspec.json.encode(value).decode() if not isinstance(value, float) else repr(value)

@@ -1,0 +1,333 @@
+"""Mission scripts: one YAML file says what is flown, what goes wrong meanwhile, and what is expected of it.
+
+`python -m sitl.script` prints their JSON schema for editors.
+"""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from plume import sensor
+from plume.randomness import MAX_SEED
+from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario, draw
+from plume.world import World
+from sitl.autopilot.config import VehicleConfig
+from sitl.script.typed_yaml import Document, FileError
+
+Positive = Annotated[float, Meta(gt=0)]
+Seconds = Annotated[float, Meta(ge=0)]
+Coordinate = Annotated[float, Meta(ge=0, le=AREA_M)]
+Point = tuple[Coordinate, Coordinate]
+Count = Annotated[int, Meta(ge=1, le=1_000_000)]
+StepNumber = Annotated[int, Meta(ge=0, description="a whole number from 0: of the reading, 0 at the start")]
+TimeS = Annotated[float, Meta(ge=0, description="a number from 0: simulation time, s")]
+Radians = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
+MOST_WAYPOINTS = 1000
+"""They go to the agent on its command line, whose words the system limits to 128 kB."""
+Expectation = Literal["ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"]
+
+
+class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The gas release; what is left out is drawn by the seed."""
+
+    source: Annotated[Point | None, Meta(description="(x, y) m, x east, y north, each from 0 to 30")] = None
+    q: Annotated[Positive | None, Meta(description="release rate, a number above 0, g/s")] = None
+    u: Annotated[Annotated[float, Meta(ge=0)] | None, Meta(description="wind speed, a number from 0, m/s")] = None
+    phi: Annotated[Radians | None, Meta(description="direction the wind comes from, counter-clockwise from east, rad, -2π to 2π")] = None
+    d: Annotated[Positive | None, Meta(description="effective diffusivity, a number above 0, m²/s")] = None
+    tau: Annotated[Positive | None, Meta(description="lifetime of the gas, a number above 0, s")] = None
+    start: Annotated[Point | None, Meta(description="where the search begins: (x, y) m, each from 0 to 30")] = None
+    height: Annotated[float | None, Meta(description="of the source above the plane that is searched, m")] = None
+
+
+class VehiclePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The simulated multirotor and its autopilot."""
+
+    home_lat_deg: Annotated[float, Meta(ge=-90, le=90)] = VehicleConfig.home_lat_deg
+    home_lon_deg: Annotated[float, Meta(ge=-180, le=180)] = VehicleConfig.home_lon_deg
+    home_alt_m: Annotated[float, Meta(ge=-10_000, le=10_000)] = VehicleConfig.home_alt_m
+    home_heading_deg: Annotated[float, Meta(ge=-360, le=360)] = VehicleConfig.home_heading_deg
+    speed_mps: Positive = VehicleConfig.speed_mps
+    climb_mps: Positive = VehicleConfig.climb_mps
+    descent_mps: Positive = VehicleConfig.descent_mps
+    accel_mps2: Positive = VehicleConfig.accel_mps2
+    takeoff_altitude_m: Annotated[float, Meta(gt=0, le=VehicleConfig.ceiling_m)] = VehicleConfig.takeoff_altitude_m
+    return_altitude_m: Annotated[float, Meta(gt=0, le=VehicleConfig.ceiling_m)] = VehicleConfig.return_altitude_m
+    endurance_s: Annotated[float, Meta(gt=0, description="how long the battery lasts, a number above 0, s")] = VehicleConfig.endurance_s
+    silence_s: Annotated[float, Meta(gt=0, description="real time without a waypoint after which it returns home, a number above 0, s")] = (
+        VehicleConfig.silence_s
+    )
+
+
+class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The particle filter, what it is told beforehand, and when it may stop."""
+
+    particles: Annotated[int, Meta(ge=10, le=1_000_000)] = 1000
+    threshold_m: Annotated[float, Meta(gt=0, le=100)] = 0.5
+    prior: Annotated[dict[str, str], Meta(description="by name, as --prior takes them: {q: 'gamma:2,150'}")] = {}
+    stop_on: Annotated[str, Meta(description="what a stop wants to know, as --stop-on takes it")] = "location"
+    rate: Annotated[Positive | None, Meta(description="release rate that it is told, g/s; the scenario's where left out")] = None
+    diffusivity: Annotated[Positive | None, Meta(description="diffusivity that it is told, m²/s; the scenario's where left out")] = None
+    lifetime: Annotated[Positive | None, Meta(description="lifetime that it is told, s; the scenario's where left out")] = None
+
+
+class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What chooses waypoints, and how far it may go."""
+
+    policy: Annotated[str, Meta(description="a policy's name or a bundle; none: only the scripted waypoints are flown")] = "infotaxis"
+    budget: Count = BUDGET_STEPS
+    headings: Literal[4, 8] | None = None
+    step_m: Annotated[float, Meta(gt=0, le=10)] | None = None
+    measurements: Annotated[int, Meta(ge=1, le=10_000)] | None = None
+
+
+class Event(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="do", omit_defaults=True):
+    """Something that happens at a reading or at a time."""
+
+    step: StepNumber | None = None
+    time_s: TimeS | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what happens never or twice."""
+        if (self.step is None) == (self.time_s is None):
+            raise ValueError("when? wanted one of step and time_s")
+
+
+class Wind(Event, frozen=True, tag="wind"):
+    """The wind turns or changes its speed, and with it the plume, from this reading on."""
+
+    u: Annotated[float, Meta(ge=0)] | None = None
+    phi: Radians | None = None
+
+
+class Dropout(Event, frozen=True, tag="dropout"):
+    """The sensor gives no value (NaN); the vehicle waits and tries again every second."""
+
+    for_s: Annotated[float, Meta(gt=0, description="a number above 0: simulation time, s")]
+
+
+class Stuck(Event, frozen=True, tag="stuck"):
+    """The sensor says its last value again and again."""
+
+    readings: Count
+
+
+class Spike(Event, frozen=True, tag="spike"):
+    """The sensor says too much, or too little."""
+
+    gas: Annotated[float, Meta(description="a number: added to the reading, in the sensor's unit")]
+    readings: Count = 1
+
+
+class Duplicate(Event, frozen=True, tag="duplicate"):
+    """Readings are published several times."""
+
+    readings: Count
+    copies: Annotated[int, Meta(ge=1, le=100)] = 1
+
+
+class Delay(Event, frozen=True, tag="delay"):
+    """Readings arrive late."""
+
+    readings: Count
+    by_s: Annotated[float, Meta(gt=0, le=60, description="a number above 0 up to 60: real time, s")]
+
+
+class Lose(Event, frozen=True, tag="lose"):
+    """Readings are lost on the way, so many times each; the vehicle publishes them again until they are answered."""
+
+    readings: Count
+    times: Annotated[int, Meta(ge=1, le=100)] = 1
+
+
+class Pause(Event, frozen=True, tag="pause"):
+    """The operator has the vehicle hold where it is."""
+
+
+class Resume(Event, frozen=True, tag="resume"):
+    """The operator has the search go on; `after_s` counts from the last pause."""
+
+    after_s: TimeS | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a step: a vehicle that holds takes no readings."""
+        if self.step is not None or (self.time_s is None) == (self.after_s is None):
+            raise ValueError("when? wanted one of time_s and after_s: a vehicle that holds takes no steps")
+
+
+class Abort(Event, frozen=True, tag="abort"):
+    """The operator calls the vehicle home."""
+
+
+class Waypoints(Event, frozen=True, tag="waypoints"):
+    """These waypoints are flown instead of the agent's, one a reading, from the answer to this step's reading on."""
+
+    points: Annotated[list[Point], Meta(min_length=1)]
+
+    def path(self) -> list[Point]:
+        """Return the waypoints."""
+        return self.points
+
+
+class Lawnmower(Event, frozen=True, tag="lawnmower"):
+    """Rows from west to east and back are flown instead of the agent's waypoints, from the south to the north of a rectangle."""
+
+    low: Point = (0.0, 0.0)
+    high: Point = (AREA_M, AREA_M)
+    spacing_m: Annotated[float, Meta(ge=0.1, description="a number from 0.1: between two rows, m")] = 5.0
+    step_m: Annotated[float, Meta(ge=0.1, description="a number from 0.1: between two readings, m")] = STEP_M
+
+    def path(self) -> list[Point]:
+        """Return the waypoints: every row ends on the rectangle's edge, and so does the last row."""
+        xs, ys = (_steps(low, high, step) for low, high, step in zip(self.low, self.high, (self.step_m, self.spacing_m), strict=True))
+        return [(x, y) for row, y in enumerate(ys) for x in (xs if row % 2 == 0 else xs[::-1])]
+
+
+class Kill(Event, frozen=True, tag="kill"):
+    """A part is killed (SIGKILL) and started again."""
+
+    part: Literal["estimator", "agent", "router"]
+    restart_after_s: Annotated[Seconds, Meta(description="a number from 0: real time, s")] = 0.0
+
+
+class Cut(Event, frozen=True, tag="cut"):
+    """The link between a part and the router is cut: nothing gets through, and nobody is told."""
+
+    part: Literal["uav", "estimator", "agent"]
+    for_s: Annotated[float, Meta(gt=0, le=600, description="a number above 0 up to 600: real time, s")]
+
+
+OnBoard = Wind | Dropout | Stuck | Spike | Duplicate | Delay | Lose | Pause | Resume | Abort
+"""What happens to or in the vehicle."""
+
+
+class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One mission."""
+
+    about: Annotated[str, Meta(description="what the mission is there to show")] = ""
+    seed: Annotated[int, Meta(ge=0, le=MAX_SEED, description="a whole number from 0: of the scenario and all noise")] = 1
+    speedup: Annotated[float, Meta(ge=0, le=1000, description="a number from 0 up to 1000: 1 real time, 0 as fast as possible")] = 10.0
+    scenario: ScenarioPart = ScenarioPart()
+    vehicle: VehiclePart = VehiclePart()
+    sensor: Annotated[str, Meta(description="gaussian, threshold or hits, with numbers where chosen: 'threshold:0.5,0.3'")] = "gaussian"
+    estimator: EstimatorPart = EstimatorPart()
+    agent: AgentPart = AgentPart()
+    events: list[OnBoard | Waypoints | Lawnmower | Kill | Cut] = []
+    expect: Annotated[Expectation | list[Expectation], Meta(description="what has to hold in the end; decides the exit status")] = []
+
+    def release(self) -> Scenario:
+        """Return the scenario: what is given, the rest drawn by the seed."""
+        given = {name: value for name, value in msgspec.structs.asdict(self.scenario).items() if value is not None}
+        return msgspec.structs.replace(draw(self.seed), **given)
+
+    def world(self) -> World:
+        """Return the world that the mission is flown in."""
+        return World(self.release(), self.seed, sensor.parse(self.sensor))
+
+    def vehicle_config(self, sysid: int) -> VehicleConfig:
+        """Return the vehicle's configuration; who is silent lives in real time, and at speed-up 0 so does a waiting vehicle."""
+        fields = msgspec.structs.asdict(self.vehicle)
+        return VehicleConfig(sysid, **{**fields, "silence_s": self.vehicle.silence_s * (self.speedup or 1.0)})
+
+    @property
+    def expectations(self) -> list[Expectation]:
+        """What is expected, as a list."""
+        return [self.expect] if isinstance(self.expect, str) else self.expect
+
+    def scripted(self) -> dict[int, Point]:
+        """Return the waypoints that are flown instead of the agent's, by the step of the reading that they answer."""
+        path: dict[int, Point] = {}
+        for event in self.events:
+            if isinstance(event, Waypoints | Lawnmower):
+                assert event.step is not None
+                path.update(enumerate(event.path(), start=event.step))
+        return path
+
+    @property
+    def budget(self) -> int:
+        """Moves before the search is given up: without a policy, up to the last scripted waypoint."""
+        return min(self.agent.budget, max(self.scripted()) + 1) if self.agent.policy == "none" else self.agent.budget
+
+    def changed(self, changes: Mapping[str, Any]) -> "Script":
+        """Return it with fields replaced, such as {"seed": 2, "agent.policy": "homing"}."""
+        script = self
+        for name, value in changes.items():
+            part, _, field = name.rpartition(".")
+            if part:
+                value = msgspec.structs.replace(getattr(script, part), **{field: value})
+            script = msgspec.structs.replace(script, **{part or field: value})
+        return script
+
+
+def shipped() -> dict[str, Path]:
+    """Return the missions that come with the project, by name: a wheel has them in this package, a checkout beside it."""
+    package = Path(__file__).parents[1]
+    folder = package / "missions"
+    if not folder.is_dir():
+        folder = package.parent / "missions"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def find(mission: str | Path) -> Path:
+    """Return the file of a mission: the one so named, or else the shipped one of that name. Raises FileError."""
+    missions = shipped()
+    if not os.path.isfile(mission) and (found := missions.get(str(mission).removesuffix(".yaml"))):
+        return found
+    try:
+        os.stat(mission)
+    except FileNotFoundError:
+        wanted = f"a mission script, or one of {', '.join(missions)}"
+        raise FileError(f"{mission}: no such file and no shipped mission; wanted {wanted}") from None
+    except OSError as error:
+        raise FileError(f"{mission}: {error.strerror}") from None
+    return Path(mission)
+
+
+def load(mission: str | Path) -> Script:
+    """Read a mission script, or a shipped one by its name; raises FileError: one line with file, line, field and what is allowed."""
+    document = Document(find(mission))
+    script = document.to(Script)
+    try:
+        sensor.parse(script.sensor)
+    except ValueError as error:
+        raise document.error(["sensor"], str(error)) from None
+    taken: dict[int, int] = {}
+    for number, event in enumerate(script.events):
+        _check(document, number, event)
+        if isinstance(event, Waypoints | Lawnmower) and event.step is not None:
+            for step in range(event.step, event.step + len(event.path())):
+                if (other := taken.setdefault(step, number)) != number:
+                    raise document.error(["events", number], f"step {step} has its waypoint from events[{other}]; wanted one for each step")
+    if len(taken) > MOST_WAYPOINTS:
+        raise document.error(["events"], f"{len(taken):,} scripted waypoints are not allowed; wanted {MOST_WAYPOINTS:,} at most")
+    if script.agent.policy == "none" and (not taken or max(taken) >= len(taken)):
+        wanted = "a policy, or scripted waypoints from step 0 on without a gap"
+        raise document.error(["agent", "policy"], f"'none' is not allowed; wanted {wanted}")
+    return script
+
+
+def _check(document: Document, number: int, event: Event) -> None:
+    """Refuse what cannot be told from one field alone."""
+    field: list[str | int] = ["events", number]
+    match event:
+        case Wind(u=None, phi=None):
+            raise document.error(field, "nothing changes; wanted u, phi or both")
+        case Waypoints(step=None) | Lawnmower(step=None):
+            raise document.error([*field, "time_s"], "waypoints answer readings; wanted step")
+        case Lawnmower(low=low, high=high) if not (low[0] < high[0] and low[1] < high[1]):
+            raise document.error([*field, "high"], f"{list(high)} is not allowed; wanted a corner north-east of low, {list(low)}")
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON schema of mission scripts, for editors."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Plumeward mission", **msgspec.json.schema(Script)}
+
+
+def _steps(low: float, high: float, step: float) -> Sequence[float]:
+    count = math.ceil((high - low) / step - 1e-9)
+    return [min(low + number * step, high) for number in range(count)] + [high]

@@ -1,0 +1,143 @@
+"""The vehicle's own time in a telemetry log, over restarts, gaps and leaps of the log's clock."""
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import all as mavlink
+
+from sitl.tlog import frames
+from sitl.tlog.frames import Integers
+from sitl.tlog.sender import GLOBAL, LOCAL, Autopilot, FlightError, FlightLog, few
+
+Floats = NDArray[np.float64]
+
+CLOCKS = {  # what any autopilot sends, and where in its payload time_boot_ms is
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 8,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 0,
+    LOCAL: 0,
+    GLOBAL: 0,
+}
+REORDER_MS = 1000
+"""Messages overtake each other by so much, on a radio or over UDP; a clock that goes back further was started again."""
+LOOKAHEAD = 5
+"""Of so many messages behind one that came later still, one shows that the clock went on; otherwise it was started again."""
+WRAP = 2**32
+"""time_boot_ms begins at zero again after 49.7 days."""
+WRAPPED_MS = 3_600_000
+"""So soon after that; a clock that shows more was started again."""
+GAP_US = 5_000_000
+"""A silence that is worth a note."""
+
+
+class VehicleClock:
+    """The vehicle's time, ms since its start; it goes on growing when the vehicle is started again."""
+
+    def __init__(self, log: FlightLog, ticks: Integers, raw: Integers, times_ms: Integers, boots: Integers) -> None:
+        """Take the records that tell it, what they say, what that is in a row, and how many starts were before."""
+        self._log = log
+        self._ticks = ticks
+        self._raw = raw
+        self._times_ms = times_ms
+        self._boots = boots
+        self._ticks_us = log.times_us[ticks]
+        self._newest_ms = np.maximum.accumulate(times_ms) if len(ticks) else times_ms
+
+    def boots(self, records: Integers) -> Integers:
+        """How often the vehicle had been started again when these were logged."""
+        return self._boots[self._tick(records)] if len(self._ticks) else np.zeros(len(records), np.int64)
+
+    def own_ms(self, records: Integers, boot_ms: Integers) -> Floats:
+        """The vehicle's time at records that say their time_boot_ms."""
+        if not len(self._ticks):
+            return self.logged_ms(records)
+        tick = self._tick(records)
+        since = (boot_ms - self._raw[tick] + WRAP // 2) % WRAP - WRAP // 2
+        return (self._times_ms[tick] + since).astype(np.float64)
+
+    def logged_ms(self, records: Integers) -> Floats:
+        """The vehicle's time when records were logged: what to go by where a message does not say its own."""
+        us = self._log.times_us[records]
+        if not len(self._ticks):
+            return np.asarray((us - self._log.times_us[0]) / 1000.0)
+        first, last = self._ticks_us[0], self._ticks_us[-1]
+        beyond = np.where(us < first, us - first, np.maximum(us - last, 0)) / 1000.0
+        return np.asarray(np.interp(us - first, self._ticks_us - first, self._newest_ms) + beyond)
+
+    def logged_us(self, times_ms: Floats) -> Integers:
+        """When times of the vehicle were logged, or would have been."""
+        first = self._log.times_us[self._ticks[0] if len(self._ticks) else 0]
+        if not len(self._ticks):
+            return np.asarray(first + np.rint(1000.0 * times_ms).astype(np.int64))
+        return np.asarray(first + np.rint(np.interp(times_ms, self._newest_ms, self._ticks_us - first)).astype(np.int64))
+
+    def _tick(self, records: Integers) -> Integers:
+        return np.maximum(np.searchsorted(self._ticks, records, side="right") - 1, 0)
+
+
+def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> tuple[VehicleClock, list[str]]:
+    """Put the vehicle's times in a row, and take leaps out of the log's clock. Raises FlightError where neither tells the time."""
+    ticks = log.select(autopilot.system, CLOCKS, autopilot.component)
+    raw = []
+    for start, message_id in zip(log.records.starts[ticks].tolist(), log.records.message_ids[ticks].tolist(), strict=True):
+        at = CLOCKS[message_id]
+        raw.append(int.from_bytes(frames.payload(log.data, start)[at : at + 4], "little"))
+    times_ms, boots = _in_a_row(raw, log.times_us[ticks].tolist())
+    own = np.flatnonzero(log.records.systems == autopilot.system)
+    if log.is_timed:
+        notes = _take_out_leaps(log, own, ticks, times_ms, boots)
+    elif len(ticks):
+        log.times_us = np.interp(np.arange(len(log)), ticks, np.maximum.accumulate(times_ms) * 1000).astype(np.int64)
+        notes = ["its frames were logged without times: the vehicle's own are taken"]
+    else:
+        raise FlightError("neither the log nor the vehicle tells the time; wanted a telemetry log (.tlog) as ground stations write it")
+    starts = (np.flatnonzero(np.diff(boots)) + 1).tolist()
+    if starts:
+        told = [f"at {log.seconds(ticks[tick]):.1f} s (time_boot_ms from {raw[tick - 1]:,} to {raw[tick]:,})" for tick in starts]
+        notes.append(f"the vehicle was started again: {few(told)}; here its time goes on")
+    return VehicleClock(log, ticks, np.array(raw, np.int64), times_ms, boots), notes + _notes_on_gaps(log, own)
+
+
+def _in_a_row(raw: list[int], logged_us: list[int]) -> tuple[Integers, Integers]:
+    """Times that go on where the clock was started again, as far as the log's did and by 1 ms at least; and the starts before each."""
+    times, boots = [], []
+    boot, last = 0, raw[0] if raw else 0
+    newest = last
+    for index, now in enumerate(raw):
+        if _goes_on(last, now):
+            late = (last - now) % WRAP
+            if late > REORDER_MS:
+                newest, last, late = newest + (now - last) % WRAP, now, 0
+        elif any(_goes_on(last, later) for later in raw[index + 1 : index + 1 + LOOKAHEAD]):
+            late = last - now
+        else:
+            newest += max(1, (logged_us[index] - logged_us[index - 1]) // 1000)
+            last, late, boot = now, 0, boot + 1
+        times.append(newest - late)
+        boots.append(boot)
+    return np.array(times, np.int64), np.array(boots, np.int64)
+
+
+def _goes_on(last: int, now: int) -> bool:
+    """Whether a clock that showed `last` can show `now` without a new start: it is later, or a little late, or has wrapped."""
+    return now > last or (last - now) % WRAP <= REORDER_MS or (now - last) % WRAP <= WRAPPED_MS
+
+
+def _take_out_leaps(log: FlightLog, own: Integers, ticks: Integers, times_ms: Integers, boots: Integers) -> list[str]:
+    told = []
+    steps_us = np.diff(log.times_us[own])
+    for silence in np.flatnonzero(steps_us > GAP_US).tolist():
+        before, after = np.searchsorted(ticks, own[silence], side="right") - 1, np.searchsorted(ticks, own[silence + 1])
+        if before < 0 or after >= len(ticks) or boots[before] != boots[after]:
+            continue
+        leap_us = int(steps_us[silence]) - 1000 * max(0, int(times_ms[after] - times_ms[before]))
+        if leap_us > GAP_US:
+            log.times_us[own[silence + 1] :] -= leap_us
+            told.append(f"{leap_us / 1e6:,.1f} s at {log.seconds(own[silence]):.1f} s")
+    return [f"the log's clock leaps ahead of the vehicle's by {few(told)}: that is taken off"] if told else []
+
+
+def _notes_on_gaps(log: FlightLog, own: Integers) -> list[str]:
+    silences_us = np.diff(log.times_us[own])
+    gaps = np.flatnonzero(silences_us > GAP_US).tolist()
+    told = [f"{silences_us[gap] / 1e6:.1f} s at {log.seconds(own[gap]):.1f} s" for gap in gaps]
+    return [f"gaps without a word of the vehicle: {few(told)}; {silences_us[gaps].sum() / 1e6:.1f} s in all"] if gaps else []

@@ -1,0 +1,343 @@
+"""The UAV service: flies, measures, and speaks MAVLink on the bus and over UDP."""
+
+import math
+import queue
+import time
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import msgspec
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP
+from link.bus.log import Log
+from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack
+from link.bus.messages import Stop
+from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
+from plume.world import World
+from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.operator import OPERATOR, change_mode, command, setpoint
+from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol
+from sitl.autopilot.state import Arrived, Mode, Result
+from sitl.autopilot.telemetry import Snapshot, Telemetry
+from sitl.autopilot.vehicle import Vehicle
+from sitl.script.script import Abort, Delay, Dropout, Duplicate, Lose, OnBoard, Pause, Resume, Spike, Stuck, Wind
+from sitl.uav.clock import Clock
+from sitl.uav.faults import FaultyRadio, FaultySensor
+from sitl.uav.timeline import Timeline
+from sitl.uav.udp import UdpLink
+
+TRY_AGAIN_S = 1.0
+"""Simulation time after which a silent sensor is asked again."""
+
+
+class Link(Protocol):
+    """Somewhere that MAVLink messages are sent to."""
+
+    def send(self, *messages: Message) -> None:
+        """Send messages in this link's own sequence."""
+
+
+class BusLink:
+    """MAVLink over the bus."""
+
+    def __init__(self, bus: Bus, system: int) -> None:
+        """Send on `mavlink/out`."""
+        self._bus = bus
+        self._codec = Codec(system, COMPONENT)
+
+    def send(self, *messages: Message) -> None:
+        """Send messages as one sample."""
+        self._bus.publish(MAVLINK_OUT, self._codec.pack(*messages))
+
+
+class Port(NamedTuple):
+    """A link and the telemetry that goes out on it: each client sets its own rates."""
+
+    link: Link
+    telemetry: Telemetry
+
+
+class FromUdp(NamedTuple):
+    """A message that came over UDP, and on which port of ours."""
+
+    port: int
+    message: Message
+
+
+class Uav:
+    """One vehicle in one world: the loop that ties its clock, its links and its sensor together."""
+
+    def __init__(
+        self,
+        config: VehicleConfig,
+        world: World,
+        clock: Clock,
+        inbox: "queue.SimpleQueue[Any]",
+        bus: Bus | None,
+        outs: Sequence[str],
+        log: Log,
+        events: Sequence[OnBoard] = (),
+    ) -> None:
+        """Join the links; raises ValueError for a UDP URL that cannot be used. `events` are what a script has happen on board.
+
+        `log` is the bus's, where there is one.
+        """
+        self._vehicle = Vehicle(config)
+        self._protocol = MavlinkProtocol(self._vehicle)
+        self._world = world
+        self._clock = clock
+        self._inbox = inbox
+        self._bus = bus
+        self._log = log
+        self._tally = log.tally
+        self._timeline = Timeline(events)
+        self._after_pause_s = [event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None]
+        self._sensor = FaultySensor()
+        self._radio = FaultyRadio(self._publish_reading)
+        self._gas: tuple[int, float] | None = None
+        self._last_reading = b""
+        self._last_time_boot_ms = -1
+        self._readings = 0
+        self._codec = Codec(config.sysid, COMPONENT)
+        self._resend_s = RESEND_FIRST_S
+        self._resend_at = time.monotonic()
+        self._searchers: set[str] = set()
+        self._stopped = False
+        self._tally.state = "standby"
+        self._sampled_at = time.monotonic()
+        self._ports: list[Port] = []
+        self._udp: list[UdpLink] = []
+        if bus is not None:
+            self._ports.append(Port(BusLink(bus, config.sysid), self._telemetry()))
+        for url in outs:
+            index = len(self._ports)
+            link = UdpLink(url, lambda message, index=index: inbox.put(FromUdp(index, message)), config.sysid, COMPONENT)  # type: ignore[misc]
+            self._udp.append(link)
+            self._ports.append(Port(link, self._telemetry()))
+
+    def _telemetry(self) -> Telemetry:
+        # The vehicle's own time, not that of the streams: at speed-up 0 the two differ.
+        return Telemetry(lambda _: Snapshot(self._vehicle.config, self._vehicle.state(self._vehicle.now_s), self._world.wind, self._gas))
+
+    def run(self) -> None:
+        """Fly until interrupted."""
+        if self._bus:
+            self._bus.subscribe(MAVLINK_IN, STOP)
+            self._bus.watch_services()
+        self._set_state("standby")
+        try:
+            while True:
+                busy_since = time.perf_counter()
+                self._clock.jump(self._busy, self._next_event_s())
+                self._live_until(self._clock.now_s())
+                self._go_on_with_the_search()
+                self._resend()
+                for port in self._ports:
+                    if due := port.telemetry.due(self._clock.stream_s()):
+                        port.link.send(*due)
+                self._tally.compute_s += time.perf_counter() - busy_since
+                if self._bus:
+                    self._bus.keep_health()
+                self._handle(self._receive())
+        finally:
+            for link in self._udp:
+                link.close()
+
+    # ---- time ----
+
+    def _next_event_s(self) -> float | None:
+        """When the next thing happens to the vehicle or by the script, if no message comes."""
+        return min((at for at in (self._vehicle.next_event_s(), self._timeline.next_s()) if at is not None), default=None)
+
+    @property
+    def _busy(self) -> bool:
+        """Whether nobody is waited for: at speed-up 0 time may then leap to the next event."""
+        return self._vehicle.moving or (self._tally.state == "searching" and self._timeline.next_s() is not None and not self._must_resend)
+
+    def _live_until(self, now_s: float) -> None:
+        """Let time pass, and each event of the script happen at its very own."""
+        while (at := self._timeline.next_s()) is not None and at <= now_s:
+            self._let_pass(max(at, self._vehicle.now_s))
+            if (at := self._timeline.next_s()) is not None and at <= self._vehicle.now_s:
+                self._perform(self._timeline.pop())
+        self._let_pass(now_s)
+
+    def _let_pass(self, now_s: float) -> None:
+        for event in self._vehicle.advance(now_s):
+            if isinstance(event, Arrived):
+                self._sample(event)
+            else:
+                self._log.info(event.text)
+                self._broadcast(self._protocol.statustext(event.severity, event.text))
+
+    def _receive(self) -> Any:
+        next_event_s = self._next_event_s()
+        if self._busy and not self._clock.speedup:
+            timeout_s = 0.0
+        else:
+            next_stream_s = min(port.telemetry.next_due_s() for port in self._ports)
+            timeout_s = self._clock.wait_s(next_event_s, next_stream_s)
+            real_s = min(self._radio.next_s(), self._resend_at if self._must_resend else math.inf)
+            timeout_s = min(timeout_s, max(real_s - time.monotonic(), 0.0))
+        try:
+            return self._inbox.get(timeout=min(timeout_s, SIGNAL_POLL_S))  # a client may have turned all streams off
+        except queue.Empty:
+            return None
+
+    # ---- what arrives ----
+
+    def _handle(self, item: Any) -> None:
+        match item:
+            case FromUdp(index, message):
+                self._message(message, self._ports[index])
+            case Arrival(key, payload) if key is MAVLINK_IN:
+                try:
+                    messages = unpack(payload)
+                except BadFrame as error:
+                    if self._bus:
+                        self._bus.refuse(MAVLINK_IN, str(error), "malformed")
+                    return
+                for message in messages:
+                    self._message(message, self._ports[0])
+            case Arrival(key) if key is STOP and self._bus:
+                stop = self._bus.decode(item, Stop)
+                self._stopped = self._stopped or stop is not None
+            case LivelinessChange(service, alive):
+                (self._searchers.add if alive else self._searchers.discard)(service)
+
+    def _message(self, message: Message, port: Port) -> None:
+        refused, awaited = self._protocol.refused.total(), self._vehicle.awaiting_answer
+        answers = self._protocol.receive(message, self._clock.now_s(), port.telemetry)
+        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+            self._clock.heard()
+        if awaited and not self._vehicle.awaiting_answer:
+            self._tally.latency_s = time.monotonic() - self._sampled_at
+        if self._protocol.refused.total() > refused:
+            self._tally.refuse("waypoint")
+        if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
+            self._log.warn("".join(texts))
+        if answers:
+            port.link.send(*answers)
+
+    # ---- the search ----
+
+    def _go_on_with_the_search(self) -> None:
+        """Arm, take off and go to the start when estimator and agent are there; then their waypoints lead."""
+        now_s = self._vehicle.now_s
+        mode = self._vehicle.state(now_s).mode
+        if self._tally.state == "standby" and self._searchers >= SEARCHERS:
+            if not self._vehicle.state(now_s).armed:
+                self._warn_where_refused(self._vehicle.arm(now_s))
+            self._warn_where_refused(self._vehicle.take_off(now_s))
+            self._set_state("taking off")
+        elif self._tally.state == "taking off" and mode is Mode.HOLD:
+            start_x, start_y = self._world.start
+            self._warn_where_refused(self._vehicle.setpoint(now_s, (start_y, start_x, -self._vehicle.config.takeoff_altitude_m)))
+            self._warn_where_refused(self._vehicle.set_mode(now_s, Mode.OFFBOARD))
+            self._set_state("searching")
+        elif self._tally.state == "searching" and mode in (Mode.RETURN, Mode.LAND):
+            self._set_state("returning")
+        elif self._tally.state == "returning" and not self._vehicle.state(now_s).armed:
+            self._set_state("landed")
+
+    def _warn_where_refused(self, result: Result) -> None:
+        if not result.accepted:
+            self._log.warn(result.reason)
+
+    def _set_state(self, state: str) -> None:
+        self._tally.state = state
+        if self._bus:
+            self._bus.publish_health()
+
+    def _sample(self, arrived: Arrived) -> None:
+        """Take one reading where the vehicle came to rest, and publish it."""
+        for event in self._timeline.before(self._readings):
+            self._perform(event)
+        north, east, down = arrived.position
+        self._last_time_boot_ms = max(round(self._vehicle.now_s * 1000), self._last_time_boot_ms + 1)
+        silent = self._sensor.silent(self._vehicle.now_s)
+        gas = math.nan if silent else self._sensor.read(self._world.gas((east, north), self._readings))
+        reading = pack_reading(self._codec, Reading(self._last_time_boot_ms, (east, north), -down, self._world.wind, gas))
+        if silent:
+            self._publish_reading(reading)
+            self._timeline.schedule(self._vehicle.now_s + TRY_AGAIN_S, arrived)
+            return
+        self._gas = self._last_time_boot_ms, gas
+        self._vehicle.sampled(self._last_time_boot_ms)
+        self._last_reading = reading
+        self._radio.new_reading()
+        self._radio.send(reading, time.monotonic())
+        self._sampled_at = time.monotonic()
+        self._tally.did(self._readings)
+        self._log.debug(f"reading {gas:.4g} at ({east:.2f}, {north:.2f}) m, {self._vehicle.now_s:.2f} s")
+        if self._bus:
+            self._bus.publish_health()
+        self._readings += 1
+        self._resend_s = RESEND_FIRST_S
+        self._resend_at = time.monotonic() + self._resend_s
+        for event in self._timeline.after(self._readings - 1):
+            self._perform(event)
+
+    def _publish_reading(self, reading: bytes) -> None:
+        if self._bus:
+            self._bus.publish(READING, reading)
+
+    @property
+    def _must_resend(self) -> bool:
+        return self._bus is not None and self._tally.state == "searching" and self._vehicle.awaiting_answer and not self._stopped
+
+    def _resend(self) -> None:
+        """Send an unanswered reading again: whichever message of the round trip was lost, this one has it said once more."""
+        now_s = time.monotonic()
+        self._radio.deliver(now_s)
+        if self._must_resend and now_s >= self._resend_at:
+            self._radio.send(self._last_reading, now_s)
+            self._resend_s = min(2 * self._resend_s, RESEND_LAST_S)
+            self._resend_at = now_s + self._resend_s
+
+    # ---- the script ----
+
+    def _perform(self, event: OnBoard | Arrived) -> None:
+        """Have an event of the script happen now."""
+        if isinstance(event, Arrived):
+            if self._vehicle.state(self._vehicle.now_s).mode is Mode.OFFBOARD and not self._vehicle.moving:
+                self._sample(event)
+            return
+        words = " ".join(f"{name} {value}" for name, value in msgspec.structs.asdict(event).items() if value is not None)
+        text = f"Script: {event.__struct_config__.tag} {words}"
+        self._log.info(text)
+        self._broadcast(self._protocol.statustext(mavlink.MAV_SEVERITY_INFO, text))
+        match event:
+            case Wind(u=u, phi=phi):
+                scenario = self._world.scenario
+                turned = {"u": scenario.u if u is None else u, "phi": scenario.phi if phi is None else phi}
+                self._world = World(msgspec.structs.replace(scenario, **turned), self._world.seed, self._world.sensor)
+            case Dropout() | Stuck() | Spike():
+                self._sensor.begin(event, self._vehicle.now_s)
+            case Delay() | Duplicate() | Lose():
+                self._radio.begin(event)
+            case Pause():
+                self._operate(change_mode(Mode.HOLD))
+                for after_s in self._after_pause_s[:1]:
+                    self._timeline.schedule(self._vehicle.now_s + after_s, Resume(time_s=self._vehicle.now_s + after_s))
+                del self._after_pause_s[:1]
+            case Resume():
+                # A pause may outlast the time that a setpoint is good for.
+                if self._vehicle.waypoint:
+                    self._operate(setpoint(self._vehicle.waypoint))
+                self._operate(change_mode(Mode.OFFBOARD))
+            case Abort():
+                self._operate(command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH))
+
+    def _operate(self, message: Message) -> None:
+        """Take a message of the script's operator, as if it had come over a link."""
+        message.pack(mavlink.MAVLink(None, *OPERATOR))
+        answers = self._protocol.receive(message, self._vehicle.now_s)
+        for text in (answer.text for answer in answers if answer.get_type() == "STATUSTEXT"):
+            self._log.warn(text)
+        self._broadcast(answers)
+
+    def _broadcast(self, messages: Sequence[Message]) -> None:
+        for port in self._ports:
+            port.link.send(*messages)

@@ -1,0 +1,172 @@
+"""MAVLink over UDP with ground stations and programs: `udpout:HOST:PORT` or `udpin:HOST:PORT`, as pymavlink writes them."""
+
+import logging
+import re
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.mavlink import Codec, Message
+
+logger = logging.getLogger(__name__)
+
+LARGEST_DATAGRAM = 65535
+CHECKSUM_LENGTH = 2
+
+
+FORGET_AFTER_S = 60.0
+"""Who has been silent for so long on a `udpin` is gone: a ground station sends a heartbeat every second."""
+MOST_PEERS = 16
+"""So many, the last to have spoken, are answered on a `udpin`: an address is easily made up."""
+ALLOWED = "udpout:HOST:PORT or udpin:HOST:PORT"
+
+
+class Url(NamedTuple):
+    """Where to speak MAVLink."""
+
+    listens: bool
+    """`udpin`: bind there and answer whoever has spoken; `udpout`: speak to there."""
+    host: str
+    port: int
+
+    @property
+    def counterpart(self) -> str:
+        """What clients are given to reach it."""
+        if self.listens:
+            return f"MAVSDK: udpout://HOST:{self.port}, pymavlink and MAVProxy: udpout:HOST:{self.port}"
+        return f"MAVSDK: udpin://0.0.0.0:{self.port}, pymavlink and MAVProxy: udpin:0.0.0.0:{self.port}"
+
+
+def parse_url(url: str) -> Url:
+    """Return what a URL says; raises ValueError where it is none."""
+    match = re.fullmatch(r"udp(in|out):([^\s:/]+):([0-9]{1,5})", url)
+    if not match or not 1 <= int(match[3]) <= 65535:
+        raise ValueError(f"{url!r} is not a MAVLink link: allowed is {ALLOWED} with a port from 1 to 65535")
+    return Url(match[1] == "in", match[2], int(match[3]))
+
+
+def decode(datagram: bytes) -> tuple[list[Message], int]:
+    """Return the messages of a datagram, MAVLink 1 or 2, and how many bytes of it belong to none.
+
+    A frame never straddles datagrams, so nothing is kept between them: garbage cannot swallow the good frame that follows it.
+    """
+    parser = mavlink.MAVLink(None)
+    messages, skipped, at = [], 0, 0
+    while at < len(datagram):
+        frame = datagram[at : at + _frame_length(datagram[at : at + 3])]
+        message = _decode_frame(parser, frame)
+        if message is None:
+            skipped += 1
+            at += 1
+        else:
+            messages.append(message)
+            at += len(frame)
+    return messages, skipped
+
+
+def _frame_length(head: bytes) -> int:
+    """The length of the frame that may start so; 0 where none does."""
+    if len(head) < 3 or head[0] not in (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2):
+        return 0
+    if head[0] == mavlink.PROTOCOL_MARKER_V1:
+        overhead = mavlink.HEADER_LEN_V1 + CHECKSUM_LENGTH
+    elif head[2] in (0, mavlink.MAVLINK_IFLAG_SIGNED):
+        overhead = mavlink.HEADER_LEN_V2 + CHECKSUM_LENGTH + (mavlink.MAVLINK_SIGNATURE_BLOCK_LEN if head[2] else 0)
+    else:
+        return 0  # a receiver must drop what is incompatible in ways it does not know
+    return int(overhead) + head[1]
+
+
+def _decode_frame(parser: mavlink.MAVLink, frame: bytes) -> Message | None:
+    if not frame:
+        return None
+    try:
+        message = parser.decode(bytearray(frame))
+    except mavlink.MAVError:
+        return None
+    # Of a message outside the dialect not even the checksum can be verified.
+    return None if isinstance(message, mavlink.MAVLink_unknown) else message
+
+
+class UdpLink:
+    """Sends messages to its peers and hands those that come back to a callback, in a thread of its own.
+
+    The peer of a `udpout` is its address, heard or not: what cannot be sent is lost, as on a radio. Those of a `udpin` are all who
+    have lately sent it a frame.
+    """
+
+    def __init__(self, url: str, on_message: Callable[[Message], None], system: int = 1, component: int = 1) -> None:
+        """Open the link; raises ValueError where the URL is not one or its host or port cannot be had."""
+        self.garbage = 0
+        """Bytes received that belong to no frame."""
+        where = parse_url(url)
+        self._codec = Codec(system, component)
+        self._on_message = on_message
+        self._heard: dict[tuple[str, int], float] | None = {} if where.listens else None
+        """When each peer of a `udpin` was last heard, the latest last; replaced as a whole, as two threads use it."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            if where.listens:
+                self._socket.bind(where[1:])
+            else:
+                self._socket.connect(where[1:])  # from now on only this peer is heard
+        except OSError as error:
+            self._socket.close()
+            raise ValueError(f"{url!r} cannot be used: {error.strerror}; allowed is {ALLOWED} with a usable IPv4 host") from None
+        self._socket.setblocking(False)
+        self._wake, self._woken = socket.socketpair()
+        self._thread = threading.Thread(target=self._receive, name=f"mavlink {url}", daemon=True)
+        self._thread.start()
+
+    def send(self, *messages: Message) -> None:
+        """Send each message in a datagram of its own."""
+        peers = self._peers()
+        for message in messages:
+            frame = self._codec.pack(message)
+            for peer in peers:
+                try:
+                    if peer is None:
+                        self._socket.send(frame)
+                    else:
+                        self._socket.sendto(frame, peer)
+                except OSError:  # nobody listens there (yet), the buffer is full, or the link is closed
+                    continue
+
+    def _peers(self) -> list[tuple[str, int] | None]:
+        if self._heard is None:
+            return [None]
+        oldest = time.monotonic() - FORGET_AFTER_S
+        return [peer for peer, heard in self._heard.items() if heard >= oldest]
+
+    def close(self) -> None:
+        """End the thread and free the socket; a second call does nothing."""
+        self._wake.close()
+        if self._thread is not threading.current_thread():
+            self._thread.join()
+        self._woken.close()
+        self._socket.close()
+
+    def _receive(self) -> None:
+        while True:
+            readable, _, _ = select.select([self._socket, self._woken], [], [])
+            if self._woken in readable:
+                return
+            try:
+                datagram, peer = self._socket.recvfrom(LARGEST_DATAGRAM)
+            except OSError:  # the peer refused what was sent to it: it is not there yet
+                continue
+            messages, garbage = decode(datagram)
+            self.garbage += garbage
+            if messages and self._heard is not None:
+                others = [(other, heard) for other, heard in self._heard.items() if other != peer]
+                self._heard = dict([*others, (peer, time.monotonic())][-MOST_PEERS:])
+            for message in messages:
+                try:
+                    self._on_message(message)
+                except Exception:  # one message must not end the link
+                    logger.exception("%s was not handled", message.get_type())

@@ -1,0 +1,344 @@
+"""Protects the gymnasium environments: what the checkers ask, how episodes end and pay, and that many at once are the same as one."""
+
+import re
+import subprocess
+import sys
+import warnings
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
+
+import agent.trials.rollout
+from agent.learn.env import TRAINING_SEEDS, SourceSearch, SourceSearchVector
+from agent.observation import BOUND, SCHEMAS
+from link.bus.messages import Belief, Particles
+from plume.scenario import AREA_M, draw
+
+DISCRETE, CONTINUOUS = IDS = ("plumeward/SourceSearch-v0", "plumeward/SourceSearchContinuous-v0")
+DOCUMENT = Path(__file__).parents[3] / "docs" / "environment.md"
+QUICK = {"particles": 100, "threshold_m": 1.5}
+"""Missions that stop early."""
+
+
+def make(name: str = DISCRETE, **settings: Any) -> Any:
+    return gymnasium.make(name, **(QUICK | settings)).unwrapped
+
+
+def flown(env: SourceSearch, seed: int, action: Any = 0) -> list[tuple[float, bool, bool, dict[str, Any]]]:
+    """Fly the mission of a seed with one and the same action, towards the estimate by default; what each step said."""
+    env.reset(seed=seed)
+    said = []
+    while not said or not (said[-1][1] or said[-1][2]):
+        said.append(env.step(action)[1:])
+    return said
+
+
+@pytest.mark.parametrize("observation", SCHEMAS)
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasiums_checker_finds_nothing(name: str, observation: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(make(name, observation=observation), skip_render_check=True)
+
+
+@pytest.mark.parametrize("observation", SCHEMAS)
+@pytest.mark.parametrize("name", IDS)
+def test_stable_baselines_checker_finds_nothing(name: str, observation: str) -> None:
+    from stable_baselines3.common import env_checker
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env_checker.check_env(make(name, observation=observation), skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasiums_wrappers_find_nothing_in_whole_missions(name: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make(name, **QUICK, budget=20)
+        env.action_space.seed(1)
+        for _ in range(3):
+            env.reset()
+            over = False
+            while not over:
+                _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+                over = terminated or truncated
+
+
+@pytest.mark.parametrize(("observation", "size"), [("paper", 5), ("polar", 184)])
+def test_spaces_are_what_the_settings_say(observation: str, size: int) -> None:
+    env, several = make(observation=observation), gymnasium.make_vec(DISCRETE, 3, observation=observation, headings=8)
+    seen = spaces.Box(-BOUND, BOUND, (size,), np.float32)
+    assert (env.observation_space, env.action_space) == (seen, spaces.Discrete(16))
+    assert (several.single_observation_space, several.single_action_space) == (seen, spaces.Discrete(8))
+    assert several.observation_space == spaces.Box(-BOUND, BOUND, (3, size), np.float32)
+    assert several.action_space == spaces.MultiDiscrete([8, 8, 8])
+    assert make(CONTINUOUS).action_space == spaces.Box(-1, 1, (2,), np.float32)
+    assert gymnasium.make_vec(CONTINUOUS, 3).action_space == spaces.Box(-1, 1, (3, 2), np.float32)
+
+
+def test_many_at_once_come_as_a_native_vector_env() -> None:
+    several = gymnasium.make_vec(CONTINUOUS, 3, threads=2, **QUICK)
+    assert type(several) is SourceSearchVector
+    assert several.settings.continuous
+    assert several.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+
+
+def test_the_names_are_found_without_an_import() -> None:
+    code = f"import gymnasium; print(gymnasium.make('agent.learn.env:{DISCRETE}').reset(seed=1)[1]['seed'])"
+    said = subprocess.run([sys.executable, "-c", code], check=True, timeout=60, capture_output=True, text=True, cwd=DOCUMENT.parents[1])
+    assert said.stdout == "1\n"
+
+
+@pytest.mark.parametrize(("reward", "each", "last"), [("paper", 0.0, 1.0), ("cost", -0.01, 0.99)])
+def test_a_stop_pays_and_a_step_may_cost(reward: str, each: float, last: float) -> None:
+    said = flown(make(reward=reward), 0)
+    assert len(said) > 5
+    assert [step[0] for step in said] == pytest.approx([each] * (len(said) - 1) + [last])
+    assert said[-1][1]
+
+
+@pytest.mark.parametrize(("reward", "each"), [("paper", 0.0), ("cost", -0.01)])
+def test_a_spent_budget_pays_nothing(reward: str, each: float) -> None:
+    said = flown(make(reward=reward, budget=4), 0)
+    assert [step[:3] for step in said] == [(each, False, False)] * 3 + [(each, False, True)]
+
+
+def test_a_stop_terminates_right_or_wrong() -> None:
+    env, located = make(threshold_m=3.0, observation="polar"), set()
+    for seed in count():
+        *before, (reward, terminated, truncated, told) = flown(env, seed)
+        assert (terminated, truncated) == (True, False)
+        assert reward == pytest.approx(0.99)  # a wrong stop pays as well: the env does not tell the policy
+        assert told["spread_m"] < 3.0
+        assert not any(step[3]["located"] for step in before)  # of those that ceased
+        error_m = np.linalg.norm(told["estimate"] - np.array(draw(seed).source))
+        assert told["located"] == (error_m <= 1.0)
+        located.add(bool(told["located"]))
+        if located == {False, True}:
+            break
+
+
+def test_a_stop_at_the_last_step_of_the_budget_terminates_and_does_not_truncate() -> None:
+    steps = len(flown(make(), 0))
+    for budget, expected in ((steps + 1, (True, False)), (steps, (True, False)), (steps - 1, (False, True))):
+        said = flown(make(budget=budget), 0)
+        assert said[-1][1:3] == expected
+        assert len(said) == min(steps, budget)
+
+
+def test_the_budget_is_300_moves_and_zeta_half_a_metre_as_elsewhere() -> None:
+    settings = SourceSearch().settings
+    assert (settings.budget, settings.threshold_m, settings.particles) == (300, 0.5, 500)
+
+
+def test_infos_tell_of_the_mission() -> None:
+    env = make(CONTINUOUS, observation="paper")
+    seen, told = env.reset(seed=7)
+    assert set(told) == {"seed", "position", "estimate", "spread_m", "distance_m", "located"}
+    assert (told["seed"], told["distance_m"], bool(told["located"])) == (7, 0, False)
+    assert told["position"] == pytest.approx(draw(7).start, abs=1e-6)
+    for step in (1, 2):
+        before = told["position"]
+        seen, _, _, _, told = env.step(np.array([0.25, 0.0], np.float32))  # half a metre to the north-east
+        assert told["position"] - before == pytest.approx([0.5**1.5, 0.5**1.5], abs=1e-5)
+        assert told["distance_m"] == pytest.approx(0.5 * step, abs=1e-5)
+        assert AREA_M * seen[:2] == pytest.approx(told["position"], abs=1e-5)
+        assert AREA_M * seen[3:] == pytest.approx(told["estimate"], abs=1e-5)
+
+
+def plain(values: Any, where: Any = slice(None)) -> Any:
+    """Infos of a vector env without its masks, as lists: those that differ in kind only are equal."""
+    if isinstance(values, dict):
+        return {name: plain(value, where) for name, value in values.items() if not name.startswith("_")}
+    return [item.tolist() if isinstance(item, np.ndarray) else item for item in np.asarray(values)[where].tolist()]
+
+
+@pytest.mark.parametrize("observation", SCHEMAS)
+@pytest.mark.parametrize("name", IDS)
+def test_many_at_once_are_what_gymnasium_makes_of_single_ones(name: str, observation: str) -> None:
+    """Also through the missions that follow each seed, those that stop and those whose budget is spent."""
+    settings: dict[str, Any] = {"observation": observation, "particles": 50, "threshold_m": 7.0, "budget": 18}
+    ours = gymnasium.make_vec(name, 8, threads=2, **settings)
+    peer = gymnasium.make_vec(
+        name, 8, vectorization_mode="sync", vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP}, **settings
+    )  # fmt: skip
+    assert isinstance(peer, SyncVectorEnv)
+    ended = {"terminated": 0, "truncated": 0}
+    (seen, told), (expected, truth) = ours.reset(seed=11), peer.reset(seed=11)
+    ours.action_space.seed(3)
+    for step in range(120):
+        assert seen.tobytes() == expected.tobytes()
+        assert plain(told) == plain(truth)
+        if step == 60:  # resets without a seed go on
+            (seen, told), (expected, truth) = ours.reset(), peer.reset()
+            continue
+        actions = ours.action_space.sample()
+        actions[:5] = 0 if name == DISCRETE else (0.0, 1.0)  # these fly to their estimates, in `polar`
+        seen, rewards, terminated, truncated, told = ours.step(actions)
+        expected, other_rewards, other_terminated, other_truncated, truth = peer.step(actions)
+        assert (rewards.tolist(), terminated.tolist(), truncated.tolist()) == (
+            other_rewards.tolist(), other_terminated.tolist(), other_truncated.tolist(),
+        )  # fmt: skip
+        assert not (terminated & truncated).any()
+        over = terminated | truncated
+        assert ("final_obs" in told) == over.any() == ("final_obs" in truth)
+        if over.any():
+            final, other_final = (infos.pop("final_info") for infos in (told, truth))
+            last, other_last = (infos.pop("final_obs") for infos in (told, truth))
+            assert (told["_final_obs"] == over).all()
+            assert (told["_final_info"] == over).all()
+            assert plain(final, over) == plain(other_final, over)
+            for i in range(8):
+                assert (last[i] is None) == (other_last[i] is None) == (not over[i])
+                assert not over[i] or last[i].tobytes() == other_last[i].tobytes()
+        ended["terminated"] += int(terminated.sum())
+        ended["truncated"] += int(truncated.sum())
+    assert min(ended.values()) > 2
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of it, where the actions are the same: here they alternate between two."""
+    env = make(name)
+    first, second = (np.array([0, 3]) if name == DISCRETE else np.array([[0.0, 1.0], [0.3, -0.2]], np.float32)).copy()
+
+    def choose(_policy: str, said: Belief, particles: Particles, *_: Any) -> tuple[float, float]:
+        _, frame = SCHEMAS["polar"].see(said, particles)
+        action = second if said.step % 3 == 2 else first
+        x, y = env.settings.move.waypoints(np.array([said.position]), frame[None], action[None], AREA_M)[0].tolist()
+        return x, y
+
+    monkeypatch.setattr(agent.trials.rollout, "choose", choose)
+    for seed in (0, 1_000_002):
+        steps = list(agent.trials.rollout.mission(seed, "random", QUICK["particles"], QUICK["threshold_m"], 60).steps)
+        assert steps[-1].belief.ceased
+        seen, told = env.reset(seed=seed)
+        over = False
+        for k, (said, particles, *_) in enumerate(steps):
+            assert seen.tobytes() == SCHEMAS["polar"].see(said, particles)[0].tobytes()
+            assert (tuple(told["position"]), tuple(told["estimate"]), told["spread_m"]) == (said.position, said.mean, said.spread)
+            assert over == said.ceased
+            seen, _, over, _, told = env.step(second if k % 3 == 2 else first)
+
+
+def test_a_reset_of_many_begins_a_seed_and_those_after_it_or_those_that_are_named() -> None:
+    several = SourceSearchVector(3, **QUICK)
+    assert several.reset(seed=20)[1]["seed"].tolist() == [20, 21, 22]
+    assert several.reset(seed=[5, 3, 1_000_000])[1]["seed"].tolist() == [5, 3, 1_000_000]
+    following = several.reset()[1]["seed"].tolist()
+    for seed, expected in zip((5, 3, 1_000_000), following, strict=True):
+        env = make()
+        env.reset(seed=seed)
+        assert env.reset()[1]["seed"] == expected
+    for seeds in ([1], [1, 2], [1, 2, 3, 4]):
+        with pytest.raises(ValueError, match=f"{len(seeds)} seeds for 3 missions"):
+            several.reset(seed=seeds)
+
+
+class Highest:
+    """A generator that draws the greatest number it may."""
+
+    def integers(self, high: int, size: int | None = None) -> Any:
+        return np.full(size, high - 1) if size else np.int64(high - 1)
+
+
+def test_no_mission_is_one_to_choose_or_to_test_by_unless_asked_for() -> None:
+    assert TRAINING_SEEDS == 900_000
+    several, env = SourceSearchVector(8, particles=10, budget=1, observation="paper"), make(particles=10)
+    several.np_random = env.np_random = Highest()  # type: ignore[assignment]
+    assert several.reset()[1]["seed"].tolist() == [899_999] * 8
+    assert env.reset()[1]["seed"] == 899_999
+    several.reset(seed=1_000_000)
+    drawn = [several.step(np.zeros(8, int))[4]["seed"] for _ in range(60)]  # each step ends all the missions
+    assert 850_000 < np.max(drawn) < 900_000
+    assert len(np.unique(drawn)) > 470
+
+
+def test_what_was_returned_is_not_changed_by_the_next_step() -> None:
+    several = SourceSearchVector(3, **QUICK, budget=3)
+    kept: list[Any] = [several.reset(seed=0)]
+    before = [plain(kept[0][1])]
+    seen = [kept[0][0].tobytes()]
+    for _ in range(5):
+        kept.append(several.step(np.array([0, 1, 2])))
+        seen.append(kept[-1][0].tobytes())
+        before.append(plain({name: value for name, value in kept[-1][-1].items() if name != "final_obs"}))
+    for said, infos, observation in zip(kept, before, seen, strict=True):
+        assert said[0].tobytes() == observation
+        assert plain({name: value for name, value in said[-1].items() if name != "final_obs"}) == infos
+
+
+def test_gymnasiums_wrappers_of_many_count_missions_right() -> None:
+    wrapped = DictInfoToList(RecordEpisodeStatistics(SourceSearchVector(3, **QUICK, budget=4)))
+    wrapped.reset(seed=1)
+    for _ in range(4):
+        told = wrapped.step(np.zeros(3, int))[4]
+    for i, info in enumerate(told):
+        assert (info["episode"]["l"], info["episode"]["r"]) == (4, pytest.approx(-0.04))
+        assert info["final_info"]["seed"] == 1 + i
+        assert info["final_obs"].shape == (184,)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"observation": "pixels"}, "observation 'pixels' is not allowed; wanted paper or polar"),
+        ({"reward": "more"}, "reward 'more' is not allowed; wanted paper or cost"),
+        ({"headings": 1}, "headings 1 is not allowed; wanted a whole number from 2"),
+        ({"headings": 7.5}, "headings 7.5 is not allowed; wanted a whole number from 2"),
+        ({"particles": 9}, "particles 9 is not allowed; wanted a whole number from 10"),
+        ({"particles": "500"}, "particles '500' is not allowed; wanted a whole number from 10"),
+        ({"budget": 0}, "budget 0 is not allowed; wanted a whole number from 1"),
+        ({"threshold_m": 0.0}, "threshold_m 0.0 is not allowed; wanted a number above 0"),
+        ({"threshold_m": float("nan")}, "threshold_m nan is not allowed; wanted a number above 0"),
+    ],
+)
+def test_what_cannot_be_set_is_told_in_a_line(settings: dict[str, Any], message: str) -> None:
+    for kind in (SourceSearch, SourceSearchVector):
+        with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+            kind(**settings)
+
+
+@pytest.mark.parametrize("name", ["num_envs", "threads"])
+def test_there_is_no_batch_of_none_and_no_work_without_a_thread(name: str) -> None:
+    with pytest.raises(ValueError, match=f"^{name} 0 is not allowed; wanted a whole number from 1$"):
+        SourceSearchVector(**{name: 0})
+
+
+def test_a_step_wants_a_reset_first() -> None:
+    for env, action in ((SourceSearch(), 0), (SourceSearchVector(2), np.zeros(2, int))):
+        with pytest.raises(gymnasium.error.ResetNeeded, match="call reset before step"):
+            env.step(action)
+
+
+@pytest.mark.parametrize("example", re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL))
+def test_the_documents_examples_run(example: str) -> None:
+    exec(compile(example, str(DOCUMENT), "exec"), {})
+
+
+def test_the_document_says_what_each_number_of_an_observation_is() -> None:
+    for name, schema in SCHEMAS.items():
+        section = DOCUMENT.read_text().split(f"### `{name}`")[1].split("\n#")[0]
+        rows = [(int(first), int(last or first)) for first, last in re.findall(r"^\| (\d+)(?: to (\d+))? \|", section, re.MULTILINE)]
+        assert [i for first, last in rows for i in range(first, last + 1)] == list(range(schema.size))
+
+
+def test_an_install_makes_the_names_known_as_soon_as_gymnasium_is_imported(tmp_path: Path) -> None:
+    code = (
+        "import sys, importlib.util; assert 'numba' not in sys.modules\n"
+        "assert importlib.util.find_spec('gymnasium')\n"  # others look for it before they import it
+        "import gymnasium; made = gymnasium.make('plumeward/SourceSearchContinuous-v0', particles=20)\n"
+        "print(made.reset(seed=7)[0].shape, [type(finder).__name__ for finder in sys.meta_path])"
+    )
+    said = subprocess.run([sys.executable, "-c", code], check=True, timeout=60, capture_output=True, text=True, cwd=tmp_path).stdout
+    assert said.startswith("(184,)")
+    assert "WhenImported" not in said  # it has gone out of the way

@@ -1,0 +1,405 @@
+"""Protects training: a run is a function of its recipe and its seed, however often it is cut off, and all that it keeps is true."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+import pytest
+
+from agent.__main__ import main
+from agent.bundle import Point, load, read
+from agent.learn.train.recipes import PRESETS, Recipe
+from agent.observation import SCHEMAS
+from agent.planning.moves import HeadingAndStep, Headings
+from plume.randomness import MAX_SEED
+
+STEPS, CHECKPOINT, MISSIONS = 400, 100, 4
+OFF_POLICY: dict[str, Any] = {
+    "batch_size": 32, "buffer_size": 1000, "learning_starts": 40, "train_freq": 1, "gradient_steps": 1, "n_steps": 3,
+}  # fmt: skip
+SETTINGS: dict[str, dict[str, Any]] = {
+    "ppo": {"n_steps": 12, "batch_size": 24, "n_epochs": 2},  # 48 moves between updates: no multiple of which is a checkpoint's
+    "dqn": {**OFF_POLICY, "target_update_interval": 40, "exploration_fraction": 0.5},
+    "ddpg": OFF_POLICY,
+}
+ALGORITHMS = tuple(SETTINGS)
+
+
+def tiny(algorithm: str, steps: int = STEPS, **env: Any) -> Recipe:
+    """A recipe that is learned in a moment: nothing good comes of it."""
+    return Recipe(
+        algorithm=algorithm, steps=steps, missions=MISSIONS, layers=(16,), learning_rate=1e-3, final_learning_rate=1e-4,
+        env={"particles": 30, "threshold_m": 8.0, "budget": 20, "headings": 8, "continuous": algorithm == "ddpg", **env},
+        settings=SETTINGS[algorithm], checkpoint_steps=CHECKPOINT, action_noise=0.1, actor_learning_rate_share=0.5,
+    )  # fmt: skip
+
+
+class Trained(NamedTuple):
+    """What came of a run."""
+
+    folder: Path
+    model: Any
+    curve: list[Point]
+    bundle: bytes
+
+
+def silent(_point: Point, _speed: float) -> None:
+    pass
+
+
+def learn(folder: Path, recipe: Recipe, seed: int = 0, threads: int = 1, tell: Callable[[Point, float], None] = silent) -> Trained:
+    from agent.learn.train.export import export
+    from agent.learn.train.loop import train
+
+    folder.mkdir(exist_ok=True)
+    model, curve = train(recipe, seed, folder, threads, tell)
+    export(model, recipe, seed, curve, folder / "policy.zip")
+    return Trained(folder, model, curve, (folder / "policy.zip").read_bytes())
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trained]:
+    """Runs with seed 0 that nobody cut off, each flown once."""
+    runs: dict[str, Trained] = {}
+
+    def run(algorithm: str) -> Trained:
+        if algorithm not in runs:
+            runs[algorithm] = learn(tmp_path_factory.mktemp(algorithm), tiny(algorithm))
+        return runs[algorithm]
+
+    return run
+
+
+class CutOff(Exception):
+    """As a kill would end it."""
+
+
+def cut_at(*places: int) -> Callable[[Point, float], None]:
+    """A progress report that raises at each of these places once."""
+    left = list(places)
+
+    def tell(point: Point, _speed: float) -> None:
+        if left and point.steps >= left[0]:
+            left.pop(0)
+            raise CutOff
+
+    return tell
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_same_seed_gives_the_same_curve_and_bundle_whatever_the_threads(
+    tmp_path: Path, whole: Callable[[str], Trained], algorithm: str
+) -> None:
+    import torch
+
+    once = whole(algorithm)
+    torch.set_num_threads(2)
+    again = learn(tmp_path / "again", tiny(algorithm), threads=3)
+    assert torch.get_num_threads() == 1  # with more, sums over large batches end in other bits
+    assert again.curve == once.curve
+    assert again.bundle == once.bundle
+    assert len(once.curve) >= STEPS // (2 * MISSIONS)
+    assert [point.steps for point in once.curve] == sorted({point.steps for point in once.curve})
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_another_seed_gives_another_policy(tmp_path: Path, whole: Callable[[str], Trained], algorithm: str) -> None:
+    once, other = whole(algorithm), learn(tmp_path / "other", tiny(algorithm), seed=MAX_SEED)
+    assert other.curve != once.curve
+    assert read(other.folder / "policy.zip")[1] != read(once.folder / "policy.zip")[1]
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("places", [(60,), (160, 320), (250,)], ids=str)
+def test_a_run_that_is_cut_off_comes_to_the_same_end(
+    tmp_path: Path, whole: Callable[[str], Trained], algorithm: str, places: tuple[int, ...]
+) -> None:
+    from agent.learn.train.loop import checkpoints
+
+    tell = cut_at(*places)
+    for place in places:
+        with pytest.raises(CutOff):
+            learn(tmp_path / "run", tiny(algorithm), tell=tell)
+        assert len(checkpoints(tmp_path / "run")) == (place > CHECKPOINT)
+        (tmp_path / "run" / "checkpoint.partial").mkdir()  # and cut off again while it wrote the next one
+        (tmp_path / "run" / "checkpoint.partial" / "learner.zip").write_bytes(b"half of")
+    resumed = learn(tmp_path / "run", tiny(algorithm), threads=2, tell=tell)
+    assert resumed.curve == whole(algorithm).curve
+    assert resumed.bundle == whole(algorithm).bundle
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_the_bundle_says_what_the_learner_says(whole: Callable[[str], Trained], algorithm: str) -> None:
+    trained = whole(algorithm)
+    bundle = load(trained.folder / "policy.zip")
+    assert (bundle.page.algorithm, bundle.page.seed, bundle.page.curve) == (algorithm, 0, trained.curve)
+    assert msgspec.convert(bundle.page.training, Recipe) == tiny(algorithm)
+    assert bundle.page.move == (HeadingAndStep() if algorithm == "ddpg" else Headings(8))
+    for observation in np.random.default_rng(0).normal(0, 1, (30, SCHEMAS["polar"].size)).astype(np.float32):
+        action = bundle.page.move.action(bundle._say(observation))[0]
+        learned, _ = trained.model.predict(observation, deterministic=True)
+        assert action == pytest.approx(learned, abs=1e-5)
+
+
+def test_ddpgs_policy_may_learn_slower_than_its_value(whole: Callable[[str], Trained]) -> None:
+    model = whole("ddpg").model
+    (critic,), (actor,) = model.critic.optimizer.param_groups, model.actor.optimizer.param_groups
+    assert actor["lr"] == pytest.approx(0.5 * critic["lr"])
+    assert critic["lr"] == pytest.approx(1e-4, rel=0.2)  # fallen from 1e-3
+
+
+@pytest.mark.parametrize("algorithm", ["dqn", "ddpg"])
+def test_returns_do_not_run_on_from_missions_that_a_checkpoint_broke_off(whole: Callable[[str], Trained], algorithm: str) -> None:
+    replay = whole(algorithm).model.replay_buffer
+    for steps in range(CHECKPOINT, STEPS, CHECKPOINT):
+        last = steps // MISSIONS - 1
+        assert (np.maximum(replay.timeouts[last], replay.dones[last]) == 1).all()
+
+
+def test_one_checkpoint_is_kept(whole: Callable[[str], Trained]) -> None:
+    from agent.learn.train.loop import checkpoints
+
+    (kept,) = checkpoints(whole("dqn").folder)
+    assert kept.name == "checkpoint-000000000300"
+    assert not (whole("dqn").folder / "checkpoint.partial").exists()
+
+
+def scalars(folder: Path) -> dict[str, list[tuple[int, float]]]:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    log = EventAccumulator(str(folder / "tensorboard"), size_guidance={"scalars": 0})
+    log.Reload()
+    return {tag: [(event.step, event.value) for event in log.Scalars(tag)] for tag in log.Tags()["scalars"]}
+
+
+def wait_until_the_next_second(wait_until: Callable[..., None]) -> None:
+    """TensorBoard reads files in the order of their names, which are seconds: a run that goes on in the same one is none of a user's."""
+    began = int(time.time())
+    wait_until(lambda: int(time.time()) > began)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_tensorboard_holds_the_curve_once_even_of_a_run_that_was_cut_off(
+    tmp_path: Path, wait_until: Callable[..., None], algorithm: str
+) -> None:
+    with pytest.raises(CutOff):
+        learn(tmp_path, tiny(algorithm), tell=cut_at(250))
+    wait_until_the_next_second(wait_until)
+    curve = learn(tmp_path, tiny(algorithm)).curve
+    logged = scalars(tmp_path)
+    for name in ("ceased", "located", "mtd_m"):
+        said = [(point.steps, getattr(point, name)) for point in curve]
+        assert logged[f"missions/{name}"] == [(steps, np.float32(value)) for steps, value in said if value is not None]
+    assert [steps for steps, _ in logged["time/steps_per_second"]] == [point.steps for point in curve]
+    assert any(tag.startswith("train/") for tag in logged)
+
+
+def test_the_curve_sums_up_the_missions_that_ended() -> None:
+    from agent.learn.train.loop import EndedMission, point_of
+
+    assert point_of(7, []) == Point(7, 0.0, 0.0, None)
+    ended = [
+        EndedMission(True, True, 20.0),
+        EndedMission(True, False, 30.0),
+        EndedMission(False, False, 300.0),
+        EndedMission(False, False, 300.0),
+    ]
+    assert point_of(8, ended) == Point(8, 0.5, 0.25, 25.0)
+    assert point_of(9, ended[2:]) == Point(9, 0.0, 0.0, None)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_every_recipe_can_be_begun(preset: str, algorithm: str) -> None:
+    from agent.learn.env import SourceSearchVector
+    from agent.learn.sb3 import StableBaselinesEnv
+    from agent.learn.train.graph import graph
+    from agent.learn.train.loop import layers_of, learner
+
+    recipe = PRESETS[preset][algorithm]
+    assert recipe.algorithm == algorithm
+    env = StableBaselinesEnv(SourceSearchVector(recipe.missions, **recipe.env))
+    layers = layers_of(learner(recipe, env, 0))
+    assert tuple(layer.out_features for layer in layers if hasattr(layer, "out_features"))[:-1] == recipe.layers
+    assert graph(layers)
+
+
+def test_the_papers_recipe_has_the_papers_numbers() -> None:
+    for recipe in PRESETS["paper"].values():
+        assert recipe.layers == (128, 128, 128)
+        assert recipe.learning_rate == 1e-4
+        assert (recipe.settings["batch_size"], recipe.settings["gamma"]) == (64, 0.99)
+        assert (recipe.env["observation"], recipe.env["reward"]) == ("paper", "paper")
+    assert PRESETS["paper"]["ppo"].settings["gae_lambda"] == 0.95
+    assert PRESETS["paper"]["dqn"].settings["target_update_interval"] == 100
+    assert PRESETS["paper"]["dqn"].settings["buffer_size"] == PRESETS["paper"]["ddpg"].settings["buffer_size"] == 1000
+    assert PRESETS["paper"]["ddpg"].actor_learning_rate_share == pytest.approx(0.1)  # 1e-5
+
+
+TRAIN = """
+import sys
+import msgspec
+from agent.learn.train.recipes import TUNED, Recipe
+recipe = msgspec.json.decode(sys.argv.pop(1), type=Recipe)
+TUNED[recipe.algorithm] = recipe
+from agent.__main__ import main
+from link import cli
+cli.run(main)
+"""
+"""`python -m agent` with a recipe of ours as the tuned one."""
+HELD = """
+import threading
+from agent.learn.train.command import loop
+point_of = loop.point_of
+loop.point_of = lambda steps, ended: threading.Event().wait() if steps > 150 else point_of(steps, ended)
+"""
+"""Before it: a run that never comes to its end."""
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., "subprocess.Popen[str]"]]:
+    """Start `python -m agent train` by a recipe; what still runs at the end of the test is killed."""
+    runs = []
+
+    def run(folder: Path, recipe: Recipe, *arguments: str, before: str = "") -> "subprocess.Popen[str]":
+        said = msgspec.json.encode(recipe).decode()
+        command = [sys.executable, "-c", before + TRAIN, said, "train", recipe.algorithm, "--out", str(folder), *arguments]
+        runs.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder.parent))
+        return runs[-1]
+
+    yield run
+    for process in runs:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+def test_a_run_that_is_killed_comes_to_the_same_end(
+    tmp_path: Path, start: Callable[..., Any], wait_until: Callable[..., None], whole: Callable[[str], Trained], number: signal.Signals
+) -> None:
+    from agent.learn.train.loop import checkpoints
+
+    run = start(tmp_path / "run", tiny("dqn"), "--scenarios", "0", before=HELD)
+    wait_until(lambda: checkpoints(tmp_path / "run") or run.poll() is not None, 100)
+    run.send_signal(number)
+    out, err = run.communicate(timeout=60)
+    assert run.returncode == (-number if number == signal.SIGKILL else 130), err
+    assert out == ""
+    assert not (tmp_path / "run" / "dqn.zip").exists()
+    if number != signal.SIGKILL:
+        assert f"interrupted: {tmp_path / 'run'} keeps the last checkpoint; the same command goes on from there" in err
+        assert "Traceback" not in err
+    wait_until_the_next_second(wait_until)
+    resumed = learn(tmp_path / "run", tiny("dqn"))
+    assert resumed.curve == whole("dqn").curve
+    assert resumed.bundle == whole("dqn").bundle
+    assert [steps for steps, _ in scalars(tmp_path / "run")["missions/ceased"]] == [point.steps for point in resumed.curve]
+
+
+def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(tmp_path: Path, start: Callable[..., Any]) -> None:
+    recipe = tiny("ppo", observation="paper")
+    run = start(tmp_path / "run", recipe, "--scenarios", "2", "--seed", "6")
+    out, err = run.communicate(timeout=110)
+    assert (run.returncode, out) == (0, ""), err
+    assert "moves/s ceased " in err
+    assert "located " in err
+    assert "MTD " in err
+    assert f"{tmp_path / 'run' / 'ppo.zip'}: fly it with" in err
+    page, graph = read(tmp_path / "run" / "ppo.zip")
+    assert (page.seed, page.curve[-1].steps) == (6, 432)
+    assert list(page.evaluation) == ["100", "1000", "4000"]
+    assert not list((tmp_path / "runs").iterdir())  # the journal of the evaluation is gone
+    before = (tmp_path / "run" / "ppo.zip").read_bytes()
+    again = start(tmp_path / "run", recipe, "--scenarios", "2", "--seed", "6")
+    _, err = again.communicate(timeout=110)
+    assert again.returncode == 0
+    assert "trained to its end" in err
+    assert (tmp_path / "run" / "ppo.zip").read_bytes() == before
+    assert learn(tmp_path / "here", recipe, seed=6).curve == page.curve
+    assert read(tmp_path / "here" / "policy.zip")[1] == graph
+
+
+def test_the_figures_of_a_bundle_are_those_of_evaluate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Callable[[str], Trained]
+) -> None:
+    from agent.learn.train.judge import judge
+    from agent.trials.evaluate import FIRST_TEST_SEED
+    from agent.trials.rollout import rollout
+
+    monkeypatch.chdir(tmp_path)
+    bundle = tmp_path / "policy.zip"
+    bundle.write_bytes(whole("ddpg").bundle)
+    before, graph = read(bundle)
+    judge(bundle, 3, (20, 40))
+    page, kept = read(bundle)
+    assert kept == graph
+    assert msgspec.structs.replace(page, evaluation={}) == before
+    for particles in (20, 40):
+        said = page.evaluation[str(particles)]
+        flown = [rollout(seed, str(bundle), particles)[0] for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + 3)]
+        assert (said["missions"], said["particles"]) == (3, particles)
+        assert said["ceased"] == pytest.approx(sum(result.ceased for result in flown) / 3)
+        assert said["located"] == pytest.approx(sum(result.located for result in flown) / 3)
+        for name in ("ceased", "located"):
+            low, high = said[f"{name}_interval"]
+            assert low <= said[name] <= high
+            assert low < high
+    figures = bundle.read_bytes()
+    judge(bundle, 5, (20,))  # has figures already: they are kept
+    assert bundle.read_bytes() == figures
+
+
+def told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: str) -> tuple[int | None, str, str]:
+    """Exit status, stdout and stderr of `python -m agent`."""
+    monkeypatch.setattr(sys, "argv", ["agent", *arguments])
+    try:
+        status = main()
+    except SystemExit as ended:
+        status = ended.code
+    return status, *capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("ppo", "--out", ".", "--seed", "1"), "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the "),
+        (("ppo", "--out", ".", "--steps", "9"), "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the "),
+        (("dqn", "--out", "."), "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the same command as"),
+        (("ppo", "--out", "recipe.json"), "error: --out: [Errno 17] File exists: 'recipe.json'"),
+        (("ppo", "--preset", "best"), "--preset: invalid choice: 'best' (choose from"),
+        (("sarsa",), "algorithm: invalid choice: 'sarsa' (choose from"),
+        (("ppo", "--steps", "0"), "--steps: '0' is not allowed; wanted a whole number from 1"),
+        (("ppo", "--threads", "many"), "--threads: 'many' is not allowed; wanted a whole number from 1"),
+        (("ppo", "--seed", "-1"), "--seed: '-1' is not allowed; wanted a whole number from 0"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_bad_input_is_one_clear_line_and_status_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], line: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    claimed = msgspec.json.format(msgspec.json.encode({"seed": 0, "recipe": PRESETS["tuned"]["ppo"]}))
+    (tmp_path / "recipe.json").write_bytes(claimed)
+    status, out, err = told(capsys, monkeypatch, "train", *arguments)
+    assert (status, out) == (2, "")
+    (said,) = err.splitlines()
+    assert line in said
+    assert [path.name for path in tmp_path.iterdir()] == ["recipe.json"]
+    assert (tmp_path / "recipe.json").read_bytes() == claimed
+
+
+@pytest.mark.parametrize("hidden", ["torch", "stable_baselines3", "gymnasium", "onnx", "tensorboard"])
+def test_what_training_lacks_is_named_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], hidden: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, hidden, None)  # as if it were not installed
+    ended = told(capsys, monkeypatch, "train", "ppo")
+    assert ended == (2, "", f"error: training needs {hidden}: pip install 'plumeward[train]'\n")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,111 @@
+"""Protects what a learned policy's actions mean: waypoints by hand, in the frame that the policy looks in, and in the area."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from agent.planning.moves import HeadingAndStep, Headings, Move
+from plume.scenario import AREA_M
+
+EAST, NORTH, SLANTED = (1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (0.6, 0.8, 1.0)
+EAST_MIRRORED, NORTH_MIRRORED, SLANTED_MIRRORED = (1.0, 0.0, -1.0), (0.0, 1.0, -1.0), (0.6, 0.8, -1.0)
+
+
+def lead(move: Move, position: tuple[float, float], frame: tuple[float, float, float], action: object) -> list[float]:
+    """Where one action leads."""
+    place = move.waypoints(np.array([position]), np.array([frame]), np.array([action]), AREA_M)
+    assert place.shape == (1, 2)
+    return place[0].tolist()
+
+
+@pytest.mark.parametrize(
+    ("frame", "action", "expected"),
+    [
+        (EAST, 0, (11, 10)), (EAST, 1, (10, 11)), (EAST, 2, (9, 10)), (EAST, 3, (10, 9)),
+        (NORTH, 0, (10, 11)), (NORTH, 1, (9, 10)), (NORTH, 3, (11, 10)),
+        (EAST_MIRRORED, 0, (11, 10)), (EAST_MIRRORED, 1, (10, 9)), (EAST_MIRRORED, 3, (10, 11)),
+        (NORTH_MIRRORED, 0, (10, 11)), (NORTH_MIRRORED, 1, (11, 10)),
+        (SLANTED, 0, (10.6, 10.8)), (SLANTED, 1, (9.2, 10.6)), (SLANTED_MIRRORED, 1, (10.8, 9.4)),
+    ],
+)  # fmt: skip
+def test_headings_go_round_from_the_frames_x_axis_the_other_way_in_a_mirror(frame: tuple, action: int, expected: tuple) -> None:
+    assert lead(Headings(4), (10.0, 10.0), frame, action) == pytest.approx(expected, abs=1e-6)
+
+
+def test_headings_are_evenly_spaced() -> None:
+    diagonal = math.sqrt(0.5)
+    assert lead(Headings(8), (10.0, 10.0), EAST, 1) == pytest.approx([10 + diagonal, 10 + diagonal], abs=1e-6)
+    assert lead(Headings(3), (10.0, 10.0), EAST, 1) == pytest.approx([9.5, 10 + math.sqrt(0.75)], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("frame", "action", "expected"),
+    [
+        (EAST, (0.0, 1.0), (11, 10)), (EAST, (0.5, 1.0), (10, 11)), (EAST, (-0.5, 1.0), (10, 9)),
+        (EAST, (1.0, 1.0), (9, 10)), (EAST, (-1.0, 1.0), (9, 10)),
+        (EAST, (0.0, -1.0), (10, 10)), (EAST, (0.0, 0.0), (10.5, 10)), (EAST, (0.0, -0.5), (10.25, 10)),
+        (NORTH, (0.5, 0.0), (9.5, 10)), (EAST_MIRRORED, (0.5, 1.0), (10, 9)), (NORTH_MIRRORED, (0.5, 1.0), (11, 10)),
+        (SLANTED_MIRRORED, (0.5, 0.0), (10.4, 9.7)),
+        (EAST, (7.0, 7.0), (9, 10)), (EAST, (0.0, -7.0), (10, 10)),  # what a network says beyond its bounds is as at them
+    ],
+)  # fmt: skip
+def test_a_heading_and_a_step_lead_where_they_say(frame: tuple, action: tuple, expected: tuple) -> None:
+    assert lead(HeadingAndStep(), (10.0, 10.0), frame, action) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_step_is_as_long_as_it_is_set() -> None:
+    assert lead(Headings(4, 0.25), (10.0, 10.0), EAST, 1) == [10.0, 10.25]
+    assert lead(HeadingAndStep(2.0), (10.0, 10.0), EAST, (0.5, 0.0)) == pytest.approx([10.0, 11.0])
+
+
+def test_no_move_leads_out_of_the_area() -> None:
+    assert lead(Headings(4), (0.25, 10.0), EAST, 2) == [0.0, 10.0]
+    assert lead(Headings(4), (29.5, 29.75), SLANTED, 0) == [30.0, 30.0]
+    assert lead(HeadingAndStep(), (10.0, 0.5), EAST, (-0.5, 1.0)) == [10.0, 0.0]
+
+
+def moves_of(count: int) -> list[tuple[Move, np.ndarray, np.ndarray, np.ndarray]]:
+    """Both ways to move, with so many positions, frames and actions."""
+    rng = np.random.default_rng(count)
+    positions = rng.uniform(2, 28, (count, 2)).astype(np.float32).astype(np.float64)
+    angles = rng.uniform(-np.pi, np.pi, count)
+    frames = np.stack([np.cos(angles), np.sin(angles), rng.choice([-1.0, 1.0], count)], axis=1)
+    return [
+        (Headings(16), positions, frames, rng.integers(16, size=count)),
+        (HeadingAndStep(), positions, frames, rng.uniform(-1, 1, (count, 2)).astype(np.float32)),
+    ]
+
+
+def test_waypoints_are_float32_values_as_the_wire_carries_them() -> None:
+    for move, positions, frames, actions in moves_of(100):
+        places = move.waypoints(positions, frames, actions, AREA_M)
+        assert places.dtype == np.float64
+        assert (places.astype(np.float32) == places).all()
+
+
+def test_moves_are_as_long_as_they_say() -> None:
+    for move, positions, frames, actions in moves_of(100):
+        lengths = np.linalg.norm(move.waypoints(positions, frames, actions, AREA_M) - positions, axis=1)
+        expected = np.ones(100) if actions.ndim == 1 else (actions[:, 1] + 1) / 2
+        assert lengths == pytest.approx(expected, abs=1e-5)
+
+
+def test_one_move_leads_to_the_same_bits_as_among_many() -> None:
+    for move, positions, frames, actions in moves_of(261):
+        together = move.waypoints(positions, frames, actions, AREA_M)
+        alone = [move.waypoints(positions[[i]], frames[[i]], actions[[i]], AREA_M)[0] for i in range(261)]
+        assert together.tobytes() == np.array(alone).tobytes()
+
+
+def test_a_network_says_how_good_each_heading_is_or_the_action_itself() -> None:
+    assert (Headings(8).outputs, HeadingAndStep().outputs) == (8, 2)
+    assert Headings(3).action(np.array([[0.1, 0.5, 0.2], [2.0, -1.0, 1.0]])).tolist() == [1, 0]
+    said = np.array([[0.25, -0.5]])
+    assert HeadingAndStep().action(said).tolist() == said.tolist()
+
+
+@pytest.mark.parametrize("move", [Headings(16), Headings(4, 0.5), HeadingAndStep(), HeadingAndStep(2.0)], ids=str)
+def test_what_actions_mean_is_told_in_json(move: Move) -> None:
+    assert msgspec.json.decode(msgspec.json.encode(move), type=Move) == move

@@ -1,0 +1,173 @@
+"""Protects the report: its tables against shares and means by hand, its pictures and page as files that need nothing else."""
+
+import argparse
+import base64
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib
+import msgspec
+import numpy as np
+import pytest
+
+from agent.trials.evaluate import write_csv
+from agent.trials.figures import MissionRow
+from agent.trials.report.command import drawing, run, save, write
+from agent.trials.report.published import PUBLISHED
+from agent.trials.report.results import Results, Setting, read
+from agent.trials.report.tables import against_paper, tables
+from plume.outcome import Outcome, TracePoint
+from plume.scenario import Scenario
+
+PICTURES = ("particles", "thresholds", "trajectories", "hundred", "distances")
+
+
+def flown(
+    seed: int, ceased: bool = True, error_m: float = 0.5, distance_m: float = 40.0, *, policy: str = "greedy", particles: int = 100,
+    threshold_m: float = 0.5, floor_m: float | None = 20.0,
+) -> MissionRow:  # fmt: skip
+    return MissionRow(
+        policy=policy, particles=particles, threshold_m=threshold_m, seed=seed, budget=300, headings=4, step_m=1.0, measurements=25,
+        ceased=ceased, located=ceased and error_m <= 1,
+        estimate_x=error_m, estimate_y=0.0, source_x=0.0, source_y=0.0, error_m=error_m, spread_m=0.4, nees=2.0, steps=int(distance_m),
+        distance_m=distance_m, floor_m=floor_m, search_time_s=0.5, decision_ms=2.0, update_ms=1.0,
+    )  # fmt: skip
+
+
+FOUR = [
+    flown(1_000_000, True, 0.5, 30.0, floor_m=20.0),
+    flown(1_000_001, True, 1.5, 50.0, floor_m=25.0),
+    flown(1_000_002, True, 0.2, 40.0, floor_m=15.0),
+    flown(1_000_003, False, 9.0, 300.0, floor_m=99.0),
+]
+"""Of four, three ceased and two are located."""
+
+
+def test_missions_flown_in_two_ways_are_not_joined(tmp_path: Path) -> None:
+    write_csv(FOUR, tmp_path / "four.csv")
+    write_csv([msgspec.structs.replace(flown(1_000_004), headings=8)], tmp_path / "one.csv")
+    with pytest.raises(ValueError, match=r"one\.csv: greedy was flown in another way there"):
+        read(tmp_path)
+
+
+def results_of(folder: Path, rows: list[MissionRow]) -> Results:
+    write_csv(rows, folder / "rows.csv")
+    return read(folder)
+
+
+def test_a_row_says_what_is_counted_by_hand(tmp_path: Path) -> None:
+    _, by_particles, by_threshold = tables(results_of(tmp_path, FOUR))
+    said = dict(zip(by_particles.heads, by_particles.rows[0], strict=True))
+    assert (said["policy"], said["N"], said["ζ, m"], said["missions"]) == ("greedy", "100", "0.5", "4")
+    # Wilson: (p + z²/2n ± z sqrt(p(1−p)/n + z²/4n²)) / (1 + z²/n) with z = 1.96.
+    assert said["ceased, %"] == "75.0 [30.1, 95.4]"
+    assert said["located, %"] == "50.0 [15.0, 85.0]"
+    assert said["false stop, %"] == "33.3 [6.1, 79.2]"  # of those that ceased
+    assert said["MTD, m"] == "40.0 [30.0, 50.0]"  # the one that never ceased does not count
+    assert said["MTD, floors"].startswith("2.00 [")  # 40 / mean of 20, 25 and 15
+    assert said["ST, s"] == "0.500 [0.500, 0.500]"
+    assert by_threshold.rows == by_particles.rows  # there is but one setting
+
+
+def test_a_mission_in_two_files_counts_once(tmp_path: Path) -> None:
+    write_csv(FOUR[:3], tmp_path / "a.csv")
+    write_csv(FOUR[2:], tmp_path / "b.csv.gz")
+    results = read(tmp_path)
+    assert results.rows == {("greedy", Setting(100, 0.5)): FOUR}
+    assert results.figures["greedy", Setting(100, 0.5)]["missions"] == 4
+
+
+def test_the_papers_figures_stand_beside_ours_of_the_same_method_and_setting(tmp_path: Path) -> None:
+    rows = [flown(seed, distance_m=60.0, policy="infotaxis", particles=4000) for seed in range(10)]
+    rows += [flown(seed, seed > 0, distance_m=30.0, policy="dcee", particles=4000) for seed in range(10)]  # one of ten never ceased
+    rows += [flown(seed, distance_m=45.0, policy="thompson", particles=4000) for seed in range(10)]
+    table = against_paper(results_of(tmp_path, rows))
+    assert len(table.rows) == len(PUBLISHED)
+    said = {(row[0], row[1], row[2]): row for row in table.rows}
+    ceased = said["ceased, %", "N = 4000", "Infotaxis"]
+    assert ceased[3:5] == ["88.39", "4000, 0.5"]
+    assert ceased[5] == "infotaxis: 100.0 [72.2, 100.0], located 100.0 [72.2, 100.0] (10)"
+    learned = said["MTD, m", "N = 4000", "AGDC-DDPG"]
+    assert learned[5] == "–"
+    assert learned[6] == "thompson: 45.0 [45.0, 45.0], 2.25 [2.25, 2.25] floors (10)"  # dcee flew less, but ceased less often
+    assert said["MTD, m", "N = 100", "AGDC-DDPG"][5:7] == ["–", "–"]  # not flown with 100
+
+
+@pytest.mark.parametrize(("floor_m", "comparable"), [(20.0, "no: below the floor (4)"), (16.0, "in part (1, 3)"), (None, "in part (1, 3)")])
+def test_what_lies_below_the_floor_is_not_compared(tmp_path: Path, floor_m: float | None, comparable: str) -> None:
+    table = against_paper(results_of(tmp_path, [flown(1_000_000, particles=4000, floor_m=floor_m)]))
+    (row,) = (row for row in table.rows if row[3] == "16.83")
+    assert row[-1] == comparable
+    assert any(note.startswith("(4) 16.83 m") for note in table.notes) == (floor_m == 20.0)
+
+
+def test_a_mission_that_has_ended_stays_in_the_median_with_its_last_distance() -> None:
+    scenario = Scenario(source=(10.0, 10.0), q=1.0, u=1.0, phi=0.0, d=1.0, tau=1.0, start=(0.0, 10.0))
+
+    def flight(*places: float) -> drawing.Flight:
+        trace = [TracePoint((x, 10.0), 0.0, (10.0, 10.0), 1.0) for x in places]
+        return Outcome(0, "greedy", True, True, (10.0, 10.0), (10.0, 10.0), scenario, 0.0, 0.1, len(trace) - 1, 1.0, 1.0), trace
+
+    panel, *_, flying = drawing.distances([flight(0.0, 8.0), flight(4.0, 5.0, 6.0, 7.0), flight(4.0, 6.0, 9.0)]).axes
+    (median,) = (line for line in panel.lines if line.get_label() == "median")
+    np.testing.assert_allclose(median.get_ydata(), [6.0, 4.0, 2.0, 2.0])  # of 10 6 6, 2 5 4, 2 4 1, 2 3 1
+    np.testing.assert_array_equal(flying.lines[0].get_ydata(), [3, 3, 2, 1])
+
+
+class Links(HTMLParser):
+    """What a page refers to."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.to: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.to += [value or "" for name, value in attrs if name in ("src", "href", "data", "srcset", "action")]
+
+
+SEVERAL = [
+    flown(seed, policy=policy, particles=particles, threshold_m=threshold_m, distance_m=30.0 + seed - 1_000_000)
+    for policy in ("greedy", "thompson", "one that is not known")
+    for particles, threshold_m in ((10, 0.5), (20, 0.5), (10, 0.9))
+    for seed in range(1_000_000, 1_000_003)
+] + [flown(1_000_000, False, policy="random", particles=20)]
+
+
+def test_the_same_picture_is_the_same_file(tmp_path: Path) -> None:
+    results = results_of(tmp_path, SEVERAL)
+    with matplotlib.rc_context(drawing.STYLE):
+        one, two = (save(drawing.against_particles(results), tmp_path / name) for name in ("one", "two"))
+    assert one == two
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_a_report_is_files_that_need_nothing_else(tmp_path: Path) -> None:
+    out = tmp_path / "report"
+    out.mkdir()
+    write(results_of(tmp_path, SEVERAL), out, flights=3)
+    files = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert set(files) == {"index.html", "results.md", *(f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg"))}
+    page = files["index.html"].decode()
+    for name in PICTURES:
+        assert ET.fromstring(files[f"{name}.svg"]).tag == "{http://www.w3.org/2000/svg}svg"
+        assert base64.b64encode(files[f"{name}.svg"]).decode() in page
+    links = Links(page).to
+    assert len(links) == 2 * len(PICTURES) + 3  # contents and pictures; three tables
+    assert all(link.startswith(("#", "data:image/svg+xml;base64,")) for link in links)
+    assert "url(" not in page
+    assert "3 missions of thompson, seeds 1000000 to 1000002, N = 20, ζ = 0.5 m" in page
+
+
+def test_without_matplotlib_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert run(argparse.Namespace(results=tmp_path, out=tmp_path)) == 1
+    assert capsys.readouterr().err == "error: pictures are drawn with matplotlib: pip install 'plumeward[view]'\n"
+
+
+def test_the_service_does_not_pay_for_it() -> None:
+    loaded = "import sys, agent.__main__; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", loaded], check=False).returncode == 0

@@ -1,0 +1,85 @@
+"""Protects the frames of the search against a second opinion: values packed and read by pymavlink field by field."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.mavlink import BadFrame, Codec, Reading, pack_reading, unpack, unpack_reading, waypoint_message
+
+READING = Reading(time_boot_ms=1234, position=(3.5, 4.25), altitude_m=5.0, wind=(1.5, -0.5), gas=0.75)
+float32 = st.floats(-1000, 1000, width=32)
+
+
+def frames(*messages: object) -> bytes:
+    return Codec(1, 1).pack(*messages)
+
+
+def test_a_reading_crosses_the_wire_as_north_east_down_and_air_velocity() -> None:
+    position, wind, gas = mavlink.MAVLink(None).parse_buffer(pack_reading(Codec(1, 1), READING))
+    assert (position.time_boot_ms, position.x, position.y, position.z) == (1234, 4.25, 3.5, -5.0)
+    assert (wind.time_usec, wind.wind_x, wind.wind_y) == (1_234_000, 0.5, -1.5)  # from the east, so the air moves west
+    assert (gas.time_boot_ms, gas.name, gas.value) == (1234, "gas", 0.75)
+
+
+@given(st.integers(0, 2**32 - 1), float32, float32, float32, float32, float32, float32)
+def test_a_reading_survives_the_wire_to_the_last_bit(t: int, x: float, y: float, z: float, u: float, v: float, gas: float) -> None:
+    reading = Reading(t, (x, y), z, (u, v), gas)
+    assert unpack_reading(pack_reading(Codec(7, 1), reading)) == reading
+
+
+def test_frames_count_their_sequence_per_link() -> None:
+    codec = Codec(1, 1)
+    messages = [m for _ in range(100) for m in unpack(pack_reading(codec, READING))]
+    assert [m.get_seq() for m in messages] == [n % 256 for n in range(300)]
+
+
+def test_a_waypoint_names_the_reading_that_it_answers_and_asks_for_position_only() -> None:
+    (m,) = unpack(frames(waypoint_message(3, 1234, (10.0, 20.0), 5.0)))
+    assert (m.time_boot_ms, m.x, m.y, m.z, m.target_system) == (1234, 20.0, 10.0, -5.0, 3)
+    assert m.coordinate_frame == mavlink.MAV_FRAME_LOCAL_NED
+    assert m.type_mask == 0b110111111000
+
+
+def local_position(time_boot_ms: int = 1234, north: float = 1.0) -> object:
+    return mavlink.MAVLink_local_position_ned_message(time_boot_ms, north, 2.0, -5.0, 0.0, 0.0, 0.0)
+
+
+def wind_cov(time_boot_ms: int = 1234, north: float = 1.0) -> object:
+    return mavlink.MAVLink_wind_cov_message(time_boot_ms * 1000, north, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def named_value(value: float = 1.0, name: bytes = b"gas") -> object:
+    return mavlink.MAVLink_named_value_float_message(1234, name, value)
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (b"", "not made of whole MAVLink frames"),
+        (b"not mavlink at all", "malformed frame"),
+        (pack_reading(Codec(1, 1), READING)[:-1], "malformed frame"),
+        (pack_reading(Codec(1, 1), READING) + b"\x00", "malformed frame"),
+        (frames(local_position(), named_value()), "without WIND_COV"),
+        (frames(local_position(), wind_cov(), named_value(name=b"temp")), "not 'gas'"),
+        (frames(local_position(1235), wind_cov(), named_value()), "do not share one time_boot_ms"),
+        (frames(local_position(), wind_cov(1235), named_value()), "do not share one time_boot_ms"),
+        (frames(local_position(), wind_cov(), named_value(math.nan)), "gas is not finite"),
+        (frames(local_position(), wind_cov(), named_value(-math.inf)), "gas is not finite"),
+        (frames(local_position(north=math.nan), wind_cov(), named_value()), "position is not finite"),
+        (frames(local_position(), wind_cov(north=math.inf), named_value()), "wind is not finite"),
+    ],
+)
+def test_what_is_no_reading_is_refused_with_its_reason(payload: bytes, reason: str) -> None:
+    with pytest.raises(BadFrame, match=reason):
+        unpack_reading(payload)
+
+
+@given(st.integers(0, 500), st.integers(1, 255))
+def test_a_changed_byte_is_always_noticed(index: int, flip: int) -> None:
+    payload = bytearray(pack_reading(Codec(1, 1), READING))
+    payload[index % len(payload)] ^= flip
+    with pytest.raises(BadFrame):
+        unpack_reading(bytes(payload))

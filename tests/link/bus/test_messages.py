@@ -1,0 +1,42 @@
+"""Protects the JSON messages and the particle array."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from link.bus.messages import Stop, pack_particles, unpack_particles
+
+STOP = Stop(time_boot_ms=5, step=3, estimate=(0.1, 1 / 3), covariance=(1.0, 0.0, 1.0), spread=0.4, threshold=0.5)
+
+
+def test_json_keeps_doubles_to_the_last_bit() -> None:
+    assert msgspec.json.decode(msgspec.json.encode(STOP), type=Stop) == STOP
+
+
+@pytest.mark.parametrize("change", [{"step": -1}, {"spread": None}, {"estimate": [1.0]}, {"extra": 1}, {"threshold": 0.0}])
+def test_a_message_that_breaks_the_schema_does_not_decode(change: dict[str, object]) -> None:
+    fields = msgspec.to_builtins(STOP) | change
+    with pytest.raises(msgspec.ValidationError):
+        msgspec.json.decode(msgspec.json.encode(fields), type=Stop)
+
+
+def test_particles_cross_the_wire_as_rows_of_little_endian_float32() -> None:
+    particles = np.array([[1.0, 2.0, 0.25], [3.0, 4.0, 0.75]], np.float32)
+    payload = pack_particles(particles)
+    assert payload == bytes.fromhex("0000803f000000400000803e" + "00004040000080400000403f")
+    assert np.array_equal(unpack_particles(payload, 2), particles)
+
+
+def test_more_unknowns_are_more_columns() -> None:
+    particles = np.arange(8, dtype=np.float32).reshape(2, 4)
+    assert np.array_equal(unpack_particles(pack_particles(particles), 3), particles)
+    with pytest.raises(ValueError, match="16"):
+        unpack_particles(pack_particles(particles)[:-4], 3)
+
+
+@pytest.mark.parametrize("payload", [b"", b"x" * 13, np.array([1, 2, math.nan], "<f4").tobytes()])
+def test_what_is_no_particle_array_is_refused(payload: bytes) -> None:
+    with pytest.raises(ValueError, match="particle array"):
+        unpack_particles(payload, 2)

@@ -1,0 +1,259 @@
+"""Protects what the vehicle reports: rates, units, signs, honesty; every frame is packed, parsed again and read as a client would."""
+
+import math
+import struct
+from collections import Counter
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.mavlink import Reading, unpack_reading
+from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.state import Mode, State
+from sitl.autopilot.telemetry import STREAMS, Snapshot, Telemetry
+
+CONFIG = VehicleConfig(home_heading_deg=90.0)
+AT_REST = State(
+    time_s=12.5,
+    position=(0.0, 0.0, 0.0),
+    velocity=(0.0, 0.0, 0.0),
+    acceleration=(0.0, 0.0, 0.0),
+    roll=0.0,
+    pitch=0.0,
+    yaw=0.0,
+    yaw_rate=0.0,
+    mode=Mode.HOLD,
+    armed=False,
+    landed=1,
+    failsafe=False,
+    battery=1.0,
+    fit=True,
+)
+FLYING = AT_REST._replace(
+    position=(10.0, 20.0, -5.0), velocity=(3.0, 4.0, -1.0), yaw=-math.pi / 2, armed=True, landed=2, mode=Mode.OFFBOARD, battery=0.5
+)
+NUMBER = {name.removeprefix("MAVLINK_MSG_ID_"): value for name, value in vars(mavlink).items() if name.startswith("MAVLINK_MSG_ID_")}
+GYRO, ACCEL, MAG, GPS, BATTERY, PREARM = 1, 2, 4, 0x20, 0x2000000, 0x10000000
+
+
+def telemetry(state=FLYING, wind=(0.0, 0.0), gas=(12_500, 0.25), config=CONFIG):
+    return Telemetry(lambda t: Snapshot(config, state._replace(time_s=t), wind, gas))
+
+
+def report(name, state=FLYING, at_s=12.5, **kwargs):
+    """The message as a client receives it."""
+    message = telemetry(state, **kwargs).build(NUMBER[name], at_s)
+    return mavlink.MAVLink(None).decode(bytearray(message.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))))
+
+
+def count(source, seconds, step_s):
+    counted = Counter()
+    for n in range(round(seconds / step_s)):
+        counted.update(m.get_type() for m in source.due(n * step_s))
+    return counted
+
+
+# ---- what is sent when ----
+
+
+def test_what_is_not_streamed_is_not_built_and_has_no_interval():
+    assert telemetry().build(NUMBER["RAW_IMU"], 0.0) is None
+    assert not telemetry().set_interval(NUMBER["RAW_IMU"], 1e5, 0.0)
+
+
+@pytest.mark.parametrize("interval", [math.nan, -2.0, -0.5])
+def test_what_is_no_interval_changes_nothing(interval):
+    source = telemetry()
+    assert not source.set_interval(NUMBER["ATTITUDE"], interval, 0.0)
+    assert count(source, 10.0, 0.001)["ATTITUDE"] == 1000
+
+
+def test_before_the_first_reading_there_is_no_gas():
+    assert telemetry(gas=None).build(NUMBER["NAMED_VALUE_FLOAT"], 0.0) is None
+    assert "NAMED_VALUE_FLOAT" not in count(telemetry(gas=None), 1.0, 0.01)
+
+
+def test_the_rates_are_those_of_px4s_onboard_link():
+    counted = count(telemetry(), 10.0, 0.001)
+    assert {name: n / 10.0 for name, n in counted.items()} == {
+        "HEARTBEAT": 1.0,
+        "SYS_STATUS": 5.0,
+        "GPS_RAW_INT": 10.0,
+        "GLOBAL_POSITION_INT": 50.0,
+        "LOCAL_POSITION_NED": 30.0,
+        "ATTITUDE": 100.0,
+        "VFR_HUD": 10.0,
+        "BATTERY_STATUS": 0.5,
+        "HOME_POSITION": 0.5,
+        "EXTENDED_SYS_STATE": 5.0,
+        "WIND_COV": 10.0,
+        "NAMED_VALUE_FLOAT": 10.0,
+    }
+
+
+def test_waking_when_it_is_due_sends_at_the_same_rates():
+    source, counted, now = telemetry(), Counter(), 0.0
+    while now < 9.995:
+        counted.update(m.get_type() for m in source.due(now))
+        assert source.next_due_s() > now
+        now = source.next_due_s()
+    assert counted["ATTITUDE"] == 1000
+    assert counted["LOCAL_POSITION_NED"] == 300
+
+
+def test_a_late_call_sends_one_of_each_and_does_not_catch_up():
+    source = telemetry()
+    source.due(0.0)
+    late = Counter(m.get_type() for m in source.due(100.005))
+    assert set(late.values()) == {1}
+    assert source.due(100.006) == []
+    assert source.next_due_s() == pytest.approx(100.01)
+
+
+@given(st.lists(st.floats(0.0, 3.0), max_size=50))
+def test_no_step_makes_it_send_twice_or_stall(steps):
+    source, now = telemetry(), 0.0
+    for step in steps:
+        now += step
+        assert all(n == 1 for n in Counter(m.get_type() for m in source.due(now)).values())
+        assert now < source.next_due_s() <= now + 0.0101
+
+
+def test_an_interval_may_be_changed_turned_off_and_set_back():
+    source = telemetry()
+    assert source.set_interval(NUMBER["HEARTBEAT"], 250_000.0, 0.0)
+    assert source.set_interval(NUMBER["ATTITUDE"], -1.0, 0.0)
+    assert source.set_interval(NUMBER["AUTOPILOT_VERSION"], 1e6, 0.0)
+    counted = count(source, 10.0, 0.001)
+    assert (counted["HEARTBEAT"], counted["ATTITUDE"], counted["AUTOPILOT_VERSION"]) == (39, 0, 9)  # from the next beat on
+    for name in ("HEARTBEAT", "ATTITUDE", "AUTOPILOT_VERSION"):
+        source.set_interval(NUMBER[name], 0.0, -1e-9)
+    counted = count(source, 10.0, 0.001)
+    assert (counted["HEARTBEAT"], counted["ATTITUDE"], counted["AUTOPILOT_VERSION"]) == (10, 1000, 0)
+
+
+def test_with_all_streams_off_nothing_is_due():
+    source = telemetry()
+    for stream in STREAMS:
+        source.set_interval(stream.message_id, -1.0, 0.0)
+    assert source.due(10.0) == []
+    assert source.next_due_s() == math.inf
+
+
+# ---- what it says ----
+
+
+def test_a_heartbeat_is_that_of_a_px4_quadrotor():
+    standing, flying = report("HEARTBEAT", AT_REST), report("HEARTBEAT")
+    assert (standing.type, standing.autopilot) == (2, 12)
+    assert (standing.base_mode & 128, standing.base_mode & 1, standing.system_status) == (0, 1, 3)
+    assert (flying.base_mode & 128, flying.custom_mode, flying.system_status) == (128, 6 << 16, 4)
+    assert report("HEARTBEAT", FLYING._replace(failsafe=True)).system_status == 5
+
+
+def test_an_empty_battery_and_a_vehicle_unfit_to_fly_are_not_called_healthy():
+    unfit = report("SYS_STATUS", AT_REST._replace(battery=0.0, fit=False))
+    assert unfit.onboard_control_sensors_present & PREARM
+    assert unfit.onboard_control_sensors_present & BATTERY
+    assert unfit.onboard_control_sensors_health & (PREARM | BATTERY) == 0
+    assert unfit.battery_remaining == 0
+
+
+def test_health_covers_what_is_simulated_and_nothing_else():
+    status = report("SYS_STATUS", AT_REST)
+    for needed in (GYRO, ACCEL, MAG, GPS, BATTERY, PREARM):
+        assert (
+            status.onboard_control_sensors_present & status.onboard_control_sensors_enabled & status.onboard_control_sensors_health & needed
+        )
+    for absent in (0x8, 0x10, 0x40, 0x80, 0x10000, 0x1000000):  # barometer, airspeed, optical flow, vision, receiver, logging
+        assert not (status.onboard_control_sensors_present | status.onboard_control_sensors_health) & absent
+    assert (status.battery_remaining, status.current_battery) == (100, -1)
+
+
+@given(st.tuples(*[st.floats(-120.0, 120.0)] * 3))
+def test_the_local_position_is_the_float32_position_bit_for_bit(position):
+    told = report("LOCAL_POSITION_NED", FLYING._replace(position=position))
+    in_process = telemetry(FLYING._replace(position=position)).build(NUMBER["LOCAL_POSITION_NED"], 12.5)
+    assert struct.pack("<3f", *position) == struct.pack("<3f", told.x, told.y, told.z)
+    assert (in_process.x, in_process.y, in_process.z) == (told.x, told.y, told.z)
+
+
+def test_the_local_position_is_north_east_down_at_its_time():
+    told = report("LOCAL_POSITION_NED")
+    assert (told.time_boot_ms, told.x, told.y, told.z, told.vx, told.vy, told.vz) == (12_500, 10.0, 20.0, -5.0, 3.0, 4.0, -1.0)
+
+
+def test_the_global_position_is_in_its_units():
+    told = report("GLOBAL_POSITION_INT")
+    assert (told.alt, told.relative_alt, told.vx, told.vy, told.vz, told.hdg) == (493_000, 5_000, 300, 400, -100, 27_000)
+    degree = math.pi * 6_371_000.0 / 180.0
+    assert (told.lat / 1e7 - CONFIG.home_lat_deg) * degree == pytest.approx(10.0, abs=0.02)
+    assert (told.lon / 1e7 - CONFIG.home_lon_deg) * degree * math.cos(math.radians(CONFIG.home_lat_deg)) == pytest.approx(20.0, abs=0.02)
+
+
+def test_gps_claims_a_fix_but_no_accuracy():
+    told, standing = report("GPS_RAW_INT"), report("GPS_RAW_INT", AT_REST)
+    assert (told.fix_type, told.eph, told.epv, told.vel, told.time_usec) == (3, 65535, 65535, 500, 12_500_000)
+    assert told.cog == round(math.degrees(math.atan2(4.0, 3.0)) * 100)
+    assert (standing.vel, standing.cog) == (0, 65535)
+
+
+def test_attitude_and_hud_point_the_same_way():
+    turned = FLYING._replace(roll=0.1, pitch=-0.2, yaw=math.pi, yaw_rate=0.5)
+    told, hud = report("ATTITUDE", turned), report("VFR_HUD", turned)
+    assert (told.roll, told.pitch, told.yaw, told.yawspeed) == pytest.approx((0.1, -0.2, math.pi, 0.5))
+    assert (hud.heading, hud.groundspeed, hud.climb, hud.alt) == (180, 5.0, 1.0, 493.0)
+    assert report("VFR_HUD", FLYING._replace(yaw=-0.001)).heading == 0
+
+
+def test_wind_is_told_as_the_airs_velocity():
+    # From the north-east (x and y both positive), 2 m/s: the air moves to the south-west.
+    wind = (2.0 * math.cos(math.pi / 4), 2.0 * math.sin(math.pi / 4))
+    told = report("WIND_COV", wind=wind)
+    assert (told.wind_x, told.wind_y, told.wind_z) == pytest.approx((-math.sqrt(2.0), -math.sqrt(2.0), 0.0))
+    assert told.time_usec == 12_500_000
+    east_wind = report("WIND_COV", wind=(3.0, 0.0))
+    assert (east_wind.wind_x, east_wind.wind_y) == (0.0, -3.0)
+
+
+def test_airspeed_is_the_speed_against_the_wind():
+    # Flying east at 4 m/s into a 3 m/s wind from the east.
+    east = FLYING._replace(velocity=(0.0, 4.0, 0.0))
+    assert report("VFR_HUD", east, wind=(3.0, 0.0)).airspeed == pytest.approx(7.0)
+    assert report("VFR_HUD", east, wind=(-3.0, 0.0)).airspeed == pytest.approx(1.0)
+
+
+def test_position_wind_and_gas_of_one_time_make_a_reading():
+    source, packer = telemetry(wind=(1.5, -0.5)), mavlink.MAVLink(None)
+    frames = [source.build(NUMBER[name], 12.5).pack(packer) for name in ("LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT")]
+    assert unpack_reading(b"".join(frames)) == Reading(12_500, (20.0, 10.0), 5.0, (1.5, -0.5), 0.25)
+
+
+def test_a_gas_value_that_is_told_again_keeps_the_time_it_was_read_at():
+    told = report("NAMED_VALUE_FLOAT", at_s=99.0, gas=(12_500, 0.25))
+    assert (told.name, told.value, told.time_boot_ms) == ("gas", 0.25, 12_500)
+    assert report("LOCAL_POSITION_NED", at_s=99.0).time_boot_ms == 99_000
+
+
+def test_the_battery_tells_what_is_left():
+    half, low, empty = (report("BATTERY_STATUS", FLYING._replace(battery=left)) for left in (0.5, 0.1, 0.0))
+    assert (half.battery_remaining, half.time_remaining, half.current_battery, half.charge_state) == (50, 900, -1, 1)
+    assert half.voltages[:2] == [round(4 * (3.5 + 4.2) / 2 * 1000), 65535]
+    assert (low.charge_state, empty.charge_state, empty.battery_remaining) == (2, 3, 0)
+    assert report("BATTERY_STATUS", config=VehicleConfig(endurance_s=math.inf)).time_remaining == 0
+
+
+def test_home_is_the_origin_of_the_local_frame():
+    told = report("HOME_POSITION")
+    assert (told.latitude, told.longitude, told.altitude) == (473_977_420, 85_455_940, 488_000)
+    assert (told.x, told.y, told.z) == (0.0, 0.0, 0.0)
+    assert told.q == pytest.approx([math.cos(math.pi / 4), 0.0, 0.0, math.sin(math.pi / 4)])
+
+
+def test_the_landed_state_and_the_version_are_told():
+    assert report("EXTENDED_SYS_STATE").landed_state == 2
+    version = report("AUTOPILOT_VERSION")
+    assert version.flight_sw_version == 0x00_01_00_00
+    assert version.capabilities == 8 | 128 | 8192  # COMMAND_INT, SET_POSITION_TARGET_LOCAL_NED, MAVLINK2

@@ -1,0 +1,148 @@
+"""Protects `python -m sitl log`: what it counts and misses in a log that is made here message by message, and what it exports."""
+
+import csv
+import io
+import json
+from argparse import Namespace
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from link.bus.mavlink import Codec, Reading, gas_message, pack_reading
+from link.bus.messages import Belief, Health, Stop
+from link.record.record import Entry, Writer
+from sitl.desk.summary import run
+
+SECOND = 1_000_000_000
+BEGAN = 1_700_000_000 * SECOND
+SOURCE = (14.0, 12.5)
+
+
+def reading(step: int) -> bytes:
+    return pack_reading(Codec(1, 1), Reading(1000 * (step + 1), (3.0 + step, 4.0), 5.0, (2.0, -1.0), 0.5 * step))
+
+
+def belief(step: int, ceased: bool = False) -> bytes:
+    said = Belief(
+        1000 * (step + 1), step, (3.0 + step, 4.0), 5.0, 0.5 * step, (2.0, -1.0), "gaussian:0.3,0.2", 300.0, 4.5, 10.0, 0.0, ("x", "y"),
+        (14.0, 12.0), (0.3, 0.2), (14.0, 12.0), (0.09, 0.0, 0.04), 0.36, 500.0, 0.5, ceased,
+    )  # fmt: skip
+    return msgspec.json.encode(said)
+
+
+def health(service: str, uptime_s: float, compute_s: float = 0.0) -> bytes:
+    return msgspec.json.encode(Health(service, "ready", 0, compute_s, uptime_s, {"late": 2}))
+
+
+ABOUT = {
+    "seed": 7, "policy": "homing", "budget": 5, "began": "2026-11-21T10:00:00+00:00", "mission": {"about": "a test"},
+    "scenario": {"source": SOURCE, "q": 300.0, "u": 2.0, "phi": 0.5, "d": 4.5, "tau": 10.0, "start": (3.0, 4.0)},
+}  # fmt: skip
+MESSAGES = [
+    # seconds, simulation, key, payload
+    (0.0, 0.0, "health/estimator", health("estimator", 1.0)),
+    (0.1, 1.0, "reading", reading(0)),
+    (0.2, 1.0, "belief", belief(0)),
+    (1.1, 2.0, "reading", reading(1)),
+    (1.3, 2.0, "reading", reading(1)),  # again
+    (1.4, 2.0, "health/estimator", health("estimator", 0.2, 0.25)),  # started again
+    (1.5, 2.0, "belief", belief(1)),
+    (2.0, 2.0, "mavlink/out", Codec(1, 1).pack(gas_message(2000, 0.5))),
+    (6.1, 3.0, "reading", reading(2)),  # 4.1 s of silence before it; never answered
+    (7.1, 4.0, "reading", reading(3)),
+    (7.15, 4.0, "agdc/stop", msgspec.json.encode(Stop(4000, 3, (14.0, 12.0), (0.09, 0.0, 0.04), 0.36, 0.5))),
+    (7.2, 4.0, "belief", belief(3, ceased=True)),
+    (7.3, 4.0, "belief", b"no JSON"),
+]
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    path = tmp_path / "run.mcap"
+    writer = Writer(path, ABOUT)
+    for at_s, simulation_s, key, payload in MESSAGES:
+        at_ns = BEGAN + round(at_s * SECOND)
+        writer.write(Entry(key, at_ns, simulation_s, payload), at_ns)
+    writer.close()
+    return path
+
+
+def said(capsys: pytest.CaptureFixture[str], path: Path, status: int = 0, **flags: object) -> str:
+    assert run(Namespace(**{"log": path, "csv": None, "json": False, **flags})) == status
+    out, err = capsys.readouterr()
+    return err if status else out
+
+
+def test_the_summary_counts_keys_repeats_and_what_is_missing(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fields = json.loads(said(capsys, log, json=True).splitlines()[-1])
+    assert fields["complete"]
+    assert fields["messages"] == len(MESSAGES)
+    assert fields["duration_s"] == pytest.approx(7.3)
+    counts = {key: told["messages"] for key, told in fields["keys"].items()}
+    assert counts == {"health/estimator": 2, "reading": 5, "belief": 4, "agdc/stop": 1, "mavlink/out": 1}
+    assert fields["keys"]["reading"]["repeats"] == 1
+    assert fields["beliefs"] == 3
+    assert fields["gaps"] == [
+        "1 readings without a belief, at 3.00 s of simulation",
+        "1 beliefs missing, of step 2",
+        "1 pauses of the whole bus: 4.1 s at 2.0 s",
+        "estimator was started again 1 time",
+    ]
+
+
+def test_the_outcome_is_judged_by_the_source_that_the_log_tells(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fields = json.loads(said(capsys, log, json=True).splitlines()[-1])
+    assert (fields["ceased"], fields["located"], fields["estimate"], fields["error_m"]) == (True, True, [14.0, 12.0], 0.5)
+    text = said(capsys, log)
+    assert "a test, homing, seed 7" in text
+    assert "source (14.00, 12.50), error 0.50 m" in text
+
+
+def test_a_key_as_csv_has_a_column_for_each_number(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = list(csv.DictReader(io.StringIO(said(capsys, log, csv="belief"))))
+    assert [row["step"] for row in rows] == ["0", "1", "3"]
+    assert (rows[2]["mean[0]"], rows[2]["mean[1]"], rows[2]["covariance[2]"], rows[2]["ceased"]) == ("14.0", "12.0", "0.04", "True")
+    assert float(rows[0]["published_s"]) == pytest.approx(BEGAN / SECOND + 0.2)
+    rows = list(csv.DictReader(io.StringIO(said(capsys, log, csv="reading"))))
+    assert {name: rows[3][name] for name in ("time_boot_ms", "x", "y", "altitude_m", "wind_x", "wind_y", "gas")} == {
+        "time_boot_ms": "3000", "x": "5.0", "y": "4.0", "altitude_m": "5.0", "wind_x": "2.0", "wind_y": "-1.0", "gas": "1.0",
+    }  # fmt: skip
+    rows = list(csv.DictReader(io.StringIO(said(capsys, log, csv="health/estimator"))))
+    assert [row["refused.late"] for row in rows] == ["2", "2"]
+    rows = list(csv.DictReader(io.StringIO(said(capsys, log, csv="mavlink/out/NAMED_VALUE_FLOAT"))))
+    assert [(row["name"], row["value"], row["time_boot_ms"]) for row in rows] == [("gas", "0.5", "2000")]
+
+
+def test_a_key_that_is_not_there_is_one_line_with_those_that_are(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert said(capsys, log, status=2, csv="mavlink/out") == (
+        "error: --csv: 'mavlink/out' is not allowed; "
+        "wanted one of agdc/stop, belief, health/estimator, mavlink/out/NAMED_VALUE_FLOAT, reading\n"
+    )
+
+
+def test_a_log_that_was_cut_off_is_summed_up_and_says_so(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[:-50])
+    assert "CUT OFF" in said(capsys, cut)
+
+
+def test_an_autopilots_log_is_counted_by_message(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tlog = log.with_suffix(".tlog")
+    fields = json.loads(said(capsys, tlog, json=True).splitlines()[-1])
+    assert {kind: told["messages"] for kind, told in fields["keys"].items()} == {
+        "LOCAL_POSITION_NED": 5, "WIND_COV": 5, "NAMED_VALUE_FLOAT": 6,
+    }  # fmt: skip
+    rows = list(csv.DictReader(io.StringIO(said(capsys, tlog, csv="LOCAL_POSITION_NED"))))
+    assert [row["y"] for row in rows] == ["3.0", "4.0", "4.0", "5.0", "6.0"]
+    assert said(capsys, tlog, status=2, csv="ATTITUDE").startswith(
+        "error: --csv: 'ATTITUDE' is not allowed; wanted one of LOCAL_POSITION_NED"
+    )
+
+
+def test_what_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "text").write_text("hello")
+    for path in (tmp_path / "none", tmp_path / "text", tmp_path):
+        line = said(capsys, path, status=2)
+        assert line.startswith(f"error: {path}")
+        assert line.count("\n") == 1

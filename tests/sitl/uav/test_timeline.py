@@ -1,0 +1,23 @@
+"""Protects the order of events: each at its step or time, once."""
+
+from sitl.script.script import Abort, Pause, Spike, Stuck, Wind
+from sitl.uav.timeline import Timeline
+
+
+def test_events_of_a_time_come_in_the_order_of_their_times() -> None:
+    late, early, other = Wind(time_s=9.0, u=1.0), Wind(time_s=3.0, u=2.0), Wind(time_s=9.0, u=3.0)
+    timeline = Timeline([late, early, other])
+    came = []
+    while (at := timeline.next_s()) is not None:
+        came.append((at, timeline.pop()))
+    assert came == [(3.0, early), (9.0, late), (9.0, other)]
+
+
+def test_events_of_a_step_come_once_those_of_the_operator_behind_its_reading() -> None:
+    stuck, pause, spike, abort = Stuck(step=4, readings=2), Pause(step=4), Spike(step=4, gas=1.0), Abort(step=5)
+    timeline = Timeline([stuck, pause, spike, abort])
+    assert timeline.next_s() is None
+    assert (timeline.before(3), timeline.after(3)) == ([], [])
+    assert (timeline.before(4), timeline.after(4)) == ([stuck, spike], [pause])
+    assert (timeline.before(4), timeline.after(4)) == ([], [])
+    assert (timeline.before(5), timeline.after(5)) == ([], [abort])
