@@ -255,7 +255,7 @@ cli.run(main)
 """`python -m agent` with a recipe of ours as the tuned one."""
 HELD = """
 import threading
-from agent.learn.train.command import loop
+from agent.learn.train import loop
 point_of = loop.point_of
 loop.point_of = lambda steps, ended: threading.Event().wait() if steps > 150 else point_of(steps, ended)
 """
