@@ -24,11 +24,13 @@ class World:
 
     def __init__(self, seed: int, sensor: Sensor, name: str, count: int = 60, headings: int = 4) -> None:
         rng = np.random.default_rng(seed)
-        around, width = rng.uniform(8, 22, 2), rng.uniform(1, 6)
+        around, width = rng.uniform(8, 22, 2), math.exp(rng.uniform(-1.5, 1.8))
         x, y = np.clip(rng.normal(around, width, (count, 2)), 0.5, 29.5).astype(np.float32).T
         rate = rng.uniform(100, 500, count).astype(np.float32)
         weights = rng.dirichlet(np.ones(count)).astype(np.float32)
-        here = np.clip(around + rng.normal(0, 5, 2), 0, 30).astype(np.float32) if seed % 4 else np.array([29.5, rng.uniform(0, 30)])
+        here = np.clip(around + rng.normal(0, 1 + width, 2), 0, 30).astype(np.float32)
+        if seed % 4 == 0:  # close to an edge, each in turn
+            here[seed // 4 % 2] = (0.75, 29.5)[seed // 8 % 2]
         speed, direction = rng.uniform(1, 4), rng.uniform(0, 2 * math.pi)
         self.wind = (float(np.float32(speed * math.cos(direction))), float(np.float32(speed * math.sin(direction))))
         self.particles = np.column_stack([x, y, rate, weights])
@@ -80,9 +82,10 @@ class World:
                 return np.exp(z * np.log(expected) - expected - (z * math.log(max(z, 1)) - z))
             case Threshold(threshold, missed, slope, floor):
                 std = np.sqrt((slope * means) ** 2 + floor**2)
-                below = np.array([0.5 * math.erfc((m - threshold) / s / math.sqrt(2)) for m, s in zip(means, std, strict=True)])
-                heard = np.exp(-0.5 * ((z - means) / std) ** 2) / (std * math.sqrt(2 * math.pi))
-                return missed + (1 - missed) * below if z == 0 else (1 - missed) * heard
+                if z == 0:
+                    below = [0.5 * math.erfc((m - threshold) / s / math.sqrt(2)) for m, s in zip(means, std, strict=True)]
+                    return missed + (1 - missed) * np.array(below)
+                return (1 - missed) * np.exp(-0.5 * ((z - means) / std) ** 2) / (std * math.sqrt(2 * math.pi))
             case Gaussian(slope, floor):
                 std = np.sqrt((slope * means) ** 2 + floor**2)
                 return np.exp(-0.5 * ((z - means) / std) ** 2) / (std * math.sqrt(2 * math.pi))
@@ -243,7 +246,7 @@ def test_every_planner_has_an_oracle_but_the_one_that_has_no_formula() -> None:
 @pytest.mark.parametrize("name", ORACLES)
 def test_a_planner_chooses_what_its_formula_finds_best(name: str, sensor: Sensor) -> None:
     chosen, margins = set(), []
-    for seed in range(30 if name != "entrotaxis" else 8):
+    for seed in range({"entrotaxis": 8, "lookahead": 80}.get(name, 40)):
         world = World(seed, sensor, name, headings=8 if seed % 2 else 4)
         scores = ORACLES[name](world)
         assert len(scores) == len(world.moves)
@@ -257,9 +260,9 @@ def test_a_planner_chooses_what_its_formula_finds_best(name: str, sensor: Sensor
 @pytest.mark.parametrize("name", ["homing", "lookahead"])
 def test_of_many_particles_every_so_many_th_is_planned_with(name: str) -> None:
     for seed in range(8):
-        world = World(seed, GAUSSIAN, name, count=1100, headings=8)
+        world = World(seed, GAUSSIAN, name, count=1001, headings=8)
         scores = ORACLES[name](world)
-        assert len(world.x) == 367  # every third of 1,100: of every second 550 would be left
+        assert len(world.x) == 334  # every third of 1,001: of every second 501 would be left
         assert scores[world.chosen] == pytest.approx(max(scores), rel=1e-9)
 
 
