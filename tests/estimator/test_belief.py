@@ -160,3 +160,12 @@ def test_a_spread_that_is_the_threshold_is_no_stop() -> None:
     assert not belief(even, READING, Config(threshold_m=0.5))[0].ceased
     assert not belief(even, READING, Config(threshold_m=9.0, stop_limits={"x": 0.5}))[0].ceased
     assert belief(even, READING, Config(threshold_m=0.5 + 1e-9, stop_limits={"x": 0.5 + 1e-9}))[0].ceased
+
+
+def test_exactly_thirty_readings_are_looked_at_together() -> None:
+    recent = list(np.random.default_rng(2).random(30))
+    said = [
+        belief(posterior_of([[1.0, 3.0], [2.0, 2.0]], [0.75, 0.25], ranks), READING, Config())[0].p_value
+        for ranks in (recent, [0.999, *recent], recent[1:])
+    ]
+    assert said[0] == said[1] != said[2]
