@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 RESAMPLE_BELOW = 0.5
 """Share of N that the effective sample size must keep."""
 MAX_STAGES = 40
-"""After so many stages the rest of a reading is left out for good: no reading, however absurd, may crush the cloud to a point."""
+"""After so many stages the rest of a reading is left out for good: no reading that is admitted may crush the cloud to a point."""
 
 
 @kernel(

@@ -6,7 +6,7 @@ import pytest
 
 from estimator.admission import greatest_concentration, refusal
 from estimator.filter import Config
-from estimator.priors import Gamma, Uniform
+from estimator.priors import Fixed, Gamma, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.sensor import Hits, Threshold
 
@@ -51,3 +51,35 @@ def test_the_greatest_concentration_is_that_at_the_surface_of_the_strongest_sour
     # A gamma(2, 150) rate exceeds its bound less often than once in a million: (1 + b) e^−b with b = bound/150
     b = greatest_concentration(Config(priors={"q": Gamma(2, 150)})) * 4 * math.pi * 4.5 * 0.1 / 150
     assert (1 + b) * math.exp(-b) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("priors", "greatest"),
+    [
+        # rate/(4π · diffusivity · 0.1): six standard deviations to the side that makes it greater, never below a thousandth.
+        ({"q": Normal(300.0, 50.0)}, 600 / (4 * math.pi * 4.5 * 0.1)),
+        ({"d": Normal(4.0, 0.5)}, 300 / (4 * math.pi * 1.0 * 0.1)),
+        ({"q": Normal(300.0, 50.0), "d": Normal(4.0, 0.5)}, 600 / (4 * math.pi * 1.0 * 0.1)),
+        ({"d": Normal(1.0, 1.0)}, 300 / (4 * math.pi * 0.001 * 0.1)),
+        ({"d": Uniform(0.0, 8.0)}, 300 / (4 * math.pi * 0.001 * 0.1)),
+        ({"d": Gamma(2.0, 2.0)}, 300 / (4 * math.pi * 0.001 * 0.1)),
+        ({"q": Gamma(4.0, 50.0)}, 50 * (4 + 6 * 2 + 20) / (4 * math.pi * 4.5 * 0.1)),
+        ({"q": Uniform(100.0, 500.0)}, 500 / (4 * math.pi * 4.5 * 0.1)),
+        ({"q": Fixed(900.0), "d": Fixed(2.0)}, 900 / (4 * math.pi * 2.0 * 0.1)),
+    ],
+    ids=str,
+)
+def test_the_greatest_concentration_worked_by_hand(priors: dict[str, Prior], greatest: float) -> None:
+    assert greatest_concentration(Config(priors=priors)) == pytest.approx(greatest, rel=1e-12)
+
+
+def test_a_strong_reading_is_taken_where_a_prior_allows_for_it() -> None:
+    # 300 ± 50 g/s: 106.1 g/m³ at most, and 10 standard deviations of the sensor, 0.3 of it, above: 4 · 106.1 = 424.4.
+    wide, known = Config(priors={"q": Normal(300.0, 50.0)}), Config()
+    for gas, refused_by in ((212.0, []), (213.0, [known]), (424.0, [known]), (425.0, [known, wide])):
+        assert [config for config in (known, wide) if refusal(GOOD._replace(gas=gas), None, config)] == refused_by
+
+
+def test_the_edge_of_the_area_is_inside() -> None:
+    for position in ((0.0, 0.0), (30.0, 30.0), (0.0, 30.0)):
+        assert refusal(GOOD._replace(position=position), None, Config()) is None

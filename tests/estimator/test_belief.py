@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from estimator.belief import belief, stop
-from estimator.filter import Config, Posterior
+from estimator.batch import Batch
+from estimator.belief import belief, may_claim, stop
+from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.priors import Fixed, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.sensor import Hits, Threshold
@@ -130,3 +131,41 @@ def test_nothing_is_claimed_before_as_many_readings_as_would_show_a_stuck_sensor
     summary, _ = belief(two_readings, READING, Config(threshold_m=0.9))
     assert summary.spread < 0.9
     assert not summary.ceased
+
+
+def test_the_third_reading_is_the_first_that_may_end_a_search() -> None:
+    """In one mission, and in a batch of missions; nothing but the number of readings is in the way."""
+    config = Config(particles=100, threshold_m=100.0)
+    posterior, batch = prior(config), Batch([config])
+    said = []
+    for step, gas in enumerate((0.25, -0.125, 0.5, 0.0)):
+        reading = Reading(step, (1.0 + step, 2.0), 5.0, (1.0, 0.0), gas)
+        posterior = assimilate(posterior, reading, config)
+        batch.assimilate(config.row(reading)[None])
+        summary, _ = belief(posterior, reading, config)
+        assert summary.p_value == 1.0
+        said.append((summary.step, summary.ceased, batch.may_claim(0)))
+    assert said == [(0, False, False), (1, False, False), (2, True, True), (3, True, True)]
+
+
+def test_what_may_be_claimed_hangs_on_both_the_number_of_readings_and_their_fit() -> None:
+    assert [may_claim(1.0, readings) for readings in (1, 2, 3, 4)] == [False, False, True, True]
+    assert [may_claim(p_value, 50) for p_value in (0.0, 0.99e-4, 1e-4, 1.01e-4)] == [False, False, True, True]
+
+
+def test_a_spread_that_is_the_threshold_is_no_stop() -> None:
+    # Half a metre to either side, each as likely: both deviations and the spread are 0.5 to the last bit.
+    even = posterior_of([[1.0, 2.0], [2.0, 2.0]], [0.5, 0.5])
+    assert belief(even, READING, Config(threshold_m=0.5))[0].spread == 0.5
+    assert not belief(even, READING, Config(threshold_m=0.5))[0].ceased
+    assert not belief(even, READING, Config(threshold_m=9.0, stop_limits={"x": 0.5}))[0].ceased
+    assert belief(even, READING, Config(threshold_m=0.5 + 1e-9, stop_limits={"x": 0.5 + 1e-9}))[0].ceased
+
+
+def test_exactly_thirty_readings_are_looked_at_together() -> None:
+    recent = list(np.random.default_rng(2).random(30))
+    said = [
+        belief(posterior_of([[1.0, 3.0], [2.0, 2.0]], [0.75, 0.25], ranks), READING, Config())[0].p_value
+        for ranks in (recent, [0.999, *recent], recent[1:])
+    ]
+    assert said[0] == said[1] != said[2]

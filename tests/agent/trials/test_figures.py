@@ -7,6 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 from agent.trials.figures import Interval, MissionRow, bootstrap, figures, wilson
+from agent.trials.sweep import Sweep, _row, fly
+from link.bus.messages import Belief
 
 
 def flown(seed: int, ceased: bool, error_m: float, distance_m: float) -> MissionRow:
@@ -61,3 +63,34 @@ def test_a_bootstrap_interval_is_about_two_standard_errors_to_each_side() -> Non
     assert said.low == pytest.approx(values.mean() - 1.96 * error, abs=0.3 * error)
     assert said.high == pytest.approx(values.mean() + 1.96 * error, abs=0.3 * error)
     assert math.isnan(bootstrap(np.array([])).value)
+
+
+@pytest.mark.parametrize(
+    ("source", "covariance", "nees"),
+    [
+        # Errors (1, 2) and (1, −2): the inverse of (2 1; 1 2) is ⅓ (2 −1; −1 2), so ⅓ (2 ∓ 4 + 8); of (4 0; 0 1) it is ¼ + 4.
+        ((0.0, 0.0), (2.0, 1.0, 2.0), 2.0),
+        ((0.0, 4.0), (2.0, 1.0, 2.0), 14 / 3),
+        ((0.0, 0.0), (4.0, 0.0, 1.0), 4.25),
+        ((1.0, 2.0), (4.0, 0.0, 1.0), 0.0),
+    ],
+)
+def test_the_nees_of_a_mission_is_its_error_in_terms_of_what_was_believed(
+    source: tuple[float, float], covariance: tuple[float, float, float], nees: float
+) -> None:
+    last = Belief(
+        time_boot_ms=0, step=7, position=(0.0, 0.0), altitude_m=5.0, gas=0.0, wind=(1.0, 0.0), rate=300.0, diffusivity=4.0, lifetime=10.0,
+        z=5.0, sensor="gaussian", unknowns=("x", "y"), means=(1.0, 2.0), stds=(1.0, 1.0), mean=(1.0, 2.0), covariance=covariance,
+        spread=1.5, effective_sample_size=10.0, p_value=0.5, ceased=False,
+    )  # fmt: skip
+    row = _row(Sweep(("greedy",), range(3)), ("greedy", 100, 1), 0.5, True, last, source, 9.0, 3.0, [0.25, 0.75], [0.5])
+    assert row.nees == pytest.approx(nees)
+    assert row.error_m == pytest.approx(math.dist((1.0, 2.0), source))
+    assert row.located == (source == (1.0, 2.0))
+    assert (row.search_time_s, row.decision_ms, row.update_ms) == (1.5, 500.0, 500.0)
+
+
+def test_no_mission_of_a_sweep_ends_before_its_third_reading() -> None:
+    (rows,) = fly(Sweep(("greedy",), range(7, 8), particles=(100,), thresholds_m=(50.0, 100.0), budget=9), [("greedy", 100, 7)])
+    assert [(row.ceased, row.steps) for row in rows] == [(True, 2), (True, 2)]
+    assert rows[0].distance_m == pytest.approx(2.0, abs=1e-5)
