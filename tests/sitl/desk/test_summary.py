@@ -11,7 +11,8 @@ import pytest
 
 from link.bus.mavlink import Codec, Reading, gas_message, pack_reading
 from link.bus.messages import Belief, Health, Stop
-from link.record.record import Entry, Writer
+from link.record.record import Entry
+from link.record.writer import Writer
 from sitl.desk.summary import run
 
 SECOND = 1_000_000_000
