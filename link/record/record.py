@@ -11,6 +11,7 @@ message has the same times and the same sequence number.
 
 import contextlib
 import json
+import math
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
@@ -148,7 +149,10 @@ def time_field(simulation_s: float) -> bytes:
 
 
 def without_time(text: bytes) -> tuple[bytes, float]:
-    """Undo `with_time`, to the last byte."""
+    """Undo `with_time`, to the last byte; raises ValueError where there is no such time."""
     head, _, tail = text.rpartition(b',"simulation_s":')
     number, _, blank = tail.partition(b"}")
-    return head + b"}" + blank, float(number)
+    simulation_s = float(number)
+    if not math.isfinite(simulation_s):
+        raise ValueError(f"a simulation time of {simulation_s}")
+    return head + b"}" + blank, simulation_s

@@ -9,7 +9,7 @@ import statistics
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -104,7 +104,7 @@ def _summary(path: Path, recording: "Recording") -> Summary:
     tables = [_table(key, [entry for entry in entries if entry.key == key]) for key in sorted({entry.key for entry in entries})]
     said, unreadable = _read_json(entries)
     beliefs = _by_step(said)
-    outcome, lines = _outcome(recording.about, beliefs, said)
+    outcome, lines = _outcome(recording.about, beliefs)
     if not beliefs and any(entry.key == "belief" for entry in entries):
         lines = ["no belief that can be read: what came of the search is not known"]
     gaps = _gaps(entries, beliefs) + _restarts(said) + unreadable
@@ -114,11 +114,12 @@ def _summary(path: Path, recording: "Recording") -> Summary:
     title, versions = _object(recording.about, "mission").get("about"), _object(recording.about, "versions")
     commit, _, dirty = str(recording.about.get("git") or "").partition("-")
     revision = commit[:12] + (f", {dirty}" if dirty else "")
+    stopped = recording.about.get("stopped")
     wall_s, simulation_s = _span([entry.published_ns / 1e9 for entry in entries]), _span([entry.simulation_s for entry in entries])
-    whole = "complete" if recording.complete else f"CUT OFF{': ' + recording.about['stopped'] if 'stopped' in recording.about else ''}"
+    whole = "complete" if recording.complete else f"CUT OFF{f': {stopped}' if stopped else ''}"
     flown_with = f"plumeward {versions.get('plumeward', 'unknown')}{f' ({revision})' if revision else ''}"
     head = [
-        f"{path}: {title + ', ' if title else ''}{mission}, begun {began}",
+        f"{path}: {f'{title}, ' if title else ''}{mission}, begun {began}",
         f"{flown_with}, {len(entries):,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
     ]
     fields = {
@@ -163,7 +164,6 @@ def _read_json(entries: "Sequence[Entry]") -> tuple[list[Statement], list[str]]:
         """What is used of a health message."""
 
         uptime_s: float
-        compute_s: float = 0.0
 
     said: list[Statement] = []
     reasons: dict[str, list[str]] = defaultdict(list)
@@ -194,7 +194,7 @@ def _by_step(said: Sequence[Statement]) -> dict[int, Any]:
     return dict(sorted(beliefs.items()))
 
 
-def _outcome(about: dict[str, Any], beliefs: dict[int, Any], said: Sequence[Statement]) -> tuple[dict[str, Any], list[str]]:
+def _outcome(about: dict[str, Any], beliefs: dict[int, Any]) -> tuple[dict[str, Any], list[str]]:
     """Judge the search: by the source, where the log tells it."""
     import msgspec
 
@@ -211,15 +211,9 @@ def _outcome(about: dict[str, Any], beliefs: dict[int, Any], said: Sequence[Stat
     except (KeyError, msgspec.ValidationError):
         return plain, [f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps", estimate]
     trace = [TracePoint(belief.position, belief.gas, belief.mean, belief.spread) for belief in beliefs.values()]
-    seed = about.get("seed")
-    result = outcome(seed if isinstance(seed, int) else 0, str(about.get("policy", "")), scenario, trace, last.ceased, _compute_s(said))
+    result = outcome(0, "", scenario, trace, last.ceased, 0.0)  # seed, policy and search time are not told here
     told = {**plain, "located": result.located, "error_m": result.error_m, "distance_m": result.distance_m, "source": result.source}
     return told, outcome_text(result).splitlines()
-
-
-def _compute_s(said: Sequence[Statement]) -> float:
-    latest = {key: message.compute_s for key, message in said if key.startswith("health/")}
-    return float(latest.get("health/estimator", 0.0) + latest.get("health/agent", 0.0))
 
 
 def _gaps(entries: "Sequence[Entry]", beliefs: dict[int, Any]) -> list[str]:
@@ -230,8 +224,9 @@ def _gaps(entries: "Sequence[Entry]", beliefs: dict[int, Any]) -> list[str]:
     if unanswered := sorted(asked - answered):
         times = [f"{time_boot_ms / 1000:.2f} s" for time_boot_ms in unanswered]
         lines.append(f"{len(unanswered)} readings without a belief, at {_few(times)} of simulation")
-    if missing := sorted(set(range(max(beliefs, default=-1) + 1)) - set(beliefs)):
-        lines.append(f"{len(missing)} beliefs missing, of step {_few([str(step) for step in missing])}")
+    if missing := max(beliefs, default=-1) + 1 - len(beliefs):  # counted, not listed: a stranger's step may be any number
+        steps = (str(step) for before, after in pairwise([-1, *beliefs]) for step in range(before + 1, after))
+        lines.append(f"{missing} beliefs missing, of step {_few(list(islice(steps, LISTED)), missing)}")
     published_s = sorted(entry.published_ns / 1e9 for entry in entries)
     pauses = [
         f"{after - before:.1f} s at {before - published_s[0]:.1f} s" for before, after in pairwise(published_s) if after - before > PAUSE_S
@@ -252,8 +247,10 @@ def _restarts(said: Sequence[Statement]) -> list[str]:
     return [f"{service} was started again {count} time{'s' * (count > 1)}" for service, count in sorted(restarts.items()) if count]
 
 
-def _few(texts: Sequence[str]) -> str:
-    return ", ".join(texts[:LISTED]) + (f" and {len(texts) - LISTED:,} more" if len(texts) > LISTED else "")
+def _few(texts: Sequence[str], count: int = 0) -> str:
+    """List the first of many; `count` says how many there are where not all are given."""
+    more = max(len(texts), count) - LISTED
+    return ", ".join(texts[:LISTED]) + (f" and {more:,} more" if more > 0 else "")
 
 
 def _rows(entries: "Sequence[Entry]", name: str) -> list[Row]:
