@@ -33,7 +33,8 @@ from link.record.record import (
 )
 
 LARGEST_PIECE = 256 << 20
-"""Bytes of a chunk, packed or not. Ours hold 4 MB and one message; what claims more is damaged, or made to fill the memory."""
+"""Bytes of a chunk, packed or not. Ours hold 4 MB and one message: what claims more is damaged, or made to fill the memory, of which
+small messages take ten times their bytes."""
 LARGEST_RECORD = 4 << 30
 """Bytes of memory that all messages may take: they are read at once."""
 MESSAGE_BYTES = 400
