@@ -67,16 +67,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what was asked for; returns the exit status."""
-    from link.record.reader import RecordError, is_record, read
+    from link.record.reader import RecordError, read
+    from sitl.replay.source import BadSource, is_recording
     from sitl.tlog.sender import FlightError
 
     try:
-        if is_record(args.log):
+        if is_recording(args.log):
             recording = read(args.log)
             summary, rows = _summary(args.log, recording), _rows(recording.entries, args.csv) if args.csv else []
         else:
             summary, rows = _of_tlog(args.log, args.csv)
-    except (RecordError, FlightError, _NoSuchKey) as error:
+    except (RecordError, FlightError, BadSource, _NoSuchKey) as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
     try:
