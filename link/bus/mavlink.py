@@ -1,14 +1,20 @@
 """MAVLink 2 frames of the search: the reading that a vehicle publishes and the waypoint that answers it."""
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.frames import LAYOUTS, MAVLINK_1, MAVLINK_2, SIGNED, Frame, checksums, fields_of, frame_at
 
 Message = Any
 """A pymavlink message; the dialect is generated code without types."""
 
 GAS_NAME = "gas"
+READING_KINDS = ("LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT")
+"""Types of the messages that a reading is made of, in their order."""
+NOT_WHOLE = "the payload is not made of whole MAVLink frames"
 ONBOARD_COMPUTER = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 
 POSITION_ONLY = (
@@ -60,15 +66,41 @@ class Codec:
         return b"".join(frames)
 
 
+def split(payload: bytes) -> list[Frame]:
+    """Return the frames that a payload is made of; raises BadFrame where any byte of it is not of a whole one.
+
+    A frame of a type that the dialect does not know is taken for one: its checksum cannot be verified.
+    """
+    frames, at = [], 0
+    while at < len(payload):
+        frame = frame_at(payload, at)
+        if frame is None:
+            raise BadFrame(f"malformed frame: {_fault(payload, at)}")
+        layout = LAYOUTS.get(frame.message_id)
+        if layout is not None:
+            told, right = checksums(payload, frame, layout.seed)
+            if told != right:
+                raise BadFrame(f"malformed frame: invalid MAVLink CRC in msgID {frame.message_id} 0x{told:04x} should be 0x{right:04x}")
+        frames.append(frame)
+        at = frame.end
+    if not frames:
+        raise BadFrame(f"malformed frame: {NOT_WHOLE}")
+    return frames
+
+
+def _fault(payload: bytes, at: int) -> str:
+    """Why no frame begins there."""
+    if payload[at] not in (MAVLINK_1, MAVLINK_2):
+        return f"invalid MAVLink prefix '{payload[at]}'"
+    if payload[at] == MAVLINK_2 and (flags := payload[at + 2 : at + 3]) and flags[0] & ~SIGNED:
+        return f"invalid incompat_flags 0x{flags[0]:x}"
+    return NOT_WHOLE
+
+
 def unpack(payload: bytes) -> list[Message]:
     """Decode a payload of whole frames; raises BadFrame where any byte of it is not one."""
-    try:
-        messages: list[Message] | None = mavlink.MAVLink(None).parse_buffer(payload)
-    except mavlink.MAVError as error:
-        raise BadFrame(f"malformed frame: {error}") from None
-    if not messages or sum(len(m.get_msgbuf()) for m in messages) != len(payload):
-        raise BadFrame("malformed frame: the payload is not made of whole MAVLink frames")
-    return messages
+    parser = mavlink.MAVLink(None)
+    return [parser.decode(bytearray(payload[frame.start : frame.end])) for frame in split(payload)]
 
 
 def wind_message(time_boot_ms: int, wind: tuple[float, float]) -> Message:
@@ -98,23 +130,43 @@ def pack_reading(codec: Codec, reading: Reading) -> bytes:
     return codec.pack(position, wind_message(reading.time_boot_ms, reading.wind), gas_message(reading.time_boot_ms, reading.gas))
 
 
+def flat_reading(said: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return a reading in the search plane, by the fields of its messages of each type; None is what they do not say.
+
+    x east, y north, and the wind to where it comes from.
+    """
+    position, wind, gas = (said.get(kind, {}) for kind in READING_KINDS)
+    down, air_north, air_east = position.get("z"), wind.get("wind_x"), wind.get("wind_y")
+    return {
+        "time_boot_ms": position.get("time_boot_ms"),
+        "x": position.get("y"),
+        "y": position.get("x"),
+        "altitude_m": None if down is None else -down,
+        "wind_x": None if air_east is None else -air_east,
+        "wind_y": None if air_north is None else -air_north,
+        "gas": gas.get("value"),
+    }
+
+
 def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
     """Undo `pack_reading`; raises BadFrame with the reason. With `system`, frames of any other vehicle are bad ones."""
-    messages = {m.get_type(): m for m in unpack(payload)}
-    if system is not None and (strangers := {m.get_srcSystem() for m in messages.values()} - {system}):
+    frames = {frame.message_id: frame for frame in split(payload)}
+    if system is not None and (strangers := {frame.system for frame in frames.values()} - {system}):
         raise BadFrame(f"a reading of system {min(strangers)}; this is the estimator of system {system}", "other vehicle")
+    said = {LAYOUTS[number].kind: fields_of(payload, frame, LAYOUTS[number]) for number, frame in frames.items() if number in LAYOUTS}
     try:
-        position, wind, gas = messages["LOCAL_POSITION_NED"], messages["WIND_COV"], messages["NAMED_VALUE_FLOAT"]
+        position, wind, gas = (said[kind] for kind in READING_KINDS)
     except KeyError as missing:
         raise BadFrame(f"a reading without {missing.args[0]}") from None
-    if gas.name != GAS_NAME:
-        raise BadFrame(f"NAMED_VALUE_FLOAT is {gas.name!r}, not {GAS_NAME!r}")
-    if not position.time_boot_ms == gas.time_boot_ms == wind.time_usec // 1000:
+    if gas["name"] != GAS_NAME:
+        raise BadFrame(f"NAMED_VALUE_FLOAT is {gas['name']!r}, not {GAS_NAME!r}")
+    if not position["time_boot_ms"] == gas["time_boot_ms"] == wind["time_usec"] // 1000:
         raise BadFrame("the frames of the reading do not share one time_boot_ms")
-    reading = Reading(position.time_boot_ms, (position.y, position.x), -position.z, (-wind.wind_y, -wind.wind_x), gas.value)
-    for name, value in (("position", reading.position), ("altitude", reading.altitude_m), ("wind", reading.wind), ("gas", reading.gas)):
-        if not all(map(math.isfinite, value if isinstance(value, tuple) else (value,))):
-            raise BadFrame(f"{name} is not finite: {value}", "not finite")
+    time_boot_ms, x, y, altitude_m, wind_x, wind_y, value = flat_reading(said).values()
+    reading = Reading(time_boot_ms, (x, y), altitude_m, (wind_x, wind_y), value)
+    for name, told in (("position", reading.position), ("altitude", altitude_m), ("wind", reading.wind), ("gas", value)):
+        if not all(map(math.isfinite, told if isinstance(told, tuple) else (told,))):
+            raise BadFrame(f"{name} is not finite: {told}", "not finite")
     return reading
 
 

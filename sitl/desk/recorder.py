@@ -17,7 +17,8 @@ from link import cli
 from link.bus.keys import KEYS
 from link.bus.session import CONNECT_TIMEOUT_S
 from link.bus.tap import Tap
-from link.record.record import Entry, SimulationClock, Writer
+from link.record.record import Entry, SimulationClock
+from link.record.writer import Writer
 from plume import __version__
 
 BATCH_S = 0.2

@@ -9,19 +9,22 @@ import statistics
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from link import cli
 
 if TYPE_CHECKING:
-    from link.record.record import Entry, Recording
+    from link.record.reader import Recording
+    from link.record.record import Entry
 
 PAUSE_S = 2.0
 """A silence of the whole bus that is worth a line: telemetry alone comes every second."""
 LISTED = 5
 """So many of a kind are told one by one, the rest by their number."""
+LONGEST = 120
+"""Characters of what is told of a message that cannot be read."""
 
 
 class Row(NamedTuple):
@@ -64,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what was asked for; returns the exit status."""
-    from link.record.record import RecordError, read
+    from link.record.reader import RecordError, read
     from sitl.replay.source import BadSource, is_recording
     from sitl.tlog.sender import FlightError
 
@@ -100,21 +103,24 @@ class _NoSuchKey(ValueError):
 def _summary(path: Path, recording: "Recording") -> Summary:
     entries = recording.entries
     tables = [_table(key, [entry for entry in entries if entry.key == key]) for key in sorted({entry.key for entry in entries})]
-    beliefs = _by_step(entries)
-    outcome, lines = _outcome(recording.about, beliefs, entries)
-    gaps = _gaps(entries, beliefs) + _restarts(entries)
+    said, unreadable = _read_json(entries)
+    beliefs = _by_step(said)
+    outcome, lines = _outcome(recording.about, beliefs)
+    if not beliefs and any(entry.key == "belief" for entry in entries):
+        lines = ["no belief that can be read: what came of the search is not known"]
+    gaps = _gaps(entries, beliefs) + _restarts(said) + unreadable
     began = recording.about.get("began", "unknown")
     policy, seed = recording.about.get("policy"), recording.about.get("seed")
     mission = f"{policy}, seed {seed}" if policy is not None else "no mission told"
-    title = (recording.about.get("mission") or {}).get("about")
-    versions = recording.about.get("versions") or {}
+    title, versions = _object(recording.about, "mission").get("about"), _object(recording.about, "versions")
     commit, _, dirty = str(recording.about.get("git") or "").partition("-")
     revision = commit[:12] + (f", {dirty}" if dirty else "")
+    stopped = recording.about.get("stopped")
     wall_s, simulation_s = _span([entry.published_ns / 1e9 for entry in entries]), _span([entry.simulation_s for entry in entries])
-    whole = "complete" if recording.complete else f"CUT OFF{': ' + recording.about['stopped'] if 'stopped' in recording.about else ''}"
+    whole = "complete" if recording.complete else f"CUT OFF{f': {stopped}' if stopped else ''}"
     flown_with = f"plumeward {versions.get('plumeward', 'unknown')}{f' ({revision})' if revision else ''}"
     head = [
-        f"{path}: {title + ', ' if title else ''}{mission}, begun {began}",
+        f"{path}: {f'{title}, ' if title else ''}{mission}, begun {began}",
         f"{flown_with}, {len(entries):,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
     ]
     fields = {
@@ -136,24 +142,60 @@ def _span(times: Sequence[float]) -> float:
     return max(times) - min(times) if times else 0.0
 
 
-def _by_step(entries: "Sequence[Entry]") -> dict[int, Any]:
-    """Return the beliefs by step, each the first time that it was said."""
+def _object(about: dict[str, Any], name: str) -> dict[str, Any]:
+    """What a log tells about itself under a name, where that is an object."""
+    value = about.get(name)
+    return value if isinstance(value, dict) else {}
+
+
+class Statement(NamedTuple):
+    """A JSON message that could be read."""
+
+    key: str
+    message: Any
+
+
+def _read_json(entries: "Sequence[Entry]") -> tuple[list[Statement], list[str]]:
+    """Return the JSON messages that can be read, and a line for each kind of those that cannot: no JSON, or of another version."""
     import msgspec
 
-    from link.bus.messages import Belief
+    from link.bus.messages import Belief, Stop
 
-    beliefs: dict[int, Any] = {}
+    class Alive(msgspec.Struct):
+        """What is used of a health message."""
+
+        uptime_s: float
+
+    said: list[Statement] = []
+    reasons: dict[str, list[str]] = defaultdict(list)
     for entry in entries:
-        if entry.key == "belief":
-            try:
-                belief = msgspec.json.decode(entry.payload, type=Belief)
-            except (msgspec.DecodeError, UnicodeDecodeError):
-                continue
-            beliefs.setdefault(belief.step, belief)
+        for prefix, name, kind in (("belief", "belief", Belief), ("agdc/stop", "stop", Stop), ("health/", "health message", Alive)):
+            if entry.key.startswith(prefix):
+                try:
+                    said.append(Statement(entry.key, msgspec.json.decode(entry.payload, type=kind)))
+                except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+                    reasons[name].append(_line(str(error)))
+    return said, [
+        f"{len(told)} {name}{'s' * (len(told) > 1)} could not be read: {_few(list(dict.fromkeys(told)))}" for name, told in reasons.items()
+    ]
+
+
+def _line(text: str) -> str:
+    """What a stranger's message has left in an error, fit for a terminal."""
+    plain = "".join(letter if letter.isprintable() else "?" for letter in text)
+    return plain if len(plain) <= LONGEST else f"{plain[:LONGEST]} ..."
+
+
+def _by_step(said: Sequence[Statement]) -> dict[int, Any]:
+    """Return the beliefs by step, each the first time that it was said."""
+    beliefs: dict[int, Any] = {}
+    for key, message in said:
+        if key == "belief":
+            beliefs.setdefault(message.step, message)
     return dict(sorted(beliefs.items()))
 
 
-def _outcome(about: dict[str, Any], beliefs: dict[int, Any], entries: "Sequence[Entry]") -> tuple[dict[str, Any], list[str]]:
+def _outcome(about: dict[str, Any], beliefs: dict[int, Any]) -> tuple[dict[str, Any], list[str]]:
     """Judge the search: by the source, where the log tells it."""
     import msgspec
 
@@ -170,14 +212,9 @@ def _outcome(about: dict[str, Any], beliefs: dict[int, Any], entries: "Sequence[
     except (KeyError, msgspec.ValidationError):
         return plain, [f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps", estimate]
     trace = [TracePoint(belief.position, belief.gas, belief.mean, belief.spread) for belief in beliefs.values()]
-    result = outcome(int(about.get("seed", 0)), str(about.get("policy", "")), scenario, trace, last.ceased, _compute_s(entries))
+    result = outcome(0, "", scenario, trace, last.ceased, 0.0)  # seed, policy and search time are not told here
     told = {**plain, "located": result.located, "error_m": result.error_m, "distance_m": result.distance_m, "source": result.source}
     return told, outcome_text(result).splitlines()
-
-
-def _compute_s(entries: "Sequence[Entry]") -> float:
-    latest = {entry.key: json.loads(entry.payload).get("compute_s", 0.0) for entry in entries if entry.key.startswith("health/")}
-    return float(latest.get("health/estimator", 0.0) + latest.get("health/agent", 0.0))
 
 
 def _gaps(entries: "Sequence[Entry]", beliefs: dict[int, Any]) -> list[str]:
@@ -188,8 +225,9 @@ def _gaps(entries: "Sequence[Entry]", beliefs: dict[int, Any]) -> list[str]:
     if unanswered := sorted(asked - answered):
         times = [f"{time_boot_ms / 1000:.2f} s" for time_boot_ms in unanswered]
         lines.append(f"{len(unanswered)} readings without a belief, at {_few(times)} of simulation")
-    if missing := sorted(set(range(max(beliefs, default=-1) + 1)) - set(beliefs)):
-        lines.append(f"{len(missing)} beliefs missing, of step {_few([str(step) for step in missing])}")
+    if missing := max(beliefs, default=-1) + 1 - len(beliefs):  # counted, not listed: a stranger's step may be any number
+        steps = (str(step) for before, after in pairwise([-1, *beliefs]) for step in range(before + 1, after))
+        lines.append(f"{missing} beliefs missing, of step {_few(list(islice(steps, LISTED)), missing)}")
     published_s = sorted(entry.published_ns / 1e9 for entry in entries)
     pauses = [
         f"{after - before:.1f} s at {before - published_s[0]:.1f} s" for before, after in pairwise(published_s) if after - before > PAUSE_S
@@ -199,23 +237,21 @@ def _gaps(entries: "Sequence[Entry]", beliefs: dict[int, Any]) -> list[str]:
     return lines
 
 
-def _restarts(entries: "Sequence[Entry]") -> list[str]:
+def _restarts(said: Sequence[Statement]) -> list[str]:
     """Which services were started again: the time that they are up went back."""
     up_s: dict[str, float] = {}
     restarts: Counter[str] = Counter()
-    for entry in entries:
-        if entry.key.startswith("health/"):
-            try:
-                now_s = float(json.loads(entry.payload)["uptime_s"])
-            except (ValueError, KeyError, TypeError):
-                continue
-            restarts[entry.key.removeprefix("health/")] += now_s < up_s.get(entry.key, -math.inf)
-            up_s[entry.key] = now_s
+    for key, message in said:
+        if key.startswith("health/"):
+            restarts[key.removeprefix("health/")] += message.uptime_s < up_s.get(key, -math.inf)
+            up_s[key] = message.uptime_s
     return [f"{service} was started again {count} time{'s' * (count > 1)}" for service, count in sorted(restarts.items()) if count]
 
 
-def _few(texts: Sequence[str]) -> str:
-    return ", ".join(texts[:LISTED]) + (f" and {len(texts) - LISTED:,} more" if len(texts) > LISTED else "")
+def _few(texts: Sequence[str], count: int = 0) -> str:
+    """List the first of many; `count` says how many there are where not all are given."""
+    more = max(len(texts), count) - LISTED
+    return ", ".join(texts[:LISTED]) + (f" and {more:,} more" if more > 0 else "")
 
 
 def _rows(entries: "Sequence[Entry]", name: str) -> list[Row]:
@@ -231,7 +267,7 @@ def _rows(entries: "Sequence[Entry]", name: str) -> list[Row]:
 
 def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
     """Tell the fields of a message by the name that they are exported under; nothing of what is not what the bus contract says."""
-    from link.bus.mavlink import BadFrame
+    from link.bus.mavlink import BadFrame, flat_reading
     from link.record.decoded import decode
 
     if entry.key in ("reading", "mavlink/out", "mavlink/in"):
@@ -241,27 +277,16 @@ def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
             return
         if entry.key == "reading":
             fields = {message.kind: json.loads(message.fields) for message in messages}
-            yield "reading", _flat_reading(fields)
+            yield "reading", flat_reading(fields)
         else:
             yield from ((f"{entry.key}/{message.kind}", json.loads(message.fields)) for message in messages)
         return
     try:
         fields = json.loads(entry.payload)
-    except ValueError:
+    except (ValueError, RecursionError):
         return
     if isinstance(fields, dict):
         yield entry.key, fields
-
-
-def _flat_reading(fields: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """A reading in the search plane: x east, y north, the wind to where it comes from. What is not finite is left empty."""
-    position, wind, gas = (fields.get(kind, {}) for kind in ("LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT"))
-    turned = {name: -value for name, value in wind.items() if name in ("wind_x", "wind_y")}
-    return {
-        "time_boot_ms": position.get("time_boot_ms"), "x": position.get("y"), "y": position.get("x"),
-        "altitude_m": -position["z"] if "z" in position else None, "wind_x": turned.get("wind_y"), "wind_y": turned.get("wind_x"),
-        "gas": gas.get("value"),
-    }  # fmt: skip
 
 
 # ---- logs of autopilots ----

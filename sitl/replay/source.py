@@ -10,7 +10,8 @@ import msgspec
 
 from link.bus.keys import HEALTH, MAVLINK_OUT, READING
 from link.bus.mavlink import BadFrame, unpack_reading
-from link.record.record import Entry, RecordError, read
+from link.record.reader import RecordError, is_record, read
+from link.record.record import Entry
 from plume import sensor
 from sitl.replay import verify
 from sitl.replay.verify import Answer, Rules
@@ -19,7 +20,6 @@ from sitl.script.typed_yaml import FileError
 from sitl.tlog import flight
 from sitl.tlog.sender import FlightError
 
-MCAP_MAGIC = b"\x89MCAP0\r\n"
 VEHICLE_KEYS = {READING.name: READING, MAVLINK_OUT.name: MAVLINK_OUT, HEALTH.name.replace("<service>", "uav"): HEALTH}
 """What a vehicle publishes, by its key in a log."""
 SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
@@ -163,12 +163,11 @@ def reading_time(entry: Entry) -> int | None:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a log is an MCAP file; raises BadSource where it cannot be read."""
+    """Whether a log is a recording of the bus; raises BadSource where it cannot be read."""
     try:
-        with path.open("rb") as file:
-            return file.read(len(MCAP_MAGIC)) == MCAP_MAGIC
-    except OSError as error:
-        raise BadSource(f"{path}: {error.strerror}") from None
+        return is_record(path)
+    except RecordError as error:
+        raise BadSource(str(error)) from None
 
 
 def _refuse(args: argparse.Namespace, recorded: bool, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> None:

@@ -90,7 +90,7 @@ def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
     try:
         fields = msgspec.json.decode(payload)
         time_boot_ms = fields["time_boot_ms"]
-    except (msgspec.DecodeError, UnicodeDecodeError, KeyError, TypeError):
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, KeyError, TypeError):
         return []
     if not isinstance(time_boot_ms, int):
         return []

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
+from link.bus.frames import MAVLINK_1, MAVLINK_2, SHORTEST, Frame, checksums, frame_at, frame_length
+
 Integers = NDArray[np.int64]
 
 STAMP = 8
@@ -22,9 +24,6 @@ STAMP = 8
 NO_STAMP = -1
 LATEST_US = 4_102_444_800_000_000
 """The year 2100: later times are damaged ones. Early ones are not: a computer without a clock of its own begins in 1970."""
-SHORTEST = 8
-"""Bytes of a MAVLink 1 frame without payload."""
-HEADER_V1, HEADER_V2, CHECKSUM, SIGNATURE = 6, 10, 2, 13
 MAGIC = re.compile(b"[\xfd\xfe]")
 CHECKSUM_SEEDS = {message_id: bytes([kind.crc_extra]) for message_id, kind in mavlink.mavlink_map.items()}
 SURE_US = 1_000_000
@@ -68,29 +67,29 @@ def scan(data: bytes) -> Records:
                 garbage.append((len(starts), len(data) - at))
                 refused.update(_refused(data, at, len(data)))
             break
-        start, end, message_id = found
+        start = found.start
         logged_us = _stamp(data, start - STAMP) if start - STAMP >= at else NO_STAMP
         if skipped := start - at - (STAMP if logged_us != NO_STAMP else 0):
             garbage.append((len(starts), skipped))
             refused.update(_refused(data, at, at + skipped))
-        if message_id not in CHECKSUM_SEEDS:
-            unknown[message_id] += 1
-        sender = start + (3 if data[start] == mavlink.PROTOCOL_MARKER_V1 else 5)
+        if found.message_id not in CHECKSUM_SEEDS:
+            unknown[found.message_id] += 1
         logged.append(logged_us)
         starts.append(start)
-        ends.append(end)
-        message_ids.append(message_id)
-        systems.append(data[sender])
-        components.append(data[sender + 1])
-        at = end
+        ends.append(found.end)
+        message_ids.append(found.message_id)
+        systems.append(found.system)
+        components.append(found.component)
+        at = found.end
     columns = [np.frombuffer(column, np.int64) for column in (logged, starts, ends, message_ids, systems, components)]
     return Records(columns[0], columns[1], columns[2], columns[3], columns[4], columns[5], garbage, refused, unknown, cut_off)
 
 
 def payload(data: bytes, start: int) -> bytes:
     """The payload of the frame that starts there; MAVLink 2 leaves zeros at its end away."""
-    begin = start + (HEADER_V1 if data[start] == mavlink.PROTOCOL_MARKER_V1 else HEADER_V2)
-    return data[begin : begin + data[start + 1]]
+    frame = frame_at(data, start)
+    assert frame is not None
+    return data[frame.payload : frame.checksum]
 
 
 class LogClock(NamedTuple):
@@ -127,65 +126,49 @@ def log_clock(logged_us: Integers) -> LogClock:
     return LogClock(np.frombuffer(times, np.int64), damaged, jumps)
 
 
-def _record(data: bytes, at: int) -> tuple[int, int, int] | None:
-    """The next frame from there on, in step with the records before it if it can be: (start, end, message id)."""
-    seen = _frame(data, at + STAMP)
-    if seen is not None and _is_good(data, at, at + STAMP, *seen):
-        return at + STAMP, seen[0], seen[1]
+def _record(data: bytes, at: int) -> Frame | None:
+    """The next frame from there on, in step with the records before it if it can be."""
+    frame = frame_at(data, at + STAMP)
+    if frame is not None and _is_good(data, at, frame):
+        return frame
     for match in MAGIC.finditer(data, at):
-        start = match.start()
-        seen = _frame(data, start)
-        if seen is not None and _is_good(data, at, start, *seen):
-            return start, seen[0], seen[1]
+        frame = frame_at(data, match.start())
+        if frame is not None and _is_good(data, at, frame):
+            return frame
     return None
 
 
-def _is_good(data: bytes, at: int, start: int, end: int, message_id: int, checked: bool | None) -> bool:
+def _is_good(data: bytes, at: int, frame: Frame) -> bool:
     """Whether a frame is one: by its checksum; where that cannot be verified, by what is before, behind and inside it."""
-    if checked is not None:
-        return checked
+    verified = _is_right(data, frame)
+    if verified is not None:
+        return verified
+    start, end = frame.start, frame.end
     if start - STAMP < at or _stamp(data, start - STAMP) == NO_STAMP or not (end == len(data) or _may_begin(data, end)):
         return False
-    inside = (_frame(data, match.start()) for match in MAGIC.finditer(data, start + 1, end))
-    return not any(seen is not None and seen[2] for seen in inside)
+    inside = (frame_at(data, match.start()) for match in MAGIC.finditer(data, start + 1, end))
+    return not any(seen is not None and _is_right(data, seen) for seen in inside)
+
+
+def _is_right(data: bytes, frame: Frame) -> bool | None:
+    """Whether a frame's checksum is right; None where the dialect does not know the message."""
+    seed = CHECKSUM_SEEDS.get(frame.message_id)
+    if seed is None:
+        return None
+    told, right = checksums(data, frame, seed)
+    return told == right
 
 
 def _refused(data: bytes, at: int, end: int) -> list[int]:
     """The message ids of a run of garbage that is nothing but records with a wrong checksum."""
     message_ids = []
     while at < end:
-        seen = _frame(data, at + STAMP)
-        if seen is None or _stamp(data, at) == NO_STAMP:
+        frame = frame_at(data, at + STAMP)
+        if frame is None or _stamp(data, at) == NO_STAMP:
             return []
-        at = seen[0]
-        message_ids.append(seen[1])
+        at = frame.end
+        message_ids.append(frame.message_id)
     return message_ids if at == end else []
-
-
-def _frame(data: bytes, start: int) -> tuple[int, int, bool | None] | None:
-    """What may be a frame: its end, its message id, and whether its checksum is right (None: the dialect does not know it)."""
-    if len(data) - start < SHORTEST:
-        return None
-    magic, length, flags = data[start : start + 3]
-    if magic == mavlink.PROTOCOL_MARKER_V2:
-        checksum = start + HEADER_V2 + length
-        end = checksum + CHECKSUM + (SIGNATURE if flags else 0)
-        if flags not in (0, mavlink.MAVLINK_IFLAG_SIGNED) or end > len(data):
-            return None
-        message_id = data[start + 7] | data[start + 8] << 8 | data[start + 9] << 16
-    elif magic == mavlink.PROTOCOL_MARKER_V1:
-        checksum = start + HEADER_V1 + length
-        end = checksum + CHECKSUM
-        if end > len(data):
-            return None
-        message_id = data[start + 5]
-    else:
-        return None
-    seed = CHECKSUM_SEEDS.get(message_id)
-    if seed is None:
-        return end, message_id, None
-    right: int = mavlink.x25crc(data[start + 1 : checksum] + seed).crc
-    return end, message_id, right == data[checksum] | data[checksum + 1] << 8
 
 
 def _stamp(data: bytes, at: int) -> int:
@@ -197,11 +180,9 @@ def _may_begin(data: bytes, at: int) -> bool:
     """Whether a record may begin there, or all that is left of one."""
     if len(data) - at < STAMP + SHORTEST:
         return True
-    return _stamp(data, at) != NO_STAMP and data[at + STAMP] in (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2)
+    return _stamp(data, at) != NO_STAMP and data[at + STAMP] in (MAVLINK_1, MAVLINK_2)
 
 
 def _ends_beyond(data: bytes, at: int) -> bool:
     """Whether a record that begins there would end behind the file."""
-    magic, length, flags = data[at + STAMP : at + STAMP + 3]
-    rest = HEADER_V1 if magic == mavlink.PROTOCOL_MARKER_V1 else HEADER_V2 + (SIGNATURE if flags else 0)
-    return _may_begin(data, at) and at + STAMP + rest + length + CHECKSUM > len(data)
+    return _may_begin(data, at) and at + STAMP + frame_length(data, at + STAMP) > len(data)

@@ -11,14 +11,12 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from link.bus.frames import LAYOUTS, frame_at
 from link.bus.mavlink import Codec, Message
 
 logger = logging.getLogger(__name__)
 
 LARGEST_DATAGRAM = 65535
-CHECKSUM_LENGTH = 2
-
-
 FORGET_AFTER_S = 60.0
 """Who has been silent for so long on a `udpin` is gone: a ground station sends a heartbeat every second."""
 MOST_PEERS = 16
@@ -58,39 +56,23 @@ def decode(datagram: bytes) -> tuple[list[Message], int]:
     parser = mavlink.MAVLink(None)
     messages, skipped, at = [], 0, 0
     while at < len(datagram):
-        frame = datagram[at : at + _frame_length(datagram[at : at + 3])]
-        message = _decode_frame(parser, frame)
-        if message is None:
+        frame = frame_at(datagram, at)
+        # Of a message outside the dialect not even the checksum can be verified.
+        message = _decode_frame(parser, datagram[at : frame.end]) if frame and frame.message_id in LAYOUTS else None
+        if frame is None or message is None:
             skipped += 1
             at += 1
         else:
             messages.append(message)
-            at += len(frame)
+            at = frame.end
     return messages, skipped
 
 
-def _frame_length(head: bytes) -> int:
-    """The length of the frame that may start so; 0 where none does."""
-    if len(head) < 3 or head[0] not in (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2):
-        return 0
-    if head[0] == mavlink.PROTOCOL_MARKER_V1:
-        overhead = mavlink.HEADER_LEN_V1 + CHECKSUM_LENGTH
-    elif head[2] in (0, mavlink.MAVLINK_IFLAG_SIGNED):
-        overhead = mavlink.HEADER_LEN_V2 + CHECKSUM_LENGTH + (mavlink.MAVLINK_SIGNATURE_BLOCK_LEN if head[2] else 0)
-    else:
-        return 0  # a receiver must drop what is incompatible in ways it does not know
-    return int(overhead) + head[1]
-
-
 def _decode_frame(parser: mavlink.MAVLink, frame: bytes) -> Message | None:
-    if not frame:
-        return None
     try:
-        message = parser.decode(bytearray(frame))
+        return parser.decode(bytearray(frame))
     except mavlink.MAVError:
         return None
-    # Of a message outside the dialect not even the checksum can be verified.
-    return None if isinstance(message, mavlink.MAVLink_unknown) else message
 
 
 class UdpLink:

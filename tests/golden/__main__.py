@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.policies import OURS
-from link.record.record import Recording, read
+from link.record.reader import Recording, read
 from sitl.replay import verify
 
 FOLDER = Path(__file__).parent

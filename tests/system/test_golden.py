@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from agent.policies import OURS, SHIPPED
-from link.record.record import Writer, read
+from link.record.reader import read
+from link.record.writer import Writer
 from sitl.replay import verify
 from tests.golden.__main__ import FOLDER, GOLDEN, SENSORS, changes, path, renew
 from tests.system.live import Services, run_sitl

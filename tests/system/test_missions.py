@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from agent.trials.rollout import rollout
 from link.bus.mavlink import Reading
-from link.record.record import read
+from link.record.reader import read
 from plume.randomness import keyed
 from plume.scenario import draw
 from plume.sensor import GAUSSIAN

@@ -14,7 +14,7 @@ from agent.trials.rollout import rollout
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING
 from link.bus.mavlink import Codec, Reading, pack_reading, unpack
 from link.bus.session import Bus
-from link.record.record import Recording, read
+from link.record.reader import Recording, read
 
 
 def mission_record(folder: Path) -> Recording:

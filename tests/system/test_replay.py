@@ -14,7 +14,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.record.record import Entry, Writer, read
+from link.record.reader import read
+from link.record.record import Entry
+from link.record.writer import Writer
 from tests.golden.__main__ import path as golden
 from tests.system.live import Services, run_sitl
 from tests.system.stranger import Stranger

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.mavlink import BadFrame, Codec, Reading, pack_reading, unpack, unpack_reading, waypoint_message
+from link.bus.mavlink import BadFrame, Codec, Reading, flat_reading, pack_reading, unpack, unpack_reading, waypoint_message
 
 READING = Reading(time_boot_ms=1234, position=(3.5, 4.25), altitude_m=5.0, wind=(1.5, -0.5), gas=0.75)
 float32 = st.floats(-1000, 1000, width=32)
@@ -83,3 +83,20 @@ def test_a_changed_byte_is_always_noticed(index: int, flip: int) -> None:
     payload[index % len(payload)] ^= flip
     with pytest.raises(BadFrame):
         unpack_reading(bytes(payload))
+
+
+def test_frames_of_mavlink_1_and_signed_ones_tell_a_reading_too() -> None:
+    old = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    signing = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    signing.signing.sign_outgoing, signing.signing.secret_key = True, bytes(32)
+    messages = local_position(), wind_cov(), named_value(2.5)
+    for payload in (
+        b"".join(m.pack(old, force_mavlink1=m.id < 256) for m in messages),
+        b"".join(m.pack(signing) for m in messages),
+    ):
+        assert unpack_reading(bytes(payload), 1) == Reading(1234, (2.0, 1.0), 5.0, (0.0, -1.0), 2.5)
+
+
+def test_a_flat_reading_leaves_open_what_is_not_said() -> None:
+    said = {"LOCAL_POSITION_NED": {"time_boot_ms": 5, "x": 1.0, "y": 2.0, "z": -3.0}, "WIND_COV": {"wind_x": 4.0}}
+    assert flat_reading(said) == {"time_boot_ms": 5, "x": 2.0, "y": 1.0, "altitude_m": 3.0, "wind_x": None, "wind_y": -4.0, "gas": None}

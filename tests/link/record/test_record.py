@@ -17,7 +17,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Codec, Reading, pack_reading, waypoint_message
 from link.bus.messages import Health, Stop, pack_particles
-from link.record.record import Entry, RecordError, Writer, read
+from link.record.reader import RecordError, read
+from link.record.record import Entry
+from link.record.writer import Writer
 from tests.sitl.desk.test_summary import belief
 
 BEGAN = 1_700_000_000_000_000_000

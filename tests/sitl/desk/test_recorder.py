@@ -6,7 +6,8 @@ from pathlib import Path
 from link.bus.keys import BELIEF
 from link.bus.session import Bus
 from link.bus.tap import Tap
-from link.record.record import Writer, read
+from link.record.reader import read
+from link.record.writer import Writer
 from sitl.desk.recorder import _record
 
 

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import os
 from argparse import Namespace
 from pathlib import Path
 
@@ -11,7 +12,8 @@ import pytest
 
 from link.bus.mavlink import Codec, Reading, gas_message, pack_reading
 from link.bus.messages import Belief, Health, Stop
-from link.record.record import Entry, Writer
+from link.record.record import Entry
+from link.record.writer import Writer
 from sitl.desk.summary import run
 
 SECOND = 1_000_000_000
@@ -57,15 +59,18 @@ MESSAGES = [
 ]
 
 
-@pytest.fixture
-def log(tmp_path: Path) -> Path:
-    path = tmp_path / "run.mcap"
-    writer = Writer(path, ABOUT)
-    for at_s, simulation_s, key, payload in MESSAGES:
+def record(path: Path, messages: list[tuple[float, float, str, bytes]], about: dict[str, object] = ABOUT) -> Path:
+    writer = Writer(path, about)
+    for at_s, simulation_s, key, payload in messages:
         at_ns = BEGAN + round(at_s * SECOND)
         writer.write(Entry(key, at_ns, simulation_s, payload), at_ns)
     writer.close()
     return path
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return record(tmp_path / "run.mcap", MESSAGES)
 
 
 def said(capsys: pytest.CaptureFixture[str], path: Path, status: int = 0, **flags: object) -> str:
@@ -88,6 +93,7 @@ def test_the_summary_counts_keys_repeats_and_what_is_missing(log: Path, capsys: 
         "1 beliefs missing, of step 2",
         "1 pauses of the whole bus: 4.1 s at 2.0 s",
         "estimator was started again 1 time",
+        "1 belief could not be read: JSON is malformed: invalid character (byte 4)",
     ]
 
 
@@ -140,9 +146,69 @@ def test_an_autopilots_log_is_counted_by_message(log: Path, capsys: pytest.Captu
     )
 
 
+def test_health_that_is_no_json_is_counted_and_the_rest_is_summed_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    deep = b'{"uptime_s":1,"a":' + b"[" * 100_000 + b"]" * 100_000 + b"}"
+    odd = [
+        b"no JSON",
+        b"\xff",
+        b"[]",
+        b'{"uptime_s": null}',
+        b'{"uptime_s": 1%s}' % (b"0" * 400),
+        deep,
+    ]
+    messages = [*MESSAGES, *((8.0, 5.0, f"health/{service}", payload) for service in ("estimator", "agent") for payload in odd)]
+    path = record(tmp_path / "odd.mcap", messages)
+    fields = json.loads(said(capsys, path, json=True).splitlines()[-1])
+    assert fields["keys"]["health/agent"]["messages"] == len(odd)
+    assert fields["ceased"]
+    (line,) = (line for line in fields["gaps"] if "health" in line)
+    assert line.startswith(f"{2 * len(odd)} health messages could not be read: ")
+    assert "estimator was started again 1 time" in fields["gaps"]
+
+
+def test_beliefs_of_another_version_are_counted_with_what_is_wrong_with_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    older = [belief(step).replace(b'"p_value":0.5,', b"") for step in (1, 2)]
+    newer = belief(3).replace(b'"ceased"', b'"\\u001b[31mred\\n":1,"ceased"')
+    payloads = [belief(0), *older, newer]
+    path = record(tmp_path / "mixed.mcap", [(float(n), float(n + 1), "belief", payload) for n, payload in enumerate(payloads)])
+    fields = json.loads(said(capsys, path, json=True).splitlines()[-1])
+    assert (fields["beliefs"], fields["keys"]["belief"]["messages"]) == (1, 4)
+    assert fields["gaps"] == [
+        "3 beliefs could not be read: Object missing required field `p_value`, Object contains unknown field `?[31mred?`"
+    ]
+    path = record(tmp_path / "older.mcap", [(float(n), float(n + 1), "belief", payload) for n, payload in enumerate(older)])
+    text = said(capsys, path)
+    assert "2 beliefs could not be read: Object missing required field `p_value`" in text
+    assert "no belief that can be read: what came of the search is not known" in text
+
+
+def test_a_belief_of_a_step_far_away_is_a_gap_like_any_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    payloads = [belief(1), belief(9), belief(2).replace(b'"step":2', b'"step":1000000000000')]
+    path = record(tmp_path / "far.mcap", [(float(n), float(n + 1), "belief", payload) for n, payload in enumerate(payloads)])
+    fields = json.loads(said(capsys, path, json=True).splitlines()[-1])
+    assert fields["gaps"] == ["999999999998 beliefs missing, of step 0, 2, 3, 4, 5 and 999,999,999,993 more"]
+
+
+def test_what_a_log_tells_about_itself_may_be_anything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for odd in ("text", 5, None, [1], {"a": 1}):
+        about = {**ABOUT, **dict.fromkeys(("mission", "versions", "git", "seed", "policy", "began"), odd), "stopped": odd}
+        about["mission"] = {"about": odd} if odd == 5 else odd
+        assert "error 0.50 m" in said(capsys, record(tmp_path / "run.mcap", MESSAGES, about))
+        assert "not ceased after 0 steps" in said(
+            capsys, record(tmp_path / "run.mcap", [(0.0, 1.0, "belief", belief(0))], {"scenario": odd})
+        )
+
+
+def test_a_record_of_a_newer_format_is_one_line(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log.write_bytes(log.read_bytes().replace(b"format\x01\x00\x00\x001", b"format\x01\x00\x00\x002"))
+    assert said(capsys, log, status=2) == f"error: {log} is a record of format 2, of another plumeward; those that are read: 0, 1\n"
+
+
 def test_what_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "text").write_text("hello")
-    for path in (tmp_path / "none", tmp_path / "text", tmp_path):
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "none", tmp_path / "text", tmp_path / "empty.mcap", tmp_path / "pipe", tmp_path):
         line = said(capsys, path, status=2)
         assert line.startswith(f"error: {path}")
         assert line.count("\n") == 1

@@ -1,0 +1,188 @@
+"""Reads the record of a run back, also one that was cut off or is damaged: up to there."""
+
+import contextlib
+import stat
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any, NamedTuple, cast
+
+import lz4.frame
+import msgspec
+import zstandard
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import MCAP0_MAGIC
+
+from link.record.decoded import Malformed
+from link.record.record import (
+    ABOUT,
+    ATTACHMENT,
+    FORMAT_NAME,
+    FRAME_KEYS,
+    MALFORMED,
+    PARTICLES,
+    READABLE,
+    STOPPED,
+    Entry,
+    parted,
+    value_of,
+    without_time,
+)
+
+LARGEST_PIECE = 256 << 20
+"""Bytes of a chunk, packed or not. Ours hold 4 MB and one message: what claims more is damaged, or made to fill the memory, of which
+small messages take ten times their bytes."""
+LARGEST_RECORD = 4 << 30
+"""Bytes of memory that all messages may take: they are read at once."""
+MESSAGE_BYTES = 400
+"""Of memory for a message, beside its own."""
+DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, LookupError, RuntimeError, EOFError)
+"""What reading raises where bytes are not what they were."""
+
+
+class RecordError(Exception):
+    """The file is no log that can be read; the text is one clear line. No ValueError: those are what damage raises."""
+
+
+class Recording(NamedTuple):
+    """What a log holds."""
+
+    about: dict[str, Any]
+    """What the launcher told of the run, with versions, git revision, host and namespace; empty where the file has none of it."""
+    entries: list[Entry]
+    """All messages, in the order in which they were recorded."""
+    complete: bool
+    """False where the record was cut off, or broke off by itself: then about["stopped"] says why."""
+
+
+def is_record(path: Path) -> bool:
+    """Whether a file is an MCAP file by its first bytes; raises RecordError where it cannot be read, or is not a file.
+
+    A pipe is none: to look at its first bytes is to lose them, and nobody may ever write to it.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise RecordError(f"{path} is not a file that can be read as a log; wanted an .mcap or a .tlog")
+        with path.open("rb") as file:
+            begin = file.read(len(MCAP0_MAGIC))
+    except OSError as error:
+        raise RecordError(f"{path}: {error.strerror}") from None
+    if not begin:
+        raise RecordError(f"{path} is empty")
+    return begin == MCAP0_MAGIC
+
+
+def read(path: Path) -> Recording:
+    """Read a log, also one that was cut off or is still being written; raises RecordError where it is none, or of an unknown format."""
+    if not is_record(path):
+        raise RecordError(f"{path} is no MCAP file")
+    reader = _Reader(path)
+    whole = False
+    try:
+        with path.open("rb") as file:
+            whole = _read(_Whole(file, path.stat().st_size), reader)
+    except OSError as error:
+        raise RecordError(f"{path}: {error.strerror}") from None
+    if whole and not reader.entries and not reader.about:
+        raise RecordError(f"{path} is an MCAP file, but no log of ours: none of its channels is named as a key of the bus")
+    return Recording(reader.about, reader.entries, whole and STOPPED not in reader.about)
+
+
+def _read(file: "_Whole", reader: "_Reader") -> bool:
+    """Hand the records of a file to the reader, up to where it is damaged; returns whether that is its end."""
+    records = StreamReader(cast(IO[bytes], file), emit_chunks=True, record_size_limit=LARGEST_PIECE).records
+    with contextlib.suppress(*DAMAGE):
+        for record in records:
+            for piece in _unpacked(record) if isinstance(record, Chunk) else (record,):
+                reader.take(piece)
+        return file.left == 0
+    return False
+
+
+def _unpacked(chunk: Chunk) -> list[McapRecord]:
+    """The records of a chunk, which may claim any size, and hold another."""
+    if chunk.uncompressed_size > LARGEST_PIECE:
+        raise McapError(f"a chunk that claims {chunk.uncompressed_size} bytes")
+    data = UNPACK[chunk.compression](chunk.data, chunk.uncompressed_size)
+    return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
+
+
+UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
+    "": lambda data, _: data,
+    "lz4": lambda data, size: lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size),
+    "zstd": lambda data, size: zstandard.ZstdDecompressor().stream_reader(data).read(size),
+}
+"""How a chunk is unpacked, up to a size: mcap and zstandard would believe what the data claim. Others' tools pack with lz4."""
+
+
+class _Whole:
+    """A file that is read in whole pieces: mcap would take what there is of a cut one for all of it."""
+
+    def __init__(self, file: IO[bytes], size: int) -> None:
+        self._file = file
+        self.left = size
+
+    def read(self, length: int) -> bytes:
+        if not 0 <= length <= self.left or len(piece := self._file.read(length)) < length:
+            raise EndOfFile
+        self.left -= length
+        return piece
+
+
+class _Reader:
+    """Puts what was recorded of each message together again."""
+
+    def __init__(self, path: Path) -> None:
+        self.about: dict[str, Any] = {}
+        self.entries: list[Entry] = []
+        self._path = path
+        self._topics: dict[int, tuple[str, str]] = {}
+        self._sequence = -1
+        self._timed = False
+        self._bytes = 0
+
+    def take(self, record: McapRecord) -> None:
+        match record:
+            case Message():
+                key, ending = self._topics[record.channel_id]
+                if key:
+                    self._message(key, ending, record.sequence, record.publish_time, record.data)
+            case Channel():
+                self._topics[record.id] = parted(record.topic)
+            case Metadata() if record.name == ABOUT:
+                about = {name: value_of(text) for name, text in record.metadata.items()}
+                written = about.pop(FORMAT_NAME, 0)
+                if written not in READABLE:
+                    formats = ", ".join(map(str, READABLE))
+                    raise RecordError(f"{self._path} is a record of format {written}, of another plumeward; those that are read: {formats}")
+                self.about |= about
+
+    def _message(self, key: str, ending: str, sequence: int, published_ns: int, data: bytes) -> None:
+        if not ending and key in FRAME_KEYS:
+            self._begin(Entry(key, published_ns, self.entries[-1].simulation_s if self.entries else 0.0, data), sequence)
+        elif not ending:
+            payload, simulation_s = without_time(data)
+            self._begin(Entry(key, published_ns, simulation_s, payload), sequence)
+        elif ending == MALFORMED and key not in FRAME_KEYS:
+            text, simulation_s = without_time(data)
+            self._begin(Entry(key, published_ns, simulation_s, msgspec.json.decode(text, type=Malformed).payload), sequence)
+        elif sequence == self._sequence and ending in (PARTICLES, ATTACHMENT):
+            self._hold(len(data))
+            self.entries[-1] = self.entries[-1]._replace(attachment=data)
+        elif sequence == self._sequence and not self._timed:
+            self.entries[-1] = self.entries[-1]._replace(simulation_s=without_time(data)[1])
+            self._timed = True
+
+    def _begin(self, entry: Entry, sequence: int) -> None:
+        self._hold(len(entry.payload) + MESSAGE_BYTES)
+        self.entries.append(entry)
+        self._sequence, self._timed = sequence, False
+
+    def _hold(self, count: int) -> None:
+        self._bytes += count
+        if self._bytes > LARGEST_RECORD:
+            gib = f"{LARGEST_RECORD / 2**30:g} GiB"
+            raise RecordError(f"{self._path} holds more than {gib} of messages; wanted a part of it, as `mcap filter` cuts one out")

@@ -1,0 +1,157 @@
+"""Writes the record of a run as it goes: an MCAP file of all that is said, and a .tlog of its MAVLink."""
+
+import contextlib
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from link.bus.keys import BELIEF, READING
+from link.bus.mavlink import BadFrame, split
+from link.record.chunks import McapFile, WholeFile
+from link.record.decoded import FlatReading, Malformed, decode, decode_reading, encode, message_schema, struct_schema
+from link.record.record import (
+    ABOUT,
+    ATTACHMENT,
+    DECODED,
+    FORMAT,
+    FORMAT_NAME,
+    FRAME_KEYS,
+    MALFORMED,
+    PARTICLES,
+    STOPPED,
+    STRUCTS,
+    Entry,
+    row,
+    text_of,
+    time_field,
+    with_time,
+)
+
+CHUNK_BYTES = 4_000_000
+"""A chunk is closed when it holds this much, if no flush has closed it before."""
+TLOG_LAG_NS = 100_000_000
+"""A frame goes into the .tlog this long after it was published: so those that overtook each other on their way are in order again."""
+DECODERS = {name: msgspec.json.Decoder(kind) for name, kind in STRUCTS.items()}
+
+
+class Writer:
+    """Writes PATH and the .tlog of the same stem. Where that fails it raises OSError, and leaves what was flushed readable."""
+
+    def __init__(self, path: Path, about: dict[str, Any]) -> None:
+        """Begin the files with what the run is about; raises OSError where they cannot be written."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._mcap, self._tlog = McapFile(path), _Tlog(path.with_suffix(".tlog"))
+        self._channels: dict[tuple[str, str], int] = {}
+        self._count = 0
+        self._mcap.add_metadata(ABOUT, {name: text_of(value) for name, value in {**about, FORMAT_NAME: FORMAT}.items()})
+
+    def write(self, entry: Entry, received_ns: int) -> None:
+        """Write one message, with all that belongs to it, behind those that were received before."""
+        if entry.key in FRAME_KEYS:
+            self._write_frames(entry, received_ns)
+        else:
+            self._write_json(entry, received_ns)
+        if entry.attachment:
+            self._add(entry, PARTICLES if entry.key == BELIEF.name else ATTACHMENT, received_ns, entry.attachment)
+        self._count += 1
+        if self._mcap.waiting > CHUNK_BYTES:
+            self.flush()
+
+    def _write_json(self, entry: Entry, received_ns: int) -> None:
+        try:
+            DECODERS[row(entry.key)].decode(entry.payload)
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            self._add_malformed(entry, received_ns, str(error))
+        else:
+            self._add(entry, "", received_ns, with_time(entry.payload, entry.simulation_s))
+
+    def _write_frames(self, entry: Entry, received_ns: int) -> None:
+        self._add(entry, "", received_ns, entry.payload)
+        try:
+            for frame in split(entry.payload):
+                self._tlog.add(entry.published_ns, received_ns, entry.payload[frame.start : frame.end])
+            if entry.key == READING.name:
+                self._add(entry, DECODED, received_ns, with_time(encode(decode_reading(entry.payload)), entry.simulation_s))
+            else:
+                ending = time_field(entry.simulation_s)
+                for kind, fields in decode(entry.payload):
+                    self._add(entry, kind, received_ns, fields[:-1] + ending)
+        except BadFrame as error:
+            self._add_malformed(entry, received_ns, str(error))
+
+    def _add_malformed(self, entry: Entry, received_ns: int, reason: str) -> None:
+        self._add(entry, MALFORMED, received_ns, with_time(encode(Malformed(reason, entry.payload)), entry.simulation_s))
+
+    def _add(self, entry: Entry, ending: str, received_ns: int, data: bytes) -> None:
+        channel = self._channels.get((entry.key, ending)) or self._open_channel(entry.key, ending)
+        self._mcap.add_message(channel, self._count, received_ns, entry.published_ns, data)
+
+    def _open_channel(self, key: str, ending: str) -> int:
+        encoding, schema_id = "json", 0
+        if ending in (PARTICLES, ATTACHMENT):
+            encoding = "bytes"
+        elif not ending and key in FRAME_KEYS:
+            encoding = "mavlink"
+        else:
+            kinds: dict[str, type[msgspec.Struct]] = {MALFORMED: Malformed, DECODED: FlatReading}
+            kind = kinds.get(ending) or STRUCTS.get(row(key))
+            schema = struct_schema(kind) if kind else message_schema(ending)
+            schema_id = self._mcap.add_schema(schema["title"], "jsonschema", json.dumps(schema, ensure_ascii=False).encode())
+        channel = self._mcap.add_channel(f"{key}/{ending}" if ending else key, encoding, schema_id)
+        self._channels[key, ending] = channel
+        return channel
+
+    def flush(self) -> None:
+        """Close the chunk and hand all to the system, but for frames of the .tlog that may be overtaken."""
+        with self._breaking_off():
+            self._mcap.flush()
+            self._tlog.flush(time.time_ns() - TLOG_LAG_NS)
+
+    def close(self) -> None:
+        """Finish the files."""
+        with self._breaking_off():
+            self._mcap.finish()
+            self._tlog.finish()
+
+    @contextlib.contextmanager
+    def _breaking_off(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self._mcap.break_off(ABOUT, {STOPPED: error.strerror or str(error)})
+            self._tlog.close()
+            raise
+
+
+class _Tlog:
+    """MAVLink frames, each behind its time: 8 bytes, big-endian, µs since the Unix epoch."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = WholeFile(path)
+        self._waiting: list[tuple[int, int, bytes]] = []
+        self._last_us = 0
+
+    def add(self, published_ns: int, received_ns: int, frame: bytes) -> None:
+        self._waiting.append((published_ns, received_ns, frame))
+
+    def flush(self, until_ns: int) -> None:
+        """Write what was received until then, and what was published before it."""
+        self._waiting.sort(key=lambda waiting: waiting[0])
+        due = max((n for n, (_, received_ns, _) in enumerate(self._waiting, 1) if received_ns <= until_ns), default=0)
+        piece = bytearray()
+        for published_ns, _, frame in self._waiting[:due]:
+            self._last_us = max(published_ns // 1000, self._last_us)
+            piece += self._last_us.to_bytes(8) + frame
+        self._file.append(piece)
+        del self._waiting[:due]
+
+    def finish(self) -> None:
+        self.flush(max((received_ns for _, received_ns, _ in self._waiting), default=0))
+        self.close()
+
+    def close(self) -> None:
+        self._file.close()

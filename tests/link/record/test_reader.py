@@ -1,0 +1,221 @@
+"""Protects those who read records: formats are named; a strange, a hostile or a growing file neither hangs them nor fills the memory."""
+
+import io
+import os
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import lz4.frame
+import pytest
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.reader import make_reader
+from mcap.records import Chunk, Metadata
+from mcap.writer import MCAP0_MAGIC, CompressionType
+from mcap.writer import Writer as OthersWriter
+
+from link.record import reader
+from link.record.reader import RecordError, read
+from link.record.record import Entry, SimulationClock
+from link.record.writer import Writer
+from tests.link.record.test_record import ABOUT, ENTRIES, written
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "greedy-gaussian.mcap"
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(RecordError) as error:
+        read(path)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def as_record(*records: Any) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return bytes(builder.end())
+
+
+def packed_anew(log: Path, compression: CompressionType) -> bytes:
+    """The same record as another tool writes it: all of it in one chunk."""
+    out = io.BytesIO()
+    writer = OthersWriter(out, compression=compression)
+    writer.start()
+    with log.open("rb") as file:
+        others = make_reader(file)
+        for metadata in others.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
+        channels: dict[int, int] = {}
+        for _, channel, message in others.iter_messages():
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, 0)
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
+    writer.finish()
+    return out.getvalue()
+
+
+# ---- formats ----
+
+
+def test_a_record_says_its_format_beside_what_the_run_was(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.mcap")
+    with log.open("rb") as file:
+        (metadata,) = make_reader(file).iter_metadata()
+    assert metadata.metadata["format"] == "1"
+    assert read(log).about == ABOUT
+
+
+def test_a_record_without_a_format_is_read(tmp_path: Path) -> None:
+    with GOLDEN.open("rb") as file:
+        (metadata,) = make_reader(file).iter_metadata()
+    golden = read(GOLDEN)
+    assert golden.complete
+    assert set(golden.about) == set(metadata.metadata) - {"format"}
+    assert {entry.key for entry in golden.entries} >= {"reading", "belief", "mavlink/in"}
+
+
+@pytest.mark.parametrize(("written_as", "told"), [("2", "2"), ("-1", "-1"), ('"other"', "other"), ("[1]", "[1]")])
+def test_a_record_of_another_format_is_refused_by_name(tmp_path: Path, written_as: str, told: str) -> None:
+    log = tmp_path / "newer.mcap"
+    whole = written(log).read_bytes()
+    newer = as_record(Metadata("plumeward", {"seed": "3", "format": written_as}))
+    log.write_bytes(MCAP0_MAGIC + newer + whole[len(MCAP0_MAGIC) :])
+    assert refused(log) == f"{log} is a record of format {told}, of another plumeward; those that are read: 0, 1"
+
+
+# ---- no files, and other files ----
+
+
+def test_a_pipe_a_folder_and_a_device_are_refused_without_being_opened(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.mcap"
+    os.mkfifo(pipe)  # to open it would wait for a writer
+    for path in (pipe, tmp_path, Path("/dev/zero")):
+        assert refused(path) == f"{path} is not a file that can be read as a log; wanted an .mcap or a .tlog"
+
+
+def test_an_empty_file_is_called_empty(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_bytes(b"")
+    assert refused(tmp_path / "run.mcap") == f"{tmp_path / 'run.mcap'} is empty"
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_a_record_that_another_tool_packed_anew_is_read(tmp_path: Path, compression: CompressionType) -> None:
+    log = written(tmp_path / "run.mcap", flush_each=True)
+    anew = tmp_path / "anew.mcap"
+    anew.write_bytes(packed_anew(log, compression))
+    assert read(anew) == read(log)
+
+
+# ---- files that are not whole ----
+
+
+def test_a_record_that_is_still_being_written_is_read_up_to_its_last_flush(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    writer = Writer(log, ABOUT)
+    for count, entry in enumerate(ENTRIES):
+        recording = read(log)
+        assert (recording.about, recording.entries, recording.complete) == (ABOUT, ENTRIES[:count], False)
+        writer.write(entry, entry.published_ns)
+        assert read(log).entries == ENTRIES[:count]
+        writer.flush()
+    writer.close()
+    assert read(log).complete
+
+
+def test_what_the_run_was_is_known_whole_or_not_at_all(tmp_path: Path) -> None:
+    whole = written(tmp_path / "run.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    told = []
+    for length in range(8, len(whole)):
+        cut.write_bytes(whole[:length])
+        told.append(read(cut).about)
+        if told[-1]:
+            break
+    assert told[:-1] == [{}] * (len(told) - 1)
+    assert told[-1] == ABOUT
+
+
+@pytest.mark.parametrize("number", [b"nan", b"inf", b"-1e999"])
+def test_a_time_that_is_no_number_is_damage(tmp_path: Path, number: bytes) -> None:
+    log = tmp_path / "run.mcap"
+    writer = OthersWriter(str(log))
+    writer.start()
+    writer.add_message(writer.register_channel("health/uav", "json", 0), 1, b'{"uptime_s":1,"simulation_s":%s}' % number, 1)
+    writer.finish()
+    assert (read(log).entries, read(log).complete) == ([], False)
+
+
+def test_bytes_behind_the_end_are_damage(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.mcap")
+    log.write_bytes(log.read_bytes() + b"more")
+    assert (read(log).entries, read(log).complete) == (ENTRIES, False)
+
+
+def test_a_chunk_that_is_there_twice_gives_its_messages_twice(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.mcap", ENTRIES[:3])
+    whole = log.read_bytes()
+    begin = whole.index(b"\x06")
+    while True:  # the opcode of a chunk, and what that says of its length fits the record behind it, an index
+        length = int.from_bytes(whole[begin + 1 : begin + 9], "little")
+        if length < len(whole) and whole[begin + 9 + length : begin + 10 + length] == b"\x07":
+            break
+        begin = whole.index(b"\x06", begin + 1)
+    chunk = whole[begin : begin + 9 + length]
+    log.write_bytes(whole[:begin] + chunk + whole[begin:])
+    assert read(log).entries == [*ENTRIES[:3], *ENTRIES[:3]]
+
+
+# ---- files that are made to hurt ----
+
+FAR_TOO_MUCH = 5_000_000_000_000
+CLAIMS_TERABYTES = b"\x28\xb5\x2f\xfd\xc0\x58" + FAR_TOO_MUCH.to_bytes(8, "little") + b"\x01\x00\x00"
+"""A zstd frame by RFC 8878: its magic, a header whose content size has 8 bytes, and a last block without content."""
+ZEROS = bytes(60_000_000)
+
+
+@pytest.mark.parametrize(
+    ("compression", "claimed", "data"),
+    [
+        ("zstd", FAR_TOO_MUCH, zstandard.compress(b"little")),
+        ("zstd", 100, CLAIMS_TERABYTES),
+        ("zstd", 100, zstandard.compress(ZEROS)),
+        ("lz4", 100, lz4.frame.compress(ZEROS)),
+        ("none that is known", 100, b"little"),
+        ("", 100, b"little"),
+    ],
+    ids=["the chunk claims", "the frame claims", "zstd unpacks", "lz4 unpacks", "unknown", "plain"],
+)
+def test_a_chunk_that_comes_to_far_too_much_ends_the_record(tmp_path: Path, compression: str, claimed: int, data: bytes) -> None:
+    log = written(tmp_path / "run.mcap", ENTRIES[:2], flush_each=True)
+    bomb = as_record(Chunk(compression, data, 0, 0, 1, claimed))
+    whole = log.read_bytes()
+    end = whole.rindex(b"\x0f" + (4).to_bytes(8, "little"))  # where the data end: what lies before it is whole
+    log.write_bytes(whole[:end] + bomb + whole[end:])
+    tracemalloc.start()
+    try:
+        recording = read(log)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert (recording.entries, recording.complete) == (ENTRIES[:2], False)
+    assert peak < 20_000_000
+
+
+def test_a_record_that_would_fill_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reader, "LARGEST_RECORD", 1 << 20)
+    log = tmp_path / "run.mcap"
+    particles = Entry("belief", 0, 0.0, b"", bytes(100_000))  # zeros: the file itself is small
+    written(log, [particles._replace(published_ns=number) for number in range(10)])
+    assert len(read(log).entries) == 10
+    written(log, [particles._replace(published_ns=number) for number in range(11)])
+    assert log.stat().st_size < 100_000
+    assert refused(log) == f"{log} holds more than 0.000976562 GiB of messages; wanted a part of it, as `mcap filter` cuts one out"
+
+
+def test_json_that_is_nested_without_end_stops_neither_the_recorder_nor_the_reader(tmp_path: Path) -> None:
+    nested = b'{"a":' + b"[" * 100_000 + b"]" * 100_000 + b',"time_boot_ms":5}'
+    clock = SimulationClock()
+    entries = [Entry(key, 7, clock.time_s(key, nested, 7), nested) for key in ("belief", "agdc/stop", "health/uav")]
+    assert read(written(tmp_path / "run.mcap", entries)).entries == entries

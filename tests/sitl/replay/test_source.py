@@ -1,0 +1,45 @@
+"""Protects what a replay plays: a log that cannot be played is one clear line, before anything is started."""
+
+import os
+from argparse import Namespace
+from pathlib import Path
+
+import pytest
+
+from link.record.record import Entry
+from link.record.writer import Writer
+from sitl.replay.source import BadSource, find
+from tests.link.record.test_record import written
+
+FLAGS = {"connect": None, "ignore": [], "tolerance": 0.0, "verify": False, "loop": False, "from_s": 0.0, "to_s": 9e9, "namespace": None}
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(BadSource) as error:
+        find(Namespace(log=path, **FLAGS), {}, {})
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_a_record_of_a_newer_format_is_refused_by_name(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.mcap")
+    assert find(Namespace(log=log, **FLAGS), {}, {})[0].entries
+    log.write_bytes(log.read_bytes().replace(b"format\x01\x00\x00\x001", b"format\x01\x00\x00\x002"))
+    assert refused(log) == f"{log} is a record of format 2, of another plumeward; those that are read: 0, 1"
+
+
+def test_a_pipe_and_an_empty_file_are_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    assert "is not a file that can be read as a log" in refused(tmp_path / "pipe")
+    assert refused(tmp_path / "empty.mcap").endswith(" is empty")
+
+
+def test_json_that_is_nested_without_end_answers_nothing(tmp_path: Path) -> None:
+    nested = b'{"a":' + b"[" * 100_000 + b"]" * 100_000 + b',"time_boot_ms":3000}'
+    writer = Writer(tmp_path / "run.mcap", {})
+    for entry in (Entry("health/uav", 1, 1.0, b"{}"), Entry("belief", 2, 1.0, nested), Entry("agdc/stop", 3, 1.0, nested)):
+        writer.write(entry, entry.published_ns)
+    writer.close()
+    source, _ = find(Namespace(log=tmp_path / "run.mcap", **FLAGS), {}, {})
+    assert source.then == {}
