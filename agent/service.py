@@ -41,14 +41,14 @@ def run(
     """
     find_policy(policy)  # compiles or loads what it needs before the first belief comes
     codec = Codec(system, ONBOARD_COMPUTER)
-    bus.subscribe(BELIEF)
+    bus.subscribe(BELIEF, newest=True)
     bus.tally.about = policy
     bus.publish_health()
     bus.log.info(f"ready: {policy}")
     answered = -1
     waypoint = (0.0, 0.0)
     while True:
-        received = _newest_belief(bus)
+        received = _next_belief(bus)
         if received is None:
             continue
         belief, particles = received
@@ -65,11 +65,9 @@ def run(
         bus.answered()
 
 
-def _newest_belief(bus: Bus) -> tuple[Belief, Particles] | None:
-    """Wait for a belief; of several that wait, the newest wins."""
+def _next_belief(bus: Bus) -> tuple[Belief, Particles] | None:
+    """Wait for a belief."""
     arrival: Arrival = bus.receive()
-    while (later := bus.receive(timeout_s=0)) is not None:
-        arrival = later
     belief = bus.decode(arrival, Belief)
     if belief is None:
         return None
