@@ -12,6 +12,7 @@ from link.bus.keys import BELIEF, MAVLINK_IN
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, waypoint_message
 from link.bus.messages import Belief, Particles, unpack_particles
 from link.bus.session import Arrival, Bus
+from plume.parameters import PARAMETERS
 from plume.scenario import AREA_M
 from plume.sensor import parse
 from plume.world import float32
@@ -41,14 +42,14 @@ def run(
     """
     find_policy(policy)  # compiles or loads what it needs before the first belief comes
     codec = Codec(system, ONBOARD_COMPUTER)
-    bus.subscribe(BELIEF)
+    bus.subscribe(BELIEF, newest=True)
     bus.tally.about = policy
     bus.publish_health()
     bus.log.info(f"ready: {policy}")
     answered = -1
     waypoint = (0.0, 0.0)
     while True:
-        received = _newest_belief(bus)
+        received = _next_belief(bus, reach.area_m)
         if received is None:
             continue
         belief, particles = received
@@ -65,17 +66,26 @@ def run(
         bus.answered()
 
 
-def _newest_belief(bus: Bus) -> tuple[Belief, Particles] | None:
-    """Wait for a belief; of several that wait, the newest wins."""
+def _next_belief(bus: Bus, area_m: float) -> tuple[Belief, Particles] | None:
+    """Wait for a belief; None for one that no policy could answer, which is refused."""
     arrival: Arrival = bus.receive()
-    while (later := bus.receive(timeout_s=0)) is not None:
-        arrival = later
     belief = bus.decode(arrival, Belief)
     if belief is None:
         return None
     try:
         parse(belief.sensor)
+        _check(belief, area_m)
         return belief, unpack_particles(arrival.attachment, len(belief.unknowns))
     except ValueError as error:
         bus.refuse(BELIEF, str(error), "malformed")
         return None
+
+
+def _check(belief: Belief, area_m: float) -> None:
+    names = belief.unknowns
+    if not set(names) <= set(PARAMETERS) or len(set(names)) < len(names):
+        raise ValueError(f"unknowns {' '.join(names)!r} are not each another one of {' '.join(PARAMETERS)}")
+    if not len(names) == len(belief.means) == len(belief.stds):
+        raise ValueError(f"{len(belief.means)} means and {len(belief.stds)} stds of {len(names)} unknowns")
+    if not all(0.0 <= value <= area_m for value in belief.position):
+        raise ValueError(f"position {belief.position} is outside the area [0, {area_m:g}] x [0, {area_m:g}] m")

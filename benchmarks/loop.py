@@ -12,6 +12,7 @@ import time
 from collections import defaultdict
 
 from agent.trials.rollout import rollout
+from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING
 from link.bus.mavlink import unpack_reading
 from link.bus.messages import Belief, Health
@@ -25,7 +26,7 @@ RING_ROUNDS = 2000
 
 def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
     """Fly one mission; returns the milliseconds of each step."""
-    processes = Processes(queue.SimpleQueue())
+    processes = Processes(Inbox())
     script = Script().changed({"seed": seed, "agent.policy": policy, "estimator.particles": particles})
     read_at: list[tuple[int, float]] = []
     compute: dict[str, dict[int, float]] = defaultdict(dict)
@@ -67,7 +68,7 @@ def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
 
 def ring(particles: int) -> list[float]:
     """Milliseconds of one round of the bare ring: reading, belief and waypoint by their sizes, through a router process."""
-    processes = Processes(queue.SimpleQueue())
+    processes = Processes(Inbox())
     try:
         endpoint = processes.start("router", "sitl", "router", "--listen", "tcp/127.0.0.1:0").readline().strip()
         done: queue.SimpleQueue[None] = queue.SimpleQueue()

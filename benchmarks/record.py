@@ -5,7 +5,6 @@ the same length before it joined and after it has left, within a second or two: 
 """
 
 import argparse
-import queue
 import select
 import signal
 import subprocess
@@ -17,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from link.bus.inbox import Inbox
 from link.bus.keys import READING
 from link.bus.mavlink import unpack_reading
 from link.bus.session import Bus
@@ -40,7 +40,7 @@ vehicle: {{endurance_s: 1.0e+6}}
 
 def comparisons(seed: int, policy: str, stretch: int, log: Path) -> Iterator[tuple[float, float]]:
     """Fly a mission; yields milliseconds a step without and with a recorder, again and again."""
-    processes = Processes(queue.SimpleQueue())
+    processes = Processes(Inbox())
     mission = log.with_name("mission.yaml")
     mission.write_text(MISSION.format(seed=seed, policy=policy))
     try:

@@ -51,7 +51,7 @@ def _judge(bus: Bus, p_value: float) -> None:
         bus.tally.warnings = ()
         return
     if not bus.tally.warnings:
-        bus.log.warn(
+        bus.log.warning(
             f"the readings do not fit the model (p = {p_value:.1g} over the last {RECENT}): is the sensor stuck, is the model right?"
         )
     bus.tally.warnings = (f"the last {RECENT} readings do not fit the model: p = {p_value:.1g}",)

@@ -4,6 +4,7 @@ from typing import Any
 
 import msgspec
 
+from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES
 from link.bus.keys import KEYS, Key
 from link.bus.session import DEFAULT_ROUTER
 
@@ -21,7 +22,8 @@ is on `uav/1/belief`. Set `namespace` in the Zenoh configuration, or write the f
 ## Keys
 """
 
-RULES = """
+MIB = WAITING_BYTES // 2**20
+RULES = f"""
 ## Frames
 
 MAVLink 2, dialect `common`, as they would go over a serial line; a payload may hold several. The vehicle is system `<id>`,
@@ -70,8 +72,8 @@ decimals that read back as the same double.
 
 ## What is refused
 
-What is refused is counted in `health` under its kind, logged with key and reason, and leaves the belief as it is to the last bit. It
-never stops a service.
+What is refused is counted in `health` under its kind, logged with key and reason (`overflow`: once a burst), and leaves the belief as
+it is to the last bit. It never stops a service. A numbered reading that overflowed is had again from those that are kept.
 
 | kind | refused is |
 |---|---|
@@ -83,6 +85,7 @@ never stops a service.
 | `late` | a reading older than the newest one |
 | `conflicting` | another reading under the newest one's time |
 | `repeated` | the newest reading again: it is not taken twice, but the belief is said again |
+| `overflow` | the oldest of those that wait, where more than {WAITING_MESSAGES:,} of a key beside those that are kept, or {MIB} MiB do |
 
 ## Health
 

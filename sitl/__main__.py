@@ -239,8 +239,8 @@ def _in_script(refusal: str, args: argparse.Namespace, given: argparse.Namespace
 
 def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     import contextlib
-    import queue
 
+    from link.bus.inbox import Inbox
     from link.bus.log import Log
     from link.bus.session import Bus
     from link.bus.tally import Tally
@@ -251,7 +251,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     script = _script(args, given)
     config = script.vehicle_config(args.instance + 1)
     release = script.release()
-    inbox: queue.SimpleQueue[object] = queue.SimpleQueue()
+    inbox = Inbox()
     namespace = args.namespace or f"uav/{args.instance + 1}"
     log = Log("uav", namespace, Tally(), args.log_level)
     with contextlib.ExitStack() as stack:

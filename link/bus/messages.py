@@ -90,4 +90,7 @@ def unpack_particles(payload: bytes, unknowns: int) -> Particles:
     particles = np.frombuffer(payload, "<f4").reshape(-1, unknowns + 1)
     if not np.isfinite(particles).all():
         raise ValueError("the particle array holds NaN or infinite values")
+    weights = particles[:, -1]
+    if (weights < 0).any() or not weights.any():
+        raise ValueError("the particle array holds negative weights, or none above 0")
     return particles.astype(np.float32, copy=False)

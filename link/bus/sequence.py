@@ -4,13 +4,18 @@ Zenoh's advanced subscriber gives history and live messages, but (1.10.2) not al
 published: live messages that arrive before its history query is under way make it drop the answer. So we count for ourselves.
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
-ASK_EVERY_S = 0.3
+ASK_FIRST_S, ASK_LAST_S = 0.3, 2.4
+"""Time between two questions for what is missing; doubled each time: a long history takes its time to come."""
 GIVE_UP_S = 5.0
+MOST_SOURCES = 64
+"""So many publishers, the last to have spoken, are remembered: an identity is easily made up."""
 
 
 @dataclass
@@ -18,39 +23,75 @@ class _Source(Generic[T]):
     next_number: int = 0
     waiting: dict[int, T] = field(default_factory=dict)
     waiting_since_s: float = 0.0
-    ask_at_s: float = 0.0
 
 
 class Sequence(Generic[T]):
     """The messages of one key, whose publishers number them from 0."""
 
-    def __init__(self) -> None:
-        """Start with nothing received."""
+    def __init__(self, most: int, most_bytes: float = math.inf, size: Callable[[T], int] = lambda _: 0) -> None:
+        """Start with nothing received. So many messages, and bytes by `size`, may wait for missing ones."""
+        self.dropped = 0
+        """Messages that were not let wait; they are among the missing ones that are asked for."""
+        self._most = most
+        self._most_bytes = most_bytes
+        self._size = size
+        self._waiting = 0
+        self._waiting_bytes = 0
+        self._ask_at_s = -math.inf
+        self._ask_every_s = ASK_FIRST_S
         self._sources: dict[str, _Source[T]] = {}
 
     def arrived(self, source: str, number: int, message: T, now_s: float) -> list[T]:
         """Take a message; return those that are now next in line. One that has been before is dropped."""
-        state = self._sources.setdefault(source, _Source())
-        if number < state.next_number:
+        state = self._sources.pop(source) if source in self._sources else _Source()
+        self._sources[source] = state
+        if len(self._sources) > MOST_SOURCES:
+            forgotten = self._sources.pop(next(iter(self._sources)))
+            self.dropped += len(self._release(forgotten, list(forgotten.waiting)))
+        if number < state.next_number or number in state.waiting:
             return []
-        if not state.waiting:
-            state.waiting_since_s = state.ask_at_s = now_s
-        state.waiting[number] = message
-        ready = []
+        if number > state.next_number:
+            self._wait(state, number, message, now_s)
+            return []
+        ready = [message]
+        state.next_number += 1
         while state.next_number in state.waiting:
-            ready.append(state.waiting.pop(state.next_number))
+            ready += self._release(state, [state.next_number])
             state.next_number += 1
+        state.waiting_since_s = now_s  # the others are on their way: who computes between messages may be long at it
         return ready
+
+    def _wait(self, state: _Source[T], number: int, message: T, now_s: float) -> None:
+        size = self._size(message)
+        if self._waiting >= self._most or self._waiting_bytes + size > self._most_bytes:
+            self.dropped += 1
+            return
+        if not state.waiting:
+            state.waiting_since_s = now_s
+        state.waiting[number] = message
+        self._waiting += 1
+        self._waiting_bytes += size
+
+    def _release(self, state: _Source[T], numbers: list[int]) -> list[T]:
+        released = [state.waiting.pop(number) for number in numbers]
+        self._waiting -= len(released)
+        self._waiting_bytes -= sum(map(self._size, released))
+        return released
 
     def should_ask_again(self, now_s: float) -> bool:
         """Whether messages wait for missing ones, and it is time to ask for these."""
-        late = [state for state in self._sources.values() if state.waiting and now_s >= state.ask_at_s]
-        for state in late:
-            state.ask_at_s = now_s + ASK_EVERY_S
-        return bool(late)
+        if not self._waiting:
+            self._ask_every_s = ASK_FIRST_S
+            self._ask_at_s = min(self._ask_at_s, now_s + ASK_FIRST_S)
+        elif now_s >= self._ask_at_s:
+            self._ask_at_s = now_s + self._ask_every_s
+            self._ask_every_s = min(2 * self._ask_every_s, ASK_LAST_S)
+            return True
+        return False
 
     def wait_on(self, now_s: float) -> None:
-        """Begin to wait anew: there is nobody to ask."""
+        """Begin to wait anew: there is nobody to ask; that may change at any time."""
+        self._ask_at_s, self._ask_every_s = now_s + ASK_FIRST_S, ASK_FIRST_S
         for state in self._sources.values():
             state.waiting_since_s = now_s
 
@@ -61,7 +102,6 @@ class Sequence(Generic[T]):
             if state.waiting and now_s - state.waiting_since_s >= GIVE_UP_S:
                 numbers = sorted(state.waiting)
                 missing += numbers[-1] + 1 - state.next_number - len(numbers)
-                ready += [state.waiting[number] for number in numbers]
-                state.waiting.clear()
+                ready += self._release(state, numbers)
                 state.next_number = numbers[-1] + 1
         return missing, ready

@@ -13,6 +13,7 @@ import msgspec
 import zenoh
 import zenoh.ext
 
+from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
 from link.bus.messages import Health
@@ -21,8 +22,8 @@ from link.bus.tally import REPEATED, Tally
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
-WAITING_MESSAGES = 4096
-"""Of each key, beside those that are kept: where more wait to be taken, the oldest are dropped rather than the flight held up."""
+MOST_REASON = 300
+"""Characters of a reason that are told: it may quote what a stranger wrote."""
 HEALTH_EVERY_S = 1.0
 """A service that has nothing to do says at least so often that it is well."""
 SIGNAL_POLL_S = 0.2
@@ -71,6 +72,15 @@ class _Numbered(NamedTuple):
     arrival: Arrival | Stamped
 
 
+def most_waiting(key: Key) -> int:
+    """Return how many messages of a key may wait; where more do, the oldest are dropped rather than the flight held up."""
+    return WAITING_MESSAGES + key.delivery.kept
+
+
+def _size(message: Arrival | Stamped) -> int:
+    return len(message.payload) + len(message.attachment)
+
+
 class LivelinessChange(NamedTuple):
     """A service's process came or went."""
 
@@ -91,7 +101,11 @@ def _config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zeno
         except zenoh.ZError:
             raise BusError(f"--{kind}: {', '.join(urls)!r} is no Zenoh endpoint; wanted one like {DEFAULT_ROUTER}") from None
     for name, value in settings.items():
-        config.insert_json5(name.replace("__", "/"), json.dumps(value))
+        try:
+            config.insert_json5(name.replace("__", "/"), json.dumps(value))
+        except zenoh.ZError:
+            words = "words with single slashes between, without * $ ? #"
+            raise BusError(f"--{name}: {value!r} is not allowed; wanted {words}, like uav/1") from None
     return config
 
 
@@ -106,6 +120,7 @@ def open_router(endpoint: str) -> tuple[zenoh.Session, str]:
     for reply in session.get(f"@/{session.zid()}/router"):
         if reply.ok is not None:
             return session, str(json.loads(reply.ok.payload.to_bytes())["locators"][0])
+    session.close()  # type: ignore[no-untyped-call]
     raise BusError(f"--listen: the router on {endpoint} does not tell its address")
 
 
@@ -117,14 +132,15 @@ class Bus:
         service: str,
         connect: str = DEFAULT_ROUTER,
         namespace: str = "uav/1",
-        inbox: "queue.SimpleQueue[Any] | None" = None,
+        inbox: Inbox | None = None,
         log_level: str = "info",
         announced: bool = True,
         **settings: Any,
     ) -> None:
         """Join a router as a client; raises NoRouter where none answers within CONNECT_TIMEOUT_S, BusError where `connect` is no endpoint.
 
-        All that arrives goes into `inbox`: give one's own where other things than the bus fill it too. Who is not announced has no
+        All that arrives goes into `inbox`: give one's own where other things than the bus fill it too. Where too much waits in it,
+        messages are dropped and counted. Who is not announced has no
         liveliness token: it looks on. Further settings are Zenoh's.
         """
         config = _config(
@@ -144,10 +160,11 @@ class Bus:
         self.service = service
         self.tally = Tally()
         self.log = Log(service, namespace, self.tally, log_level)
-        self._inbox: queue.SimpleQueue[Any] = inbox or queue.SimpleQueue()
+        self._inbox = Inbox() if inbox is None else inbox
         self._publishers: dict[str, Any] = {}
         self._subscribers: dict[str, Any] = {}
         self._sequences: dict[str, Sequence[Arrival | Stamped]] = {}
+        self._overflows: dict[str, Overflow] = {}
         self._ready: deque[Any] = deque()
         self._given_at = time.monotonic()
         self._health_at = math.inf
@@ -188,13 +205,22 @@ class Bus:
         payload = message if isinstance(message, bytes) else msgspec.json.encode(message)
         self._publisher(key).put(payload, attachment=attachment)
 
-    def subscribe(self, *keys: Key) -> None:
-        """Have what is published under these keys, kept messages first, put into the inbox."""
+    def subscribe(self, *keys: Key, newest: bool = False) -> None:
+        """Have what is published under these keys, kept messages first, put into the inbox; with `newest` only the last that waits."""
         for key in keys:
+            self._put_in_order(key)
+            put = self._inbox.lane(key.name, most_waiting(key), newest=newest)
+
             # Callbacks only queue: one that blocked or computed would hold up the session, stop messages included.
-            if key.delivery.kept > 1:
-                self._sequences.setdefault(key.name, Sequence())
-            self.on(key, self._inbox.put)
+            def queued(item: Arrival | _Numbered, put: Callable[[Any, int], None] = put) -> None:
+                put(item, _size(item.arrival if isinstance(item, _Numbered) else item))
+
+            self.on(key, queued)
+
+    def _put_in_order(self, key: Key) -> None:
+        if key.delivery.kept > 1 and key.name not in self._sequences:
+            self._sequences[key.name] = Sequence(most_waiting(key), WAITING_BYTES, _size)
+            self._overflows[key.name] = Overflow(key.name)
 
     def on(self, key: Key, arrived: Callable[[Any], None]) -> None:
         """Have what is published under a key, kept messages first, handed to a callback in the session's thread."""
@@ -231,9 +257,11 @@ class Bus:
     def watch_services(self) -> None:
         """Have the coming and going of services put into the inbox, beginning with those that are there."""
 
+        put = self._inbox.lane("liveliness")
+
         def changed(sample: zenoh.Sample) -> None:
             service = str(sample.key_expr).rpartition("/")[2]
-            self._inbox.put(LivelinessChange(service, sample.kind == zenoh.SampleKind.PUT))
+            put(LivelinessChange(service, sample.kind == zenoh.SampleKind.PUT), 0)
 
         name = HEALTH.name.replace("<service>", "*")
         self._subscribers["liveliness"] = self._session.liveliness().declare_subscriber(name, changed, history=True)
@@ -253,10 +281,13 @@ class Bus:
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while not self._ready:
             self._look_after_sequences()
+            self._inbox.tell_dropped(self.log)
             self.keep_health()
-            left_s = max(deadline - time.monotonic(), 0.0)
+            left_s = deadline - time.monotonic()
+            if left_s < -SIGNAL_POLL_S:
+                return None  # however many come that were taken before
             try:
-                item = self._inbox.get(timeout=min(SIGNAL_POLL_S, left_s))
+                item = self._inbox.get(timeout=min(SIGNAL_POLL_S, max(left_s, 0.0)))
             except queue.Empty:
                 if left_s <= SIGNAL_POLL_S:
                     return None
@@ -282,13 +313,16 @@ class Bus:
                     sequence.wait_on(now_s)
             missing, ready = sequence.given_up(now_s)
             if missing:
-                self.log.warn(f"{missing} messages of {name} are lost: nobody has kept them")
+                self.log.warning(f"{missing} messages of {name} are lost: nobody has kept them")
             self._ready += ready
+            self._overflows[name].tell(sequence.dropped, self.log)
 
     def refuse(self, key: Key, reason: str, kind: str) -> None:
         """Count and log a message that is dropped; `kind` is what it is counted under. It is a warning where it is not just repeated."""
         self.tally.refuse(kind)
-        (self.log.info if kind == REPEATED else self.log.warn)(f"refused {key.name}: {reason}")
+        if len(reason) > MOST_REASON:
+            reason = f"{reason[:MOST_REASON]}…"
+        (self.log.info if kind == REPEATED else self.log.warning)(f"refused {key.name}: {reason}")
 
     def decode(self, arrival: Arrival, kind: type[T]) -> T | None:
         """Decode JSON into its struct; what does not decode is refused, and None."""

@@ -9,6 +9,10 @@ RATE_OVER_S = 10.0
 LATELY_S = 60.0
 REPEATED = "repeated"
 """What is refused only because it was taken before: that happens in sound missions, too."""
+OVERFLOW = "overflow"
+"""What is dropped because too much waits to be taken."""
+GRAIN = 0.001
+"""Share of its time within which Recent takes events as one: however many there are, it remembers a thousand."""
 
 
 class Recent:
@@ -22,8 +26,12 @@ class Recent:
 
     def add(self, now_s: float, count: int) -> None:
         """Count so many now."""
-        self._events.append((now_s, count))
         self._total += count
+        if self._events and now_s - self._events[-1][0] < GRAIN * self._within_s:
+            since_s, before = self._events.pop()
+            self._events.append((since_s, before + count))
+        else:
+            self._events.append((now_s, count))
         self.total(now_s)
 
     def total(self, now_s: float) -> int:
@@ -59,11 +67,11 @@ class Tally:
         self.step = step
         self._done.add(self.now_s(), count)
 
-    def refuse(self, kind: str) -> None:
-        """Count a message that is dropped."""
-        self.refused[kind] += 1
+    def refuse(self, kind: str, count: int = 1) -> None:
+        """Count messages that are dropped."""
+        self.refused[kind] += count
         if kind != REPEATED:
-            self._refused.add(self.now_s(), 1)
+            self._refused.add(self.now_s(), count)
 
     @property
     def uptime_s(self) -> float:

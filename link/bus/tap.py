@@ -5,8 +5,7 @@ import time
 import zenoh
 
 from link.bus.keys import KEYS, Key
-from link.bus.sequence import Sequence
-from link.bus.session import DEFAULT_ROUTER, WAITING_MESSAGES, Bus, Stamped
+from link.bus.session import DEFAULT_ROUTER, Bus, Stamped, most_waiting
 
 
 class Tap(Bus):
@@ -21,12 +20,11 @@ class Tap(Bus):
         super().__init__(service, connect, namespace, log_level=log_level, transport__link__tx__batch_size=16_384)
         self._taken_ns = 0
 
-    def subscribe(self, *keys: Key) -> None:
+    def subscribe(self, *keys: Key, newest: bool = False) -> None:
         """Have what is published under these keys, kept messages first, wait to be taken."""
         for key in keys:
-            if key.delivery.kept > 1:
-                self._sequences.setdefault(key.name, Sequence())
-            self._declare(key, zenoh.handlers.RingChannel(WAITING_MESSAGES + key.delivery.kept))
+            self._put_in_order(key)
+            self._declare(key, zenoh.handlers.RingChannel(most_waiting(key)))
 
     def take(self) -> list[Stamped]:
         """Return what has arrived since the last time, in the order in which it was published."""
@@ -43,7 +41,9 @@ class Tap(Bus):
 
     def _take_from(self, key: Key, now_ns: int) -> None:
         handler, sequence = self._subscribers[key.name].handler, self._sequences.get(key.name)
-        while (sample := handler.try_recv()) is not None:
+        for _ in range(most_waiting(key)):  # not more than waited at first, however many are coming
+            if (sample := handler.try_recv()) is None:
+                return
             published_ns = sample.timestamp.get_time_as_ntp64().as_nanos() if sample.timestamp else now_ns
             received_ns = min(max(published_ns, self._taken_ns), now_ns)
             attachment = sample.attachment.to_bytes() if sample.attachment else b""

@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
             _record(bus, writer, ends)
         except OSError as error:
             words = f"record stopped: {error.strerror} ({args.file})"
-            bus.log.warn(words)
+            bus.log.warning(words)
             bus.tally.state, bus.tally.warnings = "stopped", (words,)
             bus.publish_health()
             return cli.FAILED

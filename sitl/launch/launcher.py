@@ -5,7 +5,6 @@ import itertools
 import json
 import math
 import os
-import queue
 import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -15,6 +14,7 @@ from typing import Any, NamedTuple
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
+from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, SEARCHERS, STOP
 from link.bus.log import LEVELS
 from link.bus.mavlink import BadFrame, Codec, Message, unpack
@@ -76,7 +76,7 @@ class Flown(NamedTuple):
 
 def fly(mission: Launch) -> Flown:
     """Fly a mission. Raises MissionFailed where a part dies or the vehicle gives up, and nobody expected that."""
-    inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    inbox = Inbox()
     with contextlib.ExitStack() as stack:
         progress = stack.enter_context(Progress(mission.script.budget, "uav" if mission.connect else "router, uav, estimator, agent"))
         processes = stack.enter_context(Processes(inbox))

@@ -2,7 +2,6 @@
 
 import contextlib
 import ctypes
-import queue
 import signal
 import subprocess
 import sys
@@ -10,9 +9,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator
-from typing import IO, Any, NamedTuple, NoReturn, Self
+from typing import IO, NamedTuple, NoReturn, Self
 
 from link.bus import log
+from link.bus.inbox import Inbox
 from link.cli import BAD_INPUT, FAILED, INTERRUPTED
 
 STOP_TIMEOUT_S = 1.0
@@ -80,7 +80,7 @@ def _uninterrupted() -> Iterator[None]:
 class Processes:
     """The children; what becomes of them goes into the inbox."""
 
-    def __init__(self, inbox: "queue.SimpleQueue[Any]") -> None:
+    def __init__(self, inbox: Inbox) -> None:
         """Start with none."""
         self._inbox = inbox
         self._children: dict[str, subprocess.Popen[str]] = {}
@@ -130,11 +130,12 @@ class Processes:
     def _watch(self, part: str, child: "subprocess.Popen[str]") -> None:
         assert child.stderr is not None
         words: deque[str] = deque(maxlen=1)
+        put = self._inbox.lane(f"lines of the {part}")
         for line in child.stderr:
             if line.strip():
                 level, text = log.parse(line.strip())
                 words.append(text)
-                self._inbox.put(LogLine(part, text, level))
+                put(LogLine(part, text, level), len(text))
         status = child.wait()
         if child not in self._killed:
             self._inbox.put(Ended(part, status, words[-1] if words else "no last words"))

@@ -2,11 +2,11 @@
 
 import contextlib
 import math
-import queue
 import time
 from collections import deque
 from typing import Any, NamedTuple
 
+from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING, RESEND_FIRST_S, RESEND_LAST_S, STOP
 from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus, LivelinessChange
@@ -36,7 +36,7 @@ class Replayed(NamedTuple):
 
 def replay(source: Source, rules: Rules | None, speedup: float, connect: str | None) -> Replayed:
     """Replay once; what was started for it has ended when it returns, whatever happened. Raises MissionFailed."""
-    inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    inbox = Inbox()
     with contextlib.ExitStack() as stack:
         readings = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
         started = ", ".join(["router", *source.parts]) if connect is None else "replay"

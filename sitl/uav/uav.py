@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
+from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP
 from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack
@@ -73,7 +74,7 @@ class Uav:
         config: VehicleConfig,
         world: World,
         clock: Clock,
-        inbox: "queue.SimpleQueue[Any]",
+        inbox: Inbox,
         bus: Bus | None,
         outs: Sequence[str],
         log: Log,
@@ -112,7 +113,8 @@ class Uav:
             self._ports.append(Port(BusLink(bus, config.sysid), self._telemetry()))
         for url in outs:
             index = len(self._ports)
-            link = UdpLink(url, lambda message, index=index: inbox.put(FromUdp(index, message)), config.sysid, COMPONENT)  # type: ignore[misc]
+            put = inbox.lane(url)
+            link = UdpLink(url, lambda message, index=index, put=put: put(FromUdp(index, message), 0), config.sysid, COMPONENT)  # type: ignore[misc]
             self._udp.append(link)
             self._ports.append(Port(link, self._telemetry()))
 
@@ -139,6 +141,7 @@ class Uav:
                 self._tally.compute_s += time.perf_counter() - busy_since
                 if self._bus:
                     self._bus.keep_health()
+                self._inbox.tell_dropped(self._log)
                 self._handle(self._receive())
         finally:
             for link in self._udp:
@@ -216,7 +219,7 @@ class Uav:
         if self._protocol.refused.total() > refused:
             self._tally.refuse("waypoint")
         if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
-            self._log.warn("".join(texts))
+            self._log.warning("".join(texts))
         if answers:
             port.link.send(*answers)
 
@@ -243,7 +246,7 @@ class Uav:
 
     def _warn_where_refused(self, result: Result) -> None:
         if not result.accepted:
-            self._log.warn(result.reason)
+            self._log.warning(result.reason)
 
     def _set_state(self, state: str) -> None:
         self._tally.state = state
@@ -335,7 +338,7 @@ class Uav:
         message.pack(mavlink.MAVLink(None, *OPERATOR))
         answers = self._protocol.receive(message, self._vehicle.now_s)
         for text in (answer.text for answer in answers if answer.get_type() == "STATUSTEXT"):
-            self._log.warn(text)
+            self._log.warning(text)
         self._broadcast(answers)
 
     def _broadcast(self, messages: Sequence[Message]) -> None:

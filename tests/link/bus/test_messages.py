@@ -40,3 +40,9 @@ def test_more_unknowns_are_more_columns() -> None:
 def test_what_is_no_particle_array_is_refused(payload: bytes) -> None:
     with pytest.raises(ValueError, match="particle array"):
         unpack_particles(payload, 2)
+
+
+@pytest.mark.parametrize("weights", [(0.0, 0.0), (-0.5, 1.5)])
+def test_weights_that_weigh_nothing_are_refused(weights: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="weights"):
+        unpack_particles(pack_particles(np.array([[1.0, 2.0, weights[0]], [3.0, 4.0, weights[1]]], np.float32)), 2)

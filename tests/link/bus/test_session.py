@@ -1,15 +1,18 @@
 """Protects the session on the bus: late joiners, liveliness, what is refused, and errors that say what to do."""
 
+import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import zenoh
 
-from link.bus.keys import BELIEF, READING, STOP
+from link.bus.inbox import WAITING_MESSAGES
+from link.bus.keys import BELIEF, MAVLINK_IN, READING, STOP
 from link.bus.messages import Stop
-from link.bus.session import Arrival, Bus, BusError, LivelinessChange, open_router
+from link.bus.session import Arrival, Bus, BusError, LivelinessChange, _Numbered, open_router
 
 CLAIM = Stop(time_boot_ms=5, step=3, estimate=(1.0, 2.0), covariance=(0.1, 0.0, 0.1), spread=0.4, threshold=0.5)
 
@@ -22,6 +25,31 @@ def arrivals(bus: Bus, count: int) -> list[bytes]:
         if isinstance(item, Arrival):
             payloads.append(item.payload)
     return payloads
+
+
+@pytest.fixture
+def stranger(router: str) -> Iterator[zenoh.Session]:
+    """Plain Zenoh, without our code."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([router]))
+    with zenoh.open(config) as session:
+        yield session
+
+
+def flood(stranger: zenoh.Session, wait_until: Callable[..., None], key: str, count: int) -> None:
+    """Publish so much, as fast as it is taken."""
+    publisher = stranger.declare_publisher(f"uav/1/{key}", congestion_control=zenoh.CongestionControl.BLOCK)
+    wait_until(lambda: publisher.matching_status.matching)
+    for number in range(count):
+        publisher.put(b"%d" % number)
+    publisher.undeclare()
+
+
+def came(bus: Bus, key: str) -> int:
+    """How many messages of a key have come to a bus that takes none."""
+    lane = bus._inbox._lanes[key]
+    return len(lane.waiting) + lane.dropped
 
 
 @pytest.mark.parametrize("attempt", range(8))  # the loss that this guards against came in every fourth join
@@ -46,16 +74,103 @@ def test_a_late_joiner_gets_the_stop(router: str) -> None:
             assert viewer.decode(viewer.receive(timeout_s=10.0), Stop) == CLAIM
 
 
-def test_a_plain_client_without_the_advanced_protocol_is_heard(router: str, wait_until: Callable[..., None]) -> None:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", f'["{router}"]')
-    with Bus("estimator", router, "uav/3") as estimator, zenoh.open(config) as stranger:
+def test_a_plain_client_without_the_advanced_protocol_is_heard(
+    router: str, stranger: zenoh.Session, wait_until: Callable[..., None]
+) -> None:
+    with Bus("estimator", router, "uav/3") as estimator:
         estimator.subscribe(READING)
         publisher = stranger.declare_publisher("uav/3/reading")
         wait_until(lambda: publisher.matching_status.matching)
         publisher.put(b"frames")
         assert arrivals(estimator, 1) == [b"frames"]
+
+
+def test_all_hundred_thousand_kept_readings_reach_a_late_joiner_that_is_slow_to_take_them(
+    router: str, wait_until: Callable[..., None]
+) -> None:
+    count = READING.delivery.kept
+    with Bus("uav", router) as uav, Bus("estimator", router) as estimator:
+        for number in range(count):
+            uav.publish(READING, b"%d" % number)
+        estimator.subscribe(READING)
+        wait_until(lambda: came(estimator, "reading") >= count, timeout_s=120)
+        assert arrivals(estimator, count) == [b"%d" % number for number in range(count)]
+        assert not estimator.tally.refused
+
+
+def test_a_flood_of_commands_waits_in_part_only_and_the_stop_still_arrives(
+    router: str, stranger: zenoh.Session, wait_until: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    count = 110_000
+    with Bus("uav", router) as uav, Bus("estimator", router) as estimator:
+        uav.subscribe(MAVLINK_IN, STOP)
+        flood(stranger, wait_until, "mavlink/in", count // 2)
+        estimator.publish(STOP, CLAIM)
+        wait_until(lambda: came(uav, "agdc/stop"))  # though nothing is taken
+        flood(stranger, wait_until, "mavlink/in", count // 2)
+        wait_until(lambda: came(uav, "mavlink/in") == count, timeout_s=120)
+        assert uav._inbox.waiting() == WAITING_MESSAGES + 1
+        items = [uav.receive(timeout_s=1.0) for _ in range(WAITING_MESSAGES + 1)]
+        assert uav.receive(timeout_s=0) is None
+        assert [uav.decode(item, Stop) for item in items if item.key is STOP] == [CLAIM]
+        assert [int(item.payload) for item in items if item.key is MAVLINK_IN] == [*range(count // 2 - WAITING_MESSAGES, count // 2)]
+        assert uav.tally.refused == {"overflow": count - WAITING_MESSAGES}
+    assert capsys.readouterr().err.count("refused mavlink/in: ") == 1
+
+
+def test_readings_that_a_flood_has_pushed_out_are_had_again(
+    router: str, stranger: zenoh.Session, wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("link.bus.session.WAITING_MESSAGES", 100)
+    few = replace(READING, delivery=replace(READING.delivery, kept=1000))
+    wanted = [b"reading %d" % number for number in range(501)]
+    with Bus("uav", router) as uav, Bus("estimator", router) as estimator:
+        estimator.subscribe(few)
+        for payload in wanted[:-1]:
+            uav.publish(READING, payload)
+        flood(stranger, wait_until, "reading", 20_000)
+        wait_until(lambda: came(estimator, "reading") >= 20_500, timeout_s=120)
+        assert estimator._inbox.waiting() == 1100
+        uav.publish(READING, wanted[-1])
+        got: list[bytes] = []
+        while len(got) < len(wanted):
+            got += [payload for payload in arrivals(estimator, 1) if payload in wanted]
+        assert got == wanted
+        assert estimator.tally.refused["overflow"] >= 20_500 - 1100
+
+
+def test_who_needs_only_the_newest_is_given_it_at_once(router: str, wait_until: Callable[..., None]) -> None:
+    with Bus("estimator", router) as estimator, Bus("agent", router) as agent:
+        agent.subscribe(BELIEF, newest=True)
+        estimator.publish(BELIEF, b"0")
+        wait_until(lambda: agent._inbox.waiting())
+        seen: list[bytes] = []
+        for number in range(1, 2000):
+            estimator.publish(BELIEF, b"%d" % number)
+            assert agent._inbox.waiting() <= 1
+        while seen[-1:] != [b"1999"]:
+            seen += arrivals(agent, 1)
+        assert [int(payload) for payload in seen] == sorted({int(payload) for payload in seen})
+        assert not agent.tally.refused
+
+
+def test_a_wait_ends_in_time_however_many_messages_come_again(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Bus("estimator", router) as estimator:
+        estimator.subscribe(READING)
+        again = _Numbered("uav", 0, Arrival(READING, b"frames", b""))
+        estimator._inbox.put(again)
+        assert estimator.receive(timeout_s=10.0) == again.arrival
+        monkeypatch.setattr(estimator._inbox, "get", lambda timeout: again)  # a flood without an end
+        assert estimator.receive(timeout_s=0.1) is None
+
+
+def test_a_reason_that_quotes_a_strangers_megabyte_is_cut(router: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with Bus("viewer", router) as viewer:
+        assert viewer.decode(Arrival(STOP, b'{"' + b"x" * 2**20 + b'": 1}', b""), Stop) is None
+        assert len(viewer.tally.last_error) < 1000
+    (line,) = capsys.readouterr().err.splitlines()
+    assert len(line) < 1000
+    assert "refused agdc/stop: Object contains unknown field `xxx" in line
 
 
 def test_vehicles_do_not_hear_each_other(router: str) -> None:
@@ -99,6 +214,9 @@ def test_the_attachment_arrives_with_its_payload(router: str) -> None:
         (lambda used: open_router("tcp/192.0.2.1:7447"), "--listen: cannot listen on tcp/192.0.2.1:7447: Cannot assign"),
         (lambda used: open_router("7447"), "--listen: '7447' is no Zenoh endpoint; wanted one like tcp/"),
         (lambda used: Bus("uav", "7447"), "--connect: '7447' is no Zenoh endpoint; wanted one like tcp/"),
+        (lambda used: Bus("uav", used, ""), "--namespace: '' is not allowed; wanted words with single slashes between"),
+        (lambda used: Bus("uav", used, "uav//1"), "--namespace: 'uav//1' is not allowed"),
+        (lambda used: Bus("uav", used, "uav/*"), r"--namespace: 'uav/\*' is not allowed"),
         (lambda used: Bus("uav", "tcp/127.0.0.1:1"), "--connect: no router at tcp/127.0.0.1:1 .*python -m sitl router"),
     ],
 )

@@ -68,6 +68,20 @@ def test_a_refusal_is_news_for_a_minute_and_counted_for_ever() -> None:
     assert tally.refused == {"late": 1, "malformed": 1}
 
 
+def test_a_flood_of_refusals_is_remembered_in_little() -> None:
+    clock = Clock()
+    tally = Tally(clock)
+    for _ in range(100_000):  # within the last 50 s
+        clock.s += 0.0005
+        tally.refuse("malformed")
+    tally.refuse("overflow", 23)
+    assert tally.refused_lately == 100_023
+    assert len(tally._refused._events) <= 1000
+    clock.s += 61.0
+    assert tally.refused_lately == 0
+    assert tally.refused == {"malformed": 100_000, "overflow": 23}
+
+
 def test_what_only_comes_again_is_counted_but_no_trouble() -> None:
     tally = Tally(Clock())
     tally.refuse("repeated")
@@ -115,7 +129,7 @@ def test_latency_is_from_the_arrival_of_what_was_answered_waiting_included(route
         estimator.subscribe(READING)
         published_at = time.monotonic()
         uav.publish(READING, b"frames")
-        wait_until(lambda: not estimator._inbox.empty())
+        wait_until(estimator._inbox.waiting)
         arrived_by = time.monotonic()
         wait_until(lambda: time.monotonic() > arrived_by + 0.3)  # busy with something else
         estimator.receive()

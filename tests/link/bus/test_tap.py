@@ -5,7 +5,9 @@ import os
 import time
 from collections.abc import Callable
 from itertools import pairwise
+from types import SimpleNamespace
 
+import pytest
 import zenoh
 
 from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING
@@ -80,6 +82,53 @@ def test_who_puts_no_time_to_a_message_is_given_the_routers(router: str, wait_un
         (message,) = taken(tap, wait_until, 1)
     assert (message.name, message.payload, message.attachment) == ("mavlink/out", b"frames", b"")
     assert before - MS <= message.published_ns <= time.time_ns()
+
+
+def test_an_overtaken_message_is_put_where_it_was_published_but_was_not_received_before_what_was_taken(
+    router: str, wait_until: Callable[..., None]
+) -> None:
+    with Tap("recorder", router) as tap, Bus("agent", router) as agent:
+        tap.subscribe(MAVLINK_IN)
+        publisher = agent._publisher(MAVLINK_IN)
+        wait_until(lambda: publisher.matching_status.matching)
+
+        def said(*messages: tuple[bytes, zenoh.Timestamp]) -> list[Stamped]:
+            for payload, at in messages:
+                publisher.put(payload, timestamp=at)
+            agent.settle(30.0)
+            tap.settle(30.0)
+            return tap.take()
+
+        early, middle, late = times = [agent._session.new_timestamp() for _ in range(3)]
+        before_ns = time.time_ns()
+        first = said((b"late", late), (b"early", early))
+        between_ns = time.time_ns()
+        second = said((b"middle", middle))
+    assert [message.payload for message in (*first, *second)] == [b"early", b"late", b"middle"]
+    at_ns = [at.get_time_as_ntp64().as_nanos() for at in times]
+    assert [(message.published_ns, message.received_ns) for message in first] == [(at_ns[0], at_ns[0]), (at_ns[2], at_ns[2])]
+    assert second[0].published_ns == at_ns[1] < before_ns <= second[0].received_ns <= between_ns
+
+
+def test_a_message_from_the_future_was_received_when_it_was_taken(
+    router: str, wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow_ns = time.time_ns() - 10_000 * MS  # the clock of who taps is late
+    monkeypatch.setattr("link.bus.tap.time", SimpleNamespace(time_ns=lambda: slow_ns, monotonic=time.monotonic))
+    with Tap("recorder", router) as tap, Bus("agent", router) as agent:
+        tap.subscribe(MAVLINK_IN)
+        wait_until(lambda: agent._publisher(MAVLINK_IN).matching_status.matching)
+        agent.publish(MAVLINK_IN, b"frames")
+        (message,) = taken(tap, wait_until, 1)
+    assert message.received_ns == slow_ns < message.published_ns
+
+
+def test_taking_ends_though_ever_more_messages_come(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("link.bus.session.WAITING_MESSAGES", 100)
+    sample = SimpleNamespace(timestamp=None, attachment=None, payload=SimpleNamespace(to_bytes=lambda: b"x"), key_expr="mavlink/in")
+    with Tap("recorder", router) as tap:
+        tap._subscribers["mavlink/in"] = SimpleNamespace(handler=SimpleNamespace(try_recv=lambda: sample), undeclare=lambda: None)
+        assert len(tap.take()) == 100
 
 
 def test_simulation_time_is_a_messages_own_or_the_newest_that_the_vehicle_told() -> None:
