@@ -417,6 +417,53 @@ def test_the_battery_drains_with_the_motors_on_warns_and_then_lands():
     assert vehicle.arm(200.0)[:2] == (REJECTED, "Arming refused: battery empty")
 
 
+def test_two_flights_use_up_one_battery():
+    """Up 5 m at 1 m/s and 1 m/s²: 1 s + 4 s + 1 s, and the same down."""
+    vehicle = Vehicle(VehicleConfig(endurance_s=100.0, silence_s=math.inf, climb_mps=1.0, descent_mps=1.0, accel_mps2=1.0))
+    vehicle.arm(10.0)
+    vehicle.take_off(10.0)
+    vehicle.arm(20.0)  # once more, because the acknowledgement was lost: they have been on since 10 s
+    vehicle.set_mode(24.0, Mode.LAND)
+    vehicle.advance(29.9)
+    assert vehicle.state(29.9).armed
+    vehicle.advance(50.0)
+    assert not vehicle.state(50.0).armed
+    assert vehicle.state(50.0).battery == pytest.approx(0.80)  # on from 10 s to 30 s
+    vehicle.arm(50.0)
+    vehicle.take_off(50.0)
+    vehicle.advance(90.0)
+    assert vehicle.state(90.0).battery == pytest.approx(0.40)  # 20 s + 40 s
+    assert vehicle.advance(129.0) == [Said(115.0, WARNING, "Battery low: 15% left")]  # 20 s + 65 s
+    assert vehicle.state(129.0).battery == pytest.approx(0.01)
+    assert vehicle.advance(135.0) == [Said(130.0, CRITICAL, "Battery empty: landing")]  # 20 s + 80 s
+    assert vehicle.state(135.0).battery == 0.0
+    vehicle.advance(137.0)
+    assert not vehicle.state(137.0).armed
+
+
+def test_a_warning_that_was_given_in_one_flight_is_not_given_again_in_the_next():
+    vehicle = Vehicle(VehicleConfig(endurance_s=100.0))
+    vehicle.arm(0.0)
+    vehicle.disarm(40.0)
+    vehicle.arm(60.0)
+    assert vehicle.advance(110.0) == [Said(105.0, WARNING, "Battery low: 15% left")]  # 40 s + 45 s
+    vehicle.disarm(110.0)
+    assert vehicle.advance(200.0) == []
+    assert vehicle.arm(200.0).accepted
+    assert vehicle.state(205.0).battery == pytest.approx(0.05)  # 40 s + 50 s + 5 s
+    assert vehicle.advance(220.0) == [Said(210.0, CRITICAL, "Battery empty: disarmed")]
+    assert vehicle.arm(220.0).reason == "Arming refused: battery empty"
+
+
+def test_a_battery_drains_no_more_once_the_motors_stop_in_the_air():
+    vehicle = hovering(VehicleConfig(endurance_s=100.0))
+    armed_s = 100.0 * (1.0 - vehicle.state(10.0).battery)
+    vehicle.disarm(20.0, force=True)
+    for t_s in (20.0, 20.5, 40.0):  # falling, and on the ground
+        vehicle.advance(t_s)
+        assert vehicle.state(t_s).battery == pytest.approx(1.0 - (armed_s + 10.0) / 100.0)
+
+
 def test_a_battery_without_end_never_drains():
     vehicle = hovering(VehicleConfig(endurance_s=math.inf))
     assert vehicle.next_event_s() is None
