@@ -136,11 +136,11 @@ def test_it_takes_off_when_armed_and_then_holds():
     vehicle = on_the_ground()
     assert vehicle.arm(1.0).code == ACCEPTED
     assert vehicle.take_off(1.0).code == ACCEPTED
-    assert (vehicle.state(2.0).mode, vehicle.state(2.0).landed) == (Mode.TAKEOFF, TAKING_OFF)
+    assert (vehicle.state(2.0).mode, vehicle.state(2.0).landed_state) == (Mode.TAKEOFF, TAKING_OFF)
     assert vehicle.next_event_s() == pytest.approx(1.0 + CLIMB_S)
     vehicle.advance(10.0)
     state = vehicle.state(10.0)
-    assert (state.mode, state.landed, state.position, state.velocity) == (Mode.HOLD, IN_AIR, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0))
+    assert (state.mode, state.landed_state, state.position, state.velocity) == (Mode.HOLD, IN_AIR, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0))
 
 
 def test_a_command_repeated_because_its_answer_was_lost_is_accepted_again():
@@ -153,7 +153,7 @@ def test_a_command_repeated_because_its_answer_was_lost_is_accepted_again():
 def test_landing_ends_on_the_ground_disarmed():
     vehicle = hovering()
     assert vehicle.set_mode(10.0, Mode.LAND).code == ACCEPTED
-    assert vehicle.state(11.0).landed == LANDING
+    assert vehicle.state(11.0).landed_state == LANDING
     # 5 m down at 1.5 m/s: two ramps of 0.5 s and 0.375 m, and 4.25 m of cruise.
     touchdown = 10.0 + 1.0 + 4.25 / 1.5
     assert vehicle.next_event_s() == pytest.approx(touchdown)
@@ -161,7 +161,7 @@ def test_landing_ends_on_the_ground_disarmed():
     assert vehicle.state(touchdown - 0.01).armed
     vehicle.advance(touchdown + 0.01)
     state = vehicle.state(touchdown + 0.01)
-    assert (state.armed, state.landed, state.position) == (False, GROUND, (0.0, 0.0, 0.0))
+    assert (state.armed, state.landed_state, state.position) == (False, GROUND, (0.0, 0.0, 0.0))
 
 
 def test_return_flies_home_lands_and_disarms():
@@ -177,7 +177,7 @@ def test_return_flies_home_lands_and_disarms():
         if math.hypot(*state.position[:2]) > 0.1 and math.hypot(*state.position[:2]) < 22.0:
             lowest_on_the_way = max(lowest_on_the_way, state.position[2] + 5.0)
     assert lowest_on_the_way == pytest.approx(0.0, abs=1e-9)  # it climbed to 5 m before it left
-    assert (state.position, state.armed, state.landed) == ((0.0, 0.0, 0.0), False, GROUND)
+    assert (state.position, state.armed, state.landed_state) == ((0.0, 0.0, 0.0), False, GROUND)
 
 
 def test_a_forced_disarm_in_the_air_lets_it_fall():
@@ -188,11 +188,11 @@ def test_a_forced_disarm_in_the_air_lets_it_fall():
     assert vehicle.advance(10.0) == [Said(10.0, EMERGENCY, "Motors stopped in the air")]
     assert vehicle.next_event_s() == pytest.approx(impact)
     assert not vehicle.state(10.5).armed
-    assert vehicle.state(10.5).landed == IN_AIR
+    assert vehicle.state(10.5).landed_state == IN_AIR
     assert vehicle.arm(10.5).reason == "Arming refused: falling"
     assert vehicle.set_mode(10.5, Mode.LAND).reason == "Land refused: falling"
     vehicle.advance(12.0)
-    assert (vehicle.state(12.0).position, vehicle.state(12.0).landed) == ((0.0, 0.0, 0.0), GROUND)
+    assert (vehicle.state(12.0).position, vehicle.state(12.0).landed_state) == ((0.0, 0.0, 0.0), GROUND)
     assert vehicle.arm(12.0).accepted
 
 
