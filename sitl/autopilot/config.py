@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sitl.autopilot.motion import Limits, Vector
+from sitl.autopilot.motion import Limits, Ned
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class VehicleConfig:
         """The limits of motion."""
         return Limits(self.speed_mps, self.climb_mps, self.descent_mps, self.accel_mps2)
 
-    def outside(self, position: Vector) -> tuple[str, str] | None:
+    def outside(self, position: Ned) -> tuple[str, str] | None:
         """Return the kind of the reason and the reason why a position is not one inside the fence; None where it is."""
         north, east, down = position
         place = f"({metres(east)}, {metres(north)}) m"

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 GRAVITY_MPS2 = 9.80665
 
-Vector = tuple[float, float, float]
-"""(north, east, down) m, or its derivatives."""
+Ned = tuple[float, float, float]
+"""(north, east, down) m from home, or its derivatives: the third number grows towards the ground."""
 
-ZERO: Vector = (0.0, 0.0, 0.0)
+ZERO: Ned = (0.0, 0.0, 0.0)
 NOTHING = 1e-9
 """A target nearer than this (m) has been reached, a vehicle slower than this (m/s) stands: there is no direction to divide out."""
 
@@ -25,9 +25,9 @@ class Limits(NamedTuple):
 class Motion(NamedTuple):
     """Position, velocity and acceleration at one instant, NED."""
 
-    position: Vector
-    velocity: Vector = ZERO
-    acceleration: Vector = ZERO
+    position: Ned
+    velocity: Ned = ZERO
+    acceleration: Ned = ZERO
 
 
 class Phase(NamedTuple):
@@ -56,7 +56,7 @@ class Trajectory(NamedTuple):
     """Phases one after the other, then rest on the target, exactly: the last bit of the position is the target's."""
 
     start_s: float
-    target: Vector
+    target: Ned
     phases: tuple[Phase, ...] = ()
 
     @property
@@ -71,7 +71,7 @@ class Trajectory(NamedTuple):
                 return phase.at(t_s)
         return Motion(self.target)
 
-    def to(self, target: Vector, limits: Limits) -> "Trajectory":
+    def to(self, target: Ned, limits: Limits) -> "Trajectory":
         """This trajectory, then a straight leg from its end to another target: speed up, cruise (if long enough), slow down."""
         difference = _minus(target, self.target)
         length = math.hypot(*difference)
@@ -146,7 +146,7 @@ def wrapped(angle_rad: float) -> float:
     return angle_rad if -math.pi <= angle_rad <= math.pi else math.remainder(angle_rad, 2.0 * math.pi)
 
 
-def attitude(acceleration: Vector, yaw_rad: float) -> tuple[float, float]:
+def tilt(acceleration: Ned, yaw_rad: float) -> tuple[float, float]:
     """(roll, pitch) of a multirotor whose thrust gives this acceleration against gravity; air drag is left out."""
     north, east, down = acceleration
     forward = north * math.cos(yaw_rad) + east * math.sin(yaw_rad)
@@ -157,7 +157,7 @@ def attitude(acceleration: Vector, yaw_rad: float) -> tuple[float, float]:
     return math.atan2(right, math.hypot(forward, weight)), math.atan2(-forward, weight)
 
 
-def _speed_limit(direction: Vector, limits: Limits) -> float:
+def _speed_limit(direction: Ned, limits: Limits) -> float:
     """The greatest speed along a unit vector that keeps its horizontal and its vertical part within their limits."""
     horizontal, down = math.hypot(direction[0], direction[1]), direction[2]
     vertical_limit = limits.descent_mps if down > 0.0 else limits.climb_mps
@@ -167,13 +167,13 @@ def _speed_limit(direction: Vector, limits: Limits) -> float:
     )
 
 
-def _minus(a: Vector, b: Vector) -> Vector:
+def _minus(a: Ned, b: Ned) -> Ned:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def _times(a: Vector, factor: float) -> Vector:
+def _times(a: Ned, factor: float) -> Ned:
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
-def _along(start: Vector, direction: Vector, distance: float) -> Vector:
+def _along(start: Ned, direction: Ned, distance: float) -> Ned:
     return start[0] + direction[0] * distance, start[1] + direction[1] * distance, start[2] + direction[2] * distance

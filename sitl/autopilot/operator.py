@@ -3,7 +3,7 @@
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import POSITION_ONLY, Message
-from sitl.autopilot.motion import Vector
+from sitl.autopilot.motion import Ned
 from sitl.autopilot.state import Mode
 
 OPERATOR = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
@@ -20,6 +20,6 @@ def change_mode(mode: Mode) -> Message:
     return command(mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *mode.value)
 
 
-def setpoint(position: Vector) -> Message:
+def setpoint(position: Ned) -> Message:
     """SET_POSITION_TARGET_LOCAL_NED (84) that answers no reading."""
     return mavlink.MAVLink_set_position_target_local_ned_message(0, 0, 0, mavlink.MAV_FRAME_LOCAL_NED, POSITION_ONLY, *position, *[0.0] * 8)

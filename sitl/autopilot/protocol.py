@@ -146,7 +146,7 @@ class MavlinkProtocol:
         if math.isfinite(p.lat_deg) and math.isfinite(p.lon_deg):
             local = to_local(config.home_lat_deg, config.home_lon_deg, p.lat_deg, p.lon_deg)
             # The edge of the area, home itself on it, is hard to hit in steps of 1e-7 degrees: what misses it by less is on it.
-            north, east = (_snapped(metres, config.area_m) for metres in local)
+            north, east = (_snapped(along_m, config.area_m) for along_m in local)
         if math.isfinite(p.alt_m):
             down = -self._above_home(p)
         return self._vehicle.go_to(t_s, (north, east, down), p.p4 if math.isfinite(p.p4) else None)
@@ -193,6 +193,6 @@ def _acknowledge(message: Message, command: int, result: Result) -> Message:
     )
 
 
-def _snapped(metres: float, edge_m: float) -> float:
-    inside = min(max(metres, 0.0), edge_m)
-    return inside if abs(metres - inside) < GLOBAL_STEP_M else metres
+def _snapped(along_m: float, edge_m: float) -> float:
+    inside = min(max(along_m, 0.0), edge_m)
+    return inside if abs(along_m - inside) < GLOBAL_STEP_M else along_m

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot.motion import Vector
+from sitl.autopilot.motion import Ned
 
 LOW_BATTERY = 0.15
 
@@ -30,16 +30,16 @@ class State(NamedTuple):
     """All that telemetry needs to know of the vehicle at one instant. Vectors are north, east, down from home."""
 
     time_s: float
-    position: Vector
-    velocity: Vector
-    acceleration: Vector
+    position: Ned
+    velocity: Ned
+    acceleration: Ned
     roll: float
     pitch: float
     yaw: float
     yaw_rate: float
     mode: Mode
     armed: bool
-    landed: int
+    landed_state: int
     """MAV_LANDED_STATE."""
     failsafe: bool
     battery: float
@@ -52,7 +52,7 @@ class Arrived(NamedTuple):
     """A setpoint was reached, to the last bit: take one reading here."""
 
     time_s: float
-    position: Vector
+    position: Ned
 
 
 class Said(NamedTuple):

@@ -195,7 +195,7 @@ def home_position(s: Snapshot) -> Message:
 
 def extended_sys_state(s: Snapshot) -> Message:
     """On the ground, taking off, in the air or landing."""
-    return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, s.state.landed)
+    return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, s.state.landed_state)
 
 
 def wind_cov(s: Snapshot) -> Message:

@@ -11,7 +11,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilot.config import VehicleConfig, metres
-from sitl.autopilot.motion import Motion, Trajectory, Turn, Vector, attitude, fall, halt, wrapped
+from sitl.autopilot.motion import Motion, Ned, Trajectory, Turn, fall, halt, tilt, wrapped
 from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, Said, State, VehicleEvent, denied, not_now
 
 
@@ -37,7 +37,7 @@ class Vehicle:
         self._path = Trajectory(0.0, (0.0, 0.0, 0.0))
         self._settled = True  # the end of the path has been dealt with
 
-        self._setpoint: Vector | None = None
+        self._setpoint: Ned | None = None
         self._setpoint_yaw: float | None = None
         self._heard_s = -math.inf  # the last accepted setpoint
         self._alone_since_s = 0.0  # the client has not had its say before: when OFFBOARD began to fly
@@ -87,7 +87,7 @@ class Vehicle:
         """Everything about it at a time between the last advance and the next event."""
         position, velocity, acceleration = self._path.at(t_s)
         yaw, yaw_rate = self._turn.at(t_s)
-        roll, pitch = attitude(acceleration, yaw)
+        roll, pitch = tilt(acceleration, yaw)
         return State(
             time_s=t_s,
             position=position,
@@ -99,7 +99,7 @@ class Vehicle:
             yaw_rate=yaw_rate,
             mode=self._mode,
             armed=self._armed,
-            landed=self._landed_state(),
+            landed_state=self._landed_state(),
             failsafe=self._failsafe,
             battery=self._battery(t_s),
             fit=not (self._battery_empty or self._falling),
@@ -209,7 +209,7 @@ class Vehicle:
         self._go((north, east, -altitude))
         return ACCEPTED
 
-    def go_to(self, t_s: float, position: Vector, yaw_rad: float | None = None) -> Result:
+    def go_to(self, t_s: float, position: Ned, yaw_rad: float | None = None) -> Result:
         """Fly somewhere and hold there (the guided flight of DO_REPOSITION); no reading is taken on it."""
         self.catch_up(t_s)
         if refusal := self._unfit():
@@ -257,7 +257,7 @@ class Vehicle:
         self._failsafe = False
         return ACCEPTED
 
-    def setpoint(self, t_s: float, position: Vector, yaw_rad: float | None = None, time_boot_ms: int | None = None) -> Result:
+    def setpoint(self, t_s: float, position: Ned, yaw_rad: float | None = None, time_boot_ms: int | None = None) -> Result:
         """Take a waypoint: fly there if in OFFBOARD, else remember it. It answers the reading of the same `time_boot_ms`, if any.
 
         What answers a reading again or answers an old one is ignored, and gives TEMPORARILY_REJECTED.
@@ -293,7 +293,7 @@ class Vehicle:
         self._newest, self._answered = time_boot_ms, False
 
     @property
-    def waypoint(self) -> Vector | None:
+    def waypoint(self) -> Ned | None:
         """The setpoint that was taken last."""
         return self._setpoint
 
@@ -350,7 +350,7 @@ class Vehicle:
     def _halted(self) -> Trajectory:
         return halt(self._now, self._motion, self.config.limits)
 
-    def _go(self, target: Vector) -> None:
+    def _go(self, target: Ned) -> None:
         self._fly(self._halted().to(target, self.config.limits))
 
     def _follow(self) -> None:
@@ -380,7 +380,7 @@ class Vehicle:
         self._armed, self._mode, self._failsafe = False, Mode.HOLD, False
 
 
-def _float32(position: Vector) -> Vector:
+def _float32(position: Ned) -> Ned:
     """The same as the wire carries it."""
     with np.errstate(over="ignore"):  # what is too great becomes infinite, and is refused as that
         north, east, down = np.array(position, np.float32).tolist()

@@ -29,6 +29,7 @@ TimeS = Annotated[float, Meta(ge=0, description="a number from 0: simulation tim
 Radians = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
 MOST_WAYPOINTS = 1000
 """They go to the agent on its command line, whose words the system limits to 128 kB."""
+MAY_BE_INFINITE = ("vehicle.endurance_s", "vehicle.silence_s")
 Expectation = Literal["ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"]
 
 
@@ -42,7 +43,7 @@ class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     d: Annotated[Positive | None, Meta(description="effective diffusivity, a number above 0, m²/s")] = None
     tau: Annotated[Positive | None, Meta(description="lifetime of the gas, a number above 0, s")] = None
     start: Annotated[Point | None, Meta(description="where the search begins: (x, y) m, each from 0 to 30")] = None
-    height: Annotated[float | None, Meta(description="of the source above the plane that is searched, m")] = None
+    height: Annotated[float | None, Meta(description="a number: height of the source above the plane that is searched, m")] = None
 
 
 class VehiclePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -86,7 +87,7 @@ class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     measurements: Annotated[int, Meta(ge=1, le=10_000)] | None = None
 
 
-class Event(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="do", omit_defaults=True):
+class ScriptEvent(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="do", omit_defaults=True):
     """Something that happens at a reading or at a time."""
 
     step: StepNumber | None = None
@@ -98,58 +99,58 @@ class Event(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             raise ValueError("when? wanted one of step and time_s")
 
 
-class Wind(Event, frozen=True, tag="wind"):
+class Wind(ScriptEvent, frozen=True, tag="wind"):
     """The wind turns or changes its speed, and with it the plume, from this reading on."""
 
     u: Annotated[float, Meta(ge=0)] | None = None
     phi: Radians | None = None
 
 
-class Dropout(Event, frozen=True, tag="dropout"):
+class Dropout(ScriptEvent, frozen=True, tag="dropout"):
     """The sensor gives no value (NaN); the vehicle waits and tries again every second."""
 
     for_s: Annotated[float, Meta(gt=0, description="a number above 0: simulation time, s")]
 
 
-class Stuck(Event, frozen=True, tag="stuck"):
+class Stuck(ScriptEvent, frozen=True, tag="stuck"):
     """The sensor says its last value again and again."""
 
     readings: Count
 
 
-class Spike(Event, frozen=True, tag="spike"):
+class Spike(ScriptEvent, frozen=True, tag="spike"):
     """The sensor says too much, or too little."""
 
     gas: Annotated[float, Meta(description="a number: added to the reading, in the sensor's unit")]
     readings: Count = 1
 
 
-class Duplicate(Event, frozen=True, tag="duplicate"):
+class Duplicate(ScriptEvent, frozen=True, tag="duplicate"):
     """Readings are published several times."""
 
     readings: Count
     copies: Annotated[int, Meta(ge=1, le=100)] = 1
 
 
-class Delay(Event, frozen=True, tag="delay"):
+class Delay(ScriptEvent, frozen=True, tag="delay"):
     """Readings arrive late."""
 
     readings: Count
     by_s: Annotated[float, Meta(gt=0, le=60, description="a number above 0 up to 60: real time, s")]
 
 
-class Lose(Event, frozen=True, tag="lose"):
+class Lose(ScriptEvent, frozen=True, tag="lose"):
     """Readings are lost on the way, so many times each; the vehicle publishes them again until they are answered."""
 
     readings: Count
     times: Annotated[int, Meta(ge=1, le=100)] = 1
 
 
-class Pause(Event, frozen=True, tag="pause"):
+class Pause(ScriptEvent, frozen=True, tag="pause"):
     """The operator has the vehicle hold where it is."""
 
 
-class Resume(Event, frozen=True, tag="resume"):
+class Resume(ScriptEvent, frozen=True, tag="resume"):
     """The operator has the search go on; `after_s` counts from the last pause."""
 
     after_s: TimeS | None = None
@@ -160,11 +161,11 @@ class Resume(Event, frozen=True, tag="resume"):
             raise ValueError("when? wanted one of time_s and after_s: a vehicle that holds takes no steps")
 
 
-class Abort(Event, frozen=True, tag="abort"):
+class Abort(ScriptEvent, frozen=True, tag="abort"):
     """The operator calls the vehicle home."""
 
 
-class Waypoints(Event, frozen=True, tag="waypoints"):
+class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
     """These waypoints are flown instead of the agent's, one a reading, from the answer to this step's reading on."""
 
     points: Annotated[list[Point], Meta(min_length=1)]
@@ -174,7 +175,7 @@ class Waypoints(Event, frozen=True, tag="waypoints"):
         return self.points
 
 
-class Lawnmower(Event, frozen=True, tag="lawnmower"):
+class Lawnmower(ScriptEvent, frozen=True, tag="lawnmower"):
     """Rows from west to east and back are flown instead of the agent's waypoints, from the south to the north of a rectangle."""
 
     low: Point = (0.0, 0.0)
@@ -188,14 +189,14 @@ class Lawnmower(Event, frozen=True, tag="lawnmower"):
         return [(x, y) for row, y in enumerate(ys) for x in (xs if row % 2 == 0 else xs[::-1])]
 
 
-class Kill(Event, frozen=True, tag="kill"):
+class Kill(ScriptEvent, frozen=True, tag="kill"):
     """A part is killed (SIGKILL) and started again."""
 
     part: Literal["estimator", "agent", "router"]
     restart_after_s: Annotated[Seconds, Meta(description="a number from 0: real time, s")] = 0.0
 
 
-class Cut(Event, frozen=True, tag="cut"):
+class Cut(ScriptEvent, frozen=True, tag="cut"):
     """The link between a part and the router is cut: nothing gets through, and nobody is told."""
 
     part: Literal["uav", "estimator", "agent"]
@@ -291,7 +292,7 @@ def find(mission: str | Path) -> Path:
 def load(mission: str | Path) -> Script:
     """Read a mission script, or a shipped one by its name; raises FileError: one line with file, line, field and what is allowed."""
     document = Document(find(mission))
-    script = document.to(Script)
+    script = document.to(Script, MAY_BE_INFINITE)
     try:
         sensor.parse(script.sensor)
     except ValueError as error:
@@ -311,7 +312,7 @@ def load(mission: str | Path) -> Script:
     return script
 
 
-def _check(document: Document, number: int, event: Event) -> None:
+def _check(document: Document, number: int, event: ScriptEvent) -> None:
     """Refuse what cannot be told from one field alone."""
     field: list[str | int] = ["events", number]
     match event:

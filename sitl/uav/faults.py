@@ -34,12 +34,12 @@ class FaultySensor:
         return now_s < self._silent_until_s
 
     def read(self, gas: float) -> float:
-        """Return what it says where it should say this; a float32, as the wire carries it."""
+        """Return what it says where it should say this; a float32, as the wire carries it. Spikes pass unseen while it is stuck."""
+        gas = float32(gas + sum(added for _, added in self._spikes))
+        self._spikes = [(left - 1, added) for left, added in self._spikes if left > 1]
         if self._stuck:
             self._stuck -= 1
             gas = gas if self._last is None else self._last
-        gas = float32(gas + sum(added for _, added in self._spikes))
-        self._spikes = [(left - 1, added) for left, added in self._spikes if left > 1]
         self._last = gas
         return gas
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sitl.autopilot.motion import GRAVITY_MPS2, ZERO, Limits, Motion, Trajectory, Turn, attitude, fall, halt, wrapped
+from sitl.autopilot.motion import GRAVITY_MPS2, ZERO, Limits, Motion, Trajectory, Turn, fall, halt, tilt, wrapped
 
 LIMITS = Limits(speed_mps=5.0, climb_mps=3.0, descent_mps=1.5, accel_mps2=3.0)
 coordinate = st.floats(0.0, 30.0, width=32)
@@ -140,7 +140,7 @@ def test_a_wrapped_angle_is_the_same_angle(angle):
 
 @given(st.tuples(*[st.floats(-4.0, 4.0)] * 3), st.floats(-3.1, 3.1))
 def test_thrust_along_the_attitude_against_gravity_gives_the_acceleration(acceleration, yaw):
-    roll, pitch = attitude(acceleration, yaw)
+    roll, pitch = tilt(acceleration, yaw)
     cr, sr, cp, sp, cy, sy = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch), math.cos(yaw), math.sin(yaw)
     down_axis = np.array([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])  # third column of Rz(yaw) Ry(pitch) Rx(roll)
     thrust = np.array(acceleration) - [0.0, 0.0, GRAVITY_MPS2]
@@ -148,6 +148,6 @@ def test_thrust_along_the_attitude_against_gravity_gives_the_acceleration(accele
 
 
 def test_it_leans_to_where_it_accelerates():
-    assert attitude((3.0, 0.0, 0.0), 0.0) == pytest.approx((0.0, -math.atan(3.0 / GRAVITY_MPS2)))  # north, nose down
-    assert attitude((0.0, 3.0, 0.0), 0.0) == pytest.approx((math.atan(3.0 / GRAVITY_MPS2), 0.0))  # east, right side down
-    assert attitude((0.0, 0.0, GRAVITY_MPS2), 1.0) == (0.0, 0.0)  # free fall
+    assert tilt((3.0, 0.0, 0.0), 0.0) == pytest.approx((0.0, -math.atan(3.0 / GRAVITY_MPS2)))  # north, nose down
+    assert tilt((0.0, 3.0, 0.0), 0.0) == pytest.approx((math.atan(3.0 / GRAVITY_MPS2), 0.0))  # east, right side down
+    assert tilt((0.0, 0.0, GRAVITY_MPS2), 1.0) == (0.0, 0.0)  # free fall

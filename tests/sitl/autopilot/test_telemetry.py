@@ -26,13 +26,13 @@ AT_REST = State(
     yaw_rate=0.0,
     mode=Mode.HOLD,
     armed=False,
-    landed=1,
+    landed_state=1,
     failsafe=False,
     battery=1.0,
     fit=True,
 )
 FLYING = AT_REST._replace(
-    position=(10.0, 20.0, -5.0), velocity=(3.0, 4.0, -1.0), yaw=-math.pi / 2, armed=True, landed=2, mode=Mode.OFFBOARD, battery=0.5
+    position=(10.0, 20.0, -5.0), velocity=(3.0, 4.0, -1.0), yaw=-math.pi / 2, armed=True, landed_state=2, mode=Mode.OFFBOARD, battery=0.5
 )
 NUMBER = {name.removeprefix("MAVLINK_MSG_ID_"): value for name, value in vars(mavlink).items() if name.startswith("MAVLINK_MSG_ID_")}
 GYRO, ACCEL, MAG, GPS, BATTERY, PREARM = 1, 2, 4, 0x20, 0x2000000, 0x10000000

@@ -136,11 +136,11 @@ def test_it_takes_off_when_armed_and_then_holds():
     vehicle = on_the_ground()
     assert vehicle.arm(1.0).code == ACCEPTED
     assert vehicle.take_off(1.0).code == ACCEPTED
-    assert (vehicle.state(2.0).mode, vehicle.state(2.0).landed) == (Mode.TAKEOFF, TAKING_OFF)
+    assert (vehicle.state(2.0).mode, vehicle.state(2.0).landed_state) == (Mode.TAKEOFF, TAKING_OFF)
     assert vehicle.next_event_s() == pytest.approx(1.0 + CLIMB_S)
     vehicle.advance(10.0)
     state = vehicle.state(10.0)
-    assert (state.mode, state.landed, state.position, state.velocity) == (Mode.HOLD, IN_AIR, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0))
+    assert (state.mode, state.landed_state, state.position, state.velocity) == (Mode.HOLD, IN_AIR, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0))
 
 
 def test_a_command_repeated_because_its_answer_was_lost_is_accepted_again():
@@ -153,7 +153,7 @@ def test_a_command_repeated_because_its_answer_was_lost_is_accepted_again():
 def test_landing_ends_on_the_ground_disarmed():
     vehicle = hovering()
     assert vehicle.set_mode(10.0, Mode.LAND).code == ACCEPTED
-    assert vehicle.state(11.0).landed == LANDING
+    assert vehicle.state(11.0).landed_state == LANDING
     # 5 m down at 1.5 m/s: two ramps of 0.5 s and 0.375 m, and 4.25 m of cruise.
     touchdown = 10.0 + 1.0 + 4.25 / 1.5
     assert vehicle.next_event_s() == pytest.approx(touchdown)
@@ -161,7 +161,7 @@ def test_landing_ends_on_the_ground_disarmed():
     assert vehicle.state(touchdown - 0.01).armed
     vehicle.advance(touchdown + 0.01)
     state = vehicle.state(touchdown + 0.01)
-    assert (state.armed, state.landed, state.position) == (False, GROUND, (0.0, 0.0, 0.0))
+    assert (state.armed, state.landed_state, state.position) == (False, GROUND, (0.0, 0.0, 0.0))
 
 
 def test_return_flies_home_lands_and_disarms():
@@ -177,7 +177,7 @@ def test_return_flies_home_lands_and_disarms():
         if math.hypot(*state.position[:2]) > 0.1 and math.hypot(*state.position[:2]) < 22.0:
             lowest_on_the_way = max(lowest_on_the_way, state.position[2] + 5.0)
     assert lowest_on_the_way == pytest.approx(0.0, abs=1e-9)  # it climbed to 5 m before it left
-    assert (state.position, state.armed, state.landed) == ((0.0, 0.0, 0.0), False, GROUND)
+    assert (state.position, state.armed, state.landed_state) == ((0.0, 0.0, 0.0), False, GROUND)
 
 
 def test_a_forced_disarm_in_the_air_lets_it_fall():
@@ -188,11 +188,11 @@ def test_a_forced_disarm_in_the_air_lets_it_fall():
     assert vehicle.advance(10.0) == [Said(10.0, EMERGENCY, "Motors stopped in the air")]
     assert vehicle.next_event_s() == pytest.approx(impact)
     assert not vehicle.state(10.5).armed
-    assert vehicle.state(10.5).landed == IN_AIR
+    assert vehicle.state(10.5).landed_state == IN_AIR
     assert vehicle.arm(10.5).reason == "Arming refused: falling"
     assert vehicle.set_mode(10.5, Mode.LAND).reason == "Land refused: falling"
     vehicle.advance(12.0)
-    assert (vehicle.state(12.0).position, vehicle.state(12.0).landed) == ((0.0, 0.0, 0.0), GROUND)
+    assert (vehicle.state(12.0).position, vehicle.state(12.0).landed_state) == ((0.0, 0.0, 0.0), GROUND)
     assert vehicle.arm(12.0).accepted
 
 
@@ -415,6 +415,53 @@ def test_the_battery_drains_with_the_motors_on_warns_and_then_lands():
     assert not vehicle.state(200.0).armed
     assert not vehicle.state(200.0).fit
     assert vehicle.arm(200.0)[:2] == (REJECTED, "Arming refused: battery empty")
+
+
+def test_two_flights_use_up_one_battery():
+    """Up 5 m at 1 m/s and 1 m/s²: 1 s + 4 s + 1 s, and the same down."""
+    vehicle = Vehicle(VehicleConfig(endurance_s=100.0, silence_s=math.inf, climb_mps=1.0, descent_mps=1.0, accel_mps2=1.0))
+    vehicle.arm(10.0)
+    vehicle.take_off(10.0)
+    vehicle.arm(20.0)  # once more, because the acknowledgement was lost: they have been on since 10 s
+    vehicle.set_mode(24.0, Mode.LAND)
+    vehicle.advance(29.9)
+    assert vehicle.state(29.9).armed
+    vehicle.advance(50.0)
+    assert not vehicle.state(50.0).armed
+    assert vehicle.state(50.0).battery == pytest.approx(0.80)  # on from 10 s to 30 s
+    vehicle.arm(50.0)
+    vehicle.take_off(50.0)
+    vehicle.advance(90.0)
+    assert vehicle.state(90.0).battery == pytest.approx(0.40)  # 20 s + 40 s
+    assert vehicle.advance(129.0) == [Said(115.0, WARNING, "Battery low: 15% left")]  # 20 s + 65 s
+    assert vehicle.state(129.0).battery == pytest.approx(0.01)
+    assert vehicle.advance(135.0) == [Said(130.0, CRITICAL, "Battery empty: landing")]  # 20 s + 80 s
+    assert vehicle.state(135.0).battery == 0.0
+    vehicle.advance(137.0)
+    assert not vehicle.state(137.0).armed
+
+
+def test_a_warning_that_was_given_in_one_flight_is_not_given_again_in_the_next():
+    vehicle = Vehicle(VehicleConfig(endurance_s=100.0))
+    vehicle.arm(0.0)
+    vehicle.disarm(40.0)
+    vehicle.arm(60.0)
+    assert vehicle.advance(110.0) == [Said(105.0, WARNING, "Battery low: 15% left")]  # 40 s + 45 s
+    vehicle.disarm(110.0)
+    assert vehicle.advance(200.0) == []
+    assert vehicle.arm(200.0).accepted
+    assert vehicle.state(205.0).battery == pytest.approx(0.05)  # 40 s + 50 s + 5 s
+    assert vehicle.advance(220.0) == [Said(210.0, CRITICAL, "Battery empty: disarmed")]
+    assert vehicle.arm(220.0).reason == "Arming refused: battery empty"
+
+
+def test_a_battery_drains_no_more_once_the_motors_stop_in_the_air():
+    vehicle = hovering(VehicleConfig(endurance_s=100.0))
+    armed_s = 100.0 * (1.0 - vehicle.state(10.0).battery)
+    vehicle.disarm(20.0, force=True)
+    for t_s in (20.0, 20.5, 40.0):  # falling, and on the ground
+        vehicle.advance(t_s)
+        assert vehicle.state(t_s).battery == pytest.approx(1.0 - (armed_s + 10.0) / 100.0)
 
 
 def test_a_battery_without_end_never_drains():

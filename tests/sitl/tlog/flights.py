@@ -3,7 +3,7 @@
 import math
 
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.motion import Vector
+from sitl.autopilot.motion import Ned
 from sitl.autopilot.state import Arrived, Mode, Said, VehicleEvent
 from sitl.autopilot.vehicle import Vehicle
 
@@ -46,7 +46,7 @@ def fly_on(vehicle: Vehicle, until_s: float = math.inf) -> list[VehicleEvent]:
     return events
 
 
-def places(events: list[VehicleEvent]) -> list[Vector]:
+def places(events: list[VehicleEvent]) -> list[Ned]:
     return [event.position for event in events if isinstance(event, Arrived)]
 
 
