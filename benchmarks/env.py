@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+import agent.learn.missions
 from agent.learn.env import SourceSearch, SourceSearchVector
 
 PARTICLES = (100, 500, 1000, 4000)
@@ -145,7 +146,7 @@ def parts(count: int) -> dict[str, float]:
     for owner, name, part in (
         (env, "step", "the rest: moves, infos, copies"),
         (missions, "begin", "missions that follow: scenario and prior"),
-        (missions, "_gas", "readings"),
+        (agent.learn.missions, "gas_of", "readings"),
         (missions._batch, "assimilate", "filter"),
         (missions._batch, "may_claim", "whether a stop may be claimed"),
     ):

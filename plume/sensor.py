@@ -6,6 +6,8 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from plume.randomness import Draws
+
 Array = NDArray[np.float64]
 SURPRISE = 10.0
 """A reading so many standard deviations beyond what the strongest plume could give is no measurement."""
@@ -33,7 +35,7 @@ class Gaussian:
         """σ(m), g/m³."""
         return np.sqrt(np.square(self.sensor_noise * np.asarray(mean, np.float64)) + self.environment_noise**2)
 
-    def measure(self, mean: ArrayLike, rng: np.random.Generator) -> Array:
+    def measure(self, mean: ArrayLike, rng: Draws) -> Array:
         """Draw a reading for each mean concentration."""
         mean = np.asarray(mean, np.float64)
         return np.asarray(mean + self.noise_std(mean) * rng.standard_normal(mean.shape))
@@ -79,7 +81,7 @@ class Threshold:
     def _analog(self) -> Gaussian:
         return Gaussian(self.sensor_noise, self.environment_noise)
 
-    def measure(self, mean: ArrayLike, rng: np.random.Generator) -> Array:
+    def measure(self, mean: ArrayLike, rng: Draws) -> Array:
         """Draw a reading for each mean concentration."""
         value = self._analog().measure(mean, rng)
         seen = rng.random(value.shape) >= self.missed
@@ -125,7 +127,7 @@ class Hits:
     background: float = 0.1
     """b: expected hits a reading in clean air; above 0."""
 
-    def measure(self, mean: ArrayLike, rng: np.random.Generator) -> Array:
+    def measure(self, mean: ArrayLike, rng: Draws) -> Array:
         """Draw a reading for each mean concentration."""
         return np.asarray(rng.poisson(self.efficiency * np.asarray(mean, np.float64) + self.background), np.float64)
 

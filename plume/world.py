@@ -1,9 +1,12 @@
 """The world that one mission flies in: it knows the source, and answers with what an instrument there would read."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from plume.dispersion import concentration
-from plume.randomness import keyed
+from plume.randomness import Abreast, Keyed
 from plume.scenario import Scenario
 from plume.sensor import GAUSSIAN, Sensor
 
@@ -24,10 +27,23 @@ class World:
         self.wind = (float32(scenario.wind[0]), float32(scenario.wind[1]))
         """(u cos φ, u sin φ) m/s as the anemometer reports it, a float32 pair: where the wind comes from."""
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
+        self._release = (*scenario.source, scenario.height, *scenario.wind, scenario.q, scenario.d, scenario.tau)
+        self._noise = Keyed()
 
     def gas(self, position: tuple[float, float], step: int) -> float:
         """Take the gas reading number `step` (0 at the start) at a position (x, y) m; a float32 value, in the sensor's unit."""
-        s = self.scenario
-        place, source = (*position, 0.0), (*s.source, s.height)
-        mean = concentration(place, source, s.wind, rate=s.q, diffusivity=s.d, lifetime=s.tau)
-        return float32(float(self.sensor.measure(mean, keyed(self.seed, "sensor", step))))
+        return float(gas_of([self], np.array([position]), [step])[0])
+
+
+def gas_of(worlds: Sequence[World], positions: NDArray[np.float64], steps: Sequence[int]) -> NDArray[np.float64]:
+    """Take a reading in each of several worlds, at positions (M, 2) m; (M,) float32 values. Raises ValueError where sensors differ."""
+    sensor = worlds[0].sensor
+    if any(world.sensor is not sensor and world.sensor != sensor for world in worlds):
+        raise ValueError("worlds that are read at once have the same sensor")
+    places = np.zeros((len(worlds), 3))
+    places[:, :2] = positions
+    releases = np.array([world._release for world in worlds])
+    rate, diffusivity, lifetime = releases[:, 5:].T
+    means = concentration(places, releases[:, :3], releases[:, 3:5], rate=rate, diffusivity=diffusivity, lifetime=lifetime)
+    noise = Abreast([world._noise.at(world.seed, "sensor", step) for world, step in zip(worlds, steps, strict=True)])
+    return sensor.measure(means, noise).astype(np.float32).astype(np.float64)

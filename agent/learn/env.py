@@ -4,8 +4,9 @@
 and a step of up to 1 m), `gymnasium.make_vec` for many at once; docs/environment.md says all that a user has to know of them.
 """
 
+import reprlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import gymnasium
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from agent.learn.missions import Missions
 from agent.observation import BOUND, SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move
+from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS
 from plumeward_gymnasium import register
 
@@ -28,6 +30,10 @@ REWARDS: Mapping[str, tuple[float, float]] = {"paper": (0.0, 1.0), "cost": (-0.0
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+
+
+class ActionError(gymnasium.error.InvalidAction, ValueError):
+    """An action that is not in the action space. Nothing has moved."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +56,26 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Find what is not allowed now."""
+        if not isinstance(self.continuous, bool | np.bool_):
+            raise ValueError(f"continuous {self.continuous!r} is not allowed; wanted True or False")
         for name, names in (("observation", SCHEMAS), ("reward", REWARDS)):
-            if getattr(self, name) not in names:
-                raise ValueError(f"{name} {getattr(self, name)!r} is not allowed; wanted {' or '.join(names)}")
-        for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
             value = getattr(self, name)
-            if not isinstance(value, int | np.integer) or value < least:
-                raise ValueError(f"{name} {value!r} is not allowed; wanted a whole number from {least}")
-        if not self.threshold_m > 0:
-            raise ValueError(f"threshold_m {self.threshold_m!r} is not allowed; wanted a number above 0")
+            if not isinstance(value, str) or value not in names:
+                raise ValueError(f"{name} {value!r} is not allowed; wanted {' or '.join(names)}")
+        for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
+            _check_whole(name, getattr(self, name), least)
+        threshold_m: Any = self.threshold_m
+        if isinstance(threshold_m, bool) or not isinstance(threshold_m, int | float | np.number) or not threshold_m > 0:
+            raise ValueError(f"threshold_m {threshold_m!r} is not allowed; wanted a number above 0")
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any], *others: str) -> "Settings":
+        """Read the arguments of an environment that has these others too. Raises TypeError on one that there is not, else ValueError."""
+        names = [field.name for field in fields(cls)]
+        for name, value in given.items():
+            if name not in names:  # a TypeError, as Python has it: stable-baselines3 tries a render_mode, and on that does without
+                raise TypeError(f"argument {name}={value!r} is not allowed; wanted some of {', '.join((*others, *names))}")
+        return cls(**given)
 
     @property
     def move(self) -> Move:
@@ -74,15 +91,47 @@ class Settings:
         """Begin the missions of these seeds."""
         return Missions(seeds, self.observation, self.particles, self.threshold_m, threads)
 
+    def actions(self, given: Any, *count: int) -> NDArray[Any]:
+        """Return so many actions as an array, (B,) or (B, 2); without a count one, () or (2,). Raises ActionError."""
+        shape = (*count, 2) if self.continuous else count
+        kinds, wanted = ("iuf", "finite numbers") if self.continuous else ("iu", f"whole numbers from 0 to {self.headings - 1}")
+        wanted = f"wanted {wanted} in an array of shape {shape}" if shape else f"wanted a whole number from 0 to {self.headings - 1}"
+        try:
+            actions = np.asarray(given)
+        except ValueError:  # rows of different lengths
+            raise ActionError(f"action {_short(given)} is not allowed; {wanted}") from None
+        if actions.dtype.kind not in kinds or actions.shape != shape:
+            raise ActionError(f"action {_short(given)} ({actions.dtype}, shape {actions.shape}) is not allowed; {wanted}")
+        good = np.isfinite(actions) if self.continuous else (actions >= 0) & (actions < self.headings)
+        if not good.all():
+            first = int(np.argwhere(~good)[0, 0]) if count else None
+            value, of = (actions, "") if first is None else (actions[first], f" of mission {first}")
+            raise ActionError(f"action {value.tolist()}{of} is not allowed; {wanted}")
+        return actions
+
     def fly(self, missions: Missions, actions: NDArray[Any]) -> tuple[Floats, Flags, Flags]:
         """Fly each mission to where its action leads; returns rewards, whether it is terminated, and whether truncated, (B,) each."""
-        if not np.isfinite(actions).all():
-            raise ValueError(f"action {actions!r} is not allowed; wanted finite numbers")
         missions.move(self.move.waypoints(missions.positions, missions.frames, actions, AREA_M))
         step, stop = REWARDS[self.reward]
         terminated: Flags = missions.ceased.copy()
         truncated: Flags = ~terminated & (missions.steps >= self.budget)
         return np.where(terminated, step + stop, step), terminated, truncated
+
+
+def _check_whole(name: str, value: Any, least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name} {value!r} is not allowed; wanted a whole number from {least}")
+
+
+def _short(value: Any) -> str:
+    return " ".join(reprlib.repr(value).split())
+
+
+def _seed(value: Any) -> int:
+    """Return a mission's seed. Raises ValueError."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 0 <= value <= MAX_SEED:
+        raise ValueError(f"seed {_short(value)} is not allowed; wanted a whole number from 0 to {MAX_SEED}")
+    return int(value)
 
 
 def _told(missions: Missions) -> dict[str, Any]:
@@ -107,22 +156,23 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
     metadata = {"render_modes": []}  # noqa: RUF012
 
     def __init__(self, **settings: Any) -> None:
-        """Raises ValueError with what is allowed."""
-        self.settings = Settings(**settings)
+        """Raises ValueError, or TypeError on an argument that there is not, with what is allowed."""
+        self.settings = Settings.of(settings)
         self.observation_space, self.action_space = self.settings.spaces()
         self._missions: Missions | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """Begin a mission; its first reading is taken."""
+        seed = None if seed is None else _seed(seed)
         super().reset(seed=seed)
         self._missions = self.settings.begin([int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed])
         return self._missions.observations[0].copy(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Fly to where the action leads, and take a reading there."""
+        """Fly to where the action leads, and take a reading there. Raises ActionError where it is none of the action space."""
         if self._missions is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
-        rewards, terminated, truncated = self.settings.fly(self._missions, np.asarray(action)[None])
+        rewards, terminated, truncated = self.settings.fly(self._missions, self.settings.actions(action)[None])
         return self._missions.observations[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), self._info()
 
     def _info(self) -> dict[str, Any]:
@@ -139,12 +189,11 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
 
     def __init__(self, num_envs: int = 1, threads: int = 1, **settings: Any) -> None:
-        """Make so many; `threads` share the compiled part of the work. Raises ValueError with what is allowed."""
+        """Make so many; `threads` share the compiled part of the work. Raises as `SourceSearch` does."""
         for name, value in (("num_envs", num_envs), ("threads", threads)):
-            if value < 1:
-                raise ValueError(f"{name} {value!r} is not allowed; wanted a whole number from 1")
+            _check_whole(name, value, 1)
         self.num_envs = num_envs
-        self.settings = Settings(**settings)
+        self.settings = Settings.of(settings, "num_envs", "threads")
         self.single_observation_space, self.single_action_space = self.settings.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -161,7 +210,8 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         else:
             if seed is None:
                 seed = self.np_random.integers(TRAINING_SEEDS, size=self.num_envs).tolist()
-            seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+            several = seed if isinstance(seed, Sequence | np.ndarray) else [_seed(seed) + i for i in range(self.num_envs)]
+            seeds = [_seed(each) for each in several]
             if len(seeds) != self.num_envs:
                 raise ValueError(f"{len(seeds)} seeds for {self.num_envs} missions")
             self._draws = [np.random.default_rng(each) for each in seeds]
@@ -172,11 +222,11 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         return self._missions.observations.copy(), _told(self._missions)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Fly each mission to where its action leads, and take a reading there."""
+        """Fly each mission to where its action leads, and take a reading there. Raises ActionError, and moves none, where one is wrong."""
         missions = self._missions
         if missions is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
-        rewards, terminated, truncated = self.settings.fly(missions, np.asarray(actions))
+        rewards, terminated, truncated = self.settings.fly(missions, self.settings.actions(actions, self.num_envs))
         infos: dict[str, Any] = {}
         over = terminated | truncated
         if over.any():

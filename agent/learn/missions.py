@@ -9,11 +9,9 @@ from agent import observation
 from agent.observation import FACTS, SCHEMAS
 from estimator.batch import Batch
 from estimator.filter import Config
-from plume.dispersion import concentration
-from plume.randomness import Keyed, derived_seed
+from plume.randomness import derived_seed
 from plume.scenario import SUCCESS_RADIUS_M, draw
-from plume.sensor import GAUSSIAN
-from plume.world import World
+from plume.world import World, gas_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -37,16 +35,17 @@ class Missions:
         """Of the observation, for the action."""
         self.observations = np.empty((count, self._schema.size), np.float32)
         self._facts = np.empty((count, len(FACTS)))
-        self._sources, self._winds = np.empty((count, 2)), np.empty((count, 2))
-        self._noise = Keyed()
-        self._batch = Batch([self._draw(mission) for mission in range(count)], threads)
+        self._sources = np.empty((count, 2))
+        self._worlds = [World(draw(seed), seed) for seed in self.seeds.tolist()]
+        self._batch = Batch([self._told(mission) for mission in range(count)], threads)
         self._read(np.arange(count))
 
     def begin(self, missions: Indices, seeds: Sequence[int]) -> None:
         """Put the missions of other seeds in the places of these."""
         self.seeds[missions] = seeds
-        for mission in missions.tolist():
-            self._batch.begin(mission, self._draw(mission))
+        for mission, seed in zip(missions.tolist(), seeds, strict=True):
+            self._worlds[mission] = World(draw(seed), seed)
+            self._batch.begin(mission, self._told(mission))
         self._read(missions)
 
     def move(self, waypoints: Array) -> None:
@@ -67,12 +66,12 @@ class Missions:
         errors_m: Array = np.sqrt(np.square(self._batch.means - self._sources).sum(axis=1))
         return errors_m <= SUCCESS_RADIUS_M
 
-    def _draw(self, mission: int) -> Config:
-        seed = int(self.seeds[mission])
-        scenario = draw(seed)
-        world = World(scenario, seed)
+    def _told(self, mission: int) -> Config:
+        """Set a mission to the beginning of its world; returns what its estimator is told."""
+        world, seed = self._worlds[mission], int(self.seeds[mission])
+        scenario = world.scenario
         self.steps[mission], self.distances_m[mission], self.ceased[mission] = 0, 0.0, False
-        self.positions[mission], self._sources[mission], self._winds[mission] = world.start, scenario.source, scenario.wind
+        self.positions[mission], self._sources[mission] = world.start, scenario.source
         known = (scenario.q, scenario.d, scenario.tau)
         self._facts[mission, observation.WIND_X : observation.LIFETIME + 1] = *world.wind, *known
         return Config(self._particles, self._threshold_m, derived_seed(seed, "estimator"), *known)
@@ -81,7 +80,8 @@ class Missions:
         """Take a reading in each of these missions; what is believed, seen and claimed follows from it."""
         facts = self._facts
         facts[missions, : observation.GAS] = self.positions[missions]
-        facts[missions, observation.GAS] = self._gas(missions)
+        worlds = [self._worlds[mission] for mission in missions.tolist()]
+        facts[missions, observation.GAS] = gas_of(worlds, self.positions[missions], self.steps[missions].tolist())
         readings = np.zeros((len(missions), 7))
         readings[:, :2] = self.positions[missions]
         readings[:, 3:5] = facts[missions, observation.WIND_X : observation.RATE]
@@ -101,15 +101,3 @@ class Missions:
             self._schema.see_missions(self._batch.particles, self._batch.weights, totals, facts, portion, self.frames, self.observations)
 
         self._batch.share_out(see, missions)
-
-    def _gas(self, missions: Indices) -> Array:
-        """As `World.gas`, for many."""
-        rate, diffusivity, lifetime = self._facts[missions][:, observation.RATE :].T
-        mean = concentration(
-            self.positions[missions], self._sources[missions], self._winds[missions],
-            rate=rate, diffusivity=diffusivity, lifetime=lifetime,
-        )  # fmt: skip
-        keys = zip(self.seeds[missions].tolist(), self.steps[missions].tolist(), strict=True)
-        noise = np.array([self._noise.at(seed, "sensor", step).standard_normal() for seed, step in keys])
-        gas: Array = (mean + GAUSSIAN.noise_std(mean) * noise).astype(np.float32).astype(np.float64)
-        return gas

@@ -13,13 +13,13 @@ from typing import IO, Any, cast
 
 import msgspec
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from agent.policies import named as policy_names
 from agent.policies import policy_argument, reach
 from agent.trials.cluster import ClusterError, join, on_cluster
 from agent.trials.figures import COLUMNS, MissionRow, cell, figures
+from agent.trials.progress import progress_bar
 from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 from estimator.options import add_sensor_argument
 from link import cli
@@ -161,19 +161,6 @@ def read_csv(path: Path) -> list[MissionRow]:
 def _open(path: Path, mode: str) -> IO[str]:
     opener = gzip.open if path.suffix == ".gz" else open
     return cast(IO[str], opener(path, mode, newline=""))
-
-
-def progress_bar() -> Progress:
-    """Return a bar of missions flown."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    return Progress(*columns, console=Console(stderr=True))
 
 
 def print_table(result: dict[str, Any]) -> None:

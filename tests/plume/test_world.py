@@ -6,8 +6,8 @@ import pytest
 from plume.dispersion import concentration
 from plume.randomness import Keyed, derived_seed, keyed
 from plume.scenario import draw
-from plume.sensor import GAUSSIAN
-from plume.world import World
+from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, text
+from plume.world import World, gas_of
 
 
 def test_a_reading_does_not_depend_on_the_readings_before_it() -> None:
@@ -34,6 +34,33 @@ def test_readings_start_and_wind_are_exact_float32_values() -> None:
     world = World(draw(9), 9)
     for value in (world.gas((1.0, 2.0), 3), *world.start, *world.wind):
         assert value == float(np.float32(value))
+
+
+@pytest.mark.parametrize("sensor", [GAUSSIAN, Gaussian(0.6, 0.1), Threshold(0.3, 0.4), Hits(50.0, 3.0)], ids=text)
+def test_a_reading_among_others_is_the_reading_alone_to_the_bit(sensor: Sensor) -> None:
+    seeds, steps = [*range(12), 2**63 - 1], [7 * seed % 5 for seed in range(13)]
+    worlds = [World(draw(seed % 50), seed, sensor) for seed in seeds]
+    places = np.array([draw(seed % 50).source for seed in seeds]) + np.linspace(0, 9, 26).reshape(13, 2)
+    alone = [World(draw(seed % 50), seed, sensor).gas((x, y), k) for seed, (x, y), k in zip(seeds, places.tolist(), steps, strict=True)]
+    assert gas_of(worlds, places, steps).tolist() == alone
+    assert gas_of(worlds[::-1], places[::-1], steps[::-1]).tolist() == alone[::-1]
+    assert len(set(alone)) > 4  # not all of them silent
+
+
+def test_a_reading_is_what_the_sensor_makes_of_the_concentration_with_the_noise_of_its_step() -> None:
+    for seed in range(5):
+        s = draw(seed)
+        position = (s.source[0] - 2.0, s.source[1] + 1.0)
+        mean = concentration(position, s.source, s.wind, rate=s.q, diffusivity=s.d, lifetime=s.tau)
+        for sensor in (GAUSSIAN, Threshold(0.1, 0.2), Hits()):
+            expected = float(sensor.measure(mean, keyed(seed, "sensor", 3)))
+            assert World(s, seed, sensor).gas(position, 3) == np.float32(expected)
+
+
+def test_worlds_of_different_sensors_are_not_read_at_once() -> None:
+    worlds = [World(draw(1), 1), World(draw(1), 1, Hits())]
+    with pytest.raises(ValueError, match="worlds that are read at once have the same sensor"):
+        gas_of(worlds, np.zeros((2, 2)), [0, 0])
 
 
 def test_streams_of_one_seed_are_uncorrelated() -> None:

@@ -8,10 +8,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from agent.bundle import BundleError, Point, read
+from agent.learn.train.folder import CheckpointError, checkpoints, claim
 from agent.learn.train.recipes import PRESETS, Recipe
+from agent.trials.progress import progress_bar
 from link import cli
 from plume.randomness import MAX_SEED
 
@@ -51,57 +52,69 @@ def run(args: argparse.Namespace) -> int:
         print(f"error: training needs {', '.join(missing)}: pip install 'plumeward[train]'", file=sys.stderr)
         return cli.BAD_INPUT
     recipe = PRESETS[args.preset][args.algorithm]
-    recipe = recipe if args.steps is None else msgspec.structs.replace(recipe, steps=args.steps)
+    if args.steps is not None:
+        at_a_time = recipe.moves_at_a_time
+        recipe = msgspec.structs.replace(recipe, steps=-(-args.steps // at_a_time) * at_a_time)
     folder: Path = args.out or KEPT_IN / f"{args.algorithm}-{args.preset}-{args.seed}"
+    bundle = folder / f"{args.algorithm}.zip"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _claim(folder, recipe, args.seed)
+        claimed = claim(folder, recipe, args.seed, bundle)
     except (OSError, ValueError) as error:
         print(f"error: --out: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    bundle = folder / f"{args.algorithm}.zip"
-    try:
-        _learn(recipe, args.seed, folder, args.threads, bundle)
-        if args.scenarios:
-            from agent.learn.train.judge import judge
+    with claimed:
+        _tell_of_steps(args.steps, recipe)
+        try:
+            _learn(recipe, args.seed, folder, args.threads, bundle)
+            if args.scenarios:
+                from agent.learn.train.judge import judge
 
-            judge(bundle, args.scenarios, EVALUATED_AT)
-    except KeyboardInterrupt:
-        print(f"interrupted: {folder} keeps the last checkpoint; the same command goes on from there", file=sys.stderr)
-        raise
+                judge(bundle, args.scenarios, EVALUATED_AT)
+        except BundleError as error:
+            print(f"error: --out: {str(bundle)!r}: {error}; delete it to train anew", file=sys.stderr)
+            return cli.BAD_INPUT
+        except CheckpointError as error:
+            print(f"error: --out: {error}", file=sys.stderr)
+            return cli.BAD_INPUT
+        except KeyboardInterrupt:
+            print(f"interrupted{_kept(recipe, folder, bundle)}", file=sys.stderr)
+            raise
     print(f"{bundle}: fly it with `python -m sitl --policy {bundle}`", file=sys.stderr)
     return 0
 
 
-def _claim(folder: Path, recipe: Recipe, seed: int) -> None:
-    """Raise ValueError where a folder holds another run than this one."""
-    said = msgspec.json.format(msgspec.json.encode({"seed": seed, "recipe": recipe}))
-    path = folder / "recipe.json"
-    if path.exists() and path.read_bytes() != said:
-        raise ValueError(f"{str(folder)!r} holds a run of another recipe or seed; wanted an empty folder, or the same command as then")
-    partial = folder / "recipe.partial"
-    partial.write_bytes(said)
-    partial.replace(path)
+def _tell_of_steps(asked: int | None, recipe: Recipe) -> None:
+    """Say where a run is longer than it was asked to be, or too short to learn anything."""
+    if asked is None:
+        return
+    if recipe.steps != asked:
+        at_a_time = f"{recipe.algorithm} learns from {recipe.moves_at_a_time:,} moves at a time"
+        print(f"--steps {asked}: {at_a_time}: trains {recipe.steps:,}", file=sys.stderr)
+    if recipe.steps <= (looks_on := recipe.settings.get("learning_starts", 0)):
+        print(
+            f"--steps {asked}: {recipe.algorithm} begins to learn after {looks_on:,} moves: from so few it learns nothing", file=sys.stderr
+        )
+
+
+def _kept(recipe: Recipe, folder: Path, bundle: Path) -> str:
+    """What an interrupted run leaves behind."""
+    if bundle.exists():
+        return f": {bundle} is trained; the same command goes on with its test missions"
+    if checkpoints(folder):
+        return f": {folder} keeps the last checkpoint; the same command goes on from there"
+    return f" before the first checkpoint, after {recipe.checkpoint_steps:,} moves: nothing is kept; the same command begins anew"
 
 
 def _learn(recipe: Recipe, seed: int, folder: Path, threads: int, bundle: Path) -> None:
     if bundle.exists():
+        read(bundle)
         print(f"{bundle} is there already: trained to its end", file=sys.stderr)
         return
-    from agent.bundle import Point
     from agent.learn.train.export import export
-    from agent.learn.train.loop import checkpoints, train
+    from agent.learn.train.loop import train
 
     began = time.monotonic()
-    # So narrow that all of it stands in a line of 80.
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=8),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[stands]}"),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    with progress_bar(stands=True) as progress:
         task = progress.add_task(recipe.algorithm, total=recipe.steps, stands="")
         if kept := checkpoints(folder):
             progress.console.print(f"goes on from {kept[-1].name}")

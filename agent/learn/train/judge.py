@@ -7,17 +7,21 @@ from pathlib import Path
 import msgspec
 
 from agent.bundle import read, write
-from agent.trials.evaluate import FIRST_TEST_SEED, KEPT_IN, named, print_table, progress_bar
+from agent.trials.evaluate import FIRST_TEST_SEED, named, print_table
+from agent.trials.progress import progress_bar
 from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 
 
 def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
-    """Fly so many test missions with each number of particles; figures that a bundle has already are kept."""
+    """Fly so many test missions with each number of particles; figures that a bundle has already are kept.
+
+    What is flown is kept beside the bundle until all is: cut off, the same call goes on from there.
+    """
     page, graph = read(bundle)
     if page.evaluation:
         return
     sweep = Sweep([str(bundle)], range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios), particles)
-    journal = journal_of(sweep, KEPT_IN)
+    journal = journal_of(sweep, bundle.parent)
     rows = []
     with progress_bar() as progress:
         task = progress.add_task("test missions", total=len(sweep.flights))

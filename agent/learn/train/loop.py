@@ -27,6 +27,7 @@ from torch.utils.tensorboard import SummaryWriter
 from agent.bundle import Point
 from agent.learn.env import TRAINING_SEEDS, SourceSearchVector
 from agent.learn.sb3 import StableBaselinesEnv
+from agent.learn.train.folder import CheckpointError, checkpoints
 from agent.learn.train.recipes import Recipe
 from plume.randomness import derived_seed
 
@@ -187,22 +188,29 @@ def save(model: BaseAlgorithm, state: RunState, folder: Path) -> None:
         shutil.rmtree(older)
 
 
-def checkpoints(folder: Path) -> list[Path]:
-    """Return the checkpoints of a run, the last one last."""
-    return sorted(folder.glob("checkpoint-*"))
+def _gone_on(model: BaseAlgorithm, env: StableBaselinesEnv, path: Path) -> tuple[BaseAlgorithm, RunState]:
+    """Return the learner and the state of a checkpoint. Raises CheckpointError where it is broken."""
+    try:
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of returns over several moves, which the loaded buffer has
+            model = type(model).load(path / "learner.zip", env=env, device="cpu")
+        if isinstance(model, OffPolicyAlgorithm):
+            model.load_replay_buffer(path / "replay.pkl")
+        return model, msgspec.json.decode((path / "state.json").read_bytes(), type=RunState)
+    except Exception as error:  # what zipfile, torch and pickle raise on a broken file has no common base
+        said = " ".join(str(error).split())[:200]
+        raise CheckpointError(f"{str(path)!r} cannot be read: {said or type(error).__name__}; delete it to begin anew") from error
 
 
 def train(recipe: Recipe, seed: int, folder: Path, threads: int, tell: Tell) -> tuple[BaseAlgorithm, list[Point]]:
-    """Train by a recipe, from the last checkpoint in the folder where there is one; returns the learner and its curve."""
+    """Train by a recipe, from the last checkpoint in the folder where there is one; returns the learner and its curve.
+
+    Raises CheckpointError where that checkpoint is broken.
+    """
     torch.set_num_threads(1)  # more of them change the last bits, and their idle ones spin on cores that the missions want
     env = StableBaselinesEnv(SourceSearchVector(recipe.missions, threads, **recipe.env))
     model, state = learner(recipe, env, seed % 2**32), RunState()
     if kept := checkpoints(folder):
-        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of returns over several moves, which the loaded buffer has
-            model = type(model).load(kept[-1] / "learner.zip", env=env, device="cpu")
-        if isinstance(model, OffPolicyAlgorithm):
-            model.load_replay_buffer(kept[-1] / "replay.pkl")
-        state = msgspec.json.decode((kept[-1] / "state.json").read_bytes(), type=RunState)
+        model, state = _gone_on(model, env, kept[-1])
     model.set_logger(Logger(None, []))
     legs = Legs(recipe, seed, folder, state, tell)
     model.learn(recipe.steps - state.steps, legs, log_interval=None, reset_num_timesteps=not state.steps)  # type: ignore[arg-type]

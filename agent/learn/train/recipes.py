@@ -5,6 +5,8 @@ from typing import Any
 
 import msgspec
 
+TRAIN_FREQ = {"dqn": 4, "ddpg": 1}
+
 
 class Recipe(msgspec.Struct, frozen=True, kw_only=True):
     """One training run, but for its seed."""
@@ -30,6 +32,15 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True):
     """DDPG's policy learns at this share of the value's rate."""
     checkpoint_steps: int = 100_000
     """After so many moves all that the run needs is written down, and all missions begin anew."""
+
+    @property
+    def moves_at_a_time(self) -> int:
+        """It learns from so many moves at a time, of all missions together: a run is as long as a multiple of them."""
+        # Where a recipe is silent, what stable-baselines3 has.
+        each: int = (
+            self.settings.get("n_steps", 2048) if self.algorithm == "ppo" else self.settings.get("train_freq", TRAIN_FREQ[self.algorithm])
+        )
+        return each * self.missions
 
 
 PAPER_LAYERS = (128, 128, 128)

@@ -300,6 +300,12 @@ def test_gymnasiums_wrappers_of_many_count_missions_right() -> None:
         ({"budget": 0}, "budget 0 is not allowed; wanted a whole number from 1"),
         ({"threshold_m": 0.0}, "threshold_m 0.0 is not allowed; wanted a number above 0"),
         ({"threshold_m": float("nan")}, "threshold_m nan is not allowed; wanted a number above 0"),
+        ({"threshold_m": "0.5"}, "threshold_m '0.5' is not allowed; wanted a number above 0"),
+        ({"threshold_m": True}, "threshold_m True is not allowed; wanted a number above 0"),
+        ({"observation": ["polar"]}, "observation ['polar'] is not allowed; wanted paper or polar"),
+        ({"budget": True}, "budget True is not allowed; wanted a whole number from 1"),
+        ({"budget": None}, "budget None is not allowed; wanted a whole number from 1"),
+        ({"continuous": "no"}, "continuous 'no' is not allowed; wanted True or False"),
     ],
 )
 def test_what_cannot_be_set_is_told_in_a_line(settings: dict[str, Any], message: str) -> None:
@@ -308,10 +314,106 @@ def test_what_cannot_be_set_is_told_in_a_line(settings: dict[str, Any], message:
             kind(**settings)
 
 
+@pytest.mark.parametrize("value", [0, 2.5, "3", True, None])
 @pytest.mark.parametrize("name", ["num_envs", "threads"])
-def test_there_is_no_batch_of_none_and_no_work_without_a_thread(name: str) -> None:
-    with pytest.raises(ValueError, match=f"^{name} 0 is not allowed; wanted a whole number from 1$"):
-        SourceSearchVector(**{name: 0})
+def test_there_is_no_batch_of_none_and_no_work_without_a_thread(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"^{name} {value!r} is not allowed; wanted a whole number from 1$"):
+        SourceSearchVector(**{name: value})
+
+
+def test_an_argument_that_there_is_not_is_named_with_those_that_there_are() -> None:
+    names = "continuous, headings, observation, reward, particles, threshold_m, budget"
+    said = "argument foo='bar' is not allowed; wanted some of "
+    for make_one in (SourceSearch, lambda **named: gymnasium.make(DISCRETE, **named)):
+        with pytest.raises(TypeError, match=f"^{re.escape(said + names)}"):
+            make_one(foo="bar", particles=50)
+    for make_many in (SourceSearchVector, lambda **named: gymnasium.make_vec(DISCRETE, 2, **named)):
+        with pytest.raises(TypeError, match=f"^{re.escape(said)}num_envs, threads, {names}"):
+            make_many(foo="bar", particles=50)
+
+
+def test_stable_baselines_makes_one_by_its_name_though_it_asks_for_pictures_first() -> None:
+    from stable_baselines3.common.env_util import make_vec_env
+
+    with warnings.catch_warnings(action="ignore"):  # gymnasium's, of the pictures
+        several = make_vec_env(DISCRETE, 2, env_kwargs={"observation": "paper", **QUICK})
+    assert np.shape(several.reset()) == (2, 5)
+
+
+ONE, PAIR = "a whole number from 0 to 15", "finite numbers in an array of shape (2,)"
+THREE, PAIRS = "whole numbers from 0 to 15 in an array of shape (3,)", "finite numbers in an array of shape (3, 2)"
+
+
+@pytest.mark.parametrize(
+    ("name", "action", "said", "wanted"),
+    [
+        (DISCRETE, 99, "99", ONE),
+        (DISCRETE, 16, "16", ONE),
+        (DISCRETE, np.int64(-1), "-1", ONE),
+        (DISCRETE, 3.5, "3.5 (float64, shape ())", ONE),
+        (DISCRETE, float("nan"), "nan (float64, shape ())", ONE),
+        (DISCRETE, "left", "'left' (<U4, shape ())", ONE),
+        (DISCRETE, None, "None (object, shape ())", ONE),
+        (DISCRETE, [3], "[3] (int64, shape (1,))", ONE),
+        (CONTINUOUS, [float("nan"), 1.0], "[nan, 1.0]", PAIR),
+        (CONTINUOUS, np.array([0, np.inf], np.float32), "[0.0, inf]", PAIR),
+        (CONTINUOUS, 3, "3 (int64, shape ())", PAIR),
+        (CONTINUOUS, [0.1, 0.2, 0.3], "[0.1, 0.2, 0.3] (float64, shape (3,))", PAIR),
+        (CONTINUOUS, [0.1, 1j], "[0.1, 1j] (complex128, shape (2,))", PAIR),
+        (DISCRETE, [0, 99, 3], "99 of mission 1", THREE),
+        (DISCRETE, np.array([0, 1, -2]), "-2 of mission 2", THREE),
+        (DISCRETE, [0.0, 1.0, 2.0], "[0.0, 1.0, 2.0] (float64, shape (3,))", THREE),
+        (DISCRETE, [0, 1], "[0, 1] (int64, shape (2,))", THREE),
+        (DISCRETE, [[0], [1], [2]], "[[0], [1], [2]] (int64, shape (3, 1))", THREE),
+        (DISCRETE, [0, [1], 2], "[0, [1], 2]", THREE),
+        (DISCRETE, 5, "5 (int64, shape ())", THREE),
+        (CONTINUOUS, [[0, 0], [0, 0], [0.5, float("nan")]], "[0.5, nan] of mission 2", PAIRS),
+        (CONTINUOUS, [0.1, 0.2, 0.3], "[0.1, 0.2, 0.3] (float64, shape (3,))", PAIRS),
+    ],
+)
+def test_an_action_that_is_none_is_named_and_moves_nothing(name: str, action: Any, said: str, wanted: str) -> None:
+    several = wanted in (THREE, PAIRS)
+    env: Any = gymnasium.make_vec(name, 3, **QUICK) if several else make(name)
+    env.reset(seed=4)
+    for kind in (ValueError, gymnasium.error.InvalidAction):
+        with pytest.raises(kind, match=f"^{re.escape(f'action {said} is not allowed; wanted {wanted}')}$"):
+            env.step(action)
+    good = np.zeros(env.action_space.shape, env.action_space.dtype)
+    seen = env.step(good)[0]
+    env.reset(seed=4)
+    assert env.step(good)[0].tobytes() == seen.tobytes()
+
+
+@pytest.mark.parametrize("action", [15, np.uint8(15), np.array(15), np.int32(15)], ids=lambda action: type(action).__name__)
+def test_whole_numbers_of_any_kind_are_actions(action: Any) -> None:
+    env = make()
+    env.reset(seed=4)
+    seen = env.step(action)[0]
+    env.reset(seed=4)
+    assert env.step(15)[0].tobytes() == seen.tobytes()
+
+
+def test_a_long_array_of_actions_is_refused_in_a_line() -> None:
+    several = SourceSearchVector(2, **QUICK)
+    several.reset(seed=4)
+    with pytest.raises(ValueError, match=r"shape \(500, 7\)\) is not allowed") as refused:
+        several.step(np.zeros((500, 7), int))
+    assert len(str(refused.value)) < 200
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 2**70, 1.5, "7", True], ids=str)
+def test_a_seed_that_is_none_is_named(seed: Any) -> None:
+    line = f"^{re.escape(f'seed {seed!r} is not allowed; wanted a whole number from 0 to {2**63 - 1}')}$"
+    several = SourceSearchVector(2, **QUICK)
+    expected = several.reset(seed=[5, 6])[1]["seed"].tolist()
+    for begin in (lambda: make().reset(seed=seed), lambda: several.reset(seed=seed), lambda: several.reset(seed=[1, seed])):
+        with pytest.raises(ValueError, match=line):
+            begin()
+    assert several._missions is not None
+    assert several._missions.seeds.tolist() == expected
+    assert several.reset(seed=np.int64(8))[1]["seed"].tolist() == [8, 9]
+    assert several.reset(seed=np.array([8, 3]))[1]["seed"].tolist() == [8, 3]
 
 
 def test_a_step_wants_a_reset_first() -> None:

@@ -1,19 +1,21 @@
 """Protects one arithmetic for one and for many: a mission among others is, to the bit, the one that the scalar pieces fly alone."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 
+import plume.world
 from agent.learn.missions import Missions
 from agent.observation import FACTS, GAS, SCHEMAS, X
 from agent.planning.moves import Headings
-from agent.trials.rollout import ALTITUDE_M
+from agent.trials.rollout import ALTITUDE_M, mission
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
 from plume.randomness import derived_seed, keyed
 from plume.scenario import AREA_M, SUCCESS_RADIUS_M, draw
+from plume.sensor import Gaussian
 from plume.world import World
 
 PARTICLES, THRESHOLD_M = 200, 0.7
@@ -152,3 +154,27 @@ def test_the_way_flown_is_summed_and_begins_anew_with_another_mission() -> None:
     assert missions.distances_m[1] == 0
     assert missions.distances_m[[0, 2]] == pytest.approx([singles[0].distance_m, singles[2].distance_m])
     assert missions.seeds.tolist() == [SEEDS[0], 77, SEEDS[2]]
+
+
+def doubled(told_of: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
+    """Another physics: twice as much."""
+    return lambda *arguments, **named: 2 * told_of(*arguments, **named)
+
+
+@pytest.mark.parametrize(("owner", "name"), [(plume.world, "concentration"), (Gaussian, "measure"), (Gaussian, "noise_std")])
+def test_who_changes_the_worlds_physics_changes_it_for_rollouts_and_training_alike(
+    monkeypatch: pytest.MonkeyPatch, owner: object, name: str
+) -> None:
+    """In one place: there is no second copy that goes on as before."""
+
+    def first_readings() -> tuple[list[float], list[float]]:
+        missions = Missions(SEEDS, "paper", 50, THRESHOLD_M)
+        flown = [next(mission(seed, "random", 50, THRESHOLD_M, 1).steps).belief.gas for seed in SEEDS]
+        return missions._facts[:, GAS].tolist(), flown
+
+    before, also_before = first_readings()
+    assert before == also_before
+    monkeypatch.setattr(owner, name, doubled(getattr(owner, name)))
+    after, also_after = first_readings()
+    assert after == also_after
+    assert all(value != old for value, old in zip(after, before, strict=True))

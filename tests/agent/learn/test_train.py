@@ -1,5 +1,6 @@
 """Protects training: a run is a function of its recipe and its seed, however often it is cut off, and all that it keeps is true."""
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,7 +15,8 @@ import pytest
 
 from agent.__main__ import main
 from agent.bundle import Point, load, read
-from agent.learn.train.recipes import PRESETS, Recipe
+from agent.learn.train.folder import checkpoints, claim
+from agent.learn.train.recipes import PRESETS, TUNED, Recipe
 from agent.observation import SCHEMAS
 from agent.planning.moves import HeadingAndStep, Headings
 from plume.randomness import MAX_SEED
@@ -120,8 +122,6 @@ def test_another_seed_gives_another_policy(tmp_path: Path, whole: Callable[[str]
 def test_a_run_that_is_cut_off_comes_to_the_same_end(
     tmp_path: Path, whole: Callable[[str], Trained], algorithm: str, places: tuple[int, ...]
 ) -> None:
-    from agent.learn.train.loop import checkpoints
-
     tell = cut_at(*places)
     for place in places:
         with pytest.raises(CutOff):
@@ -163,8 +163,6 @@ def test_returns_do_not_run_on_from_missions_that_a_checkpoint_broke_off(whole: 
 
 
 def test_one_checkpoint_is_kept(whole: Callable[[str], Trained]) -> None:
-    from agent.learn.train.loop import checkpoints
-
     (kept,) = checkpoints(whole("dqn").folder)
     assert kept.name == "checkpoint-000000000300"
     assert not (whole("dqn").folder / "checkpoint.partial").exists()
@@ -225,7 +223,10 @@ def test_every_recipe_can_be_begun(preset: str, algorithm: str) -> None:
     recipe = PRESETS[preset][algorithm]
     assert recipe.algorithm == algorithm
     env = StableBaselinesEnv(SourceSearchVector(recipe.missions, **recipe.env))
-    layers = layers_of(learner(recipe, env, 0))
+    model = learner(recipe, env, 0)
+    assert recipe.moves_at_a_time == recipe.missions * (model.n_steps if algorithm == "ppo" else model.train_freq.frequency)
+    assert recipe.steps > recipe.settings.get("learning_starts", 0)
+    layers = layers_of(model)
     assert tuple(layer.out_features for layer in layers if hasattr(layer, "out_features"))[:-1] == recipe.layers
     assert graph(layers)
 
@@ -254,12 +255,22 @@ cli.run(main)
 """
 """`python -m agent` with a recipe of ours as the tuned one."""
 HELD = """
-import threading
+import pathlib, threading
 from agent.learn.train import loop
 point_of = loop.point_of
-loop.point_of = lambda steps, ended: threading.Event().wait() if steps > 150 else point_of(steps, ended)
+def held(steps, ended):
+    if steps > {after}:
+        pathlib.Path("held").touch()
+        threading.Event().wait()
+    return point_of(steps, ended)
+loop.point_of = held
 """
-"""Before it: a run that never comes to its end."""
+"""Before it: a run that never comes to its end, but so far."""
+HELD_WHILE_JUDGED = """
+import pathlib, threading
+from agent.learn.train import judge
+judge.fly_all = lambda *_: (pathlib.Path("held").touch(), threading.Event().wait())
+"""
 
 
 @pytest.fixture
@@ -283,9 +294,7 @@ def start() -> Iterator[Callable[..., "subprocess.Popen[str]"]]:
 def test_a_run_that_is_killed_comes_to_the_same_end(
     tmp_path: Path, start: Callable[..., Any], wait_until: Callable[..., None], whole: Callable[[str], Trained], number: signal.Signals
 ) -> None:
-    from agent.learn.train.loop import checkpoints
-
-    run = start(tmp_path / "run", tiny("dqn"), "--scenarios", "0", before=HELD)
+    run = start(tmp_path / "run", tiny("dqn"), "--scenarios", "0", before=HELD.format(after=150))
     wait_until(lambda: checkpoints(tmp_path / "run") or run.poll() is not None, 100)
     run.send_signal(number)
     out, err = run.communicate(timeout=60)
@@ -302,6 +311,33 @@ def test_a_run_that_is_killed_comes_to_the_same_end(
     assert [steps for steps, _ in scalars(tmp_path / "run")["missions/ceased"]] == [point.steps for point in resumed.curve]
 
 
+def test_a_run_that_is_interrupted_before_its_first_checkpoint_says_that_it_keeps_nothing(
+    tmp_path: Path, start: Callable[..., Any], wait_until: Callable[..., None]
+) -> None:
+    run = start(tmp_path / "run", tiny("dqn"), "--scenarios", "0", before=HELD.format(after=40))
+    wait_until(lambda: (tmp_path / "held").exists() or run.poll() is not None, 100)
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    assert (run.returncode, out) == (130, ""), err
+    assert "interrupted before the first checkpoint, after 100 moves: nothing is kept; the same command begins anew\n" in err
+    assert "keeps" not in err
+    assert checkpoints(tmp_path / "run") == []
+    claim(tmp_path / "run", tiny("dqn", steps=200), 7, tmp_path / "run" / "dqn.zip").close()  # and another run may begin there
+
+
+def test_a_run_that_is_interrupted_while_it_is_judged_says_that_it_is_trained(
+    tmp_path: Path, start: Callable[..., Any], wait_until: Callable[..., None]
+) -> None:
+    run = start(tmp_path / "run", tiny("ppo", steps=48), "--scenarios", "2", before=HELD_WHILE_JUDGED)
+    wait_until(lambda: (tmp_path / "held").exists() or run.poll() is not None, 100)
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    bundle = tmp_path / "run" / "ppo.zip"
+    assert (run.returncode, out) == (130, ""), err
+    assert f"interrupted: {bundle} is trained; the same command goes on with its test missions\n" in err
+    assert read(bundle)[0].evaluation == {}
+
+
 def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(tmp_path: Path, start: Callable[..., Any]) -> None:
     recipe = tiny("ppo", observation="paper")
     run = start(tmp_path / "run", recipe, "--scenarios", "2", "--seed", "6")
@@ -314,7 +350,10 @@ def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(tmp_
     page, graph = read(tmp_path / "run" / "ppo.zip")
     assert (page.seed, page.curve[-1].steps) == (6, 432)
     assert list(page.evaluation) == ["100", "1000", "4000"]
-    assert not list((tmp_path / "runs").iterdir())  # the journal of the evaluation is gone
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
+        "checkpoint-000000000336", "ppo.zip", "recipe.json", "tensorboard",
+    ]  # the journal of the evaluation is gone  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
     before = (tmp_path / "run" / "ppo.zip").read_bytes()
     again = start(tmp_path / "run", recipe, "--scenarios", "2", "--seed", "6")
     _, err = again.communicate(timeout=110)
@@ -365,6 +404,112 @@ def told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *a
     return status, *capsys.readouterr()
 
 
+def trained_by_command(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], algorithm: str, steps: int
+) -> tuple[Any, str]:
+    """The learner that a run of so many `--steps` of a tiny recipe came to, and what was said on stderr."""
+    from agent.learn.train import loop
+
+    train, models = loop.train, []
+
+    def watched(*arguments: Any) -> tuple[Any, list[Point]]:
+        models.append(train(*arguments))
+        return models[-1]
+
+    monkeypatch.setitem(TUNED, algorithm, tiny(algorithm))
+    monkeypatch.setattr(loop, "train", watched)
+    status, out, err = told(
+        capsys, monkeypatch, "train", algorithm, "--steps", str(steps), "--scenarios", "0", "--threads", "1", "--out", str(folder)
+    )
+    assert (status, out) == (0, ""), err
+    return models[0][0], err
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "asked", "trains", "at_a_time"),
+    [("ppo", 10, 48, 48), ("ppo", 49, 96, 48), ("ppo", 96, 96, 48), ("dqn", 41, 44, 4), ("ddpg", 42, 44, 4)],
+)
+def test_steps_that_cannot_be_learned_from_alone_are_rounded_up_and_that_is_said(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    algorithm: str,
+    asked: int,
+    trains: int,
+    at_a_time: int,
+) -> None:
+    model, err = trained_by_command(tmp_path / "run", monkeypatch, capsys, algorithm, asked)
+    line = f"--steps {asked}: {algorithm} learns from {at_a_time} moves at a time: trains {trains}\n"
+    assert err.startswith(line) == ("moves at a time" in err) == (asked != trains)
+    page, _ = read(tmp_path / "run" / f"{algorithm}.zip")
+    assert (model.num_timesteps, page.training["steps"], page.curve[-1].steps) == (trains, trains, trains)
+    # The rate falls from 1e-3 to 1e-4 in a straight line: it has come to its end, and not beyond.
+    rate = (model.critic if algorithm == "ddpg" else model.policy).optimizer.param_groups[0]["lr"]
+    assert rate == pytest.approx(1e-4)
+
+
+def test_steps_from_which_nothing_is_learned_are_said_to_be_too_few(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = "dqn begins to learn after 40 moves: from so few it learns nothing\n"
+    model, err = trained_by_command(tmp_path / "run", monkeypatch, capsys, "dqn", 40)
+    assert f"--steps 40: {line}" in err
+    assert model._n_updates == 0
+    model, err = trained_by_command(tmp_path / "more", monkeypatch, capsys, "dqn", 44)
+    assert line not in err
+    assert model._n_updates > 0
+
+
+def test_one_process_at_a_time_trains_in_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with claim(Path("run"), PRESETS["tuned"]["ppo"], 0, Path("run/ppo.zip")):
+        ended = told(capsys, monkeypatch, "train", "ppo", "--out", "run")
+    assert ended == (2, "", "error: --out: another process trains in 'run'; wanted another folder, or to wait for its end\n")
+    claim(Path("run"), PRESETS["tuned"]["ppo"], 0, Path("run/ppo.zip")).close()
+
+
+@pytest.mark.parametrize("name", ["ppo.zip", "checkpoint-000000100000"])
+def test_what_was_not_trained_in_a_folder_is_not_taken_for_its_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_bytes(b"of somebody else")
+    ended = told(capsys, monkeypatch, "train", "ppo", "--out", ".")
+    assert ended == (2, "", f"error: --out: '.' has a {name} that is not of a run there; wanted an empty folder\n")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(name, b"of somebody else")]
+
+
+def test_a_folder_in_which_nothing_was_learned_is_free_for_another_run(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("of the user")
+    for said in (b"", b'{"seed": 3, "rec', b'{"seed": 3, "recipe": {}}'):  # killed while it wrote, and soon after
+        (tmp_path / "recipe.json").write_bytes(said)
+        claim(tmp_path, tiny("ppo"), 5, tmp_path / "ppo.zip").close()
+        held = msgspec.json.decode((tmp_path / "recipe.json").read_bytes())
+        assert (held["seed"], msgspec.convert(held["recipe"], Recipe)) == (5, tiny("ppo"))
+    assert (tmp_path / "notes.txt").read_text() == "of the user"
+
+
+@pytest.mark.parametrize("broken", ["learner.zip", "replay.pkl", "state.json", "dqn.zip"])
+def test_a_broken_checkpoint_or_bundle_is_named_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], whole: Callable[[str], Trained], broken: str
+) -> None:
+    monkeypatch.setitem(TUNED, "dqn", tiny("dqn"))
+    folder = tmp_path / "run"
+    claim(folder, tiny("dqn"), 0, folder / "dqn.zip").close()
+    (kept,) = checkpoints(whole("dqn").folder)
+    shutil.copytree(kept, folder / kept.name)
+    path = folder / "dqn.zip" if broken == "dqn.zip" else folder / kept.name / broken
+    path.write_bytes((kept / broken).read_bytes()[:-200] if broken != "dqn.zip" else b"half of")
+    status, out, err = told(capsys, monkeypatch, "train", "dqn", "--scenarios", "0", "--threads", "1", "--out", str(folder))
+    line = err.splitlines()[-1]
+    assert (status, out) == (2, "")
+    assert line.startswith(f"error: --out: '{folder / ('dqn.zip' if broken == 'dqn.zip' else kept.name)}'")
+    assert line.endswith("delete it to train anew" if broken == "dqn.zip" else "delete it to begin anew")
+    assert "Traceback" not in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
@@ -386,11 +531,12 @@ def test_bad_input_is_one_clear_line_and_status_2(
     monkeypatch.chdir(tmp_path)
     claimed = msgspec.json.format(msgspec.json.encode({"seed": 0, "recipe": PRESETS["tuned"]["ppo"]}))
     (tmp_path / "recipe.json").write_bytes(claimed)
+    (tmp_path / "checkpoint-000000100000").mkdir()
     status, out, err = told(capsys, monkeypatch, "train", *arguments)
     assert (status, out) == (2, "")
     (said,) = err.splitlines()
     assert line in said
-    assert [path.name for path in tmp_path.iterdir()] == ["recipe.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["checkpoint-000000100000", "recipe.json"]
     assert (tmp_path / "recipe.json").read_bytes() == claimed
 
 

@@ -1,0 +1,52 @@
+"""The folder of a training run: whose it is, what it keeps, and that one process at a time trains in it."""
+
+import fcntl
+from pathlib import Path
+from typing import IO
+
+import msgspec
+
+from agent.learn.train.recipes import Recipe
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that cannot be gone on from, in one line."""
+
+
+def claim(folder: Path, recipe: Recipe, seed: int, bundle: Path) -> IO[bytes]:
+    """Make a folder that of a run until the file that is returned is closed.
+
+    Raises ValueError where another process trains in it, or where it keeps what another run has learned, and OSError.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "recipe.json"
+    kept = [*checkpoints(folder), *([bundle] if bundle.exists() else [])]
+    if kept and not path.exists():
+        raise ValueError(f"{str(folder)!r} has a {kept[0].name} that is not of a run there; wanted an empty folder")
+    file = path.open("a+b")
+    try:
+        _claim(file, folder, msgspec.json.format(msgspec.json.encode({"seed": seed, "recipe": recipe})), bool(kept))
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def _claim(file: IO[bytes], folder: Path, said: bytes, keeps: bool) -> None:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise ValueError(f"another process trains in {str(folder)!r}; wanted another folder, or to wait for its end") from None
+    file.seek(0)
+    if file.read() == said:
+        return
+    if keeps:
+        raise ValueError(f"{str(folder)!r} holds a run of another recipe or seed; wanted an empty folder, or the same command as then")
+    file.truncate(0)
+    file.write(said)
+    file.flush()
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    """Return the checkpoints of a run, the last one last."""
+    return sorted(folder.glob("checkpoint-[0-9]*"))
