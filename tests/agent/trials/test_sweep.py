@@ -193,8 +193,8 @@ def test_a_table_that_was_cut_off_is_refused_by_name(tmp_path: Path) -> None:
 
 def test_a_table_that_cannot_be_finished_leaves_the_one_before(tmp_path: Path) -> None:
     path = tmp_path / "rows.csv"
-    write_csv([ROW], path)
+    write_csv([ROW, ROW], path)
     with pytest.raises(TypeError):
         write_csv([ROW, "no row"], path)  # type: ignore[list-item]
-    assert read_csv(path) == [ROW]
+    assert read_csv(path) == [ROW, ROW]
     assert list(tmp_path.iterdir()) == [path]
