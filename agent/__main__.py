@@ -4,6 +4,7 @@ import argparse
 import importlib
 import sys
 import traceback
+from concurrent.futures import BrokenExecutor
 from types import ModuleType
 
 from agent.policies import PolicyError, named, policy_argument, reach
@@ -11,7 +12,7 @@ from agent.service import waypoints
 from link import cli
 from link.bus.session import Bus
 from plume.randomness import MAX_SEED
-from plume.scenario import BUDGET_STEPS
+from plume.scenario import AREA_M, BUDGET_STEPS
 
 OTHERS = {
     "evaluate": ("agent.trials.evaluate", "the figures of policies over many missions, in-process"),
@@ -53,8 +54,12 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
     cli.add_bus_arguments(parser)
     _add_policy_arguments(parser)
     parser.add_argument(
-        "--waypoints", type=waypoints, action="append", default=[], metavar="STEP:X,Y;X,Y;...",
+        "--waypoints", action="append", default=[], metavar="STEP:X,Y;X,Y;...",
         help="fly these instead of the policy's, from the answer to this step's belief on",
+    )  # fmt: skip
+    parser.add_argument(
+        "--area", type=cli.number(0, 100_000, above=True), default=AREA_M, metavar="M",
+        help="side of the square search area, the estimator's --area (default: %(default)g m)",
     )  # fmt: skip
     parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="MAVLink system id of the vehicle (default: %(default)s)")
     commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="rollout | evaluate | train | report")
@@ -72,8 +77,11 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
             from estimator.options import knowledge
 
             args.knowledge = knowledge(args)
-        if args.command in (None, "rollout"):
-            args.reach = reach(args.policy, cli.reach_given(args))
+        if args.command is None:
+            args.reach = reach(args.policy, cli.reach_given(args), args.area)
+            args.scripted = {step: point for text in args.waypoints for step, point in waypoints(text, args.reach).items()}
+        elif args.command == "rollout":
+            reach(args.policy, cli.reach_given(args))
     except ValueError as error:
         chosen.error(str(error))
     return args
@@ -93,8 +101,7 @@ def _serve(args: argparse.Namespace) -> None:
     from agent.service import run
 
     with Bus("agent", args.connect, args.namespace, log_level=args.log_level) as bus:
-        scripted = {step: point for path in args.waypoints for step, point in path.items()}
-        run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, scripted)
+        run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, args.scripted)
 
 
 def main() -> int | None:
@@ -109,6 +116,9 @@ def main() -> int | None:
         if error.__cause__:
             traceback.print_exception(error.__cause__)
         print(f"error: {error}", file=sys.stderr)
+        return cli.FAILED
+    except BrokenExecutor as error:  # of `train`, which judges by a sweep
+        print(f"error: {error}; the same command goes on from what is kept", file=sys.stderr)
         return cli.FAILED
     return None
 

@@ -16,6 +16,7 @@ from agent.planners.registry import PLANNERS
 from agent.planning.moves import Reach
 from link.bus.messages import Belief, Particles
 from plume.randomness import keyed
+from plume.scenario import AREA_M
 
 Policy = Callable[[Belief, Particles, Reach, np.random.Generator], Sequence[float]]
 """(belief, particles, how it may move, keyed randomness) -> the next waypoint (x, y) m."""
@@ -89,14 +90,19 @@ def _planned(name: str) -> Policy:
     return waypoint
 
 
-def reach(name: str, given: Mapping[str, float] = MappingProxyType({})) -> Reach:
-    """What a policy may choose from: a planner's own, but for what is given of the fields of `Reach`. Raises ValueError."""
+def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: float = AREA_M) -> Reach:
+    """What a policy may choose from: a planner's own, but for the area and what is given of the fields of `Reach`. Raises ValueError."""
     if name in PLANNERS:
-        return planners.reach(name, given)
-    if given and bundle_path(name):
-        flags = ", ".join(f"--{flag}" for flag in given)
-        raise ValueError(f"{flags} is for planners; {name} moves as it was trained to")
-    return Reach(**given)  # type: ignore[arg-type]
+        return planners.reach(name, {**given, "area_m": area_m})
+    if bundle_path(name):
+        if given:
+            flags = ", ".join(f"--{flag}" for flag in given)
+            raise ValueError(f"{flags} is for planners; {name} moves as it was trained to")
+        if area_m != AREA_M:
+            raise ValueError(
+                f"--area: {area_m:g} is not allowed with {name}; learned policies see the area that they were trained in, {AREA_M:g} m"
+            )
+    return Reach(**given, area_m=area_m)  # type: ignore[arg-type]
 
 
 def choose(name: str, belief: Belief, particles: Particles, seed: int, within: Reach) -> tuple[float, float]:
@@ -120,7 +126,7 @@ def choose(name: str, belief: Belief, particles: Particles, seed: int, within: R
         place = np.empty(0)
     if place.shape != (2,) or not np.isfinite(place).all():
         raise PolicyError(f"policy {name} said {_short(repr(said))}; wanted a waypoint (x, y) in metres")
-    x, y = np.clip(place, 0.0, within.area_m).astype(np.float32).tolist()
+    x, y = np.clip(place, 0.0, within.edge).astype(np.float32).tolist()
     return x, y
 
 

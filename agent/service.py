@@ -1,6 +1,5 @@
 """The agent service: beliefs in, one waypoint for each out."""
 
-import argparse
 import time
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -13,24 +12,27 @@ from link.bus.mavlink import ONBOARD_COMPUTER, Codec, waypoint_message
 from link.bus.messages import Belief, Particles, unpack_particles
 from link.bus.session import Arrival, Bus
 from plume.parameters import PARAMETERS
-from plume.scenario import AREA_M
 from plume.sensor import parse
 from plume.world import float32
 
 NONE: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
 
-def waypoints(text: str) -> dict[int, tuple[float, float]]:
-    """Argument type: waypoints by the step of the belief that they answer, from STEP:X,Y;X,Y; as float32, as the wire carries them."""
+def waypoints(text: str, within: Reach) -> dict[int, tuple[float, float]]:
+    """Read STEP:X,Y;X,Y;...: waypoints by the step of the belief that they answer, float32 as on the wire. Raises ValueError."""
     first, _, rest = text.partition(":")
     try:
         points = [tuple(map(float, point.split(","))) for point in rest.split(";")]
-        path = {int(first) + number: (float32(x), float32(y)) for number, (x, y) in enumerate(points)}
-        if min(path) >= 0 and all(0.0 <= value <= AREA_M for point in path.values() for value in point):
+        path = {int(first) + number: (_carried(x, within), _carried(y, within)) for number, (x, y) in enumerate(points)}
+        if min(path) >= 0 and all(0.0 <= value <= within.area_m for point in points for value in point):
             return path
     except ValueError:
         pass
-    raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to {AREA_M:g} m")
+    raise ValueError(f"--waypoints: {text!r} is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to {within.area_m:g} m")
+
+
+def _carried(coordinate: float, within: Reach) -> float:
+    return float32(min(coordinate, within.edge))
 
 
 def run(

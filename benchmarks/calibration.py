@@ -9,12 +9,13 @@ asked for; where it first was below each ζ, it would have stopped there: one fl
 
 import argparse
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
-from multiprocessing import Pool
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +24,14 @@ from numpy.typing import NDArray
 from agent.planning.moves import Reach
 from agent.policies import choose
 from agent.trials.figures import bootstrap, mean, wilson
+from agent.trials.files import whole
+from agent.trials.workers import WorkerLost, as_flown
 from estimator import priors
 from estimator.belief import INCOMPATIBLE, belief, may_claim
 from estimator.filter import Config, assimilate, prior
 from estimator.kernels.weights import moments
 from estimator.priors import Gamma, Normal, Prior, Uniform
+from link import cli
 from link.bus.mavlink import Reading
 from plume.randomness import derived_seed, keyed
 from plume.scenario import AREA_M, BUDGET_STEPS, SUCCESS_RADIUS_M, Scenario, draw
@@ -144,21 +148,20 @@ def squared_error(error: Array, covariance: Array) -> float:
     return float(error @ np.linalg.solve(covariance, error))
 
 
-def _fly(job: tuple[Case, int]) -> Flight:
-    return fly(*job)
+WORKERS = os.cpu_count() or 1
 
 
 def flights(case: Case, missions: int) -> list[Flight]:
     """Fly all missions of a case on all cores."""
     began = time.monotonic()
-    results = []
-    with Pool() as pool:
-        for flight in pool.imap(_fly, [(case, FIRST_SEED + i) for i in range(missions)], chunksize=5):
-            results.append(flight)
+    results: dict[int, Flight] = {}
+    with closing(as_flown(partial(fly, case), range(FIRST_SEED, FIRST_SEED + missions), WORKERS)) as flown:
+        for seed, flight in flown:
+            results[seed] = flight
             if len(results) % 50 == 0:
                 print(f"\r{case.name}, N = {case.particles}: {len(results)}/{missions}", end="", file=sys.stderr, flush=True)
     print(f", {time.monotonic() - began:.0f} s", file=sys.stderr)
-    return results
+    return [results[seed] for seed in sorted(results)]  # intervals are resampled in this order
 
 
 def share(hits: int, of: int) -> str:
@@ -315,8 +318,8 @@ def survive(seed: int) -> tuple[bool, float]:
 
 def section_harsh(missions: int) -> str:
     """Ten times as many missions that try to make the filter collapse."""
-    with Pool() as pool:
-        results = pool.map(survive, range(FIRST_SEED, FIRST_SEED + 10 * missions), chunksize=20)
+    with closing(as_flown(survive, range(FIRST_SEED, FIRST_SEED + 10 * missions), WORKERS)) as flown:
+        results = [result for _, result in flown]
     beyond = sum(nees > 50 for _, nees in results)
     return (
         "N 1,000, q log-uniform over 50 to 5,000 g/s, d over 0.2 to 8 m²/s, u to 6 m/s, τ 2 to 30 s; straight dashes at the source from\n"
@@ -346,7 +349,7 @@ bootstrap for the rest. One flight serves all thresholds: it would have stopped 
 """
 
 
-def main() -> None:
+def main() -> int:
     """Fly what is asked for and put its tables into the page; other sections of the page stay as they are."""
     parser = argparse.ArgumentParser(description="Write the tables of docs/calibration.md.")
     parser.add_argument("--only", choices=SECTIONS, action="append", help="these sections (default: all)")
@@ -358,9 +361,15 @@ def main() -> None:
         texts = {name: part for name, (title, _) in SECTIONS.items() for part in parts if part.startswith(title + "\n")}
     for name in args.only or SECTIONS:
         title, write = SECTIONS[name]
-        texts[name] = f"{title}\n\n{write(args.missions)}\n"
-        DOCUMENT.write_text(HEAD + "".join(f"\n## {texts[name].rstrip()}\n" for name in SECTIONS if name in texts))
+        try:
+            texts[name] = f"{title}\n\n{write(args.missions)}\n"
+        except WorkerLost as error:
+            print(f"error: {error}; sections before `{name}` are written, --only flies the others", file=sys.stderr)
+            return cli.FAILED
+        with whole(DOCUMENT) as page:
+            page.write_text(HEAD + "".join(f"\n## {texts[name].rstrip()}\n" for name in SECTIONS if name in texts))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    cli.run(main)

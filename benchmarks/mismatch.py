@@ -10,13 +10,12 @@ missions in one world. A policy's rows are put there when all its missions in th
 """
 
 import math
-import multiprocessing
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -25,15 +24,17 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from agent.policies import choose, policy, reach
+from agent.policies import bundle_path, choose, policy, reach
 from agent.trials.evaluate import FIRST_TEST_SEED, read_csv, write_csv
 from agent.trials.figures import COLUMNS, UNKNOWN, MissionRow, cell, figures
+from agent.trials.files import whole
 from agent.trials.rollout import ALTITUDE_M, Step
-from agent.trials.sweep import THREADS
+from agent.trials.workers import WorkerLost, as_flown
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link import cli
 from link.bus.mavlink import Reading
+from plume import __version__
 from plume.outcome import TracePoint, outcome
 from plume.randomness import derived_seed, keyed
 from plume.scenario import AREA_M, BUDGET_STEPS, SOURCE_HIGH_M, SOURCE_LOW_M, SUCCESS_RADIUS_M, Scenario, draw
@@ -141,7 +142,7 @@ def steps(mismatch: Mismatch, name: str, seed: int, particles: int = PARTICLES, 
 
 def fly(world: str, name: str, seed: int, particles: int = PARTICLES, budget: int = BUDGET_STEPS) -> MissionRow:
     """Fly a mission of a policy in a world; returns its row."""
-    mismatch, within = WORLDS[world], reach(name)
+    mismatch, within, learned = WORLDS[world], reach(name), bundle_path(name) is not None
     flown = list(steps(mismatch, name, seed, particles, budget))
     last = flown[-1].belief
     trace = [TracePoint(step.belief.position, step.belief.gas, step.belief.mean, step.belief.spread) for step in flown]
@@ -155,9 +156,9 @@ def fly(world: str, name: str, seed: int, particles: int = PARTICLES, budget: in
         threshold_m=THRESHOLD_M,
         seed=seed,
         budget=budget,
-        headings=within.headings,
+        headings=None if learned else within.headings,
         step_m=within.step,
-        measurements=within.measurements,
+        measurements=None if learned else within.measurements,
         ceased=result.ceased,
         located=result.located,
         estimate_x=result.estimate[0],
@@ -173,6 +174,7 @@ def fly(world: str, name: str, seed: int, particles: int = PARTICLES, budget: in
         search_time_s=result.search_time_s,
         decision_ms=1e3 * float(np.mean(decisions_s)) if decisions_s else 0.0,
         update_ms=1e3 * float(np.mean(updates_s)),
+        version=__version__,
     )
 
 
@@ -180,19 +182,21 @@ Cell = tuple[str, str]
 """(world, policy)."""
 
 
-def fly_all(cells: Sequence[Cell], seeds: Sequence[int], progress: Progress) -> Iterator[tuple[Cell, list[MissionRow]]]:
+def fly_all(cells: Sequence[Cell], seeds: Sequence[int], progress: Progress) -> Generator[tuple[Cell, list[MissionRow]], None, None]:
     """Fly the missions of all seeds in each cell, on all cores; yields the rows of each cell when it has been flown."""
-    for variable in THREADS:
-        os.environ.setdefault(variable, "1")
     bar = progress.add_task("missions", total=len(cells) * len(seeds))
-    with multiprocessing.get_context("spawn").Pool() as pool:
-        for world, name in cells:
-            progress.update(bar, description=f"{world}, {name}")
-            rows = []
-            for row in pool.imap(partial(fly, world, name), seeds, chunksize=4):
-                rows.append(row)
-                progress.advance(bar)
-            yield (world, name), rows
+    tasks = ((cell, seed) for cell in cells for seed in seeds)
+    rows: dict[Cell, list[MissionRow]] = {}
+    with closing(as_flown(_fly, tasks, os.cpu_count() or 1)) as results:
+        for (cell, _), row in results:
+            rows.setdefault(cell, []).append(row)
+            progress.update(bar, advance=1, description=", ".join(cell))
+            if len(rows[cell]) == len(seeds):
+                yield cell, sorted(rows.pop(cell), key=lambda it: it.seed)
+
+
+def _fly(task: tuple[Cell, int]) -> MissionRow:
+    return fly(*task[0], task[1])
 
 
 def read(results: Path) -> dict[Cell, list[MissionRow]]:
@@ -207,9 +211,7 @@ def read(results: Path) -> dict[Cell, list[MissionRow]]:
 def keep(results: Path, world: str, name: str, rows: Sequence[MissionRow]) -> None:
     """Put the rows of a policy in a world beside those of others, in the place of its own from before."""
     results.mkdir(parents=True, exist_ok=True)
-    part = results / f"{world}.part.csv.gz"  # cut off while it is written, nothing is lost
-    write_csv([*(row for row in _read(results, world) if row.policy != name), *rows], part)
-    part.replace(_path(results, world))
+    write_csv([*(row for row in _read(results, world) if row.policy != name), *rows], _path(results, world))
 
 
 def _read(results: Path, world: str) -> list[MissionRow]:
@@ -310,17 +312,24 @@ def main() -> int:
     kept = 0
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"))
     try:
-        with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as progress:
-            for (world, name), rows in fly_all(cells, seeds, progress) if cells else ():
+        with (
+            Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as progress,
+            closing(fly_all(cells, seeds, progress)) as flown,
+        ):
+            for (world, name), rows in flown:
                 keep(args.results, world, name, rows)
                 kept += 1
                 said = figures(rows)
                 line = f"{world}, {name}: " + "; ".join(f"{COLUMNS[key][0]} {cell(said, key)}" for key in SHOWN)
                 progress.console.print(line, markup=False, soft_wrap=True)
+    except WorkerLost as error:
+        print(f"error: {error}", file=sys.stderr)
+        return cli.FAILED
     finally:
         if kept < len(cells):
             print(f"{kept} of {len(cells)} cells were flown; the same command with --resume flies the others", file=sys.stderr)
-        args.page.write_text(page(read(args.results)))
+        with whole(args.page) as partial:
+            partial.write_text(page(read(args.results)))
     print(args.page)
     return 0
 

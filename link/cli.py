@@ -4,7 +4,8 @@ import argparse
 import math
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -134,6 +135,17 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags that say what a mission prints."""
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object on the last line of stdout")
     parser.add_argument("--trace", action="store_true", help="with --json: add every step's position, reading, mean and spread")
+
+
+def add_output_guard(parser: argparse.ArgumentParser) -> None:
+    """Add the flag without which no file that exists is written over."""
+    parser.add_argument("--force", action="store_true", help="write over files that exist")
+
+
+def existing(flag: str, paths: Iterable[Path], force: bool) -> str | None:
+    """Return the refusal, in one line, to write over the first of these that exists; None where there is none, or with `force`."""
+    there = next((path for path in paths if not force and path.exists()), None)
+    return None if there is None else f"{flag}: {str(there)!r} exists; wanted another name, or --force"
 
 
 def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:

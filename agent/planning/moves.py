@@ -25,6 +25,12 @@ class Reach:
     area_m: float = AREA_M
     """Side of the search area."""
 
+    @cached_property
+    def edge(self) -> float:
+        """The greatest coordinate in the area that the wire can carry, a float32 value, m."""
+        edge = np.float32(self.area_m)
+        return float(edge if float(edge) <= self.area_m else np.nextafter(edge, np.float32(0)))
+
     def moves(self, position: tuple[float, float]) -> Array:
         """Return the waypoints (A, 2) m that one step reaches without leaving the area; float32 values, as the wire carries them."""
         places = (np.asarray(position) + self.step * self.directions).astype(np.float32).astype(np.float64)

@@ -5,11 +5,16 @@ import os
 import pickle
 import signal
 import socket
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterable, Sequence
+from itertools import islice
 from typing import Any
 
 from agent.trials.figures import MissionRow
-from agent.trials.sweep import THREADS, Flight, Sweep, code
+from agent.trials.sweep import Flight, Sweep, code
+from agent.trials.workers import THREADS
+
+AHEAD = 10_000
+"""Tasks handed out at once: more than a cluster flies in the second between two looks, and never all of ten million."""
 
 
 class ClusterError(Exception):
@@ -36,7 +41,7 @@ def join(address: str) -> None:
     signal.signal(signal.SIGTERM, terminate)  # Ray took it
 
 
-def on_cluster(sweep: Sweep, tasks: Sequence[Sequence[Flight]]) -> Iterator[list[MissionRow]]:
+def on_cluster(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[list[MissionRow], None, None]:
     """Fly on the cluster joined, and leave it."""
     import ray
 
@@ -54,8 +59,9 @@ def on_cluster(sweep: Sweep, tasks: Sequence[Sequence[Flight]]) -> Iterator[list
 
     try:
         remote = ray.remote(num_cpus=1)(fly_there)
-        waiting = [remote.remote(pickle.dumps((sweep, flights))) for flights in tasks]
-        while waiting:
+        left = iter(tasks)
+        waiting: list[Any] = []
+        while waiting := waiting + [remote.remote(pickle.dumps((sweep, flights))) for flights in islice(left, AHEAD - len(waiting))]:
             finished, waiting = ray.wait(waiting, num_returns=len(waiting), timeout=1)
             for flown in ray.get(finished):
                 if isinstance(flown, str):

@@ -6,7 +6,9 @@ import gzip
 import json
 import os
 import sys
+import zlib
 from collections.abc import Sequence
+from contextlib import closing
 from itertools import groupby
 from pathlib import Path
 from typing import IO, Any, cast
@@ -15,12 +17,14 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from agent.policies import bundle_path, policy_argument, reach
 from agent.policies import named as policy_names
-from agent.policies import policy_argument, reach
 from agent.trials.cluster import ClusterError, join, on_cluster
 from agent.trials.figures import COLUMNS, MissionRow, cell, figures
+from agent.trials.files import whole
 from agent.trials.progress import progress_bar
 from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
+from agent.trials.workers import WorkerLost
 from estimator.options import add_sensor_argument
 from link import cli
 from plume.randomness import MAX_SEED
@@ -28,6 +32,8 @@ from plume.scenario import BUDGET_STEPS
 
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
+CUT_OFF = "\0"
+"""Read for a value that a line of a table does not have."""
 SHOWN = ("ceased", "located", "false_stop", "mtd_m", "mtd_floors", "search_time_s", "decision_ms")
 """Figures in the table; all are in the JSON."""
 
@@ -57,6 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cli.add_filter_arguments(parser, several=True)
     add_sensor_argument(parser)
     parser.add_argument("--missions", type=Path, metavar="FILE.csv", help="write a row a mission there; FILE.csv.gz compresses")
+    cli.add_output_guard(parser)
     parser.add_argument(
         "--workers",
         type=cli.whole(1, 4096),
@@ -89,6 +96,10 @@ def run(args: argparse.Namespace) -> int:
     if args.missions and args.missions.is_dir():
         print(f"error: --missions: {str(args.missions)!r} is a folder; wanted a file", file=sys.stderr)
         return cli.BAD_INPUT
+    files = [args.missions] if args.missions and args.missions.is_file() else []  # a pipe or a device holds nothing to lose
+    if refusal := cli.existing("--missions", files, args.force):
+        print(f"error: {refusal}", file=sys.stderr)
+        return cli.BAD_INPUT
     try:
         if args.ray:
             join(args.ray)
@@ -100,20 +111,24 @@ def run(args: argparse.Namespace) -> int:
 
 def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
     journal = journal_of(sweep, KEPT_IN)
-    total = len(sweep.flights)
     rows: list[MissionRow] = []
+
+    def kept() -> str:
+        return f"{len(rows) // len(args.threshold)} of {sweep.count} missions are kept; the same command goes on from there"
+
     try:
-        with progress_bar() as progress:
-            task = progress.add_task("missions", total=total)
-            for flown in fly_all(sweep, journal, on_cluster if args.ray else on_cores(args.workers)):
+        flights = fly_all(sweep, journal, on_cluster if args.ray else on_cores(args.workers))
+        with progress_bar() as progress, closing(flights):
+            task = progress.add_task("missions", total=sweep.count)
+            for flown in flights:
                 rows += flown
                 progress.advance(task)
     except KeyboardInterrupt:
-        print(
-            f"interrupted: {len(rows) // len(args.threshold)} of {total} missions are kept; the same command goes on from there",
-            file=sys.stderr,
-        )
+        print(f"interrupted: {kept()}", file=sys.stderr)
         raise
+    except (WorkerLost, OSError) as error:
+        print(f"error: {error}; {kept()}", file=sys.stderr)
+        return cli.FAILED
     rows = ordered(rows, sweep)
     if args.missions:
         try:
@@ -125,7 +140,7 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
     print_table(result)
     if args.json:
         print(json.dumps(result))
-    journal.unlink()
+    journal.unlink(missing_ok=True)  # the same sweep may have ended beside this one
     return 0
 
 
@@ -140,8 +155,11 @@ def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
 
 
 def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
-    """Write a row a mission, under a row of names, to six significant digits; a name that ends in .gz is compressed."""
-    with _open(path, "wt") as file:
+    """Write a row a mission, under a row of names, to six significant digits; a name that ends in .gz is compressed.
+
+    What was there stays until all is written.
+    """
+    with whole(path) as partial, _open(partial, "wt", compressed=path.suffix == ".gz") as file:
         writer = csv.writer(file)
         writer.writerow(MissionRow.__struct_fields__)
         for row in rows:
@@ -149,17 +167,25 @@ def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
 
 
 def read_csv(path: Path) -> list[MissionRow]:
-    """Read what `write_csv` wrote. Raises ValueError on anything else."""
-    with _open(path, "rt") as file:
+    """Read what `write_csv` wrote, this version's or an older one's. Raises ValueError on anything else."""
+    with _open(path, "rt", compressed=path.suffix == ".gz") as file:
+        reader = csv.DictReader(file, restval=CUT_OFF)
         try:
-            rows = ({name: value or None for name, value in row.items()} for row in csv.DictReader(file))
-            return [msgspec.convert(row, MissionRow, strict=False) for row in rows]
-        except (msgspec.ValidationError, csv.Error, OSError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: {error}") from error
+            return [_row(said) for said in reader]
+        except (ValueError, csv.Error, OSError, EOFError, zlib.error) as error:
+            raise ValueError(f"{path}: line {reader.line_num}: {error}") from error
 
 
-def _open(path: Path, mode: str) -> IO[str]:
-    opener = gzip.open if path.suffix == ".gz" else open
+def _row(said: dict[str | None, str]) -> MissionRow:
+    if None in said or CUT_OFF in said.values():
+        raise ValueError("it has not as many values as there are columns")
+    row = msgspec.convert({name: value or None for name, value in said.items()}, MissionRow, strict=False)
+    # Older versions wrote a planner's numbers here for learned policies too.
+    return msgspec.structs.replace(row, headings=None, measurements=None) if bundle_path(row.policy) else row
+
+
+def _open(path: Path, mode: str, *, compressed: bool) -> IO[str]:
+    opener = gzip.open if compressed else open
     return cast(IO[str], opener(path, mode, newline=""))
 
 

@@ -8,6 +8,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from plume.sensor import GAUSSIAN, text
+
 Array = NDArray[np.float64]
 RESAMPLES = 1000
 LARGEST = 2_000_000
@@ -35,9 +37,11 @@ class MissionRow(msgspec.Struct, frozen=True):
     threshold_m: float
     seed: int
     budget: int
-    headings: int
+    headings: int | None
+    """Directions that a planner chose from; None for a learned policy, which has its own."""
     step_m: float
-    measurements: int
+    measurements: int | None
+    """Hypothetical readings for each move; None for a learned policy, which imagines none."""
     ceased: bool
     located: bool
     estimate_x: float
@@ -57,6 +61,13 @@ class MissionRow(msgspec.Struct, frozen=True):
     """Compute time of the agent, a decision; mean."""
     update_ms: float
     """Compute time of the estimator, a reading; mean."""
+    sensor: str = text(GAUSSIAN)
+    """This column and the next ones are younger than the others: a row without them is taken to have been flown in the usual way."""
+    prior: str | None = None
+    """What else was unknown, or known better: as `--prior` reads it, with spaces between several; None where nothing was."""
+    stop_on: str = "location"
+    version: str | None = None
+    """Of Plumeward, which flew it; None where the row does not say."""
 
 
 class Interval(msgspec.Struct, frozen=True):

@@ -2,14 +2,13 @@
 
 import hashlib
 import math
-import multiprocessing
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing, suppress
+from dataclasses import astuple, dataclass, field
 from functools import cache, partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numba
@@ -19,15 +18,16 @@ from agent.policies import bundle_path, reach
 from agent.trials.figures import MissionRow
 from agent.trials.floor import LEAST_THRESHOLD_M, floors_m
 from agent.trials.rollout import Mission, mission
+from agent.trials.workers import as_flown
 from estimator.belief import may_claim, sure_enough
 from estimator.filter import Config
+from estimator.priors import KINDS
 from link.bus.messages import Belief
+from plume import __version__
 from plume.scenario import BUDGET_STEPS, STEP_M, SUCCESS_RADIUS_M
-from plume.sensor import GAUSSIAN
+from plume.sensor import GAUSSIAN, text
 
 PACKAGES = ("plume", "link", "estimator", "agent")
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""One thread a worker: pools beside each other slow all of them down."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,26 @@ class Sweep:
     """More fields of `Config`."""
 
     @property
-    def flights(self) -> list["Flight"]:
+    def flights(self) -> Iterator["Flight"]:
         """All that is to be flown, seed by seed; one flight serves all thresholds."""
-        return [(policy, particles, seed) for seed in self.seeds for policy in self.policies for particles in self.particles]
+        return ((policy, particles, seed) for seed in self.seeds for policy in self.policies for particles in self.particles)
+
+    @property
+    def count(self) -> int:
+        """How many flights that is."""
+        return len(self.seeds) * len(self.policies) * len(self.particles)
+
+    def __contains__(self, flight: "Flight") -> bool:
+        """Whether it is among these flights."""
+        policy, particles, seed = flight
+        return policy in self.policies and particles in self.particles and seed in self.seeds
 
 
 Flight = tuple[str, int, int]
 """(policy, particles, seed)."""
-Flyer = Callable[[Sweep, Sequence[Sequence[Flight]]], Iterator[list[MissionRow]]]
+Rows = Annotated[list[MissionRow], msgspec.Meta(min_length=1)]
+"""Of a flight: a row a ζ."""
+Flyer = Callable[[Sweep, Iterable[Sequence[Flight]]], Generator[list[MissionRow], None, None]]
 """(sweep, flights by seed) -> the rows of each flight, in any order."""
 
 
@@ -86,7 +98,7 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
 
     def row(threshold_m: float, ceased: bool) -> MissionRow:
         floor_m = floors.get(threshold_m)
-        return _row(sweep, flight, threshold_m, ceased, said, scenario.source, distance_m, floor_m, updates_s, decisions_s)
+        return _row(sweep, flight, config, threshold_m, ceased, said, scenario.source, distance_m, floor_m, updates_s, decisions_s)
 
     for said, _, update_s, decision_s in steps:
         updates_s.append(update_s)
@@ -107,11 +119,11 @@ def _ceased(said: Belief, config: Config, threshold_m: float) -> bool:
 
 
 def _row(
-    sweep: Sweep, flight: Flight, threshold_m: float, ceased: bool, last: Belief, source: tuple[float, float], distance_m: float,
-    floor_m: float | None, updates_s: Sequence[float], decisions_s: Sequence[float],
+    sweep: Sweep, flight: Flight, config: Config, threshold_m: float, ceased: bool, last: Belief, source: tuple[float, float],
+    distance_m: float, floor_m: float | None, updates_s: Sequence[float], decisions_s: Sequence[float],
 ) -> MissionRow:  # fmt: skip
     policy, particles, seed = flight
-    moves = reach(policy, sweep.moves)
+    moves, learned = reach(policy, sweep.moves), bundle_path(policy) is not None
     error = np.subtract(last.mean, source)
     error_m = math.dist(last.mean, source)
     xx, xy, yy = last.covariance
@@ -121,9 +133,9 @@ def _row(
         threshold_m=threshold_m,
         seed=seed,
         budget=sweep.budget,
-        headings=moves.headings,
+        headings=None if learned else moves.headings,
         step_m=moves.step,
-        measurements=moves.measurements,
+        measurements=None if learned else moves.measurements,
         ceased=ceased,
         located=ceased and error_m <= SUCCESS_RADIUS_M,
         estimate_x=last.mean[0],
@@ -139,32 +151,46 @@ def _row(
         search_time_s=sum(updates_s) + sum(decisions_s),
         decision_ms=1e3 * float(np.mean(decisions_s)) if decisions_s else 0.0,
         update_ms=1e3 * float(np.mean(updates_s)),
+        **told(config),
+        version=__version__,
     )
 
 
-def fly_all(sweep: Sweep, journal: Path, fly_tasks: Flyer) -> Iterator[list[MissionRow]]:
+def told(config: Config) -> dict[str, Any]:
+    """What a row says of what the estimator was told: the columns `sensor`, `prior` and `stop_on`, as the flags read them."""
+    names = {kind: name for name, kind in KINDS.items()}
+    priors = [f"{name}={names[type(prior)]}:{','.join(map(repr, astuple(prior)))}" for name, prior in config.priors.items()]
+    stop_on = ["location"] * config.stop_on_location + [f"{name}={limit!r}" for name, limit in config.stop_limits.items()]
+    return {"sensor": text(config.sensor), "prior": " ".join(priors) or None, "stop_on": ",".join(stop_on)}
+
+
+def fly_all(sweep: Sweep, journal: Path, fly_tasks: Flyer) -> Generator[list[MissionRow], None, None]:
     """Fly what the journal does not hold yet; yields the rows of each flight as it ends, those of the journal first.
 
     The journal takes each flight as it ends, so that a sweep that is cut off goes on where it was.
     """
-    done: dict[Flight, list[MissionRow]] = {}
-    if journal.exists():
-        for line in journal.read_bytes().splitlines():
-            try:
-                rows = msgspec.json.decode(line, type=list[MissionRow])
-            except msgspec.DecodeError:
-                continue  # the line that was being written when it was cut off
-            done[rows[0].policy, rows[0].particles, rows[0].seed] = rows
-    wanted = sweep.flights
-    yield from (done[flight] for flight in wanted if flight in done)
-    left = (flight for flight in wanted if flight not in done)
-    tasks = [list(flights) for _, flights in groupby(left, key=lambda flight: flight[2])]
+    done = _kept(journal)
+    yield from (rows for flight, rows in done.items() if flight in sweep)
+    left = (flight for flight in sweep.flights if flight not in done)
+    tasks = (list(flights) for _, flights in groupby(left, key=lambda flight: flight[2]))
     journal.parent.mkdir(parents=True, exist_ok=True)
-    with journal.open("ab", buffering=0) as file:
+    with journal.open("ab", buffering=0) as file, closing(fly_tasks(sweep, tasks)) as flown:
         file.write(b"\n")  # ends a line that was cut off
-        for rows in fly_tasks(sweep, tasks):
+        for rows in flown:
             file.write(msgspec.json.encode(rows) + b"\n")
             yield rows
+
+
+def _kept(journal: Path) -> dict[Flight, list[MissionRow]]:
+    """What a journal holds; a line that cannot be read was being written when the sweep was cut off."""
+    done: dict[Flight, list[MissionRow]] = {}
+    if journal.exists():
+        with journal.open("rb") as file:
+            for line in file:
+                with suppress(msgspec.DecodeError, UnicodeDecodeError):
+                    rows = msgspec.json.decode(line, type=Rows)
+                    done[rows[0].policy, rows[0].particles, rows[0].seed] = rows
+    return done
 
 
 def on_cores(workers: int) -> Flyer:
@@ -172,13 +198,9 @@ def on_cores(workers: int) -> Flyer:
     return partial(_on_cores, workers)
 
 
-def _on_cores(workers: int, sweep: Sweep, tasks: Sequence[Sequence[Flight]]) -> Iterator[list[MissionRow]]:
-    if not tasks:
-        return
-    for name in THREADS:
-        os.environ.setdefault(name, "1")
-    with multiprocessing.get_context("spawn").Pool(min(workers, len(tasks))) as pool:
-        for flown in pool.imap_unordered(partial(fly, sweep), tasks):
+def _on_cores(workers: int, sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[list[MissionRow], None, None]:
+    with closing(as_flown(partial(fly, sweep), tasks, workers)) as results:
+        for _, flown in results:
             yield from flown
 
 

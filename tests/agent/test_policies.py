@@ -13,9 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent import policies
-from agent.__main__ import main
+from agent.__main__ import _parse, main
 from agent.planners.registry import PLANNERS
 from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
 from agent.policies import SHIPPED, PolicyError, choose, named, policy, reach
@@ -127,6 +128,17 @@ def test_only_planners_take_flags_that_say_how_to_move(tmp_path: Path, plug: Plu
         (("rollout", "--policy", "a.zip", "--headings", "8"), "--headings is for planners; a.zip moves as it was trained to"),
         (("evaluate", "--policy", "random,a.zip", "--step", "2"), "--step is for planners; a.zip moves as it was trained to"),
         (("--policy", "a.zip", "--measurements", "9"), "--measurements is for planners; a.zip moves as it was trained to"),
+        (("--area", "0"), "--area: '0' is not allowed; wanted a number above 0 up to 100000"),
+        (("--area", "50", "--policy", "a.zip"), "--area: 50 is not allowed with a.zip; learned policies see the area that they were"),
+        (
+            ("--area", "10", "--policy", "ppo"),
+            "--area: 10 is not allowed with ppo; learned policies see the area that they were trained in, 30 m",
+        ),
+        (("--waypoints", "0:1,30.5"), "--waypoints: '0:1,30.5' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 30 m"),
+        (("--area", "50", "--waypoints", "0:1,50.5"), "'0:1,50.5' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 50 m"),
+        (("--area", "20", "--waypoints", "0:1,25"), "'0:1,25' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 20 m"),
+        (("--waypoints", "0:nan,1"), "--waypoints: '0:nan,1' is not allowed"),
+        (("--waypoints=-1:2,1",), "--waypoints: '-1:2,1' is not allowed"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
@@ -145,6 +157,31 @@ def test_bad_input_is_one_clear_line_and_status_2(
     assert (status, out) == (2, "")
     (said,) = err.splitlines()
     assert line in said
+
+
+@pytest.mark.parametrize("name", [name for name in PLANNERS if name != "random"])
+def test_the_agent_searches_all_of_the_area_that_it_is_told_of(seen: tuple[Belief, Particles], name: str) -> None:
+    belief, particles = seen
+    away = replace(belief, position=(45.0, 45.0), mean=(58.0, 45.0))  # where the usual area has no move at all
+    there = np.array(particles)
+    there[:, :2] = np.random.default_rng(1).normal((58.0, 45.0), 0.5, (len(there), 2))
+    x, y = choose(name, away, there, 0, _parse(["--policy", name, "--area", "60"]).reach)
+    assert math.dist((x, y), (45.0, 45.0)) == pytest.approx(1.0, abs=1e-5)
+    assert not Reach().moves(away.position).size
+
+
+def test_scripted_waypoints_may_lie_in_all_of_the_area() -> None:
+    assert _parse(["--area", "60", "--waypoints", "3:59.5,0;60,1"]).scripted == {3: (59.5, 0.0), 4: (60.0, 1.0)}
+    assert _parse(["--waypoints", "0:30,0.1", "--waypoints", "4:2,3"]).scripted == {0: (30.0, float(np.float32(0.1))), 4: (2.0, 3.0)}
+
+
+def test_no_waypoint_is_rounded_out_of_the_area(plug: Plug, seen: tuple[Belief, Particles]) -> None:
+    plug("def theirs(belief, particles, reach, rng): return 1e9, reach.area_m")
+    reached = _parse(["--policy", "theirs", "--area", "30.1", "--waypoints", "0:30.1,30.1"])
+    assert np.float32(30.1).item() > 30.1
+    below = np.nextafter(np.float32(30.1), np.float32(0)).item()
+    assert choose("theirs", *seen, 0, reached.reach) == (below, below)
+    assert reached.scripted == {0: (below, below)}
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,10 @@
 
 import math
 import os
+import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +20,7 @@ from benchmarks import mismatch
 from benchmarks.mismatch import WORLDS, fly, fly_all, keep, page, read, steps
 from estimator.filter import Posterior
 from link.bus.mavlink import Reading
+from plume import __version__
 from plume.outcome import TracePoint
 from plume.randomness import keyed
 from plume.scenario import draw
@@ -207,6 +210,45 @@ def test_rows_are_the_same_from_any_process() -> None:
     assert cell == ("readings-lost", "greedy")
     timeless = {"search_time_s": 0.0, "decision_ms": 0.0, "update_ms": 0.0}
     assert [replace(it, **timeless) for it in rows] == [replace(fly("readings-lost", "greedy", seed), **timeless) for seed in seeds]
+
+
+def test_rows_of_a_learned_policy_have_no_planners_numbers_and_all_say_who_flew_them() -> None:
+    learned, planned = (fly("noise-doubled", name, 1_000_000, 100, 3) for name in ("ppo", "homing"))
+    assert (learned.headings, learned.measurements, planned.headings, planned.measurements) == (None, None, 8, 100)
+    assert (learned.version, planned.version) == (__version__, __version__)
+    assert learned.sensor == "gaussian:0.3,0.2"  # as the estimator is told, which is not what the world has
+
+
+def test_what_is_flown_again_joins_the_rows_that_an_older_version_kept(tmp_path: Path) -> None:
+    committed = ROOT / "results" / "mismatch" / "wind-10.csv.gz"
+    (tmp_path / committed.name).write_bytes(committed.read_bytes())
+    before = read(tmp_path)
+    keep(tmp_path, "wind-10", "ppo", [row("ppo", 1)])
+    after = read(tmp_path)
+    assert len(after.pop(("wind-10", "ppo"))) == 1
+    assert len(before.pop(("wind-10", "ppo"))) > 1
+    assert after == before
+
+
+def test_a_killed_worker_ends_it_with_a_line(tmp_path: Path, wait_until: Callable) -> None:
+    flags = ("--results", str(tmp_path / "rows"), "--page", str(tmp_path / "page.md"), "--only", "wind-10", "--policy", "greedy")
+    python = (sys.executable, "-m", "benchmarks.mismatch", *flags, "--missions", "100000")
+    with subprocess.Popen(python, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+
+        def workers() -> list[int]:
+            return [int(it) for it in children.read_text().split() if "spawn_main" in Path(f"/proc/{it}/cmdline").read_text()]
+
+        try:
+            wait_until(workers)
+            os.kill(workers()[0], signal.SIGKILL)
+            _, said = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert process.returncode == 1
+    lines = said.splitlines()
+    assert "error: a worker process was killed; the memory may have run out" in lines
+    assert lines[-1] == "0 of 1 cells were flown; the same command with --resume flies the others"
 
 
 def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -49,6 +50,90 @@ def test_an_interrupted_sweep_goes_on_where_it_was(start, tmp_path: Path, wait_u
     assert journal.read_bytes().startswith(kept)
     second.process.send_signal(signal.SIGINT)
     assert second.ended() == 130
+
+
+def workers(pid: int) -> list[int]:
+    """The processes that fly for a sweep."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [int(child) for child in children if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text()]
+
+
+def gone(pid: int) -> bool:
+    """Whether a process has ended; it may not have been waited for."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+def flying(sweep, folder: Path) -> bool:
+    """Whether some missions have been flown."""
+    return len(workers(sweep.process.pid)) == 2 and any(path.read_bytes().count(b"\n") > 5 for path in folder.glob("runs/*.jsonl"))
+
+
+def test_a_killed_worker_ends_the_sweep_with_a_line_and_nothing_is_lost(start, tmp_path: Path, wait_until: Callable) -> None:
+    command = (*QUICK, "--scenarios", "5000")
+    sweep = start(*command, cwd=tmp_path)
+    wait_until(lambda: flying(sweep, tmp_path))
+    first, second = workers(sweep.process.pid)
+    os.kill(first, signal.SIGKILL)
+    assert sweep.ended() == 1
+    (journal,) = tmp_path.glob("runs/*.jsonl")
+    kept = journal.read_bytes()
+    count = len([line for line in kept.splitlines() if line])
+    assert sweep.err[-1] == (
+        "error: a worker process was killed; the memory may have run out; "
+        f"{count} of 10000 missions are kept; the same command goes on from there\n"
+    )
+    assert not sweep.says("Traceback")
+    assert gone(second)
+    again = start(*command, cwd=tmp_path)
+    wait_until(lambda: len(journal.read_bytes()) > len(kept) + 1)
+    assert journal.read_bytes().startswith(kept)
+    again.process.send_signal(signal.SIGINT)
+    assert again.ended() == 130
+
+
+@pytest.mark.parametrize("when", ["as it starts", "as it flies"])
+def test_an_interrupt_from_the_terminal_is_one_line_and_leaves_no_worker(start, tmp_path: Path, wait_until: Callable, when: str) -> None:
+    sweep = start(*QUICK, "--scenarios", "5000", cwd=tmp_path)
+    wait_until(lambda: flying(sweep, tmp_path) if when == "as it flies" else workers(sweep.process.pid))
+    pids = workers(sweep.process.pid)
+    for pid in (*pids, sweep.process.pid):  # as a terminal does: to all of them
+        os.kill(pid, signal.SIGINT)
+    assert sweep.ended() == 130
+    assert sweep.err[-1].startswith("interrupted: ")
+    assert not sweep.says("Traceback")
+    assert not sweep.says("KeyboardInterrupt")
+    assert all(map(gone, pids))
+
+
+def test_workers_do_not_outlive_a_killed_sweep(start, tmp_path: Path, wait_until: Callable) -> None:
+    sweep = start(*QUICK, "--scenarios", "5000", cwd=tmp_path)
+    wait_until(lambda: flying(sweep, tmp_path))
+    pids = workers(sweep.process.pid)
+    sweep.process.kill()
+    wait_until(lambda: all(map(gone, pids)))
+
+
+def test_a_table_that_exists_is_written_over_only_when_asked_to(start, tmp_path: Path) -> None:
+    table = tmp_path / "missions.csv"
+    table.write_text("a year's work\n")
+    command = (*QUICK, "--scenarios", "2", "--missions", "missions.csv")
+    refused = start(*command, cwd=tmp_path)
+    assert refused.ended() == 2
+    assert refused.err == ["error: --missions: 'missions.csv' exists; wanted another name, or --force\n"]
+    assert [path.name for path in tmp_path.iterdir()] == ["missions.csv"]  # nothing was flown
+    assert table.read_text() == "a year's work\n"
+    assert start(*command, "--force", cwd=tmp_path).ended() == 0
+    assert len(table.read_text().splitlines()) == 1 + 2 * 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["missions.csv", "runs"]
+
+
+def test_a_table_can_go_through_a_pipe(start, tmp_path: Path) -> None:
+    sweep = start(*QUICK, "--scenarios", "1", "--missions", "/dev/stdout", cwd=tmp_path)
+    assert sweep.ended() == 0, sweep.err
+    assert [row["policy"] for row in csv.DictReader(sweep.out)] == ["greedy", "thompson"]
 
 
 def test_a_table_that_cannot_be_written_loses_nothing(start, tmp_path: Path) -> None:

@@ -14,6 +14,9 @@ def test_it_makes_a_page_of_what_evaluate_wrote(start, tmp_path: Path) -> None:
     assert report.err[-1] == "report/index.html\n"
     assert "| 20 | 0.5 | greedy | 2 |" in (tmp_path / "report" / "results.md").read_text()
     assert (tmp_path / "report" / "hundred.png").read_bytes().startswith(b"\x89PNG")
+    again = start("agent", "report", cwd=tmp_path)
+    assert again.ended() == 2
+    assert again.err == ["error: --out: 'report/particles.png' exists; wanted another name, or --force\n"]
 
 
 def test_bad_input_is_one_line(start, tmp_path: Path) -> None:

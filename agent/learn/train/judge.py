@@ -24,7 +24,7 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
     journal = journal_of(sweep, bundle.parent)
     rows = []
     with progress_bar() as progress:
-        task = progress.add_task("test missions", total=len(sweep.flights))
+        task = progress.add_task("test missions", total=sweep.count)
         for flown in fly_all(sweep, journal, on_cores(os.cpu_count() or 1)):
             rows += flown
             progress.advance(task)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from agent.policies import OURS
 from agent.trials.evaluate import FIRST_TEST_SEED
+from agent.trials.files import whole
 from agent.trials.report.page import Picture, page
 from agent.trials.report.results import USUAL, Results, read
 from agent.trials.report.tables import tables
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 FLIGHTS = 100
 TELLING_SEED = 1_000_009
 """A scenario in which methods differ: there is no gas between the start and the source."""
+PICTURES = ("particles", "thresholds", "trajectories", "hundred", "distances")
+FILES = (*(f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg")), "results.md", "index.html")
+"""What a report consists of."""
 UNDATED = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 """What an SVG would say of its making: left out, the same picture is the same file."""
 
@@ -33,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="raw results: .csv and .csv.gz files of `evaluate --missions` (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("report"), metavar="DIR", help="where to write (default: %(default)s)")
+    cli.add_output_guard(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,7 +55,14 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         print(f"error: --out: no folder {str(args.out)!r} to write in: {error.strerror}", file=sys.stderr)
         return cli.BAD_INPUT
-    write(results, args.out, FLIGHTS)
+    if refusal := cli.existing("--out", (args.out / name for name in FILES), args.force):
+        print(f"error: {refusal}", file=sys.stderr)
+        return cli.BAD_INPUT
+    try:
+        write(results, args.out, FLIGHTS)
+    except OSError as error:
+        print(f"error: --out: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
     return 0
 
 
@@ -66,18 +78,20 @@ def write(results: Results, out: Path, flights: int) -> None:
             pictures.append(Picture(name, title, caption, save(figure, out / name)))
             _say(f"{out / name}.png, .svg")
     all_tables = tables(results)
-    (out / "results.md").write_text("\n".join(["# What was measured\n", _summary(results) + "\n", *(it.markdown() for it in all_tables)]))
-    _say(out / "results.md")
-    (out / "index.html").write_text(page(_summary(results), pictures, all_tables))
-    _say(out / "index.html")
+    text = "\n".join(["# What was measured\n", _summary(results) + "\n", *(it.markdown() for it in all_tables)])
+    for name, words in (("results.md", text), ("index.html", page(_summary(results), pictures, all_tables))):
+        with whole(out / name) as partial:
+            partial.write_text(words)
+        _say(out / name)
 
 
 def save(figure: "Figure", stem: Path) -> bytes:
     """Write a picture as stem.png and stem.svg; returns the SVG."""
-    png, svg = stem.with_suffix(".png"), stem.with_suffix(".svg")
-    figure.savefig(png)
-    figure.savefig(svg, metadata=UNDATED)
-    return svg.read_bytes()
+    with whole(stem.with_suffix(".png")) as png:
+        figure.savefig(png, format="png")
+    with whole(stem.with_suffix(".svg")) as svg:
+        figure.savefig(svg, format="svg", metadata=UNDATED)
+        return svg.read_bytes()
 
 
 def _say(what: object) -> None:

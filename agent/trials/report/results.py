@@ -16,6 +16,10 @@ AS_GOOD = 0.01
 """Policies whose ceased shares differ by no more than this are told apart by their MTD."""
 
 
+WAY = ("budget", "headings", "step_m", "measurements", "sensor", "prior", "stop_on")
+"""Columns that are the same in all missions that are counted together."""
+
+
 class Setting(NamedTuple):
     """What the filter and its stop were set to."""
 
@@ -91,7 +95,7 @@ def read(folder: Path) -> Results:
         for row in read_csv(path):
             same = missions.setdefault((row.policy, Setting(row.particles, row.threshold_m)), {})
             if _way(same.setdefault(row.seed, row)) != _way(next(iter(same.values()))):
-                raise ValueError(f"{path}: {row.policy} was flown in another way there (budget, headings, step, measurements)")
+                raise ValueError(f"{path}: {row.policy} was flown in another way there ({', '.join(WAY)})")
     if not missions:
         raise ValueError(f"no mission in {str(folder)!r}; `python -m agent evaluate --missions FILE.csv` writes them")
     rank = {policy: i for i, policy in enumerate(OURS)}
@@ -100,5 +104,5 @@ def read(folder: Path) -> Results:
     return Results(rows, {key: figures(of) for key, of in rows.items()})
 
 
-def _way(row: MissionRow) -> tuple[float, ...]:
-    return row.budget, row.headings, row.step_m, row.measurements
+def _way(row: MissionRow) -> tuple[object, ...]:
+    return tuple(getattr(row, column) for column in WAY)

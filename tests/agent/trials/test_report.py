@@ -15,7 +15,8 @@ import pytest
 
 from agent.trials.evaluate import write_csv
 from agent.trials.figures import MissionRow
-from agent.trials.report.command import drawing, run, save, write
+from agent.trials.report import drawing
+from agent.trials.report.command import FILES, run, save, write
 from agent.trials.report.published import PUBLISHED
 from agent.trials.report.results import Results, Setting, read
 from agent.trials.report.tables import against_paper, tables
@@ -48,9 +49,18 @@ FOUR = [
 
 def test_missions_flown_in_two_ways_are_not_joined(tmp_path: Path) -> None:
     write_csv(FOUR, tmp_path / "four.csv")
-    write_csv([msgspec.structs.replace(flown(1_000_004), headings=8)], tmp_path / "one.csv")
-    with pytest.raises(ValueError, match=r"one\.csv: greedy was flown in another way there"):
-        read(tmp_path)
+    for other in ({"headings": 8}, {"sensor": "hits:3.0,0.1"}, {"prior": "q=gamma:2,150"}, {"stop_on": "location,q=50"}):
+        write_csv([msgspec.structs.replace(flown(1_000_004), **other)], tmp_path / "one.csv")
+        with pytest.raises(ValueError, match=r"one\.csv: greedy was flown in another way there \(budget, headings, step"):
+            read(tmp_path)
+
+
+def test_new_missions_of_a_learned_policy_are_joined_to_those_of_an_older_version(tmp_path: Path) -> None:
+    """Which gave it a planner's headings, and did not say which version it was."""
+    write_csv([flown(1_000_000, policy="ppo")], tmp_path / "old.csv")
+    new = msgspec.structs.replace(flown(1_000_001, policy="ppo"), headings=None, measurements=None, version="9")
+    write_csv([new], tmp_path / "new.csv")
+    assert [row.seed for row in read(tmp_path).rows["ppo", Setting(100, 0.5)]] == [1_000_000, 1_000_001]
 
 
 def results_of(folder: Path, rows: list[MissionRow]) -> Results:
@@ -150,7 +160,7 @@ def test_a_report_is_files_that_need_nothing_else(tmp_path: Path) -> None:
     out.mkdir()
     write(results_of(tmp_path, SEVERAL), out, flights=3)
     files = {path.name: path.read_bytes() for path in out.iterdir()}
-    assert set(files) == {"index.html", "results.md", *(f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg"))}
+    assert set(files) == {"index.html", "results.md", *(f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg"))} == set(FILES)
     page = files["index.html"].decode()
     for name in PICTURES:
         assert ET.fromstring(files[f"{name}.svg"]).tag == "{http://www.w3.org/2000/svg}svg"
@@ -164,8 +174,18 @@ def test_a_report_is_files_that_need_nothing_else(tmp_path: Path) -> None:
 
 def test_without_matplotlib_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert run(argparse.Namespace(results=tmp_path, out=tmp_path)) == 1
+    assert run(argparse.Namespace(results=tmp_path, out=tmp_path, force=False)) == 1
     assert capsys.readouterr().err == "error: pictures are drawn with matplotlib: pip install 'plumeward[view]'\n"
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_no_file_of_a_folder_is_written_over_unasked(tmp_path: Path, capsys, name: str) -> None:
+    results_of(tmp_path, FOUR)
+    (tmp_path / name).write_text("a page of mine")
+    assert run(argparse.Namespace(results=tmp_path, out=tmp_path, force=False)) == 2
+    assert capsys.readouterr().err == f"error: --out: '{tmp_path / name}' exists; wanted another name, or --force\n"
+    assert {path.name for path in tmp_path.iterdir()} == {"rows.csv", name}
+    assert (tmp_path / name).read_text() == "a page of mine"
 
 
 def test_the_service_does_not_pay_for_it() -> None:

@@ -1,6 +1,8 @@
 """Protects sweeps: a row is what a rollout says, whoever flies it and however often the sweep was cut off."""
 
 import gzip
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +13,21 @@ from agent.trials.evaluate import named, read_csv, write_csv
 from agent.trials.figures import MissionRow
 from agent.trials.floor import floors_m
 from agent.trials.rollout import rollout
-from agent.trials.sweep import Sweep, fly, fly_all, journal_of, on_cores, ordered
+from agent.trials.sweep import Flight, Sweep, fly, fly_all, journal_of, on_cores, ordered
+from estimator.priors import Gamma, Uniform
+from plume import __version__
 from plume.scenario import draw
 from plume.sensor import Hits
 
+RESULTS = Path(__file__).parents[3] / "results"
 SMALL = Sweep(("greedy", "thompson"), range(7, 10), particles=(100, 200), thresholds_m=(0.9, 2.0, 0.5), budget=80)
+
+
+ROW = MissionRow(
+    policy="greedy", particles=100, threshold_m=0.5, seed=7, budget=300, headings=4, step_m=1.0, measurements=25, ceased=True, located=True,
+    estimate_x=1.0, estimate_y=2.0, source_x=1.0, source_y=2.5, error_m=0.5, spread_m=0.4, nees=2.0, steps=30, distance_m=30.0,
+    floor_m=None, search_time_s=0.5, decision_ms=2.0, update_ms=1.0,
+)  # fmt: skip
 
 
 def untimed(rows: list[MissionRow]) -> list[MissionRow]:
@@ -62,6 +74,36 @@ def test_a_sweep_that_was_cut_off_goes_on_where_it_was(tmp_path: Path) -> None:
     assert again == rows
 
 
+def test_ten_million_missions_are_flown_as_they_come(tmp_path: Path) -> None:
+    large = Sweep(("greedy", "thompson"), range(10**15))  # a list of so many would not fit into any memory
+    assert large.count == 2 * 10**15
+
+    def first_two(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Iterator[list[MissionRow]]:
+        for flights in itertools.islice(tasks, 2):
+            assert [flight[0] for flight in flights] == ["greedy", "thompson"]
+            yield [msgspec.structs.replace(ROW, seed=flights[0][2])]
+
+    assert [rows[0].seed for rows in fly_all(large, tmp_path / "journal.jsonl", first_two)] == [0, 1]
+
+
+def test_a_journal_that_something_else_wrote_is_flown_anew(tmp_path: Path) -> None:
+    small = Sweep(("greedy",), [7], particles=(100,), budget=3)
+    journal = tmp_path / "journal.jsonl"
+    journal.write_bytes(b'[]\n{}\n[{"policy":"greedy"}]\n\xff\xfe\n\0\0\n[[[[\n')
+    (rows,) = fly_all(small, journal, on_cores(1))
+    assert untimed(rows) == untimed(fly(small, [("greedy", 100, 7)])[0])
+
+
+def test_a_row_that_an_older_version_kept_is_read(tmp_path: Path) -> None:
+    """A journal is only used by the code that wrote it: this is for the one who changes that."""
+    young = ("sensor", "prior", "stop_on", "version")
+    old = {name: value for name, value in msgspec.structs.asdict(ROW).items() if name not in young}
+    journal = tmp_path / "journal.jsonl"
+    journal.write_bytes(msgspec.json.encode([old]) + b"\n")
+    (rows,) = fly_all(Sweep(("greedy",), [7], particles=(100,)), journal, on_cores(1))
+    assert rows == [ROW]
+
+
 def test_another_question_has_another_journal(tmp_path: Path) -> None:
     others = [replace(SMALL, budget=81), replace(SMALL, thresholds_m=(0.9,)), replace(SMALL, knowledge={"stop_on_location": False})]
     assert len({journal_of(sweep, tmp_path) for sweep in [SMALL, *others]}) == 4
@@ -99,3 +141,60 @@ def test_rows_carry_the_floor_of_their_scenario_where_it_is_known() -> None:
     assert {row.threshold_m: row.floor_m for row in rows} == floors_m(draw(7), SMALL.thresholds_m)
     for other in (replace(SMALL, moves={"step": 0.5}), replace(SMALL, knowledge={"sensor": Hits()})):
         assert {row.floor_m for row in fly(other, [flight])[0]} == {None}
+
+
+def test_rows_say_what_the_estimator_was_told_and_who_flew_them() -> None:
+    flight = ("greedy", 100, 7)
+    (usual,) = fly(SMALL, [flight])[0][:1]
+    assert (usual.sensor, usual.prior, usual.stop_on, usual.version) == ("gaussian:0.3,0.2", None, "location", __version__)
+    told = {"priors": {"q": Gamma(2, 150), "u": Uniform(1, 4)}, "stop_limits": {"q": 50.0}, "stop_on_location": False, "sensor": Hits()}
+    (other,) = fly(replace(SMALL, knowledge=told), [flight])[0][:1]
+    assert (other.prior, other.stop_on) == ("q=gamma:2,150 u=uniform:1,4", "q=50.0")
+    assert other.sensor == "hits:3.0,0.1"
+
+
+def test_a_learned_policy_has_neither_headings_nor_measurements_of_a_planner(tmp_path: Path) -> None:
+    few = replace(SMALL, policies=("ppo", "greedy"), budget=3)
+    learned, planned = (fly(few, [(policy, 100, 7)])[0][0] for policy in few.policies)
+    assert (learned.headings, learned.measurements) == (None, None)
+    assert (planned.headings, planned.measurements) == (4, 25)
+    write_csv([learned, planned], tmp_path / "rows.csv")
+    lines = [line.split(",")[5:8] for line in (tmp_path / "rows.csv").read_text().splitlines()]
+    assert lines == [["headings", "step_m", "measurements"], ["", "1", ""], ["4", "1", "25"]]
+    assert msgspec.json.decode(msgspec.json.encode(learned))["headings"] is None
+
+
+def test_the_tables_of_older_versions_are_read() -> None:
+    """The committed ones have no columns of the sensor, the priors, the stop and the version; learned policies have headings there."""
+    path = RESULTS / "learned-particles.csv.gz"
+    lines = gzip.decompress(path.read_bytes()).decode().splitlines()
+    assert lines[0].endswith(",update_ms")
+    rows = read_csv(path)
+    assert len(rows) == len(lines) - 1
+    planned, learned = ([row for row in rows if (row.policy == "infotaxis") == planner] for planner in (True, False))
+    assert {(row.headings, row.measurements) for row in planned} == {(4, 25)}
+    assert {(row.headings, row.measurements) for row in learned} == {(None, None)}
+    assert {(row.sensor, row.prior, row.stop_on, row.version) for row in rows} == {("gaussian:0.3,0.2", None, "location", None)}
+    first = dict(zip(lines[0].split(","), lines[1].split(","), strict=True))
+    assert (rows[0].seed, rows[0].steps, rows[0].nees) == (int(first["seed"]), int(first["steps"]), float(first["nees"]))
+
+
+def test_a_table_that_was_cut_off_is_refused_by_name(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.csv.gz"
+    write_csv([ROW] * 200, whole)
+    (tmp_path / "half.csv.gz").write_bytes(whole.read_bytes()[:-20])
+    text = gzip.decompress(whole.read_bytes()).decode()
+    (tmp_path / "half.csv").write_text(text[: text.rindex(",")])
+    (tmp_path / "more.csv").write_text(text.rstrip() + ",7\r\n")
+    for name in ("half.csv.gz", "half.csv", "more.csv"):
+        with pytest.raises(ValueError, match=rf"{name}: line \d+: "):
+            read_csv(tmp_path / name)
+
+
+def test_a_table_that_cannot_be_finished_leaves_the_one_before(tmp_path: Path) -> None:
+    path = tmp_path / "rows.csv"
+    write_csv([ROW, ROW], path)
+    with pytest.raises(TypeError):
+        write_csv([ROW, "no row"], path)  # type: ignore[list-item]
+    assert read_csv(path) == [ROW, ROW]
+    assert list(tmp_path.iterdir()) == [path]

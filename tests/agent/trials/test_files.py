@@ -1,0 +1,41 @@
+"""Protects what is on disk: a file is written whole or stays what it was."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from agent.trials.files import whole
+
+
+def test_a_file_changes_when_all_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "rows.csv"
+    path.write_text("old")
+    with whole(path) as partial:
+        partial.write_text("new")
+        assert path.read_text() == "old"
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_fails_half_way_leaves_what_was_there_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "rows.csv"
+    path.write_text("old")
+    with pytest.raises(KeyboardInterrupt), whole(path) as partial:  # noqa: PT012
+        partial.write_text("ne")
+        raise KeyboardInterrupt
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_link_stays_a_link_and_a_pipe_a_pipe(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "there" / "rows.csv")
+    with whole(tmp_path / "link") as partial:
+        partial.write_text("new")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "there" / "rows.csv").read_text() == "new"
+    os.mkfifo(tmp_path / "pipe")
+    with whole(tmp_path / "pipe") as pipe:
+        assert pipe == tmp_path / "pipe"
+    assert pipe.is_fifo()
