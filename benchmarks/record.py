@@ -68,7 +68,7 @@ def comparisons(seed: int, policy: str, stretch: int, log: Path) -> Iterator[tup
             fly(SETTLE_STEPS)
             while flown < MISSION_STEPS:
                 before = fly(stretch)
-                command = [sys.executable, "-m", "sitl", "record", str(log), "--connect", endpoint]
+                command = [sys.executable, "-m", "sitl", "record", str(log), "--force", "--connect", endpoint]
                 with subprocess.Popen(command, stdout=subprocess.PIPE) as recorder:
                     fly_until(recording(recorder))
                     recorded = fly(2 * stretch)

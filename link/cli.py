@@ -1,7 +1,9 @@
 """Command lines: bad input gets one clear line and exit status 2; Ctrl-C and SIGTERM end a command cleanly."""
 
 import argparse
+import ctypes
 import math
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterable
@@ -15,6 +17,9 @@ from link.bus.session import DEFAULT_ROUTER, BusError
 INTERRUPTED = 130
 BAD_INPUT = 2
 FAILED = 1
+LAUNCHER = "PLUMEWARD_LAUNCHER"
+"""The environment variable by which a launcher tells its parts its process id: they end with it, however it ends."""
+PR_SET_PDEATHSIG = 1
 
 
 class Parser(argparse.ArgumentParser):
@@ -139,12 +144,12 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_output_guard(parser: argparse.ArgumentParser) -> None:
     """Add the flag without which no file that exists is written over."""
-    parser.add_argument("--force", action="store_true", help="write over files that exist")
+    parser.add_argument("--force", action="store_true", help="overwrite files that exist")
 
 
 def existing(flag: str, paths: Iterable[Path], force: bool) -> str | None:
-    """Return the refusal, in one line, to write over the first of these that exists; None where there is none, or with `force`."""
-    there = next((path for path in paths if not force and path.exists()), None)
+    """Return the refusal, in one line, to overwrite the first of these that exists; None where there is none, or with `force`."""
+    there = next((path for path in paths if not force and os.path.lexists(path)), None)
     return None if there is None else f"{flag}: {str(there)!r} exists; wanted another name, or --force"
 
 
@@ -152,11 +157,22 @@ def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
+def _end_with_the_launcher() -> None:
+    """Have Linux end a process that a launcher has started when that dies, however it dies."""
+    launcher = os.environ.pop(LAUNCHER, None)  # what this process starts is not the launcher's child
+    if launcher is None or sys.platform != "linux":
+        return
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if str(os.getppid()) != launcher:  # it died before it could be said
+        sys.exit(INTERRUPTED)
+
+
 def run(command: Callable[[], int | None]) -> NoReturn:
     """Run a command and exit with its status: 0 done, 1 failed, 2 bad input, 130 interrupted."""
     # A shell starts background jobs with SIGINT ignored; a service must end on it all the same.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminate)
+    _end_with_the_launcher()
     try:
         status = command() or 0
     except KeyboardInterrupt:

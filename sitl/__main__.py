@@ -7,15 +7,19 @@ import os
 import sys
 from pathlib import Path
 from types import ModuleType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from link import cli
 from link.bus.session import DEFAULT_ROUTER
 from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
+from sitl.launch.watchdog import PATIENCE_S, WARN_S
 from sitl.script.script import OnBoard, Script, find, load
 from sitl.script.typed_yaml import Document, FileError
+
+if TYPE_CHECKING:
+    from sitl.launch.recording import RecordFiles
 
 
 def _udp_url(text: str) -> str:
@@ -95,6 +99,8 @@ FIELDS = {
     "stop_on": "estimator.stop_on",
 }  # fmt: skip
 """The field of a mission script that each flag sets."""
+RECORD_FILE = "FILE.mcap"
+"""What the recorder calls the file that --record names."""
 HOME = ("home_lat_deg", "home_lon_deg", "home_alt_m", "home_heading_deg")
 
 
@@ -137,6 +143,11 @@ def _parse(prog: str, arguments: list[str]) -> tuple[argparse.Namespace, argpars
     )
     fly.add_argument("--record", type=_record, metavar="FILE.mcap", help="where to record to, with a .tlog beside it (default: in runs/)")
     fly.add_argument("--no-record", action="store_true", help="record nothing")
+    cli.add_output_guard(fly)
+    fly.add_argument(
+        "--patience", type=cli.number(WARN_S, math.inf), default=PATIENCE_S, metavar="S",
+        help="real seconds that a part may say nothing before the mission fails; inf: for ever (default: %(default)g)",
+    )  # fmt: skip
     cli.add_log_argument(fly, "warning")
     cli.add_output_arguments(fly)
 
@@ -179,22 +190,27 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from plume.outcome import outcome_text
     from sitl.launch.launcher import Launch, fly, run_name, write_summary
     from sitl.launch.processes import MissionFailed
+    from sitl.launch.recording import RecordFiles
 
     script = _script(args, given)
     if args.connect and (reason := _unfit_for_connect(script, given)):
         print(f"error: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
     summary = Path("runs") / f"{run_name('connected' if args.connect else script.agent.policy, script.seed)}.json"
-    record = None if args.no_record else args.record or summary.with_suffix(".mcap")
+    record = None if args.no_record else RecordFiles(args.record or summary.with_suffix(".mcap"))
+    if record and (reason := record.refusal(args.force)):
+        print(f"error: {reason}", file=sys.stderr)
+        return cli.BAD_INPUT
+    launch = Launch(script, args.instance, args.listen, _handed_on(args, given), None, args.connect, args.log_level, args.patience)
     try:
-        flown = fly(Launch(script, args.instance, args.listen, _handed_on(args, given), record, args.connect, args.log_level))
+        flown = fly(launch, record)
     except KeyboardInterrupt:
-        _tell_record(record)
+        _give_up(record)
         print("interrupted", file=sys.stderr)
         raise
     except MissionFailed as failure:
         refused = failure.status == cli.BAD_INPUT
-        _tell_record(record, keep=not refused)
+        _give_up(record, refused=refused)
         print(f"error: {_in_script(str(failure), args, given) if refused else failure}", file=sys.stderr)
         return failure.status
     print(outcome_text(flown.outcome), file=sys.stderr)
@@ -219,18 +235,22 @@ def _unfit_for_connect(script: Script, given: argparse.Namespace) -> str | None:
     return refusal(script, [FIELDS[name] for name in vars(given) if name in FIELDS])
 
 
-def _tell_record(record: Path | None, *, keep: bool = True) -> None:
-    """Say where the record is; of a mission that never began none is kept."""
-    if record and not keep:
-        for begun in (record, record.with_suffix(".tlog")):
-            begun.unlink(missing_ok=True)
-    elif record and record.exists():
-        print(f"record in {record}", file=sys.stderr)
+def _give_up(record: "RecordFiles | None", *, refused: bool = False) -> None:
+    if record:
+        record.give_up(refused=refused)
+        _tell_record(record)
+
+
+def _tell_record(record: "RecordFiles | None") -> None:
+    if record and record.made and record.path.exists():
+        print(f"record in {record.path}", file=sys.stderr)
 
 
 def _in_script(refusal: str, args: argparse.Namespace, given: argparse.Namespace) -> str:
     """Where a part refuses a flag that the script gave it: name the script's line and field instead."""
     flag, _, reason = refusal.partition(": ")
+    if flag == RECORD_FILE:
+        return f"--record: {reason}"
     name = flag.removeprefix("--").replace("-", "_")
     if args.mission and name in FIELDS and name not in given:
         return str(Document(find(args.mission)).error([*FIELDS[name].split(".")], reason))

@@ -56,6 +56,7 @@ def _about(text: str) -> dict[str, Any]:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
     parser.add_argument("file", type=_file, metavar="FILE.mcap", help="where to record to; a .tlog of all MAVLink is written beside it")
+    cli.add_output_guard(parser)
     cli.add_bus_arguments(parser)
     parser.add_argument("--about", type=_about, default={}, metavar="JSON", help="what the run is; it is written into the file")
 
@@ -63,11 +64,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Record until interrupted; stdout tells when that has begun."""
     os.environ.setdefault("ZENOH_RUNTIME", FEW_THREADS)
+    if reason := cli.existing("FILE.mcap", _files(args.file), args.force):
+        print(f"error: {reason}", file=sys.stderr)
+        return cli.BAD_INPUT
     with Tap("recorder", args.connect, args.namespace, args.log_level) as bus:
         try:
-            writer = Writer(args.file, {**args.about, **surroundings(args.namespace)})
+            writer = _begin(args.file, args.force, {**args.about, **surroundings(args.namespace)})
         except OSError as error:
-            print(f"error: cannot write {args.file}: {error.strerror}", file=sys.stderr)
+            culprit = "" if error.filename in (None, str(args.file)) else f": {error.filename}"
+            cannot = f"FILE.mcap: cannot write {str(args.file)!r}: {error.strerror}{culprit}"
+            print(f"error: {cli.existing('FILE.mcap', _files(args.file), args.force) or cannot}", file=sys.stderr)
             return cli.BAD_INPUT
         bus.subscribe(*KEYS)
         bus.settle(CONNECT_TIMEOUT_S)
@@ -87,6 +93,25 @@ def run(args: argparse.Namespace) -> int:
             bus.publish_health()
             return cli.FAILED
     return 0
+
+
+def _files(path: Path) -> tuple[Path, Path]:
+    return path, path.with_suffix(".tlog")
+
+
+def _begin(path: Path, force: bool, about: dict[str, Any]) -> Writer:
+    """Begin the files. Raises OSError where that is not possible, without `force` also where one exists; then none is left."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    made: list[Path] = []
+    try:
+        for file in _files(path) if not force else ():
+            file.open("xb").close()  # another recorder may be about to make it, too: one of the two is refused
+            made.append(file)
+        return Writer(path, about)
+    except OSError:
+        for file in made:
+            file.unlink(missing_ok=True)
+        raise
 
 
 def _record(bus: Tap, writer: Writer, ends: list[int]) -> None:

@@ -7,17 +7,26 @@ from collections.abc import Callable, Mapping, Sequence
 
 from sitl.launch.processes import Processes
 from sitl.launch.relay import Relay
+from sitl.launch.watchdog import Watchdog
 from sitl.script.script import Cut, Kill
 
 
 class Disturbances:
     """The kills and cuts of one mission."""
 
-    def __init__(self, events: Sequence[Kill | Cut], processes: Processes, relays: Mapping[str, Relay], say: Callable[[str], None]) -> None:
-        """Take what can be disturbed, and who is told."""
+    def __init__(
+        self,
+        events: Sequence[Kill | Cut],
+        processes: Processes,
+        relays: Mapping[str, Relay],
+        watchdog: Watchdog,
+        say: Callable[[str], None],
+    ) -> None:
+        """Take what can be disturbed, who is not to mistake it for a hang, and who is told."""
         self._to_come = list(events)
         self._processes = processes
         self._relays = relays
+        self._watchdog = watchdog
         self._say = say
         self._order = itertools.count()
         self._mends: list[tuple[float, int, Callable[[], None], str]] = []
@@ -28,13 +37,14 @@ class Disturbances:
             self._to_come.remove(event)
             match event:
                 case Kill(part=part, restart_after_s=delay_s):
+                    self._watchdog.disturb(part)
                     self._processes.kill(part)
-                    self._mend_after(delay_s, lambda part=part: self._processes.restart(part), f"{part} started again")  # type: ignore[misc]
+                    self._mend_after(delay_s, lambda part=part: self._restart(part), f"{part} started again")  # type: ignore[misc]
                     self._say(f"script: {part} killed at step {step}")
                 case Cut(part=part, for_s=delay_s):
-                    relay = self._relays[part]
-                    relay.cut()
-                    self._mend_after(delay_s, relay.restore, f"link of {part} restored")
+                    self._watchdog.disturb(part)
+                    self._relays[part].cut()
+                    self._mend_after(delay_s, lambda part=part: self._restore(part), f"link of {part} restored")  # type: ignore[misc]
                     self._say(f"script: link of {part} cut at step {step} for {delay_s:g} s")
         self.mend()
 
@@ -48,6 +58,15 @@ class Disturbances:
     def wait_s(self) -> float | None:
         """Real time until something has to be mended; None where nothing has."""
         return max(self._mends[0][0] - time.monotonic(), 0.0) if self._mends else None
+
+    def _restart(self, part: str) -> None:
+        self._processes.restart(part)
+        self._watchdog.mend(part, time.monotonic())
+        self._watchdog.begins(part, time.monotonic())
+
+    def _restore(self, part: str) -> None:
+        self._relays[part].restore()
+        self._watchdog.mend(part, time.monotonic())
 
     def _mend_after(self, delay_s: float, mend: Callable[[], None], text: str) -> None:
         heapq.heappush(self._mends, (time.monotonic() + delay_s, next(self._order), mend, text))

@@ -28,7 +28,9 @@ from sitl.launch.disturbances import Disturbances
 from sitl.launch.joining import await_services
 from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes, raise_for
 from sitl.launch.progress import Progress
+from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
+from sitl.launch.watchdog import LOOK_S, PATIENCE_S, RECORDER, ROUTER, Watchdog
 from sitl.script.script import Cut, Expectation, Kill, Script
 
 CALL_EVERY_S = 1.0
@@ -51,6 +53,8 @@ class Launch(NamedTuple):
     connect: str | None = None
     """A router whose estimator and agent fly it; without one they are started."""
     log_level: str = "warning"
+    patience_s: float = PATIENCE_S
+    """Real time that a part may say nothing before it counts as hung."""
 
     @property
     def namespace(self) -> str:
@@ -74,8 +78,10 @@ class Flown(NamedTuple):
         return outcome_json(self.outcome, self.trace if with_trace else None, expectations)
 
 
-def fly(mission: Launch) -> Flown:
-    """Fly a mission. Raises MissionFailed where a part dies or the vehicle gives up, and nobody expected that."""
+def fly(mission: Launch, files: RecordFiles | None = None) -> Flown:
+    """Fly a mission, recorded to files. Raises MissionFailed where a part dies or hangs, or the vehicle gives up and nobody expected it."""
+    if files:
+        mission = mission._replace(record=files.path)
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
         progress = stack.enter_context(Progress(mission.script.budget, "uav" if mission.connect else "router, uav, estimator, agent"))
@@ -87,25 +93,33 @@ def fly(mission: Launch) -> Flown:
             bus.subscribe(BELIEF, STOP, HEALTH)
             return bus
 
+        def start() -> str:
+            endpoint = start_parts(processes, mission, relays)
+            if files:
+                files.made = True
+            return endpoint
+
         if mission.connect:
             bus = join(mission.connect)
             policy = await_services(bus, mission.namespace, progress.say)
             mission = mission._replace(script=mission.script.changed({"agent.policy": policy}))
-            endpoint = start_parts(processes, mission, relays)
+            endpoint = start()
         else:
-            endpoint = start_parts(processes, mission, relays)
+            endpoint = start()
             bus = join(endpoint)
         for relay in relays.values():
             stack.callback(relay.close)
+        parts = [ROUTER, "uav", *SEARCHERS, *[RECORDER] * bool(mission.record)]
+        watchdog = Watchdog(parts, mission.patience_s, time.monotonic(), progress.say)
         events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
-        watch = _Watch(mission, bus, progress, Disturbances(events, processes, relays, progress.say))
-        return watch.until_the_end(endpoint)
+        disturbances = Disturbances(events, processes, relays, watchdog, progress.say)
+        return _Watch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()
 
 
 def start_parts(processes: Processes, mission: Launch, relays: dict[str, Relay]) -> str:
     """Start all parts that do not run elsewhere; returns the router's endpoint. Links that the script cuts get a relay.
 
-    Raises MissionFailed: no router.
+    Raises MissionFailed: no router, no record.
     """
     script = mission.script
     endpoint = mission.connect or processes.start_router(mission.listen)
@@ -128,7 +142,7 @@ def start_parts(processes: Processes, mission: Launch, relays: dict[str, Relay])
     for service, words in services.items():
         processes.start(service, service, *joining(service), *words)
     if recording:
-        recording.readline()  # it hears all from now on
+        processes.answer(recording)  # it hears all from now on
     processes.start("uav", "sitl", "uav", *mission.uav_arguments, *joining("uav"), "-I", str(mission.instance))
     return endpoint
 
@@ -173,12 +187,25 @@ def _words(flags: Mapping[str, Any]) -> list[str]:
 class _Watch:
     """Watches one mission until its end."""
 
-    def __init__(self, mission: Launch, bus: Bus, progress: Progress, disturbances: Disturbances) -> None:
+    def __init__(
+        self,
+        mission: Launch,
+        bus: Bus,
+        progress: Progress,
+        watchdog: Watchdog,
+        disturbances: Disturbances,
+        endpoint: str,
+        files: RecordFiles | None,
+    ) -> None:
         self._mission = mission
         self._script = mission.script
         self._bus = bus
         self._progress = progress
+        self._watchdog = watchdog
+        self._look_at = 0.0
         self._disturbances = disturbances
+        self._endpoint = endpoint
+        self._files = files
         self._trace: dict[int, TracePoint] = {}
         self._compute: dict[str, Health] = {}
         self._last: Belief | None = None
@@ -190,11 +217,11 @@ class _Watch:
         self._landed = False
         self._landed_at = (math.nan, math.nan)
 
-    def until_the_end(self, endpoint: str) -> Flown:
+    def until_the_end(self) -> Flown:
         """Watch; returns what came of it."""
         script = self._script
         while not self._over:
-            self._take(self._bus.receive(self._disturbances.wait_s()), endpoint)
+            self._listen(self._disturbances.wait_s())
             if self._last:
                 self._disturbances.reached(self._last.step, self._last.time_boot_ms / 1000)
             if self._landed:
@@ -216,10 +243,20 @@ class _Watch:
         wanted = {"estimator": last.step, "agent": last.step - 1}
         return all(service in compute and compute[service].step >= step for service, step in wanted.items())
 
-    def _take(self, item: Any, endpoint: str) -> None:
+    def _listen(self, timeout_s: float | None) -> None:
+        """Take what comes within a time, and see now and then who has fallen silent."""
+        self._take(self._bus.receive(LOOK_S if timeout_s is None else min(timeout_s, LOOK_S)))
+        now_s = time.monotonic()
+        if now_s >= self._look_at:
+            self._look_at = now_s + LOOK_S
+            if reason := self._watchdog.look(now_s, self._bus.connected):
+                raise MissionFailed(reason)
+
+    def _take(self, item: Any) -> None:
         match item:
             case Ended(part="recorder"):
                 self._record_ended = True
+                self._watchdog.ended(RECORDER)
                 self._progress.say(f"warning: the record has ended: {item.last_words}")
             case Ended():
                 raise_for(item)
@@ -232,12 +269,14 @@ class _Watch:
                     self._progress.say(f"warning: the {service} is gone")
                 elif service in self._gone:
                     self._progress.say(f"the {service} is back")
+                    self._watchdog.begins(service, time.monotonic())
                 (self._gone.discard if alive else self._gone.add)(service)
             case Arrival(key) if key is BELIEF:
                 if (belief := self._bus.decode(item, Belief)) and belief.step not in self._trace:
-                    self._follow(belief, endpoint)
+                    self._follow(belief)
             case Arrival(key) if key is HEALTH:
                 if health := self._bus.decode(item, Health):
+                    self._watchdog.heard(health.service, time.monotonic())
                     self._compute[health.service] = health
                     self._warned = self._warned or bool(health.service == "estimator" and health.warnings)
                     self._landed = self._landed or health.state == "landed"
@@ -246,13 +285,15 @@ class _Watch:
                     if message.get_type() == "LOCAL_POSITION_NED" and -message.z < ON_GROUND_M:
                         self._landed_at = (message.y, message.x)
 
-    def _follow(self, belief: Belief, endpoint: str) -> None:
+    def _follow(self, belief: Belief) -> None:
         script = self._script
         if self._last is None:
             title = f" {script.about}," if script.about else ""
             self._progress.say(
-                f"mission:{title} seed {script.seed}, {script.agent.policy}, speed-up {script.speedup:g}, router at {endpoint}"
+                f"mission:{title} seed {script.seed}, {script.agent.policy}, speed-up {script.speedup:g}, router at {self._endpoint}"
             )
+            if self._files and (trouble := self._files.take_place()):
+                self._progress.say(f"warning: {trouble}")
         else:
             self._distance_m += math.dist(self._last.position, belief.position)
         self._last = belief
@@ -267,7 +308,7 @@ class _Watch:
             state = self._compute["uav"].state if "uav" in self._compute else ""
             if call_home and state == "searching":
                 self._bus.publish(MAVLINK_IN, codec.pack(command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)))
-            self._take(self._bus.receive(CALL_EVERY_S), "")
+            self._listen(CALL_EVERY_S)
 
     def _await_record(self, step: int) -> None:
         """Wait until the record has all readings: those that are missing can be had only while the vehicle lives."""
@@ -278,7 +319,7 @@ class _Watch:
             if time.monotonic() >= deadline:
                 self._progress.say("warning: the record lacks the last readings: the recorder was not given them in time")
                 return
-            self._take(self._bus.receive(deadline - time.monotonic()), "")
+            self._listen(deadline - time.monotonic())
 
     def _flown(self, last: Belief) -> Flown:
         script = self._script

@@ -1,25 +1,34 @@
 """The parts of a mission as child processes: started, watched, and ended together."""
 
 import contextlib
-import ctypes
+import math
+import os
+import queue
+import selectors
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Iterator
-from typing import IO, NamedTuple, NoReturn, Self
+from typing import Any, NamedTuple, NoReturn, Self
 
 from link.bus import log
 from link.bus.inbox import Inbox
-from link.cli import BAD_INPUT, FAILED, INTERRUPTED
+from link.bus.session import SIGNAL_POLL_S
+from link.cli import BAD_INPUT, FAILED, INTERRUPTED, LAUNCHER
+from sitl.launch.output import Lines
 
 STOP_TIMEOUT_S = 1.0
 LAST = ("recorder", "router")
 """Ended behind the others, in this order: the record is to hold their last words."""
-PR_SET_PDEATHSIG = 1
-LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
+ANSWERING = ("recorder", "router")
+"""Parts whose first line on stdout is for the launcher: they say it when they are ready."""
+START_WARN_S, START_LIMIT_S = 15.0, 300.0
+"""How long a part may take before its first word, until that is told and until it counts as hung: it may compile for a minute or two."""
+LEFT_OPEN_S = 0.5
+"""A part that has ended is waited for so long at most: what it has started may hold its stdout and stderr open."""
+CHUNK = 1 << 16
 
 
 class Ended(NamedTuple):
@@ -31,7 +40,7 @@ class Ended(NamedTuple):
 
 
 class LogLine(NamedTuple):
-    """A line that a part wrote on stderr, as people are told it."""
+    """A line that a part wrote, as people are told it."""
 
     part: str
     line: str
@@ -57,12 +66,6 @@ def raise_for(ended: Ended) -> NoReturn:
     raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
 
 
-def _die_with_the_launcher() -> None:
-    """Have Linux end this child when the launcher dies, however it dies."""
-    if LIBC:
-        LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
 @contextlib.contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Hold Ctrl-C and SIGTERM back, so that a child that has been started is also known to have been."""
@@ -77,103 +80,174 @@ def _uninterrupted() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
+class Child:
+    """One part as a process. It leads a process group: what it starts ends with it, and a terminal's Ctrl-C reaches the launcher alone."""
+
+    def __init__(self, part: str, command: list[str], inbox: Inbox) -> None:
+        """Start it; what it prints and its end go into the inbox."""
+        self.part = part
+        self.killed = False
+        """Whether its end is wanted, and nobody has to be told."""
+        self._inbox = inbox
+        self._answer: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._awaited = part in ANSWERING
+        self._lines = inbox.lane(f"lines of the {part}")
+        self._last_words = "no last words"
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0, process_group=0,
+            env={**os.environ, LAUNCHER: str(os.getpid())},
+        )  # fmt: skip
+        self._thread = threading.Thread(target=self._watch, name=part, daemon=True)
+        self._thread.start()
+
+    def readline(self) -> str:
+        """Wait for the answer of a part that is ANSWERING; empty where it ends without one. Raises MissionFailed where it hangs."""
+        began, told = time.monotonic(), False
+        while True:
+            try:
+                return self._answer.get(timeout=SIGNAL_POLL_S)
+            except queue.Empty:
+                waited_s = time.monotonic() - began
+            if waited_s >= START_LIMIT_S:
+                raise MissionFailed(f"the {self.part} has said nothing in {START_LIMIT_S:g} s since it was started")
+            if waited_s >= START_WARN_S and not told:
+                print(f"waits for the {self.part} to start", file=sys.stderr)
+                told = True
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self._process.send_signal(number)  # none, where it has ended
+
+    def kill(self) -> None:
+        """End it and all that it has started, at once."""
+        with contextlib.suppress(OSError):  # they are gone
+            os.killpg(self._process.pid, signal.SIGKILL)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Return whether it ends in time."""
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+    def join(self) -> None:
+        """Wait until all that it has said has been passed on; it has ended."""
+        self._thread.join()
+
+    def _watch(self) -> None:
+        """Pass on what it prints, and its end. What it has started does not outlive it, unless it has left the process group."""
+        process, give_up_at = self._process, math.inf
+        assert process.stdout
+        assert process.stderr
+        with process.stdout, process.stderr, selectors.DefaultSelector() as pipes:
+            for pipe in (process.stdout, process.stderr):
+                pipes.register(pipe, selectors.EVENT_READ, Lines())
+            while pipes.get_map() and time.monotonic() < give_up_at:
+                for key, _ in pipes.select(SIGNAL_POLL_S):
+                    data = os.read(key.fd, CHUNK)
+                    for line in key.data.take(data):
+                        self._said(line, key.fileobj is process.stdout)
+                    if not data:
+                        pipes.unregister(key.fileobj)
+                if math.isinf(give_up_at) and process.poll() is not None:
+                    self.kill()
+                    give_up_at = time.monotonic() + LEFT_OPEN_S
+        status = process.wait()
+        self.kill()
+        if not self.killed:
+            self._inbox.put(Ended(self.part, status, self._last_words))
+        self._answer.put("")
+
+    def _said(self, line: str, on_stdout: bool) -> None:
+        if on_stdout and self._awaited:
+            self._awaited = False
+            self._answer.put(line)
+            return
+        level, text = ("info", f"{self.part}: {line}") if on_stdout else log.parse(line)
+        if not on_stdout:
+            self._last_words = text
+        self._lines(LogLine(self.part, text, level), len(text))
+
+
 class Processes:
     """The children; what becomes of them goes into the inbox."""
 
     def __init__(self, inbox: Inbox) -> None:
         """Start with none."""
         self._inbox = inbox
-        self._children: dict[str, subprocess.Popen[str]] = {}
+        self._children: dict[str, Child] = {}
         self._commands: dict[str, tuple[str, ...]] = {}
-        self._killed: list[subprocess.Popen[str]] = []
-        self._threads: list[threading.Thread] = []
+        self._all: list[Child] = []
+        self._suspended_before: Any = None
 
-    def start(self, part: str, module: str, *arguments: str) -> IO[str]:
-        """Start `python -m module arguments`; returns its stdout."""
+    def start(self, part: str, module: str, *arguments: str) -> Child:
+        """Start `python -m module arguments`."""
         with _uninterrupted():
-            child = subprocess.Popen(
-                [sys.executable, "-m", module, *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                preexec_fn=_die_with_the_launcher,
-            )
+            child = Child(part, [sys.executable, "-m", module, *arguments], self._inbox)
             self._children[part] = child
             self._commands[part] = (module, *arguments)
-            thread = threading.Thread(target=self._watch, args=(part, child), daemon=True)
-            thread.start()
-            self._threads.append(thread)
-        assert child.stdout is not None
-        return child.stdout
+            self._all.append(child)
+        return child
 
     def start_router(self, listen: str) -> str:
         """Start a router; returns its endpoint, where it is started again too. Raises MissionFailed where it cannot listen."""
-        endpoint = self.start("router", "sitl", "router", "--listen", listen).readline().strip()
-        while not endpoint:
-            if isinstance(item := self._inbox.get(), Ended):
-                raise_for(item)
+        endpoint = self.answer(self.start("router", "sitl", "router", "--listen", listen))
         self._commands["router"] = ("sitl", "router", "--listen", endpoint)
         return endpoint
+
+    def answer(self, child: Child) -> str:
+        """Wait for what an ANSWERING part says when it is ready. Raises what it means where a part ends instead."""
+        line = child.readline().strip()
+        while not line:
+            if isinstance(item := self._inbox.get(), Ended):
+                raise_for(item)
+        return line
 
     def kill(self, part: str) -> None:
         """Kill a part on purpose: its end does not go into the inbox."""
         child = self._children[part]
-        self._killed.append(child)
+        child.killed = True
         child.kill()
-        child.wait()
+        child.wait(STOP_TIMEOUT_S)
 
     def restart(self, part: str) -> None:
         """Start a part that was killed again, as it was started first; a router where it was."""
         self.start(part, *self._commands[part])
 
-    def _watch(self, part: str, child: "subprocess.Popen[str]") -> None:
-        assert child.stderr is not None
-        words: deque[str] = deque(maxlen=1)
-        put = self._inbox.lane(f"lines of the {part}")
-        for line in child.stderr:
-            if line.strip():
-                level, text = log.parse(line.strip())
-                words.append(text)
-                put(LogLine(part, text, level), len(text))
-        status = child.wait()
-        if child not in self._killed:
-            self._inbox.put(Ended(part, status, words[-1] if words else "no last words"))
-
     def __enter__(self) -> Self:
         """Enter a with block, which ends all of them at its end."""
+        self._suspended_before = signal.signal(signal.SIGTSTP, self._suspend)
         return self
 
     def __exit__(self, *_: object) -> None:
         """End all of them."""
         self.stop()
+        signal.signal(signal.SIGTSTP, self._suspended_before)
+
+    def _suspend(self, *_: object) -> None:
+        """Ctrl-Z: it reaches the launcher alone, and is meant for all."""
+        for child in self._children.values():
+            child.signal(signal.SIGSTOP)
+        os.kill(os.getpid(), signal.SIGSTOP)  # goes on here, when it does
+        for child in self._children.values():
+            child.signal(signal.SIGCONT)
 
     def stop(self) -> None:
         """End all of them, kindly first; afterwards none is left, however often Ctrl-C is pressed meanwhile."""
         with contextlib.suppress(KeyboardInterrupt), _uninterrupted():
-            self._stop()
-
-    def _stop(self) -> None:
-        for group in (set(self._children) - set(LAST), *({part} for part in LAST)):
-            self._end([child for part, child in self._children.items() if part in group])
-        for thread in self._threads:
-            thread.join()
-        for child in (*self._killed, *self._children.values()):
-            if child.stdout:
-                child.stdout.close()
-            if child.stderr:
-                child.stderr.close()
+            for group in (set(self._children) - set(LAST), *({part} for part in LAST)):
+                self._end([child for part, child in self._children.items() if part in group])
+            for child in self._all:
+                child.join()
 
     @staticmethod
-    def _end(children: "list[subprocess.Popen[str]]") -> None:
+    def _end(children: list[Child]) -> None:
         for child in children:
-            with contextlib.suppress(ProcessLookupError):
-                child.send_signal(signal.SIGTERM)
-                child.send_signal(signal.SIGCONT)  # one that was stopped could not end
+            child.signal(signal.SIGTERM)
+            child.signal(signal.SIGCONT)  # one that was stopped could not end
         deadline = time.monotonic() + STOP_TIMEOUT_S
         for child in children:
-            try:
-                child.wait(max(deadline - time.monotonic(), 0.0))
-            except subprocess.TimeoutExpired:
+            if not child.wait(max(deadline - time.monotonic(), 0.0)):
                 child.kill()
-                child.wait()
+                child.wait(STOP_TIMEOUT_S)

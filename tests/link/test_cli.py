@@ -17,6 +17,7 @@ COMMANDS = [
     (["sitl", "--speedup", "-1"], ["--speedup", "'-1'", "from 0"]),
     (["sitl", "uav", "--out", "serial:/dev/tty"], ["--out", "'serial:/dev/tty'", "udpout:HOST:PORT"]),
     (["sitl", "uav", "--home", "91,0,0,0"], ["--home", "'91,0,0,0'", "LAT within ±90"]),
+    (["sitl", "fly", "--patience", "1"], ["--patience", "'1'", "from 5 up to inf"]),
     (["sitl", "juggle"], ["'juggle'", "fly", "uav", "router"]),
 ]
 

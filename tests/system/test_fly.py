@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from link.record.reader import read
+
 PARTS = ["router", "uav", "estimator", "agent"]
 LONG = ("sitl", "fly", "--policy", "random", "--speedup", "1")
 
@@ -125,13 +127,53 @@ def test_an_unreachable_router_is_one_line_and_status_2(start, service: tuple[st
     assert ended.err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: python -m sitl router)\n"]
 
 
-def test_a_folder_that_cannot_be_written_costs_summary_and_record_not_the_mission(start, tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_one_line_and_status_2_and_nothing_flies(start, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "folder.mcap").mkdir()
+    for place, why in (("file/flight.mcap", "cannot write 'file/flight.mcap': "), ("folder.mcap", "'folder.mcap' is a folder")):
+        mission = start("sitl", "fly", "--speedup", "0", "--record", place, "--force", cwd=tmp_path)
+        assert mission.ended() == 2
+        (line,) = mission.err
+        assert line.startswith(f"error: --record: {why}")
+
+
+def test_where_runs_cannot_be_written_a_mission_without_a_record_is_flown_and_lacks_its_summary(start, tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("in the way")
-    mission = start("sitl", "fly", "--budget", "2", "--speedup", "0", "--json", cwd=tmp_path)
+    brief = ("sitl", "fly", "--budget", "2", "--speedup", "0", "--json")
+    assert start(*brief, cwd=tmp_path).ended() == 2
+    mission = start(*brief, "--no-record", cwd=tmp_path)
     assert mission.ended() == 0
-    assert mission.says("warning: the record has ended: ")
     assert mission.says("warning: no summary written to runs/")
     assert json.loads(mission.out[-1])["steps"] == 2
+
+
+def test_what_exists_is_not_overwritten_without_force(start, wait_until: Callable, tmp_path: Path) -> None:
+    for name in ("good.mcap", "good.tlog"):
+        (tmp_path / name).write_text("old")
+    brief = ("sitl", "fly", "--budget", "2", "--speedup", "0", "--record", "good.mcap")
+    refused = start(*brief, cwd=tmp_path)
+    assert refused.ended() == 2
+    assert refused.err == ["error: --record: 'good.mcap' exists; wanted another name, or --force\n"]
+    for flags in ((), ("--force",)):
+        assert start(*brief, *flags, "--prior", "nonsense", cwd=tmp_path).ended() == 2
+        assert {path.name: path.read_text() for path in tmp_path.iterdir() if path.is_file()} == {"good.mcap": "old", "good.tlog": "old"}
+    forced = start(*brief, "--force", cwd=tmp_path)
+    assert forced.ended() == 0
+    assert forced.err[-1] == "record in good.mcap\n"
+    assert read(tmp_path / "good.mcap").complete
+    assert (tmp_path / "good.tlog").stat().st_size > 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["good.mcap", "good.tlog", "runs"]
+
+
+def test_a_second_launch_of_the_same_record_is_refused_and_leaves_the_firsts(start, wait_until: Callable, tmp_path: Path) -> None:
+    first = start(*LONG, "--record", "flight.mcap", cwd=tmp_path)
+    wait_until(lambda: first.says("step   0"))
+    second = start(*LONG, "--record", "flight.mcap", cwd=tmp_path)
+    assert second.ended() == 2
+    assert second.err == ["error: --record: 'flight.mcap' exists; wanted another name, or --force\n"]
+    first.process.send_signal(signal.SIGINT)
+    assert first.ended() == 130
+    assert read(tmp_path / "flight.mcap").complete
 
 
 def test_without_a_record_there_is_none_and_a_chosen_place_is_kept_to(start, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_a_killed_worker_ends_the_work_with_an_error_after_all_that_had_ended() 
     with pytest.raises(WorkerLost, match="a worker process was killed"):  # noqa: PT012
         for number, _ in as_flown(partial(killed_at, 6), range(100), 1):
             flown.append(number)
-    assert flown == [0, 1, 2, 3, 4, 5]
+    assert sorted(flown) == [0, 1, 2, 3, 4, 5]  # two that ended at once come in any order
 
 
 def test_what_a_task_raises_comes_after_all_that_had_ended() -> None:

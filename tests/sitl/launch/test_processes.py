@@ -1,0 +1,146 @@
+"""Protects the launcher from its parts: whatever they print, and whatever they leave behind, it goes on and ends, and so do they."""
+
+import contextlib
+import os
+import queue
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from link.bus.inbox import WAITING_MESSAGES, Inbox
+from link.bus.log import Log
+from link.bus.session import SIGNAL_POLL_S
+from link.bus.tally import OVERFLOW, Tally
+from sitl.launch import processes as module
+from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes
+
+TOLD = "tests.sitl.launch.told"
+LEAVE = """
+import subprocess, sys
+left = subprocess.Popen(["sleep", "600"], start_new_session={alone})
+print("left", left.pid, file=sys.stderr, flush=True)
+"""
+
+
+class Launched:
+    """The parts of a test, and all that has come of them so far."""
+
+    def __init__(self) -> None:
+        self.inbox = Inbox()
+        self.processes = Processes(self.inbox)
+        self._came: list[Any] = []
+
+    @property
+    def came(self) -> list[Any]:
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._came.append(self.inbox.get(timeout=0))
+        return self._came
+
+    def lines(self) -> list[str]:
+        return [item.line for item in self.came if isinstance(item, LogLine)]
+
+    def ends(self) -> list[Ended]:
+        return [item for item in self.came if isinstance(item, Ended)]
+
+
+@pytest.fixture
+def launched() -> Iterator[Launched]:
+    given = Launched()
+    with given.processes:
+        yield given
+
+
+def runs(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def test_a_part_may_print_what_it_likes_and_it_is_shown_with_its_name(launched: Launched, wait_until: Callable) -> None:
+    launched.processes.start("agent", TOLD, "for n in range(2000): print(f'{n:060d}')")  # 120 kB: a pipe holds 64
+    wait_until(launched.ends)
+    assert launched.lines() == [f"agent: {n:060d}" for n in range(2000)]
+    assert launched.ends() == [Ended("agent", 0, "no last words")]
+
+
+def test_bytes_that_are_no_text_and_a_line_without_end_do_no_harm(launched: Launched, wait_until: Callable) -> None:
+    source = "import sys; sys.stderr.buffer.write(b'\\xff\\n' + b'x' * 10_000_000); sys.stderr.write('\\nlast\\n')"
+    launched.processes.start("agent", TOLD, source)
+    wait_until(launched.ends)
+    assert launched.ends() == [Ended("agent", 0, "last")]
+    assert [len(line) < 10_000 for line in launched.lines()] == [True] * 3
+
+
+def test_of_lines_that_nobody_takes_the_oldest_are_dropped_and_counted(launched: Launched, wait_until: Callable) -> None:
+    written = 20 * WAITING_MESSAGES
+    child = launched.processes.start("agent", TOLD, f"for n in range({written}): print(n)")
+    wait_until(lambda: child.wait(0.01))  # a part that could not go on printing would not end
+    child.join()
+    assert launched.inbox.waiting() == WAITING_MESSAGES + 1
+    log = Log("mission", "uav/1", Tally())
+    launched.inbox.tell_dropped(log)
+    assert log.tally.refused[OVERFLOW] == written - WAITING_MESSAGES
+    assert launched.lines() == [f"agent: {n}" for n in range(written - WAITING_MESSAGES, written)]
+    assert launched.ends()
+
+
+@pytest.mark.parametrize("alone", [False, True], ids=["in its group", "in a session of its own"])
+def test_what_a_part_leaves_behind_does_not_delay_its_end(launched: Launched, wait_until: Callable, alone: bool) -> None:
+    launched.processes.start("agent", TOLD, LEAVE.format(alone=alone))
+    wait_until(launched.ends, timeout_s=20)
+    (words,) = launched.lines()
+    left = int(words.split()[1])
+    try:
+        if not alone:  # it holds the part's stderr open as long as it lives
+            wait_until(lambda: not runs(left))
+        assert launched.ends() == [Ended("agent", 0, words)]
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(left, signal.SIGKILL)
+
+
+def test_all_that_a_part_has_started_ends_with_it(launched: Launched, wait_until: Callable) -> None:
+    launched.processes.start("agent", TOLD, LEAVE.format(alone=False) + "left.wait()")
+    wait_until(launched.lines)
+    left = int(launched.lines()[0].split()[1])
+    launched.processes.stop()
+    wait_until(lambda: not runs(left))
+
+
+def test_a_stopped_part_is_ended(launched: Launched, wait_until: Callable) -> None:
+    launched.processes.start("agent", TOLD, "import os, sys, time; print(os.getpid(), flush=True); time.sleep(600)")
+    wait_until(launched.lines)
+    pid = int(launched.lines()[0].split()[1])
+    os.kill(pid, signal.SIGSTOP)
+    launched.processes.stop()
+    assert not runs(pid)
+
+
+def test_a_part_that_answers_is_waited_for_and_its_answer_is_not_shown(launched: Launched, wait_until: Callable) -> None:
+    child = launched.processes.start("recorder", TOLD, "print('recording'); print('more')")
+    assert launched.processes.answer(child) == "recording"
+    wait_until(launched.ends)
+    assert launched.lines() == ["recorder: more"]
+
+
+def test_a_part_that_ends_instead_of_answering_says_why(launched: Launched) -> None:
+    child = launched.processes.start("recorder", TOLD, "import sys; print('error: no room', file=sys.stderr); sys.exit(2)")
+    with pytest.raises(MissionFailed, match=r"^no room$") as raised:
+        launched.processes.answer(child)
+    assert raised.value.status == 2
+
+
+def test_a_part_that_never_answers_is_told_and_given_up(
+    launched: Launched, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(module, "START_WARN_S", SIGNAL_POLL_S)
+    monkeypatch.setattr(module, "START_LIMIT_S", 3 * SIGNAL_POLL_S)
+    child = launched.processes.start("router", TOLD, "import time; time.sleep(600)")
+    with pytest.raises(MissionFailed, match=r"the router has said nothing in 0\.6 s since it was started"):
+        launched.processes.answer(child)
+    assert capsys.readouterr().err == "waits for the router to start\n"

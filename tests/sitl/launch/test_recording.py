@@ -1,0 +1,77 @@
+"""Protects the files of a record: what exists is lost to no mission that was not allowed to, and to none that never began."""
+
+from pathlib import Path
+
+import pytest
+
+from sitl.launch.recording import RecordFiles
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    """An older record."""
+    (tmp_path / "good.mcap").write_text("old")
+    (tmp_path / "good.tlog").write_text("old frames")
+    return tmp_path / "good.mcap"
+
+
+def made(path: Path) -> RecordFiles:
+    """Files that a recorder has made with --force."""
+    files = RecordFiles(path)
+    assert files.refusal(force=True) is None
+    for each in (files.path, files.path.with_suffix(".tlog")):
+        assert not each.exists()
+        each.write_text("new")
+    files.made = True
+    return files
+
+
+def content(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("there", ["good.mcap", "good.tlog"])
+def test_either_file_that_exists_is_refused_by_its_name(tmp_path: Path, there: str) -> None:
+    (tmp_path / there).write_text("old")
+    refusal = RecordFiles(tmp_path / "good.mcap").refusal(force=False)
+    assert refusal == f"--record: {str(tmp_path / there)!r} exists; wanted another name, or --force"
+
+
+def test_a_folder_is_refused_whatever_is_forced(tmp_path: Path) -> None:
+    (tmp_path / "good.tlog").mkdir()
+    assert (
+        RecordFiles(tmp_path / "good.mcap").refusal(force=True) == f"--record: {str(tmp_path / 'good.tlog')!r} is a folder; wanted a file"
+    )
+
+
+def test_older_files_are_replaced_when_the_search_begins(old: Path) -> None:
+    files = made(old)
+    assert content(old.parent)["good.mcap"] == "old"
+    assert files.take_place() == ""
+    assert content(old.parent) == {"good.mcap": "new", "good.tlog": "new"}
+    assert files.path == old
+    files.give_up(refused=False)
+    assert content(old.parent) == {"good.mcap": "new", "good.tlog": "new"}
+
+
+@pytest.mark.parametrize("refused", [False, True])
+def test_of_a_mission_that_never_began_the_older_files_stay(old: Path, refused: bool) -> None:
+    made(old).give_up(refused=refused)
+    assert content(old.parent) == {"good.mcap": "old", "good.tlog": "old frames"}
+
+
+def test_files_that_no_recorder_of_ours_has_made_are_not_removed(tmp_path: Path) -> None:
+    files = RecordFiles(tmp_path / "good.mcap")
+    assert files.refusal(force=False) is None
+    (tmp_path / "good.mcap").write_text("another launch's")
+    files.give_up(refused=True)
+    assert content(tmp_path) == {"good.mcap": "another launch's"}
+
+
+def test_a_record_that_cannot_take_the_place_stays_where_it_is(old: Path) -> None:
+    files = made(old)
+    old.unlink()
+    old.mkdir()
+    beside = files.path
+    assert files.take_place() == f"the record stays in {beside}: Is a directory"
+    assert (files.path, beside.read_text()) == (beside, "new")
