@@ -1,6 +1,7 @@
 """Command lines: bad input gets one clear line and exit status 2; Ctrl-C and SIGTERM end a command cleanly."""
 
 import argparse
+import gc
 import math
 import signal
 import sys
@@ -145,6 +146,7 @@ def run(command: Callable[[], int | None]) -> NoReturn:
     # A shell starts background jobs with SIGINT ignored; a service must end on it all the same.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminate)
+    gc.set_threshold(100_000)  # usual are 700: to look through all that is being loaded so often takes a tenth of a start
     try:
         status = command() or 0
     except KeyboardInterrupt:
@@ -152,4 +154,5 @@ def run(command: Callable[[], int | None]) -> NoReturn:
     except BusError as error:
         print(f"error: {error}", file=sys.stderr)
         status = BAD_INPUT
+    gc.freeze()  # Python would look through all that is loaded once more before it ends
     sys.exit(status)
