@@ -135,7 +135,7 @@ def test_a_node_with_other_code_is_refused(start, cluster: Cluster, tmp_path: Pa
     for package in PACKAGES:
         shutil.copytree(Path(__file__).parents[2] / package, other / package)
     address = cluster.head(PYTHONPATH=str(other))
-    sweep = other / "agent" / "sweep.py"
+    sweep = other / "agent" / "trials" / "sweep.py"
     for code in (f"{sweep.read_text()}# newer", "raise ImportError('no numba')"):
         sweep.write_text(code)
         refused = start(*SWEEP, "--scenarios", "2", "--ray", address, cwd=tmp_path)
