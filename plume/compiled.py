@@ -4,34 +4,39 @@ Numba's own cache knows a kernel by its file: after a change in a file that it c
 machine code runs on. Here a kernel is known by its own bytecode and by that of every function and every constant that it uses.
 """
 
+import contextlib
 import hashlib
+import sys
 from collections.abc import Callable, Iterator
-from functools import cache
-from types import CodeType, FunctionType, ModuleType
+from types import CodeType, EllipsisType, FunctionType, ModuleType, NoneType
 from typing import Any, TypeVar
 
+import llvmlite
+import numba
 import numpy as np
 from numba import njit
 from numba.core import typeinfer
-from numba.core.caching import (
-    CompileResultCacheImpl,
-    FunctionCache,
-    InTreeCacheLocator,
-    UserProvidedCacheLocator,
-    UserWideCacheLocator,
-)
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+LIBRARIES = {"numba": numba.__version__, "llvmlite": llvmlite.__version__, "numpy": np.__version__, "python": sys.version}
+"""What these define is known by its name and by their versions."""
+
 
 def kernel(signature: str, **options: Any) -> Callable[[F], F]:
-    """Compile a function for one signature, as `numba.njit` does, or load it from the cache. `options` are njit's."""
+    """Compile a function for one signature, as `numba.njit` does, or load it from the cache. `options` are njit's.
+
+    Raises TypeError where the function uses something that the cache could not follow.
+    """
 
     def compiled(function: F) -> F:
         dispatcher: Any = njit(**options)(function)
-        dispatcher._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
+        known_by = fingerprint(dispatcher.py_func, signature, options, dispatcher.targetctx.codegen().magic_tuple())
+        with contextlib.suppress(RuntimeError):  # there is no place for files: it is compiled at every start
+            dispatcher._cache = _KernelCache(dispatcher.py_func, known_by)
         with typeinfer.register_dispatcher(dispatcher):
             dispatcher.compile(signature)
             dispatcher.disable_compile()
@@ -41,49 +46,84 @@ def kernel(signature: str, **options: Any) -> Callable[[F], F]:
     return compiled
 
 
-def fingerprint(function: FunctionType) -> str:
-    """Digest of a function and of all that it is made of: other functions, constants, and theirs."""
+def fingerprint(function: FunctionType, *more: Any) -> str:
+    """Digest of a function and of all that it is made of: other functions, constants, and theirs; and of whatever else decides.
+
+    Equal in all processes. Raises TypeError where it is made of something that has no digest.
+    """
     digest = hashlib.blake2b(digest_size=12)
-    for part in _parts(function, set()):
+    for part in (*_value((LIBRARIES, *more), [], {}), *_function(function, {})):
         digest.update(f"{len(part)}:".encode() + part)
     return digest.hexdigest()
 
 
-def _parts(function: FunctionType, seen: set[FunctionType]) -> Iterator[bytes]:
+def _function(function: FunctionType, seen: dict[Any, int]) -> Iterator[bytes]:
     if function in seen:
+        yield f"function {seen[function]} again".encode()
         return
-    seen.add(function)
+    seen[function] = len(seen)
     codes = list(_codes(function.__code__))
     names = sorted({name for code in codes for name in code.co_names})
     yield function.__qualname__.encode()
     for code in codes:
-        constants = [constant for constant in code.co_consts if not isinstance(constant, CodeType)]
-        yield code.co_code + repr((code.co_names, code.co_varnames, constants)).encode()
-    used = [(name, function.__globals__[name]) for name in names if name in function.__globals__]
-    inner = [(name, cell.cell_contents) for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)]
-    for name, value in [*used, *inner, *enumerate(function.__defaults__ or ())]:
-        yield str(name).encode()
-        yield from _value(value, names, seen)
+        constants = tuple(constant for constant in code.co_consts if not isinstance(constant, CodeType))
+        variables = (code.co_varnames, code.co_cellvars, code.co_freevars, code.co_argcount, code.co_flags)
+        yield from _value((code.co_code, code.co_exceptiontable, code.co_names, variables, constants), names, seen)
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    used = {name: function.__globals__[name] for name in names if name in function.__globals__}
+    used |= {f"of the closure: {name}": cell.cell_contents for name, cell in cells}
+    used |= {"defaults": function.__defaults__, "defaults by name": function.__kwdefaults__}
+    for name, value in used.items():
+        yield name.encode()
+        try:
+            yield from _value(value, names, seen)
+        except TypeError as error:
+            raise TypeError(f"{function.__qualname__} uses {name}: {error}") from None
 
 
-def _value(value: Any, names: list[str], seen: set[FunctionType]) -> Iterator[bytes]:
+def _value(value: Any, names: list[str], seen: dict[Any, int]) -> Iterator[bytes]:
+    """Whatever a function may use. names: those that the function says, attributes of modules among them."""
     match value:
         case Dispatcher():
-            yield repr(sorted(value.targetoptions.items())).encode()
-            yield from _parts(value.py_func, seen)
+            compiled: Any = value
+            # One that compiles for whatever it is called with has no signatures of its own.
+            signatures = () if compiled._can_compile else tuple(map(str, compiled.nopython_signatures))
+            yield from _value((signatures, compiled.targetoptions, compiled.locals), names, seen)
+            yield from _function(compiled.py_func, seen)
         case _Intrinsic():
-            yield from _parts(value._defn, seen)
-        case FunctionType():
-            yield from _parts(value, seen)
+            yield from _function(value._defn, seen)
+        case FunctionType() if not _is_of_a_library(value.__module__):
+            yield from _function(value, seen)
         case ModuleType():
-            yield f"{value.__name__} {getattr(value, '__version__', '')}".encode()
+            yield value.__name__.encode()
+            if value in seen or _is_of_a_library(value.__name__):
+                return
+            seen[value] = len(seen)
             for name in names:
-                if isinstance(inner := getattr(value, name, None), Dispatcher | FunctionType | int | float):
-                    yield from _value(inner, names, seen)
-        case np.ndarray():
-            yield repr((value.dtype.str, value.shape)).encode() + value.tobytes()
-        case _:
+                if hasattr(value, name):
+                    yield name.encode()
+                    yield from _value(getattr(value, name), names, seen)
+        case np.ndarray() | np.generic():
+            yield repr((value.dtype, value.shape, value.flags.c_contiguous)).encode() + value.tobytes()
+        case tuple():
+            yield f"{type(value).__qualname__} of {len(value)}".encode()
+            for item in value:
+                yield from _value(item, names, seen)
+        case frozenset():  # in an order that does not hang on the hashes of strings, which differ between processes
+            yield from _value(tuple(sorted(repr(item) for item in value)), names, seen)
+        case dict():
+            yield from _value(tuple(sorted(value.items())), names, seen)
+        case int() | float() | complex() | str() | bytes() | NoneType() | EllipsisType():
             yield repr(value).encode()
+        case _ if _is_of_a_library(getattr(value, "__module__", None) or type(value).__module__):
+            yield repr(getattr(value, "__qualname__", value)).encode()
+        case _:
+            raise TypeError(f"a {type(value).__qualname__}, which no cache of kernels can follow")
+
+
+def _is_of_a_library(module: str) -> bool:
+    package = module.partition(".")[0]
+    return package in LIBRARIES or package in sys.stdlib_module_names
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:
@@ -93,36 +133,28 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
             yield from _codes(constant)
 
 
-@cache
-def _known_by(function: FunctionType) -> str:
-    return fingerprint(function)
-
-
-class _KnownByContent:
-    """For a locator: files are named by the fingerprint, so no kernel is ever loaded from the files of another version of it."""
-
-    _py_func: FunctionType
-
-    def get_source_stamp(self) -> str:
-        return _known_by(self._py_func)
-
-    def get_disambiguator(self) -> str:
-        return _known_by(self._py_func)
-
-
-def _locator(usual: Any) -> Any:
-    def __init__(self: Any, py_func: FunctionType, py_file: str) -> None:
-        usual.__init__(self, py_func, py_file)
-        self._py_func = py_func
-
-    return type(usual.__name__, (_KnownByContent, usual), {"__init__": __init__})
-
-
-class _KernelCacheImpl(CompileResultCacheImpl):
-    """Looks for a place to keep files as numba does: the folder that NUMBA_CACHE_DIR names, `__pycache__`, the user's own."""
-
-    _locator_classes: list[Any] = [_locator(usual) for usual in (UserProvidedCacheLocator, InTreeCacheLocator, UserWideCacheLocator)]  # noqa: RUF012
-
-
 class _KernelCache(FunctionCache):
-    _impl_class = _KernelCacheImpl
+    """Numba's cache, in the folders that it chooses; files are named by the fingerprint, so that none is of another kernel."""
+
+    def __init__(self, function: FunctionType, known_by: str) -> None:
+        """Raises RuntimeError where no folder can be written to."""
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        name = f"{function.__module__}.{function.__qualname__}".replace("<", "").replace(">", "")
+        self._cache_file: Any = IndexDataCacheFile(self._cache_path, f"{name}-{known_by}", known_by)  # type: ignore[no-untyped-call]
+
+    def _index_key(self, sig: Any, _codegen: Any) -> str:
+        return str(sig)  # all the rest is in the fingerprint
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return what was kept, or None where there is nothing, or only what a crash has left of it."""
+        try:
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except Exception:  # a damaged pickle raises anything
+            with contextlib.suppress(OSError):
+                self.flush()  # type: ignore[no-untyped-call]
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what was compiled, if it can be: a full disk is no reason not to run."""
+        with contextlib.suppress(OSError):
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]

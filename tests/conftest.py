@@ -1,7 +1,10 @@
-"""What many tests need: a router on a free port of this machine, and polling instead of sleeping."""
+"""What many tests need: compiled kernels, a router on a free port of this machine, and polling instead of sleeping."""
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -11,6 +14,22 @@ from link.bus.session import open_router
 # The same examples on every run, and no judgement of how long one takes: the machine may be busy.
 settings.register_profile("plumeward", derandomize=True, deadline=None)
 settings.load_profile("plumeward")
+
+ROOT = Path(__file__).parents[1]
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Fill numba's cache before the first test: on a fresh checkout that takes a minute, which no test's time limit allows for.
+
+    One process does it for all: it is done before there are workers.
+    """
+    if hasattr(session.config, "workerinput") or session.config.option.collectonly:
+        return
+    files = [path for folder in ("plume", "estimator", "agent", "benchmarks") for path in sorted((ROOT / folder).rglob("*.py"))]
+    modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files if "\n@kernel(" in path.read_text()]
+    # Where one cannot be imported, its tests say so.
+    code = f"import contextlib, importlib\nfor name in {modules}:\n    with contextlib.suppress(Exception): importlib.import_module(name)"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False, timeout=600)
 
 
 @pytest.fixture

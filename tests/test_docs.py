@@ -212,7 +212,7 @@ def make_environment(copy: Path) -> None:
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A copy of the checkout to run in, as a user has it; nothing of it stays."""
     copy = tmp_path_factory.mktemp("checkout")
-    compiled = [str(path.relative_to(ROOT)) for path in ROOT.glob("*/__pycache__/*.nb[ci]")]  # by numba: that takes a minute
+    compiled = [str(path.relative_to(ROOT)) for path in ROOT.glob("[!.]*/**/__pycache__/*.nb[ci]")]  # by numba: that takes a minute
     for name in (*checkout_files(), *compiled):
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, copy / name)
