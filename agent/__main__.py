@@ -9,6 +9,7 @@ from types import ModuleType
 from agent.policies import PolicyError, named, policy_argument, reach
 from agent.service import waypoints
 from link import cli
+from link.bus.session import Bus
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
 
@@ -90,7 +91,6 @@ def _rollout(args: argparse.Namespace) -> None:
 
 def _serve(args: argparse.Namespace) -> None:
     from agent.service import run
-    from link.bus.session import Bus
 
     with Bus("agent", args.connect, args.namespace, log_level=args.log_level) as bus:
         scripted = {step: point for path in args.waypoints for step, point in path.items()}

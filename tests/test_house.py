@@ -80,6 +80,23 @@ def test_nothing_runs_in_a_circle() -> None:
     assert list(TopologicalSorter(rooms).static_order())  # raises CycleError
 
 
+def test_the_architecture_page_lists_the_rooms_from_the_ground_up() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    rows = re.findall(r"^\| `([a-z_/]+)/` \| .+ \| (.+) \|$", page, re.MULTILINE)
+    listed = {room.replace("/", "."): set() if said == "nothing of ours" else set(said.split(", ")) for room, said in rows}
+    assert listed == {room: may_import(room) for room in ROOMS}
+    above: set[str] = set()
+    for room, below in listed.items():
+        assert below <= above, room
+        above.add(room)
+
+
+@pytest.mark.parametrize("page", sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")]), ids=name_of)
+def test_a_file_that_a_page_names_is_there(page: Path) -> None:
+    named = re.findall(r"`((?:plume|link|sitl|estimator|agent|tests|benchmarks|docs|missions)/[\w./-]*)`", page.read_text())
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
 def test_sitl_and_the_services_do_not_know_each_other() -> None:
     for path in FILES:
         package, known = path.relative_to(ROOT).parts[0], {room.split(".")[0] for room in ours(path)}
