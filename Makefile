@@ -25,7 +25,7 @@ mission: setup
 	$(BIN)/python -m sitl $(FLAGS)
 
 test: setup
-	$(BIN)/pytest -n 2 $(FLAGS)
+	$(BIN)/pytest -n 2 --dist worksteal $(FLAGS)
 
 lint: setup
 	$(BIN)/ruff check .
