@@ -10,7 +10,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from agent.bundle import BundleError, load
 from agent.planners import registry as planners
 from agent.planners.registry import PLANNERS
 from agent.planning.moves import Reach
@@ -44,6 +43,8 @@ def policy(name: str) -> Policy:
     if name in PLANNERS:
         return _planned(name)
     if path := bundle_path(name):
+        from agent.bundle import BundleError, load  # what a learned policy sees with takes time to load
+
         try:
             return load(path).waypoint
         except BundleError as error:

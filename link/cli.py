@@ -2,6 +2,7 @@
 
 import argparse
 import ctypes
+import gc
 import math
 import os
 import signal
@@ -173,6 +174,7 @@ def run(command: Callable[[], int | None]) -> NoReturn:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminate)
     _end_with_the_launcher()
+    gc.set_threshold(100_000)  # usual are 700: to look through all that is being loaded so often takes a tenth of a start
     try:
         status = command() or 0
     except KeyboardInterrupt:
@@ -180,4 +182,5 @@ def run(command: Callable[[], int | None]) -> NoReturn:
     except BusError as error:
         print(f"error: {error}", file=sys.stderr)
         status = BAD_INPUT
+    gc.freeze()  # Python would look through all that is loaded once more before it ends
     sys.exit(status)

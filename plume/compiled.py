@@ -19,6 +19,7 @@ from numba.core import typeinfer
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
+from numba.core.runtime.nrt import rtsys
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -148,7 +149,9 @@ class _KernelCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return what was kept, or None where there is nothing, or only what a crash has left of it."""
         try:
-            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            # Not numba's own, which first imports all that it needs to compile: that takes longer than to load all our kernels.
+            rtsys.initialize(target_context)
+            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         except Exception:  # a damaged pickle raises anything
             with contextlib.suppress(OSError):
                 self.flush()  # type: ignore[no-untyped-call]

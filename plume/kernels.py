@@ -52,7 +52,8 @@ def location_means(particles: Array, count: int, reading: Array, priors: Array, 
 def derive(particles: Array, count: int, unknowns: NDArray[np.int64], priors: Array, derived: Array) -> None:
     """Fill `derived` (DERIVED, count) from particles (D, count) and what is known."""
     values = np.empty(8)
-    values[:] = priors[:, 1]
+    for parameter in range(8):  # to assign a whole row compiles five times as long
+        values[parameter] = priors[parameter, 1]
     for i in range(count):
         for row in range(len(unknowns)):
             values[unknowns[row]] = particles[row, i]

@@ -167,10 +167,17 @@ def spans(page: Path) -> Iterator[str]:
         yield from (" ".join(span.split()) for span in re.findall(r"(?<!`)`([^`]+)`(?!`)", paragraph))
 
 
+def is_a_repeat(session: Session, earlier: list[Session]) -> bool:
+    """Whether all that a block says has been typed in the same folder before, and it shows nothing that is printed."""
+    there = {command.text for other in earlier if folder(other.page) == folder(session.page) for command in other.commands}
+    return all(command.text in there and not command.shown for command in session.commands)
+
+
 def sessions() -> list[Session]:
-    """All that is to be run; what a sentence only repeats is run once."""
+    """All that is to be run; what another page or a sentence only repeats is run once."""
     found = [Session(block.page, tuple(typed(block.text))) for block in of("sh")]
     found += [Session(block.page, tuple(watched(block.text))) for block in of("console")]
+    found = [session for number, session in enumerate(found) if not is_a_repeat(session, found[:number])]
     there = {command.text for session in found for command in session.commands}
     for page in PAGES:
         for span in spans(page):

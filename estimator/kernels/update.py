@@ -1,5 +1,6 @@
 """One reading into the posterior: reweight, and where the weights degenerate, resample and move."""
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +18,14 @@ RESAMPLE_BELOW = 0.5
 """Share of N that the effective sample size must keep."""
 MAX_STAGES = 40
 """After so many stages the rest of a reading is left out for good: no reading that is admitted may crush the cloud to a point."""
+
+
+@numba.njit(error_model="numpy")
+def _inherit(values: Array, ancestors: NDArray[np.int64]) -> None:
+    """Give each particle its ancestor's value. As `values[:] = values[ancestors]` it would compile for two seconds."""
+    before = values.copy()
+    for i in range(len(ancestors)):
+        values[i] = before[ancestors[i]]
 
 
 @kernel(
@@ -71,8 +80,8 @@ def update(
         if size < RESAMPLE_BELOW * count:
             ancestors = systematic(weights, uniform(key_of(seed, step, stage, 0), 0))
             for row in range(rows):
-                particles[row] = particles[row][ancestors]
-            log_targets[:] = log_targets[ancestors]
+                _inherit(particles[row], ancestors)
+            _inherit(log_targets, ancestors)
             log_weights[:] = 0.0
             weights[:] = 1.0
             metropolis(particles, log_targets, readings, unknowns, priors, sensor, seed, step, stage, sweeps)

@@ -110,7 +110,11 @@ def moments(particles: Array, weights: Array) -> tuple[Array, Array]:
 def moments_of_missions(particles: Array, weights: Array, missions: NDArray[np.int64], means: Array, covariances: Array) -> None:
     """Put the `moments` of these missions of a batch into means (B, D) and covariances (B, D, D)."""
     for b in missions:
-        means[b], covariances[b] = moments(particles[b], weights[b])
+        mean, covariance = moments(particles[b], weights[b])
+        for row in range(len(mean)):  # to assign whole arrays compiles ten times as long
+            means[b, row] = mean[row]
+            for other in range(len(mean)):
+                covariances[b, row, other] = covariance[row, other]
 
 
 @kernel("int64[::1](float64[::1], float64)")

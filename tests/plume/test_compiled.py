@@ -281,3 +281,14 @@ def test_a_fingerprint_takes_in_what_else_decides() -> None:
     assert (
         len({fingerprint(f), fingerprint(f, "float64(float64)"), fingerprint(f, "float32(float32)"), fingerprint(f, {"nogil": True})}) == 4
     )
+
+
+def test_what_is_kept_is_loaded_without_what_only_compiling_needs(tmp_path: Path) -> None:
+    """Of its start a part would otherwise spend the half on that."""
+    body = "pair = np.empty(2)\n    pair[0], pair[1] = x, 1.0\n    return pair[0] + pair[1]"
+    write(tmp_path, f"import numpy as np\n{JITTED}@njit\ndef use(x):\n    {body}")
+    code = "import sys; from tiny.loops import said; print(said(2.0), 'numba.np.linalg' in sys.modules)"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
+    for compiles in (True, False):
+        told = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
+        assert told == f"3.0 {compiles}\n"

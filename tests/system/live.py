@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+import agent.__main__
 import sitl.__main__
 from link.bus.session import Bus
 
@@ -72,10 +73,21 @@ def _serve(main: Callable[[], object]) -> None:
 
 def run_sitl(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[str], list[str]]:
     """Run `python -m sitl arguments` in this process; returns its status and the lines of its stdout and stderr."""
+    return _run(sitl.__main__.main, monkeypatch, capsys, "sitl", *arguments)
+
+
+def run_agent(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[str], list[str]]:
+    """Run `python -m agent arguments` in this process; returns the same."""
+    return _run(agent.__main__.main, monkeypatch, capsys, "agent", *arguments)
+
+
+def _run(
+    main: Callable[[], int | None], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str
+) -> tuple[int, list[str], list[str]]:
     capsys.readouterr()
-    monkeypatch.setattr(sys, "argv", ["sitl", *arguments])
+    monkeypatch.setattr(sys, "argv", [*words])
     try:
-        status = sitl.__main__.main()
+        status = main() or 0
     except SystemExit as end:
         status = int(str(end.code))
     out, err = capsys.readouterr()

@@ -10,6 +10,7 @@ import pytest
 from link.bus.session import Bus
 from sitl.launch.launcher import Launch, agent_arguments, estimator_arguments
 from sitl.script.script import load
+from tests.system.live import run_sitl
 from tests.system.stranger import Stranger
 
 MISSION = """
@@ -114,10 +115,10 @@ def test_a_second_vehicle_in_the_same_namespace_is_refused(start, router: str, m
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_what_only_own_services_can_do_is_refused_in_one_line(start, flags: list[str], line: str) -> None:
-    refused = start("sitl", "fly", "--connect", "tcp/127.0.0.1:1", *flags)
-    assert refused.ended() == 2
-    assert refused.err == [f"error: {line}\n"]
+def test_what_only_own_services_can_do_is_refused_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], flags: list[str], line: str
+) -> None:
+    assert run_sitl(monkeypatch, capsys, "fly", "--connect", "tcp/127.0.0.1:1", *flags) == (2, [], [f"error: {line}"])
 
 
 def test_without_a_router_it_is_one_line_and_status_2(start, tmp_path: Path) -> None:

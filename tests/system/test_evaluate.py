@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.system.live import run_agent
+
 QUICK = ("agent", "evaluate", "--policy", "greedy,thompson", "--first-seed", "7", "--particles", "100", "--budget", "40", "--workers", "2")
 
 
@@ -161,8 +163,17 @@ def test_a_table_that_cannot_be_written_loses_nothing(start, tmp_path: Path) -> 
         (("--stop-on", "q=3"), "--stop-on: 'q=3' is not allowed"),
     ],
 )
-def test_bad_input_is_one_line_that_says_what_is_allowed(start, tmp_path: Path, flags: tuple[str, str], error: str) -> None:
-    sweep = start(*QUICK, *flags, cwd=tmp_path)
-    assert sweep.ended() == 2
-    (line,) = sweep.err
+def test_bad_input_is_one_line_that_says_what_is_allowed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, flags: tuple[str, str], error: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, _, err = run_agent(monkeypatch, capsys, *QUICK[1:], *flags)
+    assert status == 2
+    (line,) = err
     assert error in line
+
+
+def test_bad_input_is_the_end_of_the_command_with_status_2(start, tmp_path: Path) -> None:
+    sweep = start(*QUICK, "--scenarios", "0", cwd=tmp_path)
+    assert sweep.ended() == 2
+    assert len(sweep.err) == 1

@@ -3,53 +3,69 @@
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from agent.policies import OURS
+from tests.system.live import run_agent
 
 
 def flown(folder: Path, *command: str) -> dict:
+    """What a command says of its mission, as processes; none keeps a record: tests/system/test_missions.py compares those that do."""
     done = subprocess.run([sys.executable, "-m", *command, "--json", "--trace"], capture_output=True, text=True, cwd=folder, timeout=120)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 
 
+def over_the_bus(folder: Path, *flags: str) -> dict:
+    return flown(folder, "sitl", "fly", *flags, "--no-record")
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., dict]:
+    """Roll a mission out in this process, by the same flags."""
+
+    def rolled(*flags: str) -> dict:
+        status, out, err = run_agent(monkeypatch, capsys, "rollout", *flags, "--json", "--trace")
+        assert status == 0, err
+        return json.loads(out[-1])
+
+    return rolled
+
+
 @pytest.mark.parametrize("policy", ["infotaxis", "random"])
 @pytest.mark.parametrize("seed", [1, 2, 417, 1_000_000, 1_000_001])
-def test_a_mission_over_the_bus_equals_the_one_in_process(tmp_path: Path, seed: int, policy: str) -> None:
+def test_a_mission_over_the_bus_equals_the_one_in_process(tmp_path: Path, in_process: Callable, seed: int, policy: str) -> None:
     chosen = ["--seed", str(seed), "--policy", policy]
-    over_the_bus = flown(tmp_path, "sitl", "fly", *chosen, "--speedup", "0")
-    in_process = flown(tmp_path, "agent", "rollout", *chosen)
-    assert over_the_bus["trace"] == in_process["trace"]
-    assert len(over_the_bus["trace"]) == over_the_bus["steps"] + 1
-    for result in (over_the_bus, in_process):
+    bus, rollout = over_the_bus(tmp_path, *chosen, "--speedup", "0"), in_process(*chosen)
+    assert bus["trace"] == rollout["trace"]
+    assert len(bus["trace"]) == bus["steps"] + 1
+    for result in (bus, rollout):
         assert result.pop("search_time_s") > 0  # the one field that is measured, not computed
-    assert over_the_bus == in_process
+    assert bus == rollout
 
 
 @pytest.mark.parametrize("policy", [policy for policy in OURS if policy not in ("infotaxis", "random")])
-def test_every_policy_flies_the_same_over_the_bus(tmp_path: Path, policy: str) -> None:
+def test_every_policy_flies_the_same_over_the_bus(tmp_path: Path, in_process: Callable, policy: str) -> None:
     chosen = ["--seed", "7", "--policy", policy, "--particles", "300", "--budget", "40"]
-    over_the_bus = flown(tmp_path, "sitl", "fly", *chosen, "--speedup", "0")
-    assert over_the_bus["trace"] == flown(tmp_path, "agent", "rollout", *chosen)["trace"]
+    assert over_the_bus(tmp_path, *chosen, "--speedup", "0")["trace"] == in_process(*chosen)["trace"]
 
 
 @pytest.mark.parametrize("reach", [["--headings", "8", "--measurements", "10"], ["--headings", "4", "--step", "0.5"]])
-def test_how_a_planner_moves_reaches_it(tmp_path: Path, reach: list[str]) -> None:
+def test_how_a_planner_moves_reaches_it(tmp_path: Path, in_process: Callable, reach: list[str]) -> None:
     chosen = ["--seed", "5", "--policy", "homing", "--particles", "200", "--budget", "20"]
-    usual = flown(tmp_path, "agent", "rollout", *chosen)["trace"]
-    in_process = flown(tmp_path, "agent", "rollout", *chosen, *reach)["trace"]
-    assert in_process != usual
-    assert in_process == flown(tmp_path, "sitl", "fly", *chosen, *reach, "--speedup", "0")["trace"]
+    moved = in_process(*chosen, *reach)["trace"]
+    assert moved != in_process(*chosen)["trace"]
+    assert moved == over_the_bus(tmp_path, *chosen, *reach, "--speedup", "0")["trace"]
 
 
 def test_options_reach_every_part(tmp_path: Path) -> None:
     chosen = ["--seed", "5", "--policy", "random", "--particles", "200", "--threshold", "5.5", "--budget", "40"]
-    over_the_bus = flown(tmp_path, "sitl", "fly", *chosen, "--speedup", "0", "-I", "3", "--home=-35.36,149.16,584,90")
-    assert over_the_bus["trace"] == flown(tmp_path, "agent", "rollout", *chosen)["trace"]
-    assert len(over_the_bus["trace"]) <= 41
+    trace = over_the_bus(tmp_path, *chosen, "--speedup", "0", "-I", "3", "--home=-35.36,149.16,584,90")["trace"]
+    assert trace == flown(tmp_path, "agent", "rollout", *chosen)["trace"]
+    assert len(trace) <= 41
 
 
 @pytest.mark.parametrize(
@@ -60,14 +76,11 @@ def test_options_reach_every_part(tmp_path: Path) -> None:
         ["--prior", "z=fixed:4", "--prior", "d=gamma:3,1.5", "--stop-on", "d=1"],
     ],
 )  # fmt: skip
-def test_sensors_and_unknowns_reach_every_part(tmp_path: Path, knowledge: list[str]) -> None:
+def test_sensors_and_unknowns_reach_every_part(tmp_path: Path, in_process: Callable, knowledge: list[str]) -> None:
     chosen = ["--seed", "5", "--particles", "300", "--budget", "60", *knowledge]
-    over_the_bus = flown(tmp_path, "sitl", "fly", *chosen, "--speedup", "0", "-I", "1")
-    assert over_the_bus["trace"] == flown(tmp_path, "agent", "rollout", *chosen)["trace"]
+    assert over_the_bus(tmp_path, *chosen, "--speedup", "0", "-I", "1")["trace"] == in_process(*chosen)["trace"]
 
 
-def test_speed_up_changes_nothing_but_the_time_it_takes(tmp_path: Path) -> None:
+def test_speed_up_changes_nothing_but_the_time_it_takes(tmp_path: Path, in_process: Callable) -> None:
     chosen = ["--seed", "1", "--policy", "infotaxis", "--budget", "12"]
-    fast = flown(tmp_path, "sitl", "fly", *chosen, "--speedup", "0")
-    slow = flown(tmp_path, "sitl", "fly", *chosen, "--speedup", "20")
-    assert fast["trace"] == slow["trace"]
+    assert over_the_bus(tmp_path, *chosen, "--speedup", "20")["trace"] == in_process(*chosen)["trace"]  # as all above are at once
