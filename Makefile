@@ -24,8 +24,9 @@ $(READY): pyproject.toml constraints.txt plumeward_gymnasium.py
 mission: setup
 	$(BIN)/python -m sitl $(FLAGS)
 
+# One process more than the two cores of a small machine: about half of the time that missions take they wait.
 test: setup
-	$(BIN)/pytest -n 2 --dist worksteal $(FLAGS)
+	$(BIN)/pytest -n 3 --dist worksteal $(FLAGS)
 
 lint: setup
 	$(BIN)/ruff check .
