@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from agent.trials.figures import Interval, MissionRow, bootstrap, figures, wilson
 from agent.trials.sweep import Sweep, _row, fly
+from estimator.filter import Config
 from link.bus.messages import Belief
 
 
@@ -83,7 +84,7 @@ def test_the_nees_of_a_mission_is_its_error_in_terms_of_what_was_believed(
         z=5.0, sensor="gaussian", unknowns=("x", "y"), means=(1.0, 2.0), stds=(1.0, 1.0), mean=(1.0, 2.0), covariance=covariance,
         spread=1.5, effective_sample_size=10.0, p_value=0.5, ceased=False,
     )  # fmt: skip
-    row = _row(Sweep(("greedy",), range(3)), ("greedy", 100, 1), 0.5, True, last, source, 9.0, 3.0, [0.25, 0.75], [0.5])
+    row = _row(Sweep(("greedy",), range(3)), ("greedy", 100, 1), Config(100), 0.5, True, last, source, 9.0, 3.0, [0.25, 0.75], [0.5])
     assert row.nees == pytest.approx(nees)
     assert row.error_m == pytest.approx(math.dist((1.0, 2.0), source))
     assert row.located == (source == (1.0, 2.0))
