@@ -1,13 +1,14 @@
 """Command lines: bad input gets one clear line and exit status 2; Ctrl-C and SIGTERM end a command cleanly."""
 
 import argparse
+import contextlib
 import ctypes
 import gc
 import math
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
@@ -156,6 +157,20 @@ def existing(flag: str, paths: Iterable[Path], force: bool) -> str | None:
 
 def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C and SIGTERM back, so that a child that has been started is also known to have been."""
+    held: list[int] = []
+    before = {number: signal.signal(number, lambda number, _: held.append(number)) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if held:
+        raise KeyboardInterrupt
 
 
 def _end_with_the_launcher() -> None:

@@ -6,9 +6,11 @@ import threading
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from itertools import islice
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from multiprocessing.connection import Connection
 from typing import TypeVar
+
+from link.cli import uninterrupted
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 """One thread a worker: thread pools beside each other slow all of them down."""
@@ -33,6 +35,7 @@ def as_flown(function: Callable[[Task], Result], tasks: Iterable[Task], workers:
     context, left = get_context("spawn"), iter(tasks)
     running: dict[Future[Result], Task] = {}
     alive, kept_open = context.Pipe(duplex=False)
+    others = set(active_children())
     with alive, kept_open, ProcessPoolExecutor(workers, context, _end_with_parent, (alive,)) as pool:
         try:
             while True:
@@ -44,19 +47,22 @@ def as_flown(function: Callable[[Task], Result], tasks: Iterable[Task], workers:
                 for future in sorted(done, key=lambda it: it.exception() is not None):  # what is flown is not lost to what failed
                     yield running.pop(future), future.result()
         except BaseException as error:
-            kept_open.close()  # workers end now, not after their tasks
+            for worker in set(active_children()) - others:  # now, not after their tasks, nor while they still start
+                worker.kill()
             if isinstance(error, BrokenExecutor):
                 raise WorkerLost("a worker process was killed; the memory may have run out") from error
             raise
 
 
 def _submit(pool: ProcessPoolExecutor, function: Callable[[Task], Result], task: Task) -> Future[Result]:
-    # It may start a worker, which inherits the mask: Ctrl-C, which a terminal sends to workers too, is this process's to answer.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        return pool.submit(function, task)
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    # It may start a worker. One that is begun is finished, so that it is known and can be ended; and it inherits the mask:
+    # Ctrl-C, which a terminal sends to workers too, is this process's to answer.
+    with uninterrupted():
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return pool.submit(function, task)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_parent(alive: Connection) -> None:

@@ -10,13 +10,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from typing import Any, NamedTuple, NoReturn, Self
 
 from link.bus import log
 from link.bus.inbox import Inbox
 from link.bus.session import SIGNAL_POLL_S
-from link.cli import BAD_INPUT, FAILED, INTERRUPTED, LAUNCHER
+from link.cli import BAD_INPUT, FAILED, INTERRUPTED, LAUNCHER, uninterrupted
 from sitl.launch.output import Lines
 
 STOP_TIMEOUT_S = 1.0
@@ -64,20 +63,6 @@ def raise_for(ended: Ended) -> NoReturn:
         raise MissionFailed(ended.last_words.rpartition("error: ")[2], BAD_INPUT)
     how = f"was killed by signal {-ended.status}" if ended.status < 0 else f"exited with status {ended.status}"
     raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
-
-
-@contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM back, so that a child that has been started is also known to have been."""
-    held: list[int] = []
-    before = {number: signal.signal(number, lambda number, _: held.append(number)) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    if held:
-        raise KeyboardInterrupt
 
 
 class Child:
@@ -183,7 +168,7 @@ class Processes:
 
     def start(self, part: str, module: str, *arguments: str) -> Child:
         """Start `python -m module arguments`."""
-        with _uninterrupted():
+        with uninterrupted():
             child = Child(part, [sys.executable, "-m", module, *arguments], self._inbox)
             self._children[part] = child
             self._commands[part] = (module, *arguments)
@@ -235,7 +220,7 @@ class Processes:
 
     def stop(self) -> None:
         """End all of them, kindly first; afterwards none is left, however often Ctrl-C is pressed meanwhile."""
-        with contextlib.suppress(KeyboardInterrupt), _uninterrupted():
+        with contextlib.suppress(KeyboardInterrupt), uninterrupted():
             for group in (set(self._children) - set(LAST), *({part} for part in LAST)):
                 self._end([child for part, child in self._children.items() if part in group])
             for child in self._all:
