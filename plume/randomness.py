@@ -1,6 +1,6 @@
 """Keyed randomness: every draw is a function of (seed, stream, step), never of clock, process, batch or thread."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from hashlib import blake2b
 from typing import Protocol
@@ -52,23 +52,36 @@ class Draws(Protocol):
 
 
 class Abreast:
-    """Generators side by side: each number of an array is drawn from its own, as if it were drawn alone."""
+    """Generators of several keys side by side: each number of an array is drawn from its own, as if it were drawn alone."""
 
-    def __init__(self, generators: Sequence[np.random.Generator]) -> None:
-        """Take a generator for each number of the arrays, (M,), that are asked for."""
-        self._generators = generators
+    def __init__(self, keyed: Keyed, keys: Sequence[tuple[int, str, int]]) -> None:
+        """Take a key, as of `keyed`, for each number of the arrays (M,) that are asked for; `keyed` is set to one after the other."""
+        self._keyed = keyed
+        self._keys = keys
+        self._draws: list[Callable[[np.random.Generator, int], float]] = []
+
+    def _drawn(self, draw: Callable[[np.random.Generator, int], float]) -> list[float]:
+        """Draw once more from each; what was drawn from it before is drawn again, to come to where it was."""
+        *before, last = self._draws = [*self._draws, draw]
+        numbers = []
+        for number, key in enumerate(self._keys):
+            generator = self._keyed.at(*key)
+            for each in before:
+                each(generator, number)
+            numbers.append(last(generator, number))
+        return numbers
 
     def standard_normal(self, _size: tuple[int, ...], /) -> NDArray[np.float64]:
         """(M,) of N(0, 1)."""
-        return np.array([each.standard_normal() for each in self._generators])
+        return np.array(self._drawn(lambda generator, _: generator.standard_normal()))
 
     def random(self, _size: tuple[int, ...], /) -> NDArray[np.float64]:
         """(M,) of U[0, 1)."""
-        return np.array([each.random() for each in self._generators])
+        return np.array(self._drawn(lambda generator, _: generator.random()))
 
     def poisson(self, lam: NDArray[np.float64], /) -> NDArray[np.int64]:
         """(M,) counts, of so many expected (M,)."""
-        return np.array([each.poisson(expected) for each, expected in zip(self._generators, lam, strict=True)])
+        return np.array(self._drawn(lambda generator, number: generator.poisson(lam[number])), np.int64)
 
 
 def derived_seed(seed: int, purpose: str) -> int:

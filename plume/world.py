@@ -1,6 +1,7 @@
 """The world that one mission flies in: it knows the source, and answers with what an instrument there would read."""
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,15 +29,21 @@ class World:
         """(u cos φ, u sin φ) m/s as the anemometer reports it, a float32 pair: where the wind comes from."""
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
         self._release = (*scenario.source, scenario.height, *scenario.wind, scenario.q, scenario.d, scenario.tau)
-        self._noise = Keyed()
 
     def gas(self, position: tuple[float, float], step: int) -> float:
         """Take the gas reading number `step` (0 at the start) at a position (x, y) m; a float32 value, in the sensor's unit."""
-        return float(gas_of([self], np.array([position]), [step])[0])
+        return float(gas_of([self], np.array([position]), [step], self._noise)[0])
+
+    @cached_property
+    def _noise(self) -> Keyed:
+        return Keyed()
 
 
-def gas_of(worlds: Sequence[World], positions: NDArray[np.float64], steps: Sequence[int]) -> NDArray[np.float64]:
-    """Take a reading in each of several worlds, at positions (M, 2) m; (M,) float32 values. Raises ValueError where sensors differ."""
+def gas_of(worlds: Sequence[World], positions: NDArray[np.float64], steps: Sequence[int], noise: Keyed) -> NDArray[np.float64]:
+    """Take a reading in each of several worlds, at positions (M, 2) m; (M,) float32 values. `noise` is a generator to draw with.
+
+    Raises ValueError where sensors differ.
+    """
     sensor = worlds[0].sensor
     if any(world.sensor is not sensor and world.sensor != sensor for world in worlds):
         raise ValueError("worlds that are read at once have the same sensor")
@@ -45,5 +52,5 @@ def gas_of(worlds: Sequence[World], positions: NDArray[np.float64], steps: Seque
     releases = np.array([world._release for world in worlds])
     rate, diffusivity, lifetime = releases[:, 5:].T
     means = concentration(places, releases[:, :3], releases[:, 3:5], rate=rate, diffusivity=diffusivity, lifetime=lifetime)
-    noise = Abreast([world._noise.at(world.seed, "sensor", step) for world, step in zip(worlds, steps, strict=True)])
-    return sensor.measure(means, noise).astype(np.float32).astype(np.float64)
+    draws = Abreast(noise, [(world.seed, "sensor", step) for world, step in zip(worlds, steps, strict=True)])
+    return sensor.measure(means, draws).astype(np.float32).astype(np.float64)

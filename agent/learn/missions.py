@@ -9,7 +9,7 @@ from agent import observation
 from agent.observation import FACTS, SCHEMAS
 from estimator.batch import Batch
 from estimator.filter import Config
-from plume.randomness import derived_seed
+from plume.randomness import Keyed, derived_seed
 from plume.scenario import SUCCESS_RADIUS_M, draw
 from plume.world import World, gas_of
 
@@ -36,6 +36,7 @@ class Missions:
         self.observations = np.empty((count, self._schema.size), np.float32)
         self._facts = np.empty((count, len(FACTS)))
         self._sources = np.empty((count, 2))
+        self._noise = Keyed()
         self._worlds = [World(draw(seed), seed) for seed in self.seeds.tolist()]
         self._batch = Batch([self._told(mission) for mission in range(count)], threads)
         self._read(np.arange(count))
@@ -81,7 +82,7 @@ class Missions:
         facts = self._facts
         facts[missions, : observation.GAS] = self.positions[missions]
         worlds = [self._worlds[mission] for mission in missions.tolist()]
-        facts[missions, observation.GAS] = gas_of(worlds, self.positions[missions], self.steps[missions].tolist())
+        facts[missions, observation.GAS] = gas_of(worlds, self.positions[missions], self.steps[missions].tolist(), self._noise)
         readings = np.zeros((len(missions), 7))
         readings[:, :2] = self.positions[missions]
         readings[:, 3:5] = facts[missions, observation.WIND_X : observation.RATE]

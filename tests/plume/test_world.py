@@ -42,8 +42,8 @@ def test_a_reading_among_others_is_the_reading_alone_to_the_bit(sensor: Sensor) 
     worlds = [World(draw(seed % 50), seed, sensor) for seed in seeds]
     places = np.array([draw(seed % 50).source for seed in seeds]) + np.linspace(0, 9, 26).reshape(13, 2)
     alone = [World(draw(seed % 50), seed, sensor).gas((x, y), k) for seed, (x, y), k in zip(seeds, places.tolist(), steps, strict=True)]
-    assert gas_of(worlds, places, steps).tolist() == alone
-    assert gas_of(worlds[::-1], places[::-1], steps[::-1]).tolist() == alone[::-1]
+    assert gas_of(worlds, places, steps, Keyed()).tolist() == alone
+    assert gas_of(worlds[::-1], places[::-1], steps[::-1], Keyed()).tolist() == alone[::-1]
     assert len(set(alone)) > 4  # not all of them silent
 
 
@@ -60,7 +60,7 @@ def test_a_reading_is_what_the_sensor_makes_of_the_concentration_with_the_noise_
 def test_worlds_of_different_sensors_are_not_read_at_once() -> None:
     worlds = [World(draw(1), 1), World(draw(1), 1, Hits())]
     with pytest.raises(ValueError, match="worlds that are read at once have the same sensor"):
-        gas_of(worlds, np.zeros((2, 2)), [0, 0])
+        gas_of(worlds, np.zeros((2, 2)), [0, 0], Keyed())
 
 
 def test_streams_of_one_seed_are_uncorrelated() -> None:
