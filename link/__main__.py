@@ -73,7 +73,7 @@ decimals that read back as the same double.
 ## What is refused
 
 What is refused is counted in `health` under its kind, logged with key and reason (`overflow`: once a burst), and leaves the belief as
-it is to the last bit. It never stops a service. A numbered reading that overflowed is had again from those that are kept.
+it is to the last bit. It never stops a service. A reading that overflowed is fetched again from the kept ones.
 
 | kind | refused is |
 |---|---|
@@ -85,7 +85,7 @@ it is to the last bit. It never stops a service. A numbered reading that overflo
 | `late` | a reading older than the newest one |
 | `conflicting` | another reading under the newest one's time |
 | `repeated` | the newest reading again: it is not taken twice, but the belief is said again |
-| `overflow` | the oldest of those that wait, where more than {WAITING_MESSAGES:,} of a key beside those that are kept, or {MIB} MiB do |
+| `overflow` | the oldest waiting message of a key, once more than {WAITING_MESSAGES:,} (beside the kept ones) or {MIB} MiB wait |
 
 ## Health
 

@@ -22,7 +22,7 @@ def claim(folder: Path, recipe: Recipe, seed: int, bundle: Path) -> IO[bytes]:
     path = folder / "recipe.json"
     kept = [*checkpoints(folder), *([bundle] if bundle.exists() else [])]
     if kept and not path.exists():
-        raise ValueError(f"{str(folder)!r} has a {kept[0].name} that is not of a run there; wanted an empty folder")
+        raise ValueError(f"{str(folder)!r} holds {kept[0].name} but no recipe.json; wanted an empty folder")
     file = path.open("a+b")
     try:
         _claim(file, folder, msgspec.json.format(msgspec.json.encode({"seed": seed, "recipe": recipe})), bool(kept))

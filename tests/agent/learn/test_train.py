@@ -477,7 +477,7 @@ def test_what_was_not_trained_in_a_folder_is_not_taken_for_its_run(
     monkeypatch.chdir(tmp_path)
     (tmp_path / name).write_bytes(b"of somebody else")
     ended = told(capsys, monkeypatch, "train", "ppo", "--out", ".")
-    assert ended == (2, "", f"error: --out: '.' has a {name} that is not of a run there; wanted an empty folder\n")
+    assert ended == (2, "", f"error: --out: '.' holds {name} but no recipe.json; wanted an empty folder\n")
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [(name, b"of somebody else")]
 
 
