@@ -14,7 +14,7 @@ FLAGS ?=
 setup: $(READY)
 
 # Made anew when what it is made from changes. particles, a peer of the benchmarks, says that it wants an older numpy, and works with ours.
-$(READY): pyproject.toml constraints.txt plumeward_gymnasium.py
+$(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Plumeward needs Python 3.11 or newer; name one with: make PYTHON=...")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'

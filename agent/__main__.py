@@ -49,8 +49,8 @@ def _module(command: str) -> ModuleType:
     return importlib.import_module(OTHERS[command][0])
 
 
-def _parse(arguments: list[str]) -> argparse.Namespace:
-    parser = cli.Parser(prog="python -m agent", description="Beliefs in, waypoints out.")
+def _parse(prog: str, arguments: list[str]) -> argparse.Namespace:
+    parser = cli.Parser(prog=prog, description="Beliefs in, waypoints out.")
     cli.add_bus_arguments(parser)
     _add_policy_arguments(parser)
     parser.add_argument(
@@ -104,9 +104,9 @@ def _serve(args: argparse.Namespace) -> None:
         run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, args.scripted)
 
 
-def main() -> int | None:
+def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> int | None:
     """Parse the command line, then serve, roll out, evaluate, train or report."""
-    args = _parse(sys.argv[1:])
+    args = _parse(prog, sys.argv[1:] if arguments is None else arguments)
     try:
         if args.command in OTHERS:
             status: int = _module(args.command).run(args)

@@ -9,9 +9,9 @@ from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M
 
 
-def main() -> None:
+def main(prog: str = "python -m estimator", arguments: list[str] | None = None) -> None:
     """Parse the command line and serve."""
-    parser = cli.Parser(prog="python -m estimator", description="Particle filter: readings in, beliefs and the AGDC stop out.")
+    parser = cli.Parser(prog=prog, description="Particle filter: readings in, beliefs and the AGDC stop out.")
     cli.add_bus_arguments(parser)
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
@@ -25,7 +25,7 @@ def main() -> None:
         help="side of the square search area, whose corner is home (default: %(default)g m)",
     )  # fmt: skip
     parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="MAVLink system id of the vehicle (default: %(default)s)")
-    args = parser.parse_args()
+    args = parser.parse_args(arguments)
     try:
         known = knowledge(args, args.area)
     except ValueError as error:

@@ -1,13 +1,12 @@
-"""`plumeward`, also `python -m sitl`: fly one mission with all its parts, replay one, look into its log, or run one part alone."""
+"""`python -m sitl`: fly one mission with all its parts, replay one, look into its log, or run one part alone."""
 
 import argparse
 import importlib
 import math
-import os
 import sys
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from link import cli
 from link.bus.session import DEFAULT_ROUTER
@@ -298,9 +297,9 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     return 0
 
 
-def main(prog: str = "python -m sitl") -> int:
+def main(prog: str = "python -m sitl", arguments: list[str] | None = None) -> int:
     """Parse the command line and run what it names."""
-    args, given = _parse(prog, sys.argv[1:])
+    args, given = _parse(prog, sys.argv[1:] if arguments is None else arguments)
     if args.command in ("fly", "uav"):
         try:
             return {"fly": _fly, "uav": _uav}[args.command](args, given)
@@ -314,12 +313,6 @@ def main(prog: str = "python -m sitl") -> int:
 
     run(args.listen)
     return 0
-
-
-def command() -> NoReturn:
-    """Run as `plumeward`, the command that an install gives."""
-    os.environ["PYTHONSAFEPATH"] = "1"  # the parts are the installed ones, whatever an agent.py in this folder is
-    cli.run(lambda: main("plumeward"))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("plume", "link", "sitl", "estimator", "agent")
+PACKAGES = ("plume", "link", "sitl", "estimator", "agent", "plumeward")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TRUTH = {"draw", "Scenario", "World"}
 JUDGES = ("agent.trials", "agent.learn")

@@ -21,7 +21,6 @@ from agent.observation import BOUND, SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS
-from plumeward_gymnasium import register
 
 TRAINING_SEEDS = 900_000
 """Missions are drawn from the seeds below it; those from it to a million are there to choose by, those from there on to test."""
@@ -240,6 +239,3 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     def _next(self, i: int) -> int:
         return int(self._draws[i].integers(TRAINING_SEEDS))
-
-
-register()

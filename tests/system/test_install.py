@@ -25,8 +25,7 @@ from plume.outcome import outcome_json
 pytestmark = pytest.mark.timeout(600)  # an environment is made and filled, and kernels are compiled in it
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("plume", "link", "sitl", "estimator", "agent")
-PLUG_IN = ("plumeward_gymnasium.py", "plumeward_gymnasium.pth")
+PACKAGES = ("plume", "link", "sitl", "estimator", "agent", "plumeward")
 CONSTRAINTS = ROOT / "constraints.txt"
 OWN = f"{sys.version_info.major}.{sys.version_info.minor}"
 VERSIONS = ("3.11", "3.12", "3.13")
@@ -83,11 +82,11 @@ def requirements(wheel: Path) -> list[Requirement]:
     return [Requirement(line) for line in email.message_from_string(about(wheel, "METADATA")).get_all("Requires-Dist", [])]
 
 
-def test_a_wheel_has_the_packages_the_missions_and_the_gymnasium_plug_in_and_nothing_else(wheel: Path) -> None:
+def test_a_wheel_has_the_packages_the_missions_and_nothing_else(wheel: Path) -> None:
     held = {name: content for name, content in contents(wheel).items() if ".dist-info/" not in name}
     ours = {path.relative_to(ROOT).as_posix(): path for package in PACKAGES for path in files(ROOT / package)}
     missions = {f"sitl/missions/{path.name}": path for path in (ROOT / "missions").iterdir()}
-    expected = {**ours, **missions, **{name: ROOT / name for name in PLUG_IN}}
+    expected = {**ours, **missions}
     assert set(held) == set(expected)
     assert all(content == expected[name].read_bytes() for name, content in held.items())
     assert {path.relative_to(ROOT).as_posix() for path in SHIPPED.values()} <= set(held)
@@ -95,7 +94,7 @@ def test_a_wheel_has_the_packages_the_missions_and_the_gymnasium_plug_in_and_not
 
 
 def test_an_sdist_has_what_the_wheel_is_made_of_and_no_records(sdist: Path) -> None:
-    ours = {*PACKAGES, *PLUG_IN, "missions", "docs", "pyproject.toml", "constraints.txt", "Makefile", "LICENSE", "README.md"}
+    ours = {*PACKAGES, "missions", "docs", "pyproject.toml", "constraints.txt", "Makefile", "LICENSE", "README.md"}
     assert {path.name for path in sdist.iterdir()} == ours | {"PKG-INFO", ".gitignore"}
     assert sum(path.stat().st_size for path in files(sdist)) < 5_000_000
 
@@ -129,7 +128,7 @@ def test_the_wheel_names_ranges_and_the_repository_pins_a_version_in_each(wheel:
 
 
 def test_the_wheel_gives_one_command_and_says_which_pythons_it_is_for(wheel: Path) -> None:
-    assert about(wheel, "entry_points.txt").split("\n") == ["[console_scripts]", "plumeward = sitl.__main__:command", ""]
+    assert about(wheel, "entry_points.txt").split("\n") == ["[console_scripts]", "plumeward = plumeward.__main__:command", ""]
     metadata = email.message_from_string(about(wheel, "METADATA"))
     assert metadata["Requires-Python"] == ">=3.11"
     assert {f"Programming Language :: Python :: {version}" for version in VERSIONS} <= set(metadata.get_all("Classifier"))

@@ -17,6 +17,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 import agent.trials.rollout
+import plumeward  # noqa: F401  registers the environments
 from agent.learn.env import TRAINING_SEEDS, SourceSearch, SourceSearchVector
 from agent.observation import BOUND, SCHEMAS
 from link.bus.messages import Belief, Particles
@@ -93,7 +94,7 @@ def test_many_at_once_come_as_a_native_vector_env() -> None:
 
 
 def test_the_names_are_found_without_an_import() -> None:
-    code = f"import gymnasium; print(gymnasium.make('agent.learn.env:{DISCRETE}').reset(seed=1)[1]['seed'])"
+    code = f"import gymnasium; print(gymnasium.make('plumeward:{DISCRETE}').reset(seed=1)[1]['seed'])"
     said = subprocess.run([sys.executable, "-c", code], check=True, timeout=60, capture_output=True, text=True, cwd=DOCUMENT.parents[1])
     assert said.stdout == "1\n"
 
@@ -438,7 +439,7 @@ def test_an_install_makes_the_names_known_as_soon_as_gymnasium_is_imported(tmp_p
     code = (
         "import sys, importlib.util; assert 'numba' not in sys.modules\n"
         "assert importlib.util.find_spec('gymnasium')\n"  # others look for it before they import it
-        "import gymnasium; made = gymnasium.make('plumeward/SourceSearchContinuous-v0', particles=20)\n"
+        "import gymnasium, plumeward; made = gymnasium.make('plumeward/SourceSearchContinuous-v0', particles=20)\n"
         "print(made.reset(seed=7)[0].shape, [type(finder).__name__ for finder in sys.meta_path])"
     )
     said = subprocess.run([sys.executable, "-c", code], check=True, timeout=60, capture_output=True, text=True, cwd=tmp_path).stdout
