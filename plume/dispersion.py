@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 SOURCE_RADIUS_M = 0.1
-"""Distances below the source's own radius count as that radius."""
+"""Radius of the source: shorter distances are clamped to it."""
 
 
 def concentration(
@@ -12,7 +12,7 @@ def concentration(
 ) -> NDArray[np.float64]:
     """Mean concentration m = q/(4π d r) · exp(−r/λ + ψ), Vergassola et al. 2007 eq. (S5), the paper's section 2.
 
-    position, source: (..., 2) or (..., 3) m, x east, y north, z up; two are taken to be in one plane.
+    position, source: (..., 2) or (..., 3) m, x east, y north, z up; without z both lie in one plane.
     wind: (..., 2) = (u cos φ, u sin φ) m/s, φ the direction it comes FROM.
     rate q in g/s, diffusivity d in m²/s, lifetime τ in s, (...) each.  Shapes broadcast; returns (...) in g/m³.  Gas lies towards −wind.
     """

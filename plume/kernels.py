@@ -1,10 +1,10 @@
-"""The plume as compiled loops over hypotheses about its source; tests hold them equal to `concentration`.
+"""The plume as compiled loops over source hypotheses; tests hold them equal to `concentration`.
 
-Plain IEEE arithmetic in a fixed order, exp included: the same bits alone or in a batch, on any number of threads.
+Plain IEEE arithmetic in a fixed order, exp included: results are bit-identical alone, in a batch and on any number of threads.
 
-particles: (D, N), a row for each unknown.  unknowns: (D,) indices into `PARAMETERS`.
-priors: (8, 2 or more) rows of kind and, where that is KNOWN, value.
-readings: (T, 5 or more) rows of x, y, height above the source's plane or home, wind_x, wind_y.
+particles: (D, N), one row per unknown.  unknowns: (D,) indices into `PARAMETERS`.
+priors: (8, 2 or more), one row per parameter: its kind and, if that is KNOWN, its value.
+readings: (T, 5 or more) rows of x, y, height (same origin as z), wind_x, wind_y.
 """
 
 import math
@@ -21,18 +21,18 @@ from plume.parameters import MEASURED, PHI, TAU, D, Q, U, X, Y, Z
 Array = NDArray[np.float64]
 
 DERIVED = 9
-"""Rows that the plume needs of a particle: x, y, z, q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ."""
+"""Number of rows that `derive` fills: x, y, z, q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ."""
 
 
 @numba.njit(error_model="numpy")
 def is_location_only(unknowns: NDArray[np.int64], priors: Array) -> bool:
-    """Whether x and y alone are unknown and the wind is measured: the paper's case, which has a faster loop."""
+    """True if only x and y are unknown and the wind is measured: the paper's case, which has a faster loop."""
     return len(unknowns) == 2 and unknowns[0] == X and unknowns[1] == Y and priors[U, 0] == MEASURED and priors[PHI, 0] == MEASURED
 
 
 @numba.njit(error_model="numpy")
 def location_means(particles: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
-    """Concentration where the reading was taken for sources at particles (2, count), all else known."""
+    """Fill `means` (count,) with the concentration at the reading's place, g/m³, for sources at particles (2, count); all else is known."""
     diffusivity, lifetime = priors[D, 1], priors[TAU, 1]
     wind_x, wind_y = reading[3], reading[4]
     inverse_length = math.sqrt(1 / (diffusivity * lifetime) + (wind_x * wind_x + wind_y * wind_y) / (4 * diffusivity * diffusivity))
@@ -50,9 +50,9 @@ def location_means(particles: Array, count: int, reading: Array, priors: Array, 
 
 @numba.njit(error_model="numpy")
 def derive(particles: Array, count: int, unknowns: NDArray[np.int64], priors: Array, derived: Array) -> None:
-    """Fill `derived` (DERIVED, count) from particles (D, count) and what is known."""
+    """Fill `derived` (DERIVED, count) from particles (D, count) and the known parameters."""
     values = np.empty(8)
-    for parameter in range(8):  # to assign a whole row compiles five times as long
+    for parameter in range(8):  # assigning the whole row takes five times as long to compile
         values[parameter] = priors[parameter, 1]
     for i in range(count):
         for row in range(len(unknowns)):
@@ -70,7 +70,10 @@ def derive(particles: Array, count: int, unknowns: NDArray[np.int64], priors: Ar
 
 @numba.njit(error_model="numpy")
 def derived_means(derived: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
-    """Concentration where the reading was taken for each column of `derived`; wind that is measured comes from the reading."""
+    """Fill `means` (count,) with the concentration at the reading's place, g/m³, for each column of `derived`.
+
+    A measured wind is taken from the reading.
+    """
     x, y, height = reading[0], reading[1], reading[2]
     speed_measured, direction_measured = priors[U, 0] == MEASURED, priors[PHI, 0] == MEASURED
     speed = math.sqrt(reading[3] * reading[3] + reading[4] * reading[4])
@@ -90,7 +93,7 @@ def derived_means(derived: Array, count: int, reading: Array, priors: Array, mea
 
 @kernel("float64[:, ::1](float64[:, ::1], int64[::1], float64[:, ::1], float64[:, ::1])", nogil=True)
 def mean_concentrations(particles: Array, unknowns: NDArray[np.int64], priors: Array, readings: Array) -> Array:
-    """Concentration under each particle where each reading (A, 5 or more) is taken: (A, N)."""
+    """Concentration at the place of each reading (A, 5 or more) under each particle, g/m³: (A, N)."""
     count = particles.shape[1]
     result = np.empty((len(readings), count))
     only_location = is_location_only(unknowns, priors)

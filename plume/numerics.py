@@ -1,4 +1,4 @@
-"""exp, log, a fused multiply-add and a sum for compiled loops: plain IEEE arithmetic, the same bits on every machine, vectorisable."""
+"""exp, log, fused multiply-add and sum for compiled loops: plain IEEE arithmetic, bit-identical on every machine, vectorisable."""
 
 from typing import Any
 
@@ -29,16 +29,16 @@ def _to_fused(_context: Any, _a: Any, _b: Any, _c: Any) -> Any:
 
 
 fma: Any = intrinsic(_to_fused)
-"""a · b + c rounded once; the same bits on processors that have no instruction for it."""
+"""a · b + c, rounded once; bit-identical on processors without the instruction."""
 bits_of: Any = intrinsic(_to_bits)
-"""The 64 bits of a float as a whole number."""
+"""The 64 bits of a float as an integer."""
 float_of: Any = intrinsic(_to_float)
-"""The float of 64 bits."""
+"""The float with these 64 bits."""
 
 
 @numba.njit(error_model="numpy")
 def exp(x: float) -> float:
-    """e^x to the last bit or two; a polynomial, which loops can be vectorised over. Below −708 it stays at e^−708."""
+    """e^x to the last bit or two, with x clamped to ±708; a polynomial, so that loops over it vectorise."""
     x = min(max(x, -708.0), 708.0)
     shifted = fma(x, LOG2_E, ROUNDER)
     whole = shifted - ROUNDER
@@ -61,7 +61,7 @@ def exp(x: float) -> float:
 
 @numba.njit(error_model="numpy")
 def log(x: float) -> float:
-    """ln x to the last bit or two, for x > 0 and not subnormal: the series of artanh after the exponent is taken out."""
+    """ln x to the last bit or two, for normal x > 0: the exponent is split off, the rest is a series of artanh."""
     bits: int = bits_of(x)
     exponent = (bits - SQRT_HALF_BITS) >> 52
     f: float = float_of(bits - (exponent << 52)) - 1.0
@@ -81,7 +81,7 @@ def log(x: float) -> float:
 
 @numba.njit(error_model="numpy")
 def total_of(values: NDArray[np.float64]) -> float:
-    """Sum in eight interleaved parts: the additions need not wait for each other, and their order never changes."""
+    """Sum with eight interleaved accumulators: additions need not wait for each other, and their order never changes."""
     a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     whole = len(values) - len(values) % 8
     for i in range(0, whole, 8):

@@ -17,21 +17,21 @@ def _word(text: str) -> int:
 
 
 def keyed(seed: int, stream: str, step: int = 0) -> np.random.Generator:
-    """Return the generator of one (seed, stream, step); the counter-based Philox makes them independent of each other."""
+    """Return the generator of one (seed, stream, step); counter-based Philox makes different ones independent."""
     return np.random.Generator(np.random.Philox(key=np.array([seed, _word(stream)], np.uint64), counter=[0, 0, step, 0]))
 
 
 class Keyed:
-    """One generator that is set to any (seed, stream, step): the draws of `keyed` in a fifth of the time, for those who need many."""
+    """One generator that can be set to any (seed, stream, step): gives the draws of `keyed` in a fifth of the time."""
 
     def __init__(self) -> None:
-        """Begin anywhere."""
+        """Create a generator; `at` sets its key."""
         self._bits = np.random.Philox(0)
         self._generator = np.random.Generator(self._bits)
         self._state = self._bits.state
 
     def at(self, seed: int, stream: str, step: int = 0) -> np.random.Generator:
-        """Return the generator, at the beginning of this (seed, stream, step): good until the next call."""
+        """Return the generator, at the beginning of this (seed, stream, step). It is valid until the next call."""
         self._state["state"]["key"][:] = seed, _word(stream)
         self._state["state"]["counter"][:] = 0, 0, step, 0
         self._bits.state = self._state
@@ -39,7 +39,7 @@ class Keyed:
 
 
 class Draws(Protocol):
-    """What noise is drawn from: numpy's generator, or many of them `Abreast`."""
+    """A source of noise: numpy's generator, or several of them `Abreast`."""
 
     def standard_normal(self, size: tuple[int, ...], /) -> NDArray[np.float64]:
         """N(0, 1)."""
@@ -48,20 +48,20 @@ class Draws(Protocol):
         """U[0, 1)."""
 
     def poisson(self, lam: NDArray[np.float64], /) -> NDArray[np.int64]:
-        """Counts of so many expected."""
+        """Poisson counts with means `lam`."""
 
 
 class Abreast:
-    """Generators of several keys side by side: each number of an array is drawn from its own, as if it were drawn alone."""
+    """Several keyed generators side by side: each element of an array comes from its own, bit-identical to drawing it alone."""
 
     def __init__(self, keyed: Keyed, keys: Sequence[tuple[int, str, int]]) -> None:
-        """Take a key, as of `keyed`, for each number of the arrays (M,) that are asked for; `keyed` is set to one after the other."""
+        """Take a (seed, stream, step) for each element of the arrays (M,) to draw; `keyed` is set to one after the other."""
         self._keyed = keyed
         self._keys = keys
         self._draws: list[Callable[[np.random.Generator, int], float]] = []
 
     def _drawn(self, draw: Callable[[np.random.Generator, int], float]) -> list[float]:
-        """Draw once more from each; what was drawn from it before is drawn again, to come to where it was."""
+        """Draw once more from each key. Its earlier draws are repeated first, to bring the shared generator to the right state."""
         *before, last = self._draws = [*self._draws, draw]
         numbers = []
         for number, key in enumerate(self._keys):
@@ -80,10 +80,10 @@ class Abreast:
         return np.array(self._drawn(lambda generator, _: generator.random()))
 
     def poisson(self, lam: NDArray[np.float64], /) -> NDArray[np.int64]:
-        """(M,) counts, of so many expected (M,)."""
+        """(M,) Poisson counts with means `lam` (M,)."""
         return np.array(self._drawn(lambda generator, number: generator.poisson(lam[number])), np.int64)
 
 
 def derived_seed(seed: int, purpose: str) -> int:
-    """One-way seed for a service: it makes its own draws repeatable and does not tell the mission's seed, hence not the source."""
+    """Return a service's seed, a one-way hash: it does not reveal the mission's seed, from which the source could be drawn."""
     return _word(f"{seed}/{purpose}") & MAX_SEED

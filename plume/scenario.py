@@ -10,19 +10,19 @@ from plume.randomness import keyed
 AREA_M = 30.0
 """Side of the square search area [0, AREA_M]², m."""
 SOURCE_LOW_M, SOURCE_HIGH_M = 10.0, 25.0
-"""Table 1 draws sources from this square in the middle of the area."""
+"""Table 1 draws the source's x and y from this range, m."""
 STEP_M = 1.0
 """Length of one move, m."""
 BUDGET_STEPS = 300
-"""Moves after which a mission is given up; the paper states none."""
+"""Most moves of a mission; the paper states no budget."""
 SUCCESS_RADIUS_M = 1.0
-"""A stop counts as located when the estimate is this near to the source; the paper states none."""
+"""A stop counts as located if the estimate is within this distance of the source, m; the paper states none."""
 LIFETIME_S = 10.0
-"""τ; Table 1 states none, the paper's illustration has 10 s."""
+"""τ, s. Table 1 states none; the paper's illustration has 10 s."""
 
 
 class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One gas release. It holds the truth: nothing that estimates or plans may be handed one."""
+    """One gas release. It holds the true source: never give it to code that estimates or plans."""
 
     source: tuple[float, float]
     """(x, y) m, x east, y north."""
@@ -39,11 +39,11 @@ class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
     start: tuple[float, float]
     """Where the search begins, m."""
     height: float = 0.0
-    """Of the source above the plane that is searched, m."""
+    """Height of the source above the search plane, m."""
 
     @property
     def wind(self) -> tuple[float, float]:
-        """(u cos φ, u sin φ), m/s: points to where the wind comes from. The air itself moves by its negative."""
+        """(u cos φ, u sin φ), m/s: points to where the wind comes from; the air moves the other way."""
         return self.u * math.cos(self.phi), self.u * math.sin(self.phi)
 
 

@@ -1,4 +1,4 @@
-"""Gas sensors. Each is one definition that the simulator draws readings from and the likelihood weighs them by."""
+"""Gas sensors: each class defines both how readings are drawn and their likelihood."""
 
 import math
 from dataclasses import astuple, dataclass, fields
@@ -10,9 +10,9 @@ from plume.randomness import Draws
 
 Array = NDArray[np.float64]
 SURPRISE = 10.0
-"""A reading so many standard deviations beyond what the strongest plume could give is no measurement."""
+"""A reading is absurd if it lies more than this many standard deviations beyond what the strongest plume could give."""
 MANY = 12
-"""Hits that are so many that the asymptotic series of their entropy is good."""
+"""Above this many expected hits, their entropy is computed by its asymptotic series."""
 
 _erf = np.vectorize(math.erf, otypes=[np.float64])
 _log_gamma = np.vectorize(math.lgamma, otypes=[np.float64])
@@ -24,7 +24,7 @@ def _normal_cdf(value: ArrayLike) -> Array:
 
 @dataclass(frozen=True)
 class Gaussian:
-    """The paper's sensor: z = m + v, v ~ N(0, σ²), σ² = (α m)² + β²: two independent noises add in quadrature."""
+    """The paper's sensor: z = m + v, v ~ N(0, σ²), σ² = (α m)² + β². The two noises are independent and add in quadrature."""
 
     sensor_noise: float = 0.3
     """α: standard deviation as a share of the concentration."""
@@ -36,7 +36,7 @@ class Gaussian:
         return np.sqrt(np.square(self.sensor_noise * np.asarray(mean, np.float64)) + self.environment_noise**2)
 
     def measure(self, mean: ArrayLike, rng: Draws) -> Array:
-        """Draw a reading for each mean concentration."""
+        """Draw a reading for each mean concentration, g/m³; same shape."""
         mean = np.asarray(mean, np.float64)
         return np.asarray(mean + self.noise_std(mean) * rng.standard_normal(mean.shape))
 
@@ -51,28 +51,28 @@ class Gaussian:
         return np.asarray(np.log(self.noise_std(mean)) + 0.5 * np.log(2 * np.pi * np.e))
 
     def is_noisy(self, _reading: float) -> bool:
-        """Whether noise keeps this reading from coming twice in a row, to the last bit."""
+        """True if noise makes two bit-identical readings of this value in a row practically impossible."""
         return True
 
     def refusal(self, reading: float, greatest_mean: float) -> str | None:
-        """Why this sensor cannot have given a reading where no concentration is above `greatest_mean`; None where it can."""
+        """Reason why this sensor cannot give this reading if no concentration exceeds `greatest_mean`, g/m³; None if it can."""
         surprise = SURPRISE * float(self.noise_std(greatest_mean))
-        # m − SURPRISE σ(m) is concave, so least at one of the ends; the noise of strong gas reaches far below 0.
+        # m − SURPRISE σ(m) is concave, so its minimum is at one of the ends. Near a strong source, noise reaches far below 0.
         low, high = min(-SURPRISE * self.environment_noise, greatest_mean - surprise), greatest_mean + surprise
         return None if low <= reading <= high else f"gas {reading:g} is absurd; allowed is {low:g} to {high:g} g/m³"
 
 
 @dataclass(frozen=True)
 class Threshold:
-    """A sensor that says 0 below its threshold, and sometimes in the midst of gas (AutoSTE; Stone Soup; Hutchinson et al. 2018).
+    """A sensor that reads 0 below its threshold, and sometimes also in gas (AutoSTE; Stone Soup; Hutchinson et al. 2018).
 
-    z = 0 with probability p_m (missed); otherwise m + v as of `Gaussian` where that reaches the threshold, else 0.
+    z = 0 with probability p_m (missed detection). Otherwise z = m + v as in `Gaussian`, or 0 if that is below the threshold.
     """
 
     threshold: float = 0.5
     """g/m³; above 0."""
     missed: float = 0.3
-    """p_m: probability that gas is missed, in [0, 1)."""
+    """p_m: probability of a missed detection, in [0, 1)."""
     sensor_noise: float = 0.3
     """α."""
     environment_noise: float = 0.2
@@ -82,20 +82,20 @@ class Threshold:
         return Gaussian(self.sensor_noise, self.environment_noise)
 
     def measure(self, mean: ArrayLike, rng: Draws) -> Array:
-        """Draw a reading for each mean concentration."""
+        """Draw a reading for each mean concentration, g/m³; same shape."""
         value = self._analog().measure(mean, rng)
         seen = rng.random(value.shape) >= self.missed
         return np.where(seen & (value >= self.threshold), value, 0.0)
 
     def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
-        """Log of the probability of 0, or of the density above the threshold."""
+        """Log-probability of a reading of 0; log-density of one above the threshold."""
         below = _normal_cdf((self.threshold - np.asarray(mean)) / self._analog().noise_std(mean))
         silent = np.log(np.maximum(self.missed + (1 - self.missed) * below, 1e-300))
         heard = math.log1p(-self.missed) + self._analog().log_likelihood(reading, mean)
         return np.where(np.asarray(reading) == 0.0, silent, heard)
 
     def entropy(self, mean: ArrayLike) -> Array:
-        """Entropy of a reading at each mean concentration, nats: of the probability of 0 and the density above the threshold."""
+        """Entropy of a reading at each mean concentration, nats: the probability of 0 together with the density above the threshold."""
         std = self._analog().noise_std(mean)
         standard = (self.threshold - np.asarray(mean)) / std
         above = 1 - _normal_cdf(standard)
@@ -106,13 +106,13 @@ class Threshold:
         return np.asarray(-silent * np.log(np.maximum(silent, 1e-300)) - (1 - self.missed) * heard)
 
     def is_noisy(self, reading: float) -> bool:
-        """Whether noise keeps this reading from coming twice in a row, to the last bit."""
+        """True if noise makes two bit-identical readings of this value in a row practically impossible."""
         return reading != 0.0
 
     def refusal(self, reading: float, greatest_mean: float) -> str | None:
-        """Why this sensor cannot have given a reading where no concentration is above `greatest_mean`; None where it can."""
+        """Reason why this sensor cannot give this reading if no concentration exceeds `greatest_mean`, g/m³; None if it can."""
         high = greatest_mean + SURPRISE * float(self._analog().noise_std(greatest_mean))
-        # Both are rounded as the wire rounds readings: that keeps their order.
+        # Readings arrive rounded to float32, so the threshold is rounded too before they are compared.
         if reading == 0.0 or np.float32(self.threshold) <= np.float32(reading) <= high:
             return None
         return f"gas {reading:g} is absurd; allowed is 0 or {self.threshold:g} to {high:g} g/m³"
@@ -120,15 +120,15 @@ class Threshold:
 
 @dataclass(frozen=True)
 class Hits:
-    """A counter of hits, k ~ Poisson(e m + b) (Vergassola et al. 2007; OTTO, Loisy and Eloy 2022). The reading is the count."""
+    """A hit counter: the reading is a count k ~ Poisson(e m + b) (Vergassola et al. 2007; OTTO, Loisy and Eloy 2022)."""
 
     efficiency: float = 3.0
-    """e: expected hits a reading for each g/m³; above 0."""
+    """e: expected hits per reading and g/m³; above 0."""
     background: float = 0.1
-    """b: expected hits a reading in clean air; above 0."""
+    """b: expected hits per reading in clean air; above 0."""
 
     def measure(self, mean: ArrayLike, rng: Draws) -> Array:
-        """Draw a reading for each mean concentration."""
+        """Draw a reading for each mean concentration, g/m³; same shape."""
         return np.asarray(rng.poisson(self.efficiency * np.asarray(mean, np.float64) + self.background), np.float64)
 
     def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
@@ -138,7 +138,7 @@ class Hits:
         return np.asarray(count * np.log(expected) - expected - _log_gamma(count + 1.0))
 
     def entropy(self, mean: ArrayLike) -> Array:
-        """Entropy of a count at each mean concentration, nats: summed up to MANY hits, beyond by its asymptotic series to 1e-5."""
+        """Entropy of a count at each mean concentration, nats: a sum up to MANY expected hits, else the asymptotic series (to 1e-5)."""
         expected = self.efficiency * np.asarray(mean, np.float64) + self.background
         many = np.maximum(expected, MANY)
         series = 0.5 * np.log(2 * np.pi * np.e * many) - 1 / (12 * many) - 1 / (24 * many**2) - 19 / (360 * many**3)
@@ -152,11 +152,11 @@ class Hits:
         return np.where(expected > MANY, series, summed)
 
     def is_noisy(self, _reading: float) -> bool:
-        """Whether noise keeps this reading from coming twice in a row, to the last bit."""
+        """True if noise makes two bit-identical readings of this value in a row practically impossible."""
         return False
 
     def refusal(self, reading: float, greatest_mean: float) -> str | None:
-        """Why this sensor cannot have given a reading where no concentration is above `greatest_mean`; None where it can."""
+        """Reason why this sensor cannot give this reading if no concentration exceeds `greatest_mean`, g/m³; None if it can."""
         expected = self.efficiency * greatest_mean + self.background
         high = math.ceil(expected + SURPRISE * math.sqrt(expected) + SURPRISE)
         whole = math.isfinite(reading) and reading == int(reading)
@@ -167,14 +167,14 @@ Sensor = Gaussian | Threshold | Hits
 KINDS: dict[str, type[Gaussian] | type[Threshold] | type[Hits]] = {"gaussian": Gaussian, "threshold": Threshold, "hits": Hits}
 GAUSSIAN = Gaussian()
 GAUSSIAN_KIND, THRESHOLD_KIND, HITS_KIND = 0.0, 1.0, 2.0
-"""How compiled loops name the kinds of sensors."""
+"""Kinds of sensors as compiled loops know them."""
 
 
 def parse(text: str) -> Sensor:
-    """Read a sensor from `kind` or `kind:number,number…`, as command lines and beliefs name it; raises ValueError."""
+    """Read a sensor from `kind` or `kind:number,number…`, the form of command lines and beliefs; raises ValueError."""
     name, _, numbers = text.partition(":")
     if name not in KINDS:
-        raise ValueError(f"{text!r} is not allowed; wanted {', '.join(KINDS)}, with numbers behind a colon where they are chosen")
+        raise ValueError(f"{text!r} is not allowed; wanted {', '.join(KINDS)}, optionally with numbers: KIND:NUMBER,NUMBER")
     names = [field.name for field in fields(KINDS[name])]
     try:
         values = [float(number) for number in numbers.split(",")] if numbers else []
@@ -190,13 +190,13 @@ def parse(text: str) -> Sensor:
 
 
 def text(sensor: Sensor) -> str:
-    """Name a sensor so that `parse` reads it back."""
+    """Return the text of a sensor that `parse` reads back."""
     name = next(name for name, kind in KINDS.items() if type(sensor) is kind)
     return f"{name}:{','.join(map(repr, astuple(sensor)))}"
 
 
 def sensor_row(sensor: Sensor) -> Array:
-    """(5,): a sensor as compiled loops take it: its kind, α or e, β or b, the threshold, p_m."""
+    """Return a sensor as compiled loops take it, (5,): kind, α or e, β or b, threshold, p_m."""
     result = np.zeros(5)
     match sensor:
         case Gaussian(slope, floor):

@@ -1,4 +1,4 @@
-"""The world that one mission flies in: it knows the source, and answers with what an instrument there would read."""
+"""The world that one mission flies in: it knows the source and returns the readings that a sensor would take."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -13,7 +13,7 @@ from plume.sensor import GAUSSIAN, Sensor
 
 
 def float32(value: float) -> float:
-    """Round to the nearest float32: what the wire does to positions, wind and gas. In-process missions do the same."""
+    """Round to the nearest float32, as the wire rounds positions, wind and gas. In-process missions round the same way."""
     return float(np.float32(value))
 
 
@@ -21,17 +21,17 @@ class World:
     """A scenario and the noise of its sensor."""
 
     def __init__(self, scenario: Scenario, seed: int, sensor: Sensor = GAUSSIAN) -> None:
-        """Take the mission's seed: reading k's noise is keyed by (seed, k)."""
+        """Take the mission's seed: the noise of reading k is keyed by (seed, k)."""
         self.scenario = scenario
         self.seed = seed
         self.sensor = sensor
         self.wind = (float32(scenario.wind[0]), float32(scenario.wind[1]))
-        """(u cos φ, u sin φ) m/s as the anemometer reports it, a float32 pair: where the wind comes from."""
+        """(u cos φ, u sin φ) m/s as the anemometer reports it, float32 values: points to where the wind comes from."""
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
         self._release = (*scenario.source, scenario.height, *scenario.wind, scenario.q, scenario.d, scenario.tau)
 
     def gas(self, position: tuple[float, float], step: int) -> float:
-        """Take the gas reading number `step` (0 at the start) at a position (x, y) m; a float32 value, in the sensor's unit."""
+        """Take gas reading number `step` (0 at the start) at a position (x, y) m; returns a float32 value in the sensor's unit."""
         return float(gas_of([self], np.array([position]), [step], self._noise)[0])
 
     @cached_property
@@ -40,13 +40,13 @@ class World:
 
 
 def gas_of(worlds: Sequence[World], positions: NDArray[np.float64], steps: Sequence[int], noise: Keyed) -> NDArray[np.float64]:
-    """Take a reading in each of several worlds, at positions (M, 2) m; (M,) float32 values. `noise` is a generator to draw with.
+    """Take one reading in each of M worlds at positions (M, 2) m: (M,) float32 values. `noise` is the generator to draw with.
 
-    Raises ValueError where sensors differ.
+    Raises ValueError if the worlds' sensors differ.
     """
     sensor = worlds[0].sensor
     if any(world.sensor is not sensor and world.sensor != sensor for world in worlds):
-        raise ValueError("worlds that are read at once have the same sensor")
+        raise ValueError("worlds that are read together must have the same sensor")
     places = np.zeros((len(worlds), 3))
     places[:, :2] = positions
     releases = np.array([world._release for world in worlds])

@@ -1,4 +1,4 @@
-"""Protects the scenarios: Table 1's ranges, and a source that follows from the seed alone."""
+"""Protects the scenarios: the ranges of Table 1, and a source that depends on the seed alone."""
 
 import math
 
@@ -38,7 +38,7 @@ def test_every_quantity_is_uniform_over_its_range_of_table_1(scenarios: list[Sce
     values = np.sort([(pick(s) - low) / (high - low) for s in scenarios])
     assert values[0] >= 0.0
     assert values[-1] <= 1.0
-    # Kolmogorov–Smirnov distance to the uniform; 1.95/√n is passed by chance once in a thousand.
+    # Kolmogorov–Smirnov distance to the uniform; it exceeds 1.95/√n by chance once in a thousand.
     distance = np.abs(values - (np.arange(len(values)) + 0.5) / len(values)).max()
     assert distance < 1.95 / math.sqrt(len(values))
 

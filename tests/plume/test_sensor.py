@@ -1,4 +1,4 @@
-"""Protects the sensors: each likelihood is the density of the readings that the same sensor's simulator draws."""
+"""Protects the sensors: each likelihood is the density of the readings that the same sensor draws."""
 
 import math
 
@@ -14,13 +14,13 @@ MEANS = [0.0, 0.4, 1.0, 10.0]
 @pytest.mark.parametrize(("mean", "std"), [(0.0, 0.2), (1.0, math.sqrt(0.13)), (10.0, math.sqrt(9.04))])
 def test_the_noise_has_the_moments_that_the_two_noises_add_up_to(mean: float, std: float) -> None:
     readings = GAUSSIAN.measure(np.full(DRAWS, mean), np.random.default_rng(1))
-    # Margins of 4 standard errors: of the mean σ/√n, of the standard deviation σ/√(2n).
+    # Margins are 4 standard errors: σ/√n for the mean, σ/√(2n) for the standard deviation.
     assert readings.mean() == pytest.approx(mean, abs=4 * std / math.sqrt(DRAWS))
     assert readings.std() == pytest.approx(std, abs=4 * std / math.sqrt(2 * DRAWS))
 
 
 def kolmogorov_smirnov(readings: np.ndarray, sensor: Sensor, mean: float, low: float, high: float) -> float:
-    """√n times the greatest distance between the readings' distribution and the likelihood, integrated from `low`."""
+    """√n times the greatest distance between the empirical distribution and the integrated likelihood, from `low` to `high`."""
     grid = np.linspace(low, high, 400_001)
     density = np.exp(sensor.log_likelihood(grid, mean))
     cumulative = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(grid))])
@@ -47,7 +47,7 @@ def test_the_entropy_is_the_expected_log_likelihood_with_its_sign_turned(sensor:
 @pytest.mark.parametrize("mean", MEANS)
 def test_the_gaussian_likelihood_is_the_density_of_its_readings(mean: float) -> None:
     readings = GAUSSIAN.measure(np.full(DRAWS, mean), np.random.default_rng(2))
-    # The Kolmogorov distribution exceeds 2.0 once in 1,500 times.
+    # The Kolmogorov distribution exceeds 2.0 with probability 1/1,500.
     assert kolmogorov_smirnov(readings, GAUSSIAN, mean, mean - 40, mean + 40) < 2.0
 
 
@@ -92,7 +92,7 @@ def test_the_likelihoods_equal_hand_worked_values() -> None:
     # m = 2, z = 3: σ² = 0.36 + 0.04 = 0.4;  log p = −1/0.8 − ½ log(0.4) − ½ log(2π) = −1.25 + 0.4581454 − 0.9189385
     assert GAUSSIAN.log_likelihood(3.0, 2.0) == pytest.approx(-1.7107932, abs=1e-7)
     assert GAUSSIAN.noise_std(2.0) == pytest.approx(math.sqrt(0.4))
-    # The same reading, not missed: log 0.7 more.  Silent at m = 0.5, on the threshold: 0.3 + 0.7 · ½ = 0.65
+    # The same reading, not missed: plus log 0.7.  P(0) at m = 0.5, the threshold: 0.3 + 0.7 · ½ = 0.65
     assert Threshold(0.5, 0.3).log_likelihood(3.0, 2.0) == pytest.approx(-1.7107932 + math.log(0.7), abs=1e-7)
     assert Threshold(0.5, 0.3).log_likelihood(0.0, 0.5) == pytest.approx(math.log(0.65))
     # μ = 3 · 0.5 + 0.5 = 2, k = 3: e⁻² 2³/3! = 0.1804470
@@ -114,7 +114,7 @@ def test_a_reading_that_the_sensor_cannot_have_given_is_refused(sensor: Sensor, 
 
 
 def test_no_reading_of_strong_gas_is_refused_as_noise_that_cannot_be() -> None:
-    """Where a vehicle searches close to the source, a reading below 0 is rare, but its own."""
+    """Close to a strong source a reading below 0 is rare but genuine."""
     readings = GAUSSIAN.measure(np.full(100_000, 40.0), np.random.default_rng(6))
     assert readings.min() < -5.0  # 10 β is 2
     assert all(GAUSSIAN.refusal(float(gas), 50.0) is None for gas in readings)

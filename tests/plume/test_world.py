@@ -1,4 +1,4 @@
-"""Protects keyed randomness and the world: a reading depends on (seed, step, position) and on nothing else."""
+"""Protects keyed randomness and the world: a reading depends only on (seed, step, position)."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_a_reading_among_others_is_the_reading_alone_to_the_bit(sensor: Sensor) 
     alone = [World(draw(seed % 50), seed, sensor).gas((x, y), k) for seed, (x, y), k in zip(seeds, places.tolist(), steps, strict=True)]
     assert gas_of(worlds, places, steps, Keyed()).tolist() == alone
     assert gas_of(worlds[::-1], places[::-1], steps[::-1], Keyed()).tolist() == alone[::-1]
-    assert len(set(alone)) > 4  # not all of them silent
+    assert len(set(alone)) > 4  # not all of them read 0
 
 
 def test_a_reading_is_what_the_sensor_makes_of_the_concentration_with_the_noise_of_its_step() -> None:
@@ -59,7 +59,7 @@ def test_a_reading_is_what_the_sensor_makes_of_the_concentration_with_the_noise_
 
 def test_worlds_of_different_sensors_are_not_read_at_once() -> None:
     worlds = [World(draw(1), 1), World(draw(1), 1, Hits())]
-    with pytest.raises(ValueError, match="worlds that are read at once have the same sensor"):
+    with pytest.raises(ValueError, match="worlds that are read together must have the same sensor"):
         gas_of(worlds, np.zeros((2, 2)), [0, 0], Keyed())
 
 
@@ -77,5 +77,5 @@ def test_one_generator_set_from_place_to_place_draws_as_a_new_one_each() -> None
     one = Keyed()
     for place in places + places[::-1]:
         drawn = one.at(*place)
-        drawn.integers(7, dtype=np.uint32)  # leaves half a word behind, which must not be found by the next
+        drawn.integers(7, dtype=np.uint32)  # leaves half a word buffered, which the next draw must not use
         assert one.at(*place).standard_normal(5).tolist() == keyed(*place).standard_normal(5).tolist()
