@@ -1,1 +1,1 @@
-"""What all commands share of talking on a bus: their flags, and the page that documents the bus. Imports: link.bus."""
+"""The bus in commands: the flags they share, and the page that documents the bus. Imports: link.bus."""

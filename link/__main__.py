@@ -1,4 +1,4 @@
-"""`python -m link`: prints docs/bus.md, the bus contract, made from the table of keys and the message types."""
+"""`python -m link`: prints docs/bus.md, the bus contract, from the table of keys and the message types."""
 
 from typing import Any
 
@@ -10,13 +10,13 @@ from link.bus.session import DEFAULT_ROUTER
 
 HEAD = f"""# The bus
 
-Made from `link/bus/keys.py` and `link/bus/messages.py` by `make docs`; a test keeps it up to date. It says all that a client in any
-language needs: any of vehicle, estimator and agent can be replaced by one that keeps to this page.
+`make docs` generates this page from `link/bus/keys.py` and `link/bus/messages.py`; a test keeps it up to date. It is complete: with it
+you can replace vehicle, estimator or agent by a program of your own, in any language.
 
 ## Joining
 
-Connect as a Zenoh 1.x **client** to a router (`{DEFAULT_ROUTER}` unless said otherwise; a mission prints its own), multicast scouting
-off. A router relays clients, not peers. Every key below lies under the vehicle's namespace, `uav/<id>`, so the belief of vehicle 1
+Connect to a router as a Zenoh 1.x **client**, with multicast scouting off. The default endpoint is `{DEFAULT_ROUTER}`; a mission prints
+its own. A router relays clients, not peers. Every key below lies in the vehicle's namespace, `uav/<id>`: the belief of vehicle 1
 is on `uav/1/belief`. Set `namespace` in the Zenoh configuration, or write the full keys.
 
 ## Keys
@@ -26,72 +26,73 @@ MIB = WAITING_BYTES // 2**20
 RULES = f"""
 ## Frames
 
-MAVLink 2, dialect `common`, as they would go over a serial line; a payload may hold several. The vehicle is system `<id>`,
-component 1 (autopilot); the agent is system `<id>`, component 191 (onboard computer). `target_system` is the vehicle's id or 0.
+Frames are MAVLink 2, dialect `common`, in the same bytes as on a serial line. A payload may hold several frames. The vehicle is system
+`<id>`, component 1 (autopilot); the agent is system `<id>`, component 191 (onboard computer). `target_system` is the vehicle's id or 0.
 
-A **reading** is one payload with three frames of one time:
+A **reading** is one payload with three frames of the same time:
 
-| message | fields that count |
+| message | fields that are read |
 |---|---|
-| LOCAL_POSITION_NED (32) | `time_boot_ms`; `x` = north, `y` = east, `z` = down from home, m: where the sample was taken |
+| LOCAL_POSITION_NED (32) | `time_boot_ms`; `x` = north, `y` = east, `z` = down from home, m: place of the sample |
 | WIND_COV (231) | `time_usec` = 1000 · `time_boot_ms`; `wind_x` = north, `wind_y` = east: velocity of the air, m/s |
 | NAMED_VALUE_FLOAT (251) | `time_boot_ms`; `name` = `gas`; `value` in g/m³, or a count of hits |
 
-Its frames are of the vehicle's system: a reading of another system is refused.
+The frames of a reading carry the vehicle's system id. The estimator refuses readings of another system.
 
-A **waypoint** is a SET_POSITION_TARGET_LOCAL_NED (84) in MAV_FRAME_LOCAL_NED with `x`, `y`, `z` used, whose `time_boot_ms` is that of the
-reading it answers. Commands (COMMAND_LONG, COMMAND_INT) are answered by COMMAND_ACK on `mavlink/out`, a refusal also by a STATUSTEXT.
+A **waypoint** is a SET_POSITION_TARGET_LOCAL_NED (84) in MAV_FRAME_LOCAL_NED that sets `x`, `y`, `z`. Its `time_boot_ms` is that of the
+reading it answers. The vehicle answers commands (COMMAND_LONG, COMMAND_INT) with COMMAND_ACK on `mavlink/out`; if it refuses one, it
+also sends a STATUSTEXT.
 
-The search plane has x east and y north, so (x, y) = (NED y, NED x); its wind points to where the wind comes **from**:
+The search plane has x east and y north: (x, y) = (NED y, NED x). Its wind vector points to where the wind comes **from**:
 (u cos φ, u sin φ) = (−`wind_y`, −`wind_x`).
 
 ## The loop
 
-1. The vehicle reaches a waypoint, takes one reading and publishes it. `time_boot_ms` grows from reading to reading and names it.
-2. The estimator answers each reading with one belief of the same `time_boot_ms`. When the spread first falls below the threshold it
-   publishes `agdc/stop`, before that belief, which says `ceased`.
+1. The vehicle reaches a waypoint, takes one reading and publishes it. `time_boot_ms` identifies the reading and grows with each one.
+2. The estimator answers each reading with one belief of the same `time_boot_ms`. When the stop criterion is first met, it publishes
+   `agdc/stop`, then the belief with `ceased` set.
 3. The agent answers each belief that has not ceased with one waypoint of the same `time_boot_ms`.
-4. While a reading is unanswered the vehicle publishes it again, after 0.25 s, then at doubled intervals up to 2 s. Who gets a message
-   again says the same answer again; so whichever message was lost, it comes. Answers to older readings and second answers are ignored.
-5. The search begins when the liveliness tokens `health/estimator` and `health/agent` are there: the vehicle arms, takes off, flies to
-   its start and takes the first reading. Without waypoints it holds, and after its silence time returns home and lands.
+4. While a reading is unanswered, the vehicle publishes it again: first after 0.25 s, then at doubled intervals up to 2 s. A service that
+   receives a message again repeats its answer. This recovers any lost message. Answers to older readings and second answers are ignored.
+5. The search begins when the liveliness tokens `health/estimator` and `health/agent` exist: the vehicle arms, takes off, flies to
+   its start and takes the first reading. Without waypoints it holds position; after its silence time it returns home and lands.
 
 ## Late joiners
 
 Keys with a *kept* count are published with Zenoh's advanced publisher (`zenoh.ext`, cache, publisher detection, sample-miss
-detection by heartbeat). An advanced subscriber with history and recovery is given the kept messages first, in order; a plain
-subscriber gets what is published from then on. Let the cache reply with congestion control BLOCK, and leave late-publisher
-detection off: with zenoh 1.10.2 either default loses kept messages when one joins a busy publisher. Even so, some of the history can
-be missing. A sample's source sequence number counts from 0: where the first one is greater, subscribe anew and drop what comes twice.
-An estimator that starts late or again rebuilds its belief from the kept readings.
+detection by heartbeat). An advanced subscriber with history and recovery receives the kept messages first, in order; a plain
+subscriber receives only what is published from then on. Let the cache reply with congestion control BLOCK, and leave late-publisher
+detection off: with zenoh 1.10.2, the default reply or the detection loses kept messages when one joins a busy publisher. Even then some
+history can be missing. Check the source sequence number of the samples, which counts from 0: if one is missing, subscribe again and
+drop duplicates. An estimator that starts late, or again, rebuilds its belief from the kept readings.
 
 ## Floats
 
 Positions, wind and gas cross the wire as float32, and every service computes from the float32 values. JSON numbers are the shortest
 decimals that read back as the same double.
 
-## What is refused
+## Refused messages
 
-What is refused is counted in `health` under its kind, logged with key and reason (`overflow`: once a burst), and leaves the belief as
-it is to the last bit. It never stops a service. A reading that overflowed is fetched again from the kept ones.
+A refused message is dropped. It never stops a service and never changes the belief. It is counted in `health` under its kind, and logged
+with key and reason (`overflow`: once per burst). A reading that overflowed is fetched again from the kept ones.
 
-| kind | refused is |
+| kind | refused message |
 |---|---|
-| `malformed` | what does not decode, or is not what this page says |
+| `malformed` | it does not decode, or violates this page |
 | `not finite` | a reading with NaN or infinity |
 | `other vehicle` | a reading of another system |
 | `outside` | a reading from outside the area |
-| `absurd` | a gas value that the sensor cannot have given, however strong the source may be |
+| `absurd` | a gas value that the sensor cannot give, however strong the source |
 | `late` | a reading older than the newest one |
-| `conflicting` | another reading under the newest one's time |
-| `repeated` | the newest reading again: it is not taken twice, but the belief is said again |
-| `overflow` | the oldest waiting message of a key, once more than {WAITING_MESSAGES:,} (beside the kept ones) or {MIB} MiB wait |
+| `conflicting` | a different reading with the newest one's time |
+| `repeated` | the newest reading again: it is not assimilated twice, but the belief is published again |
+| `overflow` | the oldest waiting message of a key, if more than {WAITING_MESSAGES:,} (in addition to the kept ones) or {MIB} MiB wait |
 
 ## Health
 
-A service declares the liveliness token `health/<service>` when it joins: its process is there. It publishes its health on the same key
-when it is ready, after each step, and at least once a second. One that has been silent for five seconds hangs, or its link is cut;
-`python -m sitl status` says so.
+A service declares the liveliness token `health/<service>` when it joins: the token shows that its process is running. It publishes its
+health on the same key when it is ready, after each step, and at least once a second. A service that is silent for five seconds hangs,
+or its link is cut; `plumeward status` reports it.
 
 ## Messages
 """
@@ -138,9 +139,9 @@ def _message(kind: type) -> str:
 
 
 ATTACHMENT = """
-The **attachment** of a belief is the particle array: N rows of little-endian float32, one for each of `unknowns` and then the
-weight: (x m, y m, weight), 12 N bytes, where nothing else is unknown. The weights sum to one. Payload and attachment are one sample:
-they cannot come from different steps.
+The **attachment** of a belief is the particle array: N rows of little-endian float32. A row holds one value for each of `unknowns`, then
+the weight. If only x and y are unknown, that is (x m, y m, weight) and 12 N bytes. The weights sum to one. Payload and attachment are one
+sample: they always belong to the same step.
 """
 
 

@@ -1,6 +1,6 @@
-"""MAVLink frames in bytes: where one begins and ends, who sent it, whether its checksum is right, and what it says.
+"""MAVLink frames in bytes: their extent, sender, checksum and fields.
 
-How MAVLink 1 and 2 lie on the wire is known here only; how each type of message does, pymavlink's dialect says.
+Only this file knows the wire format of MAVLink 1 and 2 frames. The layout of each message type comes from pymavlink's dialect.
 """
 
 import itertools
@@ -12,21 +12,21 @@ from pymavlink.dialects.v20 import common as mavlink
 
 MAVLINK_1, MAVLINK_2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
 HEADER_1, HEADER_2 = struct.Struct("<BBxBBB"), struct.Struct("<BBBxxBBHB")
-"""Magic, length, (of MAVLink 2: flags,) the sender's system and component, message id (of MAVLink 2: its low and its high part)."""
+"""MAVLink 1: magic, length, system, component, message id. MAVLink 2: magic, length, flags, system, component, message id (low, high)."""
 CHECKSUM, SIGNATURE = 2, mavlink.MAVLINK_SIGNATURE_BLOCK_LEN
 SIGNED = mavlink.MAVLINK_IFLAG_SIGNED
 SHORTEST = HEADER_1.size + CHECKSUM
-"""Bytes of a MAVLink 1 frame without payload."""
+"""Bytes of the shortest frame: MAVLink 1 without payload."""
 
 crc16 = mavlink.mcrf4xx or (lambda data: mavlink.x25crc(data).crc)
 
 
 class Frame(NamedTuple):
-    """Where a frame lies in its bytes, and what its header says."""
+    """A frame's offsets in its bytes, and the fields of its header."""
 
     start: int
     payload: int
-    """Where its payload begins. It ends where the checksum begins; MAVLink 2 leaves zeros at its end away."""
+    """Offset of the payload, which ends at `checksum`. MAVLink 2 omits zeros at the payload's end."""
     checksum: int
     end: int
     message_id: int
@@ -35,9 +35,10 @@ class Frame(NamedTuple):
 
 
 def frame_at(data: bytes, start: int) -> Frame | None:
-    """Return the frame that begins there by its header, whole; None where none does, or one of a kind that a receiver must drop.
+    """Return the frame that begins at `start`, judged by its header.
 
-    Its checksum is not looked at: see `checksums`.
+    None if no whole frame begins there, or if its flags are unknown: receivers must drop those. It does not verify the checksum
+    (see `checksums`).
     """
     left = len(data) - start
     if left < SHORTEST:
@@ -52,7 +53,7 @@ def frame_at(data: bytes, start: int) -> Frame | None:
         end = checksum + CHECKSUM
         if flags:
             if flags != SIGNED:
-                return None  # incompatible in a way that is not known
+                return None
             end += SIGNATURE
     elif magic == MAVLINK_1:
         _, length, system, component, message_id = HEADER_1.unpack_from(data, start)
@@ -65,7 +66,7 @@ def frame_at(data: bytes, start: int) -> Frame | None:
 
 
 def frame_length(data: bytes, start: int) -> int:
-    """Return how long what may be a frame has to be, by its first three bytes; 0 where no frame begins so."""
+    """Return the length of the frame whose first three bytes are at `start`; 0 if they begin no frame."""
     magic, length, flags = data[start : start + 3]
     if magic == MAVLINK_1:
         return HEADER_1.size + length + CHECKSUM
@@ -73,26 +74,26 @@ def frame_length(data: bytes, start: int) -> int:
 
 
 def checksums(data: bytes, frame: Frame, seed: bytes) -> tuple[int, int]:
-    """Return the checksum that a frame has, and that which it should have; `seed` is the byte that its type of message adds."""
+    """Return a frame's checksum as received and as computed; `seed` is the extra byte (CRC_EXTRA) of its message type."""
     at = frame.checksum
     return data[at] | data[at + 1] << 8, crc16(data[frame.start + 1 : at] + seed)
 
 
-# ---- what a frame says ----
+# ---- the fields of a frame ----
 
 
 class Layout(NamedTuple):
-    """How a type of message lies in its payload."""
+    """How a message type is laid out in its payload."""
 
     kind: str
     size: int
     seed: bytes
-    """What the checksum takes in beside the frame's own bytes."""
+    """CRC_EXTRA: the checksum covers this byte after the frame's own."""
     unpack: Callable[[bytes], tuple[Any, ...]]
     counts: dict[str, int]
-    """Of each field, in the frame's order, the length of its array; 1 where it is none."""
+    """Array length of each field, in wire order; 1 for a single value or a text."""
     plain: bool
-    """It has neither arrays nor text."""
+    """True if no field is an array or text."""
 
 
 def _layout(message: Any) -> Layout:
@@ -107,7 +108,7 @@ LAYOUTS = {message_id: _layout(message) for message_id, message in mavlink.mavli
 
 
 def fields_of(data: bytes, frame: Frame, layout: Layout) -> dict[str, Any]:
-    """Return the fields of a frame of a known type, as pymavlink gives them."""
+    """Return the fields of a frame, with the values that pymavlink gives them."""
     values = layout.unpack(data[frame.payload : frame.checksum][: layout.size].ljust(layout.size, b"\0"))
     return dict(zip(layout.counts, values, strict=True)) if layout.plain else _grouped(values, layout.counts)
 

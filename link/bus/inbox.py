@@ -1,4 +1,4 @@
-"""Where all that arrives waits for a service's loop: bounded, so that a flood costs messages, but neither memory nor whoever puts."""
+"""The inbox: messages wait here for a service's loop. It is bounded: a flood drops messages, but never fills memory or blocks a sender."""
 
 import math
 import queue
@@ -12,36 +12,36 @@ from link.bus.log import Log
 from link.bus.tally import OVERFLOW
 
 WAITING_MESSAGES = 4096
-"""Of each key, beside those that are kept: where more wait to be taken, the oldest are dropped rather than the flight held up."""
+"""Most messages that wait per key, in addition to the key's kept ones. Beyond that the oldest are dropped, so that the flight goes on."""
 WAITING_BYTES = 256 * 2**20
-"""Of each key; a belief of a million particles has up to 36 MB."""
+"""Most bytes that wait per key; a belief of a million particles has up to 36 MB."""
 BURST_S = 10.0
-"""What is dropped within so long of the last is the same burst."""
+"""Drops less than this apart belong to one burst."""
 
 
 class Overflow:
-    """How much of something was dropped because too much waited: counted each time, logged once a burst."""
+    """Reports messages that were dropped because too many waited: counts each one, logs once per burst."""
 
     def __init__(self, name: str) -> None:
-        """Take what it is that waits."""
+        """Take the name of what waits."""
         self._name = name
-        self._told = 0
-        self._told_at = -math.inf
+        self._reported = 0
+        self._reported_at = -math.inf
 
     def tell(self, dropped: int, log: Log) -> None:
-        """Take how much it is altogether; count and log what was dropped since the last time."""
-        if (count := dropped - self._told) == 0:
+        """Take the total dropped so far; count and log those since the last call."""
+        if (count := dropped - self._reported) == 0:
             return
-        self._told = dropped
+        self._reported = dropped
         log.tally.refuse(OVERFLOW, count)
         now_s = log.tally.now_s()
-        if now_s - self._told_at >= BURST_S:
-            log.warning(f"refused {self._name}: more come than can be taken; of those that wait some are dropped")
-        self._told_at = now_s
+        if now_s - self._reported_at >= BURST_S:
+            log.warning(f"refused {self._name}: messages arrive faster than they are processed; some of the waiting ones are dropped")
+        self._reported_at = now_s
 
 
 class _Lane:
-    """What waits of one kind, the oldest first, with its size in bytes."""
+    """The waiting items of one kind, oldest first, with their sizes in bytes."""
 
     def __init__(self, name: str, most: float, newest: bool) -> None:
         self.waiting: deque[tuple[Any, int]] = deque()
@@ -53,7 +53,7 @@ class _Lane:
         self._bytes = 0
 
     def append(self, item: Any, size: int) -> None:
-        """Take one more; what is then too much is dropped. An older one that was to make room for the newest is not missed."""
+        """Add an item and drop the oldest beyond the limits. With `newest`, replacing an older item does not count as a drop."""
         self.waiting.append((item, size))
         self._bytes += size
         while len(self.waiting) > self._most or self._bytes > WAITING_BYTES:
@@ -67,24 +67,25 @@ class _Lane:
 
 
 class Inbox:
-    """Items in the order in which they came, each kind on a lane of its own, whose floods leave the others' items alone."""
+    """A queue of items in order of arrival. Each kind has its own lane: a flood on one lane drops no items of another."""
 
     def __init__(self) -> None:
-        """Start with nothing."""
+        """Start empty."""
         self._lock = threading.Lock()
         self._turns: queue.SimpleQueue[_Lane] = queue.SimpleQueue()
-        """Whose item is taken next: a turn for each item, or more where items were dropped."""
+        """The lanes in the order in which their items are taken. There are spare turns where items were dropped."""
         self._lanes: dict[str, _Lane] = {}
         self._own = _Lane("", math.inf, newest=False)
 
     def put(self, item: Any) -> None:
-        """Add an item of one's own, which is never dropped."""
+        """Add an item of the service's own; it is never dropped."""
         self._add(self._own, item, 0)
 
     def lane(self, name: str, most: int = WAITING_MESSAGES, *, newest: bool = False) -> Callable[[Any, int], None]:
-        """Return what adds items of one kind, given their size in bytes, from any thread.
+        """Return a function (item, size in bytes) that adds items of one kind, from any thread.
 
-        Where more than `most` of them wait, or WAITING_BYTES, the oldest are dropped; with `newest` all but the newest, uncounted.
+        If more than `most` items or WAITING_BYTES wait, the oldest are dropped. With `newest` only the newest waits;
+        those it replaces are not counted as dropped.
         """
         with self._lock:
             lane = self._lanes.setdefault(name, _Lane(name, 1 if newest else most, newest))
@@ -98,7 +99,7 @@ class Inbox:
                 self._turns.put(lane)
 
     def get(self, timeout: float | None = None) -> Any:
-        """Return the next item; raises queue.Empty where there is none for so many seconds."""
+        """Return the next item; raises queue.Empty if none comes within `timeout` seconds."""
         until = math.inf if timeout is None else time.monotonic() + timeout
         while True:
             lane = self._turns.get(timeout=timeout)
@@ -110,12 +111,12 @@ class Inbox:
                 timeout = max(until - time.monotonic(), 0.0)
 
     def waiting(self) -> int:
-        """Return how many items wait."""
+        """Return the number of waiting items."""
         with self._lock:
             return sum(len(lane.waiting) for lane in (self._own, *self._lanes.values()))
 
     def tell_dropped(self, log: Log) -> None:
-        """Count and log what was dropped since the last time."""
+        """Count and log the items dropped since the last call."""
         with self._lock:
             lanes = [*self._lanes.values()]
         for lane in lanes:

@@ -1,4 +1,4 @@
-"""The bus contract: one table of keys, from which publishers, subscribers and docs/bus.md are made."""
+"""The bus contract: one table of keys. Publishers, subscribers and docs/bus.md are made from it."""
 
 from dataclasses import dataclass
 
@@ -9,17 +9,17 @@ FRAMES = "MAVLink 2 frames"
 
 @dataclass(frozen=True)
 class Delivery:
-    """How messages of a key travel."""
+    """How the messages of a key are delivered."""
 
     reliable: bool = True
     blocking: bool = False
-    """Under congestion the publisher waits; otherwise the message is dropped."""
+    """Under congestion the publisher waits; if False, the message is dropped."""
     realtime: bool = False
-    """Overtakes all that waits with a lower priority."""
+    """Overtakes waiting messages of lower priority."""
     express: bool = False
     """Sent at once, never batched with later messages."""
     kept: int = 0
-    """The publisher keeps this many messages for those who subscribe late or come back."""
+    """The publisher keeps this many messages for late and returning subscribers."""
 
 
 @dataclass(frozen=True)
@@ -39,42 +39,42 @@ MAVLINK_OUT = Key(
     "mavlink/out", FRAMES, "vehicle", "bridges, viewers, logs",
     Delivery(reliable=False),
     "PX4's onboard rates",
-    "All that the vehicle says. Newest wins: frames are dropped rather than queued for a slow reader.",
+    "All MAVLink output of the vehicle. Newest wins: frames are dropped rather than queued for a slow reader.",
 )  # fmt: skip
 MAVLINK_IN = Key(
     "mavlink/in", FRAMES, "agent, GCS bridge", "vehicle",
     Delivery(blocking=True, express=True),
-    "1 a belief; commands as they come",
+    "1 per belief; commands as they come",
     "Waypoints (SET_POSITION_TARGET_LOCAL_NED) and commands to the vehicle.",
 )  # fmt: skip
 READING = Key(
     "reading", FRAMES, "vehicle", "estimator",
     Delivery(blocking=True, express=True, kept=100_000),
-    "1 a waypoint; again while unanswered",
-    "One sample: LOCAL_POSITION_NED, WIND_COV, NAMED_VALUE_FLOAT `gas`, of one time_boot_ms. All of them are kept for late joiners.",
+    "1 per waypoint; repeated while unanswered",
+    "One sample: LOCAL_POSITION_NED, WIND_COV, NAMED_VALUE_FLOAT `gas`, with one time_boot_ms. All readings are kept for late joiners.",
 )  # fmt: skip
 BELIEF = Key(
     "belief", Belief, "estimator", "agent, viewers",
     Delivery(express=True, kept=1),
-    "1 a reading",
-    "What is believed after a reading; the attachment is the particle array. A reader needs only the newest.",
+    "1 per reading",
+    "The belief after a reading; the attachment is the particle array. A subscriber needs only the newest.",
 )  # fmt: skip
 STOP = Key(
     "agdc/stop", Stop, "estimator", "all",
     Delivery(blocking=True, realtime=True, express=True, kept=1),
-    "once a mission",
+    "once per mission",
     "The search has ceased. Kept for late joiners.",
 )  # fmt: skip
 HEALTH = Key(
     "health/<service>", Health, "all", "all",
     Delivery(kept=1),
-    "1 a step, 1 a second at least",
-    "How a service is doing. A liveliness token on the same key says that its process is there.",
+    "1 per step, at least 1 per second",
+    "The status of a service. A liveliness token on the same key shows that its process is running.",
 )  # fmt: skip
 
 KEYS = (MAVLINK_OUT, MAVLINK_IN, READING, BELIEF, STOP, HEALTH)
 
 SEARCHERS = frozenset({"estimator", "agent"})
-"""The search begins when these services are there."""
+"""The search begins when these services have joined the bus."""
 RESEND_FIRST_S, RESEND_LAST_S = 0.25, 2.0
-"""Real time after which an unanswered reading is sent again; doubled each time."""
+"""First and longest real time after which an unanswered reading is sent again; it doubles each time."""

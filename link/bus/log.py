@@ -1,4 +1,4 @@
-"""One line an event, as logfmt, on stderr: stdout is for results. They go through `logging`, by the logger `plumeward` and its children."""
+"""Logs on stderr, one logfmt line per event; stdout is for results. They use the `logging` logger `plumeward` and its children."""
 
 import json
 import logging
@@ -15,10 +15,10 @@ LINE = re.compile(rf'time=\S+ level=({"|".join(LEVELS)}) service=(\S+) mission=\
 
 
 class Log(logging.LoggerAdapter[logging.Logger]):
-    """What happens to a service, for `logging`; a warning or worse is also the last error that its tally tells."""
+    """A service's logger. A warning or worse also becomes `last_error` of its tally."""
 
     def __init__(self, service: str, mission: str, tally: Tally, least: str = "info") -> None:
-        """Take who speaks, of which mission, what it counts, and the least of LEVELS that is written."""
+        """Take the names of service and mission, the service's tally, and the lowest of LEVELS that is written."""
         super().__init__(LOGGER.getChild(service))
         self._service = service
         self._mission = mission
@@ -26,17 +26,17 @@ class Log(logging.LoggerAdapter[logging.Logger]):
         self._least = logging.getLevelNamesMapping()[least.upper()]
 
     def isEnabledFor(self, level: int) -> bool:
-        """Whether it is written: two of one name in one process may differ in that."""
+        """True if this level is written. Two loggers of one service in one process may have different levels."""
         return level >= self._least and super().isEnabledFor(level)
 
     def log(self, level: int, msg: object, *args: object, **kwargs: Any) -> None:
-        """Say it at a level of `logging`."""
+        """Log a message at a level of `logging`."""
         if level >= logging.WARNING:
             self.tally.last_error = str(msg) % args if args else str(msg)
         super().log(level, msg, *args, **kwargs)
 
     def process(self, msg: Any, kwargs: MutableMapping[str, Any]) -> tuple[Any, MutableMapping[str, Any]]:
-        """Add who speaks, and at which step."""
+        """Add service, mission and step."""
         kwargs["extra"] = {"service": self._service, "mission": self._mission, "step": self.tally.step}
         return msg, kwargs
 
@@ -52,12 +52,12 @@ class Logfmt(logging.Formatter):
         at = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
         level = LEVELS[min(max(record.levelno // 10 - 1, 0), len(LEVELS) - 1)]
         who = {"service": record.name, "mission": "-", "step": -1} | record.__dict__
-        event = json.dumps(text, ensure_ascii=not text.isprintable())  # others would break the line, or the terminal
+        event = json.dumps(text, ensure_ascii=not text.isprintable())  # unprintable characters could break the line or the terminal
         return f"time={at} level={level} service={who['service']} mission={who['mission']} step={who['step']} event={event}"
 
 
 class _Stderr(logging.Handler):
-    """Writes to what is the process's stderr at that time."""
+    """Writes to the current `sys.stderr`, looked up at each record."""
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
@@ -67,7 +67,7 @@ class _Stderr(logging.Handler):
 
 
 LOGGER = logging.getLogger("plumeward")
-"""Apart from the root, which is the user's."""
+"""It does not propagate to the root logger, which belongs to the user."""
 LOGGER.propagate = False
 LOGGER.setLevel(logging.DEBUG)
 if not LOGGER.handlers:
@@ -76,12 +76,12 @@ if not LOGGER.handlers:
 
 
 def parse(line: str) -> tuple[str, str]:
-    """Return the level and the text of a log's line, as people are told it; one that is no event is told as it is, as info."""
+    """Return level and readable text of a log line. A line that is not a log event is returned unchanged, as info."""
     if (match := LINE.fullmatch(line)) is None:
         return "info", line
     level, service, event = match.groups()
     try:
-        said = json.loads(event)
-    except ValueError:  # two wrote at once
+        text = json.loads(event)
+    except ValueError:  # two processes wrote at once
         return "info", line
-    return level, f"{service}: {'' if level in ('debug', 'info') else f'{level}: '}{said}"
+    return level, f"{service}: {'' if level in ('debug', 'info') else f'{level}: '}{text}"

@@ -13,7 +13,7 @@ Message = Any
 
 GAS_NAME = "gas"
 READING_KINDS = ("LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT")
-"""Types of the messages that a reading is made of, in their order."""
+"""Types of a reading's messages, in their order."""
 NOT_WHOLE = "the payload is not made of whole MAVLink frames"
 ONBOARD_COMPUTER = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 
@@ -30,7 +30,7 @@ POSITION_ONLY = (
 
 
 class Reading(NamedTuple):
-    """One sample of gas and wind. All its floats are exact float32 values, as the wire carries them."""
+    """One sample of gas and wind. All floats are exact float32 values, as on the wire."""
 
     time_boot_ms: int
     position: tuple[float, float]
@@ -42,23 +42,23 @@ class Reading(NamedTuple):
 
 
 class BadFrame(ValueError):
-    """What arrived is not what the contract says; the text gives the reason."""
+    """A payload that violates the bus contract; the text gives the reason."""
 
     def __init__(self, text: str, kind: str = "malformed") -> None:
-        """Take the reason, and what it is counted under."""
+        """Take the reason and the kind that it is counted under."""
         super().__init__(text)
         self.kind = kind
 
 
 class Codec:
-    """Packs messages for one MAVLink link: each link counts its own sequence numbers."""
+    """Packs messages for one MAVLink link; each link has its own sequence numbers."""
 
     def __init__(self, system: int, component: int) -> None:
         """Take the sender's system and component id."""
         self._mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
 
     def pack(self, *messages: Message) -> bytes:
-        """Return the frames of the messages, one after the other."""
+        """Return the concatenated frames of the messages."""
         frames = []
         for message in messages:
             frames.append(bytes(message.pack(self._mav)))
@@ -67,9 +67,9 @@ class Codec:
 
 
 def split(payload: bytes) -> list[Frame]:
-    """Return the frames that a payload is made of; raises BadFrame where any byte of it is not of a whole one.
+    """Return the frames of a payload; raises BadFrame unless it consists of whole, valid frames.
 
-    A frame of a type that the dialect does not know is taken for one: its checksum cannot be verified.
+    The checksum of a frame of unknown type cannot be verified: it is accepted as it is.
     """
     frames, at = [], 0
     while at < len(payload):
@@ -78,9 +78,9 @@ def split(payload: bytes) -> list[Frame]:
             raise BadFrame(f"malformed frame: {_fault(payload, at)}")
         layout = LAYOUTS.get(frame.message_id)
         if layout is not None:
-            told, right = checksums(payload, frame, layout.seed)
-            if told != right:
-                raise BadFrame(f"malformed frame: invalid MAVLink CRC in msgID {frame.message_id} 0x{told:04x} should be 0x{right:04x}")
+            received, right = checksums(payload, frame, layout.seed)
+            if received != right:
+                raise BadFrame(f"malformed frame: invalid MAVLink CRC in msgID {frame.message_id} 0x{received:04x} should be 0x{right:04x}")
         frames.append(frame)
         at = frame.end
     if not frames:
@@ -89,7 +89,7 @@ def split(payload: bytes) -> list[Frame]:
 
 
 def _fault(payload: bytes, at: int) -> str:
-    """Why no frame begins there."""
+    """Return the reason why no frame begins at `at`."""
     if payload[at] not in (MAVLINK_1, MAVLINK_2):
         return f"invalid MAVLink prefix '{payload[at]}'"
     if payload[at] == MAVLINK_2 and (flags := payload[at + 2 : at + 3]) and flags[0] & ~SIGNED:
@@ -98,13 +98,13 @@ def _fault(payload: bytes, at: int) -> str:
 
 
 def unpack(payload: bytes) -> list[Message]:
-    """Decode a payload of whole frames; raises BadFrame where any byte of it is not one."""
+    """Decode a payload of whole frames; raises BadFrame as `split` does."""
     parser = mavlink.MAVLink(None)
     return [parser.decode(bytearray(payload[frame.start : frame.end])) for frame in split(payload)]
 
 
 def wind_message(time_boot_ms: int, wind: tuple[float, float]) -> Message:
-    """WIND_COV (231) carries the air's velocity, NED; our wind points the other way, to where it comes from."""
+    """WIND_COV (231). It carries the velocity of the air, NED; `wind` points the other way, to where the wind comes from."""
     return mavlink.MAVLink_wind_cov_message(
         time_usec=time_boot_ms * 1000,
         wind_x=-wind[1],
@@ -124,16 +124,16 @@ def gas_message(time_boot_ms: int, gas: float) -> Message:
 
 
 def pack_reading(codec: Codec, reading: Reading) -> bytes:
-    """Return the three frames of one sample, all of one time_boot_ms; the vehicle is at rest when it samples."""
+    """Return the three frames of one sample, with the same time_boot_ms. Velocities are 0: the vehicle is at rest when it samples."""
     x, y = reading.position
     position = mavlink.MAVLink_local_position_ned_message(reading.time_boot_ms, y, x, -reading.altitude_m, 0.0, 0.0, 0.0)
     return codec.pack(position, wind_message(reading.time_boot_ms, reading.wind), gas_message(reading.time_boot_ms, reading.gas))
 
 
 def flat_reading(said: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return a reading in the search plane, by the fields of its messages of each type; None is what they do not say.
+    """Return a reading in the search plane. `said` holds its messages' fields by message type; missing values become None.
 
-    x east, y north, and the wind to where it comes from.
+    x east, y north, m; the wind points to where it comes from, m/s.
     """
     position, wind, gas = (said.get(kind, {}) for kind in READING_KINDS)
     down, air_north, air_east = position.get("z"), wind.get("wind_x"), wind.get("wind_y")
@@ -149,29 +149,29 @@ def flat_reading(said: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
-    """Undo `pack_reading`; raises BadFrame with the reason. With `system`, frames of any other vehicle are bad ones."""
+    """Undo `pack_reading`; raises BadFrame with the reason. If `system` is given, frames of another system are refused too."""
     frames = {frame.message_id: frame for frame in split(payload)}
     if system is not None and (strangers := {frame.system for frame in frames.values()} - {system}):
         raise BadFrame(f"a reading of system {min(strangers)}; this is the estimator of system {system}", "other vehicle")
-    said = {LAYOUTS[number].kind: fields_of(payload, frame, LAYOUTS[number]) for number, frame in frames.items() if number in LAYOUTS}
+    messages = {LAYOUTS[number].kind: fields_of(payload, frame, LAYOUTS[number]) for number, frame in frames.items() if number in LAYOUTS}
     try:
-        position, wind, gas = (said[kind] for kind in READING_KINDS)
+        position, wind, gas = (messages[kind] for kind in READING_KINDS)
     except KeyError as missing:
         raise BadFrame(f"a reading without {missing.args[0]}") from None
     if gas["name"] != GAS_NAME:
         raise BadFrame(f"NAMED_VALUE_FLOAT is {gas['name']!r}, not {GAS_NAME!r}")
     if not position["time_boot_ms"] == gas["time_boot_ms"] == wind["time_usec"] // 1000:
         raise BadFrame("the frames of the reading do not share one time_boot_ms")
-    time_boot_ms, x, y, altitude_m, wind_x, wind_y, value = flat_reading(said).values()
+    time_boot_ms, x, y, altitude_m, wind_x, wind_y, value = flat_reading(messages).values()
     reading = Reading(time_boot_ms, (x, y), altitude_m, (wind_x, wind_y), value)
-    for name, told in (("position", reading.position), ("altitude", altitude_m), ("wind", reading.wind), ("gas", value)):
-        if not all(map(math.isfinite, told if isinstance(told, tuple) else (told,))):
-            raise BadFrame(f"{name} is not finite: {told}", "not finite")
+    for name, field in (("position", reading.position), ("altitude", altitude_m), ("wind", reading.wind), ("gas", value)):
+        if not all(map(math.isfinite, field if isinstance(field, tuple) else (field,))):
+            raise BadFrame(f"{name} is not finite: {field}", "not finite")
     return reading
 
 
 def waypoint_message(system: int, answers_time_boot_ms: int, position: tuple[float, float], altitude_m: float) -> Message:
-    """SET_POSITION_TARGET_LOCAL_NED (84) whose time_boot_ms is that of the reading it answers."""
+    """SET_POSITION_TARGET_LOCAL_NED (84) with the time_boot_ms of the reading that it answers; position (x, y) m, x east, y north."""
     return mavlink.MAVLink_set_position_target_local_ned_message(
         time_boot_ms=answers_time_boot_ms,
         target_system=system,

@@ -1,7 +1,7 @@
-"""Completeness of kept messages: puts each publisher's messages in order and notices where some are missing.
+"""Completeness of kept messages: puts each publisher's messages in order and detects missing ones.
 
-Zenoh's advanced subscriber gives history and live messages, but (1.10.2) not always all of it to one that joins while more are being
-published: live messages that arrive before its history query is under way make it drop the answer. So we count for ourselves.
+Zenoh's advanced subscriber delivers history and live messages. In 1.10.2 it can lose history when it joins a busy publisher: live
+messages that arrive before its history query has started make it drop the answer. Therefore we check the sequence numbers ourselves.
 """
 
 import math
@@ -12,10 +12,11 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 ASK_FIRST_S, ASK_LAST_S = 0.3, 2.4
-"""Time between two questions for what is missing; doubled each time: a long history takes its time to come."""
+"""First and longest time between two requests for missing messages; it doubles each time, since a long history takes long to arrive."""
 GIVE_UP_S = 5.0
+"""Missing messages are given up after this time."""
 MOST_SOURCES = 64
-"""So many publishers, the last to have spoken, are remembered: an identity is easily made up."""
+"""Most publishers remembered, the most recent ones. It is bounded because identities are easily forged."""
 
 
 @dataclass
@@ -26,12 +27,12 @@ class _Source(Generic[T]):
 
 
 class Sequence(Generic[T]):
-    """The messages of one key, whose publishers number them from 0."""
+    """Orders the messages of one key. Each publisher numbers its messages from 0."""
 
     def __init__(self, most: int, most_bytes: float = math.inf, size: Callable[[T], int] = lambda _: 0) -> None:
-        """Start with nothing received. So many messages, and bytes by `size`, may wait for missing ones."""
+        """Start empty. At most `most` messages and `most_bytes` bytes (measured by `size`) may wait for missing ones."""
         self.dropped = 0
-        """Messages that were not let wait; they are among the missing ones that are asked for."""
+        """Messages dropped for lack of room. They count as missing and are requested again."""
         self._most = most
         self._most_bytes = most_bytes
         self._size = size
@@ -42,7 +43,7 @@ class Sequence(Generic[T]):
         self._sources: dict[str, _Source[T]] = {}
 
     def arrived(self, source: str, number: int, message: T, now_s: float) -> list[T]:
-        """Take a message; return those that are now next in line. One that has been before is dropped."""
+        """Take a message; return the messages that are now next in order. A message seen before is dropped."""
         state = self._sources.pop(source) if source in self._sources else _Source()
         self._sources[source] = state
         if len(self._sources) > MOST_SOURCES:
@@ -58,7 +59,7 @@ class Sequence(Generic[T]):
         while state.next_number in state.waiting:
             ready += self._release(state, [state.next_number])
             state.next_number += 1
-        state.waiting_since_s = now_s  # the others are on their way: who computes between messages may be long at it
+        state.waiting_since_s = now_s  # messages are still coming in; the service may compute for long between two of them
         return ready
 
     def _wait(self, state: _Source[T], number: int, message: T, now_s: float) -> None:
@@ -79,7 +80,7 @@ class Sequence(Generic[T]):
         return released
 
     def should_ask_again(self, now_s: float) -> bool:
-        """Whether messages wait for missing ones, and it is time to ask for these."""
+        """True if messages wait for missing ones and it is time to request these."""
         if not self._waiting:
             self._ask_every_s = ASK_FIRST_S
             self._ask_at_s = min(self._ask_at_s, now_s + ASK_FIRST_S)
@@ -90,13 +91,13 @@ class Sequence(Generic[T]):
         return False
 
     def wait_on(self, now_s: float) -> None:
-        """Begin to wait anew: there is nobody to ask; that may change at any time."""
+        """Restart all waiting times: there is nobody to ask at the moment."""
         self._ask_at_s, self._ask_every_s = now_s + ASK_FIRST_S, ASK_FIRST_S
         for state in self._sources.values():
             state.waiting_since_s = now_s
 
     def given_up(self, now_s: float) -> tuple[int, list[T]]:
-        """Return how many messages have been missing for too long, and those that waited for them, in order."""
+        """Return how many messages have been missing for longer than GIVE_UP_S, and the messages that waited for them, in order."""
         missing, ready = 0, []
         for state in self._sources.values():
             if state.waiting and now_s - state.waiting_since_s >= GIVE_UP_S:

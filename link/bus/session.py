@@ -1,4 +1,4 @@
-"""A session on the bus: publishers and subscribers made from the table of keys, and one inbox for all that arrives."""
+"""A session on the bus: publishers and subscribers made from the table of keys, and one inbox for all messages that arrive."""
 
 import json
 import math
@@ -23,21 +23,21 @@ from link.bus.tally import REPEATED, Tally
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
 MOST_REASON = 300
-"""Characters of a reason that are told: it may quote what a stranger wrote."""
+"""Longest reason that is logged, characters: a reason may quote a stranger's message."""
 HEALTH_EVERY_S = 1.0
-"""A service that has nothing to do says at least so often that it is well."""
+"""Longest time between two health messages, also of an idle service."""
 SIGNAL_POLL_S = 0.2
-"""Waits are cut into slices of this length: a signal that the system hands to one of Zenoh's threads wakes no other thread."""
+"""Waits are cut into slices of this length: the system may deliver a signal to one of Zenoh's threads, which does not wake ours."""
 
 T = TypeVar("T", bound=msgspec.Struct)
 
 
 class BusError(Exception):
-    """The bus cannot be joined or opened; the text is one clear line."""
+    """The bus cannot be joined or opened; the text is one line."""
 
 
 class NoRouter(BusError):
-    """There is no router where one was to be."""
+    """No router answers at the given endpoint."""
 
 
 class Arrival(NamedTuple):
@@ -47,25 +47,25 @@ class Arrival(NamedTuple):
     payload: bytes
     attachment: bytes
     at: float = 0.0
-    """When it came, by time.monotonic()."""
+    """Time of arrival, by time.monotonic()."""
 
 
 class Stamped(NamedTuple):
-    """One message from the bus, with all that a record says of it."""
+    """One message from the bus, with the key and times that a record stores."""
 
     key: Key
     payload: bytes
     attachment: bytes
     name: str
-    """The key that it was published on, within the namespace: of HEALTH it names the service."""
+    """The key it was published on, within the namespace; for HEALTH it names the service."""
     published_ns: int
-    """By the publisher's clock, or, where it has put no time to its message, by the router's; ns since the Unix epoch."""
+    """Time of publishing, ns since the Unix epoch: by the publisher's clock, or by the router's if the message has no timestamp."""
     received_ns: int
-    """The same, but neither before the messages that were taken earlier nor in the future: for all but clocks that differ."""
+    """`published_ns`, clamped to the time between the previous `take` and now. They differ only if clocks differ."""
 
 
 class _Numbered(NamedTuple):
-    """A message with its publisher's identity and count."""
+    """A message with its publisher's identity and sequence number."""
 
     source: str
     number: int
@@ -73,7 +73,7 @@ class _Numbered(NamedTuple):
 
 
 def most_waiting(key: Key) -> int:
-    """Return how many messages of a key may wait; where more do, the oldest are dropped rather than the flight held up."""
+    """Return how many messages of a key may wait. Beyond that the oldest are dropped, so that the flight goes on."""
     return WAITING_MESSAGES + key.delivery.kept
 
 
@@ -82,7 +82,7 @@ def _size(message: Arrival | Stamped) -> int:
 
 
 class LivelinessChange(NamedTuple):
-    """A service's process came or went."""
+    """A service joined the bus or left it."""
 
     service: str
     alive: bool
@@ -93,24 +93,27 @@ def _config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zeno
     config.insert_json5("mode", json.dumps(mode))
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("scouting/gossip/enabled", "false")
-    config.insert_json5("scouting/delay", "0")  # there is nobody to scout for: a router opens at once instead of after 0.5 s
+    config.insert_json5("scouting/delay", "0")  # nobody to scout for: a router opens at once instead of after 0.5 s
     config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
     for kind, urls in endpoints.items():
         try:
             config.insert_json5(f"{kind}/endpoints", json.dumps(urls))
         except zenoh.ZError:
-            raise BusError(f"--{kind}: {', '.join(urls)!r} is no Zenoh endpoint; wanted one like {DEFAULT_ROUTER}") from None
+            raise BusError(f"--{kind}: {', '.join(urls)!r} is not a Zenoh endpoint; wanted one like {DEFAULT_ROUTER}") from None
     for name, value in settings.items():
         try:
             config.insert_json5(name.replace("__", "/"), json.dumps(value))
         except zenoh.ZError:
-            words = "words with single slashes between, without * $ ? #"
+            words = "words separated by single slashes, without * $ ? #"
             raise BusError(f"--{name}: {value!r} is not allowed; wanted {words}, like uav/1") from None
     return config
 
 
 def open_router(endpoint: str) -> tuple[zenoh.Session, str]:
-    """Open a Zenoh router in this process; returns it and its endpoint, with the port chosen where port 0 was asked for."""
+    """Open a Zenoh router in this process. Returns it and its endpoint, which names the chosen port if port 0 was asked for.
+
+    Raises BusError if it cannot listen on `endpoint`.
+    """
     config = _config("router", {"listen": [endpoint]}, adminspace__enabled=True)
     try:
         session = zenoh.open(config)
@@ -121,11 +124,11 @@ def open_router(endpoint: str) -> tuple[zenoh.Session, str]:
         if reply.ok is not None:
             return session, str(json.loads(reply.ok.payload.to_bytes())["locators"][0])
     session.close()  # type: ignore[no-untyped-call]
-    raise BusError(f"--listen: the router on {endpoint} does not tell its address")
+    raise BusError(f"--listen: the router on {endpoint} does not report its address")
 
 
 class Bus:
-    """One service's place on the bus of one vehicle."""
+    """One service's connection to the bus of one vehicle."""
 
     def __init__(
         self,
@@ -137,17 +140,18 @@ class Bus:
         announced: bool = True,
         **settings: Any,
     ) -> None:
-        """Join a router as a client; raises NoRouter where none answers within CONNECT_TIMEOUT_S, BusError where `connect` is no endpoint.
+        """Join a router as a client.
 
-        All that arrives goes into `inbox`: give one's own where other things than the bus fill it too. Where too much waits in it,
-        messages are dropped and counted. Who is not announced has no
-        liveliness token: it looks on. Further settings are Zenoh's.
+        inbox: receives all messages; pass your own if other sources fill it too. If too many messages wait, some are dropped and counted.
+        announced: if False, the service has no liveliness token (observer).  settings: further settings of Zenoh.
+
+        Raises NoRouter if no router answers within CONNECT_TIMEOUT_S, BusError if `connect` is not an endpoint.
         """
         config = _config(
             "client",
             {"connect": [connect]},
             namespace=namespace,
-            timestamping__enabled=True,  # otherwise it is the router that says when a message was published
+            timestamping__enabled=True,  # otherwise the router's clock stamps the messages
             connect__timeout_ms=int(CONNECT_TIMEOUT_S * 1000),
             # Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s.
             connect__retry={"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
@@ -156,7 +160,7 @@ class Bus:
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError:
-            raise NoRouter(f"--connect: no router at {connect} (start one with: python -m sitl router)") from None
+            raise NoRouter(f"--connect: no router at {connect} (start one with: plumeward router)") from None
         self.service = service
         self.tally = Tally()
         self.log = Log(service, namespace, self.tally, log_level)
@@ -189,7 +193,7 @@ class Bus:
                     name,
                     cache=zenoh.ext.CacheConfig(
                         max_samples=how.kept,
-                        # By default kept messages are dropped where they are asked for while many new ones are published.
+                        # By default replies are dropped if history is requested while many new messages are published.
                         replies_config=zenoh.ext.RepliesConfig(congestion_control=zenoh.CongestionControl.BLOCK),
                     ),
                     publisher_detection=True,
@@ -201,17 +205,17 @@ class Bus:
         return self._publishers[key.name]
 
     def publish(self, key: Key, message: bytes | msgspec.Struct, attachment: bytes | None = None) -> None:
-        """Publish frames as they are, structs as JSON."""
+        """Publish a message: bytes as they are, a struct as JSON."""
         payload = message if isinstance(message, bytes) else msgspec.json.encode(message)
         self._publisher(key).put(payload, attachment=attachment)
 
     def subscribe(self, *keys: Key, newest: bool = False) -> None:
-        """Have what is published under these keys, kept messages first, put into the inbox; with `newest` only the last that waits."""
+        """Put the messages of these keys into the inbox, kept ones first. With `newest` only the newest message of a key waits there."""
         for key in keys:
             self._put_in_order(key)
             put = self._inbox.lane(key.name, most_waiting(key), newest=newest)
 
-            # Callbacks only queue: one that blocked or computed would hold up the session, stop messages included.
+            # Callbacks only queue: a callback that blocks or computes delays the whole session, stop messages included.
             def queued(item: Arrival | _Numbered, put: Callable[[Any, int], None] = put) -> None:
                 put(item, _size(item.arrival if isinstance(item, _Numbered) else item))
 
@@ -223,7 +227,7 @@ class Bus:
             self._overflows[key.name] = Overflow(key.name)
 
     def on(self, key: Key, arrived: Callable[[Any], None]) -> None:
-        """Have what is published under a key, kept messages first, handed to a callback in the session's thread."""
+        """Call `arrived` with each message of a key, kept messages first, in the session's thread."""
 
         def received(sample: zenoh.Sample) -> None:
             arrival = Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b"", time.monotonic())
@@ -241,7 +245,7 @@ class Bus:
                 self._session,
                 name,
                 handler,
-                history=zenoh.ext.HistoryConfig(),  # with detect_late_publishers half of the joins to a live publisher lose the rest
+                history=zenoh.ext.HistoryConfig(),  # detect_late_publishers loses history in half of the joins to a busy publisher
                 recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
             )
         else:
@@ -249,13 +253,13 @@ class Bus:
         self._subscribers[key.name] = subscriber
 
     def settle(self, timeout_s: float) -> None:
-        """Wait until the router has what was published and subscribed here, and what it has passed on is here; for timeout_s at most."""
-        # A question to nobody: the router's own answer comes behind what it has been sent and has sent before.
+        """Wait, at most timeout_s, until the router has received all that was sent from here, and we have received all that it sent."""
+        # A query that nobody answers: the router's reply comes after everything exchanged before it.
         for _ in self._session.get("nobody", timeout=timeout_s):
             pass
 
     def watch_services(self) -> None:
-        """Have the coming and going of services put into the inbox, beginning with those that are there."""
+        """Put a LivelinessChange into the inbox whenever a service joins or leaves, beginning with those present."""
 
         put = self._inbox.lane("liveliness")
 
@@ -267,17 +271,17 @@ class Bus:
         self._subscribers["liveliness"] = self._session.liveliness().declare_subscriber(name, changed, history=True)
 
     def services(self) -> set[str]:
-        """Return the services that are there."""
+        """Return the names of the services present, by their liveliness tokens."""
         replies = self._session.liveliness().get(HEALTH.name.replace("<service>", "*"))
         return {str(reply.ok.key_expr).rpartition("/")[2] for reply in replies if reply.ok is not None}
 
     @property
     def connected(self) -> bool:
-        """Whether the router is there now."""
+        """True while a router is connected."""
         return bool(self._session.info.routers_zid())
 
     def receive(self, timeout_s: float | None = None) -> Any:
-        """Return the next item of the inbox; None after timeout_s, or, where that is None, never."""
+        """Return the next item of the inbox; None if none comes within timeout_s. Without a timeout it waits forever."""
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while not self._ready:
             self._look_after_sequences()
@@ -285,7 +289,7 @@ class Bus:
             self.keep_health()
             left_s = deadline - time.monotonic()
             if left_s < -SIGNAL_POLL_S:
-                return None  # however many come that were taken before
+                return None  # a flood of duplicates must not extend the wait
             try:
                 item = self._inbox.get(timeout=min(SIGNAL_POLL_S, max(left_s, 0.0)))
             except queue.Empty:
@@ -307,25 +311,25 @@ class Bus:
         for name, sequence in self._sequences.items():
             if sequence.should_ask_again(now_s):
                 if self.connected:
-                    self._subscribers.pop(name).undeclare()  # a new subscriber is given the history anew
+                    self._subscribers.pop(name).undeclare()  # a new subscriber receives the history again
                     self.subscribe(next(key for key in KEYS if key.name == name))
                 else:
                     sequence.wait_on(now_s)
             missing, ready = sequence.given_up(now_s)
             if missing:
-                self.log.warning(f"{missing} messages of {name} are lost: nobody has kept them")
+                self.log.warning(f"{missing} messages of {name} are lost: no publisher has kept them")
             self._ready += ready
             self._overflows[name].tell(sequence.dropped, self.log)
 
     def refuse(self, key: Key, reason: str, kind: str) -> None:
-        """Count and log a message that is dropped; `kind` is what it is counted under. It is a warning where it is not just repeated."""
+        """Count a dropped message under `kind` and log the reason: as info if it is only repeated, else as a warning."""
         self.tally.refuse(kind)
         if len(reason) > MOST_REASON:
             reason = f"{reason[:MOST_REASON]}…"
         (self.log.info if kind == REPEATED else self.log.warning)(f"refused {key.name}: {reason}")
 
     def decode(self, arrival: Arrival, kind: type[T]) -> T | None:
-        """Decode JSON into its struct; what does not decode is refused, and None."""
+        """Decode JSON into a struct. A message that does not decode is refused, and None is returned."""
         try:
             return msgspec.json.decode(arrival.payload, type=kind)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -333,14 +337,14 @@ class Bus:
             return None
 
     def answered(self) -> None:
-        """Say what has become of the message that was received last: how long it has taken, and how this service is doing now."""
+        """Report that the last received message has been answered: log its latency and publish health."""
         tally = self.tally
         tally.latency_s = time.monotonic() - self._given_at
         self.log.debug(f"answered after {1000 * tally.latency_s:.2f} ms; {1000 * tally.compute_s:.2f} ms computed so far")
         self.publish_health()
 
     def publish_health(self) -> None:
-        """Publish how this service is doing now; it is, from the first time on, at least every HEALTH_EVERY_S while one receives."""
+        """Publish the service's health now. After the first call, `receive` repeats it at least every HEALTH_EVERY_S."""
         tally = self.tally
         health = Health(
             service=self.service, state=tally.state, about=tally.about, step=tally.step, rate_hz=tally.rate_hz, latency_s=tally.latency_s,
@@ -351,12 +355,12 @@ class Bus:
         self._health_at = time.monotonic() + HEALTH_EVERY_S
 
     def keep_health(self) -> None:
-        """Publish how this service is doing where it has not been said lately."""
+        """Publish the service's health if HEALTH_EVERY_S have passed since the last time."""
         if time.monotonic() >= self._health_at:
             self.publish_health()
 
     def close(self) -> None:
-        """Leave the bus. A session that is left open would hang the process's exit."""
+        """Leave the bus. An open session would hang the exit of the process."""
         for subscriber in self._subscribers.values():
             subscriber.undeclare()
         if self._token:
@@ -364,7 +368,7 @@ class Bus:
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:
-        """Enter a with block, which closes the bus at its end."""
+        """Return the bus itself; the with block closes it at its end."""
         return self
 
     def __exit__(self, *_: object) -> None:

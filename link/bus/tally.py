@@ -1,4 +1,4 @@
-"""What a service counts about itself, and publishes as its health."""
+"""The counts and state of a service, which it publishes as its health."""
 
 import time
 from collections import Counter, deque
@@ -8,24 +8,24 @@ from dataclasses import dataclass, field
 RATE_OVER_S = 10.0
 LATELY_S = 60.0
 REPEATED = "repeated"
-"""What is refused only because it was taken before: that happens in sound missions, too."""
+"""Kind of messages that are refused only because they came before; this is normal in a healthy mission."""
 OVERFLOW = "overflow"
-"""What is dropped because too much waits to be taken."""
+"""Kind of messages that are dropped because too many wait."""
 GRAIN = 0.001
-"""Share of its time within which Recent takes events as one: however many there are, it remembers a thousand."""
+"""Recent merges events closer than this share of its window. It thus stores about a thousand at most."""
 
 
 class Recent:
-    """How much happened within the last seconds."""
+    """Counts events in a sliding time window."""
 
     def __init__(self, within_s: float) -> None:
-        """Take the seconds."""
+        """Take the length of the window, s."""
         self._within_s = within_s
         self._events: deque[tuple[float, int]] = deque()
         self._total = 0
 
     def add(self, now_s: float, count: int) -> None:
-        """Count so many now."""
+        """Count `count` events now."""
         self._total += count
         if self._events and now_s - self._events[-1][0] < GRAIN * self._within_s:
             since_s, before = self._events.pop()
@@ -35,7 +35,7 @@ class Recent:
         self.total(now_s)
 
     def total(self, now_s: float) -> int:
-        """Return how many there were."""
+        """Return the number of events in the window that ends at now_s."""
         while self._events and self._events[0][0] <= now_s - self._within_s:
             self._total -= self._events.popleft()[1]
         return self._total
@@ -43,12 +43,12 @@ class Recent:
 
 @dataclass
 class Tally:
-    """What a service counts about itself."""
+    """The counts and state of one service."""
 
     now_s: Callable[[], float] = time.monotonic
     state: str = "ready"
     about: str = ""
-    """What it runs with, in a few words."""
+    """Its configuration, in a few words."""
     step: int = -1
     compute_s: float = 0.0
     latency_s: float = 0.0
@@ -57,30 +57,30 @@ class Tally:
     refused: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
-        """Begin to count."""
+        """Start the clock and the sliding windows."""
         self._began_s = self.now_s()
         self._done = Recent(RATE_OVER_S)
         self._refused = Recent(LATELY_S)
 
     def did(self, step: int, count: int = 1) -> None:
-        """Count what was done, and the step that it brought."""
+        """Count finished work, and take the step it has reached."""
         self.step = step
         self._done.add(self.now_s(), count)
 
     def refuse(self, kind: str, count: int = 1) -> None:
-        """Count messages that are dropped."""
+        """Count dropped messages under their kind."""
         self.refused[kind] += count
         if kind != REPEATED:
             self._refused.add(self.now_s(), count)
 
     @property
     def uptime_s(self) -> float:
-        """Since it began."""
+        """Seconds since the start."""
         return self.now_s() - self._began_s
 
     @property
     def rate_hz(self) -> float:
-        """What was done, by second, over the last RATE_OVER_S or since the beginning."""
+        """Finished work per second, over the last RATE_OVER_S or since the start."""
         return self._done.total(self.now_s()) / max(min(self.uptime_s, RATE_OVER_S), 1.0)
 
     @property

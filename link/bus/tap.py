@@ -1,4 +1,4 @@
-"""A tap on the bus: everything that is said, taken many messages at once, for those who write it down."""
+"""A tap on the bus: takes all messages, many at once, for the recorder."""
 
 import time
 
@@ -9,25 +9,25 @@ from link.bus.session import DEFAULT_ROUTER, Bus, Stamped, most_waiting
 
 
 class Tap(Bus):
-    """A place on the bus for who writes everything down: messages wait in Zenoh, not in Python, and are taken many at once, Stamped.
+    """A bus connection for recorders: messages wait in Zenoh, not in Python, and are taken in batches, as `Stamped`.
 
-    A Python callback for each message would cost more than all that is done with it afterwards.
+    A Python callback for each message would cost more than recording it.
     """
 
     def __init__(self, service: str, connect: str = DEFAULT_ROUTER, namespace: str = "uav/1", log_level: str = "info") -> None:
-        """Join as any other."""
-        # A message keeps the buffer that it came in: at the usual 64 kB each, clearing these is half the cost of receiving.
+        """Join a router as a client; raises what `Bus` raises."""
+        # Each message keeps its receive buffer. With the default of 64 kB, clearing the buffers is half the cost of receiving.
         super().__init__(service, connect, namespace, log_level=log_level, transport__link__tx__batch_size=16_384)
         self._taken_ns = 0
 
     def subscribe(self, *keys: Key, newest: bool = False) -> None:
-        """Have what is published under these keys, kept messages first, wait to be taken."""
+        """Queue the messages of these keys for `take`, kept messages first."""
         for key in keys:
             self._put_in_order(key)
             self._declare(key, zenoh.handlers.RingChannel(most_waiting(key)))
 
     def take(self) -> list[Stamped]:
-        """Return what has arrived since the last time, in the order in which it was published."""
+        """Return the messages that arrived since the last call, in order of publishing."""
         now_ns = time.time_ns()
         for key in KEYS:
             if key.name in self._subscribers:
@@ -41,7 +41,7 @@ class Tap(Bus):
 
     def _take_from(self, key: Key, now_ns: int) -> None:
         handler, sequence = self._subscribers[key.name].handler, self._sequences.get(key.name)
-        for _ in range(most_waiting(key)):  # not more than waited at first, however many are coming
+        for _ in range(most_waiting(key)):  # at most one full channel: new messages keep coming
             if (sample := handler.try_recv()) is None:
                 return
             published_ns = sample.timestamp.get_time_as_ntp64().as_nanos() if sample.timestamp else now_ns

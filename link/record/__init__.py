@@ -1,1 +1,1 @@
-"""What was said on a bus, written to a file and read back. Imports: link.bus."""
+"""Records: the messages of a bus, written to a file and read back. Imports: link.bus."""

@@ -1,4 +1,4 @@
-"""MCAP files that are written flush by flush: what one flush writes is in the file whole or not at all, also where the disk is full."""
+"""MCAP files with atomic flushes: each flush is in the file whole or not at all, even if the disk is full."""
 
 import contextlib
 from pathlib import Path
@@ -9,19 +9,19 @@ from mcap.records import DataEnd, Footer, Metadata
 from mcap.writer import MCAP0_MAGIC, Writer
 
 UNLIMITED = 1 << 62
-"""Size of a chunk: flushes alone close one."""
+"""Chunk size that is never reached: only a flush closes a chunk."""
 
 
 class WholeFile:
-    """A file that whole pieces are appended to."""
+    """A file to which pieces are appended, each whole or not at all."""
 
     def __init__(self, path: Path) -> None:
-        """Begin an empty file; raises OSError where that is not possible."""
+        """Create an empty file; raises OSError if that fails."""
         self._file = open(path, "wb", buffering=0)  # noqa: SIM115
         self.size = 0
 
     def append(self, piece: bytes | bytearray) -> None:
-        """Append a piece; where there is no room for all of it, none of it is left, and OSError is raised."""
+        """Append a piece. Raises OSError if it does not fit; then none of it stays in the file."""
         left = memoryview(piece)
         try:
             while left:
@@ -34,12 +34,12 @@ class WholeFile:
         self.size += len(piece)
 
     def close(self) -> None:
-        """Close it."""
+        """Close the file."""
         self._file.close()
 
 
 class _Pieces:
-    """What the writer takes for its file: gathers what it writes until it flushes."""
+    """The file object of the MCAP writer: buffers its output until a flush."""
 
     def __init__(self, path: Path) -> None:
         self.file = WholeFile(path)
@@ -58,19 +58,19 @@ class _Pieces:
 
 
 class McapFile:
-    """An MCAP file with zstd chunks, indexes and summary. All that writes raises OSError where the system does."""
+    """An MCAP file with zstd chunks, indexes and summary. Methods that write raise OSError if the system does."""
 
     def __init__(self, path: Path) -> None:
-        """Begin a file."""
+        """Create the file."""
         self._pieces = _Pieces(path)
         stream: Any = self._pieces
         self._writer = Writer(stream, chunk_size=UNLIMITED)
         self._writer.start()
         self.waiting = 0
-        """How many bytes of messages wait for the next flush."""
+        """Bytes of messages that wait for the next flush."""
 
     def add_metadata(self, name: str, data: dict[str, str]) -> None:
-        """Write a record of metadata at once."""
+        """Write a metadata record at once."""
         self._writer.add_metadata(name, data)
         self._pieces.flush()
 
@@ -90,18 +90,18 @@ class McapFile:
         self.waiting += len(data)
 
     def flush(self) -> None:
-        """Close the chunk, and hand it to the system."""
+        """Close the chunk and write it."""
         self.waiting = 0
         self._writer.flush()  # type: ignore[no-untyped-call]
 
     def finish(self) -> None:
-        """Write what waits and the summary, and close."""
+        """Write the waiting messages and the summary, then close the file."""
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._pieces.flush()
         self._pieces.file.close()
 
     def break_off(self, name: str, data: dict[str, str]) -> None:
-        """Give up what waits, end the file as shortly as the format allows, with a record of metadata, and close."""
+        """Discard the waiting messages, end the file with a metadata record and the shortest valid footer, and close it."""
         end = RecordBuilder()
         for record in (Metadata(name, data), DataEnd(0), Footer(0, 0, 0)):
             record.write(end)

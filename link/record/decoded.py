@@ -1,7 +1,7 @@
-"""Messages as viewers can plot them: flat JSON, and a JSON Schema of each kind.
+"""Messages in a form that viewers can plot: flat JSON, with a JSON Schema for each kind.
 
-Viewers such as Foxglove read plain object schemas only: no references, no unions (so no null either), no tuples. A float that JSON
-cannot say (NaN, infinity) is therefore left out of its message.
+Viewers such as Foxglove read only plain object schemas: no references, no unions (hence no null), no tuples. A float that JSON
+cannot express (NaN, infinity) is therefore left out of its message.
 """
 
 import math
@@ -14,31 +14,31 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.frames import LAYOUTS, fields_of
 from link.bus.mavlink import split, unpack_reading
 
-SIMULATION_S = {"type": "number", "description": "simulation time, s: the message's own where it has one, else the newest one known"}
+SIMULATION_S = {"type": "number", "description": "simulation time, s: the message's own if it has one, else the newest known"}
 SENDER = {
     "system": {"type": "integer", "description": "MAVLink system id of the sender"},
     "component": {"type": "integer", "description": "MAVLink component id of the sender"},
 }
 PLAIN = {"char": "string", "float": "number", "double": "number"}
-"""JSON types of MAVLink's; all others are integers."""
+"""JSON types of MAVLink types; all others are integers."""
 UNKNOWN = "UNKNOWN"
-"""Type of the messages that the dialect does not know."""
+"""Type of messages that are not in the dialect."""
 
 
 class FlatReading(msgspec.Struct, frozen=True):
     """One sample of gas and wind, in the search plane."""
 
     time_boot_ms: Annotated[int, Meta(ge=0, description="milliseconds since the start of the simulation")]
-    x: Annotated[float, Meta(description="where it was taken, m east of home")]
-    y: Annotated[float, Meta(description="where it was taken, m north of home")]
-    altitude_m: Annotated[float, Meta(description="height above home at which it was taken")]
-    wind_x: Annotated[float, Meta(description="u cos φ, m/s: the wind's east part, to where it comes from")]
-    wind_y: Annotated[float, Meta(description="u sin φ, m/s: the wind's north part, to where it comes from")]
+    x: Annotated[float, Meta(description="place of the reading, m east of home")]
+    y: Annotated[float, Meta(description="place of the reading, m north of home")]
+    altitude_m: Annotated[float, Meta(description="height of the reading above home, m")]
+    wind_x: Annotated[float, Meta(description="u cos φ, m/s: east component of the wind, pointing to where it comes from")]
+    wind_y: Annotated[float, Meta(description="u sin φ, m/s: north component of the wind, pointing to where it comes from")]
     gas: Annotated[float, Meta(description="the reading, in the sensor's unit: g/m³, or a count of hits")]
 
 
 class Malformed(msgspec.Struct, frozen=True):
-    """What was published but is not what docs/bus.md says."""
+    """A message that violates docs/bus.md."""
 
     reason: str
     payload: Annotated[bytes, Meta(description="as it was published")]
@@ -49,25 +49,25 @@ class Decoded(NamedTuple):
 
     kind: str
     fields: bytes
-    """A JSON object: its fields, and who sent it."""
+    """A JSON object: the message's fields, and its sender's system and component."""
 
 
 def decode(payload: bytes) -> list[Decoded]:
-    """Decode a payload of whole frames; raises BadFrame where any byte of it is not one.
+    """Decode a payload of whole frames; raises BadFrame as `split` does.
 
-    A vehicle at --speedup 0 sends thousands of frames a second, each of which would take pymavlink 10 µs.
+    It does not use pymavlink's decoder: that takes 10 µs per frame, and a vehicle at --speedup 0 sends thousands a second.
     """
     messages = []
     for frame in split(payload):
         layout = LAYOUTS.get(frame.message_id)
-        said: dict[str, Any] = {"data": list(payload[frame.start : frame.end])} if layout is None else fields_of(payload, frame, layout)
-        said["system"], said["component"] = frame.system, frame.component
-        messages.append(Decoded(UNKNOWN if layout is None else layout.kind, _encoded(said)))
+        fields: dict[str, Any] = {"data": list(payload[frame.start : frame.end])} if layout is None else fields_of(payload, frame, layout)
+        fields["system"], fields["component"] = frame.system, frame.component
+        messages.append(Decoded(UNKNOWN if layout is None else layout.kind, _encoded(fields)))
     return messages
 
 
 def decode_reading(payload: bytes) -> FlatReading:
-    """Return the reading that a payload is; raises BadFrame where it is none, with the estimator's reason."""
+    """Decode a reading; raises BadFrame with the same reason as the estimator."""
     reading = unpack_reading(payload)
     return FlatReading(reading.time_boot_ms, *reading.position, reading.altitude_m, *reading.wind, reading.gas)
 
@@ -76,19 +76,19 @@ encode = msgspec.json.Encoder().encode
 
 
 def _encoded(fields: dict[str, Any]) -> bytes:
-    """JSON; what it cannot say would become null, and is left out."""
+    """Encode as JSON, without the values that would become null (NaN, infinity)."""
     text = encode(fields)
-    return encode({name: value for name, value in fields.items() if _sayable(value)}) if b"null" in text else text
+    return encode({name: value for name, value in fields.items() if _is_finite(value)}) if b"null" in text else text
 
 
-def _sayable(value: Any) -> bool:
+def _is_finite(value: Any) -> bool:
     if isinstance(value, float):
         return math.isfinite(value)
-    return not isinstance(value, list) or all(map(_sayable, value))
+    return not isinstance(value, list) or all(map(_is_finite, value))
 
 
 def struct_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
-    """Return the schema of a JSON message with the simulation time that it is recorded with."""
+    """Return the schema of a JSON message as recorded, that is with its simulation time."""
     schema: dict[str, Any] = msgspec.json.schema_components([kind])[1][kind.__name__]
     for field in schema["properties"].values():
         if "prefixItems" in field:
@@ -100,7 +100,7 @@ def struct_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
 
 
 def message_schema(kind: str) -> dict[str, Any]:
-    """Return the schema of a type of MAVLink message."""
+    """Return the schema of a MAVLink message type."""
     properties: dict[str, Any] = {}
     required: list[str] = []
     if kind == UNKNOWN:

@@ -1,4 +1,4 @@
-"""Reads the record of a run back, also one that was cut off or is damaged: up to there."""
+"""Reads the record of a run. A truncated or damaged record is read up to the damage."""
 
 import contextlib
 import stat
@@ -33,35 +33,35 @@ from link.record.record import (
 )
 
 LARGEST_PIECE = 256 << 20
-"""Bytes of a chunk, packed or not. Ours hold 4 MB and one message: what claims more is damaged, or made to fill the memory, of which
-small messages take ten times their bytes."""
+"""Most bytes of a chunk, packed or not. Ours hold 4 MB and one message. A chunk that claims more is damaged, or made to exhaust memory:
+small messages take ten times their bytes there."""
 LARGEST_RECORD = 4 << 30
-"""Bytes of memory that all messages may take: they are read at once."""
+"""Most bytes of memory for all messages: they are read at once."""
 MESSAGE_BYTES = 400
-"""Of memory for a message, beside its own."""
+"""Memory overhead of a message, bytes."""
 DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, LookupError, RuntimeError, EOFError)
-"""What reading raises where bytes are not what they were."""
+"""What reading damaged bytes can raise."""
 
 
 class RecordError(Exception):
-    """The file is no log that can be read; the text is one clear line. No ValueError: those are what damage raises."""
+    """The file is not a readable log; the text is one line. It is not a ValueError, since damage raises those."""
 
 
 class Recording(NamedTuple):
-    """What a log holds."""
+    """The contents of a log."""
 
     about: dict[str, Any]
-    """What the launcher told of the run, with versions, git revision, host and namespace; empty where the file has none of it."""
+    """The run's description by the launcher, with versions, git revision, host and namespace; empty if the file has none."""
     entries: list[Entry]
-    """All messages, in the order in which they were recorded."""
+    """All messages, in the order of recording."""
     complete: bool
-    """False where the record was cut off, or broke off by itself: then about["stopped"] says why."""
+    """False if the file is truncated or damaged, or if recording stopped early; in the latter case about["stopped"] gives the reason."""
 
 
 def is_record(path: Path) -> bool:
-    """Whether a file is an MCAP file by its first bytes; raises RecordError where it cannot be read, or is not a file.
+    """True if a file is an MCAP file by its first bytes; raises RecordError if it is empty, not a regular file or not readable.
 
-    A pipe is none: to look at its first bytes is to lose them, and nobody may ever write to it.
+    A pipe is refused: reading its first bytes would consume them, and could wait forever for a writer.
     """
     try:
         if not stat.S_ISREG(path.stat().st_mode):
@@ -76,9 +76,12 @@ def is_record(path: Path) -> bool:
 
 
 def read(path: Path) -> Recording:
-    """Read a log, also one that was cut off or is still being written; raises RecordError where it is none, or of an unknown format."""
+    """Read a log, also one that is truncated or still being written.
+
+    Raises RecordError if the file is not a log of ours, its format is unknown, or it holds more than LARGEST_RECORD.
+    """
     if not is_record(path):
-        raise RecordError(f"{path} is no MCAP file")
+        raise RecordError(f"{path} is not an MCAP file")
     reader = _Reader(path)
     whole = False
     try:
@@ -87,12 +90,12 @@ def read(path: Path) -> Recording:
     except OSError as error:
         raise RecordError(f"{path}: {error.strerror}") from None
     if whole and not reader.entries and not reader.about:
-        raise RecordError(f"{path} is an MCAP file, but no log of ours: none of its channels is named as a key of the bus")
+        raise RecordError(f"{path} is an MCAP file, but not a plumeward log: none of its channels has the name of a bus key")
     return Recording(reader.about, reader.entries, whole and STOPPED not in reader.about)
 
 
 def _read(file: "_Whole", reader: "_Reader") -> bool:
-    """Hand the records of a file to the reader, up to where it is damaged; returns whether that is its end."""
+    """Hand the records of a file to the reader, up to the first damage; returns True if there is none before the end."""
     records = StreamReader(cast(IO[bytes], file), emit_chunks=True, record_size_limit=LARGEST_PIECE).records
     with contextlib.suppress(*DAMAGE):
         for record in records:
@@ -103,7 +106,7 @@ def _read(file: "_Whole", reader: "_Reader") -> bool:
 
 
 def _unpacked(chunk: Chunk) -> list[McapRecord]:
-    """The records of a chunk, which may claim any size, and hold another."""
+    """Return the records of a chunk. The size that it claims is not trusted."""
     if chunk.uncompressed_size > LARGEST_PIECE:
         raise McapError(f"a chunk that claims {chunk.uncompressed_size} bytes")
     data = UNPACK[chunk.compression](chunk.data, chunk.uncompressed_size)
@@ -115,11 +118,11 @@ UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
     "lz4": lambda data, size: lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size),
     "zstd": lambda data, size: zstandard.ZstdDecompressor().stream_reader(data).read(size),
 }
-"""How a chunk is unpacked, up to a size: mcap and zstandard would believe what the data claim. Others' tools pack with lz4."""
+"""Decompressors that stop at a given size: mcap and zstandard trust the size in the data. Other tools may pack with lz4."""
 
 
 class _Whole:
-    """A file that is read in whole pieces: mcap would take what there is of a cut one for all of it."""
+    """A file that raises EndOfFile on a short read: mcap would take a truncated piece for a whole one."""
 
     def __init__(self, file: IO[bytes], size: int) -> None:
         self._file = file
@@ -133,7 +136,7 @@ class _Whole:
 
 
 class _Reader:
-    """Puts what was recorded of each message together again."""
+    """Rebuilds messages from their records."""
 
     def __init__(self, path: Path) -> None:
         self.about: dict[str, Any] = {}
@@ -157,7 +160,7 @@ class _Reader:
                 written = about.pop(FORMAT_NAME, 0)
                 if written not in READABLE:
                     formats = ", ".join(map(str, READABLE))
-                    raise RecordError(f"{self._path} is a record of format {written}, of another plumeward; those that are read: {formats}")
+                    raise RecordError(f"{self._path} has record format {written} of another plumeward version; readable formats: {formats}")
                 self.about |= about
 
     def _message(self, key: str, ending: str, sequence: int, published_ns: int, data: bytes) -> None:
@@ -185,4 +188,4 @@ class _Reader:
         self._bytes += count
         if self._bytes > LARGEST_RECORD:
             gib = f"{LARGEST_RECORD / 2**30:g} GiB"
-            raise RecordError(f"{self._path} holds more than {gib} of messages; wanted a part of it, as `mcap filter` cuts one out")
+            raise RecordError(f"{self._path} holds more than {gib} of messages; cut out a part of it with `mcap filter`")

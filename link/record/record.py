@@ -1,12 +1,12 @@
-"""The record of a run: what one message of it is, what its topics are called, and the simulation time of messages.
+"""The record of a run: its messages, its topics, and the simulation time of messages.
 
-A record is every message as it was published, in one MCAP file, and the MAVLink of it in a .tlog beside that. `writer` writes the two,
-`reader` reads the first.
+A record is one MCAP file with every message as published, and a .tlog file beside it with the MAVLink frames. `writer` writes both,
+`reader` reads the MCAP file.
 
-A payload of MAVLink lies as it flew under its key, and beside it what viewers can plot: each message under `mavlink/out/ATTITUDE` and
-the like, a reading under `reading/decoded`. JSON lies under its key with one more field, `simulation_s`; the particles of a belief
-under `belief/particles`. What is not what docs/bus.md says is kept under `<key>/malformed`, with the reason. All that comes from one
-message has the same times and the same sequence number.
+A MAVLink payload is stored unchanged under its key. Decoded copies for viewers lie beside it: each message under a topic such as
+`mavlink/out/ATTITUDE`, a reading under `reading/decoded`. JSON is stored under its key with one more field, `simulation_s`; the
+particles of a belief under `belief/particles`. A message that violates docs/bus.md is stored under `<key>/malformed`, with the reason.
+All parts of one message have the same times and the same sequence number.
 """
 
 import contextlib
@@ -20,13 +20,13 @@ from link.bus.frames import frame_at
 from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, READING, STOP
 
 ABOUT, STOPPED = "plumeward", "stopped"
-"""Name of the metadata record that says what the run was, and the entry of a second one which says why the record broke off."""
+"""Name of the metadata record that describes the run. If recording stops early, a second such record gives the reason under STOPPED."""
 FORMAT_NAME, FORMAT = "format", 1
-"""The entry of ABOUT that says how a record is laid out, and the number of the layout that is written."""
+"""Entry of ABOUT with the format of the record; the format that is written."""
 READABLE = (0, FORMAT)
-"""The layouts that are read: 0 is that of records without a number, which differ from 1 in nothing else."""
+"""Formats that are read. 0 stands for records without a format number; they are otherwise the same as 1."""
 MALFORMED, DECODED, PARTICLES, ATTACHMENT = "malformed", "decoded", "particles", "attachment"
-"""What topics add to their key."""
+"""Endings of topics, after their key."""
 
 STRUCTS: dict[str, type[msgspec.Struct]] = {key.name: key.payload for key in KEYS if isinstance(key.payload, type)}
 FRAME_KEYS = {key.name for key in KEYS if isinstance(key.payload, str)}
@@ -41,19 +41,19 @@ class Entry(NamedTuple):
     published_ns: int
     """When it was published, ns since the Unix epoch."""
     simulation_s: float
-    """Simulation time: the message's own where it has one, else the newest one known."""
+    """Simulation time, s: the message's own if it has one, else the newest known."""
     payload: bytes
     attachment: bytes = b""
 
 
 def row(key: str) -> str:
-    """The name of the row of the table of keys that a key is of; empty where it is of none."""
+    """Return the name of a key's row in the table of keys; empty if it has none."""
     name = HEALTH.name if key.startswith(HEALTH_PREFIX) else key
     return name if name in STRUCTS or name in FRAME_KEYS else ""
 
 
 def parted(topic: str) -> tuple[str, str]:
-    """Return the key that a topic belongs to, empty where it is none of ours, and what the topic adds to it."""
+    """Split a topic into its key, empty if that is not in the table of keys, and its ending."""
     words = topic.split("/")
     for count in (1, 2):
         if row(key := "/".join(words[:count])):
@@ -75,7 +75,7 @@ WAYPOINT = {84}
 
 
 def _time_boot_ms(payload: bytes, message_ids: set[int]) -> int | None:
-    """The time that the first such frame begins with, without decoding more than headers."""
+    """Return the time_boot_ms of the first frame with one of these message ids, decoding headers only; None if there is none."""
     at = 0
     while (frame := frame_at(payload, at)) is not None:
         if frame.message_id in message_ids:
@@ -85,29 +85,32 @@ def _time_boot_ms(payload: bytes, message_ids: set[int]) -> int | None:
 
 
 class SimulationClock:
-    """Tells the simulation time of messages from what the vehicle says."""
+    """Assigns a simulation time to each message, from the vehicle's own time stamps."""
 
     def __init__(self) -> None:
-        """Begin at zero."""
+        """Start at zero."""
         self._newest_ms = 0
-        self._told_ns = 0
+        self._newest_published_ns = 0
         self._readings: set[int] = set()
 
     def time_s(self, key: str, payload: bytes, published_ns: int) -> float:
-        """Simulation time of a message; of the vehicle's, the last published one counts, so that one which begins anew is followed."""
+        """Return the simulation time of a message, s.
+
+        The newest known time is the vehicle's last published one. It may go back: that follows a restarted vehicle.
+        """
         own: int | None = None
         if key in (BELIEF.name, STOP.name):
             with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
                 own = msgspec.json.decode(payload, type=_Timed).time_boot_ms
         elif key == MAVLINK_IN.name:
             answered = _time_boot_ms(payload, WAYPOINT)
-            own = answered if answered in self._readings else None  # a ground station may send times of its own
+            own = answered if answered in self._readings else None  # a ground station may send its own times
         elif key in FRAME_KEYS:
             own = _time_boot_ms(payload, OWN_TIME)
             if own is not None and key == READING.name:
                 self._readings.add(own)
-            if own is not None and published_ns >= self._told_ns:
-                self._newest_ms, self._told_ns = own, published_ns
+            if own is not None and published_ns >= self._newest_published_ns:
+                self._newest_ms, self._newest_published_ns = own, published_ns
         return (self._newest_ms if own is None else own) / 1000.0
 
     @property
@@ -116,11 +119,11 @@ class SimulationClock:
         return len(self._readings) - 1
 
 
-# ---- what is written as text, and read back ----
+# ---- conversion to text and back ----
 
 
 def text_of(value: object) -> str:
-    """A value of the metadata, which are strings: JSON, but for a string that cannot be mistaken for it."""
+    """Return a metadata value as text: JSON, except that a string which is not valid JSON stays as it is."""
     if isinstance(value, str):
         try:
             json.loads(value)
@@ -144,15 +147,15 @@ def with_time(text: bytes, simulation_s: float) -> bytes:
 
 
 def time_field(simulation_s: float) -> bytes:
-    """The simulation time as the last field of a JSON object, with the end of that."""
+    """Return the simulation time as the last field of a JSON object, with the closing brace."""
     return f',"simulation_s":{simulation_s!r}}}'.encode()
 
 
 def without_time(text: bytes) -> tuple[bytes, float]:
-    """Undo `with_time`, to the last byte; raises ValueError where there is no such time."""
+    """Undo `with_time` to the last byte; raises ValueError if there is no finite time."""
     head, _, tail = text.rpartition(b',"simulation_s":')
     number, _, blank = tail.partition(b"}")
     simulation_s = float(number)
     if not math.isfinite(simulation_s):
-        raise ValueError(f"a simulation time of {simulation_s}")
+        raise ValueError(f"the simulation time is {simulation_s}; wanted a finite number")
     return head + b"}" + blank, simulation_s

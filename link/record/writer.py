@@ -1,4 +1,4 @@
-"""Writes the record of a run as it goes: an MCAP file of all that is said, and a .tlog of its MAVLink."""
+"""Writes the record of a running mission: an MCAP file of all messages, and a .tlog file of the MAVLink frames."""
 
 import contextlib
 import json
@@ -32,17 +32,17 @@ from link.record.record import (
 )
 
 CHUNK_BYTES = 4_000_000
-"""A chunk is closed when it holds this much, if no flush has closed it before."""
+"""A chunk is closed at this size, if no flush has closed it before."""
 TLOG_LAG_NS = 100_000_000
-"""A frame goes into the .tlog this long after it was published: so those that overtook each other on their way are in order again."""
+"""A flush leaves frames younger than this out of the .tlog, so that frames that overtook each other are written in order."""
 DECODERS = {name: msgspec.json.Decoder(kind) for name, kind in STRUCTS.items()}
 
 
 class Writer:
-    """Writes PATH and the .tlog of the same stem. Where that fails it raises OSError, and leaves what was flushed readable."""
+    """Writes PATH and the .tlog of the same stem. If writing fails, it raises OSError; what was flushed stays readable."""
 
     def __init__(self, path: Path, about: dict[str, Any]) -> None:
-        """Begin the files with what the run is about; raises OSError where they cannot be written."""
+        """Create the files and write the description of the run, `about`; raises OSError if that fails."""
         path.parent.mkdir(parents=True, exist_ok=True)
         self._mcap, self._tlog = McapFile(path), _Tlog(path.with_suffix(".tlog"))
         self._channels: dict[tuple[str, str], int] = {}
@@ -50,7 +50,7 @@ class Writer:
         self._mcap.add_metadata(ABOUT, {name: text_of(value) for name, value in {**about, FORMAT_NAME: FORMAT}.items()})
 
     def write(self, entry: Entry, received_ns: int) -> None:
-        """Write one message, with all that belongs to it, behind those that were received before."""
+        """Write one message with its decoded copies and its attachment. Call it in order of `received_ns`."""
         if entry.key in FRAME_KEYS:
             self._write_frames(entry, received_ns)
         else:
@@ -106,13 +106,13 @@ class Writer:
         return channel
 
     def flush(self) -> None:
-        """Close the chunk and hand all to the system, but for frames of the .tlog that may be overtaken."""
+        """Write everything that waits, except frames of the .tlog younger than TLOG_LAG_NS."""
         with self._breaking_off():
             self._mcap.flush()
             self._tlog.flush(time.time_ns() - TLOG_LAG_NS)
 
     def close(self) -> None:
-        """Finish the files."""
+        """Write everything that waits and close both files."""
         with self._breaking_off():
             self._mcap.finish()
             self._tlog.finish()
@@ -128,7 +128,7 @@ class Writer:
 
 
 class _Tlog:
-    """MAVLink frames, each behind its time: 8 bytes, big-endian, µs since the Unix epoch."""
+    """A .tlog: MAVLink frames, each after its time (8 bytes, big-endian, µs since the Unix epoch)."""
 
     def __init__(self, path: Path) -> None:
         self._file = WholeFile(path)
@@ -139,7 +139,7 @@ class _Tlog:
         self._waiting.append((published_ns, received_ns, frame))
 
     def flush(self, until_ns: int) -> None:
-        """Write what was received until then, and what was published before it."""
+        """Write the frames received until `until_ns`, and those published before them, in order of publishing."""
         self._waiting.sort(key=lambda waiting: waiting[0])
         due = max((n for n, (_, received_ns, _) in enumerate(self._waiting, 1) if received_ns <= until_ns), default=0)
         piece = bytearray()

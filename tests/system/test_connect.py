@@ -124,5 +124,5 @@ def test_what_only_own_services_can_do_is_refused_in_one_line(
 def test_without_a_router_it_is_one_line_and_status_2(start, tmp_path: Path) -> None:
     refused = start("sitl", "fly", "--connect", "tcp/127.0.0.1:1", cwd=tmp_path)
     assert refused.ended() == 2
-    assert refused.err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: python -m sitl router)\n"]
+    assert refused.err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: plumeward router)\n"]
     assert not (tmp_path / "runs").exists()

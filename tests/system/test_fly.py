@@ -124,7 +124,7 @@ def test_an_unreachable_router_is_one_line_and_status_2(start) -> None:
     services = ("sitl", "uav"), ("estimator",), ("agent",)
     for ended in [start(*service, "--connect", "tcp/127.0.0.1:1") for service in services]:  # all wait for it at once
         assert ended.ended() == 2
-        assert ended.err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: python -m sitl router)\n"]
+        assert ended.err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: plumeward router)\n"]
 
 
 def test_a_place_that_cannot_be_written_is_one_line_and_status_2_and_nothing_flies(start, tmp_path: Path) -> None:

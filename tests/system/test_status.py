@@ -96,7 +96,7 @@ def test_without_a_router_all_is_missing_and_the_last_line_says_how_to_get_one()
     ended = subprocess.run([*STATUS, "--connect", "tcp/127.0.0.1:1"], capture_output=True, text=True, timeout=60)
     assert ended.returncode == 1
     assert ended.stdout.count("missing") == 4
-    assert ended.stderr == "error: --connect: no router at tcp/127.0.0.1:1 (start one with: python -m sitl router)\n"
+    assert ended.stderr == "error: --connect: no router at tcp/127.0.0.1:1 (start one with: plumeward router)\n"
     code, report = status("tcp/127.0.0.1:1", "--parts", "estimator")
     assert (code, report["router"]["status"], verdicts(report)) == (1, "missing", {"estimator": "missing"})
 

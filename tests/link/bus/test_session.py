@@ -212,12 +212,12 @@ def test_the_attachment_arrives_with_its_payload(router: str) -> None:
     [
         (lambda used: open_router(used), "--listen: cannot listen on .*: Address already in use"),
         (lambda used: open_router("tcp/192.0.2.1:7447"), "--listen: cannot listen on tcp/192.0.2.1:7447: Cannot assign"),
-        (lambda used: open_router("7447"), "--listen: '7447' is no Zenoh endpoint; wanted one like tcp/"),
-        (lambda used: Bus("uav", "7447"), "--connect: '7447' is no Zenoh endpoint; wanted one like tcp/"),
-        (lambda used: Bus("uav", used, ""), "--namespace: '' is not allowed; wanted words with single slashes between"),
+        (lambda used: open_router("7447"), "--listen: '7447' is not a Zenoh endpoint; wanted one like tcp/"),
+        (lambda used: Bus("uav", "7447"), "--connect: '7447' is not a Zenoh endpoint; wanted one like tcp/"),
+        (lambda used: Bus("uav", used, ""), "--namespace: '' is not allowed; wanted words separated by single slashes"),
         (lambda used: Bus("uav", used, "uav//1"), "--namespace: 'uav//1' is not allowed"),
         (lambda used: Bus("uav", used, "uav/*"), r"--namespace: 'uav/\*' is not allowed"),
-        (lambda used: Bus("uav", "tcp/127.0.0.1:1"), "--connect: no router at tcp/127.0.0.1:1 .*python -m sitl router"),
+        (lambda used: Bus("uav", "tcp/127.0.0.1:1"), "--connect: no router at tcp/127.0.0.1:1 .*plumeward router"),
     ],
 )
 def test_what_cannot_be_opened_is_said_in_one_line(router: str, attempt: Callable[[str], Any], said: str) -> None:

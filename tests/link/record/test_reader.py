@@ -82,7 +82,7 @@ def test_a_record_of_another_format_is_refused_by_name(tmp_path: Path, written_a
     whole = written(log).read_bytes()
     newer = as_record(Metadata("plumeward", {"seed": "3", "format": written_as}))
     log.write_bytes(MCAP0_MAGIC + newer + whole[len(MCAP0_MAGIC) :])
-    assert refused(log) == f"{log} is a record of format {told}, of another plumeward; those that are read: 0, 1"
+    assert refused(log) == f"{log} has record format {told} of another plumeward version; readable formats: 0, 1"
 
 
 # ---- no files, and other files ----
@@ -211,7 +211,7 @@ def test_a_record_that_would_fill_the_memory_is_refused(tmp_path: Path, monkeypa
     assert len(read(log).entries) == 10
     written(log, [particles._replace(published_ns=number) for number in range(11)])
     assert log.stat().st_size < 100_000
-    assert refused(log) == f"{log} holds more than 0.000976562 GiB of messages; wanted a part of it, as `mcap filter` cuts one out"
+    assert refused(log) == f"{log} holds more than 0.000976562 GiB of messages; cut out a part of it with `mcap filter`"
 
 
 def test_json_that_is_nested_without_end_stops_neither_the_recorder_nor_the_reader(tmp_path: Path) -> None:
