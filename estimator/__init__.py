@@ -1,1 +1,1 @@
-"""The particle filter: readings in, beliefs and the stop out. Imports: plume, link, link.bus, estimator.kernels."""
+"""The particle filter: takes readings, publishes beliefs and the stop. Imports: plume, link, link.bus, estimator.kernels."""

@@ -1,4 +1,4 @@
-"""Which readings may reach the filter: what is refused, and why."""
+"""Admission: decides which readings reach the filter, and gives the reason for each refusal."""
 
 import math
 
@@ -9,7 +9,7 @@ from plume.dispersion import SOURCE_RADIUS_M
 
 
 def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[str, str] | None:
-    """Kind and text of the reason why a reading must leave the belief as it is; None where there is none."""
+    """Return kind and text of the reason to refuse a reading; None if it is admitted. `latest` is the last reading admitted."""
     if not all(0.0 <= value <= config.area_m for value in reading.position):
         area = f"[0, {config.area_m:g}] x [0, {config.area_m:g}] m"
         return "outside", f"position {reading.position} is outside the area {area}"
@@ -21,12 +21,12 @@ def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[s
     if reading.time_boot_ms < latest.time_boot_ms:
         return "late", f"time_boot_ms {reading.time_boot_ms} is before {latest.time_boot_ms}"
     if reading != latest:
-        return "conflicting", f"time_boot_ms {reading.time_boot_ms} again, but it is another reading"
+        return "conflicting", f"time_boot_ms {reading.time_boot_ms} again, with other values"
     return "repeated", f"time_boot_ms {reading.time_boot_ms} again"
 
 
 def greatest_concentration(config: Config) -> float:
-    """Return the concentration at the surface of the strongest source that is thought possible, g/m³."""
+    """Return the concentration at the surface of the strongest source that the priors allow, g/m³."""
     known: dict[str, Prior] = {"q": Fixed(config.rate), "d": Fixed(config.diffusivity)}
     _, rate = _likely_range({**known, **config.priors}["q"])
     diffusivity, _ = _likely_range({**known, **config.priors}["d"])
@@ -34,7 +34,7 @@ def greatest_concentration(config: Config) -> float:
 
 
 def _likely_range(prior: Prior) -> tuple[float, float]:
-    """Ends of a range that holds all but a millionth of a positive parameter's prior, generously."""
+    """Return the ends of a range that holds at least 1 − 10⁻⁶ of a positive parameter's prior."""
     smallest = 1e-3
     match prior:
         case Fixed(value):

@@ -1,4 +1,4 @@
-"""Posteriors of many missions at once, by the very kernel that serves one: mission i is bit-identical to mission i alone."""
+"""Posteriors of many missions at once, by the same kernel as for one: mission i is bit-identical to mission i run alone."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,23 +15,23 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 MISSIONS_PER_TASK = 8
-"""Missions cost very different times, so threads take them in portions no greater than this."""
+"""Most missions that a thread takes at once; small portions balance the load, since missions differ much in cost."""
 
 
 class Batch:
-    """Missions side by side, each as far as it is; changed in place. All have the same number of particles and the same unknowns."""
+    """Missions side by side, each at its own step; changed in place. All have the same number of particles and the same unknowns."""
 
     def __init__(self, configs: Sequence[Config], threads: int = 1) -> None:
-        """Begin with the priors. Raises ValueError where missions differ in their particles or unknowns."""
+        """Begin with the priors. Raises ValueError if missions differ in their number of particles or their unknowns."""
         first, count = configs[0], len(configs)
         rows, particles = len(first.unknown_indices), first.particles
         self.particles = np.empty((count, rows, particles))
         self.weights = np.empty((count, particles))
-        """The greatest of each mission is 1."""
+        """(B, N); the greatest of each mission is 1."""
         self.means = np.empty((count, rows))
         self.covariances = np.empty((count, rows, rows))
         self.counts = np.zeros(count, np.int64)
-        """Readings that each mission has taken."""
+        """(B,): number of readings that each mission has assimilated."""
         self._log_weights = np.empty((count, particles))
         self._log_targets = np.empty((count, particles))
         self._readings = np.empty((count, 64, 7))
@@ -48,10 +48,10 @@ class Batch:
             self.begin(mission, config)
 
     def begin(self, mission: int, config: Config) -> None:
-        """Put another mission in the place of one. Raises ValueError where it differs in its particles or unknowns."""
+        """Replace a mission by a new one. Raises ValueError if its number of particles or its unknowns differ."""
         first = self._configs[0]
         if (config.particles, config.unknowns) != (first.particles, first.unknowns):
-            raise ValueError("all missions of a batch have the same number of particles and the same unknowns")
+            raise ValueError("all missions of a batch must have the same number of particles and the same unknowns")
         posterior = prior(config)
         self.particles[mission] = posterior.particles
         self.weights[mission] = posterior.weights
@@ -64,7 +64,7 @@ class Batch:
         self._configs[mission] = config
 
     def assimilate(self, readings: Array, missions: Indices | None = None) -> None:
-        """Take one reading for each of these missions, of all where none are named: (M, 7) rows as of `Config.row`."""
+        """Assimilate one reading for each of these missions (M,), by default all. readings: (M, 7), rows as of `Config.row`."""
         missions = np.arange(len(self.counts)) if missions is None else missions
         if self.counts[missions].max() == self._readings.shape[1]:
             self._readings = np.concatenate([self._readings, np.empty_like(self._readings)], axis=1)
@@ -82,7 +82,7 @@ class Batch:
         self.share_out(update, missions)
 
     def share_out(self, task: Callable[[Indices], None], missions: Indices) -> None:
-        """Let the threads do a task for each of these missions, in portions."""
+        """Run a task over these missions on the threads, in portions."""
         if self._threads == 1:
             task(missions)
             return
@@ -90,7 +90,7 @@ class Batch:
         list(self._pool.map(task, np.split(missions, range(portion, len(missions), portion))))
 
     def may_claim(self, mission: int) -> bool:
-        """Whether a find may be claimed at all: as `estimator.belief.may_claim`."""
+        """True if the mission may claim a find, as by `estimator.belief.may_claim`."""
         count = self.counts[mission]
         p_value = fit(self._readings[mission, :count], self._ranks[mission, :count], self._configs[mission])
         return may_claim(p_value, int(count))

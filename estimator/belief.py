@@ -1,4 +1,4 @@
-"""What the estimator says after a reading: the belief, its particles, and AGDC's stop."""
+"""The messages after a reading: the belief, its particles, and the stop (AGDC)."""
 
 import math
 from collections.abc import Mapping
@@ -14,19 +14,19 @@ from plume import sensor
 from plume.parameters import PARAMETERS
 
 RECENT = 30
-"""So many readings are looked at together for whether they fit the model."""
+"""Number of recent readings in the test of whether they fit the model."""
 FEWEST = 8
-"""With fewer there is no telling: the p-value is 1."""
+"""With fewer readings the test has no power: the p-value is 1."""
 INCOMPATIBLE = 1e-4
-"""Below this p-value the readings do not fit the model, and nothing is claimed: there is no stop."""
+"""Below this p-value the readings do not fit the model: there is no stop."""
 STUCK = 3
-"""So many readings in a row that are equal to the last bit do not come from a noisy sensor that works; with fewer nothing is claimed."""
+"""This many bit-identical readings in a row mean that a noisy sensor is stuck. There is no stop before this many readings."""
 
 
 def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Belief, Particles]:
-    """Summarise the posterior after `reading`, as it crosses the wire, and say whether the search has ceased."""
+    """Return the belief message after `reading`, including whether the search has ceased, and the particle array (N, D + 1)."""
     unknown_means, unknown_covariance = moments(posterior.particles, posterior.weights)
-    means = config.prior_rows[:, 1].copy()  # known values; those of the unknowns are put in their places
+    means = config.prior_rows[:, 1].copy()  # known values; the unknowns' means follow
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     means[config.unknown_indices] = unknown_means
     covariance[np.ix_(config.unknown_indices, config.unknown_indices)] = unknown_covariance
@@ -64,9 +64,9 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
 
 
 def fit(readings: Array, ranks: Array, config: Config) -> float:
-    """p-value of the recent readings under the model: of their ranks in their predictive distributions, which should be uniform.
+    """Return the p-value of the recent readings: a test that their ranks in their predictive distributions are uniform.
 
-    readings: (T, 7), ranks: (T,), as of `Posterior`.
+    It is 0 if the sensor is stuck.  readings: (T, 7), ranks: (T,), as in `Posterior`.
     """
     last = readings[-STUCK:, 5]
     if len(last) == STUCK and (last == last[-1]).all() and config.sensor.is_noisy(float(last[-1])):
@@ -75,18 +75,18 @@ def fit(readings: Array, ranks: Array, config: Config) -> float:
 
 
 def may_claim(p_value: float, readings: int) -> bool:
-    """Whether a find may be claimed at all: so many readings have come that a stuck sensor would show, and they fit the model."""
+    """True if a find may be claimed: there are enough readings to detect a stuck sensor, and they fit the model."""
     return readings >= STUCK and p_value >= INCOMPATIBLE
 
 
 def sure_enough(spread: float, stds: Mapping[str, float], config: Config, threshold_m: float) -> bool:
-    """Whether all that a stop is asked on is known well enough, at a ζ that need not be the configured one."""
+    """True if the stop criterion is met: spread below `threshold_m`, if required, and standard deviations below their limits."""
     located = spread < threshold_m or not config.stop_on_location
     return located and all(stds[name] < limit for name, limit in config.stop_limits.items())
 
 
 def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[float, float]:
-    """Return the wind that is assumed: what of it has a prior is not taken from the reading."""
+    """Return the assumed wind, (u cos φ, u sin φ) m/s: speed and direction of the reading, or their means if they have a prior."""
     if "u" not in config.priors and "phi" not in config.priors:
         return reading.wind
     speed = mean["u"] if "u" in config.priors else math.hypot(*reading.wind)
@@ -95,7 +95,7 @@ def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[flo
 
 
 def stop(ceased: Belief, config: Config) -> Stop:
-    """Return the claim that ends the search."""
+    """Return the stop message that a ceased belief claims."""
     return Stop(
         time_boot_ms=ceased.time_boot_ms,
         step=ceased.step,

@@ -1,4 +1,4 @@
-"""The particle filter: a posterior over what is unknown of the source, one reading at a time (design: reweight, resample, move)."""
+"""The particle filter: the posterior over the unknowns of the source, one reading at a time (reweight, resample, move)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,37 +22,38 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Config:
-    """What the estimator knows beforehand, and when it may say that it has found the source. Raises ValueError on what cannot be."""
+    """What the estimator knows beforehand, and its stop criterion. Raises ValueError if they are inconsistent."""
 
     particles: int = 1000
     threshold_m: float = 0.5
-    """ζ: AGDC stops when the spread is below it."""
+    """ζ, m: the search stops when the spread is below it."""
     seed: int = 0
     rate: float = 300.0
-    """q, g/s, where no prior says otherwise; the defaults of rate and diffusivity are the middle of Table 1."""
+    """q, g/s, unless it has a prior. The defaults of rate and diffusivity are the middle of Table 1."""
     diffusivity: float = 4.5
-    """d, m²/s."""
+    """d, m²/s, unless it has a prior."""
     lifetime: float = LIFETIME_S
-    """τ, s."""
+    """τ, s, unless it has a prior."""
     area_m: float = AREA_M
+    """Side of the square search area, m."""
     priors: Mapping[str, Prior] = field(default_factory=dict)
-    """What else than x and y is unknown, by its name of `PARAMETERS`. Without a prior z is the height at which is flown, and u and φ
-    are measured; with one the vehicle's wind is not looked at."""
+    """Priors by name of `PARAMETERS`; x and y are uniform over the area by default. Without a prior, the source's height z is the
+    flight height, and wind speed u and direction φ are those measured. With a prior, the measured value is ignored."""
     sensor: Sensor = GAUSSIAN
     stop_on_location: bool = True
-    """Whether a stop wants the spread below ζ."""
+    """True if a stop requires the spread to be below ζ."""
     stop_limits: Mapping[str, float] = field(default_factory=dict)
-    """Standard deviations of unknowns, by name, that a stop wants to be below."""
+    """Limits by name of unknown: a stop requires its standard deviation to be below."""
 
     def __post_init__(self) -> None:
-        """Find bad priors and limits now."""
+        """Refuse bad priors and limits."""
         if not len(self.unknown_indices):
             raise ValueError("nothing is unknown: at least one parameter needs a prior that is not fixed")
         for name in self.stop_limits:
             if name not in self.unknowns:
-                raise ValueError(f"{name} is not unknown: a stop cannot wait for it; unknown are {', '.join(self.unknowns)}")
+                raise ValueError(f"a stop cannot wait for {name}: it is not unknown; unknown are {', '.join(self.unknowns)}")
         if not (self.stop_on_location or self.stop_limits):
-            raise ValueError("a stop has to be asked on something")
+            raise ValueError("a stop needs a criterion: the location or a limit")
 
     @cached_property
     def prior_rows(self) -> Array:
@@ -63,12 +64,12 @@ class Config:
 
     @cached_property
     def unknown_indices(self) -> NDArray[np.int64]:
-        """(D,): which of `plume.parameters.PARAMETERS` are unknown."""
+        """(D,): indices into `plume.parameters.PARAMETERS` of the unknowns."""
         return np.flatnonzero((self.prior_rows[:, 0] != KNOWN) & (self.prior_rows[:, 0] != MEASURED))
 
     @cached_property
     def unknowns(self) -> tuple[str, ...]:
-        """Names of what is unknown, in the order of the particles' rows."""
+        """Names of the unknowns, in the order of the particles' rows."""
         return tuple(PARAMETERS[index] for index in self.unknown_indices)
 
     @cached_property
@@ -78,11 +79,11 @@ class Config:
 
     @property
     def sweeps(self) -> int:
-        """Metropolis sweeps after each resampling: with more unknowns fewer moves are taken, and less comes of each."""
+        """Metropolis sweeps after each resampling. More unknowns need more: fewer proposals are accepted, and each explores less."""
         return 3 * max(len(self.unknown_indices) - 1, 1)
 
     def row(self, reading: Reading) -> Array:
-        """(7,): a reading as the kernels take it, with all its weight: they lower the last number where it must be less."""
+        """Return a reading as the kernels take it, (7,). The last number, the exponent of its likelihood, is 1; `update` may lower it."""
         height = reading.altitude_m if "z" in self.priors else 0.0
         return np.array([*reading.position, height, *reading.wind, reading.gas, 1.0])
 
@@ -92,17 +93,18 @@ class Posterior:
     """Weighted particles and the readings behind them; never changed, only replaced."""
 
     particles: Array
-    """(D, N), a row for each unknown."""
+    """(D, N), one row per unknown."""
     log_weights: Array
     """(N,) up to a constant."""
     weights: Array
-    """(N,) the same, not in logarithms: the greatest is 1."""
+    """(N,) exp(log_weights), scaled so that the greatest is 1."""
     log_targets: Array
     """(N,) log posterior density given all readings so far, up to a constant, at each particle."""
     readings: Array
-    """(T, 7): x, y, height, wind_x, wind_y, gas, share: below 1 where a reading was too far from all belief to be taken whole."""
+    """(T, 7): x, y, height, wind_x, wind_y, gas, share. The share is the exponent of the reading's likelihood. It is below 1 if the
+    reading was too improbable to be assimilated in full."""
     ranks: Array
-    """(T,) how far up its predictive distribution each reading lay: uniform in (0, 1) where the model is right."""
+    """(T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right."""
 
 
 def prior(config: Config) -> Posterior:
@@ -114,7 +116,7 @@ def prior(config: Config) -> Posterior:
 
 
 def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Posterior:
-    """One reading: reweight, and where the weights degenerate, resample and move (`estimator.kernels.update`)."""
+    """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move (`estimator.kernels.update`)."""
     particles, log_weights, weights, log_targets = (
         array.copy() for array in (posterior.particles, posterior.log_weights, posterior.weights, posterior.log_targets)
     )

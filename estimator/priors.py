@@ -1,4 +1,4 @@
-"""What is unknown about a release, and what is thought of it beforehand: a prior for each unknown."""
+"""Priors of the unknown parameters of a release."""
 
 import math
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from plume.parameters import GAMMA, KNOWN, MEASURED, NORMAL, PARAMETERS, UNIFORM
 Array = NDArray[np.float64]
 
 SMALLEST = 1e-6
-"""q, d and τ are above 0: no prior puts them below this."""
+"""Lower bound of q, d and τ under every prior, so that they stay above 0."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Uniform:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal with a mean and a standard deviation, cut off where the parameter makes no sense."""
+    """Normal with a mean and a standard deviation, truncated to the values that the parameter can have."""
 
     mean: float
     std: float
@@ -33,7 +33,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Gamma:
-    """Gamma with a shape and a scale: its mean is shape · scale."""
+    """Gamma with a shape and a scale; its mean is shape · scale."""
 
     shape: float
     scale: float
@@ -41,7 +41,7 @@ class Gamma:
 
 @dataclass(frozen=True)
 class Fixed:
-    """Known."""
+    """Known value."""
 
     value: float
 
@@ -56,7 +56,7 @@ KINDS: dict[str, type[Uniform] | type[Normal] | type[Gamma] | type[Fixed]] = {
 
 
 def parse(text: str) -> tuple[str, Prior]:
-    """Read `q=gamma:2,150`; raises ValueError with what is allowed."""
+    """Read a prior such as `q=gamma:2,150`; raises ValueError with the allowed form."""
     name, equals, rest = text.partition("=")
     kind, _, numbers = rest.partition(":")
     if not equals or name not in PARAMETERS or kind not in KINDS:
@@ -88,7 +88,7 @@ def parse(text: str) -> tuple[str, Prior]:
 
 
 def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
-    """Return the ends of what a parameter can be under its prior; raises ValueError where nothing is left."""
+    """Return the ends of a parameter's range under its prior; raises ValueError if the prior excludes every possible value."""
     low, high = {
         "x": (0.0, area_m),
         "y": (0.0, area_m),
@@ -104,12 +104,15 @@ def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
         case Gamma():
             low = max(low, SMALLEST)
     if not low < high:
-        raise ValueError(f"the prior of {name} leaves nothing of what is possible")
+        raise ValueError(f"the prior of {name} excludes every possible value")
     return low, high
 
 
 def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float) -> Array:
-    """Return the (8, 5) rows that the kernels take: kind, two numbers, the ends of the support. u and φ in neither are measured."""
+    """Return the priors as the kernels take them, (8, 5): kind, two numbers, ends of the support.
+
+    A parameter in neither `priors` nor `known` (u, φ) is measured.
+    """
     rows = np.zeros((8, 5))
     for index, name in enumerate(PARAMETERS):
         prior = priors.get(name, Fixed(known[name]) if name in known else None)
@@ -128,9 +131,9 @@ def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float
 
 
 def draw(rows: Array, unknowns: NDArray[np.int64], count: int, rng: np.random.Generator) -> Array:
-    """Draw (D, count) from the priors.
+    """Draw particles (D, count) from the priors.
 
-    Uniform ones come from a low-discrepancy lattice with a random shift (the R sequence, Roberts 2018): each draw is uniform,
+    Uniform priors use a low-discrepancy lattice with a random shift (the R sequence, Roberts 2018): each draw is uniform, and
     together they leave no gaps.
     """
     ratio = 1.5
@@ -144,7 +147,7 @@ def draw(rows: Array, unknowns: NDArray[np.int64], count: int, rng: np.random.Ge
             result[row] = low + (np.arange(count) * ratio ** -(row + 1.0) + shift[row]) % 1.0 * (high - low)
             continue
         missing = np.arange(count)
-        while len(missing):  # what falls outside the support is drawn again
+        while len(missing):  # redraw values outside the support
             result[row, missing] = rng.normal(a, b, len(missing)) if kind == NORMAL else rng.gamma(a, b, len(missing))
             missing = missing[(result[row, missing] < low) | (result[row, missing] > high)]
     return result

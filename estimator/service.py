@@ -1,4 +1,4 @@
-"""The estimator service: readings in, beliefs out, one stop."""
+"""The estimator service: takes readings, publishes one belief for each, and one stop."""
 
 import time
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from plume.sensor import text
 
 
 def run(bus: Bus, config: Config, system: int) -> None:
-    """Serve until interrupted. It starts with the readings published before it joined: that is the whole recovery."""
+    """Serve until interrupted. The first readings are those published before it joined: this alone recovers a restarted estimator."""
     posterior = prior(config)
     latest, summary, particles = None, None, b""
     stopped = False
@@ -39,14 +39,14 @@ def run(bus: Bus, config: Config, system: int) -> None:
                 bus.publish(STOP, stop(summary, config))
                 bus.log.info(f"ceased at step {summary.step}: ({summary.mean[0]:.2f}, {summary.mean[1]:.2f}) ± {summary.spread:.2f} m")
                 stopped = True
-        # A reading that comes again was not answered: whatever was lost on the way, saying the same belief again mends it.
+        # A repeated reading means that no answer arrived. Publishing the same belief again recovers from any lost message.
         assert summary is not None
         bus.publish(BELIEF, summary, particles)
         bus.answered()
 
 
 def _judge(bus: Bus, p_value: float) -> None:
-    """Warn, in the log once and in health as long as it lasts, where the readings do not fit the model."""
+    """Warn while the readings do not fit the model: once in the log, and in health as long as it lasts."""
     if p_value >= INCOMPATIBLE:
         bus.tally.warnings = ()
         return

@@ -1,4 +1,4 @@
-"""Whether readings fit the model: their ranks in their predictive distributions, and a test that these are uniform."""
+"""Model check: ranks of readings in their predictive distributions, and a test that these ranks are uniform."""
 
 import math
 
@@ -14,12 +14,12 @@ from plume.sensor import GAUSSIAN_KIND, HITS_KIND
 Array = NDArray[np.float64]
 
 CHECK_PARTICLES = 1000
-"""So many particles, evenly spaced, stand for all in the predictive check of a reading."""
+"""About this many particles, evenly spaced, are used for the predictive rank of a reading."""
 
 
 @numba.njit(error_model="numpy")
 def _gaussian_tails(means: Array, gas: float, slope: float, floor: float, result: Array) -> None:
-    """P(Z ≤ gas) for each mean, to 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
+    """Fill `result` with P(Z ≤ gas) for each mean, accurate to 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
     for i in range(len(means)):
         residual = gas - means[i]
         half_square = 0.5 * residual * residual / (slope * means[i] * means[i] + floor)
@@ -34,7 +34,7 @@ def _gaussian_tails(means: Array, gas: float, slope: float, floor: float, result
 
 @numba.njit(error_model="numpy")
 def _hits_cdf(count: float, expected: float) -> float:
-    """P(K ≤ count) of a Poisson count; beyond 100 by Wilson and Hilferty's cube root."""
+    """P(K ≤ count) of a Poisson count; above 100 by the Wilson–Hilferty cube-root approximation."""
     if count < 0:
         return 0.0
     if count > 100:
@@ -50,9 +50,9 @@ def _hits_cdf(count: float, expected: float) -> float:
 
 @numba.njit(error_model="numpy")
 def predictive_rank(means: Array, weights: Array, gas: float, sensor: Array, chance: float) -> float:
-    """Return how far up its predictive distribution a reading lies: uniform in (0, 1) where the model is right (Dawid 1984).
+    """Return the rank of a reading in its predictive distribution: uniform in (0, 1) if the model is right (Dawid 1984).
 
-    means, weights: of particles before the reading.  chance: uniform in (0, 1); breaks ties of discrete readings.
+    means, weights: (N,) of the particles before the reading.  chance: a uniform draw in (0, 1) that breaks ties of discrete readings.
     """
     count = len(means)
     share, total = 0.0, 0.0
@@ -80,7 +80,7 @@ def predictive_rank(means: Array, weights: Array, gas: float, sensor: Array, cha
 
 @kernel("float64(float64[::1])")
 def uniformity_p_value(ranks: Array) -> float:
-    """p-value of the Anderson–Darling test that ranks (n ≥ 8,) are uniform in (0, 1) (Marsaglia and Marsaglia 2004)."""
+    """p-value of the Anderson–Darling test that ranks (n,), n ≥ 8, are uniform in (0, 1) (Marsaglia and Marsaglia 2004)."""
     count = len(ranks)
     ordered = np.sort(ranks)
     total = 0.0
@@ -89,7 +89,7 @@ def uniformity_p_value(ranks: Array) -> float:
         high = min(max(ordered[count - 1 - i], 1e-15), 1 - 1e-15)
         total += (2 * i + 1) * (math.log(low) + math.log1p(-high))
     z = -count - total / count
-    if z > 8:  # beyond the published formula's accuracy: the tail's own shape, joined to it at 8
+    if z > 8:  # beyond the published formula's accuracy: the asymptotic tail, continuous with it at 8
         return 0.94 * math.exp(-z) / math.sqrt(z)
     if z < 2:
         p = 2.00012 + (0.247105 - (0.0649821 - (0.0347962 - (0.011672 - 0.00168691 * z) * z) * z) * z) * z

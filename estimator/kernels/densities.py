@@ -1,4 +1,4 @@
-"""Log-likelihoods of gas values, as `plume/sensor.py` defines them, and log prior densities."""
+"""Log-likelihoods of gas values as defined in `plume/sensor.py`, and log prior densities."""
 
 import math
 
@@ -25,7 +25,7 @@ def normal_cdf(value: float) -> float:
 
 @numba.njit(error_model="numpy")
 def log_densities_of(means: Array, count: int, gas: float, sensor: Array, result: Array) -> None:
-    """Log-likelihood of a gas value for each mean: the log_likelihood of plume/sensor.py."""
+    """Fill `result` with the log-likelihood of a gas value for each mean, as `log_likelihood` in plume/sensor.py."""
     if sensor[0] == HITS_KIND:
         constant = math.lgamma(gas + 1.0)
         for i in range(count):
@@ -48,7 +48,7 @@ def log_densities_of(means: Array, count: int, gas: float, sensor: Array, result
 
 @numba.njit(error_model="numpy")
 def greatest_log_density(gas: float, sensor: Array) -> float:
-    """Return what no log-likelihood of this gas value can exceed."""
+    """Return an upper bound of the log-likelihood of this gas value, whatever the mean."""
     if sensor[0] == HITS_KIND:
         return gas * math.log(gas) - gas - math.lgamma(gas + 1.0) + 1e-9 if gas > 0 else 0.0
     if sensor[0] == THRESHOLD_KIND and gas == 0.0:
@@ -58,7 +58,7 @@ def greatest_log_density(gas: float, sensor: Array) -> float:
 
 @kernel("float64[::1](float64[:, ::1], int64[::1], float64[:, ::1], float64[::1], float64[::1])")
 def log_likelihoods(particles: Array, unknowns: NDArray[np.int64], priors: Array, sensor: Array, reading: Array) -> Array:
-    """Log-likelihood of one reading for each particle: (N,)."""
+    """Log-likelihood of one reading (7,) under each particle: (N,)."""
     count = particles.shape[1]
     means, result = np.empty(count), np.empty(count)
     if is_location_only(unknowns, priors):

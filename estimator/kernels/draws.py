@@ -1,4 +1,4 @@
-"""Random numbers keyed by (seed, step, stage, stream): SplitMix64 sequences that can be entered anywhere."""
+"""Random numbers keyed by (seed, step, stage, stream): SplitMix64 sequences with random access."""
 
 import numba
 import numpy as np
@@ -18,7 +18,7 @@ def mix(word: np.uint64) -> np.uint64:
 
 @numba.njit(error_model="numpy")
 def key_of(seed: int, step: int, stage: int, stream: int) -> np.uint64:
-    """Where the SplitMix64 sequence of one (seed, step, stage, stream) begins."""
+    """Return the start of the SplitMix64 sequence of one (seed, step, stage, stream)."""
     word = mix(seed + GOLDEN)
     word = mix(word ^ (np.uint64(step) + np.uint64(1)) * GOLDEN)
     return mix(word ^ (np.uint64(stage * 1024 + stream) + np.uint64(1)) * GOLDEN)

@@ -28,9 +28,10 @@ def _propose(
     proposals: Array,
     needed: Array,
 ) -> None:
-    """Propose a step for each particle (ter Braak 2006); where it leaves the prior's support, what it needs becomes infinite.
+    """Fill `proposals` with a step for each particle (differential evolution, ter Braak 2006).
 
-    A step is a scaled difference of two other particles, which follows curved and split posteriors, with a little uniform noise.
+    A step is a scaled difference of two other particles plus a little uniform noise. Such steps follow curved and multimodal
+    posteriors. If a proposal leaves the prior's support, its `needed` becomes infinite, so that it is rejected.
     """
     rows, count = particles.shape
     largest = 2.38 / math.sqrt(2.0 * rows)
@@ -41,7 +42,7 @@ def _propose(
         ones[i] = ((word >> half) * size) >> half
         others[i] = ((word & low_half) * size) >> half
         chance = 3 * uniform(key, 2 * i + 1)
-        scales[i] = largest * (0.7 if chance < 1 else 0.35 if chance < 2 else 0.12)  # finer ones for thin ridges
+        scales[i] = largest * (0.7 if chance < 1 else 0.35 if chance < 2 else 0.12)  # smaller steps for thin ridges
     for row in range(rows):
         low, high = priors[unknowns[row], 3], priors[unknowns[row], 4]
         first = (2 + row) * count
@@ -69,9 +70,9 @@ def metropolis(
     stage: int,
     sweeps: int,
 ) -> int:
-    """Metropolis–Hastings sweeps, in place, that leave the posterior given all readings invariant; returns how many moves were taken.
+    """Move the particles in place by Metropolis–Hastings sweeps that leave the posterior given all readings invariant.
 
-    log_targets: log posterior of each particle up to a constant.
+    log_targets: (N,) log posterior density of each particle up to a constant.  Returns the number of accepted moves.
     """
     rows, count = particles.shape
     last = len(readings) - 1
@@ -99,8 +100,8 @@ def metropolis(
             targets[i] = log_prior(proposals, i, unknowns, priors)
         if not only_location:
             derive(proposals, count, unknowns, priors, derived)
-        # Newest first: it is the likeliest to reject. A proposal that cannot reach what it needs any more, even if all the readings
-        # left were explained as well as any can be, is given up; that changes no decision.
+        # Readings are evaluated newest first, since the newest is the most likely to reject. A proposal is given up early if it cannot
+        # reach `needed` even with the best possible likelihood of the remaining readings. This changes no decision.
         alive = count
         best_left = best
         next_check = 0

@@ -1,4 +1,4 @@
-"""One reading into the posterior: reweight, and where the weights degenerate, resample and move."""
+"""Assimilates one reading: reweight; if the weights degenerate, resample and move."""
 
 import numba
 import numpy as np
@@ -15,14 +15,14 @@ from plume.kernels import DERIVED, derive, derived_means, is_location_only, loca
 Array = NDArray[np.float64]
 
 RESAMPLE_BELOW = 0.5
-"""Share of N that the effective sample size must keep."""
+"""Resample if the effective sample size falls below this share of N."""
 MAX_STAGES = 40
-"""After so many stages the rest of a reading is left out for good: no reading that is admitted may crush the cloud to a point."""
+"""Most tempered stages per reading. The rest of its likelihood is dropped, so that no admitted reading collapses the cloud to a point."""
 
 
 @numba.njit(error_model="numpy")
 def _inherit(values: Array, ancestors: NDArray[np.int64]) -> None:
-    """Give each particle its ancestor's value. As `values[:] = values[ancestors]` it would compile for two seconds."""
+    """Give each particle its ancestor's value. A loop, because `values[:] = values[ancestors]` takes two seconds to compile."""
     before = values.copy()
     for i in range(len(ancestors)):
         values[i] = before[ancestors[i]]
@@ -45,10 +45,10 @@ def update(
     seed: int,
     sweeps: int,
 ) -> float:
-    """Assimilate the last of the readings (T, 7), in place, its share included; returns its predictive rank.
+    """Assimilate the last of the readings (T, 7) in place, setting its share; returns its predictive rank.
 
-    Reweight, and where the weights degenerate, resample and move (Gordon 1993; Chopin 2002); a reading that would crush the weights
-    is taken in tempered stages (Del Moral 2006).  weights: exp(log_weights), the greatest 1.
+    Reweight; if the weights degenerate, resample and move (Gordon 1993; Chopin 2002). A reading that would reduce the effective sample
+    size too much is taken in tempered stages (Del Moral 2006).  weights: (N,) exp(log_weights), scaled so that the greatest is 1.
     """
     rows, count = particles.shape
     step = len(readings) - 1
@@ -110,7 +110,7 @@ def update_missions(
     sweeps: int,
     missions: NDArray[np.int64],
 ) -> None:
-    """Let these missions of a batch assimilate the last of their `counts` readings, each as if alone; arrays as in `update`, stacked."""
+    """Apply `update` to each of these missions of a batch, with its first `counts` readings; arrays as in `update`, stacked."""
     for b in missions:
         count = counts[b]
         ranks[b, count - 1] = update(

@@ -10,7 +10,7 @@ from plume.numerics import exp, total_of
 Array = NDArray[np.float64]
 
 STAGE_FLOOR = 0.4
-"""Where one reading would crush the effective sample size below this share of N, it is taken in tempered stages."""
+"""If a reading would bring the effective sample size below this share of N, it is taken in tempered stages."""
 
 
 @numba.njit(error_model="numpy")
@@ -49,7 +49,7 @@ def _greatest(values: Array) -> float:
 
 @numba.njit(error_model="numpy")
 def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array) -> float:
-    """Set weights ∝ exp(log_weights + share · log_densities), the greatest 1; returns the effective sample size."""
+    """Set weights ∝ exp(log_weights + share · log_densities), scaled so that the greatest is 1; returns the effective sample size."""
     for i in range(len(weights)):
         weights[i] = log_weights[i] + share * log_densities[i]
     highest = _greatest(weights)
@@ -61,7 +61,10 @@ def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array
 
 @numba.njit(error_model="numpy")
 def tempered_share(log_weights: Array, log_densities: Array, left: float, weights: Array) -> tuple[float, float]:
-    """Return the greatest exponent, at most `left`, at which the likelihood leaves about STAGE_FLOOR · N effective particles, and those."""
+    """Return the exponent for the next stage and the effective sample size that it leaves; sets the weights accordingly.
+
+    It is `left` if that leaves at least STAGE_FLOOR · N effective particles. Otherwise bisection finds one that leaves 1 to 1.2 times that.
+    """
     floor = STAGE_FLOOR * len(weights)
     size = weigh(log_weights, left, log_densities, weights)
     if size >= floor:
@@ -81,7 +84,7 @@ def tempered_share(log_weights: Array, log_densities: Array, left: float, weight
 
 @kernel("float64(float64[::1])")
 def effective_sample_size(weights: Array) -> float:
-    """(Σ w)² / Σ w² of weights (N,) that need not be normalised."""
+    """Effective sample size (Σ w)² / Σ w² of weights (N,), which need not be normalised."""
     total = total_of(weights)
     return total * total / dot(weights, weights)
 
@@ -108,10 +111,10 @@ def moments(particles: Array, weights: Array) -> tuple[Array, Array]:
 
 @kernel("void(float64[:, :, ::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[:, :, ::1])", nogil=True)
 def moments_of_missions(particles: Array, weights: Array, missions: NDArray[np.int64], means: Array, covariances: Array) -> None:
-    """Put the `moments` of these missions of a batch into means (B, D) and covariances (B, D, D)."""
+    """Write the `moments` of these missions of a batch into means (B, D) and covariances (B, D, D)."""
     for b in missions:
         mean, covariance = moments(particles[b], weights[b])
-        for row in range(len(mean)):  # to assign whole arrays compiles ten times as long
+        for row in range(len(mean)):  # assigning whole arrays takes ten times as long to compile
             means[b, row] = mean[row]
             for other in range(len(mean)):
                 covariances[b, row, other] = covariance[row, other]
@@ -119,7 +122,7 @@ def moments_of_missions(particles: Array, weights: Array, missions: NDArray[np.i
 
 @kernel("int64[::1](float64[::1], float64)")
 def systematic(weights: Array, offset: float) -> NDArray[np.int64]:
-    """Systematic resampling: ancestor k is where the cumulative weight passes (k + offset) / N of the whole, offset in [0, 1)."""
+    """Systematic resampling: returns the ancestors (N,). The cumulative weight passes (k + offset) / N at ancestor k; offset in [0, 1)."""
     count = len(weights)
     ancestors = np.empty(count, np.int64)
     scale = count / total_of(weights)

@@ -1,4 +1,4 @@
-"""The posterior of the source's place, computed exactly: on a grid that zooms in as it shrinks. It shares no code with the filter.
+"""The exact posterior of the source's position, on a grid that zooms in as the posterior shrinks. It shares no code with the filter.
 
 The plume is derived in other terms than in plume/dispersion.py: m = exp(-v·offset) g, with v = wind/(2d), turns the steady equation of
 advection, diffusion and decay into Helmholtz's, ∇²g = k² g, k² = |v|² + 1/(d τ), and around a point source g = q/(4π d) exp(-k r)/r.
@@ -13,13 +13,13 @@ Array = NDArray[np.float64]
 
 AREA_M = 30.0
 CELLS = 64
-"""Cells along a side to begin with; doubled wherever they do not resolve the posterior."""
+"""Initial number of cells along a side; doubled while they do not resolve the posterior."""
 MOST_CELLS = 2048
 UNEVEN = 0.02
-"""Most by which the four grids that take every second cell may differ in mass. The whole grid's error is about the fourth power of theirs:
+"""Largest allowed mass difference between the four grids of every second cell. The full grid's error is about the fourth power of theirs:
 that of a midpoint sum over a Gaussian falls as exp(-2 π² σ²/h²) with the cell h."""
 CUT = 1e-9
-"""Mass that a zoom may leave outside. That later readings raise it to a share s has, by Ville's inequality, a chance of about CUT / s."""
+"""Mass that a zoom may leave outside. By Ville's inequality, later readings raise it to a share s with probability at most CUT / s."""
 
 
 def log_likelihood(x: Array, y: Array, reading: tuple[float, ...], q: float, d: float, tau: float) -> Array:
@@ -34,7 +34,7 @@ def log_likelihood(x: Array, y: Array, reading: tuple[float, ...], q: float, d: 
 
 
 class GridPosterior:
-    """Given all readings so far: mean (2,), covariance (2, 2) and spread, for a source that was equally likely all over the area."""
+    """Mean (2,), covariance (2, 2) and spread given all readings so far; the prior is uniform over the area."""
 
     def __init__(self, q: float, d: float, tau: float) -> None:
         self.plume = (q, d, tau)
@@ -48,7 +48,7 @@ class GridPosterior:
         self._sum_up()
 
     def _evaluate(self, x_range: tuple[float, float], y_range: tuple[float, float], cells: int) -> None:
-        """The log density given all readings, on a new grid."""
+        """Compute the log density given all readings on a new grid."""
         self.ranges, self.cells = (x_range, y_range), cells
         middles = (np.arange(cells) + 0.5) / cells
         self.x = (x_range[0] + (x_range[1] - x_range[0]) * middles)[:, None]
@@ -58,7 +58,7 @@ class GridPosterior:
             self.log_density += log_likelihood(self.x, self.y, reading, *self.plume)
 
     def _sum_up(self) -> None:
-        """Refine and zoom until the grid fits, then take the moments."""
+        """Refine and zoom until the grid fits, then compute the moments."""
         while True:
             mass = np.exp(self.log_density - self.log_density.max())
             mass /= mass.sum()
@@ -81,7 +81,7 @@ class GridPosterior:
 
 
 def _holding(mass: Array, whole: tuple[float, float]) -> tuple[float, float]:
-    """The part of a range that holds all but CUT of the mass, and one cell more at either end."""
+    """The part of a range that holds all but CUT of the mass, plus one cell at either end."""
     tail = CUT / 4
     first = int(np.searchsorted(np.cumsum(mass), tail))
     last = len(mass) - int(np.searchsorted(np.cumsum(mass[::-1]), tail))

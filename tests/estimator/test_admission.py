@@ -1,4 +1,4 @@
-"""Protects the filter's door: what no vehicle can have measured is refused, each for its own reason."""
+"""Protects admission: readings that no vehicle can have measured are refused, each for its own reason."""
 
 import math
 
@@ -26,7 +26,7 @@ def test_a_new_reading_from_the_area_is_taken() -> None:
         (GOOD._replace(gas=1e4), "absurd", "gas 10000 is absurd; allowed is -106.116 to 212.219"),
         (GOOD._replace(gas=-3e38), "absurd", "absurd"),
         (GOOD._replace(time_boot_ms=1999), "late", "1999 is before 2000"),
-        (GOOD._replace(gas=0.25), "conflicting", "2000 again, but it is another reading"),
+        (GOOD._replace(gas=0.25), "conflicting", "2000 again, with other values"),
         (GOOD, "repeated", "2000 again"),
     ],
 )
@@ -48,7 +48,7 @@ def test_the_greatest_concentration_is_that_at_the_surface_of_the_strongest_sour
     # 300/(4π · 4.5 · 0.1) = 53.05;  500/(4π · 1 · 0.1) = 397.9
     assert greatest_concentration(Config()) == pytest.approx(53.05, abs=0.01)
     assert greatest_concentration(Config(priors={"q": Uniform(100, 500), "d": Uniform(1, 8)})) == pytest.approx(397.9, abs=0.1)
-    # A gamma(2, 150) rate exceeds its bound less often than once in a million: (1 + b) e^−b with b = bound/150
+    # A gamma(2, 150) rate exceeds its bound with probability below 10⁻⁶: (1 + b) e^−b with b = bound/150
     b = greatest_concentration(Config(priors={"q": Gamma(2, 150)})) * 4 * math.pi * 4.5 * 0.1 / 150
     assert (1 + b) * math.exp(-b) < 1e-6
 
@@ -56,7 +56,7 @@ def test_the_greatest_concentration_is_that_at_the_surface_of_the_strongest_sour
 @pytest.mark.parametrize(
     ("priors", "greatest"),
     [
-        # rate/(4π · diffusivity · 0.1): six standard deviations to the side that makes it greater, never below a thousandth.
+        # rate/(4π · diffusivity · 0.1): each six standard deviations towards a greater result, never below a thousandth.
         ({"q": Normal(300.0, 50.0)}, 600 / (4 * math.pi * 4.5 * 0.1)),
         ({"d": Normal(4.0, 0.5)}, 300 / (4 * math.pi * 1.0 * 0.1)),
         ({"q": Normal(300.0, 50.0), "d": Normal(4.0, 0.5)}, 600 / (4 * math.pi * 1.0 * 0.1)),
@@ -74,7 +74,7 @@ def test_the_greatest_concentration_worked_by_hand(priors: dict[str, Prior], gre
 
 
 def test_a_strong_reading_is_taken_where_a_prior_allows_for_it() -> None:
-    # 300 ± 50 g/s: 106.1 g/m³ at most, and 10 standard deviations of the sensor, 0.3 of it, above: 4 · 106.1 = 424.4.
+    # 300 ± 50 g/s: at most 106.1 g/m³, plus 10 standard deviations of the sensor of 0.3 · 106.1 each: 4 · 106.1 = 424.4.
     wide, known = Config(priors={"q": Normal(300.0, 50.0)}), Config()
     for gas, refused_by in ((212.0, []), (213.0, [known]), (424.0, [known]), (425.0, [known, wide])):
         assert [config for config in (known, wide) if refusal(GOOD._replace(gas=gas), None, config)] == refused_by

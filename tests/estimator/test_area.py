@@ -1,4 +1,4 @@
-"""Protects the search area's side: the prior, what is admitted and the filter's moves all keep to the one that is chosen."""
+"""Protects the search area: the prior, admission and the filter's moves all respect the chosen side."""
 
 import contextlib
 import math
@@ -20,7 +20,7 @@ SIDE_M = 80.0
 
 
 def chosen(monkeypatch: pytest.MonkeyPatch, *flags: str) -> Config:
-    """What `python -m estimator` runs with."""
+    """The configuration that `python -m estimator` runs with."""
     configs: list[Config] = []
     monkeypatch.setattr(sys, "argv", ["estimator", *flags])
     monkeypatch.setattr(command, "Bus", lambda *_, **__: contextlib.nullcontext())
@@ -45,13 +45,13 @@ def test_a_prior_of_the_location_must_leave_something_of_it(monkeypatch: pytest.
     assert chosen(monkeypatch, "--area", "80", "--prior", "x=uniform:50,70").prior_rows[0].tolist()[1:] == [50.0, 70.0, 50.0, 70.0]
     with pytest.raises(SystemExit, match="2"):
         chosen(monkeypatch, "--prior", "x=uniform:50,70")
-    assert "--prior: the prior of x leaves nothing of what is possible" in capsys.readouterr().err
+    assert "--prior: the prior of x excludes every possible value" in capsys.readouterr().err
 
 
 def test_the_prior_fills_it() -> None:
     counts, _, _ = np.histogram2d(*prior(Config(particles=4000, area_m=SIDE_M)).particles, bins=4, range=[[0, SIDE_M], [0, SIDE_M]])
     assert counts.sum() == 4000
-    assert np.abs(counts - 250).max() < 16  # one standard deviation of chance; the lattice is evener
+    assert np.abs(counts - 250).max() < 16  # 16 is one standard deviation of independent draws; the lattice is more even
 
 
 @pytest.mark.parametrize(("x", "kind"), [(79.9, None), (80.1, "outside"), (-0.1, "outside")])
@@ -71,5 +71,5 @@ def test_a_source_far_off_in_it_is_found_and_no_particle_leaves_it() -> None:
         assert posterior.particles.max() <= SIDE_M
     summary, _ = belief(posterior, Reading(step, place, 5.0, world.wind, 0.0), config)
     assert summary.spread < 0.5
-    # An honest posterior is off by more than twice its spread in exp(−4), 1.8%, of all missions.
+    # The error of an honest posterior exceeds twice its spread in exp(−4) = 1.8% of all missions.
     assert math.dist(summary.mean, s.source) < 2.0 * summary.spread

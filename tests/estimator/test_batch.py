@@ -1,4 +1,4 @@
-"""Protects one code for one and for many: a mission's bits do not depend on its company, nor on threads."""
+"""Protects batch invariance: a mission's bits depend neither on the other missions nor on threads."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ MISSIONS, STEPS = 21, 70
 
 
 def missions(**knowledge: object) -> tuple[list[Config], list[list[Reading]]]:
-    """Missions that fly straight at their sources, so that weights wear out and readings are tempered."""
+    """Missions that fly straight at their sources, so that weights degenerate and readings are tempered."""
     configs, flights = [], []
     for seed in range(MISSIONS):
         s = draw(seed)

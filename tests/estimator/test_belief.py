@@ -1,4 +1,4 @@
-"""Protects what the estimator says: the summary of its particles, when it says stop, and whether the readings fit the model."""
+"""Protects the estimator's messages: the summary of its particles, the stop criterion, and the check that readings fit the model."""
 
 import math
 
@@ -16,7 +16,7 @@ READING = Reading(77, (1.0, 2.0), 5.0, (1.0, 0.0), 0.5)
 
 
 def posterior_of(particles: list[list[float]], weights: list[float], ranks: list[float] | None = None) -> Posterior:
-    """With three readings behind it."""
+    """A posterior after three readings."""
     w, readings = np.array(weights), np.zeros((3, 7))
     readings[:, 5] = 0.5, 0.25, 0.125
     return Posterior(np.array(particles), np.log(w), w / w.max(), np.zeros(len(w)), readings, np.array(ranks or [0.5]))
@@ -89,11 +89,11 @@ def test_an_unknown_wind_is_published_as_its_mean() -> None:
 @pytest.mark.parametrize(
     ("ranks", "fits"),
     [
-        ([0.999] * 7, True),  # too few to tell
+        ([0.999] * 7, True),  # too few for a test
         ([0.999] * 8, False),
         (list(np.linspace(0.02, 0.98, 30)), True),
-        ([0.5] * 30, False),  # too good to be true: a sensor that always says what is expected
-        ([0.999] * 30 + list(np.linspace(0.02, 0.98, 30)), True),  # what is long past does not count
+        ([0.5] * 30, False),  # too good to be true: a sensor that always reads what is expected
+        ([0.999] * 30 + list(np.linspace(0.02, 0.98, 30)), True),  # old readings do not count
     ],
 )
 def test_the_p_value_tells_whether_the_recent_readings_fit_the_model(ranks: list[float], fits: bool) -> None:
@@ -134,7 +134,7 @@ def test_nothing_is_claimed_before_as_many_readings_as_would_show_a_stuck_sensor
 
 
 def test_the_third_reading_is_the_first_that_may_end_a_search() -> None:
-    """In one mission, and in a batch of missions; nothing but the number of readings is in the way."""
+    """In one mission, and in a batch; only the number of readings prevents the claim."""
     config = Config(particles=100, threshold_m=100.0)
     posterior, batch = prior(config), Batch([config])
     said = []
@@ -154,7 +154,7 @@ def test_what_may_be_claimed_hangs_on_both_the_number_of_readings_and_their_fit(
 
 
 def test_a_spread_that_is_the_threshold_is_no_stop() -> None:
-    # Half a metre to either side, each as likely: both deviations and the spread are 0.5 to the last bit.
+    # Two equally likely places, half a metre to either side: the deviation and the spread are exactly 0.5.
     even = posterior_of([[1.0, 2.0], [2.0, 2.0]], [0.5, 0.5])
     assert belief(even, READING, Config(threshold_m=0.5))[0].spread == 0.5
     assert not belief(even, READING, Config(threshold_m=0.5))[0].ceased

@@ -1,4 +1,4 @@
-"""Protects the filter: over 200 missions each belief of 100, 1,000 and 4,000 particles is held against the exact posterior."""
+"""Protects the filter: over 200 missions, each belief of 100, 1,000 and 4,000 particles is compared with the exact posterior."""
 
 import math
 from collections.abc import Iterator
@@ -16,11 +16,11 @@ from tests.estimator.exact import GridPosterior, log_likelihood
 STEPS = 45
 WANDERING = 20
 NARROW_M = 5.0
-"""Above it a posterior has hardly left the prior, whose lattice of particles is evener than chance: that would flatter the filter."""
+"""Above this spread a posterior is close to the prior. Its lattice of particles is more even than chance and would flatter the filter."""
 
 
 def readings(s: Scenario, seed: int) -> Iterator[Reading]:
-    """A flight that no belief has chosen: it wanders about, then makes for the source, not quite straight."""
+    """A flight that no belief has chosen: it wanders, then heads for the source, not quite straight."""
     world, rng = World(s, seed), np.random.default_rng(seed)
     place, heading = np.array(world.start), rng.uniform(0, math.pi / 2)
     for step in range(STEPS):
@@ -64,17 +64,17 @@ def test_every_belief_is_the_exact_posterior_to_within_what_its_particles_can_te
     assert narrow.sum() > 500
     assert spread.min() < 0.2
     for n, mean_error, covariance_error, ratio in zip(counts, *errors, strict=True):
-        # Resampling and moves leave particles alike: they may be worth a tenth of as many independent draws, not less.
+        # Resampling and moves correlate the particles: n of them must be worth at least n/10 independent draws.
         # n/10 draws of a round Gaussian miss its mean by a median of 0.83/√(n/10) spreads (Rayleigh): 0.04 at 4,000.
         assert np.median(mean_error[narrow]) < 2.6 / math.sqrt(n), n
-        # And n/10 draws along a line miss their variance by a median of 0.67 √2/√(n/10): 0.05 at 4,000.
+        # n/10 draws along a line miss their variance by a median of 0.67 √2/√(n/10): 0.05 at 4,000.
         assert np.median(covariance_error[narrow]) < 3.0 / math.sqrt(n), n
-        # What 4,000 particles must keep, widened as 1/√n for fewer: 5% is 10% at 1,000 and 32% at 100.
+        # The bound for 4,000 particles, widened as 1/√n for fewer: 5% becomes 10% at 1,000 and 32% at 100.
         assert np.mean(np.abs(ratio[narrow] - 1) < 0.05 * math.sqrt(4000 / n)) > 0.9, n
-        # Chance errs to both sides. An honest filter's bias falls as 1/n and is 2% at 100; this leaves 1% at 4,000 and 6% at 100.
+        # Random errors cancel. An honest filter's bias falls as 1/n and is 2% at 100; the bound is 1% at 4,000 and 6% at 100.
         assert abs(np.median(ratio[narrow]) - 1) < 0.01 * math.sqrt(4000 / n), n
-        # Believing half the true spread, or a place more than a spread away, is how false stops begin. A hundred particles cannot
-        # always hold on to a far mode: 0.6% of their steps are lost.
+        # False stops begin with a spread of less than half the true one, or a mean more than one spread away. A hundred particles
+        # sometimes lose a distant mode: in 0.6% of their steps.
         lost = (ratio < 0.5) | (mean_error > 1)
         assert np.mean(lost) <= (0.02 if n == 100 else 0), n
 
@@ -95,7 +95,7 @@ def test_before_any_reading_the_grid_knows_the_area_alone() -> None:
 
 @pytest.mark.parametrize("repeats", [1, 40])
 def test_readings_at_one_place_in_still_air_leave_a_ring(repeats: int) -> None:
-    # What is left is an integral over the distance alone: E r² = ∫ r³ L(r) dr / ∫ r L(r) dr, the variances along x and y half of it each.
+    # An integral over the distance alone remains: E r² = ∫ r³ L(r) dr / ∫ r L(r) dr; the variances along x and y are half of it each.
     grid = GridPosterior(300.0, 4.0, 10.0)
     for _ in range(repeats):
         grid.add((13.3, 14.2), (0.0, 0.0), 1.3)

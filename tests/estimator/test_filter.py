@@ -1,4 +1,4 @@
-"""Protects the filter where it is hardest: readings that outweigh all before them, absurd ones, harsh missions, repeatability."""
+"""Protects the filter in its hardest cases: readings that outweigh all before them, absurd readings, harsh missions, repeatability."""
 
 import math
 from collections.abc import Iterator
@@ -37,7 +37,7 @@ def test_a_reading_that_would_crush_the_weights_is_taken_in_stages() -> None:
     before = prior(config)
     log_weights = log_likelihoods(before.particles, config.unknown_indices, config.prior_rows, config.sensor_row, config.row(reading))
     weights = np.exp(log_weights - log_weights.max())
-    assert weights.sum() ** 2 / (weights**2).sum() < 20  # what plain reweighting would be left with, of 1,000
+    assert weights.sum() ** 2 / (weights**2).sum() < 20  # the effective sample size of plain reweighting, of 1,000
     assert effective_sample_size(posterior.weights) >= 500
     assert len(np.unique(posterior.particles, axis=1).T) > 500
     exact = GridPosterior(s.q, s.d, s.tau)
@@ -48,7 +48,7 @@ def test_a_reading_that_would_crush_the_weights_is_taken_in_stages() -> None:
 
 
 def test_harsh_missions_leave_a_sound_posterior() -> None:
-    """A sample of the 10,000 that docs/calibration.md reports."""
+    """A sample of the 10,000 missions that docs/calibration.md reports."""
     worst = []
     for seed in range(150):
         s, path = harsh(seed)
@@ -61,14 +61,14 @@ def test_harsh_missions_leave_a_sound_posterior() -> None:
             mean, covariance = moments(posterior.particles, posterior.weights)
             nees = max(nees, float((mean - s.source) @ np.linalg.solve(covariance, mean - s.source)))
         worst.append(nees)
-    # Wanted in at most 0.1% of missions; two among 150 would then come by chance once in 100 such tests.
+    # Allowed in at most 0.1% of missions. At that rate, two among 150 occur by chance in one of 100 such tests.
     assert sum(nees > 50 for nees in worst) <= 1
 
 
 @pytest.mark.parametrize("gas", [50.0, 125.0, 400.0])
 @pytest.mark.parametrize("offset_m", [1.0, 2.0, 4.0])
 def test_a_reading_far_from_all_that_is_believed_leaves_a_cloud_not_a_point(offset_m: float, gas: float) -> None:
-    """A spike of hundreds of standard deviations, to a belief that is sure to a few centimetres."""
+    """A spike of hundreds of standard deviations hits a belief with a spread of a few centimetres."""
     s = Scenario(source=(17.0, 22.0), q=322.7, u=1.26, phi=0.995, d=3.1, tau=10.0, start=(0.0, 0.0))
     config, angles = config_for(s, 1, 1000), np.linspace(0, 4 * math.pi, 24, endpoint=False)
     *_, (_, posterior) = posteriors(s, 1, [(17 + math.cos(a), 22 + math.sin(a)) for a in angles], config)

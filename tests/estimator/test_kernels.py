@@ -1,4 +1,4 @@
-"""Protects the compiled kernels: each equals the readable formula, and the moves leave the posterior alone."""
+"""Protects the compiled kernels: each equals the readable formula, and the moves leave the posterior invariant."""
 
 import math
 import subprocess
@@ -28,7 +28,7 @@ EIGHT: dict[str, Prior] = {
 
 
 def draws(config: Config, count: int, seed: int = 1) -> np.ndarray:
-    """Particles (D, count) spread widely over what is unknown."""
+    """Particles (D, count) spread widely over the unknowns."""
     ranges = {"x": (0, 30), "y": (0, 30), "z": (0, 5), "q": (50, 900), "u": (0.5, 4), "phi": (-7, 7), "d": (1, 8), "tau": (5, 20)}
     rng = np.random.default_rng(seed)
     return np.array([rng.uniform(*ranges[name], count) for name in config.unknowns])
@@ -150,7 +150,7 @@ READINGS = np.array([[8.0, 8.0, 0.0, 1.9, 2.6, 0.9, 1.0], [12.0, 9.0, 0.0, 1.9, 
 
 Shares = tuple[float, float, float]
 WHOLE: Shares = (1.0, 1.0, 1.0)
-"""The exponents that the likelihoods of READINGS are taken to."""
+"""The exponents of the likelihoods of READINGS."""
 
 
 def grid_density(shares: Shares, cells: int) -> tuple[np.ndarray, np.ndarray]:
@@ -165,7 +165,7 @@ def grid_density(shares: Shares, cells: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def moved(start: np.ndarray, config: Config, shares: Shares, sweeps: int, seed: int = 9) -> tuple[np.ndarray, float]:
-    """Particles after Metropolis sweeps over READINGS, and the share of moves that were taken."""
+    """Particles after Metropolis sweeps over READINGS, and the share of accepted moves."""
     targets = log_priors(start, config.unknown_indices, config.prior_rows)
     for share, row in zip(shares, READINGS, strict=True):
         targets += share * fused(config, start, row)
@@ -187,7 +187,7 @@ def test_moves_leave_the_posterior_given_all_readings_invariant(shares: Shares) 
     assert particles.max() <= 30.0
     mean = places @ probability
     std = np.sqrt(places**2 @ probability - mean**2)
-    # 20,000 independent chains: 4 standard errors of the mean, and of the standard deviation (heavy tails: twice the Gaussian one).
+    # 20,000 independent chains: 4 standard errors of the mean and of the standard deviation (the latter doubled for heavy tails).
     assert np.all(np.abs(particles.mean(axis=1) - mean) < 4 * std / math.sqrt(count))
     assert np.all(np.abs(particles.std(axis=1) - std) < 4 * std * 2 / math.sqrt(2 * count))
 
@@ -231,12 +231,12 @@ def test_moves_from_a_wrong_start_reach_the_posterior() -> None:
     particles, _ = moved(start, CONFIG, WHOLE, 100)
     mean = places @ probability
     std = np.sqrt(places**2 @ probability - mean**2)
-    # The population's differences shape the steps, so chains are not quite independent: twice the 4 standard errors.
+    # Steps depend on the population, so the chains are not quite independent: twice the 4 standard errors.
     assert np.all(np.abs(particles.mean(axis=1) - mean) < 8 * std / math.sqrt(4000))
 
 
 def test_a_rank_is_uniform_where_the_model_is_right() -> None:
-    """Anderson–Darling p-values of ranks drawn uniformly are uniform themselves, and small where ranks pile up."""
+    """Anderson–Darling p-values of uniform ranks are uniform, and small if ranks pile up."""
     rng = np.random.default_rng(7)
     for count in (8, 30):
         p_values = np.array([uniformity_p_value(rng.random(count)) for _ in range(20_000)])

@@ -1,4 +1,4 @@
-"""Protects what is unknown and its priors: what is drawn is what was asked for, and bad words are named."""
+"""Protects the priors: draws follow them, and a bad prior is refused with a clear message."""
 
 import math
 
@@ -23,7 +23,7 @@ def test_by_default_x_and_y_are_unknown_and_uniform_over_the_area() -> None:
     assert config.unknowns == ("x", "y")
     counts, _, _ = np.histogram2d(*prior(config).particles, bins=5, range=[[0, 30], [0, 30]])
     assert counts.sum() == 4000
-    # A lattice of low discrepancy is evener than chance: 160 expected in each cell, 12 would be one standard deviation of chance.
+    # A low-discrepancy lattice is more even than chance: 160 expected per cell; independent draws would have a standard deviation of 12.
     assert np.abs(counts - 160).max() < 12
 
 
@@ -87,9 +87,9 @@ def test_a_bad_prior_is_named_with_what_is_allowed(bad: str, reason: str) -> Non
     ("fields", "reason"),
     [
         ({"priors": {"x": Fixed(1.0), "y": Fixed(2.0)}}, "nothing is unknown"),
-        ({"priors": {"x": Uniform(40.0, 50.0)}}, "prior of x leaves nothing"),
-        ({"stop_limits": {"q": 5.0}}, "q is not unknown"),
-        ({"stop_on_location": False}, "asked on something"),
+        ({"priors": {"x": Uniform(40.0, 50.0)}}, "prior of x excludes every possible value"),
+        ({"stop_limits": {"q": 5.0}}, "a stop cannot wait for q"),
+        ({"stop_on_location": False}, "a stop needs a criterion"),
     ],
 )
 def test_a_config_that_cannot_be_is_refused(fields: dict, reason: str) -> None:

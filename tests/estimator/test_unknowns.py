@@ -1,4 +1,4 @@
-"""Protects the filter where more than the place is unknown: wind direction and height against exact grids, targets against formulas."""
+"""Protects the filter with further unknowns: wind direction and height against exact grids, targets against formulas."""
 
 import math
 
@@ -22,7 +22,7 @@ ROUND = [(13 + 4 * math.cos(a), 12 + 4 * math.sin(a)) for a in np.arange(6)]
 
 
 def mean_at(place: tuple[float, float], phi: float, height: float = 0.0) -> float:
-    """Concentration at a place, so much above or below the source's height: the paper's section 2, with λ and ψ."""
+    """Concentration at a place, at a `height` above or below the source: the paper's section 2, with λ and ψ."""
     dx, dy = place[0] - SOURCE[0], place[1] - SOURCE[1]
     r = math.sqrt(dx * dx + dy * dy + height * height)
     lam = math.sqrt(D * TAU / (1 + SPEED**2 * TAU / (4 * D)))
@@ -31,13 +31,13 @@ def mean_at(place: tuple[float, float], phi: float, height: float = 0.0) -> floa
 
 
 def around(low: float) -> Config:
-    """The place is known, the wind comes from anywhere: angles are counted from `low`."""
+    """The source's place is known, the wind direction is unknown; angles start at `low`."""
     known = {"x": Fixed(SOURCE[0]), "y": Fixed(SOURCE[1])}
     return Config(particles=4000, seed=3, rate=Q, diffusivity=D, lifetime=TAU, priors={**known, "phi": Uniform(low, low + TURN)})
 
 
 def readings_of(phi: float) -> list[Reading]:
-    """What is read at some places without noise; the direction that the readings name is not the wind's."""
+    """Noiseless readings at some places. The wind direction that they carry is not the true one."""
     return [Reading(k, place, 5.0, (0.0, SPEED), mean_at(place, phi)) for k, place in enumerate(ROUND)]
 
 
@@ -56,7 +56,7 @@ def exact_directions(low: float, readings: list[Reading]) -> tuple[Array, Array]
 
 
 SEAMS = [(0.0, 0.05), (1.0, TURN + 0.95), (-math.pi, math.pi - 0.05), (0.0, 2.0)]
-"""Where angles are counted from, and where the wind comes from: next to that, before or behind it, or far from it."""
+"""Pairs of the angle where the range starts and the true wind direction: just before, just after or far from the start."""
 
 
 @pytest.mark.parametrize(("low", "truth"), SEAMS)
@@ -71,13 +71,13 @@ def test_a_wind_from_anywhere_is_believed_as_on_an_exact_grid(low: float, truth:
     for of in (np.cos, np.sin, lambda angle: np.cos(2 * angle), lambda angle: angle < low + math.pi):
         mean = of(phi) @ probability
         std = math.sqrt(of(phi) ** 2 @ probability - mean**2)
-        # Particles are worth a tenth of as many independent draws: 4 standard errors of 400.
+        # The particles are worth a tenth as many independent draws, 400: 4 standard errors.
         assert of(said) @ weights == pytest.approx(mean, abs=4 * std / 20)
 
 
 @pytest.mark.parametrize(("low", "truth"), SEAMS[:3])
 def test_a_direction_is_moved_across_the_seam_of_its_circle(low: float, truth: float) -> None:
-    """All begin on one side of the seam; without the way across, none would ever come to the other one."""
+    """All particles begin on one side of the seam; without wrapping, none would ever reach the other side."""
     config, readings = around(low), readings_of(truth)
     phi, probability = exact_directions(low, readings)
     other = float(probability[phi < low + math.pi].sum())
@@ -88,7 +88,7 @@ def test_a_direction_is_moved_across_the_seam_of_its_circle(low: float, truth: f
         targets = sum(log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, row) for row in rows)
         metropolis(particles, targets, rows, config.unknown_indices, config.prior_rows, config.sensor_row, 5, 5, 0, 60)
         assert low <= particles.min() <= particles.max() <= low + TURN
-        # The population shapes the steps, so chains are not quite independent: twice the 4 standard errors.
+        # Steps depend on the population, so the chains are not quite independent: twice the 4 standard errors.
         assert np.mean(particles < low + math.pi) == pytest.approx(other, abs=8 * 0.5 / math.sqrt(4000))
 
 
@@ -108,7 +108,7 @@ def test_a_direction_that_is_known_to_a_part_of_the_circle_stays_there() -> None
 
 
 def test_an_unknown_height_is_believed_as_on_an_exact_grid() -> None:
-    """The source is 3.5 m above home; two flights at different altitudes tell above from below."""
+    """The source is 3.5 m above home; two flights at different altitudes resolve whether it is above or below."""
     known = {"x": Fixed(SOURCE[0]), "y": Fixed(SOURCE[1])}
     config = Config(particles=4000, seed=3, rate=Q, diffusivity=D, lifetime=TAU, priors={**known, "z": Uniform(0.0, 10.0)})
     wind = (SPEED * math.cos(1.0), SPEED * math.sin(1.0))
@@ -137,14 +137,14 @@ def test_an_unknown_height_is_believed_as_on_an_exact_grid() -> None:
 
 
 def test_a_known_height_is_not_the_one_that_is_flown_at() -> None:
-    # 3.5 m below the vehicle: with q = 270, d = 4.2 and the wind from (1.2, 1.6), u = 2, mean_at says what is there.
+    # 3.5 m below the vehicle, with q = 270, d = 4.2 and the wind from (1.2, 1.6), u = 2: the expected value is mean_at's.
     config = Config(rate=Q, diffusivity=D, lifetime=TAU, priors={"z": Fixed(1.5)})
     row = config.row(Reading(0, (14.0, 13.5), 5.0, (1.2, 1.6), 1.0))
     assert row.tolist() == [14.0, 13.5, 5.0, 1.2, 1.6, 1.0, 1.0]
     said = log_likelihoods(np.array([[13.0], [12.0]]), config.unknown_indices, config.prior_rows, config.sensor_row, row)
     mean = mean_at((14.0, 13.5), math.atan2(1.6, 1.2), 3.5)
     assert said[0] == pytest.approx(float(GAUSSIAN.log_likelihood(1.0, mean)), rel=1e-12)
-    # Where nothing is said of it the source lies in the plane that is flown in.
+    # By default the source lies in the flight plane.
     assert Config().row(Reading(0, (14.0, 13.5), 5.0, (1.2, 1.6), 1.0))[2] == 0.0
 
 
@@ -175,7 +175,7 @@ def targets_by_formula(posterior: Posterior, config: Config) -> Array:
 
 
 def flight(config: Config, gases: dict[int, float] | None = None, steps: int = 25) -> Posterior:
-    """The posterior after a flight towards the source; some readings may be given."""
+    """The posterior after a flight towards the source; `gases` replaces drawn gas values, by step."""
     posterior, rng = prior(config), np.random.default_rng(8)
     for k, (x, y) in enumerate(np.linspace((4.0, 5.0), (12.0, 12.5), steps).tolist()):
         gas = float(config.sensor.measure(mean_at((x, y), 0.7), rng))
@@ -210,7 +210,7 @@ def test_every_particle_knows_its_posterior_density(priors: dict[str, Prior], se
 def test_weights_before_any_move_are_the_likelihoods() -> None:
     config = Config(particles=500, seed=4, rate=Q, diffusivity=D, lifetime=TAU)
     posterior = prior(config)
-    for k, gas in enumerate((0.05, -0.1)):  # upwind of nearly all that is possible, so that weights stay even
+    for k, gas in enumerate((0.05, -0.1)):  # upwind of nearly all particles, so that weights stay even
         posterior = assimilate(posterior, Reading(k, (1.0 + k, 1.0), 3.0, (-1.2, -1.6), gas), config)
     assert np.array_equal(posterior.particles, prior(config).particles)
     assert posterior.log_weights == pytest.approx(targets_by_formula(posterior, config), abs=1e-9)
@@ -220,7 +220,7 @@ def test_weights_before_any_move_are_the_likelihoods() -> None:
 
 @pytest.mark.parametrize(("priors", "gas"), [({}, 1e9), ({"q": Gamma(2.0, 150.0)}, 1e4), ({"q": Gamma(2.0, 150.0)}, -1e6)], ids=str)
 def test_an_absurd_reading_is_taken_in_part_for_good(priors: dict[str, Prior], gas: float) -> None:
-    """What of a reading is not taken in forty stages never is: moves after later readings count it by the same share."""
+    """The part of a reading that is left after forty stages is never assimilated: later moves use the same share."""
     config = Config(particles=500, seed=4, rate=Q, diffusivity=D, lifetime=TAU, priors=priors)
     posterior = flight(config, {12: gas})
     shares = posterior.readings[:, 6]
