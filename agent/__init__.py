@@ -1,4 +1,4 @@
-"""What flies: beliefs in, waypoints out, by planners and learned policies.
+"""The agent: takes beliefs and answers with waypoints, by planners and learned policies.
 
 Imports: plume, link, link.bus, agent.planning, agent.planners.
 """

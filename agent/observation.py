@@ -1,16 +1,16 @@
-"""What a learned policy sees of a belief, by schema: one function for the env, for many missions at once, and in flight.
+"""The observations of learned policies, by schema: the same functions serve the env, many missions at once, and the flight.
 
 `paper` (version 1, 5 numbers, in the world's frame): position (x, y), reading and estimate (x, y), as in the paper.
 
-`polar` (version 1): the belief as seen from the vehicle. Its frame has the x axis towards the estimate, and is mirrored where the
-wind would come from the right, so that what differs by a turn or a mirror only looks alike. In it are, in this order,
+`polar` (version 1): the belief as seen from the vehicle. The x axis of its frame points to the estimate. The frame is mirrored if the
+wind would otherwise come from the right. Beliefs that differ only by a rotation or a mirror thus look alike. The numbers are, in order:
 - the belief's mass in 16 sectors of 8 rings, as 2 √mass;
-- how much a reading 2 and 5 m ahead in each of 16 headings would tell, ½ log(1 + Var g(m)), where g(m) = asinh(α m/β)/α turns the
-  concentrations that the particles expect there into values whose noise is 1;
-- the estimate's distance, the spread and the covariance; wind and plume; the place in the area, and where the frame points.
+- the information gain of a reading 2 and 5 m ahead in each of 16 headings, ½ log(1 + Var g(m)). g(m) = asinh(α m/β)/α transforms
+  the concentrations expected there by the particles into values with noise of standard deviation 1;
+- distance of the estimate, spread and covariance; wind and plume; place in the area, and direction of the frame.
 
-The policy has a prior of its own: sources are drawn from the middle of the area when it is trained (Table 1), so the particles outside
-of it count a twentieth. The spread as the estimator says it, which the stop is decided on, is among the numbers too.
+The policy has its own prior. In training, sources are drawn from the square of Table 1, so particles outside it get a twentieth of
+their weight. The observation also contains the estimator's own spread, since that decides the stop.
 """
 
 import math
@@ -32,28 +32,28 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Observation = NDArray[np.float32]
 Frame = Array
-"""(3,): the direction (cos, sin) of the observation's x axis in the world, and 1, or −1 where its y axis is mirrored."""
+"""(3,): direction (cos, sin) of the observation's x axis in the world; 1, or −1 if its y axis is mirrored."""
 
 FACTS = ("x", "y", "gas", "mean_x", "mean_y", "xx", "xy", "yy", "wind_x", "wind_y", "rate", "diffusivity", "lifetime")
-"""What is looked at of a belief beside its particles, as of `link.bus.messages.Belief`; columns of arrays (B, 13)."""
+"""The fields of a belief (`link.bus.messages.Belief`) that are used beside its particles; columns of arrays (B, 13)."""
 X, Y, GAS, MEAN_X, MEAN_Y, XX, XY, YY, WIND_X, WIND_Y, RATE, DIFFUSIVITY, LIFETIME = range(len(FACTS))
 
 SECTORS = 16
 RINGS_M = np.array([1.5, 3.0, 5.0, 8.0, 11.5, 15.5, 20.0])
-"""Where one ring ends and the next begins."""
+"""Radii between the rings, m."""
 CELLS = SECTORS * (len(RINGS_M) + 1)
 AHEAD_M = np.array([2.0, 5.0])
 HEADINGS = 16
 OUTSIDE = 0.05
-"""Weight of a particle outside of where sources are drawn, beside one inside."""
+"""Factor on the weights of particles outside the square in which sources are drawn."""
 FEW = 128
-"""So many particles, drawn evenly by weight, tell what readings would tell."""
+"""Number of particles for the information gains, drawn by systematic resampling."""
 NUMBERS = 24
-"""Of a polar observation, after the cells and the headings."""
+"""Numbers of a polar observation after the cells and the headings."""
 POLAR = CELLS + HEADINGS * len(AHEAD_M) + NUMBERS
 PAPER = 5
 BOUND = 10.0
-"""No number of an observation is larger: what would be, of a world unlike any trained in, is cut off."""
+"""Numbers computed from FACTS are clipped to ±BOUND; only worlds unlike any in training exceed it."""
 
 STEEPNESS = GAUSSIAN.sensor_noise / GAUSSIAN.environment_noise  # α/β
 INVERSE_NOISE_SQUARED = 1 / GAUSSIAN.sensor_noise**2  # 1/α²
@@ -64,7 +64,7 @@ SINES = np.sin(2 * np.pi / HEADINGS * np.arange(HEADINGS))
 
 @numba.njit(error_model="numpy")
 def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Lengths as shares of the area, and the reading on a scale where large ones do not drown the small."""
+    """Fill `frame` and `result` (PAPER,): lengths as shares of the area's side, and the reading z as sign(z) log(1 + |z|)."""
     frame[0], frame[1], frame[2] = 1.0, 0.0, 1.0
     gas = facts[GAS]
     numbers = facts[X] / AREA_M, facts[Y] / AREA_M, math.copysign(math.log1p(abs(gas)), gas), facts[MEAN_X] / AREA_M, facts[MEAN_Y] / AREA_M
@@ -74,7 +74,7 @@ def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, re
 
 @numba.njit(error_model="numpy")
 def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `frame` and `result` (POLAR,) from particles (N,), whose weights are changed, and facts (13,)."""
+    """Fill `frame` and `result` (POLAR,) from particles (N,) and facts (13,). The weights are overwritten."""
     inside, off, spread, xx, xy = _frame(x, y, weights, facts, frame)
     _fill_cells(x, y, weights, facts, frame, result[:CELLS])
     _fill_gains(x, y, weights, facts, frame, result[CELLS : POLAR - NUMBERS])
@@ -86,7 +86,7 @@ def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, resul
     said = math.sqrt(facts[XX] + facts[YY])
     middle = 0.5 * (SOURCE_LOW_M + SOURCE_HIGH_M)
     to_x, to_y = middle - px, middle - py
-    # The area mirrored at its diagonal is the same area: there a mirrored frame is a plain one.
+    # Mirroring at the diagonal maps the area onto itself, so a mirrored frame becomes a plain one if x and y are swapped.
     plain = mirror > 0
     numbers = (
         off / 15, math.log(off + 0.1) / 3, math.log(said + 0.05) / 3, said / 8, math.log(spread + 0.05) / 3, spread / 8, 2 * xx - 1, 2 * xy,
@@ -101,10 +101,10 @@ def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, resul
 
 @numba.njit(error_model="numpy")
 def _frame(x: Array, y: Array, weights: Array, facts: Array, frame: Frame) -> tuple[float, float, float, float, float]:
-    """Take the policy's prior into the weights, normalised, and find the frame.
+    """Multiply the weights by the policy's prior, normalise them, and fill `frame`.
 
-    Returns the mass that lies where sources are drawn, the estimate's distance, the spread, and in the frame the shares xx and xy of
-    its square.
+    Returns the mass inside the square in which sources are drawn (before the prior), the estimate's distance, the spread, and the
+    elements xx and xy of the covariance in the frame as shares of the squared spread.
     """
     inside, total, mean_x, mean_y = 0.0, 0.0, 0.0, 0.0
     for i in range(len(x)):
@@ -137,7 +137,7 @@ def _frame(x: Array, y: Array, weights: Array, facts: Array, frame: Frame) -> tu
 
 @numba.njit(error_model="numpy")
 def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """2 √mass of each sector, ring after ring; the first sector is centred on the frame's x axis."""
+    """Fill `result` (CELLS,) with 2 √mass of each sector, ring after ring; the first sector is centred on the frame's x axis."""
     c, s, mirror = frame
     squares = RINGS_M * RINGS_M
     mass = np.zeros(CELLS)
@@ -148,7 +148,7 @@ def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
         ring = 0
         for edge in squares:
             ring += square > edge
-        # Without an arc tangent: which sector of a quadrant, then which quadrant.
+        # Finds the sector without an arc tangent: first within a quadrant, then the quadrant.
         wide, high = abs(along), abs(across)
         sector = 0
         for tangent in TANGENTS:
@@ -162,7 +162,7 @@ def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
 
 @numba.njit(error_model="numpy")
 def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill in what a reading at each distance ahead, heading after heading, would tell of the source: about so many nats."""
+    """Fill `result` with the approximate information gain of a reading in each heading, nats, first for AHEAD_M[0], then AHEAD_M[1]."""
     few_x, few_y = np.empty(FEW), np.empty(FEW)
     last, mass = 0, weights[0]
     for k in range(FEW):
@@ -209,7 +209,7 @@ def _see_polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, r
 
 @numba.njit(error_model="numpy")
 def _as_sent(particles: Array, weights: Array, total: float, x: Array, y: Array, sent: Array) -> None:
-    """Particles (2, N) as they cross the wire, weights normalised: float32 values."""
+    """Fill x, y and `sent` with particles (2, N) and normalised weights as they cross the wire: float32 values."""
     for i in range(len(x)):
         x[i], y[i], sent[i] = np.float32(particles[0, i]), np.float32(particles[1, i]), np.float32(weights[i] / total)
 
@@ -235,18 +235,18 @@ def _polar_of_missions(
 
 @dataclass(frozen=True)
 class Schema:
-    """A way to see a belief; who changes what it says gives it another version."""
+    """An observation of a belief. Any change of its numbers needs a new version."""
 
     version: int
     size: int
     """Numbers in an observation."""
     _see: Callable[[Array, Array, Array, Array, Frame, Observation], None]
     see_missions: Callable[[Array, Array, Array, Array, Indices, Array, NDArray[np.float32]], None]
-    """(particles (B, 2, N), weights (B, N), their sums (B,), facts (B, 13), missions (M,), frames (B, 3), observations (B, size)): fills in
-    the last two for these missions."""
+    """Fills the last two arguments for the given missions: (particles (B, 2, N), weights (B, N), their sums (B,), facts (B, 13),
+    missions (M,), frames (B, 3), observations (B, size))."""
 
     def see(self, belief: Belief, particles: Particles) -> tuple[Observation, Frame]:
-        """What is seen of a belief, (size,), and the frame that it is seen in, and acted in."""
+        """Return the observation of a belief, (size,), and its frame, in which actions are meant too."""
         rows = np.array(particles.T, np.float64, order="C")
         columns, weights = dict(zip(belief.unknowns, rows, strict=False)), rows[-1]
         x, y = (columns.get(name, np.full(len(weights), known)) for name, known in zip("xy", belief.mean, strict=True))

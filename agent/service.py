@@ -1,4 +1,4 @@
-"""The agent service: beliefs in, one waypoint for each out."""
+"""The agent service: takes beliefs, answers each with one waypoint."""
 
 import time
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ NONE: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
 
 def waypoints(text: str, within: Reach) -> dict[int, tuple[float, float]]:
-    """Read STEP:X,Y;X,Y;...: waypoints by the step of the belief that they answer, float32 as on the wire. Raises ValueError."""
+    """Read STEP:X,Y;X,Y;... as waypoints (x, y) m by the step of the belief they answer, float32 as on the wire. Raises ValueError."""
     first, _, rest = text.partition(":")
     try:
         points = [tuple(map(float, point.split(","))) for point in rest.split(";")]
@@ -38,11 +38,11 @@ def _carried(coordinate: float, within: Reach) -> float:
 def run(
     bus: Bus, policy: str, seed: int, budget: int, system: int, reach: Reach, scripted: Mapping[int, tuple[float, float]] = NONE
 ) -> None:
-    """Serve until interrupted: answer each belief, except where the search has ceased or the budget is spent.
+    """Serve until interrupted: answer each belief, unless the search has ceased or the budget is spent.
 
-    `scripted` are waypoints that are flown instead of the policy's, by the step of the belief that they answer.
+    scripted: waypoints that replace the policy's, by the step of the belief they answer.
     """
-    find_policy(policy)  # compiles or loads what it needs before the first belief comes
+    find_policy(policy)  # loads or compiles the policy before the first belief arrives
     codec = Codec(system, ONBOARD_COMPUTER)
     bus.subscribe(BELIEF, newest=True)
     bus.tally.about = policy
@@ -63,13 +63,13 @@ def run(
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(belief.step)
             answered = belief.time_boot_ms
-        # A belief that comes again means that our waypoint did not arrive: the same one is sent again.
+        # A repeated belief means that our waypoint did not arrive: send the same one again.
         bus.publish(MAVLINK_IN, codec.pack(waypoint_message(system, belief.time_boot_ms, waypoint, belief.altitude_m)))
         bus.answered()
 
 
 def _next_belief(bus: Bus, area_m: float) -> tuple[Belief, Particles] | None:
-    """Wait for a belief; None for one that no policy could answer, which is refused."""
+    """Wait for a belief. An invalid one, which no policy could answer, is refused and gives None."""
     arrival: Arrival = bus.receive()
     belief = bus.decode(arrival, Belief)
     if belief is None:
@@ -86,7 +86,7 @@ def _next_belief(bus: Bus, area_m: float) -> tuple[Belief, Particles] | None:
 def _check(belief: Belief, area_m: float) -> None:
     names = belief.unknowns
     if not set(names) <= set(PARAMETERS) or len(set(names)) < len(names):
-        raise ValueError(f"unknowns {' '.join(names)!r} are not each another one of {' '.join(PARAMETERS)}")
+        raise ValueError(f"unknowns {' '.join(names)!r} are not distinct names of {' '.join(PARAMETERS)}")
     if not len(names) == len(belief.means) == len(belief.stds):
         raise ValueError(f"{len(belief.means)} means and {len(belief.stds)} stds of {len(names)} unknowns")
     if not all(0.0 <= value <= area_m for value in belief.position):

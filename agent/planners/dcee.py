@@ -1,4 +1,4 @@
-"""DCEE, dual control for exploitation and exploration: go to where the source is expected to be once the next reading is in."""
+"""DCEE (dual control for exploitation and exploration): go where the source is expected to be after the next reading."""
 
 import numpy as np
 
@@ -8,9 +8,9 @@ from link.bus.messages import Belief, Particles
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The move p' with the least E‖p' − ŝ'‖² + tr Cov' (Chen, Rhodes, Liu 2021), ŝ' and Cov' of the belief after a reading there.
+    """The move p' with the least E[‖p' − ŝ'‖² + tr Cov'] (Chen, Rhodes, Liu 2021); ŝ' and Cov' belong to the belief after a reading at p'.
 
-    Both terms together are the expected squared distance from p' to the source under that belief.
+    The sum of both terms is the expected squared distance from p' to the source under that belief.
     """
     moves = reach.moves(belief.position)
     hypotheses = cloud(belief, particles)

@@ -1,4 +1,4 @@
-"""Entrotaxis: go where the next reading is the least certain."""
+"""Entrotaxis: go where the next reading is least certain."""
 
 import numpy as np
 
@@ -11,8 +11,8 @@ from plume.sensor import parse
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move where the predictive distribution of the reading has the greatest entropy (Hutchinson et al. 2018).
 
-    H(z) = I(z; source) + E[H(z | source)]: the second term is the sensor's own, so that only the first one is left to be imagined.
-    The mean of −log p(z) is the same and scatters much more.
+    H(z) = I(z; source) + E[H(z | source)]. The second term follows from the sensor, so only the first is estimated from hypothetical
+    readings. The mean of −log p(z) estimates the same, with much more scatter.
     """
     moves, hypotheses = reach.moves(belief.position), cloud(belief, particles)
     imagined = imagine(belief, hypotheses, moves, reach.measurements, rng)

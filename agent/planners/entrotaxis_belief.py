@@ -1,4 +1,4 @@
-"""Entrotaxis as the paper's appendix has it: go where the belief is expected to stay the least certain."""
+"""Entrotaxis as defined in the paper's appendix: go where the belief is expected to stay least certain."""
 
 import numpy as np
 
@@ -13,6 +13,6 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     hypotheses = cloud(belief, particles)
     log_weights = np.log(np.maximum(hypotheses.weights, 1e-300))
     imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, log_weights[None])
-    # w' = w · likelihood / predictive density: the mean of its logarithm under w' itself.
+    # w' = w · likelihood / predictive density. The entropy is −Σ w' log w'.
     entropies = imagined.log_predictive - imagined.log_likelihood - imagined.expectations[:, :, 0]
     return int(np.argmax(entropies.mean(axis=1)))

@@ -7,5 +7,5 @@ from link.bus.messages import Belief, Particles
 
 
 def plan(belief: Belief, _particles: Particles, reach: Reach, _rng: np.random.Generator) -> int:
-    """The move that ends nearest to the estimate."""
+    """The move that ends closest to the estimate."""
     return int(np.argmin(np.linalg.norm(reach.moves(belief.position) - belief.mean, axis=1)))

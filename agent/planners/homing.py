@@ -1,4 +1,4 @@
-"""Homing: close in on the source and on what is still possible at once; ours, the best without learning (docs/planners.md)."""
+"""Homing: approach the source and reduce its uncertainty at the same time; our best planner without learning (docs/planners.md)."""
 
 import numpy as np
 
@@ -8,17 +8,17 @@ from link.bus.messages import Belief, Particles
 
 REACH = Reach(headings=8, measurements=100)
 PARTICLES = 500
-"""Of the belief, to plan with."""
+"""Most particles used for planning."""
 AHEAD = 2.0
-"""Readings are imagined so many steps ahead: one step further the belief is hardly another."""
+"""Distance of the hypothetical readings, steps: a reading one step ahead hardly changes the belief."""
 WEIGHT = 4.0
-"""Metres to fly that a metre of spread is expected to cost."""
+"""c: metres of flight that a metre of spread is expected to cost."""
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The move with the least E‖p − s‖ + c · E[spread after a reading at p], p two steps ahead; the spread is that of entropy.
+    """The move with the least E‖p − s‖ + c · E[spread after a reading at p], p two steps ahead; the spread is `entropy_spread`.
 
-    No reading changes how far off the source is expected to be: the first term is the belief's own.
+    The first term is taken over the current belief: by the law of total expectation, a reading does not change it on average.
     """
     moves = reach.moves(belief.position)
     places = np.clip(belief.position + AHEAD * (moves - belief.position), 0.0, reach.area_m)

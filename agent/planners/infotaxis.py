@@ -1,4 +1,4 @@
-"""Infotaxis: go where the next reading is expected to tell most about the source."""
+"""Infotaxis: go where the next reading is expected to be most informative about the source."""
 
 import numpy as np
 

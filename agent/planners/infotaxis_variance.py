@@ -1,4 +1,4 @@
-"""Infotaxis as the paper's appendix has it: go where the next reading is expected to leave the least variance."""
+"""Infotaxis as defined in the paper's appendix: go where the next reading is expected to leave the least variance."""
 
 import numpy as np
 

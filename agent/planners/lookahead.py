@@ -1,4 +1,4 @@
-"""Lookahead: homing over several readings, imagined one after the other along each heading."""
+"""Lookahead: homing with several hypothetical readings, one after the other along each heading."""
 
 import numpy as np
 
@@ -8,17 +8,17 @@ from link.bus.messages import Belief, Particles
 
 REACH = Reach(headings=8, measurements=50)
 PARTICLES = 500
-"""Of the belief, to plan with."""
+"""Most particles used for planning."""
 AHEAD = (2.0, 4.0)
-"""Where readings are imagined, in steps: not at each one, for neighbours tell much the same."""
+"""Distances of the hypothetical readings, steps. Not every step, since neighbouring readings are nearly redundant."""
 WEIGHT = 4.0
-"""Metres to fly that a metre of spread is expected to cost."""
+"""c: metres of flight that a metre of spread is expected to cost."""
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The move that begins the path with the least metres flown + E‖p − s‖ + c · E[spread], at the best of its places p.
+    """The first move of the path with the least (metres flown to p) + E‖p − s‖ + c · E[spread], p being the best place on the path.
 
-    The spread, that of entropy, is the one after readings at all places up to p.
+    The spread is `entropy_spread` after readings at all places up to p.
     """
     moves = reach.moves(belief.position)
     ahead = np.array(AHEAD)[:, None]

@@ -7,5 +7,5 @@ from link.bus.messages import Belief, Particles
 
 
 def plan(belief: Belief, _particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """Any move, each as likely as the others."""
+    """A move drawn uniformly."""
     return int(rng.integers(len(reach.moves(belief.position))))

@@ -11,7 +11,7 @@ from agent.planning.moves import Reach
 from link.bus.messages import Belief, Particles
 
 Planner = Callable[[Belief, Particles, Reach, np.random.Generator], int]
-"""(belief, particles, what may be chosen from, keyed randomness) -> which of `reach.moves(belief.position)`."""
+"""(belief, particles, reach, keyed random generator) -> index into `reach.moves(belief.position)`."""
 
 PLANNERS = {
     "infotaxis": "agent.planners.infotaxis",
@@ -26,15 +26,15 @@ PLANNERS = {
     "lookahead": "agent.planners.lookahead",
     "homing": "agent.planners.homing",
 }
-"""The module of each planner; it is imported when the planner is asked for."""
+"""Module of each planner by name; it is imported on first use."""
 
 
 def reach(name: str, given: Mapping[str, float] = MappingProxyType({})) -> Reach:
-    """What a planner chooses from: what is given of the fields of `Reach`, else its own `REACH`, else what is usual."""
+    """Return a planner's reach: the `given` fields of `Reach`; for the others the planner's own `REACH`, or the defaults if it has none."""
     return replace(getattr(import_module(PLANNERS[name]), "REACH", Reach()), **given)
 
 
 def planner(name: str) -> Planner:
-    """Find a planner by its name."""
+    """Return the `plan` function of a planner. Raises KeyError if the name is unknown."""
     plan: Planner = import_module(PLANNERS[name]).plan
     return plan

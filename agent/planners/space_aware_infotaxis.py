@@ -1,4 +1,4 @@
-"""Space-aware infotaxis: weigh what the next reading tells against how far the source still is."""
+"""Space-aware infotaxis: trade the information of the next reading against the distance to the source."""
 
 import numpy as np
 
@@ -7,14 +7,14 @@ from agent.planning.predict import cloud, imagine
 from link.bus.messages import Belief, Particles
 
 CELL_M = 1.0
-"""Side of the cells that entropy is counted in: Loisy and Eloy's world is a grid of steps."""
+"""Side of the cells in which entropy is computed, m: Loisy and Eloy's world is a grid with a cell per step."""
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the least expected log₂(D + (2^H − 1)/2) (Loisy and Eloy 2022, eq. 3.4).
 
-    D is the expected Manhattan distance in cells from the move to the source, H the entropy in bits of which cell it is in, both under
-    the belief after a reading there; H falls by the information that the reading holds.
+    D is the expected Manhattan distance from the move to the source, in cells. H is the entropy of the source's cell, in bits. Both are
+    taken under the belief after a reading there; H is the present entropy less the reading's information gain.
     """
     moves = reach.moves(belief.position)
     hypotheses = cloud(belief, particles)

@@ -1,1 +1,1 @@
-"""What planners are made of: moves, and what a belief predicts of readings not yet taken. Imports: plume, link.bus."""
+"""Building blocks of planners: moves, and predictions of future readings. Imports: plume, link.bus."""

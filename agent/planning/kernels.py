@@ -1,6 +1,6 @@
-"""The planners' fused loops, compiled by numba and cached: what hypothetical readings would do to a belief.
+"""The planners' fused loops, compiled by numba and cached: they reweight a belief by hypothetical readings.
 
-Plain IEEE arithmetic in a fixed order: the same bits on every machine and on every run.
+Plain IEEE arithmetic in a fixed order: bit-identical on every machine and in every run.
 """
 
 import math
@@ -17,12 +17,15 @@ Array = NDArray[np.float64]
 
 HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 BLOCK = 1024
-"""So many particles are done at once: what is computed of them stays in the processor's nearest cache."""
+"""Particles per block; the intermediate arrays of a block stay in the processor's first-level cache."""
 
 
 @numba.njit(error_model="numpy")
 def _exponents(means: Array, sensor: Array, quadratic: Array, linear: Array, constant: Array) -> None:
-    """Log-likelihood of a reading z under each particle as quadratic · z² + linear · z + constant (but for log z! of hits)."""
+    """Fill the coefficients of the log-likelihood of a reading z under each particle: quadratic · z² + linear · z + constant.
+
+    For hits, the term −log z! is left out.
+    """
     offset = HALF_LOG_2PI - math.log1p(-sensor[4])
     for i in range(len(means)):
         if sensor[0] == HITS_KIND:
@@ -40,7 +43,7 @@ def _exponents(means: Array, sensor: Array, quadratic: Array, linear: Array, con
 
 @numba.njit(error_model="numpy")
 def _silence(means: Array, sensor: Array, constant: Array) -> None:
-    """Log-probability that a threshold sensor says 0, under each particle."""
+    """Fill `constant` with the log-probability that a threshold sensor reads 0, under each particle."""
     for i in range(len(means)):
         std = math.sqrt(sensor[1] * sensor[1] * means[i] * means[i] + sensor[2] * sensor[2])
         below = 0.5 * math.erfc((means[i] - sensor[3]) / std * math.sqrt(0.5))
@@ -51,7 +54,10 @@ def _silence(means: Array, sensor: Array, constant: Array) -> None:
 def _likelihoods(
     one: Array, two: Array, three: Array, z: float, own: float, weights: Array, exponents: Array, likelihoods: Array, products: Array
 ) -> None:
-    """w L and w L log L of a reading z under some particles. Few arrays a loop: of too many LLVM does not see that they are apart."""
+    """Fill `likelihoods` with w L and `products` with w L log L of a reading z under a block of particles; L is relative to `own`.
+
+    Two loops with few arrays each: with more arrays LLVM cannot rule out aliasing.
+    """
     for i in range(len(weights)):
         exponents[i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
     for i in range(len(weights)):
@@ -63,7 +69,7 @@ def _likelihoods(
 def _reweight(
     one: Array, two: Array, three: Array, z: float, own: float, weights: Array, values: Array, buffers: Array, sums: Array
 ) -> None:
-    """Reweight by a reading z: sums becomes Σ w L, Σ w L log L and Σ w L v of each row of values (F, N). buffers: (3, BLOCK)."""
+    """Reweight by a reading z: fill `sums` with Σ w L, Σ w L log L and Σ w L v for each row v of values (F, N). buffers: (3, BLOCK)."""
     sums[:] = 0.0
     for start in range(0, len(weights), BLOCK):
         part = slice(start, min(start + BLOCK, len(weights)))
@@ -87,15 +93,15 @@ def _reweight(
 def imagine(
     means: Array, weights: Array, values: Array, imagined: NDArray[np.int64], readings: Array, sensor: Array
 ) -> tuple[Array, Array, Array]:
-    """Reweight a belief by hypothetical readings along paths of L places.
+    """Reweight a belief by hypothetical readings along A paths of L places.
 
-    means: (A, L, N) concentration at each place under each particle.  weights: (N,), sum one.
-    values: (A, L, F, N) of the particles, seen from each place, or (1, 1, F, N) the same from all.
-    imagined: (K,) the particles that the readings were drawn from.  readings: (A, L, K).  sensor: (5,) as of `plume.sensor.sensor_row`.
+    means: (A, L, N) concentration at each place under each particle, g/m³.  weights: (N,), sum one.
+    values: (A, L, F, N) values of each particle at each place, or (1, 1, F, N) if they are the same at all places.
+    imagined: (K,) the particles from which the readings were drawn.  readings: (A, L, K).  sensor: (5,) as of `plume.sensor.sensor_row`.
 
-    Returns, after each place and counting the readings before it, the log predictive density of the readings (A, L, K), and under
-    the belief after them their expected log-likelihood (A, L, K) and the expectation of each value (A, L, K, F). Of hits, log z! is
-    left out of both logarithms: the reading alone decides it.
+    Results at a place include all readings on the path up to it. Returns the log predictive density of these readings (A, L, K);
+    their expected log-likelihood (A, L, K) and the expectation of each value (A, L, K, F), both under the belief after them.
+    For hits, log z! is left out of both logarithms: it is the same for all particles and cancels in their difference.
     """
     (paths, length, count), number, rows = means.shape, len(imagined), values.shape[2]
     quadratic, linear, constant = np.empty(count), np.empty(count), np.empty(count)
@@ -116,7 +122,7 @@ def imagine(
                     one, two, three = zeros, zeros, silent
                 else:
                     one, two, three = quadratic, linear, constant
-                own = fma(fma(one[imagined[k]], z, two[imagined[k]]), z, three[imagined[k]])  # the greatest are not far above it
+                own = fma(fma(one[imagined[k]], z, two[imagined[k]]), z, three[imagined[k]])  # a scale near the greatest log-likelihood
                 if step > 0:
                     for i in range(count):
                         offset[i] = three[i] + before[k, i]

@@ -1,4 +1,4 @@
-"""What a belief predicts of readings not yet taken, and what it would become by them."""
+"""Predictions of a belief: readings not yet taken, and the belief after them."""
 
 import math
 from dataclasses import dataclass
@@ -16,24 +16,25 @@ from plume.sensor import parse, sensor_row
 Array = NDArray[np.float64]
 
 CELLS_A_SPREAD = 4
+"""Cells per spread in `entropy_spread`."""
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """A belief's particles as columns of float64."""
+    """A belief's particles in float64."""
 
     values: Array
-    """(D, N): a row for each unknown."""
+    """(D, N): one row per unknown; the first two are x and y."""
     weights: Array
     """(N,), sum one."""
 
     @property
     def places(self) -> Array:
-        """(2, N): where the particles see the source, m."""
+        """(2, N): the source positions (x, y) of the particles, m."""
         return self.values[:2]
 
     def thinned(self, most: int) -> "Cloud":
-        """Every so many-th particle, so that there are at most so many: enough to plan with, where N are needed to know."""
+        """Return a cloud of at most `most` evenly spaced particles: planning needs fewer than estimating."""
         every = math.ceil(len(self.weights) / most)
         weights = self.weights[::every]
         return Cloud(np.ascontiguousarray(self.values[:, ::every]), weights / weights.sum())
@@ -41,14 +42,14 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Imagined:
-    """What hypothetical readings at each place would do to a belief; K of them a place, drawn from what it predicts there."""
+    """A belief after hypothetical readings: K readings at each of A places, drawn from the belief's predictive distribution there."""
 
     log_predictive: Array
-    """(A, K): log-density of the reading in the belief's predictive distribution. Of hits log z! is left out."""
+    """(A, K): log predictive density of each reading. For hits, log z! is left out."""
     log_likelihood: Array
-    """(A, K): its expected log-likelihood under the belief after it, less the same."""
+    """(A, K): expected log-likelihood of each reading under the belief after it. For hits, log z! is left out."""
     expectations: Array
-    """(A, K, F): of the values asked for, under the belief after it."""
+    """(A, K, F): expectations of the given values under the belief after each reading."""
     means: Array
     """(A, N): concentration at each place under each particle, g/m³."""
 
@@ -59,7 +60,7 @@ class Imagined:
 
 
 def cloud(belief: Belief, particles: Particles) -> Cloud:
-    """Unpack a belief's particles; x or y that is known becomes a row like the others."""
+    """Unpack a belief's particles; a known x or y becomes a constant row."""
     columns = dict(zip(belief.unknowns, particles.T.astype(np.float64), strict=False))
     weights = particles[:, -1].astype(np.float64)
     x, y = (np.broadcast_to(columns.pop(name, np.float64(known)), weights.shape) for name, known in zip("xy", belief.mean, strict=True))
@@ -67,7 +68,7 @@ def cloud(belief: Belief, particles: Particles) -> Cloud:
 
 
 def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
-    """Mean concentration (A, N) at places (A, 2), at the height flown, under each particle."""
+    """Mean concentration (A, N), g/m³, at places (A, 2) m at flight height under each particle."""
     names = ("x", "y", *(name for name in belief.unknowns if name not in ("x", "y")))
     priors = np.zeros((8, 5))
     priors[:, 0] = KNOWN
@@ -86,10 +87,10 @@ def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
 def imagine(
     belief: Belief, hypotheses: Cloud, places: Array, number: int, rng: np.random.Generator, values: Array | None = None
 ) -> Imagined:
-    """Draw `number` readings at each place (A, 2) from the predictive density there, and reweight the belief by each.
+    """Draw `number` readings at each place (A, 2) m from the predictive distribution there, and reweight the belief by each.
 
-    values: (F, N) or (A, F, N), of the particles.  The draws are stratified over the belief, and all places share the same ones, so
-    that chance does not decide between them.
+    values: (F, N) or (A, F, N) values of the particles, whose expectations are wanted.  The draws are stratified over the belief.
+    All places share the same random numbers, so that chance does not decide between them.
     """
     if values is not None:
         values = values[None, None] if values.ndim == 2 else values[:, None]
@@ -100,7 +101,7 @@ def imagine(
 def imagine_along(
     belief: Belief, hypotheses: Cloud, paths: Array, number: int, rng: np.random.Generator, values: Array | None = None
 ) -> Imagined:
-    """The same for readings at all places along paths (A, L, 2): what is imagined (A, L, K) counts those before. values: (A, L, F, N)."""
+    """Do the same along paths (A, L, 2) m: results (A, L, K) at a place include the path's readings before it. values: (A, L, F, N)."""
     sensor = parse(belief.sensor)
     means = concentrations(belief, hypotheses, paths.reshape(-1, 2)).reshape(*paths.shape[:2], -1)
     cumulative = np.cumsum(hypotheses.weights)
@@ -119,9 +120,10 @@ def imagine_along(
 
 
 def entropy_spread(hypotheses: Cloud, spread: float) -> float:
-    """Spread of the normal distribution with the same entropy as the location's, m: sqrt(exp(H)/(π e)), H in nats of m².
+    """Spread of the round normal distribution with the same entropy H as the location's, m: sqrt(exp(H)/(π e)), H in nats (m²).
 
-    H is counted in cells of a quarter of the spread. Where half of a disc has been ruled out, this one shrinks, and the spread need not.
+    H is computed from cells with a side of a quarter of the spread. If half of a disc is ruled out, the entropy spread shrinks, while the
+    spread itself need not.
     """
     cell = max(spread, SOURCE_RADIUS_M) / CELLS_A_SPREAD
     columns, rows = np.floor(hypotheses.places / cell).astype(np.int64)
@@ -132,8 +134,8 @@ def entropy_spread(hypotheses: Cloud, spread: float) -> float:
 
 
 def variances(belief: Belief, hypotheses: Cloud, places: Array, number: int, rng: np.random.Generator) -> Array:
-    """Trace of the location's covariance, m², after each of `number` readings imagined at each place (A, 2): (A, K)."""
-    offsets = hypotheses.places - hypotheses.places @ hypotheses.weights[:, None]  # about the mean, so that squares cancel little
+    """Trace of the location's covariance after each of `number` hypothetical readings at each place (A, 2) m: (A, K) m²."""
+    offsets = hypotheses.places - hypotheses.places @ hypotheses.weights[:, None]  # offsets from the mean limit cancellation below
     values = np.vstack([offsets, np.square(offsets).sum(axis=0)])
     expected = imagine(belief, hypotheses, places, number, rng, values).expectations
     traces: Array = np.maximum(expected[:, :, 2] - np.square(expected[:, :, :2]).sum(axis=2), 0.0)

@@ -1,4 +1,4 @@
-"""Protects policies as data: a bundle flies what its network says, and whatever does not fit is refused in one line."""
+"""Protects policies as data: a bundle flies its network's actions, and an invalid bundle is refused in one line."""
 
 import math
 import struct
@@ -38,7 +38,7 @@ def layers(*widths: int, seed: int = 0) -> Layers:
 
 
 def said(network: Layers, observation: np.ndarray) -> np.ndarray:
-    """What the network says: rectified linear layers, the last one plain."""
+    """The network's output: rectified linear layers, the last one linear."""
     flowing = observation.astype(np.float64)
     for k, (weight, bias) in enumerate(network):
         flowing = weight @ flowing + bias
@@ -47,7 +47,7 @@ def said(network: Layers, observation: np.ndarray) -> np.ndarray:
 
 
 def onnx_of(nodes: Sequence[Any], takes: Sequence[int], gives: Sequence[int], weights: Sequence[Any] = ()) -> bytes:
-    """A graph from `observation` to `said`; nobody has checked it."""
+    """A graph from `observation` to `said`, not checked by onnx."""
     ports = [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in (("observation", takes), ("said", gives))]
     made = helper.make_graph(nodes, "policy", ports[:1], ports[1:], weights)
     return helper.make_model(made, opset_imports=[helper.make_opsetid("", 17)], ir_version=8).SerializeToString()
@@ -67,7 +67,7 @@ def onnx_of_layers(network: Layers) -> bytes:
 
 
 def page_of(schema: str = "paper", move: Move | None = None, **changes: Any) -> Page:
-    """A page that fits, but for the changes."""
+    """A valid page with these changes."""
     fields = {
         "format": FORMAT, "algorithm": "by hand", "schema": schema, "schema_version": SCHEMAS[schema].version,
         "observation": SCHEMAS[schema].size, "move": move or Headings(4), "seed": 3, "training": {"layers": [8]},
@@ -86,12 +86,12 @@ def a_bundle(path: Path, schema: str = "paper", move: Move | None = None, seed: 
 
 @pytest.fixture(scope="module")
 def beliefs() -> list[Seen]:
-    """What was believed in a few missions, in the midst of them too."""
+    """All beliefs of a few missions."""
     return [(step.belief, step.particles) for seed in (1, 2) for step in mission(seed, "random", 200, 0.5, 12).steps]
 
 
 def direction(frame: np.ndarray, angle: float) -> np.ndarray:
-    """The unit vector at an angle of a frame, whose y axis is left of its x axis, or right of it where it is mirrored."""
+    """The unit vector at an angle in a frame. Its y axis is left of its x axis, or right of it if the frame is mirrored."""
     ahead, left = frame[:2], np.array([-frame[1], frame[0]])
     return math.cos(angle) * ahead + math.sin(angle) * frame[2] * left
 
@@ -172,7 +172,7 @@ def test_a_layer_without_an_onnx_is_refused() -> None:
 
 
 def refusal(path: Path) -> str:
-    """The line that refuses a bundle."""
+    """The text with which a bundle is refused."""
     with pytest.raises(BundleError) as refused:
         load(path)
     line = str(refused.value)
@@ -222,7 +222,7 @@ def test_a_changed_byte_changes_nothing_or_is_refused(tmp_path: Path) -> None:
             except BundleError as error:
                 lines.append(str(error))
     assert all(len(line.splitlines()) == 1 for line in lines)
-    assert len(lines) > len(whole)  # what else can be changed is dates, rights and the like
+    assert len(lines) > len(whole)  # changes of dates, permissions and the like are harmless
 
 
 def zipped(path: Path, **members: bytes) -> None:
@@ -280,7 +280,7 @@ GEMM = helper.make_node("Gemm", ["observation", "w"], ["said"], transB=1)
 
 
 def elsewhere(name: str) -> Any:
-    """Weights that are in another file."""
+    """Weights stored in another file."""
     said = onnx.StringStringEntryProto(key="location", value=name)
     return onnx.TensorProto(name="w", data_type=TensorProto.FLOAT, dims=[4, 5], data_location=TensorProto.EXTERNAL, external_data=[said])
 
@@ -288,9 +288,9 @@ def elsewhere(name: str) -> Any:
 @pytest.mark.parametrize(
     ("graph", "words"),
     [
-        (b"", "no graph that onnxruntime can run"),
-        (b"steer north", "no graph that onnxruntime can run"),
-        (onnx_of_layers(layers(5, 8, 4))[:200], "no graph that onnxruntime can run"),
+        (b"", "not a graph that onnxruntime can run"),
+        (b"steer north", "not a graph that onnxruntime can run"),
+        (onnx_of_layers(layers(5, 8, 4))[:200], "not a graph that onnxruntime can run"),
         (onnx_of([helper.make_node("Clairvoyance", ["observation"], ["said"])], [1, 5], [1, 4]), "Clairvoyance"),
         (onnx_of([helper.make_node("Relu", ["observation"], ["said"], domain="com.stranger")], [1, 5], [1, 5]), "com.stranger"),
         (onnx_of([GEMM], [1, 5], [1, 4], [elsewhere("/etc/passwd")]), "External data path validation failed"),
@@ -300,8 +300,8 @@ def elsewhere(name: str) -> Any:
         (onnx_of([helper.make_node("Relu", ["observation"], ["said"])], ["many", "wide"], ["many", 4]), "['many', 'wide']"),
         (onnx_of([GEMM], [2, 5], [2, 4], [ZEROS]), "does not run: "),
         (onnx_of([helper.make_node("Shape", ["observation"], ["said"])], [1, 5], [1, 4]), "does not match expected type"),
-        (onnx_of([GEMM, helper.make_node("Log", ["minus"], ["nan"])], [1, 5], [1, 4], [ZEROS]), "no graph that onnxruntime can run"),
-        (onnx_of_layers([(np.full((4, 5), np.nan, np.float32), np.zeros(4, np.float32))]), "says NaN; wanted numbers"),
+        (onnx_of([GEMM, helper.make_node("Log", ["minus"], ["nan"])], [1, 5], [1, 4], [ZEROS]), "not a graph that onnxruntime can run"),
+        (onnx_of_layers([(np.full((4, 5), np.nan, np.float32), np.zeros(4, np.float32))]), "gives NaN; wanted numbers"),
     ],
     ids=lambda value: value if isinstance(value, str) else "graph",
 )  # fmt: skip
@@ -310,7 +310,7 @@ def test_a_graph_that_does_not_fit_is_refused(tmp_path: Path, graph: bytes, word
     line = refusal(tmp_path / "a.zip")
     assert line.startswith(GRAPH)
     assert words in line
-    assert capfd.readouterr() == ("", "")  # onnxruntime does not say it a second time in its own way
+    assert capfd.readouterr() == ("", "")  # onnxruntime prints nothing of its own
 
 
 def test_a_graph_takes_no_weights_from_a_file_that_happens_to_lie_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -327,16 +327,16 @@ def test_a_graph_may_leave_the_number_of_rows_open(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("move", [Headings(5), HeadingAndStep()], ids=repr)
 def test_a_network_that_says_nan_in_flight_flies_nowhere(tmp_path: Path, beliefs: list[Seen], move: Move) -> None:
-    """The square root of what is zero for the trial and negative in flight."""
+    """The square root of a number that is zero in the trial run and negative in flight."""
     weight = numpy_helper.from_array(np.full((move.outputs, 5), -1, np.float32), "w")
     nodes = [helper.make_node("Gemm", ["observation", "w"], ["minus"], transB=1), helper.make_node("Sqrt", ["minus"], ["said"])]
     write(tmp_path / "a.zip", page_of(move=move), onnx_of(nodes, [1, 5], [1, move.outputs], [weight]))
-    with pytest.raises(ValueError, match=f"policy .*a.zip failed: BundleError: {GRAPH} says NaN; wanted numbers"):
+    with pytest.raises(ValueError, match=f"policy .*a.zip failed: BundleError: {GRAPH} gives NaN; wanted numbers"):
         choose(str(tmp_path / "a.zip"), *beliefs[0], 0, Reach())
 
 
 def claiming(path: Path, size: int) -> None:
-    """Let the last member of a zip claim another size than it has."""
+    """Make the last member of a zip claim a wrong size."""
     content = bytearray(path.read_bytes())
     for signature, offset in ((b"PK\x01\x02", 24), (b"PK\x03\x04", 22)):
         at = content.rindex(signature) + offset
@@ -392,7 +392,7 @@ def watch(event, arguments):
 for path in sys.argv[1:]:
     choose(path, step.belief, step.particles, 0, Reach())
     print("flown")
-    sys.addaudithook(watch)  # all modules are loaded now
+    sys.addaudithook(watch)  # from here on, all modules are loaded
 """
 
 

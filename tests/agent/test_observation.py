@@ -1,4 +1,4 @@
-"""Protects what learned policies see: each number against a truth of the test's own, and nothing but it is different in a mirror."""
+"""Protects the observations of learned policies: each number against an independent computation, and rotation and mirror symmetry."""
 
 import cmath
 import math
@@ -19,9 +19,9 @@ EDGES_M = (1.5, 3.0, 5.0, 8.0, 11.5, 15.5, 20.0)
 SECTORS, HEADINGS = 16, 16
 CELLS, GAINS, NUMBERS = slice(0, 128), slice(128, 160), slice(160, 184)
 PLACE = slice(179, 183)
-"""Where the frame points, and the place in the area."""
+"""Numbers of the frame's direction and the place in the area."""
 MIDDLE = 17.5
-"""Of where sources are drawn, both ways."""
+"""x and y of the centre of the square in which sources are drawn, m."""
 
 
 def belief_at(position: tuple[float, float] = (14.0, 13.0), **said: object) -> Belief:
@@ -49,7 +49,7 @@ def polar(belief: Belief, particles: np.ndarray) -> np.ndarray:
 
 
 class Plain:
-    """The parts of `polar` in plain NumPy: places in the frame are complex numbers, which turn by a product and mirror by a conjugate."""
+    """The parts of `polar` in plain NumPy. Places are complex numbers: a product rotates them, a conjugate mirrors them."""
 
     def __init__(self, belief: Belief, particles: np.ndarray) -> None:
         x, y, said = particles.astype(float).T
@@ -64,7 +64,7 @@ class Plain:
         self.mirrored = (complex(*belief.wind) / self.turn).imag < 0
 
     def seen(self, arrow: np.ndarray) -> np.ndarray:
-        """A direction of the world, in the frame."""
+        """A direction of the world, expressed in the frame."""
         turned = arrow / self.turn
         return turned.conjugate() if self.mirrored else turned
 
@@ -129,7 +129,7 @@ def test_an_observation_has_the_size_that_its_schema_says() -> None:
         assert (seen.shape, seen.dtype, frame.shape) == ((schema.size,), np.float32, (3,))
 
 
-# In the frame: (sector, metres, ring, mass). What is left of its axis balances what is right of it, so that the estimate is on the axis.
+# (sector, metres, ring, mass) in the frame. The masses left and right of its x axis balance, so that the estimate lies on the axis.
 BALANCING_M = 2 * math.sin(math.pi / 4) / math.cos(math.pi / 8)
 LAID_OUT = [(2, 4.0, 2, 0.3), (14, 6.0, 3, 0.2), (0, 1.0, 0, 0.1), (6, 2.0, 1, 0.2), (13, BALANCING_M, 1, 0.2)]
 
@@ -148,7 +148,7 @@ def test_particles_fall_into_the_cells_of_a_frame_that_looks_at_the_estimate(tow
     for sector, _, ring, mass in LAID_OUT:
         expected[ring * SECTORS + sector] = 2 * math.sqrt(mass)
     assert seen[CELLS] == pytest.approx(expected, abs=1e-5)
-    assert seen[NUMBERS][9] > 0  # the wind comes from the left of it
+    assert seen[NUMBERS][9] > 0  # the wind comes from the left
 
 
 @pytest.mark.parametrize(("ring", "edge"), list(enumerate(EDGES_M)))
@@ -166,7 +166,7 @@ def test_what_lies_where_no_sources_are_drawn_counts_a_twentieth() -> None:
     mean = complex(25 + 0.1 / 21, 15 + 12 / 21)
     assert complex(frame[0], frame[1]) == pytest.approx((mean - 15 - 15j) / abs(mean - 15 - 15j), abs=1e-6)
     assert sorted(seen[CELLS])[-2:] == pytest.approx([2 * math.sqrt(1 / 21), 2 * math.sqrt(20 / 21)])
-    assert seen[-1] == pytest.approx(math.log(0.501) / 3)  # the estimator's own share is told beside it
+    assert seen[-1] == pytest.approx(math.log(0.501) / 3)  # the mass inside the square, by the estimator's own weights
 
 
 def test_without_any_particle_where_sources_are_drawn_the_others_are_all_there_is() -> None:
@@ -191,11 +191,11 @@ def test_cells_and_numbers_are_those_of_plain_numpy(seed: int) -> None:
 @pytest.mark.parametrize("position", [(14.0, 13.0), (0.5, 2.0), (29.0, 12.0)], ids=["amid", "in a corner", "at a side"])
 @pytest.mark.parametrize("seed", range(3))
 def test_what_readings_would_tell_is_what_plain_numpy_says(seed: int, position: tuple[float, float]) -> None:
-    # 128 particles are looked at, drawn evenly by weight: one whose share is k/128 is looked at k times, and the sum is exact.
+    # Of 128 systematic draws, a particle with weight k/128 gets exactly k, so the sum is exact.
     rng = np.random.default_rng(seed)
     shares = rng.multinomial(128, rng.dirichlet(np.ones(60)))
     cloud = particles_of(rng.uniform(10.5, 24.5, (60, 2)), shares)
-    # The wind blows from the sources, so that there is gas, a little from the left or the right.
+    # The wind blows from the sources, so that there is gas, slightly from the left or the right.
     to_middle = complex(MIDDLE, MIDDLE) - complex(*position)
     wind = to_middle / abs(to_middle) * cmath.rect(2, 0.4 if seed else -0.4)
     said = belief_at(position, wind=(wind.real, wind.imag))
@@ -205,7 +205,7 @@ def test_what_readings_would_tell_is_what_plain_numpy_says(seed: int, position: 
 
 
 def test_a_few_particles_tell_what_all_would() -> None:
-    # A variance from 128 particles is off by a tenth, more where few of them count, and half its logarithm by half of that: 0.05 nats.
+    # A variance from 128 particles is off by a tenth, or more if few of them matter; half its logarithm by half of that: 0.05 nats.
     clouds = [scattered(seed, 5000, 10.5, 24.5) for seed in range(5)]
     off = [polar(belief_at(), cloud)[GAINS] - Plain(belief_at(), cloud).gains() for cloud in clouds]
     assert np.abs(off).mean() < 0.1
@@ -217,7 +217,7 @@ def test_where_the_source_is_known_no_reading_tells_anything() -> None:
 
 
 def turned(said: Belief, cloud: np.ndarray, turn: complex, mirrored: bool) -> tuple[Belief, np.ndarray]:
-    """The same search, turned about the middle of where sources are drawn, after a mirror at its east-west line."""
+    """The same search, mirrored at the east-west line through MIDDLE if `mirrored`, then rotated about (MIDDLE, MIDDLE)."""
     centre = complex(MIDDLE, MIDDLE)
 
     def arrow(x: float, y: float) -> complex:
@@ -241,7 +241,7 @@ def turned(said: Belief, cloud: np.ndarray, turn: complex, mirrored: bool) -> tu
 
 @given(st.integers(0, 5), st.floats(-math.pi, math.pi), st.booleans())
 def test_a_turn_or_a_mirror_changes_nothing_but_where_the_frame_points(seed: int, angle: float, mirrored: bool) -> None:
-    # Within 4 m of the middle the area's sides are out of what is looked at, and within 7.5 m is where sources are drawn.
+    # Within 4 m of the middle no gain is computed beyond the area's sides; within 7.5 m all particles are in the sources' square.
     cloud = scattered(seed, 60, MIDDLE - 5, MIDDLE + 5)
     said = belief_at((15.5, 16.0), covariance=(2.0, 0.5, 1.0))
     seen, other = polar(said, cloud), polar(*turned(said, cloud, cmath.rect(1, angle), mirrored))
@@ -257,7 +257,7 @@ def test_mirrored_at_the_areas_diagonal_a_search_looks_the_same(seed: int, x: fl
     mirror = msgspec.structs.replace(said, position=(y, x), wind=(wind_y, wind_x), mean=(19.0, 12.0), covariance=(1.0, 0.5, 2.0))
     seen, frame = SCHEMAS["polar"].see(said, cloud)
     other, mirrored_frame = SCHEMAS["polar"].see(mirror, cloud[:, [1, 0, 2]])
-    if abs((complex(wind_x, wind_y) / complex(frame[0], frame[1])).imag) > 1e-9:  # else both sides are alike
+    if abs((complex(wind_x, wind_y) / complex(frame[0], frame[1])).imag) > 1e-9:  # otherwise mirrored and plain are equally valid
         assert mirrored_frame == pytest.approx([frame[1], frame[0], -frame[2]], abs=1e-9)
         assert other == pytest.approx(seen, abs=1e-5)
 

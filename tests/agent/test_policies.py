@@ -1,4 +1,4 @@
-"""Protects the lookup of policies: by name, by file and from other packages, what each may say, and docs/policies.md's examples."""
+"""Protects the lookup of policies by name, file and package, the checks on their answers, and the examples of docs/policies.md."""
 
 import json
 import math
@@ -37,13 +37,13 @@ def _looked_up_anew() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def seen() -> tuple[Belief, Particles]:
-    """What is believed after the first reading of a mission."""
+    """The belief after the first reading of a mission, and its particles."""
     first = next(mission(1, "random", 100, 0.5, 1).steps)
     return first.belief, first.particles
 
 
 def install(folder: Path, package: str, source: str, **names: str) -> None:
-    """Put a package that plugs in policies in a folder, as pip would: NAME=FUNCTION."""
+    """Install a package with policy entry points (NAME=FUNCTION) into a folder, as pip would."""
     (folder / f"{package}.py").write_text(textwrap.dedent(source))
     said = folder / f"{package}-1.0.dist-info"
     said.mkdir()
@@ -54,8 +54,8 @@ def install(folder: Path, package: str, source: str, **names: str) -> None:
 
 @pytest.fixture
 def plug(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plug:
-    """Plug in one policy, `theirs`, from its source; returns the name of the module that it is in."""
-    module = re.sub(r"\W", "_", f"stranger_{tmp_path.name}")  # another for each test: modules are kept
+    """Plug in one policy, `theirs`, from its source; returns its module's name."""
+    module = re.sub(r"\W", "_", f"stranger_{tmp_path.name}")  # unique per test, since Python caches modules
 
     def put(source: str, value: str = "theirs") -> str:
         install(tmp_path, module, source, theirs=value)
@@ -95,7 +95,7 @@ def test_a_bundle_is_named_by_its_file(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     a_bundle(tmp_path / "a.zip")
     waypoint = choose("a.zip", *seen, 0, Reach())
-    assert waypoint == choose(str(tmp_path / "a.zip"), *seen, 5, Reach())  # a learned policy draws nothing
+    assert waypoint == choose(str(tmp_path / "a.zip"), *seen, 5, Reach())  # a learned policy draws no random numbers
     assert math.dist(waypoint, seen[0].position) <= 1 + 1e-5
 
 
@@ -105,7 +105,7 @@ def test_what_ships_is_a_bundle_under_a_short_name(tmp_path: Path, monkeypatch: 
     assert choose("dqn", *seen, 0, Reach()) == choose(str(tmp_path / "a.zip"), *seen, 0, Reach())
     (tmp_path / "b.zip").write_bytes(b"")
     monkeypatch.setitem(SHIPPED, "ppo", tmp_path / "b.zip")
-    with pytest.raises(ValueError, match=r"b.zip: no bundle: File is not a zip file"):
+    with pytest.raises(ValueError, match=r"b.zip: not a bundle: File is not a zip file"):
         policy("ppo")
 
 
@@ -116,7 +116,7 @@ def test_only_planners_take_flags_that_say_how_to_move(tmp_path: Path, plug: Plu
     assert reach(bundle) == Reach()
     with pytest.raises(ValueError, match=r"^--headings, --step is for planners; .*a.zip moves as it was trained to$"):
         reach(bundle, {"headings": 8, "step": 0.5})
-    assert reach("theirs", {"headings": 8, "step": 0.5}) == Reach(headings=8, step=0.5)  # it may look at them, or not
+    assert reach("theirs", {"headings": 8, "step": 0.5}) == Reach(headings=8, step=0.5)  # the policy may use them or not
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_only_planners_take_flags_that_say_how_to_move(tmp_path: Path, plug: Plu
     [
         (("rollout", "--policy", "clairvoyance"), "--policy: 'clairvoyance' is not allowed; wanted infotaxis, "),
         (("--policy", "nowhere.zip"), "--policy: nowhere.zip: there is no such file"),
-        (("evaluate", "--policy", "random,empty.zip"), "--policy: empty.zip: no bundle: File is not a zip file; wanted a zip file of "),
+        (("evaluate", "--policy", "random,empty.zip"), "--policy: empty.zip: not a bundle: File is not a zip file; wanted a zip file of "),
         (("rollout", "--policy", "a.zip", "--headings", "8"), "--headings is for planners; a.zip moves as it was trained to"),
         (("evaluate", "--policy", "random,a.zip", "--step", "2"), "--step is for planners; a.zip moves as it was trained to"),
         (("--policy", "a.zip", "--measurements", "9"), "--measurements is for planners; a.zip moves as it was trained to"),
@@ -162,22 +162,22 @@ def test_bad_input_is_one_clear_line_and_status_2(
 @pytest.mark.parametrize("name", [name for name in PLANNERS if name != "random"])
 def test_the_agent_searches_all_of_the_area_that_it_is_told_of(seen: tuple[Belief, Particles], name: str) -> None:
     belief, particles = seen
-    away = replace(belief, position=(45.0, 45.0), mean=(58.0, 45.0))  # where the usual area has no move at all
+    away = replace(belief, position=(45.0, 45.0), mean=(58.0, 45.0))  # outside the default area, where no move exists
     there = np.array(particles)
     there[:, :2] = np.random.default_rng(1).normal((58.0, 45.0), 0.5, (len(there), 2))
-    x, y = choose(name, away, there, 0, _parse(["--policy", name, "--area", "60"]).reach)
+    x, y = choose(name, away, there, 0, _parse("agent", ["--policy", name, "--area", "60"]).reach)
     assert math.dist((x, y), (45.0, 45.0)) == pytest.approx(1.0, abs=1e-5)
     assert not Reach().moves(away.position).size
 
 
 def test_scripted_waypoints_may_lie_in_all_of_the_area() -> None:
-    assert _parse(["--area", "60", "--waypoints", "3:59.5,0;60,1"]).scripted == {3: (59.5, 0.0), 4: (60.0, 1.0)}
-    assert _parse(["--waypoints", "0:30,0.1", "--waypoints", "4:2,3"]).scripted == {0: (30.0, float(np.float32(0.1))), 4: (2.0, 3.0)}
+    assert _parse("agent", ["--area", "60", "--waypoints", "3:59.5,0;60,1"]).scripted == {3: (59.5, 0.0), 4: (60.0, 1.0)}
+    assert _parse("agent", ["--waypoints", "0:30,0.1", "--waypoints", "4:2,3"]).scripted == {0: (30.0, float(np.float32(0.1))), 4: (2.0, 3.0)}
 
 
 def test_no_waypoint_is_rounded_out_of_the_area(plug: Plug, seen: tuple[Belief, Particles]) -> None:
     plug("def theirs(belief, particles, reach, rng): return 1e9, reach.area_m")
-    reached = _parse(["--policy", "theirs", "--area", "30.1", "--waypoints", "0:30.1,30.1"])
+    reached = _parse("agent", ["--policy", "theirs", "--area", "30.1", "--waypoints", "0:30.1,30.1"])
     assert np.float32(30.1).item() > 30.1
     below = np.nextafter(np.float32(30.1), np.float32(0)).item()
     assert choose("theirs", *seen, 0, reached.reach) == (below, below)
@@ -187,7 +187,7 @@ def test_no_waypoint_is_rounded_out_of_the_area(plug: Plug, seen: tuple[Belief, 
 @pytest.mark.parametrize(
     ("flags", "line"),
     [
-        (("--policy", "empty.zip"), "--policy: empty.zip: no bundle: File is not a zip file; wanted "),
+        (("--policy", "empty.zip"), "--policy: empty.zip: not a bundle: File is not a zip file; wanted "),
         (("--policy", "a.zip", "--headings", "4"), "--headings is for planners; a.zip moves as it was"),
     ],
     ids=["empty", "headings"],
@@ -246,7 +246,7 @@ def test_a_decision_that_raises_is_told_with_its_place(plug: Plug, seen: tuple[B
     with pytest.raises(PolicyError) as refused:
         choose("theirs", *seen, 0, Reach())
     assert str(refused.value) == f"policy theirs failed: ZeroDivisionError: division by zero ({module}.py, line 3)"
-    assert isinstance(refused.value.__cause__, ZeroDivisionError)  # whose traceback a developer wants
+    assert isinstance(refused.value.__cause__, ZeroDivisionError)  # a developer needs its traceback
 
 
 @pytest.mark.parametrize(
@@ -300,7 +300,7 @@ def test_a_policy_cannot_change_what_the_estimator_believes(plug: Plug, seen: tu
 
 
 def test_particles_lie_in_memory_alike_however_they_came(plug: Plug, seen: tuple[Belief, Particles]) -> None:
-    """The order in which numbers are summed shows in the last bits."""
+    """The memory layout sets the order of summation, which changes the last bits."""
     plug("def theirs(belief, particles, reach, rng): return particles.flags.f_contiguous, particles.flags.writeable")
     belief, particles = seen
     for order in "CF":
@@ -393,7 +393,7 @@ def test_a_policy_that_fails_in_flight_ends_the_mission_with_a_line_that_names_i
 
 
 def examples() -> dict[str, str]:
-    """The files of docs/policies.md: code blocks whose first line names the file."""
+    """The files in docs/policies.md: code blocks whose first line is the file's name."""
     blocks = re.findall(r"^```\w+\n(# (\S+)\n.*?)^```$", (ROOT / "docs" / "policies.md").read_text(), re.DOTALL | re.MULTILINE)
     return {name: text for text, name in blocks}
 

@@ -1,4 +1,4 @@
-"""Protects docs/bus.md: it is what the table of keys says, and every key and field is in it."""
+"""Protects docs/bus.md: it matches the table of keys, and lists every key and field."""
 
 from pathlib import Path
 

@@ -207,7 +207,7 @@ class TestAgent:
             (b"\x00\x00\xc0\x7f" * 3, {}, "NaN"),
             (b"", {"step": -3}, "Expected `int` >= 0"),
             (b"", {"mean": "north"}, "Expected `array`"),
-            (b"\x00\x00\x80\x3f" * 3, {"unknowns": ["a", "b"]}, "unknowns 'a b' are not each another one of x y z q u phi d tau"),
+            (b"\x00\x00\x80\x3f" * 3, {"unknowns": ["a", "b"]}, "unknowns 'a b' are not distinct names of x y z q u phi d tau"),
             (b"\x00\x00\x80\x3f" * 3, {"unknowns": ["x", "x"]}, "unknowns 'x x' are not"),
             (b"\x00\x00\x80\x3f" * 3, {"means": []}, "0 means and 2 stds of 2 unknowns"),
             (b"\x00\x00\x80\x3f" * 3, {"position": [1e308, 5.0]}, "is outside the area [0, 30] x [0, 30] m"),

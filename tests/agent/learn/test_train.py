@@ -142,7 +142,7 @@ def test_the_bundle_says_what_the_learner_says(whole: Callable[[str], Trained], 
     assert msgspec.convert(bundle.page.training, Recipe) == tiny(algorithm)
     assert bundle.page.move == (HeadingAndStep() if algorithm == "ddpg" else Headings(8))
     for observation in np.random.default_rng(0).normal(0, 1, (30, SCHEMAS["polar"].size)).astype(np.float32):
-        action = bundle.page.move.action(bundle._say(observation))[0]
+        action = bundle.page.move.action(bundle._output(observation))[0]
         learned, _ = trained.model.predict(observation, deterministic=True)
         assert action == pytest.approx(learned, abs=1e-5)
 

@@ -1,4 +1,4 @@
-"""Protects every planner's choice: it is the best by scores that plain NumPy works out from the formulas, one place after the other.
+"""Protects every planner's choice: it is the best by scores that plain NumPy computes from the formulas, place by place.
 
 Only the draws are shared with the planners: which particles readings are imagined from, and the noise of each.
 """
@@ -20,7 +20,7 @@ DIFFUSIVITY, LIFETIME, ALTITUDE, HEIGHT = 4.2, 10.0, 5.0, 4.25
 
 
 class World:
-    """A belief, its particles, and what a planner may do."""
+    """A belief, its particles, the possible moves and the planner's choice."""
 
     def __init__(self, seed: int, sensor: Sensor, name: str, count: int = 60, headings: int = 4) -> None:
         rng = np.random.default_rng(seed)
@@ -29,7 +29,7 @@ class World:
         rate = rng.uniform(100, 500, count).astype(np.float32)
         weights = rng.dirichlet(np.ones(count)).astype(np.float32)
         here = np.clip(around + rng.normal(0, 1 + width, 2), 0, 30).astype(np.float32)
-        if seed % 4 == 0:  # close to an edge, each in turn
+        if seed % 4 == 0:  # close to each edge in turn
             here[seed // 4 % 2] = (0.75, 29.5)[seed // 8 % 2]
         speed, direction = rng.uniform(1, 4), rng.uniform(0, 2 * math.pi)
         self.wind = (float(np.float32(speed * math.cos(direction))), float(np.float32(speed * math.sin(direction))))
@@ -53,7 +53,7 @@ class World:
         )  # fmt: skip
 
     def move(self, heading: int) -> list[float]:
-        """A metre in one of the directions, as a float32; east is not a little north."""
+        """The waypoint one metre away in a direction, float32 values; rounding makes east exactly east."""
         angle = 2 * math.pi * heading / self.reach.headings
         return [float(np.float32(p + round(of(angle), 12))) for p, of in zip(self.here, (math.cos, math.sin), strict=True)]
 
@@ -61,7 +61,7 @@ class World:
         return all(0 <= value <= 30 for value in place)
 
     def thin(self, most: int) -> None:
-        """Keep every so many-th particle."""
+        """Keep at most `most` evenly spaced particles."""
         every = -(-len(self.x) // most)
         self.x, self.y, self.rate, self.weights = (values[::every] for values in (self.x, self.y, self.rate, self.weights))
         self.weights = self.weights / self.weights.sum()
@@ -75,7 +75,7 @@ class World:
         return self.rate / (4 * math.pi * DIFFUSIVITY * r) * np.exp(-r / lam + psi)
 
     def density(self, z: float, means: Array) -> Array:
-        """p(z | m) for each m, of hits but for 1/z!."""
+        """p(z | m) for each m; for hits up to a factor that depends on z alone."""
         match self.sensor:
             case Hits(efficiency, background):
                 expected = efficiency * means + background
@@ -91,7 +91,7 @@ class World:
                 return np.exp(-0.5 * ((z - means) / std) ** 2) / (std * math.sqrt(2 * math.pi))
 
     def after(self, paths: list[list[Array]]) -> list[list[Array]]:
-        """Weights (K, N) after readings imagined at each place of each path, those before it counted: paths of places of weights."""
+        """Weights (K, N) at each place of each path, after the hypothetical readings on the path up to there: [path][place]."""
         number = self.reach.measurements
         strata = (np.arange(number) + self.rng.random()) / number
         of = [int(np.argmax(np.cumsum(self.weights) > stratum)) for stratum in strata]
@@ -113,7 +113,7 @@ class World:
         return [weights for (weights,) in self.after([[place] for place in self.moves])]
 
     def information(self, weights: Array) -> float:
-        """Kullback–Leibler divergence from this belief to that, nats."""
+        """Kullback–Leibler divergence from this belief to the one with these weights, nats."""
         some = weights > 0
         return float(weights[some] @ np.log(weights[some] / self.weights[some]))
 
@@ -121,7 +121,7 @@ class World:
         return np.hypot(place[0] - self.x, place[1] - self.y)
 
     def entropy_spread(self) -> float:
-        """Spread of the round normal distribution, of entropy ln(π e σ²), with the entropy of the particles counted in cells."""
+        """Spread σ of the round normal distribution, whose entropy ln(π e σ²) is that of the particles in cells."""
         cell = max(self.spread, 0.1) / 4
         shares: Counter[tuple[int, int]] = Counter()
         for x, y, weight in zip(self.x, self.y, self.weights, strict=True):
@@ -130,7 +130,7 @@ class World:
         return math.sqrt(math.exp(entropy) / (math.pi * math.e))
 
     def ahead(self, steps: float) -> list[Array]:
-        """Places so many steps ahead along each move, in the area."""
+        """Places this many steps ahead along each move, clipped to the area."""
         return [np.clip(np.array(self.here) + steps * (place - self.here), 0, 30) for place in self.moves]
 
 
@@ -139,7 +139,7 @@ def infotaxis(w: World) -> list[float]:
 
 
 def entropy_of_noise(w: World, mean: float) -> float:
-    """−∫ p(z | m) log p(z | m) dz, by the very definition."""
+    """−∫ p(z | m) log p(z | m) dz, by the definition."""
     if isinstance(w.sensor, Hits):
         expected = w.sensor.efficiency * mean + w.sensor.background
         counts = np.arange(int(expected + 12 * math.sqrt(expected) + 30))
@@ -216,7 +216,7 @@ def homing(w: World) -> list[float]:
 
 
 def lookahead(w: World) -> list[float]:
-    """The same after readings two and four steps ahead, and the way there; the best of the two counts."""
+    """The same after readings two and four steps ahead, plus the distance flown; the better of the two places counts."""
     w.thin(500)
     paths = [list(path) for path in zip(w.ahead(2.0), w.ahead(4.0), strict=True)]
     scores = []
@@ -254,7 +254,7 @@ def test_a_planner_chooses_what_its_formula_finds_best(name: str, sensor: Sensor
         chosen.add(world.chosen)
         margins.append(np.diff(np.sort(scores)[-2:])[0])
     assert len(chosen) > 2
-    assert np.median(margins) > 1e-4  # the best is told from the second
+    assert np.median(margins) > 1e-4  # the best move is clearly better than the second
 
 
 @pytest.mark.parametrize("name", ["homing", "lookahead"])
@@ -262,13 +262,13 @@ def test_of_many_particles_every_so_many_th_is_planned_with(name: str) -> None:
     for seed in range(8):
         world = World(seed, GAUSSIAN, name, count=1001, headings=8)
         scores = ORACLES[name](world)
-        assert len(world.x) == 334  # every third of 1,001: of every second 501 would be left
+        assert len(world.x) == 334  # every third of 1,001; every second would leave 501, above the limit of 500
         assert scores[world.chosen] == pytest.approx(max(scores), rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ORACLES)
 def test_in_a_world_turned_by_a_quarter_the_choice_turns_too(name: str) -> None:
-    """Places and wind turned about the middle of the area, over and over; spreads are such that cells turn with it."""
+    """Places and wind are rotated about the area's centre four times. The spread is chosen so that cells map onto cells."""
     for seed in range(6):
         world = World(seed, GAUSSIAN, name)
         world.here, world.spread = (11.5 + seed, 13.25), 2.0
@@ -294,7 +294,10 @@ def test_in_a_world_turned_by_a_quarter_the_choice_turns_too(name: str) -> None:
     ],
 )
 def test_of_two_places_the_near_one_is_looked_at_first(name: str, towards: bool) -> None:
-    """In still air, 2 m to one side or 12 m to the other: a reading nearer to the near one tells most. What wants to learn little flees."""
+    """In still air the source is 2 m to one side or 12 m to the other. A reading nearer to the near place is the most informative.
+
+    entrotaxis-belief prefers beliefs that stay uncertain, so it moves away.
+    """
     for heading, (x, y) in enumerate([(1, 0), (0, 1), (-1, 0), (0, -1)]):
         world = World(1, GAUSSIAN, name)
         world.here, world.wind = (15.0, 15.0), (0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Protects moves and planners: each score against the same quantity integrated numerically, by formulas of the test's own."""
+"""Protects moves and planners: each score against the same quantity, integrated numerically with independent formulas."""
 
 import math
 
@@ -31,7 +31,7 @@ def particles_of(count: int, seed: int, low: float = 5.0, high: float = 25.0) ->
 
 
 def mean_and_std(place: np.ndarray, x: float, y: float) -> tuple[float, float]:
-    """Mean and noise of a reading at a place for a source at (x, y): the paper's section 2, once more."""
+    """Mean and noise of a reading at a place for a source at (x, y), by the paper's section 2."""
     dx, dy = place[0] - x, place[1] - y
     r = max(math.hypot(dx, dy), 0.1)
     u2 = WIND[0] ** 2 + WIND[1] ** 2
@@ -41,13 +41,13 @@ def mean_and_std(place: np.ndarray, x: float, y: float) -> tuple[float, float]:
 
 
 class Exact:
-    """What a reading at a place does to a belief, by a fine sum over all readings there can be."""
+    """The effect of a reading at a place on a belief, by a fine sum over all possible readings."""
 
     def __init__(self, particles: np.ndarray, place: np.ndarray) -> None:
         x, y, weights = particles.astype(float).T
         weights = weights / weights.sum()
         spots = [mean_and_std(place, *at) for at in zip(x, y, strict=True)]
-        # Fine where readings are narrow (σ ≥ 0.2), coarse where they are wide (σ about 0.3 z).
+        # A fine grid where the noise is small (σ ≥ 0.2), a coarse one where it is large (σ about 0.3 z).
         grid = np.concatenate([np.arange(-3, 20, 0.01), 20 * np.exp(np.arange(0, 4.5, 0.001))])
         steps = np.gradient(grid)
         densities = np.array([np.exp(-0.5 * ((grid - m) / s) ** 2) / (s * math.sqrt(2 * math.pi)) for m, s in spots])
@@ -78,7 +78,7 @@ def test_scores_converge_to_their_integrals(seed: int) -> None:
         return imagine(belief_at(HERE), hypotheses, moves, 40_000, np.random.default_rng(seed), values)
 
     said = draws(seed)
-    # Information and entropy of one imagined reading scatter by about 1 nat: 4 standard errors of 40,000 are 0.02.
+    # Information and entropy of one hypothetical reading scatter by about 1 nat: 4 standard errors of 40,000 are 0.02.
     assert said.gains.mean(axis=1) == pytest.approx([e.information for e in exact], abs=0.02)
     assert -said.log_predictive.mean(axis=1) == pytest.approx([e.entropy for e in exact], abs=0.02)
     noise = GAUSSIAN.entropy(said.means) @ hypotheses.weights
@@ -86,7 +86,7 @@ def test_scores_converge_to_their_integrals(seed: int) -> None:
     mean_x, mean_y, squares, log_weights = said.expectations.transpose(2, 0, 1)
     left = said.log_predictive - said.log_likelihood - log_weights
     assert left.mean(axis=1) == pytest.approx([e.entropy_of_weights for e in exact], abs=0.02)
-    # Variances of 30 m² or so scatter by as much again: 4 standard errors are 0.6 m².
+    # Variances of about 30 m² have a standard deviation of about 30 m²: 4 standard errors are 0.6 m².
     assert variances(belief_at(HERE), hypotheses, moves, 40_000, np.random.default_rng(seed)).mean(axis=1) == pytest.approx(
         [e.variance for e in exact], abs=0.6
     )
@@ -107,7 +107,7 @@ def test_a_planner_goes_where_its_integral_is_best(name: str, quantity: str, sig
         chosen += exact[planner(name)(belief_at((11.0, 13.0)), particles, FOUR, np.random.default_rng(seed))]
         best += max(exact)
         average += sum(exact) / 4
-    # 25 imagined readings do not always find the best of four moves, but lose far less than a random move.
+    # With 25 hypothetical readings the best of four moves is not always found, but the loss is far below that of a random move.
     assert best - chosen < 0.5 * (best - average)
 
 
@@ -129,7 +129,7 @@ def test_entrotaxis_goes_where_counts_are_the_least_certain() -> None:
 
 
 def test_what_dcee_wants_does_not_depend_on_the_reading() -> None:
-    """By the law of total expectation E‖p' − s‖² after a reading is the same as before it: only chance tells dcee from greedy."""
+    """By the law of total expectation, E‖p' − s‖² after a reading equals that before it: dcee and greedy differ only by chance."""
     particles = particles_of(12, 4)
     x, y, weights = particles.astype(float).T
     for place in FOUR.moves(HERE):
@@ -226,13 +226,13 @@ def test_who_is_certain_heads_for_the_source(name: str) -> None:
 
 
 def test_the_spread_of_entropy_is_that_of_a_normal_belief() -> None:
-    # 20,000 particles in some 130 cells: entropy is known to 0.01 nats, cells blur a variance by 1/12 of their area, 0.5% of it.
+    # 20,000 particles in some 130 cells: the entropy is accurate to 0.01 nats. Cells add 1/12 of their area to a variance, 0.5%.
     places = np.random.default_rng(3).normal((15.0, 12.0), 2.0, (20_000, 2)).T
     assert entropy_spread(Cloud(places, np.full(20_000, 1 / 20_000)), math.sqrt(8)) == pytest.approx(math.sqrt(8), rel=0.02)
 
 
 def test_the_spread_of_entropy_shrinks_where_places_are_ruled_out_and_the_spread_does_not() -> None:
-    # Uniform over an area A it is sqrt(A / (π e)); over its left and its right third, that by sqrt(2/3).
+    # For a uniform distribution over an area A it is sqrt(A / (π e)); over its left and right thirds, sqrt(2/3) of that.
     places = np.random.default_rng(4).uniform(0, 24, (2, 40_000))
     outer = places[:, np.abs(places[0] - 12) > 4]
     spreads = [math.sqrt(of.var(axis=1).sum()) for of in (places, outer)]
@@ -244,7 +244,7 @@ def test_the_spread_of_entropy_shrinks_where_places_are_ruled_out_and_the_spread
 
 @pytest.mark.parametrize("name", ["lookahead", "homing"])
 def test_who_is_almost_certain_of_one_of_two_places_looks_at_the_nearer_one(name: str) -> None:
-    # 2 m to the east or 12 m to the west, as likely: east is found out by going there, and costs little.
+    # The source is 2 m to the east or 12 m to the west, equally likely: going east costs little and tells which.
     particles = np.array([[16.0, 13.0, 0.5], [2.0, 13.0, 0.5]], np.float32)
     belief = belief_at(HERE, mean=(9.0, 13.0))
     assert planner(name)(belief, particles, FOUR, np.random.default_rng(1)) == 0

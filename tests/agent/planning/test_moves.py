@@ -1,4 +1,4 @@
-"""Protects what a learned policy's actions mean: waypoints by hand, in the frame that the policy looks in, and in the area."""
+"""Protects the meaning of a learned policy's actions: hand-worked waypoints, in the observation's frame and inside the area."""
 
 import math
 
@@ -14,7 +14,7 @@ EAST_MIRRORED, NORTH_MIRRORED, SLANTED_MIRRORED = (1.0, 0.0, -1.0), (0.0, 1.0, -
 
 
 def lead(move: Move, position: tuple[float, float], frame: tuple[float, float, float], action: object) -> list[float]:
-    """Where one action leads."""
+    """The waypoint of one action."""
     place = move.waypoints(np.array([position]), np.array([frame]), np.array([action]), AREA_M)
     assert place.shape == (1, 2)
     return place[0].tolist()
@@ -48,7 +48,7 @@ def test_headings_are_evenly_spaced() -> None:
         (EAST, (0.0, -1.0), (10, 10)), (EAST, (0.0, 0.0), (10.5, 10)), (EAST, (0.0, -0.5), (10.25, 10)),
         (NORTH, (0.5, 0.0), (9.5, 10)), (EAST_MIRRORED, (0.5, 1.0), (10, 9)), (NORTH_MIRRORED, (0.5, 1.0), (11, 10)),
         (SLANTED_MIRRORED, (0.5, 0.0), (10.4, 9.7)),
-        (EAST, (7.0, 7.0), (9, 10)), (EAST, (0.0, -7.0), (10, 10)),  # what a network says beyond its bounds is as at them
+        (EAST, (7.0, 7.0), (9, 10)), (EAST, (0.0, -7.0), (10, 10)),  # outputs beyond the bounds are clipped
     ],
 )  # fmt: skip
 def test_a_heading_and_a_step_lead_where_they_say(frame: tuple, action: tuple, expected: tuple) -> None:
@@ -67,7 +67,7 @@ def test_no_move_leads_out_of_the_area() -> None:
 
 
 def moves_of(count: int) -> list[tuple[Move, np.ndarray, np.ndarray, np.ndarray]]:
-    """Both ways to move, with so many positions, frames and actions."""
+    """Both kinds of moves, each with `count` positions, frames and actions."""
     rng = np.random.default_rng(count)
     positions = rng.uniform(2, 28, (count, 2)).astype(np.float32).astype(np.float64)
     angles = rng.uniform(-np.pi, np.pi, count)

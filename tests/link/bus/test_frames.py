@@ -1,4 +1,4 @@
-"""Protects the one scanner of MAVLink frames: MAVLink 1, 2 and signed, each found whole or not at all, as pymavlink frames them."""
+"""Protects the scanner of MAVLink frames: MAVLink 1, 2 and signed frames are found whole or not at all, as by pymavlink."""
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink

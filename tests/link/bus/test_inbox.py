@@ -1,4 +1,4 @@
-"""Protects a service's memory and its stop: however much arrives, a bounded part waits, each kind on its own, and who puts goes on."""
+"""Protects the inbox: however much arrives, a bounded amount waits, per kind of message, and no sender blocks."""
 
 import queue
 import threading

@@ -1,4 +1,4 @@
-"""Protects what operators search: one line an event, whatever the text holds, with service, mission and step; people get it plain."""
+"""Protects the log: one line per event, whatever its text, with service, mission and step; and its readable form."""
 
 import io
 import logging
@@ -137,7 +137,7 @@ def test_a_log_that_cannot_be_written_ends_no_service(monkeypatch: pytest.Monkey
 
 
 def test_each_line_is_flushed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A service that is killed has said what it said."""
+    """Lines logged before a service is killed are not lost."""
 
     class Pipe(io.StringIO):
         flushed = ""

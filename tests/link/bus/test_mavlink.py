@@ -1,4 +1,4 @@
-"""Protects the frames of the search against a second opinion: values packed and read by pymavlink field by field."""
+"""Protects the frames of the search: compared with values that pymavlink packs and reads field by field."""
 
 import math
 

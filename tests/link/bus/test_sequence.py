@@ -34,7 +34,7 @@ def test_a_restarted_publisher_counts_from_0_again() -> None:
 
 def test_missing_messages_are_asked_for_at_once_and_then_less_and_less_often() -> None:
     sequence: Sequence[str] = Sequence(100)
-    for began_s in (10.0, 100.0):  # those that are missing later are no less urgent
+    for began_s in (10.0, 100.0):  # a later gap is as urgent as the first
         number = int(began_s)
         sequence.arrived("uav", number + 1, "later", began_s)
         now_s, every_s = began_s, ASK_FIRST_S
@@ -85,7 +85,7 @@ def test_one_that_waits_twice_is_delivered_once() -> None:
 
 
 def test_nothing_is_given_up_while_what_is_missing_keeps_coming() -> None:
-    """A late joiner computes on each of thousands of kept readings, while a live one waits for all of them."""
+    """A late joiner computes on each of thousands of kept readings, while a live reading waits for all of them."""
     sequence: Sequence[int] = Sequence(100)
     sequence.arrived("uav", 20, 20, 0.0)
     now_s, delivered = 0.0, []
@@ -100,7 +100,7 @@ def test_a_flood_that_never_gets_in_order_has_a_bounded_part_of_it_wait() -> Non
     sequence: Sequence[int] = Sequence(100)
     for number in range(1, 100_001):
         assert sequence.arrived("stranger", number, number, 0.0) == []
-    assert sequence.arrived("uav", 0, 0, 0.0) == [0]  # what is in order needs no room
+    assert sequence.arrived("uav", 0, 0, 0.0) == [0]  # a message in order needs no room
     assert sequence.dropped == 100_000 - 100
     assert sequence.given_up(GIVE_UP_S) == (1, list(range(1, 101)))
 
@@ -117,7 +117,7 @@ def test_a_message_that_found_no_room_is_asked_for_and_taken_when_it_comes_again
 
 def test_big_messages_find_room_for_fewer() -> None:
     sequence: Sequence[bytes] = Sequence(100, 1000, len)
-    for life in range(3):  # where messages leave there is room again
+    for life in range(3):  # released messages make room again
         for number in range(1, 6):
             sequence.arrived(f"uav {life}", number, bytes(300), 0.0)
         assert [len(message) for message in sequence.given_up(GIVE_UP_S)[1]] == [300, 300, 300]

@@ -1,4 +1,4 @@
-"""Protects the session on the bus: late joiners, liveliness, what is refused, and errors that say what to do."""
+"""Protects the session on the bus: late joiners, liveliness, refusals, and errors that tell what to do."""
 
 import json
 import threading
@@ -38,7 +38,7 @@ def stranger(router: str) -> Iterator[zenoh.Session]:
 
 
 def flood(stranger: zenoh.Session, wait_until: Callable[..., None], key: str, count: int) -> None:
-    """Publish so much, as fast as it is taken."""
+    """Publish this many messages, as fast as they are accepted."""
     publisher = stranger.declare_publisher(f"uav/1/{key}", congestion_control=zenoh.CongestionControl.BLOCK)
     wait_until(lambda: publisher.matching_status.matching)
     for number in range(count):
@@ -47,12 +47,12 @@ def flood(stranger: zenoh.Session, wait_until: Callable[..., None], key: str, co
 
 
 def came(bus: Bus, key: str) -> int:
-    """How many messages of a key have come to a bus that takes none."""
+    """Number of messages of a key that wait at a bus that receives none."""
     lane = bus._inbox._lanes[key]
     return len(lane.waiting) + lane.dropped
 
 
-@pytest.mark.parametrize("attempt", range(8))  # the loss that this guards against came in every fourth join
+@pytest.mark.parametrize("attempt", range(8))  # the loss occurred in every fourth join
 def test_a_late_joiner_gets_all_readings_in_order_while_more_are_published(router: str, attempt: int) -> None:
     wanted = [str(n).encode() for n in range(400)]
     with Bus("uav", router) as uav, Bus("estimator", router) as estimator:
@@ -106,7 +106,7 @@ def test_a_flood_of_commands_waits_in_part_only_and_the_stop_still_arrives(
         uav.subscribe(MAVLINK_IN, STOP)
         flood(stranger, wait_until, "mavlink/in", count // 2)
         estimator.publish(STOP, CLAIM)
-        wait_until(lambda: came(uav, "agdc/stop"))  # though nothing is taken
+        wait_until(lambda: came(uav, "agdc/stop"))  # although nothing is received
         flood(stranger, wait_until, "mavlink/in", count // 2)
         wait_until(lambda: came(uav, "mavlink/in") == count, timeout_s=120)
         assert uav._inbox.waiting() == WAITING_MESSAGES + 1
@@ -160,7 +160,7 @@ def test_a_wait_ends_in_time_however_many_messages_come_again(router: str, monke
         again = _Numbered("uav", 0, Arrival(READING, b"frames", b""))
         estimator._inbox.put(again)
         assert estimator.receive(timeout_s=10.0) == again.arrival
-        monkeypatch.setattr(estimator._inbox, "get", lambda timeout: again)  # a flood without an end
+        monkeypatch.setattr(estimator._inbox, "get", lambda timeout: again)  # an endless flood
         assert estimator.receive(timeout_s=0.1) is None
 
 

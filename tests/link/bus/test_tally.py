@@ -1,4 +1,4 @@
-"""Protects what a service says of itself: rates of the last seconds, refusals that are still news, and health without being asked."""
+"""Protects the health of a service: recent rates, recent refusals, and publication without being asked."""
 
 import json
 import time
@@ -14,7 +14,7 @@ from link.bus.tap import Tap
 
 
 class Clock:
-    """Time that the test decides."""
+    """A clock that the test sets."""
 
     def __init__(self) -> None:
         self.s = 100.0
@@ -143,5 +143,5 @@ def test_latency_is_from_the_arrival_of_what_was_answered_waiting_included(route
 
 def test_who_looks_on_is_not_counted_among_the_services(router: str, wait_until: Callable[..., None]) -> None:
     with Bus("status", router, announced=False) as looker, Bus("agent", router):
-        wait_until(looker.services)  # a token takes its time to the router
+        wait_until(looker.services)  # until the token has reached the router
         assert looker.services() == {"agent"}

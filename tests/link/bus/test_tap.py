@@ -1,4 +1,4 @@
-"""Protects what a record is made from: every message once, with the publisher's time, also those from before one listened."""
+"""Protects the source of records: every message once, with the publisher's time, also messages from before the tap joined."""
 
 import json
 import os
@@ -20,7 +20,7 @@ MS = 1_000_000
 
 
 def taken(tap: Tap, wait_until: Callable[..., None], count: int) -> list[Stamped]:
-    """Take until so many have come, and a last time for any that come too often."""
+    """Take until this many messages have arrived, then once more, to notice duplicates."""
     messages: list[Stamped] = []
     wait_until(lambda: messages.extend(tap.take()) or len(messages) >= count)
     time.sleep(0.1)
@@ -56,13 +56,13 @@ def test_messages_of_many_are_taken_in_the_order_in_which_they_were_published(ro
             return sum(map(len, batches)) >= len(expected)
 
         tap.subscribe(*KEYS)
-        wait_until(lambda: agent.publish(MAVLINK_IN, b"?") or tap.take())  # waypoints are not kept for who is not known to listen yet
+        wait_until(lambda: agent.publish(MAVLINK_IN, b"?") or tap.take())  # waypoints are not kept for subscribers not yet known
         for _, payload in expected[::2]:
             uav.publish(READING, payload)
             agent.publish(MAVLINK_IN, payload, b"array")
         wait_until(all_there)
     assert sorted((message.name, message.payload) for batch in batches for message in batch) == sorted(expected)
-    for batch in batches:  # from one batch to the next they may overtake each other on their way here
+    for batch in batches:  # messages of different batches may overtake each other
         order = [expected.index((message.name, message.payload)) for message in batch]
         assert order == sorted(order)
         assert all(message.published_ns <= message.received_ns <= time.time_ns() for message in batch)
@@ -113,7 +113,7 @@ def test_an_overtaken_message_is_put_where_it_was_published_but_was_not_received
 def test_a_message_from_the_future_was_received_when_it_was_taken(
     router: str, wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    slow_ns = time.time_ns() - 10_000 * MS  # the clock of who taps is late
+    slow_ns = time.time_ns() - 10_000 * MS  # the tap's clock is late
     monkeypatch.setattr("link.bus.tap.time", SimpleNamespace(time_ns=lambda: slow_ns, monotonic=time.monotonic))
     with Tap("recorder", router) as tap, Bus("agent", router) as agent:
         tap.subscribe(MAVLINK_IN)
@@ -148,9 +148,9 @@ def test_the_newest_time_is_that_which_was_published_last() -> None:
     clock = SimulationClock()
     later, earlier = (UAV.pack(_at(time_boot_ms)) for time_boot_ms in (5000, 4000))
     assert clock.time_s("mavlink/out", later, 20) == 5.0
-    assert clock.time_s("mavlink/out", earlier, 10) == 4.0  # overtaken on its way
+    assert clock.time_s("mavlink/out", earlier, 10) == 4.0  # it was overtaken
     assert clock.time_s("health/uav", b"", 30) == 5.0
-    assert clock.time_s("mavlink/out", earlier, 40) == 4.0  # a vehicle that has begun anew
+    assert clock.time_s("mavlink/out", earlier, 40) == 4.0  # a restarted vehicle
     assert clock.time_s("health/uav", b"", 50) == 4.0
 
 
@@ -159,7 +159,7 @@ def _at(time_boot_ms: int) -> object:
 
 
 def test_who_taps_leaves_the_environment_as_it_was(router: str) -> None:
-    """Zenoh reads how many threads it may have from there: a setting for the recorder would be one for all that are started later."""
+    """Zenoh reads its number of threads from the environment: a setting for the recorder would affect all parts started later."""
     before = dict(os.environ)
     with Tap("recorder", router):
         assert dict(os.environ) == before

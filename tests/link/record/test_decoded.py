@@ -1,4 +1,4 @@
-"""Protects what viewers are given: decoded as pymavlink decodes, and by schemas that the plainest of viewers can read."""
+"""Protects the data for viewers: decoded as by pymavlink, with schemas that the simplest viewer can read."""
 
 import json
 import math
@@ -20,7 +20,7 @@ POSITION, WIND, _ = (bytes(message.get_msgbuf()) for message in unpack(pack_read
 
 
 def frame(kind: str, payload: bytes, flags: int = 0) -> bytes:
-    """A MAVLink 2 frame made by hand: header, payload, and the checksum over both and the type's own byte."""
+    """A hand-made MAVLink 2 frame: header, payload, and the checksum over both and CRC_EXTRA."""
     message = mavlink.mavlink_map[getattr(mavlink, f"MAVLINK_MSG_ID_{kind}")]
     head = bytes([0xFD, len(payload), flags, 0, 7, 42, 191]) + message.id.to_bytes(3, "little")
     crc = mavlink.x25crc(head[1:] + payload + bytes([message.crc_extra])).crc
@@ -28,7 +28,7 @@ def frame(kind: str, payload: bytes, flags: int = 0) -> bytes:
 
 
 def by_pymavlink(payload: bytes) -> list[dict[str, Any]]:
-    """What pymavlink makes of it; what JSON cannot say is left out."""
+    """The frame decoded by pymavlink, without the values that JSON cannot express."""
     found = []
     for message in mavlink.MAVLink(None).parse_buffer(payload):
         fields = message.to_dict()
@@ -47,8 +47,8 @@ def test_every_type_of_message_is_decoded_as_pymavlink_does_and_keeps_to_its_sch
     rng = random.Random(kind)
     size = mavlink.mavlink_map[getattr(mavlink, f"MAVLINK_MSG_ID_{kind}")].unpacker.size
     schema = {**message_schema(kind), "additionalProperties": False}
-    for length in (size, rng.randint(1, size), min(size + 3, 255)):  # whole, with zeros left out at its end, of a later version
-        for make in (rng.randbytes, lambda length: b"\xff" * length):  # floats of ones alone are NaN
+    for length in (size, rng.randint(1, size), min(size + 3, 255)):  # whole; without trailing zeros; of a later version
+        for make in (rng.randbytes, lambda length: b"\xff" * length):  # a float with all bits set is NaN
             payload = frame(kind, make(length)) + frame("HEARTBEAT", bytes(9))
             messages = decode(payload)
             assert [json.loads(message.fields) for message in messages] == by_pymavlink(payload)
@@ -102,7 +102,7 @@ def test_what_is_no_reading_is_refused_with_the_estimators_reason(payload: bytes
     "schema", [*map(message_schema, [*TYPES, "UNKNOWN"]), *map(struct_schema, STRUCTS)], ids=lambda schema: schema["title"]
 )
 def test_a_schema_is_one_that_viewers_can_read(schema: dict[str, Any]) -> None:
-    """By the rules of Foxglove's reader, which are the strictest: a plain object of plain fields, down to the last."""
+    """By the rules of Foxglove's reader, the strictest: a plain object with plain fields at every level."""
     jsonschema.Draft202012Validator.check_schema(schema)
 
     def check(part: dict[str, Any]) -> None:

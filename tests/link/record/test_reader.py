@@ -1,4 +1,4 @@
-"""Protects those who read records: formats are named; a strange, a hostile or a growing file neither hangs them nor fills the memory."""
+"""Protects the reading of records: unknown formats are named; strange, hostile or growing files neither hang nor exhaust memory."""
 
 import io
 import os
@@ -39,7 +39,7 @@ def as_record(*records: Any) -> bytes:
 
 
 def packed_anew(log: Path, compression: CompressionType) -> bytes:
-    """The same record as another tool writes it: all of it in one chunk."""
+    """The same record as another tool writes it, in one chunk."""
     out = io.BytesIO()
     writer = OthersWriter(out, compression=compression)
     writer.start()
@@ -85,12 +85,12 @@ def test_a_record_of_another_format_is_refused_by_name(tmp_path: Path, written_a
     assert refused(log) == f"{log} has record format {told} of another plumeward version; readable formats: 0, 1"
 
 
-# ---- no files, and other files ----
+# ---- missing files, and files of other kinds ----
 
 
 def test_a_pipe_a_folder_and_a_device_are_refused_without_being_opened(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.mcap"
-    os.mkfifo(pipe)  # to open it would wait for a writer
+    os.mkfifo(pipe)  # opening it would wait for a writer
     for path in (pipe, tmp_path, Path("/dev/zero")):
         assert refused(path) == f"{path} is not a file that can be read as a log; wanted an .mcap or a .tlog"
 
@@ -108,7 +108,7 @@ def test_a_record_that_another_tool_packed_anew_is_read(tmp_path: Path, compress
     assert read(anew) == read(log)
 
 
-# ---- files that are not whole ----
+# ---- truncated and damaged files ----
 
 
 def test_a_record_that_is_still_being_written_is_read_up_to_its_last_flush(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_a_chunk_that_is_there_twice_gives_its_messages_twice(tmp_path: Path) ->
     assert read(log).entries == [*ENTRIES[:3], *ENTRIES[:3]]
 
 
-# ---- files that are made to hurt ----
+# ---- hostile files ----
 
 FAR_TOO_MUCH = 5_000_000_000_000
 CLAIMS_TERABYTES = b"\x28\xb5\x2f\xfd\xc0\x58" + FAR_TOO_MUCH.to_bytes(8, "little") + b"\x01\x00\x00"
@@ -191,7 +191,7 @@ def test_a_chunk_that_comes_to_far_too_much_ends_the_record(tmp_path: Path, comp
     log = written(tmp_path / "run.mcap", ENTRIES[:2], flush_each=True)
     bomb = as_record(Chunk(compression, data, 0, 0, 1, claimed))
     whole = log.read_bytes()
-    end = whole.rindex(b"\x0f" + (4).to_bytes(8, "little"))  # where the data end: what lies before it is whole
+    end = whole.rindex(b"\x0f" + (4).to_bytes(8, "little"))  # the end of the data; all before it is whole
     log.write_bytes(whole[:end] + bomb + whole[end:])
     tracemalloc.start()
     try:

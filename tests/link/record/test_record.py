@@ -1,4 +1,4 @@
-"""Protects records: what is written is read back byte for byte, other people's readers read it, and a file cut off reads up to there."""
+"""Protects records: they read back byte for byte, other readers can read them, and a truncated file reads up to the cut."""
 
 import contextlib
 import io
@@ -108,7 +108,7 @@ def test_what_is_decoded_is_what_flew(log: Path) -> None:
     found = topics(log)
     attitude = found["mavlink/out/ATTITUDE"][0][1]
     assert (attitude["time_boot_ms"], attitude["roll"], attitude["simulation_s"]) == (2500, pytest.approx(0.1), 2.5)
-    assert attitude.get("pitch") is None  # not a number: JSON cannot say it
+    assert attitude.get("pitch") is None  # NaN, which JSON cannot express
     sample = found["reading/decoded"][0][1]
     assert [sample[name] for name in ("x", "y", "altitude_m", "wind_x", "wind_y", "gas")] == [3.25, 4.5, 5.0, 2.0, -1.0, 0.75]
     waypoint = found["mavlink/in/SET_POSITION_TARGET_LOCAL_NED"][0][1]
