@@ -172,7 +172,10 @@ def test_the_agent_searches_all_of_the_area_that_it_is_told_of(seen: tuple[Belie
 
 def test_scripted_waypoints_may_lie_in_all_of_the_area() -> None:
     assert _parse("agent", ["--area", "60", "--waypoints", "3:59.5,0;60,1"]).scripted == {3: (59.5, 0.0), 4: (60.0, 1.0)}
-    assert _parse("agent", ["--waypoints", "0:30,0.1", "--waypoints", "4:2,3"]).scripted == {0: (30.0, float(np.float32(0.1))), 4: (2.0, 3.0)}
+    assert _parse("agent", ["--waypoints", "0:30,0.1", "--waypoints", "4:2,3"]).scripted == {
+        0: (30.0, float(np.float32(0.1))),
+        4: (2.0, 3.0),
+    }
 
 
 def test_no_waypoint_is_rounded_out_of_the_area(plug: Plug, seen: tuple[Belief, Particles]) -> None:

@@ -203,7 +203,7 @@ class TestAgent:
     def test_it_survives_what_is_no_belief(self, agent, stranger: Stranger, wait_until: Callable) -> None:
         waypoints, put = stranger.subscribe("mavlink/in"), self.publish(stranger)
         for attachment, changes, words in (
-            (b"123", {}, "no particle array"),
+            (b"123", {}, "the particle array has 3 bytes"),
             (b"\x00\x00\xc0\x7f" * 3, {}, "NaN"),
             (b"", {"step": -3}, "Expected `int` >= 0"),
             (b"", {"mean": "north"}, "Expected `array`"),
