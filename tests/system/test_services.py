@@ -86,7 +86,7 @@ class TestEstimator:
         for words in (
             "gas is not finite", "(3.0, 30.5) is outside the area [0, 30] x [0, 30] m", "time_boot_ms 4000 is before 5000",
             "malformed frame", "is absurd; allowed is -106.1", "a reading of system 2; this is the estimator of system 1",
-            "5000 again, but it is another",
+            "5000 again, with other values",
         ):  # fmt: skip
             wait_until(
                 lambda words=words: any("level=warning" in line and "refused reading: " in line and words in line for line in estimator.err)
