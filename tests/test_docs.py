@@ -64,6 +64,7 @@ INSTEAD = {
     "plumeward report":
         "mkdir few && plumeward evaluate --scenarios 2 --missions few/rows.csv && plumeward report --results few --out few",
     "pip install .": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
+    "pip install ./heaviest": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
     "python -m hatchling build": "python -m hatchling build --target wheel",
     "plumeward status": "plumeward status --connect tcp/127.0.0.1:7447",
     "plumeward uav --out udpin:127.0.0.1:14550": "plumeward uav --out udpin:127.0.0.1:7447",
