@@ -17,7 +17,7 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -107,7 +107,7 @@ class Command(NamedTuple):
 
 
 class Session(NamedTuple):
-    """The commands of a block, in order, or the one of a sentence."""
+    """The commands of a block, in order, or those of a whole tutorial, or the one of a sentence."""
 
     page: Path
     commands: tuple[Command, ...]
@@ -161,6 +161,15 @@ def watched(text: str) -> Iterator[Command]:
         yield Command(re.sub(r"\s+#\s.*", "", command), tuple(line for line in shown.splitlines() if line.strip()))
 
 
+SHELLS = {"sh": typed, "console": watched}
+
+
+def said_to_type(page: Path) -> list[tuple[Command, ...]]:
+    """The commands of each block of a page; a tutorial is one story, each of its blocks needs those before it."""
+    each = [tuple(SHELLS[block.language](block.text)) for block in blocks(page) if block.language in SHELLS]
+    return [tuple(chain.from_iterable(each))] if page.parent.name == "tutorials" else each
+
+
 def spans(page: Path) -> Iterator[str]:
     """The code spans of a page's sentences."""
     prose = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
@@ -181,8 +190,7 @@ def mentioned(span: str) -> str:
 
 def sessions() -> list[Session]:
     """All that is to be run; what another page or a sentence only repeats is run once."""
-    found = [Session(block.page, tuple(typed(block.text))) for block in of("sh")]
-    found += [Session(block.page, tuple(watched(block.text))) for block in of("console")]
+    found = [Session(page, commands) for page in PAGES for commands in said_to_type(page)]
     found = [session for number, session in enumerate(found) if not is_a_repeat(session, found[:number])]
     there = {command.text for session in found for command in session.commands}
     for page in PAGES:
@@ -216,7 +224,7 @@ def make_environment(copy: Path) -> None:
     scripts = tomllib.loads((copy / "pyproject.toml").read_text())["project"].get("scripts", {})
     for name, (module, _, function) in {name: target.partition(":") for name, target in scripts.items()}.items():
         (bin_ / name).unlink(missing_ok=True)
-        (bin_ / name).write_text(f"#!/usr/bin/env python\nfrom {module} import {function}\n{function}()\n")
+        (bin_ / name).write_text(f"#!/usr/bin/env python\nfrom {module} import {function}\nif __name__ == '__main__':\n    {function}()\n")
         (bin_ / name).chmod(0o755)
     (copy / ".venv" / ".ready").touch()
 
