@@ -31,7 +31,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"sh", "console", "python", "yaml", "toml", "text", "mermaid"}
 """sh: commands. console: commands behind `$ `, each with what it prints below it. text and mermaid: nothing to run."""
 RUNS = ("python ", "make ", "plumeward ", "pip ", "docker ", "podman ", "source ", "tensorboard ")
-"""A code span in a sentence that begins so is a command, too."""
+"""Code spans in sentences that begin with one of these are commands, too."""
 OURS = r"(plumeward|python -m (sitl|agent))"
 SHORTER = {
     rf"{OURS} (fly|uav)\b.*": "--speedup 0",
@@ -85,9 +85,9 @@ STAYS = {
     "plumeward agent --connect tcp/127.0.0.1:7447 --policy infotaxis": "ceased at step",  # says the estimator: a whole mission is flown
     "tensorboard --logdir runs/train": "http://",
 }
-"""Commands that stay up, and what must have been said before the next command of the block is run; then they are interrupted."""
+"""Commands that stay up, and what each must print before the next command of the block runs. At the end they are interrupted."""
 VARIES = re.compile(r"router at|runs/\d|begun 20|messages in|^time=|^(belief|health|mavlink|reading)|replayed in")
-"""A line of output with figures that are others in each run: times, rates, ports, names."""
+"""Lines of output whose figures differ between runs: times, rates, ports, names."""
 
 
 class Block(NamedTuple):
@@ -131,7 +131,7 @@ def of(language: str) -> list[Block]:
 
 
 def named(block: Block) -> str:
-    """The file that a block is: the name in its first line, empty where there is none."""
+    """The file name in a block's first line; empty if there is none."""
     first = re.match(r"# ([\w.-]+\.(py|toml|yaml))\n", block.text)
     return first[1] if first else ""
 
@@ -189,7 +189,7 @@ def mentioned(span: str) -> str:
 
 
 def sessions() -> list[Session]:
-    """All that is to be run; what another page or a sentence only repeats is run once."""
+    """All sessions to run, without those that only repeat an earlier one."""
     found = [Session(page, commands) for page in PAGES for commands in said_to_type(page)]
     found = [session for number, session in enumerate(found) if not is_a_repeat(session, found[:number])]
     there = {command.text for session in found for command in session.commands}
@@ -231,9 +231,9 @@ def make_environment(copy: Path) -> None:
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A copy of the checkout to run in, as a user has it; nothing of it stays."""
+    """A copy of the checkout to run in, as a user has it; it is removed afterwards."""
     copy = tmp_path_factory.mktemp("checkout")
-    compiled = [str(path.relative_to(ROOT)) for path in ROOT.glob("[!.]*/**/__pycache__/*.nb[ci]")]  # by numba: that takes a minute
+    compiled = [str(path.relative_to(ROOT)) for path in ROOT.glob("[!.]*/**/__pycache__/*.nb[ci]")]  # by numba, which takes a minute
     for name in (*checkout_files(), *compiled):
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, copy / name)
@@ -248,7 +248,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture
 def said(tmp_path: Path) -> Path:
-    """Where all that a session's processes print is kept."""
+    """The file that collects what a session's processes print."""
     return tmp_path / "said.txt"
 
 
@@ -284,12 +284,12 @@ def ended(command: str, cwd: Path, copy: Path, said: Path) -> int:
 
 @contextmanager
 def staying(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subprocess.Popen]:
-    """Keep a command up until the with block ends: Ctrl-C must end it, where it is ours, and be what ended it."""
+    """Keep a command up until the with block ends. If it is ours, Ctrl-C must end it, and nothing else may."""
     with started(f"exec {command}", cwd, copy, said) as process:
         yield process
         assert process.poll() is None, f"{command}: did not stay up\n{output(said)}"
         if command.startswith("tensorboard "):
-            return  # it has been seen to go on after one: not ours to mend
+            return  # it sometimes ignores the signal
         process.send_signal(signal.SIGINT)
         assert process.wait(30) in (0, 130), f"{command}: an interrupt did not end it cleanly\n{output(said)}"
 
@@ -318,13 +318,13 @@ def words(line: str) -> str:
 
 
 def lacking(shown: tuple[str, ...], printed: str, *, whole: bool) -> list[str]:
-    """The lines that a page shows and a command did not print; figures count where the command was run whole, and where they stay."""
+    """The lines that a page shows and a command did not print. Figures count if the command ran whole and they do not vary."""
     same, alike = {" ".join(line.split()) for line in printed.splitlines()}, set(map(words, printed.splitlines()))
     return [line for line in shown if not (" ".join(line.split()) in same or ((VARIES.search(line) or not whole) and words(line) in alike))]
 
 
 def put_in_place(command: str, copy: Path, said: Path) -> None:
-    """Have the records that a command names: NAME is a mission's, flight.tlog was flown elsewhere."""
+    """Make the records that a command names: NAME is a mission's, flight.tlog another vehicle's."""
     if "NAME" in command and not (copy / "runs" / "NAME.mcap").exists():
         assert ended("plumeward fly missions/wind-shift.yaml --speedup 0 --record runs/NAME.mcap", copy, copy, said) == 0
     if "flight.tlog" in command and not (copy / "flight.tlog").exists():
@@ -364,7 +364,7 @@ def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: 
 
 
 def check_install(command: str) -> None:
-    """An install of this project asks for what there is: a wheel of this version, extras of these names. It is not run here."""
+    """An install names a wheel of this version and extras that exist. It is not run here."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     version = re.search(r'__version__ = "(.+)"', (ROOT / "plume" / "__init__.py").read_text())
     assert version
