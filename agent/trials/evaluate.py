@@ -11,22 +11,21 @@ from collections.abc import Sequence
 from contextlib import closing
 from itertools import groupby
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, TextIO, cast
 
 import msgspec
-from rich.console import Console
-from rich.table import Table
 
 from agent.policies import bundle_path, policy_argument, reach
 from agent.policies import named as policy_names
 from agent.trials.cluster import ClusterError, join, on_cluster
 from agent.trials.figures import COLUMNS, MissionRow, cell, figures
 from agent.trials.files import whole
-from agent.trials.progress import progress_bar
+from agent.trials.progress import with_bar
 from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 from agent.trials.workers import WorkerLost
 from estimator.options import add_sensor_argument
 from link import cli
+from link.terminal import Column, table, tell, width_of
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
 
@@ -34,8 +33,20 @@ FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
 CUT_OFF = "\0"
 """Read for a value that a line of a table does not have."""
-SHOWN = ("ceased", "located", "false_stop", "mtd_m", "mtd_floors", "search_time_s", "decision_ms")
-"""Figures in the table; all are in the JSON."""
+SHOWN = {
+    "ceased": (3, "ceased"),
+    "located": (0, "located"),
+    "false_stop": (1, "false stop"),
+    "mtd_m": (2, "MTD"),
+    "mtd_floors": (4, "MTD in floors"),
+    "search_time_s": (5, "ST"),
+    "decision_ms": (6, "decision"),
+}
+"""Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All are in the JSON."""
+SHARED = {"N": "N = {}", "ζ, m": "ζ = {} m", "missions": "{} missions each"}
+"""How the line above the table says a setting that all rows share."""
+SHORTEST_NAME = 16
+"""A narrow terminal shows at least so many characters of a policy's name."""
 
 
 def address(text: str) -> str:
@@ -51,9 +62,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--policy",
         type=cli.listed(policy_argument),
-        default=["infotaxis"],
+        default=["homing"],
         metavar="NAME,NAME",
-        help=f"of {', '.join(policy_names())}, or bundles, FILE.zip (default: infotaxis)",
+        help=f"of {', '.join(policy_names())}, or bundles, FILE.zip (default: homing)",
     )
     parser.add_argument("--scenarios", type=cli.whole(1, 10_000_000), default=1000, metavar="N", help="missions (default: %(default)s)")
     parser.add_argument(
@@ -102,6 +113,7 @@ def run(args: argparse.Namespace) -> int:
         return cli.BAD_INPUT
     try:
         if args.ray:
+            tell(f"joining the Ray cluster at {args.ray}")
             join(args.ray)
         return _evaluate(sweep, args)
     except ClusterError as error:
@@ -118,11 +130,10 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
 
     try:
         flights = fly_all(sweep, journal, on_cluster if args.ray else on_cores(args.workers))
-        with progress_bar() as progress, closing(flights):
-            task = progress.add_task("missions", total=sweep.count)
-            for flown in flights:
+        starting = "starting on Ray" if args.ray else f"starting {args.workers} worker{'s' * (args.workers > 1)}"
+        with closing(with_bar(flights, sweep.count, "missions", starting)) as all_flown:
+            for flown in all_flown:
                 rows += flown
-                progress.advance(task)
     except KeyboardInterrupt:
         print(f"interrupted: {kept()}", file=sys.stderr)
         raise
@@ -137,9 +148,10 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
             print(f"error: --missions: {error}; what was flown is kept: name another file in the same command", file=sys.stderr)
             return cli.BAD_INPUT
     result = named(rows)
-    print_table(result)
+    taken = args.json or (args.missions and _is_stdout(args.missions))
+    print_table(result, sys.stderr if taken else sys.stdout, "--json")
     if args.json:
-        print(json.dumps(result))
+        print(json.dumps(result), flush=True)
     journal.unlink(missing_ok=True)  # the same sweep may have ended beside this one
     return 0
 
@@ -189,13 +201,26 @@ def _open(path: Path, mode: str, *, compressed: bool) -> IO[str]:
     return cast(IO[str], opener(path, mode, newline=""))
 
 
-def print_table(result: dict[str, Any]) -> None:
-    """Print the figures of `named` as a table, for people."""
-    table = Table(*("policy", "N", "ζ, m", "missions"), *(COLUMNS[key][0] for key in SHOWN), box=None, header_style="bold")
-    for column in table.columns[1:]:
-        column.justify = "right"
-    for name, said in result.items():
-        figures_and_intervals = (cell(said, key).replace(" ", "\n", 1) for key in SHOWN)
-        policy = name.split(" particles=")[0]
-        table.add_row(policy, f"{said['particles']:,}", f"{said['threshold_m']:g}", f"{said['missions']:,}", *figures_and_intervals)
-    Console(stderr=True, width=None if sys.stderr.isatty() else 160).print(table)
+def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> None:
+    """Print the figures of `named` as a table, for people; `elsewhere` says how to see what a narrow terminal leaves out."""
+    said = list(result.values())
+    settings = {
+        "N": [f"{row['particles']:,}" for row in said],
+        "ζ, m": [f"{row['threshold_m']:g}" for row in said],
+        "missions": [f"{row['missions']:,}" for row in said],
+    }
+    shared = [SHARED[name].format(cells[0]) for name, cells in settings.items() if len(set(cells)) == 1]
+    columns = [
+        Column("policy", [name.split(" particles=")[0] for name in result], left=True, least=SHORTEST_NAME, keeps_end=True),
+        *(Column(name, cells) for name, cells in settings.items() if len(set(cells)) > 1),
+        *(Column(COLUMNS[key][0], [cell(row, key) for row in said], rank, name, stacks=True) for key, (rank, name) in SHOWN.items()),
+    ]
+    tell(table(columns, width_of(stream), elsewhere, above=[", ".join([*shared, "[95% interval]"])]), stream)
+
+
+def _is_stdout(path: Path) -> bool:
+    """Whether a file is what stdout goes to, as /dev/stdout is."""
+    try:
+        return os.path.samestat(path.stat(), os.fstat(sys.stdout.fileno()))
+    except (OSError, ValueError):
+        return False

@@ -5,27 +5,26 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
-from rich.table import Table
-from rich.text import Text
 
 from link import cli
 from link.bus.keys import HEALTH
 from link.bus.messages import Health
 from link.bus.session import Arrival, Bus, LivelinessChange, NoRouter
+from link.terminal import Column, table, tell, width_of
 
 PARTS = ("uav", "estimator", "agent")
 STALE_S = 5.0
 """A part says each second how it is doing: one that has not for so long hangs, or its link is cut."""
 WATCH_EVERY_S = 1.0
-WIDTH = 140
-"""Of the table where it does not go to a terminal."""
+SHORTEST_DEED = 20
+"""A narrow terminal shows at least so many characters of what a part does."""
 OK, MISSING, STARTING, STALE, REFUSING = "ok", "missing", "starting", "stale", "refusing"
 COLOURS = {OK: "green", MISSING: "red", STARTING: "yellow", STALE: "red", REFUSING: "yellow"}
 
@@ -114,11 +113,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show it once, or until interrupted; returns 0 where all is well."""
-    console = Console()
-    if not console.is_terminal:
-        console.width = WIDTH
-    live = args.watch and console.is_terminal and not args.json
-    with Live(console=console, auto_refresh=False) if live else _Printer(console) as shown:
+    live = args.watch and sys.stdout.isatty() and not args.json
+    with Live(console=Console(highlight=False), auto_refresh=False) if live else _Printer() as shown:
         while True:
             try:
                 with Bus("status", args.connect, args.namespace, log_level=args.log_level, announced=False) as bus:
@@ -133,11 +129,8 @@ def run(args: argparse.Namespace) -> int:
 class _Printer:
     """Prints what a live display would show."""
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
-
-    def update(self, table: Table, *, refresh: bool) -> None:
-        self._console.print(table)
+    def update(self, table: Group, *, refresh: bool) -> None:
+        tell(table, sys.stdout)
 
     def __enter__(self) -> "_Printer":
         return self
@@ -179,29 +172,38 @@ def _show(args: argparse.Namespace, shown: "Live | _Printer", no_router: str, pa
     else:
         shown.update(_table(args, no_router, parts), refresh=True)
         if no_router and not args.watch:
-            print(f"error: {no_router}", file=sys.stderr)
+            tell(f"error: {no_router}")
     return well
 
 
-def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, Any]]) -> Table:
-    table = Table(title=f"{args.namespace} at {args.connect}", title_justify="left", title_style="bold", box=None, pad_edge=False)
-    for heading, right in (
-        ("part", False), ("status", False), ("does", False), ("step", True), ("per s", True), ("latency, ms", True),
-        ("up, s", True), ("refused", False), ("warnings, last error", False),
-    ):  # fmt: skip
-        table.add_column(heading, justify="right" if right else "left", overflow="fold")
-    verdict = MISSING if no_router else OK
-    table.add_row("router", Text(verdict, COLOURS[verdict]), *[""] * 7)
-    for name, part in parts.items():
-        verdict = part["status"]
-        cells: list[str | Text] = [name, Text(verdict, COLOURS[verdict])]
-        if "state" in part:
-            refused = ", ".join(f"{count} {kind}" for kind, count in part["refused"].items())
-            does = f"{part['state']}: {part['about']}" if part["about"] else part["state"]
-            trouble = "; ".join(dict.fromkeys([*part["warnings"], *([part["last_error"]] if part["last_error"] else [])]))
-            cells += [
-                does, str(part["step"]) if part["step"] >= 0 else "", f"{part['rate_hz']:.2f}", f"{1000 * part['latency_s']:.2f}",
-                f"{part['uptime_s']:.0f}", refused, trouble,
-            ]  # fmt: skip
-        table.add_row(*cells)
-    return table
+def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, Any]]) -> Group:
+    verdicts = [MISSING if no_router else OK, *(part["status"] for part in parts.values())]
+    told = [{}, *(part if "state" in part else {} for part in parts.values())]
+
+    def column(heading: str, text: Callable[[dict[str, Any]], str], rank: int, *, left: bool = False, least: int | None = None) -> Column:
+        return Column(heading, [text(part) if part else "" for part in told], rank, left=left, least=least)
+
+    columns = [
+        Column("part", ["router", *parts], left=True),
+        Column("status", verdicts, left=True, styles=[COLOURS[verdict] for verdict in verdicts]),
+        column("does", _doing, 0, left=True, least=SHORTEST_DEED),
+        column("step", lambda part: str(part["step"]) if part["step"] >= 0 else "", 1),
+        column("per s", lambda part: f"{part['rate_hz']:.2f}", 2),
+        column("latency, ms", lambda part: f"{1000 * part['latency_s']:.2f}", 3),
+        column("up, s", lambda part: f"{part['uptime_s']:.0f}", 4),
+    ]
+    troubles = [line for name, part in parts.items() for line in _troubles(name, part)]
+    return table(columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], troubles)
+
+
+def _doing(part: dict[str, Any]) -> str:
+    return f"{part['state']}: {part['about']}" if part["about"] else str(part["state"])
+
+
+def _troubles(name: str, part: dict[str, Any]) -> list[str]:
+    """Return a line for what a part has refused, and one for each of its warnings and its last error."""
+    if "state" not in part:
+        return []
+    refused = ", ".join(f"{count} {kind}" for kind, count in part["refused"].items())
+    wrong = dict.fromkeys([*part["warnings"], *([part["last_error"]] if part["last_error"] else [])])
+    return [*([f"{name} refused: {refused}"] if refused else []), *(f"{name}: {text}" for text in wrong)]

@@ -4,16 +4,16 @@ import argparse
 import csv
 import json
 import math
-import os
 import statistics
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from link import cli
+from link.terminal import Column, table, tell, width_of
 
 if TYPE_CHECKING:
     from link.record.reader import Recording
@@ -23,6 +23,8 @@ PAUSE_S = 2.0
 """A silence of the whole bus that is worth a line: telemetry alone comes every second."""
 LISTED = 5
 """So many of a kind are told one by one, the rest by their number."""
+SHORTEST_KEY = 12
+"""A narrow terminal shows at least so many characters of a key."""
 LONGEST = 120
 """Characters of what is told of a message that cannot be read."""
 
@@ -80,16 +82,12 @@ def run(args: argparse.Namespace) -> int:
     except (RecordError, FlightError, BadSource, _NoSuchKey) as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    try:
-        if args.csv:
-            _print_csv(rows)
-        else:
-            _print(summary)
-            if args.json:
-                print(json.dumps(summary.fields))
-        sys.stdout.flush()
-    except BrokenPipeError:  # the reader has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if args.csv:
+        _print_csv(rows)
+        return 0
+    _print(summary, sys.stderr if args.json else sys.stdout)
+    if args.json:
+        print(json.dumps(summary.fields))
     return 0
 
 
@@ -325,27 +323,21 @@ def _of_tlog(path: Path, name: str | None) -> tuple[Summary, list[Row]]:
 # ---- printing ----
 
 
-def _print(summary: Summary) -> None:
-    from rich.console import Console
-    from rich.table import Table as RichTable
-
-    console = Console(highlight=False)
+def _print(summary: Summary, stream: TextIO) -> None:
+    tables = summary.tables
+    pauses = [[after - before for before, after in pairwise(sorted(it.published_s))] for it in tables]
+    columns = [
+        Column("key", [it.name for it in tables], left=True, least=SHORTEST_KEY, keeps_end=True),
+        Column("messages", [f"{len(it.published_s):,}" for it in tables]),
+        Column("per s", [_rate(it.published_s) for it in tables], rank=2),
+        Column("per simulated s", [_rate(it.simulation_s) for it in tables], rank=3),
+        Column("repeats", ["" if it.repeats is None else str(it.repeats) for it in tables], rank=4),
+        Column("longest pause, s", [f"{max(each):.2f}" if each else "" for each in pauses], rank=1),
+    ]
+    told = [column for column in columns if any(column.cells) or column.rank < 3]
     for line in summary.head:
-        console.print(line, markup=False, soft_wrap=True)
-    simulated = any(table.simulation_s for table in summary.tables)
-    repeated = any(table.repeats is not None for table in summary.tables)
-    columns = ["key", "messages", "per s", *["per simulated s"] * simulated, *["repeats"] * repeated, "longest pause, s"]
-    grid = RichTable(*columns, box=None, header_style="", pad_edge=False)
-    for column in grid.columns[1:]:
-        column.justify = "right"
-    for table in summary.tables:
-        cells = [table.name, f"{len(table.published_s):,}", _rate(table.published_s)]
-        cells += [_rate(table.simulation_s)] * simulated + ["" if table.repeats is None else str(table.repeats)] * repeated
-        pauses = [after - before for before, after in pairwise(sorted(table.published_s))]
-        grid.add_row(*cells, f"{max(pauses):.2f}" if pauses else "")
-    console.print(grid)
-    for line in summary.tail:
-        console.print(line, markup=False, soft_wrap=True)
+        tell(line, stream)
+    tell(table(told, width_of(stream), "--json", below=summary.tail), stream)
 
 
 def _rate(times: Sequence[float]) -> str:

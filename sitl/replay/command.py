@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from link import cli
+from link.terminal import tell
 from plume import sensor
 from plume.randomness import MAX_SEED
 
@@ -114,12 +115,12 @@ def run(args: argparse.Namespace) -> int:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
     for note in source.notes:
-        print(f"replay: {note}", file=sys.stderr)
+        tell(f"replay: {note}")
     try:
         while True:
             began = time.monotonic()
             result = replay(source, rules, args.speedup, args.connect)
-            _tell(result, source, rules, time.monotonic() - began)
+            tell(_text(result, source, rules, time.monotonic() - began), sys.stderr if args.json else sys.stdout)
             if result.difference or not args.loop:
                 break
     except KeyboardInterrupt:
@@ -133,25 +134,24 @@ def run(args: argparse.Namespace) -> int:
     return cli.FAILED if result.difference else 0
 
 
-def _tell(result: "Replayed", source: "Source", rules: "Rules | None", took_s: float) -> None:
-    """Say for people what the services said, and whether it is what they said then."""
+def _text(result: "Replayed", source: "Source", rules: "Rules | None", took_s: float) -> str:
+    """Return, for people, what the services said and whether it equals the recording."""
     last = result.last
-    outcome = "no belief came"
+    outcome = "no belief received"
     if last is not None:
         x, y = last.mean
         ceased = "not ceased" if result.ceased_at is None else f"ceased at step {result.ceased_at}"
         outcome = f"{last.step + 1} readings, {ceased}\nestimate ({x:.2f}, {y:.2f}) ± {last.spread:.2f} m"
         if source.truth:
-            outcome += f", source ({source.truth[0]:.2f}, {source.truth[1]:.2f}), error {math.dist(last.mean, source.truth):.2f} m"
-    print(f"replayed in {took_s:.1f} s: {outcome}", file=sys.stderr)
+            outcome += f"\nsource ({source.truth[0]:.2f}, {source.truth[1]:.2f}), error {math.dist(last.mean, source.truth):.2f} m"
+    replayed = f"replayed in {took_s:.1f} s: {outcome}"
     if rules is None:
-        return
+        return replayed
     if result.difference:
-        print(f"differs: {result.difference.text()}", file=sys.stderr)
-        return
+        return f"{replayed}\ndiffers: {result.difference.text()}"
     counted = [f"{n} {kind}{'' if n == 1 else 's'}" for kind, n in result.counts.items() if kind not in rules.ignored]
     relaxed = [f"within {rules.tolerance:g}"] * bool(rules.tolerance) + [f"without {name}" for name in sorted(rules.ignored)]
-    print(f"verified: {', '.join(counted)}" + f" ({', '.join(relaxed)})" * bool(relaxed), file=sys.stderr)
+    return f"{replayed}\nverified: {', '.join(counted)}" + f" ({', '.join(relaxed)})" * bool(relaxed)
 
 
 def _json(result: "Replayed", source: "Source", rules: "Rules | None") -> str:

@@ -12,8 +12,9 @@ import msgspec
 from agent.bundle import BundleError, Point, read
 from agent.learn.train.folder import CheckpointError, checkpoints, claim
 from agent.learn.train.recipes import PRESETS, Recipe
-from agent.trials.progress import progress_bar
+from agent.trials.progress import NARROW, progress_bar
 from link import cli
+from link.terminal import tell
 from plume.randomness import MAX_SEED
 
 KEPT_IN = Path("runs/train")
@@ -79,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             print(f"interrupted{_kept(recipe, folder, bundle)}", file=sys.stderr)
             raise
-    print(f"{bundle}: fly it with `python -m sitl --policy {bundle}`", file=sys.stderr)
+    tell(f"fly it with\n  plumeward fly --policy {bundle}", sys.stdout)
     return 0
 
 
@@ -110,22 +111,26 @@ def _learn(recipe: Recipe, seed: int, folder: Path, threads: int, bundle: Path) 
         read(bundle)
         print(f"{bundle} is there already: trained to its end", file=sys.stderr)
         return
-    from agent.learn.train.export import export
-    from agent.learn.train.loop import train
-
     began = time.monotonic()
     with progress_bar(stands=True) as progress:
-        task = progress.add_task(recipe.algorithm, total=recipe.steps, stands="")
-        if kept := checkpoints(folder):
-            progress.console.print(f"goes on from {kept[-1].name}")
+        wide = progress.console.width >= NARROW
+        task = progress.add_task(recipe.algorithm, total=recipe.steps, stands="starting: loading torch")
+        tell(f"training {recipe.algorithm} in {folder}: {recipe.steps:,} moves")
+        from agent.learn.train.export import export
+        from agent.learn.train.loop import train
 
-        def tell(point: Point, speed: float) -> None:
+        if kept := checkpoints(folder):
+            tell(f"resuming from {kept[-1].name}")
+        progress.update(task, stands="starting: first missions")
+
+        def show(point: Point, speed: float) -> None:
             mtd = "–" if point.mtd_m is None else f"{point.mtd_m:.1f} m"
-            stands = f"{speed:,.0f} moves/s ceased {100 * point.ceased:.1f}% located {100 * point.located:.1f}% MTD {mtd}"
+            ceased = f"ceased {100 * point.ceased:.1f}% " if wide else ""
+            stands = f"{speed:,.0f} moves/s {ceased}located {100 * point.located:.1f}% MTD {mtd}"
             progress.update(task, completed=point.steps, stands=stands)
             if not progress.console.is_terminal:
-                progress.console.print(f"{point.steps:,} moves: {stands}")
+                tell(f"{point.steps:,} moves: {stands}")
 
-        model, curve = train(recipe, seed, folder, threads, tell)
+        model, curve = train(recipe, seed, folder, threads, show)
     export(model, recipe, seed, curve, bundle)
-    print(f"trained in {(time.monotonic() - began) / 60:.1f} minutes", file=sys.stderr)
+    tell(f"trained in {(time.monotonic() - began) / 60:.1f} minutes")

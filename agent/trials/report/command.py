@@ -15,6 +15,7 @@ from agent.trials.report.results import USUAL, Results, read
 from agent.trials.report.tables import tables
 from agent.trials.rollout import rollout
 from link import cli
+from link.terminal import tell
 from plume.scenario import BUDGET_STEPS, SUCCESS_RADIUS_M
 
 if TYPE_CHECKING:
@@ -76,13 +77,13 @@ def write(results: Results, out: Path, flights: int) -> None:
     with matplotlib.rc_context(STYLE):
         for name, title, caption, figure in _drawn(results, flights):
             pictures.append(Picture(name, title, caption, save(figure, out / name)))
-            _say(f"{out / name}.png, .svg")
+            tell(f"{out / name}.png, .svg", sys.stdout)
     all_tables = tables(results)
     text = "\n".join(["# What was measured\n", _summary(results) + "\n", *(it.markdown() for it in all_tables)])
     for name, words in (("results.md", text), ("index.html", page(_summary(results), pictures, all_tables))):
         with whole(out / name) as partial:
             partial.write_text(words)
-        _say(out / name)
+        tell(str(out / name), sys.stdout)
 
 
 def save(figure: "Figure", stem: Path) -> bytes:
@@ -92,10 +93,6 @@ def save(figure: "Figure", stem: Path) -> bytes:
     with whole(stem.with_suffix(".svg")) as svg:
         figure.savefig(svg, format="svg", metadata=UNDATED)
         return svg.read_bytes()
-
-
-def _say(what: object) -> None:
-    print(what, file=sys.stderr)
 
 
 def _summary(results: Results) -> str:
@@ -131,7 +128,7 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
     setting = results.nearest(USUAL)
     set_to = f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, {BUDGET_STEPS} steps at most"
     flags = f"--particles {setting.particles} --threshold {setting.threshold_m:g}"
-    _say(f"flying {len(OURS)} policies on one scenario")
+    tell(f"flying {len(OURS)} policies on one scenario")
     yield (
         "trajectories",
         "All methods on one scenario",
@@ -141,7 +138,7 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
     )
     best = results.best(setting, OURS)
     policy = best or OURS[0]
-    _say(f"flying {flights} missions of {policy}")
+    tell(f"flying {flights} missions of {policy}")
     flown = [rollout(seed, policy, *setting) for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + flights)]
     ceased, located = (sum(it) for it in zip(*((result.ceased, result.located) for result, _ in flown), strict=True))
     missions = (
