@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 
 GAP = 2
 """Spaces between two columns."""
+LONGEST_WORD = 11
+"""A longer heading is broken where its cells are narrower."""
 UNLIMITED = 100_000
 """Columns of a line that nothing limits."""
 
@@ -69,8 +71,8 @@ def _stacked(column: Column) -> Column:
     if column.stacks:
         cells = [cell.replace(" ", "\n", 1) for cell in column.cells]
         return replace(column, heading=column.heading.replace(", ", "\n"), cells=cells)
-    is_wider = len(column.heading) > replace(column, heading="").width
-    return replace(column, heading=column.heading.replace(" ", "\n", 1)) if is_wider else column
+    room = max(replace(column, heading="").width, LONGEST_WORD)
+    return replace(column, heading="\n".join(textwrap.wrap(column.heading, room, break_long_words=False)))
 
 
 def _squeezed(columns: Sequence[Column], width: int) -> list[Column]:

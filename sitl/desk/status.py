@@ -181,7 +181,8 @@ def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, 
     told = [{}, *(part if "state" in part else {} for part in parts.values())]
 
     def column(heading: str, text: Callable[[dict[str, Any]], str], rank: int, *, left: bool = False, least: int | None = None) -> Column:
-        return Column(heading, [text(part) if part else "" for part in told], rank, left=left, least=least)
+        cells = [text(part) if part else "" for part in told]
+        return Column(heading, cells, rank, heading.partition(",")[0], left=left, least=least)
 
     columns = [
         Column("part", ["router", *parts], left=True),

@@ -118,8 +118,10 @@ def _summary(path: Path, recording: "Recording") -> Summary:
     whole = "complete" if recording.complete else f"CUT OFF{f': {stopped}' if stopped else ''}"
     flown_with = f"plumeward {versions.get('plumeward', 'unknown')}{f' ({revision})' if revision else ''}"
     head = [
-        f"{path}: {f'{title}, ' if title else ''}{mission}, begun {began}",
-        f"{flown_with}, {len(entries):,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
+        str(path),
+        f"{f'{title}, ' if title else ''}{mission}, begun {began}",
+        f"{len(entries):,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
+        flown_with,
     ]
     fields = {
         "log": str(path), "complete": recording.complete, "messages": len(entries), "duration_s": wall_s, "simulation_s": simulation_s,
