@@ -280,7 +280,7 @@ class TestReplay:
         took_s = (entries[-1].published_ns - entries[0].published_ns) / 1e9
         replay = start("sitl", "replay", str(log), *from_the_first_reading(log), "--speedup", repr(took_s / 3))
         assert replay.ended() == 0
-        said_s = float(next(line for line in replay.err if line.startswith("replayed in ")).split()[2])
+        said_s = float(next(line for line in replay.out if line.startswith("replayed in ")).split()[2])
         assert said_s > 3
 
     def test_it_ends_when_a_service_of_its_own_is_killed(self, start, family, wait_until: Callable, log: Path) -> None:
@@ -304,7 +304,7 @@ class TestReplay:
 
     def test_a_loop_verifies_each_round_until_it_is_interrupted(self, start, wait_until: Callable, log: Path) -> None:
         replay = start("sitl", "replay", str(log), "--speedup", "0", "--loop", "--verify")
-        wait_until(lambda: sum(line.startswith("verified: ") for line in replay.err) >= 2)
+        wait_until(lambda: sum(line.startswith("verified: ") for line in replay.out) >= 2)
         replay.process.send_signal(signal.SIGINT)
         assert replay.ended() == 130
 
@@ -312,7 +312,7 @@ class TestReplay:
         tampered = rewritten(log, tmp_path / "tampered.mcap", json_changed("belief", 0, spread=1.0))
         replay = start("sitl", "replay", str(tampered), "--speedup", "0", "--loop", "--verify")
         assert replay.ended() == 1
-        assert sum(line.startswith("differs: ") for line in replay.err) == 1
+        assert sum(line.startswith("differs: ") for line in replay.out) == 1
 
 
 class TestOnAnotherBus:
@@ -329,7 +329,7 @@ class TestOnAnotherBus:
             service.kill()
         services_of(log, start, router)
         assert replay.ended() == 0, replay.err
-        assert replay.err[-1].startswith("verified: ")
+        assert replay.out[-1].startswith("verified: ")
 
     def test_listeners_get_what_the_vehicle_published_to_the_last_byte(self, start, router: str, log: Path) -> None:
         with Stranger(router) as viewer:
@@ -353,10 +353,10 @@ class TestOnAnotherBus:
         with Services(monkeypatch, router) as services:
             services.start(read(log).about["parts"])
             assert run_sitl(monkeypatch, capsys, *replay)[0] == 0
-            status, _, err = run_sitl(monkeypatch, capsys, *replay)
+            status, out, err = run_sitl(monkeypatch, capsys, *replay)
         assert status == 1
         assert any("start it anew" in line for line in err)
-        assert any(line.startswith("differs: belief at ") and line.endswith(", is none") for line in err)
+        assert any(line.startswith("differs: belief at ") and line.endswith(", is none") for line in out)
 
 
 class TestAutopilotLog:
@@ -384,7 +384,7 @@ class TestAutopilotLog:
         assert replay.ended() == 0, replay.err
         result = json.loads(replay.out[-1])
         assert result["error_m"] == pytest.approx(math.dist(result["estimate"], (17, 16)))
-        assert replay.says(", source (17.00, 16.00), error ")
+        assert replay.says("source (17.00, 16.00), error ")
         assert 10 < result["beliefs"] < 35
 
     @pytest.mark.parametrize(

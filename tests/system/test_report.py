@@ -9,9 +9,8 @@ def test_it_makes_a_page_of_what_evaluate_wrote(start, tmp_path: Path) -> None:
     assert start("agent", "evaluate", *flags, cwd=tmp_path).ended() == 0
     report = start("agent", "report", cwd=tmp_path)
     assert report.ended(120) == 0, report.err
-    assert report.out == []
     assert report.says("flying 100 missions of greedy")
-    assert report.err[-1] == "report/index.html\n"
+    assert report.out[-1] == "report/index.html\n"
     assert "| 20 | 0.5 | greedy | 2 |" in (tmp_path / "report" / "results.md").read_text()
     assert (tmp_path / "report" / "hundred.png").read_bytes().startswith(b"\x89PNG")
     again = start("agent", "report", cwd=tmp_path)

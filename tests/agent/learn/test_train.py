@@ -342,11 +342,15 @@ def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(tmp_
     recipe = tiny("ppo", observation="paper")
     run = start(tmp_path / "run", recipe, "--scenarios", "2", "--seed", "6")
     out, err = run.communicate(timeout=110)
-    assert (run.returncode, out) == (0, ""), err
+    assert run.returncode == 0, err
+    caption, heads, *rows, fly, command = out.splitlines()
+    assert caption == "ζ = 0.5 m, 2 missions each, [95% interval]"
+    assert heads.split()[:2] == ["policy", "N"]
+    assert [row.split()[1] for row in rows] == ["100", "1,000", "4,000"]
+    assert f"{fly}\n{command}" == f"fly it with\n  plumeward fly --policy {tmp_path / 'run' / 'ppo.zip'}"
     assert "moves/s ceased " in err
     assert "located " in err
     assert "MTD " in err
-    assert f"{tmp_path / 'run' / 'ppo.zip'}: fly it with" in err
     page, graph = read(tmp_path / "run" / "ppo.zip")
     assert (page.seed, page.curve[-1].steps) == (6, 432)
     assert list(page.evaluation) == ["100", "1000", "4000"]
@@ -421,7 +425,7 @@ def trained_by_command(
     status, out, err = told(
         capsys, monkeypatch, "train", algorithm, "--steps", str(steps), "--scenarios", "0", "--threads", "1", "--out", str(folder)
     )
-    assert (status, out) == (0, ""), err
+    assert (status, out) == (0, f"fly it with\n  plumeward fly --policy {folder / algorithm}.zip\n"), err
     return models[0][0], err
 
 
