@@ -1,4 +1,4 @@
-"""`python -m agent evaluate`: the figures of any policies over many missions, with a progress bar; interrupted, it goes on where it was."""
+"""`plumeward evaluate`: the figures of policies over many missions. If interrupted, the same command resumes."""
 
 import argparse
 import csv
@@ -32,7 +32,7 @@ from plume.scenario import BUDGET_STEPS
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
 CUT_OFF = "\0"
-"""Read for a value that a line of a table does not have."""
+"""Stands for a value that a line of a table lacks."""
 SHOWN = {
     "ceased": (3, "ceased"),
     "located": (0, "located"),
@@ -50,7 +50,7 @@ SHORTEST_NAME = 16
 
 
 def address(text: str) -> str:
-    """Argument type: where a Ray cluster is."""
+    """Argument type: the address of a Ray cluster."""
     host, _, port = text.rpartition(":")
     if text != "auto" and not (host and port.isdecimal() and 0 < int(port) < 65536):
         raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto")
@@ -64,33 +64,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=cli.listed(policy_argument),
         default=["homing"],
         metavar="NAME,NAME",
-        help=f"of {', '.join(policy_names())}, or bundles, FILE.zip (default: homing)",
+        help=f"any of {', '.join(policy_names())}, or bundles, FILE.zip (default: homing)",
     )
-    parser.add_argument("--scenarios", type=cli.whole(1, 10_000_000), default=1000, metavar="N", help="missions (default: %(default)s)")
     parser.add_argument(
-        "--first-seed", type=cli.whole(0, MAX_SEED), default=FIRST_TEST_SEED, metavar="S", help="of the first one (default: %(default)s)"
+        "--scenarios", type=cli.whole(1, 10_000_000), default=1000, metavar="N", help="number of missions (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--first-seed",
+        type=cli.whole(0, MAX_SEED),
+        default=FIRST_TEST_SEED,
+        metavar="S",
+        help="seed of the first mission; the others follow (default: %(default)s)",
     )
     cli.add_reach_arguments(parser, BUDGET_STEPS)
     cli.add_filter_arguments(parser, several=True)
     add_sensor_argument(parser)
-    parser.add_argument("--missions", type=Path, metavar="FILE.csv", help="write a row a mission there; FILE.csv.gz compresses")
+    parser.add_argument("--missions", type=Path, metavar="FILE.csv", help="write one row per mission to this file; FILE.csv.gz compresses")
     cli.add_output_guard(parser)
     parser.add_argument(
         "--workers",
         type=cli.whole(1, 4096),
         default=os.cpu_count() or 1,
         metavar="W",
-        help="processes that fly (default: all cores, %(default)s)",
+        help="worker processes (default: all cores, %(default)s)",
     )
     parser.add_argument(
         "--ray", type=address, metavar="ADDRESS",
-        help="fly on the Ray cluster there, HOST:PORT or auto: this machine is in it, each node has the same plumeward, numpy and numba",
+        help="fly on this Ray cluster, HOST:PORT or auto: this machine is a node of it, all nodes have the same plumeward, numpy and numba",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object on the last line of stdout")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly what is asked for and print its figures."""
+    """Fly the missions and print their figures; returns the exit status."""
     sweep = Sweep(
         args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.threshold, args.budget,
         cli.reach_given(args), args.knowledge,
@@ -102,12 +108,12 @@ def run(args: argparse.Namespace) -> int:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
     if args.missions and not args.missions.parent.is_dir():
-        print(f"error: --missions: no folder {str(args.missions.parent)!r} to write in", file=sys.stderr)
+        print(f"error: --missions: no such folder: {str(args.missions.parent)!r}", file=sys.stderr)
         return cli.BAD_INPUT
     if args.missions and args.missions.is_dir():
         print(f"error: --missions: {str(args.missions)!r} is a folder; wanted a file", file=sys.stderr)
         return cli.BAD_INPUT
-    files = [args.missions] if args.missions and args.missions.is_file() else []  # a pipe or a device holds nothing to lose
+    files = [args.missions] if args.missions and args.missions.is_file() else []  # a pipe or a device has no content to protect
     if refusal := cli.existing("--missions", files, args.force):
         print(f"error: {refusal}", file=sys.stderr)
         return cli.BAD_INPUT
@@ -126,7 +132,7 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
     rows: list[MissionRow] = []
 
     def kept() -> str:
-        return f"{len(rows) // len(args.threshold)} of {sweep.count} missions are kept; the same command goes on from there"
+        return f"{len(rows) // len(args.threshold)} of {sweep.count} missions are saved. Run the command again: it resumes"
 
     try:
         flights = fly_all(sweep, journal, on_cluster if args.ray else on_cores(args.workers))
@@ -135,7 +141,7 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
             for flown in all_flown:
                 rows += flown
     except KeyboardInterrupt:
-        print(f"interrupted: {kept()}", file=sys.stderr)
+        tell(f"interrupted: {kept()}")
         raise
     except (WorkerLost, OSError) as error:
         print(f"error: {error}; {kept()}", file=sys.stderr)
@@ -145,19 +151,19 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
         try:
             write_csv(rows, args.missions)
         except OSError as error:
-            print(f"error: --missions: {error}; what was flown is kept: name another file in the same command", file=sys.stderr)
+            print(f"error: --missions: {error}; the missions are saved: run the command again with another file", file=sys.stderr)
             return cli.BAD_INPUT
     result = named(rows)
     taken = args.json or (args.missions and _is_stdout(args.missions))
     print_table(result, sys.stderr if taken else sys.stdout, "--json")
     if args.json:
         print(json.dumps(result), flush=True)
-    journal.unlink(missing_ok=True)  # the same sweep may have ended beside this one
+    journal.unlink(missing_ok=True)  # a second process may have flown the same sweep
     return 0
 
 
 def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
-    """Figures by policy; where particles or thresholds differ, by policy and those."""
+    """Return the figures by policy. Where particles or thresholds differ, the key names them too."""
     groups = [(key, list(group)) for key, group in groupby(rows, key=lambda row: (row.policy, row.particles, row.threshold_m))]
     single = len({key[1:] for key, _ in groups}) == 1
     return {
@@ -167,9 +173,9 @@ def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
 
 
 def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
-    """Write a row a mission, under a row of names, to six significant digits; a name that ends in .gz is compressed.
+    """Write a header and one row per mission, with six significant digits. A name that ends in .gz is compressed.
 
-    What was there stays until all is written.
+    An existing file stays as it is until the new one is complete.
     """
     with whole(path) as partial, _open(partial, "wt", compressed=path.suffix == ".gz") as file:
         writer = csv.writer(file)
@@ -179,7 +185,7 @@ def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
 
 
 def read_csv(path: Path) -> list[MissionRow]:
-    """Read what `write_csv` wrote, this version's or an older one's. Raises ValueError on anything else."""
+    """Read a file that this or an older version of `write_csv` wrote. Raises ValueError on anything else."""
     with _open(path, "rt", compressed=path.suffix == ".gz") as file:
         reader = csv.DictReader(file, restval=CUT_OFF)
         try:
@@ -190,9 +196,9 @@ def read_csv(path: Path) -> list[MissionRow]:
 
 def _row(said: dict[str | None, str]) -> MissionRow:
     if None in said or CUT_OFF in said.values():
-        raise ValueError("it has not as many values as there are columns")
+        raise ValueError("the number of values differs from the number of columns")
     row = msgspec.convert({name: value or None for name, value in said.items()}, MissionRow, strict=False)
-    # Older versions wrote a planner's numbers here for learned policies too.
+    # Files of older versions have a planner's numbers for learned policies too.
     return msgspec.structs.replace(row, headings=None, measurements=None) if bundle_path(row.policy) else row
 
 

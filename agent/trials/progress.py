@@ -1,4 +1,4 @@
-"""The bar that shows how far missions or training are, on stderr."""
+"""The progress bar of missions or training, on stderr."""
 
 from collections.abc import Generator
 from contextlib import closing
@@ -19,15 +19,15 @@ from rich.progress import (
 Flown = TypeVar("Flown")
 
 BAR = 40
-"""Columns of the bar of missions, where the terminal has room."""
+"""Columns of the bar of missions on a wide terminal."""
 BESIDE = 52
-"""Columns of all that stands beside it."""
+"""Columns of the text beside it."""
 NARROW = 80
-"""A narrower terminal gets no bar of training, but what is said beside it."""
+"""On a narrower terminal training shows its text without a bar."""
 
 
 def progress_bar(*, stands: bool = False) -> Progress:
-    """Return a bar of missions flown; with `stands`, one of training: a task's field of this name stands beside it."""
+    """Return a bar that counts missions; with `stands`, one of training, beside which the task's field of this name is shown."""
     console = Console(stderr=True)
     columns: tuple[ProgressColumn, ...]
     if stands:
@@ -40,7 +40,7 @@ def progress_bar(*, stands: bool = False) -> Progress:
 
 
 def with_bar(flights: Generator[Flown, None, None], total: int, what: str, starting: str) -> Generator[Flown, None, None]:
-    """Yield what flights yield, beside a bar. It says `starting` until the first of them ends, then `what` is flown."""
+    """Yield what `flights` yields and show a bar of `total`. It is named `starting` until the first result, then `what`."""
     with progress_bar() as progress, closing(flights):
         task = progress.add_task(starting, total=total)
         if not progress.console.is_terminal:
