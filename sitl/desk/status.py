@@ -1,4 +1,4 @@
-"""`python -m sitl status`: how the parts of a mission are doing, at a glance."""
+"""`plumeward status`: the state of each part of a mission."""
 
 import argparse
 import json
@@ -21,30 +21,30 @@ from link.terminal import Column, table, tell, width_of
 
 PARTS = ("uav", "estimator", "agent")
 STALE_S = 5.0
-"""A part says each second how it is doing: one that has not for so long hangs, or its link is cut."""
+"""Each part publishes its health every second. After this long without, it hangs or its link is cut."""
 WATCH_EVERY_S = 1.0
-SHORTEST_DEED = 20
-"""A narrow terminal shows at least so many characters of what a part does."""
+SHORTEST_STATE = 20
+"""Characters of a part's state that a narrow terminal shows at least."""
 OK, MISSING, STARTING, STALE, REFUSING = "ok", "missing", "starting", "stale", "refusing"
 COLOURS = {OK: "green", MISSING: "red", STARTING: "yellow", STALE: "red", REFUSING: "yellow"}
 
 
 @dataclass
 class Part:
-    """What is known of one part."""
+    """What is known about one part."""
 
     alive: bool = False
     known_since_s: float = 0.0
     spoke_s: float = -math.inf
-    """When it last said something new: what the bus has kept of it may be old."""
+    """Time of its last new message. The first one may be old, kept by the bus."""
     health: Health | None = None
 
 
 class Board:
-    """What has been heard of the parts, and what that means. Times are of any one clock, s."""
+    """Judges the parts by their messages. All times are of one clock, s."""
 
     def __init__(self, wanted: Iterable[str], alive: Iterable[str], now_s: float, *, only_wanted: bool = False) -> None:
-        """Begin with the parts that have to be there, and those that are; `only_wanted` leaves out all others."""
+        """Start with the parts that must be there and those alive; `only_wanted` ignores all others."""
         self._wanted = set(wanted)
         self._only_wanted = only_wanted
         self._parts = {name: Part(known_since_s=now_s) for name in wanted}
@@ -57,7 +57,7 @@ class Board:
         return self._parts.get(name)
 
     def lives(self, name: str, alive: bool, now_s: float) -> None:
-        """A part came or went."""
+        """Take that a part appeared or disappeared."""
         if (part := self._part(name, now_s)) is None:
             return
         if alive and not part.alive:
@@ -68,7 +68,7 @@ class Board:
                 del self._parts[name]
 
     def hears(self, health: Health, now_s: float) -> None:
-        """A part said how it is doing."""
+        """Take a part's health message."""
         if (part := self._part(health.service, now_s)) is None:
             return
         if part.health is not None and health.uptime_s != part.health.uptime_s:
@@ -76,7 +76,7 @@ class Board:
         part.health = health
 
     def verdict(self, name: str, now_s: float) -> str:
-        """Return how a part is: ok, missing, starting, stale or refusing."""
+        """Return the verdict on a part: ok, missing, starting, stale or refusing."""
         part = self._parts[name]
         if not part.alive:
             return MISSING
@@ -87,13 +87,13 @@ class Board:
         return REFUSING if part.health.refused_lately else OK
 
     def settled(self, now_s: float) -> bool:
-        """Whether more waiting would tell nothing: who is there has spoken since, or had the time to."""
+        """Whether waiting longer is pointless: every part alive has spoken or had the time to."""
         return all(
             not part.alive or part.spoke_s >= part.known_since_s or now_s - part.known_since_s >= STALE_S for part in self._parts.values()
         )
 
     def report(self, now_s: float) -> dict[str, dict[str, Any]]:
-        """Return the parts by name, those that have to be there first: their verdict, and what they said of themselves."""
+        """Return verdict and last health message of each part by name, required parts first."""
         order = sorted(self._parts, key=lambda name: (name not in self._wanted, PARTS.index(name) if name in PARTS else len(PARTS), name))
         return {
             name: {"status": self.verdict(name, now_s), **(msgspec.to_builtins(health) if (health := self._parts[name].health) else {})}
@@ -105,14 +105,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
     cli.add_bus_arguments(parser)
     parser.add_argument(
-        "--parts", type=cli.listed(str), metavar="NAME,NAME", help=f"look at these alone (default: {','.join(PARTS)} and all others there)"
+        "--parts", type=cli.listed(str), metavar="NAME,NAME", help=f"show only these (default: {','.join(PARTS)} and all others there)"
     )
-    parser.add_argument("--watch", action="store_true", help="go on until interrupted")
-    parser.add_argument("--json", action="store_true", help="print JSON, with --watch a line each second")
+    parser.add_argument("--watch", action="store_true", help="repeat until interrupted")
+    parser.add_argument("--json", action="store_true", help="print one line of JSON, with --watch one each second")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show it once, or until interrupted; returns 0 where all is well."""
+    """Show the status once, or until interrupted; returns 0 if all parts are ok."""
     live = args.watch and sys.stdout.isatty() and not args.json
     with Live(console=Console(highlight=False), auto_refresh=False) if live else _Printer() as shown:
         while True:
@@ -127,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _Printer:
-    """Prints what a live display would show."""
+    """Prints what a live display would show, one table after the other."""
 
     def update(self, table: Group, *, refresh: bool) -> None:
         tell(table, sys.stdout)
@@ -139,7 +139,7 @@ class _Printer:
 
 
 def _look(bus: Bus, args: argparse.Namespace, shown: "Live | _Printer") -> bool:
-    """Listen until it can be told how all are; with --watch until the router is gone."""
+    """Listen until all verdicts are known, with --watch until the router is gone; returns whether all is well."""
     board = Board(args.parts or PARTS, bus.services(), time.monotonic(), only_wanted=bool(args.parts))
     bus.watch_services()
     bus.subscribe(HEALTH)
@@ -187,7 +187,7 @@ def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, 
     columns = [
         Column("part", ["router", *parts], left=True),
         Column("status", verdicts, left=True, styles=[COLOURS[verdict] for verdict in verdicts]),
-        column("does", _doing, 0, left=True, least=SHORTEST_DEED),
+        column("does", _state, 0, left=True, least=SHORTEST_STATE),
         column("step", lambda part: str(part["step"]) if part["step"] >= 0 else "", 1),
         column("per s", lambda part: f"{part['rate_hz']:.2f}", 2),
         column("latency, ms", lambda part: f"{1000 * part['latency_s']:.2f}", 3),
@@ -197,12 +197,12 @@ def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, 
     return table(columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], troubles)
 
 
-def _doing(part: dict[str, Any]) -> str:
+def _state(part: dict[str, Any]) -> str:
     return f"{part['state']}: {part['about']}" if part["about"] else str(part["state"])
 
 
 def _troubles(name: str, part: dict[str, Any]) -> list[str]:
-    """Return a line for what a part has refused, and one for each of its warnings and its last error."""
+    """Return a line with the messages that a part refused, and one for each warning and its last error."""
     if "state" not in part:
         return []
     refused = ", ".join(f"{count} {kind}" for kind, count in part["refused"].items())

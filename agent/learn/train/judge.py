@@ -1,4 +1,4 @@
-"""A bundle's figures: flown on the test missions, and written into it."""
+"""A bundle's figures, measured on the test missions and written into it."""
 
 import os
 import sys
@@ -15,9 +15,9 @@ from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 
 
 def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
-    """Fly so many test missions with each number of particles; figures that a bundle has already are kept.
+    """Fly `scenarios` test missions with each number of particles and print the figures. A bundle that has figures keeps them.
 
-    What is flown is kept beside the bundle until all is: cut off, the same call goes on from there.
+    A journal beside the bundle keeps each flight until all have ended, so an interrupted call can resume.
     """
     page, graph = read(bundle)
     if page.evaluation:
