@@ -241,7 +241,7 @@ class TestVerify:
         cut = tmp_path / "cut.mcap"
         cut.write_bytes(whole[: len(whole) * 2 // 3])
         err, result = verify.passes(cut)
-        assert f"replay: {cut} is cut off: it is replayed up to where it ends, at " in "".join(err)
+        assert f"replay: {cut} is cut off: replayed up to its end at " in "".join(err)
         readings = {
             mavlink.MAVLink(None).parse_buffer(entry.payload)[0].time_boot_ms for entry in read(cut).entries if entry.key == "reading"
         }
@@ -322,7 +322,7 @@ class TestOnAnotherBus:
         self, start, router: str, wait_until: Callable, log: Path
     ) -> None:
         replay = start("sitl", "replay", str(log), "--connect", router, "--verify", "--speedup", "0.3")
-        wait_until(lambda: replay.says("waits for agent and estimator on uav/1"))
+        wait_until(lambda: replay.says("waiting for agent and estimator on uav/1"))
         running = services_of(log, start, router)
         wait_until(lambda: replay.says("step  10"))
         for service in running.values():
@@ -355,7 +355,7 @@ class TestOnAnotherBus:
             assert run_sitl(monkeypatch, capsys, *replay)[0] == 0
             status, out, err = run_sitl(monkeypatch, capsys, *replay)
         assert status == 1
-        assert any("start it anew" in line for line in err)
+        assert any("restart it" in line for line in err)
         assert any(line.startswith("differs: belief at ") and line.endswith(", is none") for line in out)
 
 
@@ -436,7 +436,7 @@ class TestBadInput:
         (tmp_path / "noise.mcap").write_bytes(b"noise")
         assert "noise.mcap" in refusal(str(tmp_path / "noise.mcap"))
         Writer(tmp_path / "empty.mcap", {"seed": 1}).close()
-        assert refusal(str(tmp_path / "empty.mcap")).endswith("empty.mcap: there is nothing in it that a vehicle published")
+        assert refusal(str(tmp_path / "empty.mcap")).endswith("empty.mcap: it has no messages of a vehicle")
 
     def test_a_log_that_does_not_say_how_it_was_flown(self, start, refusal: Callable[..., str], log: Path, tmp_path: Path) -> None:
         anonymous = rewritten(log, tmp_path / "anonymous.mcap", about={})
@@ -455,4 +455,4 @@ class TestBadInput:
         assert replay.err[-1].startswith("error: --policy: ")
         assert "'clairvoyance' is not allowed" in replay.err[-1]
         broken = rewritten(log, tmp_path / "broken.mcap", about={"parts": "all"})
-        assert "broken.mcap: what it tells about itself cannot be used: " in refusal(str(broken))
+        assert "broken.mcap: its description cannot be used: " in refusal(str(broken))

@@ -24,8 +24,8 @@ def test_bad_input_is_one_line(start, tmp_path: Path) -> None:
     (tmp_path / "other" / "shopping.csv").write_text("what,many\neggs,6\n")
     (tmp_path / "file").touch()
     for flags, error in (
-        (("--results", "nowhere"), "error: --results: no folder 'nowhere'; `python -m agent evaluate --missions FILE.csv` writes"),
-        (("--results", "empty"), "error: --results: no mission in 'empty'; `python -m agent evaluate --missions FILE.csv` writes"),
+        (("--results", "nowhere"), "error: --results: no such folder: 'nowhere'; `plumeward evaluate --missions FILE.csv` writes"),
+        (("--results", "empty"), "error: --results: no missions in 'empty'; `plumeward evaluate --missions FILE.csv` writes"),
         (("--results", "other"), "error: --results: other/shopping.csv: "),
         (("--report", "empty"), "error: unrecognized arguments: --report"),
     ):
