@@ -89,10 +89,11 @@ def _parse(prog: str, arguments: list[str]) -> argparse.Namespace:
 
 def _rollout(args: argparse.Namespace) -> None:
     from agent.trials.rollout import rollout
+    from link.terminal import tell
     from plume.outcome import outcome_json, outcome_text
 
     result, trace = rollout(args.seed, args.policy, args.particles, args.threshold, args.budget, cli.reach_given(args), **args.knowledge)
-    print(outcome_text(result), file=sys.stderr)
+    tell(outcome_text(result), sys.stderr if args.json else sys.stdout)
     if args.json:
         print(outcome_json(result, trace if args.trace else None))
 

@@ -3,9 +3,11 @@
 import argparse
 import contextlib
 import ctypes
+import errno
 import gc
 import math
 import os
+import select
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -17,6 +19,10 @@ from link.bus.log import LEVELS
 from link.bus.session import DEFAULT_ROUTER, BusError
 
 INTERRUPTED = 130
+UNREAD = 141
+"""What a shell shows for a program that SIGPIPE has killed: of `plumeward evaluate | head -1`, as of `cat FILE | head -1`."""
+STREAMS = (1, 2)
+"""File descriptors of stdout and stderr."""
 BAD_INPUT = 2
 FAILED = 1
 LAUNCHER = "PLUMEWARD_LAUNCHER"
@@ -184,18 +190,52 @@ def _end_with_the_launcher() -> None:
 
 
 def run(command: Callable[[], int | None]) -> NoReturn:
-    """Run a command and exit with its status: 0 done, 1 failed, 2 bad input, 130 interrupted."""
+    """Run a command and exit with its status: 0 done, 1 failed, 2 bad input, 130 interrupted, 141 where nobody reads its output."""
     # A shell starts background jobs with SIGINT ignored; a service must end on it all the same.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminate)
     _end_with_the_launcher()
-    gc.set_threshold(100_000)  # usual are 700: to look through all that is being loaded so often takes a tenth of a start
+    gc.set_threshold(100_000)  # Python's own 700 costs a tenth of the start-up time
     try:
-        status = command() or 0
+        try:
+            status = command() or 0
+        except SystemExit as end:  # of --help, whose output has to be flushed too; of bad input; of rich on a closed pipe
+            status = end.code if isinstance(end.code, int) else FAILED if end.code else 0
+            if status == FAILED and any(map(_unread, STREAMS)):
+                raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from None
+        if sys.stdout:  # None where the caller closed it
+            sys.stdout.flush()
     except KeyboardInterrupt:
         status = INTERRUPTED
     except BusError as error:
         print(f"error: {error}", file=sys.stderr)
         status = BAD_INPUT
-    gc.freeze()  # Python would look through all that is loaded once more before it ends
+    except OSError as error:
+        status = _lost_output(error)
+    gc.freeze()  # skips a last look through all objects
     sys.exit(status)
+
+
+def _lost_output(error: OSError) -> int:
+    """Return the status of a command whose output cannot be written. Raises any other error again."""
+    unread = error.errno == errno.EPIPE and any(map(_unread, STREAMS))
+    if not unread and error.errno != errno.ENOSPC:
+        raise error
+    if not unread:
+        print(f"error: {error.strerror}", file=sys.stderr)
+    _discard_output()
+    return UNREAD if unread else FAILED
+
+
+def _unread(stream: int) -> bool:
+    """Whether a file descriptor is a pipe whose reader has gone."""
+    poll = select.poll()
+    poll.register(stream, 0)
+    return any(events & select.POLLERR for _, events in poll.poll(0))
+
+
+def _discard_output() -> None:
+    """Point stdout and stderr at nothing, or Python would complain that it cannot flush them at exit."""
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    for stream in STREAMS:
+        os.dup2(nothing, stream)

@@ -1,1 +1,1 @@
-"""What trains: many missions side by side, and the gymnasium environments over them. Imports: plume, estimator, agent, agent.planning."""
+"""Training: many missions in parallel, and the gymnasium environments over them. Imports: plume, estimator, agent, agent.planning."""

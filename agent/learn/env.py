@@ -1,7 +1,7 @@
-"""The gymnasium environments: the networked stack without the network, one mission at a time or many side by side.
+"""The gymnasium environments: the mission without the network, one at a time or many in parallel (docs/environment.md).
 
-`gymnasium.make("plumeward/SourceSearch-v0")` (discrete headings) and `gymnasium.make("plumeward/SourceSearchContinuous-v0")` (a heading
-and a step of up to 1 m), `gymnasium.make_vec` for many at once; docs/environment.md says all that a user has to know of them.
+`gymnasium.make("plumeward/SourceSearch-v0")` has discrete headings; `gymnasium.make("plumeward/SourceSearchContinuous-v0")` has a heading
+and a step of up to 1 m. `gymnasium.make_vec` makes many at once.
 """
 
 import reprlib
@@ -23,26 +23,26 @@ from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS
 
 TRAINING_SEEDS = 900_000
-"""Missions are drawn from the seeds below it; those from it to a million are there to choose by, those from there on to test."""
+"""Training draws seeds below it. Seeds from it to a million are for validation, those from a million on for testing."""
 REWARDS: Mapping[str, tuple[float, float]] = {"paper": (0.0, 1.0), "cost": (-0.01, 1.0)}
-"""What each step and the stop give."""
+"""By name: reward of each step and of the stop."""
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
 class ActionError(gymnasium.error.InvalidAction, ValueError):
-    """An action that is not in the action space. Nothing has moved."""
+    """An action that is not in the action space. No mission has moved."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How an environment is made. Raises ValueError with what is allowed."""
+    """Settings of an environment. Raises ValueError that says what is allowed."""
 
     continuous: bool = False
-    """Whether an action is a heading and a step, or one of the headings."""
+    """True: an action is a heading and a step. False: one of the headings."""
     headings: int = 16
-    """So many, where actions are discrete."""
+    """Number of headings of discrete actions."""
     observation: str = "polar"
     """A schema of agent/observation.py: `polar` or `paper`."""
     reward: str = "cost"
@@ -51,10 +51,10 @@ class Settings:
     threshold_m: float = 0.5
     """ζ: AGDC stops when the spread is below it."""
     budget: int = BUDGET_STEPS
-    """Moves after which a mission is given up."""
+    """Moves after which a mission ends unsuccessfully."""
 
     def __post_init__(self) -> None:
-        """Find what is not allowed now."""
+        """Raise ValueError on a value that is not allowed."""
         if not isinstance(self.continuous, bool | np.bool_):
             raise ValueError(f"continuous {self.continuous!r} is not allowed; wanted True or False")
         for name, names in (("observation", SCHEMAS), ("reward", REWARDS)):
@@ -69,16 +69,16 @@ class Settings:
 
     @classmethod
     def of(cls, given: Mapping[str, Any], *others: str) -> "Settings":
-        """Read the arguments of an environment that has these others too. Raises TypeError on one that there is not, else ValueError."""
+        """Return the settings `given`; `others` names other known arguments. Raises TypeError on an unknown one, or ValueError."""
         names = [field.name for field in fields(cls)]
         for name, value in given.items():
-            if name not in names:  # a TypeError, as Python has it: stable-baselines3 tries a render_mode, and on that does without
+            if name not in names:  # stable-baselines3 tries a render_mode and does without it on a TypeError
                 raise TypeError(f"argument {name}={value!r} is not allowed; wanted some of {', '.join((*others, *names))}")
         return cls(**given)
 
     @property
     def move(self) -> Move:
-        """What actions mean."""
+        """The meaning of actions."""
         return HeadingAndStep() if self.continuous else Headings(self.headings)
 
     def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
@@ -87,11 +87,11 @@ class Settings:
         return seen, spaces.Box(-1.0, 1.0, (2,), np.float32) if self.continuous else spaces.Discrete(self.headings)
 
     def begin(self, seeds: Sequence[int], threads: int = 1) -> Missions:
-        """Begin the missions of these seeds."""
+        """Return new missions of these seeds."""
         return Missions(seeds, self.observation, self.particles, self.threshold_m, threads)
 
     def actions(self, given: Any, *count: int) -> NDArray[Any]:
-        """Return so many actions as an array, (B,) or (B, 2); without a count one, () or (2,). Raises ActionError."""
+        """Return `count` actions as an array, (B,) or (B, 2); without a count a single one, () or (2,). Raises ActionError."""
         shape = (*count, 2) if self.continuous else count
         kinds, wanted = ("iuf", "finite numbers") if self.continuous else ("iu", f"whole numbers from 0 to {self.headings - 1}")
         wanted = f"wanted {wanted} in an array of shape {shape}" if shape else f"wanted a whole number from 0 to {self.headings - 1}"
@@ -109,7 +109,7 @@ class Settings:
         return actions
 
     def fly(self, missions: Missions, actions: NDArray[Any]) -> tuple[Floats, Flags, Flags]:
-        """Fly each mission to where its action leads; returns rewards, whether it is terminated, and whether truncated, (B,) each."""
+        """Fly each mission to the waypoint of its action; returns rewards, terminated and truncated, (B,) each."""
         missions.move(self.move.waypoints(missions.positions, missions.frames, actions, AREA_M))
         step, stop = REWARDS[self.reward]
         terminated: Flags = missions.ceased.copy()
@@ -134,7 +134,7 @@ def _seed(value: Any) -> int:
 
 
 def _told(missions: Missions) -> dict[str, Any]:
-    """Infos: what a user wants to know of each mission beside what the policy sees. `located` is of those that ceased."""
+    """The infos of each mission; the policy does not see them. `located` is False where the mission has not ceased."""
     return {
         "seed": missions.seeds.copy(),
         "position": missions.positions.copy(),
@@ -146,29 +146,29 @@ def _told(missions: Missions) -> dict[str, Any]:
 
 
 class SourceSearch(gymnasium.Env[Observation, Any]):
-    """One mission at a time; keyword arguments as of `Settings`.
+    """One mission at a time; the keyword arguments are those of `Settings`.
 
-    `reset(seed=s)` begins the mission of seed s, the very one that `python -m agent rollout --seed s` flies, and resets without a seed go
-    on with missions drawn by it. AGDC's stop *terminates* an episode, right or wrong; a spent budget *truncates* it.
+    `reset(seed=s)` begins the mission of seed s, the same that `plumeward rollout --seed s` flies. Resets without a seed begin missions
+    drawn by that seed. AGDC's stop *terminates* an episode, right or wrong; a spent budget *truncates* it.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012
 
     def __init__(self, **settings: Any) -> None:
-        """Raises ValueError, or TypeError on an argument that there is not, with what is allowed."""
+        """Raises ValueError, or TypeError on an unknown argument; the message says what is allowed."""
         self.settings = Settings.of(settings)
         self.observation_space, self.action_space = self.settings.spaces()
         self._missions: Missions | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Begin a mission; its first reading is taken."""
+        """Begin a mission and take its first reading."""
         seed = None if seed is None else _seed(seed)
         super().reset(seed=seed)
         self._missions = self.settings.begin([int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed])
         return self._missions.observations[0].copy(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Fly to where the action leads, and take a reading there. Raises ActionError where it is none of the action space."""
+        """Fly to the waypoint of the action and take a reading there. Raises ActionError on one outside the action space."""
         if self._missions is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         rewards, terminated, truncated = self.settings.fly(self._missions, self.settings.actions(action)[None])
@@ -180,15 +180,15 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
 
 
 class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
-    """Missions side by side in this process, on the filter's batch kernels: each to the same bits as in `SourceSearch`.
+    """Missions in parallel in this process, on the filter's batch kernels, each bit-identical to `SourceSearch`.
 
-    A mission that ends is followed by the next one in the same step; `final_obs` and `final_info` tell of the one that ended.
+    When a mission ends, the next one begins in the same step; `final_obs` and `final_info` are those of the mission that ended.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
 
     def __init__(self, num_envs: int = 1, threads: int = 1, **settings: Any) -> None:
-        """Make so many; `threads` share the compiled part of the work. Raises as `SourceSearch` does."""
+        """Make `num_envs` missions; `threads` share the compiled part of the work. Raises like `SourceSearch`."""
         for name, value in (("num_envs", num_envs), ("threads", threads)):
             _check_whole(name, value, 1)
         self.num_envs = num_envs
@@ -203,7 +203,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence; without one, those that follow."""
+        """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence; without a seed, the next ones drawn."""
         if seed is None and self._draws:
             seeds = [self._next(i) for i in range(self.num_envs)]
         else:
@@ -221,7 +221,7 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         return self._missions.observations.copy(), _told(self._missions)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Fly each mission to where its action leads, and take a reading there. Raises ActionError, and moves none, where one is wrong."""
+        """Fly each mission to the waypoint of its action and take a reading there. On a wrong action raises ActionError and moves none."""
         missions = self._missions
         if missions is None:
             raise gymnasium.error.ResetNeeded("call reset before step")

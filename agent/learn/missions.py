@@ -1,4 +1,4 @@
-"""Many missions flown side by side in one process, each to the same bits as `rollout` flies it alone."""
+"""Many missions flown in parallel in one process, each bit-identical to `rollout`."""
 
 from collections.abc import Sequence
 
@@ -18,10 +18,10 @@ Indices = NDArray[np.int64]
 
 
 class Missions:
-    """Missions of the paper's case, x and y unknown and a Gaussian sensor; all arrays have a row a mission."""
+    """Missions with the paper's assumptions: x and y unknown, a Gaussian sensor. All arrays have one row per mission."""
 
     def __init__(self, seeds: Sequence[int], schema: str, particles: int, threshold_m: float, threads: int = 1) -> None:
-        """Begin the mission of each seed: its first reading is taken."""
+        """Begin the mission of each seed and take its first reading."""
         count = len(seeds)
         self._schema = SCHEMAS[schema]
         self._particles, self._threshold_m = particles, threshold_m
@@ -32,7 +32,7 @@ class Missions:
         self.spreads_m = np.empty(count)
         self.ceased = np.zeros(count, np.bool_)
         self.frames = np.empty((count, 3))
-        """Of the observation, for the action."""
+        """Frames of the observations, in which actions are given."""
         self.observations = np.empty((count, self._schema.size), np.float32)
         self._facts = np.empty((count, len(FACTS)))
         self._sources = np.empty((count, 2))
@@ -42,7 +42,7 @@ class Missions:
         self._read(np.arange(count))
 
     def begin(self, missions: Indices, seeds: Sequence[int]) -> None:
-        """Put the missions of other seeds in the places of these."""
+        """Replace these missions by missions of other seeds."""
         self.seeds[missions] = seeds
         for mission, seed in zip(missions.tolist(), seeds, strict=True):
             self._worlds[mission] = World(draw(seed), seed)
@@ -50,7 +50,7 @@ class Missions:
         self._read(missions)
 
     def move(self, waypoints: Array) -> None:
-        """Fly each mission to its waypoint, and take a reading there; (B, 2) float32 values in the area."""
+        """Fly each mission to its waypoint and take a reading there. waypoints: (B, 2) m, float32 values within the area."""
         self.steps += 1
         self.distances_m += np.sqrt(np.square(waypoints - self.positions).sum(axis=1))
         self.positions[:] = waypoints
@@ -63,12 +63,12 @@ class Missions:
 
     @property
     def located(self) -> NDArray[np.bool_]:
-        """Whether each would be right to stop here; only to judge by."""
+        """Whether the estimate is within the success radius; for judging only."""
         errors_m: Array = np.sqrt(np.square(self._batch.means - self._sources).sum(axis=1))
         return errors_m <= SUCCESS_RADIUS_M
 
     def _told(self, mission: int) -> Config:
-        """Set a mission to the beginning of its world; returns what its estimator is told."""
+        """Set a mission to the start of its world; returns its estimator's configuration."""
         world, seed = self._worlds[mission], int(self.seeds[mission])
         scenario = world.scenario
         self.steps[mission], self.distances_m[mission], self.ceased[mission] = 0, 0.0, False
@@ -78,7 +78,7 @@ class Missions:
         return Config(self._particles, self._threshold_m, derived_seed(seed, "estimator"), *known)
 
     def _read(self, missions: Indices) -> None:
-        """Take a reading in each of these missions; what is believed, seen and claimed follows from it."""
+        """Take a reading in each of these missions; update beliefs, observations and stops."""
         facts = self._facts
         facts[missions, : observation.GAS] = self.positions[missions]
         worlds = [self._worlds[mission] for mission in missions.tolist()]

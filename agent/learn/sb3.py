@@ -1,4 +1,4 @@
-"""Missions side by side as a stable-baselines3 VecEnv."""
+"""Parallel missions as a stable-baselines3 VecEnv."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -11,10 +11,10 @@ from agent.learn.env import SourceSearchVector
 
 
 class StableBaselinesEnv(VecEnv):
-    """`SourceSearchVector` as stable-baselines3 wants it."""
+    """`SourceSearchVector` with the interface of stable-baselines3."""
 
     def __init__(self, vector: SourceSearchVector) -> None:
-        """Take over a vector env."""
+        """Wrap a vector environment."""
         self.vector = vector
         self._seed: int | None = None
         self._actions: NDArray[Any] = np.empty(0)
@@ -27,16 +27,16 @@ class StableBaselinesEnv(VecEnv):
         return observations
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Let the next reset begin with this seed."""
+        """Set the seed of the next reset."""
         self._seed = seed
         return [seed] * self.num_envs
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take the actions."""
+        """Store the actions."""
         self._actions = actions
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Fly them."""
+        """Fly the stored actions."""
         observations, rewards, terminated, truncated, told = self.vector.step(self._actions)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         over = terminated | truncated
@@ -48,18 +48,18 @@ class StableBaselinesEnv(VecEnv):
         return observations, rewards.astype(np.float32), over, infos
 
     def close(self) -> None:
-        """Nothing is left open."""
+        """Nothing to close."""
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """One object serves all: the same value for each."""
+        """Return the shared value once for each mission."""
         return [getattr(self.vector, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
-        """One object serves all: there is nothing to set for one."""
+        """Not possible: all missions share one object."""
         raise NotImplementedError("the missions of a batch share their settings")
 
     def env_method(self, method_name: str, *args: Any, indices: int | Iterable[int] | None = None, **kwargs: Any) -> list[Any]:
-        """One object serves all: there is no method to call of one."""
+        """Not possible: all missions share one object."""
         raise NotImplementedError("the missions of a batch share their methods")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None) -> list[bool]:

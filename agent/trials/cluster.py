@@ -1,4 +1,4 @@
-"""Sweeps on a Ray cluster: the same flights, the same rows; each node has our code installed, and is asked whether it is the same."""
+"""Sweeps on a Ray cluster: the same flights and the same rows. Each node must have the same code installed, which is checked."""
 
 import logging
 import os
@@ -14,7 +14,7 @@ from agent.trials.sweep import Flight, Sweep, code
 from agent.trials.workers import THREADS
 
 AHEAD = 10_000
-"""Tasks handed out at once: more than a cluster flies in the second between two looks, and never all of ten million."""
+"""Tasks handed out at once: more than a cluster flies in the second between two polls, without holding ten million in memory."""
 
 
 class ClusterError(Exception):
@@ -22,8 +22,8 @@ class ClusterError(Exception):
 
 
 def join(address: str) -> None:
-    """Join the Ray cluster there, of which this machine must be a node: HOST:PORT of its head, or auto."""
-    os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "1")  # at 40 s each
+    """Join the Ray cluster at an address: HOST:PORT of its head, or auto. This machine must be one of its nodes. Raises ClusterError."""
+    os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "1")  # each retry takes 40 s
     try:
         import ray
     except ImportError:
@@ -32,22 +32,22 @@ def join(address: str) -> None:
     try:
         if address != "auto":
             host, _, port = address.rpartition(":")
-            socket.create_connection((host.strip("[]"), int(port)), timeout=5).close()  # Ray itself is slow to see that nobody answers
+            socket.create_connection((host.strip("[]"), int(port)), timeout=5).close()  # fails at once where nobody answers; Ray takes long
         ray.init(address, log_to_driver=False, logging_level=logging.ERROR, runtime_env={"env_vars": dict.fromkeys(THREADS, "1")})
     except (OSError, RuntimeError, ValueError) as error:
         why = str(error.__cause__ or error).strip().splitlines()[-1].partition(". ")[0].rstrip(".")
         allowed = "HOST:PORT of a Ray cluster that this machine is in, or auto"
         raise ClusterError(f"cannot join {address!r} ({why}); wanted {allowed}") from error
-    signal.signal(signal.SIGTERM, terminate)  # Ray took it
+    signal.signal(signal.SIGTERM, terminate)  # Ray replaces the handler
 
 
 def on_cluster(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[list[MissionRow], None, None]:
-    """Fly on the cluster joined, and leave it."""
+    """Fly on the cluster that `join` joined, then leave it. Raises ClusterError where a node has other code."""
     import ray
 
     here = code()
 
-    def fly_there(packed: bytes) -> Any:  # nested, it travels by value: it can say that what it needs is not there
+    def fly_there(packed: bytes) -> Any:  # pickled by value because it is nested, so a node without our code can still run it
         try:
             from agent.trials.sweep import code, fly
 
@@ -65,7 +65,7 @@ def on_cluster(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[lis
             finished, waiting = ray.wait(waiting, num_returns=len(waiting), timeout=1)
             for flown in ray.get(finished):
                 if isinstance(flown, str):
-                    raise ClusterError(f"node {flown!r} lacks the plumeward, numpy and numba that are here; install the same there")
+                    raise ClusterError(f"node {flown!r} has other versions of plumeward, numpy or numba; install those of this machine")
                 yield from flown
     finally:
         ray.shutdown()

@@ -1,4 +1,4 @@
-"""`python -m agent evaluate`: the figures of any policies over many missions, with a progress bar; interrupted, it goes on where it was."""
+"""`plumeward evaluate`: the figures of policies over many missions. If interrupted, the same command resumes."""
 
 import argparse
 import csv
@@ -11,35 +11,46 @@ from collections.abc import Sequence
 from contextlib import closing
 from itertools import groupby
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, TextIO, cast
 
 import msgspec
-from rich.console import Console
-from rich.table import Table
 
 from agent.policies import bundle_path, policy_argument, reach
 from agent.policies import named as policy_names
 from agent.trials.cluster import ClusterError, join, on_cluster
 from agent.trials.figures import COLUMNS, MissionRow, cell, figures
 from agent.trials.files import whole
-from agent.trials.progress import progress_bar
+from agent.trials.progress import with_bar
 from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 from agent.trials.workers import WorkerLost
 from estimator.options import add_sensor_argument
 from link import cli
+from link.terminal import Column, table, tell, width_of
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
 
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
 CUT_OFF = "\0"
-"""Read for a value that a line of a table does not have."""
-SHOWN = ("ceased", "located", "false_stop", "mtd_m", "mtd_floors", "search_time_s", "decision_ms")
-"""Figures in the table; all are in the JSON."""
+"""Stands for a value that a line of a table lacks."""
+SHOWN = {
+    "ceased": (3, "ceased"),
+    "located": (0, "located"),
+    "false_stop": (1, "false stop"),
+    "mtd_m": (2, "MTD"),
+    "mtd_floors": (4, "MTD in floors"),
+    "search_time_s": (5, "ST"),
+    "decision_ms": (6, "decision"),
+}
+"""Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All are in the JSON."""
+SHARED = {"N": "N = {}", "ζ, m": "ζ = {} m", "missions": "{} missions each"}
+"""How the line above the table says a setting that all rows share."""
+SHORTEST_NAME = 16
+"""A narrow terminal shows at least so many characters of a policy's name."""
 
 
 def address(text: str) -> str:
-    """Argument type: where a Ray cluster is."""
+    """Argument type: the address of a Ray cluster."""
     host, _, port = text.rpartition(":")
     if text != "auto" and not (host and port.isdecimal() and 0 < int(port) < 65536):
         raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto")
@@ -51,35 +62,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--policy",
         type=cli.listed(policy_argument),
-        default=["infotaxis"],
+        default=["homing"],
         metavar="NAME,NAME",
-        help=f"of {', '.join(policy_names())}, or bundles, FILE.zip (default: infotaxis)",
+        help=f"any of {', '.join(policy_names())}, or bundles, FILE.zip (default: homing)",
     )
-    parser.add_argument("--scenarios", type=cli.whole(1, 10_000_000), default=1000, metavar="N", help="missions (default: %(default)s)")
     parser.add_argument(
-        "--first-seed", type=cli.whole(0, MAX_SEED), default=FIRST_TEST_SEED, metavar="S", help="of the first one (default: %(default)s)"
+        "--scenarios", type=cli.whole(1, 10_000_000), default=1000, metavar="N", help="number of missions (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--first-seed",
+        type=cli.whole(0, MAX_SEED),
+        default=FIRST_TEST_SEED,
+        metavar="S",
+        help="seed of the first mission; the others follow (default: %(default)s)",
     )
     cli.add_reach_arguments(parser, BUDGET_STEPS)
     cli.add_filter_arguments(parser, several=True)
     add_sensor_argument(parser)
-    parser.add_argument("--missions", type=Path, metavar="FILE.csv", help="write a row a mission there; FILE.csv.gz compresses")
+    parser.add_argument("--missions", type=Path, metavar="FILE.csv", help="write one row per mission to this file; FILE.csv.gz compresses")
     cli.add_output_guard(parser)
     parser.add_argument(
         "--workers",
         type=cli.whole(1, 4096),
         default=os.cpu_count() or 1,
         metavar="W",
-        help="processes that fly (default: all cores, %(default)s)",
+        help="worker processes (default: all cores, %(default)s)",
     )
     parser.add_argument(
         "--ray", type=address, metavar="ADDRESS",
-        help="fly on the Ray cluster there, HOST:PORT or auto: this machine is in it, each node has the same plumeward, numpy and numba",
+        help="fly on this Ray cluster, HOST:PORT or auto: this machine is a node of it, all nodes have the same plumeward, numpy and numba",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object on the last line of stdout")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fly what is asked for and print its figures."""
+    """Fly the missions and print their figures; returns the exit status."""
     sweep = Sweep(
         args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.threshold, args.budget,
         cli.reach_given(args), args.knowledge,
@@ -91,17 +108,18 @@ def run(args: argparse.Namespace) -> int:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
     if args.missions and not args.missions.parent.is_dir():
-        print(f"error: --missions: no folder {str(args.missions.parent)!r} to write in", file=sys.stderr)
+        print(f"error: --missions: no such folder: {str(args.missions.parent)!r}", file=sys.stderr)
         return cli.BAD_INPUT
     if args.missions and args.missions.is_dir():
         print(f"error: --missions: {str(args.missions)!r} is a folder; wanted a file", file=sys.stderr)
         return cli.BAD_INPUT
-    files = [args.missions] if args.missions and args.missions.is_file() else []  # a pipe or a device holds nothing to lose
+    files = [args.missions] if args.missions and args.missions.is_file() else []  # a pipe or a device has no content to protect
     if refusal := cli.existing("--missions", files, args.force):
         print(f"error: {refusal}", file=sys.stderr)
         return cli.BAD_INPUT
     try:
         if args.ray:
+            tell(f"joining the Ray cluster at {args.ray}")
             join(args.ray)
         return _evaluate(sweep, args)
     except ClusterError as error:
@@ -114,17 +132,16 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
     rows: list[MissionRow] = []
 
     def kept() -> str:
-        return f"{len(rows) // len(args.threshold)} of {sweep.count} missions are kept; the same command goes on from there"
+        return f"{len(rows) // len(args.threshold)} of {sweep.count} missions are saved. Run the command again: it resumes"
 
     try:
         flights = fly_all(sweep, journal, on_cluster if args.ray else on_cores(args.workers))
-        with progress_bar() as progress, closing(flights):
-            task = progress.add_task("missions", total=sweep.count)
-            for flown in flights:
+        starting = "starting on Ray" if args.ray else f"starting {args.workers} worker{'s' * (args.workers > 1)}"
+        with closing(with_bar(flights, sweep.count, "missions", starting)) as all_flown:
+            for flown in all_flown:
                 rows += flown
-                progress.advance(task)
     except KeyboardInterrupt:
-        print(f"interrupted: {kept()}", file=sys.stderr)
+        tell(f"interrupted: {kept()}")
         raise
     except (WorkerLost, OSError) as error:
         print(f"error: {error}; {kept()}", file=sys.stderr)
@@ -134,18 +151,19 @@ def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
         try:
             write_csv(rows, args.missions)
         except OSError as error:
-            print(f"error: --missions: {error}; what was flown is kept: name another file in the same command", file=sys.stderr)
+            print(f"error: --missions: {error}; the missions are saved: run the command again with another file", file=sys.stderr)
             return cli.BAD_INPUT
     result = named(rows)
-    print_table(result)
+    taken = args.json or (args.missions and _is_stdout(args.missions))
+    print_table(result, sys.stderr if taken else sys.stdout, "--json")
     if args.json:
-        print(json.dumps(result))
-    journal.unlink(missing_ok=True)  # the same sweep may have ended beside this one
+        print(json.dumps(result), flush=True)
+    journal.unlink(missing_ok=True)  # a second process may have flown the same sweep
     return 0
 
 
 def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
-    """Figures by policy; where particles or thresholds differ, by policy and those."""
+    """Return the figures by policy. Where particles or thresholds differ, the key names them too."""
     groups = [(key, list(group)) for key, group in groupby(rows, key=lambda row: (row.policy, row.particles, row.threshold_m))]
     single = len({key[1:] for key, _ in groups}) == 1
     return {
@@ -155,9 +173,9 @@ def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
 
 
 def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
-    """Write a row a mission, under a row of names, to six significant digits; a name that ends in .gz is compressed.
+    """Write a header and one row per mission, with six significant digits. A name that ends in .gz is compressed.
 
-    What was there stays until all is written.
+    An existing file stays as it is until the new one is complete.
     """
     with whole(path) as partial, _open(partial, "wt", compressed=path.suffix == ".gz") as file:
         writer = csv.writer(file)
@@ -167,7 +185,7 @@ def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
 
 
 def read_csv(path: Path) -> list[MissionRow]:
-    """Read what `write_csv` wrote, this version's or an older one's. Raises ValueError on anything else."""
+    """Read a file that this or an older version of `write_csv` wrote. Raises ValueError on anything else."""
     with _open(path, "rt", compressed=path.suffix == ".gz") as file:
         reader = csv.DictReader(file, restval=CUT_OFF)
         try:
@@ -178,9 +196,9 @@ def read_csv(path: Path) -> list[MissionRow]:
 
 def _row(said: dict[str | None, str]) -> MissionRow:
     if None in said or CUT_OFF in said.values():
-        raise ValueError("it has not as many values as there are columns")
+        raise ValueError("the number of values differs from the number of columns")
     row = msgspec.convert({name: value or None for name, value in said.items()}, MissionRow, strict=False)
-    # Older versions wrote a planner's numbers here for learned policies too.
+    # Files of older versions have a planner's numbers for learned policies too.
     return msgspec.structs.replace(row, headings=None, measurements=None) if bundle_path(row.policy) else row
 
 
@@ -189,13 +207,26 @@ def _open(path: Path, mode: str, *, compressed: bool) -> IO[str]:
     return cast(IO[str], opener(path, mode, newline=""))
 
 
-def print_table(result: dict[str, Any]) -> None:
-    """Print the figures of `named` as a table, for people."""
-    table = Table(*("policy", "N", "ζ, m", "missions"), *(COLUMNS[key][0] for key in SHOWN), box=None, header_style="bold")
-    for column in table.columns[1:]:
-        column.justify = "right"
-    for name, said in result.items():
-        figures_and_intervals = (cell(said, key).replace(" ", "\n", 1) for key in SHOWN)
-        policy = name.split(" particles=")[0]
-        table.add_row(policy, f"{said['particles']:,}", f"{said['threshold_m']:g}", f"{said['missions']:,}", *figures_and_intervals)
-    Console(stderr=True, width=None if sys.stderr.isatty() else 160).print(table)
+def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> None:
+    """Print the figures of `named` as a table, for people; `elsewhere` says how to see what a narrow terminal leaves out."""
+    said = list(result.values())
+    settings = {
+        "N": [f"{row['particles']:,}" for row in said],
+        "ζ, m": [f"{row['threshold_m']:g}" for row in said],
+        "missions": [f"{row['missions']:,}" for row in said],
+    }
+    shared = [SHARED[name].format(cells[0]) for name, cells in settings.items() if len(set(cells)) == 1]
+    columns = [
+        Column("policy", [name.split(" particles=")[0] for name in result], left=True, least=SHORTEST_NAME, keeps_end=True),
+        *(Column(name, cells) for name, cells in settings.items() if len(set(cells)) > 1),
+        *(Column(COLUMNS[key][0], [cell(row, key) for row in said], rank, name, stacks=True) for key, (rank, name) in SHOWN.items()),
+    ]
+    tell(table(columns, width_of(stream), elsewhere, above=[", ".join([*shared, "[95% interval]"])]), stream)
+
+
+def _is_stdout(path: Path) -> bool:
+    """Whether a file is what stdout goes to, as /dev/stdout is."""
+    try:
+        return os.path.samestat(path.stat(), os.fstat(sys.stdout.fileno()))
+    except (OSError, ValueError):
+        return False

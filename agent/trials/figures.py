@@ -13,7 +13,7 @@ from plume.sensor import GAUSSIAN, text
 Array = NDArray[np.float64]
 RESAMPLES = 1000
 LARGEST = 2_000_000
-"""So many values are drawn at once."""
+"""Values that the bootstrap draws at once, at most: a limit on memory."""
 COLUMNS = {
     "ceased": ("ceased, %", 100.0, 1),
     "located": ("located, %", 100.0, 1),
@@ -25,12 +25,12 @@ COLUMNS = {
     "decision_ms": ("decision, ms", 1.0, 2),
     "update_ms": ("update, ms", 1.0, 2),
 }
-"""Heading, scale and digits of figures in tables."""
+"""By figure: heading in tables, scale and digits."""
 UNKNOWN = "–"
 
 
 class MissionRow(msgspec.Struct, frozen=True):
-    """What came of one mission: a row of the raw results. Where it did not cease, its figures are those of its last step."""
+    """The result of one mission: a row of the raw results. If it did not cease, its figures are those of its last step."""
 
     policy: str
     particles: int
@@ -38,10 +38,10 @@ class MissionRow(msgspec.Struct, frozen=True):
     seed: int
     budget: int
     headings: int | None
-    """Directions that a planner chose from; None for a learned policy, which has its own."""
+    """Directions that a planner chooses from; None for a learned policy."""
     step_m: float
     measurements: int | None
-    """Hypothetical readings for each move; None for a learned policy, which imagines none."""
+    """Hypothetical readings for each move; None for a learned policy, which uses none."""
     ceased: bool
     located: bool
     estimate_x: float
@@ -55,19 +55,19 @@ class MissionRow(msgspec.Struct, frozen=True):
     steps: int
     distance_m: float
     floor_m: float | None
-    """The information floor at ζ, which an oracle could fly (docs/floor.md); None where it is not known."""
+    """The information floor at ζ, the path of an oracle (docs/floor.md); None where it is not known."""
     search_time_s: float
     decision_ms: float
-    """Compute time of the agent, a decision; mean."""
+    """Mean compute time of the agent for a decision."""
     update_ms: float
-    """Compute time of the estimator, a reading; mean."""
+    """Mean compute time of the estimator for a reading."""
     sensor: str = text(GAUSSIAN)
-    """This column and the next ones are younger than the others: a row without them is taken to have been flown in the usual way."""
+    """Older files lack this column and the next three; their rows get these defaults."""
     prior: str | None = None
-    """What else was unknown, or known better: as `--prior` reads it, with spaces between several; None where nothing was."""
+    """The priors given, in the form of `--prior`, separated by spaces; None where there were none."""
     stop_on: str = "location"
     version: str | None = None
-    """Of Plumeward, which flew it; None where the row does not say."""
+    """Version of Plumeward that flew it; None where the row does not say."""
 
 
 class Interval(msgspec.Struct, frozen=True):
@@ -78,13 +78,13 @@ class Interval(msgspec.Struct, frozen=True):
     high: float
 
     def text(self, scale: float, digits: int) -> str:
-        """Say it as a table does."""
+        """Return it as tables show it."""
         value, low, high = (f"{scale * end:.{digits}f}" for end in (self.value, self.low, self.high))
         return f"{value} [{low}, {high}]"
 
 
 def wilson(hits: int, of: int) -> Interval:
-    """A share and its interval (Wilson 1927); of nothing, all is possible."""
+    """A share and its interval (Wilson 1927); NaN with the interval [0, 1] for `of` = 0."""
     if of == 0:
         return Interval(math.nan, 0.0, 1.0)
     z, p = 1.959964, hits / of
@@ -100,7 +100,7 @@ def mean(samples: Array) -> Array:
 
 
 def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Interval:
-    """A statistic, which maps samples (R, n, …) to (R,), of values (n, …), and its percentile interval; NaN where there are none."""
+    """A statistic of values (n, …) and its percentile interval; NaN for no values. `statistic` maps samples (R, n, …) to (R,)."""
     if len(values) == 0:
         return Interval(math.nan, math.nan, math.nan)
     rng = np.random.default_rng(0)
@@ -112,14 +112,14 @@ def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Inte
 
 
 def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
-    """Sum up missions of one policy, one number of particles and one ζ; NaN figures, of no ceased mission, are None."""
+    """Figures of missions of one policy, one number of particles and one ζ. Those that no ceased mission defines are None."""
     ceased = [row for row in rows if row.ceased]
     located = sum(row.located for row in ceased)
 
     def mean_of(name: str) -> Interval:
         return bootstrap(np.array([getattr(row, name) for row in ceased]))
 
-    # Pairs of distance and floor are drawn together: a far source is far for both.
+    # The bootstrap draws distance and floor as pairs: both grow with the distance of the source.
     both = np.array([(row.distance_m, row.floor_m) for row in ceased if row.floor_m is not None]).reshape(-1, 2)
 
     intervals = {
@@ -144,7 +144,7 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
 
 
 def cell(said: dict[str, Any], key: str) -> str:
-    """Say one of the figures with its interval, as a table does."""
+    """Return a figure with its interval as tables show it."""
     if said[key] is None:
         return UNKNOWN
     _, scale, digits = COLUMNS[key]

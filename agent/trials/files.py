@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Files that are written completely or not at all."""
 
 import os
 from collections.abc import Iterator
@@ -8,9 +8,9 @@ from pathlib import Path
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """Give a file beside `path` to write to; it takes the place of `path` when the block ends, and is removed where the block fails.
+    """Yield a file beside `path` to write to. It replaces `path` when the block ends, and is removed if the block fails.
 
-    A pipe or a device, such as /dev/stdout, is written to as it is.
+    A pipe or a device, such as /dev/stdout, is written to directly.
     """
     if path.exists() and not path.is_file():
         yield path

@@ -1,6 +1,6 @@
-"""The information floor of a mission: how far an oracle flies before the posterior can be below ζ; docs/floor.md derives it.
+"""The information floor of a mission: how far an oracle flies before the posterior's spread can be below ζ (docs/floor.md).
 
-It knows the source: missions are judged by it, nothing is planned with it.
+It uses the true source, so it may judge missions but not plan them.
 """
 # mypy: allow-untyped-decorators
 
@@ -19,25 +19,25 @@ from plume.sensor import GAUSSIAN
 Array = NDArray[np.float64]
 
 LEAST_THRESHOLD_M = 0.03
-"""Below it the search takes long, and a floor need not be within the budget."""
+"""Below this ζ the computation takes long, and the floor may exceed the budget."""
 SLOPE, FLOOR = GAUSSIAN.sensor_noise**2, GAUSSIAN.environment_noise**2
 """α² and β²: the variance of a reading is SLOPE m² + FLOOR."""
 PRIOR = 12 / AREA_M**2
-"""Precision of the prior for each axis, 1/m²: of the Gaussian that has the covariance of the uniform prior."""
+"""Precision of the prior for each axis, 1/m²: that of the Gaussian with the covariance of the uniform prior."""
 BENDS = np.array([(0.0, 1.0), *((sign * rate, last) for sign in (-1, 1) for rate in (0.15, 0.3, 0.6, 1.2, 2.0) for last in (2, 4, 8, 16))])
-"""(rad a step, over how many last steps): what a path that begins straight may end with."""
+"""(rad per step, number of last steps): the bends that a path may end with after a straight beginning."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How hard the shortest path is looked for."""
+    """How thoroughly the shortest path is searched for."""
 
     bearings: int = 21
-    """First bearings of the paths tried, evenly within 1 rad of the source's."""
+    """Number of first bearings tried, spaced evenly within 1 rad of the bearing to the source."""
     refined: int = 4
-    """So many of the best paths tried are refined."""
+    """Number of the best paths that are refined."""
     finest: float = 0.02
-    """The refinement ends when no change of a heading by more than this helps, rad."""
+    """The refinement ends when no larger change of a heading helps, rad."""
 
 
 @kernel("float64(float64)", error_model="numpy")
@@ -78,7 +78,7 @@ def _variance(headings: Array, start: Array, model: Array) -> float:
 
 @kernel("float64(float64[::1], float64[::1], float64[::1], float64)", error_model="numpy")
 def _refine(headings: Array, start: Array, model: Array, finest: float) -> float:
-    """Compass search, in place: turn all that follows a step, or shift one waypoint, while that helps; then by half as much."""
+    """Compass search, in place: turn the path after a step, or shift one waypoint, while that helps; then halve the change."""
     steps = len(headings)
     best = _variance(headings, start, model)
     tried = headings.copy()
@@ -105,7 +105,7 @@ def _refine(headings: Array, start: Array, model: Array, finest: float) -> float
 
 @kernel("float64[::1](int64, float64[::1], float64[::1], float64[:, ::1], int64, int64, float64)", error_model="numpy")
 def _best_headings(steps: int, start: Array, model: Array, bends: Array, bearings: int, refined: int, finest: float) -> Array:
-    """Headings of the best path found of so many steps: the best of a family, refined."""
+    """Headings of the best path found with this number of steps: the best of a family, refined."""
     towards = math.atan2(model[1] - start[1], model[0] - start[0])
     family = np.empty((bearings * len(bends), steps))
     variances = np.empty(len(family))
@@ -130,7 +130,7 @@ def model(scenario: Scenario) -> Array:
     """(6,): source x and y, q/(4π d), 1/λ, wind_x/(2d), wind_y/(2d)."""
     s = scenario
     if s.height != 0.0:
-        raise ValueError(f"height is {s.height:g} m; allowed is 0: the floor is that of a source in the plane that is searched")
+        raise ValueError(f"height {s.height:g} m is not allowed; wanted 0: the floor is defined for a source in the search plane")
     inverse_length = math.sqrt((1 + s.u**2 * s.tau / (4 * s.d)) / (s.d * s.tau))
     return np.array([*s.source, s.q / (4 * math.pi * s.d), inverse_length, s.wind[0] / (2 * s.d), s.wind[1] / (2 * s.d)])
 
@@ -147,7 +147,7 @@ def spread_m(scenario: Scenario, headings: Sequence[float]) -> float:
 
 
 def best_path(scenario: Scenario, steps: int, effort: Effort = Effort()) -> tuple[float, ...]:
-    """Headings, rad, of the path of so many steps that was found to leave the least spread."""
+    """Headings, rad, of the path found with this number of steps that leaves the least spread."""
     start, parameters = np.array(scenario.start), model(scenario)
     return tuple(_best_headings(steps, start, parameters, BENDS, effort.bearings, effort.refined, effort.finest).tolist())
 
@@ -155,10 +155,10 @@ def best_path(scenario: Scenario, steps: int, effort: Effort = Effort()) -> tupl
 def floors_m(
     scenario: Scenario, thresholds_m: Sequence[float], effort: Effort = Effort(), budget: int = BUDGET_STEPS
 ) -> dict[float, float]:
-    """Length of the shortest path found after which the spread can be below each ζ, m; infinite where none is within the budget."""
-    steps = min(int(math.dist(scenario.start, scenario.source) / STEP_M), budget)  # seldom far from it
+    """Length of the shortest path found after which the spread can be below each ζ, m; infinite where it exceeds the budget."""
+    steps = min(int(math.dist(scenario.start, scenario.source) / STEP_M), budget)  # usually close to the answer
     result: dict[float, float] = {}
-    for threshold_m in sorted(thresholds_m, reverse=True):  # a smaller ζ takes no fewer steps
+    for threshold_m in sorted(thresholds_m, reverse=True):  # a smaller ζ needs at least as many steps
 
         def reaches(steps: int, threshold_m: float = threshold_m) -> bool:
             return spread_m(scenario, best_path(scenario, steps, effort)) < threshold_m
@@ -172,5 +172,5 @@ def floors_m(
 
 
 def floor_m(scenario: Scenario, threshold_m: float) -> float:
-    """The same for one ζ, m."""
+    """The length that `floors_m` returns, for one ζ, m."""
     return floors_m(scenario, [threshold_m])[threshold_m]

@@ -1,4 +1,8 @@
-"""The bar that shows how far missions or training are, on stderr."""
+"""The progress bar of missions or training, on stderr."""
+
+from collections.abc import Generator
+from contextlib import closing
+from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import (
@@ -12,12 +16,35 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+Flown = TypeVar("Flown")
+
+BAR = 40
+"""Columns of the bar of missions on a wide terminal."""
+BESIDE = 52
+"""Columns of the text beside it."""
+NARROW = 80
+"""On a narrower terminal training shows its text without a bar."""
+
 
 def progress_bar(*, stands: bool = False) -> Progress:
-    """Return a bar of missions flown; with `stands`, one so narrow that a task's field of this name stands beside it in a line of 80."""
+    """Return a bar that counts missions; with `stands`, one of training, beside which the task's field of this name is shown."""
+    console = Console(stderr=True)
     columns: tuple[ProgressColumn, ...]
     if stands:
-        columns = BarColumn(bar_width=8), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.fields[stands]}")
+        bar = () if console.width < NARROW else (BarColumn(bar_width=8),)
+        columns = *bar, TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.fields[stands]}")
     else:
-        columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()
-    return Progress(TextColumn("{task.description}"), *columns, console=Console(stderr=True))
+        bar = (BarColumn(bar_width=min(max(console.width - BESIDE, 4), BAR)),)
+        columns = *bar, MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()
+    return Progress(TextColumn("{task.description}"), *columns, console=console)
+
+
+def with_bar(flights: Generator[Flown, None, None], total: int, what: str, starting: str) -> Generator[Flown, None, None]:
+    """Yield what `flights` yields and show a bar of `total`. It is named `starting` until the first result, then `what`."""
+    with progress_bar() as progress, closing(flights):
+        task = progress.add_task(starting, total=total)
+        if not progress.console.is_terminal:
+            progress.console.print(f"{starting} for {total:,} {what}", highlight=False)
+        for flown in flights:
+            progress.update(task, description=what, advance=1)
+            yield flown

@@ -1,4 +1,4 @@
-"""A mission flown in-process: the networked stack without the network, to the same bits."""
+"""A mission flown in-process, without the network, with bit-identical results."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -18,35 +18,35 @@ from plume.world import World
 
 ALTITUDE_M = 5.0
 USUAL: Mapping[str, float] = MappingProxyType({})
-"""Moves as the planner likes them."""
+"""The planner's own moves."""
 
 
 class Step(NamedTuple):
-    """One reading of a mission and what came of it."""
+    """One reading of a mission and the belief after it."""
 
     belief: Belief
     particles: Particles
     update_s: float
     """Compute time of the estimator for this reading."""
     decision_s: float
-    """Compute time of the agent that led here; 0 at the start."""
+    """Compute time of the agent for the move to here; 0 at the start."""
 
 
 class Mission(NamedTuple):
-    """A mission that is ready to be flown."""
+    """A mission ready to fly."""
 
     scenario: Scenario
-    """The truth: to judge by, not to search by."""
+    """The truth, for judging only."""
     config: Config
     """What the estimator knows."""
     steps: Iterator[Step]
-    """Flown as they are asked for, until the search ceases or the budget is spent."""
+    """Computed when asked for, until the search ceases or the budget is spent."""
 
 
 def mission(
     seed: int, policy: str, particles: int, threshold_m: float, budget: int, moves: Mapping[str, float] = USUAL, **knowledge: Any
 ) -> Mission:
-    """Prepare the mission of a seed with a policy. `moves`: fields of `Reach`. `knowledge`: more fields of `Config`, the sensor say."""
+    """Prepare the mission of a seed with a policy. `moves`: fields of `Reach`. `knowledge`: other fields of `Config`, like the sensor."""
     scenario = draw(seed)
     config = Config(particles, threshold_m, derived_seed(seed, "estimator"), scenario.q, scenario.d, scenario.tau, **knowledge)
     world = World(scenario, seed, config.sensor)
@@ -70,9 +70,9 @@ def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: i
 
 def rollout(
     seed: int, policy: str, particles: int = 1000, threshold_m: float = 0.5, budget: int = BUDGET_STEPS,
-    moves: Mapping[str, float] = USUAL,     **knowledge: Any,
+    moves: Mapping[str, float] = USUAL, **knowledge: Any,
 ) -> tuple[Outcome, list[TracePoint]]:  # fmt: skip
-    """Fly the mission of a seed with a policy; returns its outcome and trace. `moves` and `knowledge` as in `mission`."""
+    """Fly the mission of a seed with a policy; returns its outcome and trace. `moves` and `knowledge` are those of `mission`."""
     flown = mission(seed, policy, particles, threshold_m, budget, moves, **knowledge)
     trace: list[TracePoint] = []
     search_time_s = 0.0

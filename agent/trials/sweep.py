@@ -1,4 +1,4 @@
-"""Sweeps: many missions of policies over seeds, particles and thresholds, on all cores; what is flown is kept."""
+"""Sweeps: missions of policies over seeds, particles and thresholds, on all cores. A journal keeps each flight, so a sweep can resume."""
 
 import hashlib
 import math
@@ -32,7 +32,7 @@ PACKAGES = ("plume", "link", "estimator", "agent")
 
 @dataclass(frozen=True)
 class Sweep:
-    """Which missions are flown, and how."""
+    """Which missions to fly, and how."""
 
     policies: Sequence[str]
     seeds: range
@@ -40,22 +40,22 @@ class Sweep:
     thresholds_m: Sequence[float] = (0.5,)
     budget: int = BUDGET_STEPS
     moves: dict[str, float] = field(default_factory=dict)
-    """Fields of `Reach`, where a planner's own are not wanted."""
+    """Fields of `Reach` that replace the planner's own."""
     knowledge: dict[str, Any] = field(default_factory=dict)
-    """More fields of `Config`."""
+    """Other fields of `Config`."""
 
     @property
     def flights(self) -> Iterator["Flight"]:
-        """All that is to be flown, seed by seed; one flight serves all thresholds."""
+        """All flights, seed by seed. One flight serves all thresholds."""
         return ((policy, particles, seed) for seed in self.seeds for policy in self.policies for particles in self.particles)
 
     @property
     def count(self) -> int:
-        """How many flights that is."""
+        """Number of flights."""
         return len(self.seeds) * len(self.policies) * len(self.particles)
 
     def __contains__(self, flight: "Flight") -> bool:
-        """Whether it is among these flights."""
+        """Whether the sweep includes a flight."""
         policy, particles, seed = flight
         return policy in self.policies and particles in self.particles and seed in self.seeds
 
@@ -63,13 +63,13 @@ class Sweep:
 Flight = tuple[str, int, int]
 """(policy, particles, seed)."""
 Rows = Annotated[list[MissionRow], msgspec.Meta(min_length=1)]
-"""Of a flight: a row a ζ."""
+"""The rows of a flight, one per ζ."""
 Flyer = Callable[[Sweep, Iterable[Sequence[Flight]]], Generator[list[MissionRow], None, None]]
 """(sweep, flights by seed) -> the rows of each flight, in any order."""
 
 
 def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
-    """Fly missions of one seed until their spread is below the smallest ζ; returns for each a row a ζ: there it would have stopped."""
+    """Fly missions of one seed until their spread is below the smallest ζ; returns their rows, one per ζ, each as of the stop at this ζ."""
     missions = [
         mission(seed, policy, particles, min(sweep.thresholds_m), sweep.budget, sweep.moves, **sweep.knowledge)
         for policy, particles, seed in flights
@@ -79,7 +79,7 @@ def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
 
 
 def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
-    """The information floor of a mission at each ζ, m, where docs/floor.md knows it."""
+    """The information floor of a mission at each ζ, m, where docs/floor.md defines it."""
     config = ready.config
     if config.sensor != GAUSSIAN or config.priors or config.stop_limits or sweep.moves.get("step", STEP_M) != STEP_M:
         return {}
@@ -157,7 +157,7 @@ def _row(
 
 
 def told(config: Config) -> dict[str, Any]:
-    """What a row says of what the estimator was told: the columns `sensor`, `prior` and `stop_on`, as the flags read them."""
+    """Return the columns `sensor`, `prior` and `stop_on` of a row, in the form of the flags."""
     names = {kind: name for name, kind in KINDS.items()}
     priors = [f"{name}={names[type(prior)]}:{','.join(map(repr, astuple(prior)))}" for name, prior in config.priors.items()]
     stop_on = ["location"] * config.stop_on_location + [f"{name}={limit!r}" for name, limit in config.stop_limits.items()]
@@ -165,9 +165,9 @@ def told(config: Config) -> dict[str, Any]:
 
 
 def fly_all(sweep: Sweep, journal: Path, fly_tasks: Flyer) -> Generator[list[MissionRow], None, None]:
-    """Fly what the journal does not hold yet; yields the rows of each flight as it ends, those of the journal first.
+    """Fly the flights that the journal lacks; yields the rows of each flight as it ends, those of the journal first.
 
-    The journal takes each flight as it ends, so that a sweep that is cut off goes on where it was.
+    Each flight is added to the journal as it ends, so an interrupted sweep can resume.
     """
     done = _kept(journal)
     yield from (rows for flight, rows in done.items() if flight in sweep)
@@ -175,14 +175,14 @@ def fly_all(sweep: Sweep, journal: Path, fly_tasks: Flyer) -> Generator[list[Mis
     tasks = (list(flights) for _, flights in groupby(left, key=lambda flight: flight[2]))
     journal.parent.mkdir(parents=True, exist_ok=True)
     with journal.open("ab", buffering=0) as file, closing(fly_tasks(sweep, tasks)) as flown:
-        file.write(b"\n")  # ends a line that was cut off
+        file.write(b"\n")  # ends a line that an interrupt left incomplete
         for rows in flown:
             file.write(msgspec.json.encode(rows) + b"\n")
             yield rows
 
 
 def _kept(journal: Path) -> dict[Flight, list[MissionRow]]:
-    """What a journal holds; a line that cannot be read was being written when the sweep was cut off."""
+    """Rows by flight of a journal. A line that cannot be read was left incomplete by an interrupt."""
     done: dict[Flight, list[MissionRow]] = {}
     if journal.exists():
         with journal.open("rb") as file:
@@ -194,7 +194,7 @@ def _kept(journal: Path) -> dict[Flight, list[MissionRow]]:
 
 
 def on_cores(workers: int) -> Flyer:
-    """Fly in so many processes."""
+    """Return what flies in this number of processes."""
     return partial(_on_cores, workers)
 
 
@@ -206,7 +206,7 @@ def _on_cores(workers: int, sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> 
 
 @cache
 def code() -> str:
-    """Digest of what flies: our sources, and the versions of what computes with them."""
+    """Digest of our sources and of the numpy and numba versions."""
     digest = hashlib.blake2b(f"{np.__version__} {numba.__version__}".encode(), digest_size=8)
     root = Path(__file__).parents[2]
     for package in PACKAGES:
@@ -216,7 +216,7 @@ def code() -> str:
 
 
 def journal_of(sweep: Sweep, folder: Path) -> Path:
-    """Return the file in which a sweep is kept: another for another question, or for other code."""
+    """Return the journal of a sweep. Other settings or other code have another journal."""
     bundles = [hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest() for name in sweep.policies if (path := bundle_path(name))]
     question = (code(), bundles, sweep.thresholds_m, sweep.budget, sorted(sweep.moves.items()), sorted(sweep.knowledge.items()))
     digest = hashlib.blake2b(repr(question).encode(), digest_size=8)
@@ -224,6 +224,6 @@ def journal_of(sweep: Sweep, folder: Path) -> Path:
 
 
 def ordered(rows: Iterable[MissionRow], sweep: Sweep) -> list[MissionRow]:
-    """Sort rows as they were asked for; the order in which workers end does not show."""
+    """Return rows in the order of the request, whichever worker ended first."""
     rank = {policy: i for i, policy in enumerate(sweep.policies)}
     return sorted(rows, key=lambda row: (rank[row.policy], row.particles, row.threshold_m, row.seed))

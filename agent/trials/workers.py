@@ -1,4 +1,4 @@
-"""Worker processes: tasks go out, results come back as they end. A killed worker ends the work with an error; no worker outlives it."""
+"""Worker processes: results come back as tasks end. A killed worker raises an error, and no worker outlives its parent."""
 
 import os
 import signal
@@ -13,9 +13,9 @@ from typing import TypeVar
 from link.cli import uninterrupted
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""One thread a worker: thread pools beside each other slow all of them down."""
+"""Set to one thread per worker: competing thread pools slow each other down."""
 AHEAD = 4
-"""Tasks handed out for each worker: none waits for its next one, and ten million tasks are never in memory."""
+"""Tasks handed out per worker: enough to keep it busy, without holding ten million in memory."""
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -26,9 +26,9 @@ class WorkerLost(BrokenExecutor):
 
 
 def as_flown(function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Generator[tuple[Task, Result], None, None]:
-    """Yield (task, function(task)) as they end, from at most so many processes.
+    """Yield (task, function(task)) as tasks end, computed by at most `workers` processes.
 
-    Raises what a task raises, and WorkerLost where a worker was killed; what had ended by then has been yielded before.
+    Raises what a task raises, and WorkerLost if a worker was killed, after yielding all results that were there by then.
     """
     for name in THREADS:
         os.environ.setdefault(name, "1")
@@ -44,10 +44,10 @@ def as_flown(function: Callable[[Task], Result], tasks: Iterable[Task], workers:
                 if not running:
                     return
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in sorted(done, key=lambda it: it.exception() is not None):  # what is flown is not lost to what failed
+                for future in sorted(done, key=lambda it: it.exception() is not None):  # results first, then the error
                     yield running.pop(future), future.result()
         except BaseException as error:
-            for worker in set(active_children()) - others:  # now, not after their tasks, nor while they still start
+            for worker in set(active_children()) - others:  # at once: closing the pool would wait for their tasks
                 worker.kill()
             if isinstance(error, BrokenExecutor):
                 raise WorkerLost("a worker process was killed; the memory may have run out") from error
@@ -55,8 +55,8 @@ def as_flown(function: Callable[[Task], Result], tasks: Iterable[Task], workers:
 
 
 def _submit(pool: ProcessPoolExecutor, function: Callable[[Task], Result], task: Task) -> Future[Result]:
-    # It may start a worker. One that is begun is finished, so that it is known and can be ended; and it inherits the mask:
-    # Ctrl-C, which a terminal sends to workers too, is this process's to answer.
+    # This may start a worker. An interrupt waits until the start is complete, so that the worker is known and can be ended.
+    # The worker inherits the signal mask: a terminal sends Ctrl-C to workers too, but only this process answers it.
     with uninterrupted():
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
@@ -66,7 +66,7 @@ def _submit(pool: ProcessPoolExecutor, function: Callable[[Task], Result], task:
 
 
 def _end_with_parent(alive: Connection) -> None:
-    """End this worker when its parent closes the other end of a pipe, or is killed."""
+    """End this worker when its parent closes the other end of the pipe or dies."""
 
     def watch() -> None:
         alive.poll(None)  # nothing is ever sent

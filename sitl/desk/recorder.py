@@ -1,4 +1,4 @@
-"""`python -m sitl record`: writes down all that is said on a bus."""
+"""`plumeward record`: records all messages on a bus."""
 
 import argparse
 import json
@@ -22,17 +22,17 @@ from link.record.writer import Writer
 from plume import __version__
 
 BATCH_S = 0.2
-"""Messages are taken in batches: to wake for each of them would cost more than to write it."""
+"""Interval of batches of messages, s: waking up for each message would cost more than writing it."""
 FLUSH_S = 0.35
-"""With every second batch, what was taken is handed to the system: a killed recorder loses 0.4 s."""
+"""Interval of flushes, s, every second batch: a killed recorder loses 0.4 s."""
 SIGNAL_POLL_S = 0.05
 LAST_WORDS_S = 0.5
-"""Told to end, it waits so long at most for what is still on its way to it."""
+"""Longest wait at the end for messages still in transit, s."""
 FEW_THREADS = "(rx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1), tx: (worker_threads: 1))"
-"""Zenoh's threads, as the first session of a process reads them: by default four pools hand each message on to each other. Sending keeps
-a thread of its own: who receives may wait for what is to be sent first, and would hold up the router, and with it the mission."""
+"""Zenoh's threads, read by the first session of a process: by default each message passes through four thread pools. Sending keeps its
+own thread: a receiver may wait for something to be sent first, which would block the router and with it the mission."""
 NICENESS = 19
-"""The flight goes before its record."""
+"""The flight has priority over its record."""
 PACKAGES = ("eclipse-zenoh", "numpy", "pymavlink", "numba", "mcap")
 ROOT = Path(__file__).parents[2]
 
@@ -55,14 +55,14 @@ def _about(text: str) -> dict[str, Any]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
-    parser.add_argument("file", type=_file, metavar="FILE.mcap", help="where to record to; a .tlog of all MAVLink is written beside it")
+    parser.add_argument("file", type=_file, metavar="FILE.mcap", help="the record to write; a .tlog of all MAVLink is written beside it")
     cli.add_output_guard(parser)
     cli.add_bus_arguments(parser)
-    parser.add_argument("--about", type=_about, default={}, metavar="JSON", help="what the run is; it is written into the file")
+    parser.add_argument("--about", type=_about, default={}, metavar="JSON", help="a description of the run, stored in the record")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record until interrupted; stdout tells when that has begun."""
+    """Record until interrupted; a line on stdout says when it has begun."""
     os.environ.setdefault("ZENOH_RUNTIME", FEW_THREADS)
     if reason := cli.existing("FILE.mcap", _files(args.file), args.force):
         print(f"error: {reason}", file=sys.stderr)
@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         bus.subscribe(*KEYS)
         bus.settle(CONNECT_TIMEOUT_S)
         ends: list[int] = []
-        for number in (signal.SIGINT, signal.SIGTERM):  # no exception: it could come in the middle of a message
+        for number in (signal.SIGINT, signal.SIGTERM):  # no KeyboardInterrupt, which could strike within a message
             signal.signal(number, lambda number, _: ends.append(number))
         bus.tally.state = "recording"
         bus.publish_health()
@@ -100,12 +100,12 @@ def _files(path: Path) -> tuple[Path, Path]:
 
 
 def _begin(path: Path, force: bool, about: dict[str, Any]) -> Writer:
-    """Begin the files. Raises OSError where that is not possible, without `force` also where one exists; then none is left."""
+    """Create the files. Raises OSError, and leaves none, if that fails or if one exists without `force`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     made: list[Path] = []
     try:
         for file in _files(path) if not force else ():
-            file.open("xb").close()  # another recorder may be about to make it, too: one of the two is refused
+            file.open("xb").close()  # exclusive: of two recorders that start at once, one is refused
             made.append(file)
         return Writer(path, about)
     except OSError:
@@ -120,7 +120,7 @@ def _record(bus: Tap, writer: Writer, ends: list[int]) -> None:
     ended = False
     while not ended:
         _await_batch(ends)
-        ended = bool(ends)  # whenever that was, what has come by then is still written
+        ended = bool(ends)  # read before the messages, so that those that came before the end are still written
         if ended:
             bus.settle(LAST_WORDS_S)
         messages = bus.take()
@@ -147,14 +147,14 @@ def _await_batch(ends: list[int]) -> None:
 
 
 def _give_way() -> None:
-    """Have the scheduler prefer all others to this thread; not so Zenoh's, which run already: where those are late the router waits."""
-    if sys.platform == "linux":  # elsewhere it would be the whole process
+    """Lower the priority of this thread. Zenoh's threads, already running, keep theirs: the router waits for them."""
+    if sys.platform == "linux":  # elsewhere it would affect the whole process
         os.nice(NICENESS)
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def surroundings(namespace: str) -> dict[str, Any]:
-    """Return what a run depends on beside its own settings."""
+    """Return the versions, git revision and host of a run."""
     return {
         "namespace": namespace,
         "began": datetime.now(UTC).isoformat(timespec="milliseconds"),
@@ -165,8 +165,8 @@ def surroundings(namespace: str) -> dict[str, Any]:
 
 
 def git_revision() -> str:
-    """Return the commit that this code is of, with "-dirty" where it has been changed since; empty where it is not known."""
-    if not (ROOT / ".git").exists():  # an installed package may lie within somebody else's repository
+    """Return the commit of this code, with "-dirty" if it has been changed since; empty if unknown."""
+    if not (ROOT / ".git").exists():  # an installed package may lie within another repository
         return ""
     command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:

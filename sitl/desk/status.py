@@ -1,51 +1,50 @@
-"""`python -m sitl status`: how the parts of a mission are doing, at a glance."""
+"""`plumeward status`: the state of each part of a mission."""
 
 import argparse
 import json
 import math
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import msgspec
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
-from rich.table import Table
-from rich.text import Text
 
 from link import cli
 from link.bus.keys import HEALTH
 from link.bus.messages import Health
 from link.bus.session import Arrival, Bus, LivelinessChange, NoRouter
+from link.terminal import Column, table, tell, width_of
 
 PARTS = ("uav", "estimator", "agent")
 STALE_S = 5.0
-"""A part says each second how it is doing: one that has not for so long hangs, or its link is cut."""
+"""Each part publishes its health every second. After this long without, it hangs or its link is cut."""
 WATCH_EVERY_S = 1.0
-WIDTH = 140
-"""Of the table where it does not go to a terminal."""
+SHORTEST_STATE = 20
+"""Characters of a part's state that a narrow terminal shows at least."""
 OK, MISSING, STARTING, STALE, REFUSING = "ok", "missing", "starting", "stale", "refusing"
 COLOURS = {OK: "green", MISSING: "red", STARTING: "yellow", STALE: "red", REFUSING: "yellow"}
 
 
 @dataclass
 class Part:
-    """What is known of one part."""
+    """What is known about one part."""
 
     alive: bool = False
     known_since_s: float = 0.0
     spoke_s: float = -math.inf
-    """When it last said something new: what the bus has kept of it may be old."""
+    """Time of its last new message. The first one may be old, kept by the bus."""
     health: Health | None = None
 
 
 class Board:
-    """What has been heard of the parts, and what that means. Times are of any one clock, s."""
+    """Judges the parts by their messages. All times are of one clock, s."""
 
     def __init__(self, wanted: Iterable[str], alive: Iterable[str], now_s: float, *, only_wanted: bool = False) -> None:
-        """Begin with the parts that have to be there, and those that are; `only_wanted` leaves out all others."""
+        """Start with the parts that must be there and those alive; `only_wanted` ignores all others."""
         self._wanted = set(wanted)
         self._only_wanted = only_wanted
         self._parts = {name: Part(known_since_s=now_s) for name in wanted}
@@ -58,7 +57,7 @@ class Board:
         return self._parts.get(name)
 
     def lives(self, name: str, alive: bool, now_s: float) -> None:
-        """A part came or went."""
+        """Take that a part appeared or disappeared."""
         if (part := self._part(name, now_s)) is None:
             return
         if alive and not part.alive:
@@ -69,7 +68,7 @@ class Board:
                 del self._parts[name]
 
     def hears(self, health: Health, now_s: float) -> None:
-        """A part said how it is doing."""
+        """Take a part's health message."""
         if (part := self._part(health.service, now_s)) is None:
             return
         if part.health is not None and health.uptime_s != part.health.uptime_s:
@@ -77,7 +76,7 @@ class Board:
         part.health = health
 
     def verdict(self, name: str, now_s: float) -> str:
-        """Return how a part is: ok, missing, starting, stale or refusing."""
+        """Return the verdict on a part: ok, missing, starting, stale or refusing."""
         part = self._parts[name]
         if not part.alive:
             return MISSING
@@ -88,13 +87,13 @@ class Board:
         return REFUSING if part.health.refused_lately else OK
 
     def settled(self, now_s: float) -> bool:
-        """Whether more waiting would tell nothing: who is there has spoken since, or had the time to."""
+        """Whether waiting longer is pointless: every part alive has spoken or had the time to."""
         return all(
             not part.alive or part.spoke_s >= part.known_since_s or now_s - part.known_since_s >= STALE_S for part in self._parts.values()
         )
 
     def report(self, now_s: float) -> dict[str, dict[str, Any]]:
-        """Return the parts by name, those that have to be there first: their verdict, and what they said of themselves."""
+        """Return verdict and last health message of each part by name, required parts first."""
         order = sorted(self._parts, key=lambda name: (name not in self._wanted, PARTS.index(name) if name in PARTS else len(PARTS), name))
         return {
             name: {"status": self.verdict(name, now_s), **(msgspec.to_builtins(health) if (health := self._parts[name].health) else {})}
@@ -106,19 +105,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
     cli.add_bus_arguments(parser)
     parser.add_argument(
-        "--parts", type=cli.listed(str), metavar="NAME,NAME", help=f"look at these alone (default: {','.join(PARTS)} and all others there)"
+        "--parts", type=cli.listed(str), metavar="NAME,NAME", help=f"show only these (default: {','.join(PARTS)} and all others there)"
     )
-    parser.add_argument("--watch", action="store_true", help="go on until interrupted")
-    parser.add_argument("--json", action="store_true", help="print JSON, with --watch a line each second")
+    parser.add_argument("--watch", action="store_true", help="repeat until interrupted")
+    parser.add_argument("--json", action="store_true", help="print one line of JSON, with --watch one each second")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show it once, or until interrupted; returns 0 where all is well."""
-    console = Console()
-    if not console.is_terminal:
-        console.width = WIDTH
-    live = args.watch and console.is_terminal and not args.json
-    with Live(console=console, auto_refresh=False) if live else _Printer(console) as shown:
+    """Show the status once, or until interrupted; returns 0 if all parts are ok."""
+    live = args.watch and sys.stdout.isatty() and not args.json
+    with Live(console=Console(highlight=False), auto_refresh=False) if live else _Printer() as shown:
         while True:
             try:
                 with Bus("status", args.connect, args.namespace, log_level=args.log_level, announced=False) as bus:
@@ -131,13 +127,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _Printer:
-    """Prints what a live display would show."""
+    """Prints what a live display would show, one table after the other."""
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
-
-    def update(self, table: Table, *, refresh: bool) -> None:
-        self._console.print(table)
+    def update(self, table: Group, *, refresh: bool) -> None:
+        tell(table, sys.stdout)
 
     def __enter__(self) -> "_Printer":
         return self
@@ -146,7 +139,7 @@ class _Printer:
 
 
 def _look(bus: Bus, args: argparse.Namespace, shown: "Live | _Printer") -> bool:
-    """Listen until it can be told how all are; with --watch until the router is gone."""
+    """Listen until all verdicts are known, with --watch until the router is gone; returns whether all is well."""
     board = Board(args.parts or PARTS, bus.services(), time.monotonic(), only_wanted=bool(args.parts))
     bus.watch_services()
     bus.subscribe(HEALTH)
@@ -179,29 +172,39 @@ def _show(args: argparse.Namespace, shown: "Live | _Printer", no_router: str, pa
     else:
         shown.update(_table(args, no_router, parts), refresh=True)
         if no_router and not args.watch:
-            print(f"error: {no_router}", file=sys.stderr)
+            tell(f"error: {no_router}")
     return well
 
 
-def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, Any]]) -> Table:
-    table = Table(title=f"{args.namespace} at {args.connect}", title_justify="left", title_style="bold", box=None, pad_edge=False)
-    for heading, right in (
-        ("part", False), ("status", False), ("does", False), ("step", True), ("per s", True), ("latency, ms", True),
-        ("up, s", True), ("refused", False), ("warnings, last error", False),
-    ):  # fmt: skip
-        table.add_column(heading, justify="right" if right else "left", overflow="fold")
-    verdict = MISSING if no_router else OK
-    table.add_row("router", Text(verdict, COLOURS[verdict]), *[""] * 7)
-    for name, part in parts.items():
-        verdict = part["status"]
-        cells: list[str | Text] = [name, Text(verdict, COLOURS[verdict])]
-        if "state" in part:
-            refused = ", ".join(f"{count} {kind}" for kind, count in part["refused"].items())
-            does = f"{part['state']}: {part['about']}" if part["about"] else part["state"]
-            trouble = "; ".join(dict.fromkeys([*part["warnings"], *([part["last_error"]] if part["last_error"] else [])]))
-            cells += [
-                does, str(part["step"]) if part["step"] >= 0 else "", f"{part['rate_hz']:.2f}", f"{1000 * part['latency_s']:.2f}",
-                f"{part['uptime_s']:.0f}", refused, trouble,
-            ]  # fmt: skip
-        table.add_row(*cells)
-    return table
+def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, Any]]) -> Group:
+    verdicts = [MISSING if no_router else OK, *(part["status"] for part in parts.values())]
+    told = [{}, *(part if "state" in part else {} for part in parts.values())]
+
+    def column(heading: str, text: Callable[[dict[str, Any]], str], rank: int, *, left: bool = False, least: int | None = None) -> Column:
+        cells = [text(part) if part else "" for part in told]
+        return Column(heading, cells, rank, heading.partition(",")[0], left=left, least=least)
+
+    columns = [
+        Column("part", ["router", *parts], left=True),
+        Column("status", verdicts, left=True, styles=[COLOURS[verdict] for verdict in verdicts]),
+        column("does", _state, 0, left=True, least=SHORTEST_STATE),
+        column("step", lambda part: str(part["step"]) if part["step"] >= 0 else "", 1),
+        column("per s", lambda part: f"{part['rate_hz']:.2f}", 2),
+        column("latency, ms", lambda part: f"{1000 * part['latency_s']:.2f}", 3),
+        column("up, s", lambda part: f"{part['uptime_s']:.0f}", 4),
+    ]
+    troubles = [line for name, part in parts.items() for line in _troubles(name, part)]
+    return table(columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], troubles)
+
+
+def _state(part: dict[str, Any]) -> str:
+    return f"{part['state']}: {part['about']}" if part["about"] else str(part["state"])
+
+
+def _troubles(name: str, part: dict[str, Any]) -> list[str]:
+    """Return a line with the messages that a part refused, and one for each warning and its last error."""
+    if "state" not in part:
+        return []
+    refused = ", ".join(f"{count} {kind}" for kind, count in part["refused"].items())
+    wrong = dict.fromkeys([*part["warnings"], *([part["last_error"]] if part["last_error"] else [])])
+    return [*([f"{name} refused: {refused}"] if refused else []), *(f"{name}: {text}" for text in wrong)]

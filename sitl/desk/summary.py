@@ -1,34 +1,36 @@
-"""`python -m sitl log`: what a log holds, as a summary, or one key of it as CSV."""
+"""`plumeward log`: a summary of a log, or one of its keys as CSV."""
 
 import argparse
 import csv
 import json
 import math
-import os
 import statistics
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from link import cli
+from link.terminal import Column, table, tell, width_of
 
 if TYPE_CHECKING:
     from link.record.reader import Recording
     from link.record.record import Entry
 
 PAUSE_S = 2.0
-"""A silence of the whole bus that is worth a line: telemetry alone comes every second."""
+"""A longer silence of the whole bus is reported, s: telemetry comes every second."""
 LISTED = 5
-"""So many of a kind are told one by one, the rest by their number."""
+"""Number of items of a kind that are listed; the rest is counted."""
+SHORTEST_KEY = 12
+"""Characters of a key that a narrow terminal shows at least."""
 LONGEST = 120
-"""Characters of what is told of a message that cannot be read."""
+"""Longest description of an unreadable message, characters."""
 
 
 class Row(NamedTuple):
-    """One message of a table: when it was published, when that was in the simulation, and its fields."""
+    """One message of a table: publication time, simulation time and fields."""
 
     published_s: float
     simulation_s: float
@@ -42,31 +44,31 @@ class KeyTable(NamedTuple):
     published_s: list[float]
     simulation_s: list[float]
     repeats: int | None
-    """How many are another one again; None where that says nothing."""
+    """Number of repeated messages; None where repeats mean nothing."""
 
 
 class Summary(NamedTuple):
-    """What there is to say of a log."""
+    """The summary of a log."""
 
     head: list[str]
     tables: list[KeyTable]
     tail: list[str]
     fields: dict[str, Any]
-    """The same for programs."""
+    """The same as JSON fields."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
-    parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog")
+    parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap written by a mission or `record`, or any autopilot's .tlog")
     output = parser.add_mutually_exclusive_group()
     output.add_argument(
-        "--csv", metavar="KEY", help="print a key as CSV: belief, reading, health/uav, mavlink/out/ATTITUDE; of a .tlog ATTITUDE"
+        "--csv", metavar="KEY", help="print one key as CSV: belief, reading, health/uav, mavlink/out/ATTITUDE; for a .tlog ATTITUDE"
     )
     output.add_argument("--json", action="store_true", help="print the summary as one JSON object on the last line of stdout")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was asked for; returns the exit status."""
+    """Print the summary or the CSV; returns the exit status."""
     from link.record.reader import RecordError, read
     from sitl.replay.source import BadSource, is_recording
     from sitl.tlog.sender import FlightError
@@ -80,21 +82,17 @@ def run(args: argparse.Namespace) -> int:
     except (RecordError, FlightError, BadSource, _NoSuchKey) as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    try:
-        if args.csv:
-            _print_csv(rows)
-        else:
-            _print(summary)
-            if args.json:
-                print(json.dumps(summary.fields))
-        sys.stdout.flush()
-    except BrokenPipeError:  # the reader has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if args.csv:
+        _print_csv(rows)
+        return 0
+    _print(summary, sys.stderr if args.json else sys.stdout)
+    if args.json:
+        print(json.dumps(summary.fields))
     return 0
 
 
 class _NoSuchKey(ValueError):
-    """The log does not hold what is asked for; the text is one clear line."""
+    """The log lacks the key asked for; the message is one line."""
 
 
 # ---- records of the bus ----
@@ -107,11 +105,11 @@ def _summary(path: Path, recording: "Recording") -> Summary:
     beliefs = _by_step(said)
     outcome, lines = _outcome(recording.about, beliefs)
     if not beliefs and any(entry.key == "belief" for entry in entries):
-        lines = ["no belief that can be read: what came of the search is not known"]
+        lines = ["no readable belief: the outcome of the search is unknown"]
     gaps = _gaps(entries, beliefs) + _restarts(said) + unreadable
     began = recording.about.get("began", "unknown")
     policy, seed = recording.about.get("policy"), recording.about.get("seed")
-    mission = f"{policy}, seed {seed}" if policy is not None else "no mission told"
+    mission = f"{policy}, seed {seed}" if policy is not None else "mission unknown"
     title, versions = _object(recording.about, "mission").get("about"), _object(recording.about, "versions")
     commit, _, dirty = str(recording.about.get("git") or "").partition("-")
     revision = commit[:12] + (f", {dirty}" if dirty else "")
@@ -120,8 +118,10 @@ def _summary(path: Path, recording: "Recording") -> Summary:
     whole = "complete" if recording.complete else f"CUT OFF{f': {stopped}' if stopped else ''}"
     flown_with = f"plumeward {versions.get('plumeward', 'unknown')}{f' ({revision})' if revision else ''}"
     head = [
-        f"{path}: {f'{title}, ' if title else ''}{mission}, begun {began}",
-        f"{flown_with}, {len(entries):,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
+        str(path),
+        f"{f'{title}, ' if title else ''}{mission}, begun {began}",
+        f"{len(entries):,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
+        flown_with,
     ]
     fields = {
         "log": str(path), "complete": recording.complete, "messages": len(entries), "duration_s": wall_s, "simulation_s": simulation_s,
@@ -143,26 +143,26 @@ def _span(times: Sequence[float]) -> float:
 
 
 def _object(about: dict[str, Any], name: str) -> dict[str, Any]:
-    """What a log tells about itself under a name, where that is an object."""
+    """The object under a name in the log's own description; empty if there is none."""
     value = about.get(name)
     return value if isinstance(value, dict) else {}
 
 
 class Statement(NamedTuple):
-    """A JSON message that could be read."""
+    """A readable JSON message."""
 
     key: str
     message: Any
 
 
 def _read_json(entries: "Sequence[Entry]") -> tuple[list[Statement], list[str]]:
-    """Return the JSON messages that can be read, and a line for each kind of those that cannot: no JSON, or of another version."""
+    """Return the readable JSON messages, and one line for each kind of unreadable ones (not JSON, or of another version)."""
     import msgspec
 
     from link.bus.messages import Belief, Stop
 
     class Alive(msgspec.Struct):
-        """What is used of a health message."""
+        """The fields used of a health message."""
 
         uptime_s: float
 
@@ -181,13 +181,13 @@ def _read_json(entries: "Sequence[Entry]") -> tuple[list[Statement], list[str]]:
 
 
 def _line(text: str) -> str:
-    """What a stranger's message has left in an error, fit for a terminal."""
+    """Return an error text that may quote a message, made safe for a terminal."""
     plain = "".join(letter if letter.isprintable() else "?" for letter in text)
     return plain if len(plain) <= LONGEST else f"{plain[:LONGEST]} ..."
 
 
 def _by_step(said: Sequence[Statement]) -> dict[int, Any]:
-    """Return the beliefs by step, each the first time that it was said."""
+    """Return the first belief of each step, in order."""
     beliefs: dict[int, Any] = {}
     for key, message in said:
         if key == "belief":
@@ -196,14 +196,14 @@ def _by_step(said: Sequence[Statement]) -> dict[int, Any]:
 
 
 def _outcome(about: dict[str, Any], beliefs: dict[int, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Judge the search: by the source, where the log tells it."""
+    """Return the outcome as fields and lines; compared with the true source if the log has it."""
     import msgspec
 
     from plume.outcome import TracePoint, outcome, outcome_text
     from plume.scenario import Scenario
 
     if not beliefs:
-        return {"ceased": None}, ["no belief: nothing was searched for"]
+        return {"ceased": None}, ["no belief: there was no search"]
     last = beliefs[max(beliefs)]
     estimate = f"estimate ({last.mean[0]:.2f}, {last.mean[1]:.2f}) ± {last.spread:.2f} m"
     plain = {"ceased": last.ceased, "estimate": last.mean, "spread_m": last.spread, "steps": last.step}
@@ -212,20 +212,20 @@ def _outcome(about: dict[str, Any], beliefs: dict[int, Any]) -> tuple[dict[str, 
     except (KeyError, msgspec.ValidationError):
         return plain, [f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps", estimate]
     trace = [TracePoint(belief.position, belief.gas, belief.mean, belief.spread) for belief in beliefs.values()]
-    result = outcome(0, "", scenario, trace, last.ceased, 0.0)  # seed, policy and search time are not told here
+    result = outcome(0, "", scenario, trace, last.ceased, 0.0)  # seed, policy and search time are not shown here
     told = {**plain, "located": result.located, "error_m": result.error_m, "distance_m": result.distance_m, "source": result.source}
     return told, outcome_text(result).splitlines()
 
 
 def _gaps(entries: "Sequence[Entry]", beliefs: dict[int, Any]) -> list[str]:
-    """What is missing: answers, steps, time."""
+    """Return a line for each kind of gap: unanswered readings, missing steps, pauses."""
     lines = []
     answered = {belief.time_boot_ms for belief in beliefs.values()}
     asked = {round(entry.simulation_s * 1000) for entry in entries if entry.key == "reading"}
     if unanswered := sorted(asked - answered):
         times = [f"{time_boot_ms / 1000:.2f} s" for time_boot_ms in unanswered]
         lines.append(f"{len(unanswered)} readings without a belief, at {_few(times)} of simulation")
-    if missing := max(beliefs, default=-1) + 1 - len(beliefs):  # counted, not listed: a stranger's step may be any number
+    if missing := max(beliefs, default=-1) + 1 - len(beliefs):  # counted, not listed: a foreign message may have any step
         steps = (str(step) for before, after in pairwise([-1, *beliefs]) for step in range(before + 1, after))
         lines.append(f"{missing} beliefs missing, of step {_few(list(islice(steps, LISTED)), missing)}")
     published_s = sorted(entry.published_ns / 1e9 for entry in entries)
@@ -238,24 +238,24 @@ def _gaps(entries: "Sequence[Entry]", beliefs: dict[int, Any]) -> list[str]:
 
 
 def _restarts(said: Sequence[Statement]) -> list[str]:
-    """Which services were started again: the time that they are up went back."""
+    """Return a line for each service that was restarted: its uptime went back."""
     up_s: dict[str, float] = {}
     restarts: Counter[str] = Counter()
     for key, message in said:
         if key.startswith("health/"):
             restarts[key.removeprefix("health/")] += message.uptime_s < up_s.get(key, -math.inf)
             up_s[key] = message.uptime_s
-    return [f"{service} was started again {count} time{'s' * (count > 1)}" for service, count in sorted(restarts.items()) if count]
+    return [f"{service} was restarted {count} time{'s' * (count > 1)}" for service, count in sorted(restarts.items()) if count]
 
 
 def _few(texts: Sequence[str], count: int = 0) -> str:
-    """List the first of many; `count` says how many there are where not all are given."""
+    """Return the first few texts as a list and the number of the others; `count` is their total if not all are given."""
     more = max(len(texts), count) - LISTED
     return ", ".join(texts[:LISTED]) + (f" and {more:,} more" if more > 0 else "")
 
 
 def _rows(entries: "Sequence[Entry]", name: str) -> list[Row]:
-    """Return a key's messages with their fields; raises _NoSuchKey with what there is."""
+    """Return a key's messages with their fields; raises _NoSuchKey that lists the keys."""
     tables: dict[str, list[Row]] = defaultdict(list)
     for entry in entries:
         for key, fields in _decoded(entry):
@@ -266,7 +266,7 @@ def _rows(entries: "Sequence[Entry]", name: str) -> list[Row]:
 
 
 def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
-    """Tell the fields of a message by the name that they are exported under; nothing of what is not what the bus contract says."""
+    """Yield (export name, fields) of a message; nothing for a message that breaks the bus contract."""
     from link.bus.mavlink import BadFrame, flat_reading
     from link.record.decoded import decode
 
@@ -293,7 +293,7 @@ def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _of_tlog(path: Path, name: str | None) -> tuple[Summary, list[Row]]:
-    """Summarise a .tlog by type of message; with a name return the rows of that type, too."""
+    """Return a summary of a .tlog by message type and, with a name, the rows of that type."""
     from pymavlink.dialects.v20 import all as mavlink
 
     from sitl.tlog.flight import open_log
@@ -325,31 +325,25 @@ def _of_tlog(path: Path, name: str | None) -> tuple[Summary, list[Row]]:
 # ---- printing ----
 
 
-def _print(summary: Summary) -> None:
-    from rich.console import Console
-    from rich.table import Table as RichTable
-
-    console = Console(highlight=False)
+def _print(summary: Summary, stream: TextIO) -> None:
+    tables = summary.tables
+    pauses = [[after - before for before, after in pairwise(sorted(it.published_s))] for it in tables]
+    columns = [
+        Column("key", [it.name for it in tables], left=True, least=SHORTEST_KEY, keeps_end=True),
+        Column("messages", [f"{len(it.published_s):,}" for it in tables]),
+        Column("per s", [_rate(it.published_s) for it in tables], rank=2),
+        Column("per simulated s", [_rate(it.simulation_s) for it in tables], rank=3),
+        Column("repeats", ["" if it.repeats is None else str(it.repeats) for it in tables], rank=4),
+        Column("longest pause, s", [f"{max(each):.2f}" if each else "" for each in pauses], rank=1),
+    ]
+    told = [column for column in columns if any(column.cells) or column.rank < 3]
     for line in summary.head:
-        console.print(line, markup=False, soft_wrap=True)
-    simulated = any(table.simulation_s for table in summary.tables)
-    repeated = any(table.repeats is not None for table in summary.tables)
-    columns = ["key", "messages", "per s", *["per simulated s"] * simulated, *["repeats"] * repeated, "longest pause, s"]
-    grid = RichTable(*columns, box=None, header_style="", pad_edge=False)
-    for column in grid.columns[1:]:
-        column.justify = "right"
-    for table in summary.tables:
-        cells = [table.name, f"{len(table.published_s):,}", _rate(table.published_s)]
-        cells += [_rate(table.simulation_s)] * simulated + ["" if table.repeats is None else str(table.repeats)] * repeated
-        pauses = [after - before for before, after in pairwise(sorted(table.published_s))]
-        grid.add_row(*cells, f"{max(pauses):.2f}" if pauses else "")
-    console.print(grid)
-    for line in summary.tail:
-        console.print(line, markup=False, soft_wrap=True)
+        tell(line, stream)
+    tell(table(told, width_of(stream), "--json", below=summary.tail), stream)
 
 
 def _rate(times: Sequence[float]) -> str:
-    """Messages a second: one over the mean time from one to the next."""
+    """Messages per second: one over the mean time between two."""
     steps = [after - before for before, after in pairwise(sorted(times))]
     mean_s = statistics.fmean(steps) if steps else 0.0
     return f"{1 / mean_s:,.2f}" if mean_s > 0 else ""
@@ -366,7 +360,7 @@ def _print_csv(rows: Sequence[Row]) -> None:
 
 
 def _flattened(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Name what lies within lists and objects: mean[0], refused.late."""
+    """Yield the values within lists and objects with their names: mean[0], refused.late."""
     if isinstance(value, dict):
         for field, inner in value.items():
             yield from _flattened(f"{name}.{field}" if name else field, inner)

@@ -1,4 +1,4 @@
-"""`python -m sitl replay`: a log in the vehicle's place. What listens cannot tell, and `--verify` shows whether it says what it said."""
+"""`plumeward replay`: a log takes the place of the vehicle. `--verify` compares the services' answers with the recorded ones."""
 
 import argparse
 import math
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from link import cli
+from link.terminal import tell
 from plume import sensor
 from plume.randomness import MAX_SEED
 
@@ -19,13 +20,13 @@ if TYPE_CHECKING:
 
 
 READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume")
-"""Flags that say how an autopilot's log is read."""
+"""Flags for reading an autopilot's log."""
 FILTER_FLAGS = ("particles", "threshold", "prior", "stop_on", "rate", "diffusivity", "lifetime", "sensor", "seed")
-"""Flags that are handed on to the estimator."""
+"""Flags passed on to the estimator."""
 
 
 class _Unset:
-    """The default of a flag that is only handed on: help shows it, and a flag that was given can be told from one that was not."""
+    """The default of a flag that is passed on: shown in the help, and distinct from any value given."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -51,30 +52,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog")
     parser.add_argument(
         "-e", "--connect", metavar="ENDPOINT",
-        help="only be the vehicle, on this router (default: start router, estimator and agent too, as they were started then)",
+        help="act only as the vehicle, on this router (default: also start router, estimator and agent with their recorded flags)",
     )  # fmt: skip
     parser.add_argument("--namespace", metavar="NAME", help="the vehicle's key prefix (default: the recorded one)")
     parser.add_argument(
-        "--speedup", type=cli.number(0, 1000), default=1.0, metavar="X", help="1 the recorded pace, 0 as fast as possible (default: 1)"
+        "--speedup",
+        type=cli.number(0, 1000),
+        default=1.0,
+        metavar="X",
+        help="1 for the recorded pace, 0 for as fast as possible (default: 1)",
     )
+    parser.add_argument("--from", type=seconds, default=0.0, metavar="S", dest="from_s", help="skip this many seconds of simulation time")
     parser.add_argument(
-        "--from", type=seconds, default=0.0, metavar="S", dest="from_s", help="leave out so many seconds of simulation time"
+        "--to", type=seconds, default=math.inf, metavar="S", dest="to_s", help="end at this simulation time, from the beginning of the log"
     )
-    parser.add_argument("--to", type=seconds, default=math.inf, metavar="S", dest="to_s", help="end there, counted from the log's begin")
-    parser.add_argument("--loop", action="store_true", help="again and again, each time to services started anew; not with --connect")
-    parser.add_argument("--verify", action="store_true", help="compare with what was said then; status 1 and the first difference, or 0")
+    parser.add_argument("--loop", action="store_true", help="repeat, each time with new services; not with --connect")
+    parser.add_argument("--verify", action="store_true", help="compare with the recorded answers: status 0, or 1 and the first difference")
     parser.add_argument(
         "--ignore", action="append", default=[], metavar="FIELD",
-        help="with --verify: leave out a field such as belief.p_value, the particles, or all of belief, stop or waypoint",
+        help="with --verify: ignore a field such as belief.p_value, the particles, or all of belief, stop or waypoint",
     )  # fmt: skip
     parser.add_argument(
-        "--tolerance", type=seconds, default=0.0, metavar="X", help="with --verify: let numbers differ by so much (default: 0)"
+        "--tolerance",
+        type=seconds,
+        default=0.0,
+        metavar="X",
+        help="with --verify: largest difference of numbers that is accepted (default: 0)",
     )
-    parser.add_argument("--json", action="store_true", help="print what came of it as one JSON object on the last line of stdout")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object on the last line of stdout")
     parser.add_argument("--sysid", type=cli.whole(1, 255), metavar="N", help="tlog: which vehicle (default: the only one)")
-    parser.add_argument("--gas", metavar="NAME", help="tlog: the message with the gas readings, NAME or MESSAGE.FIELD (default: gas)")
+    parser.add_argument("--gas", metavar="NAME", help="tlog: message of the gas readings, NAME or MESSAGE.FIELD (default: gas)")
     parser.add_argument(
-        "--wind", type=_pair("SPEED,FROM"), metavar="SPEED,FROM", help="tlog: wind instead of the log's, m/s and degrees that it comes from"
+        "--wind",
+        type=_pair("SPEED,FROM"),
+        metavar="SPEED,FROM",
+        help="tlog: wind to use instead of the log's, m/s and the direction it comes from in degrees",
     )
     parser.add_argument("--every", type=positive, metavar="S", help="tlog: time between two readings (default: 1 s)")
     parser.add_argument(
@@ -82,7 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="tlog: south-western corner of the search area, m in the log's local frame (default: around the flight)",
     )  # fmt: skip
     parser.add_argument("--area", type=positive, metavar="M", help="tlog: side of the search area (default: around the flight)")
-    parser.add_argument("--plume", metavar="MISSION", help="tlog: take the gas from this mission's plume, along the path")
+    parser.add_argument("--plume", metavar="MISSION", help="tlog: simulate the gas along the path with this mission's plume")
     cli.add_filter_arguments(parser)
     for name in ("particles", "threshold", "stop_on"):
         parser.set_defaults(**{name: _Unset(parser.get_default(name))})
@@ -91,13 +103,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--lifetime", type=positive, metavar="TAU", help="lifetime τ of the gas (default: the plume's, or 10 s)")
     parser.add_argument(
         "--sensor", type=cli.checked(sensor.parse), metavar="KIND[:NUMBERS]",
-        help="gaussian, threshold or hits, with their numbers where chosen (default: the plume's, or gaussian)",
+        help="gaussian, threshold or hits, each with its numbers if wanted (default: the plume's, or gaussian)",
     )  # fmt: skip
-    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), metavar="N", help="of the filter's own draws (default: 0)")
+    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), metavar="N", help="seed of the filter's random draws (default: 0)")
 
 
 def _given(args: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
-    """Return those of some flags that were given."""
+    """Return the flags of `names` that were given."""
     values = {name: getattr(args, name) for name in names}
     return {name: value for name, value in values.items() if value not in (None, []) and not isinstance(value, _Unset)}
 
@@ -114,12 +126,12 @@ def run(args: argparse.Namespace) -> int:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
     for note in source.notes:
-        print(f"replay: {note}", file=sys.stderr)
+        tell(f"replay: {note}")
     try:
         while True:
             began = time.monotonic()
             result = replay(source, rules, args.speedup, args.connect)
-            _tell(result, source, rules, time.monotonic() - began)
+            tell(_text(result, source, rules, time.monotonic() - began), sys.stderr if args.json else sys.stdout)
             if result.difference or not args.loop:
                 break
     except KeyboardInterrupt:
@@ -133,25 +145,24 @@ def run(args: argparse.Namespace) -> int:
     return cli.FAILED if result.difference else 0
 
 
-def _tell(result: "Replayed", source: "Source", rules: "Rules | None", took_s: float) -> None:
-    """Say for people what the services said, and whether it is what they said then."""
+def _text(result: "Replayed", source: "Source", rules: "Rules | None", took_s: float) -> str:
+    """Return, for people, what the services said and whether it equals the recording."""
     last = result.last
-    outcome = "no belief came"
+    outcome = "no belief received"
     if last is not None:
         x, y = last.mean
         ceased = "not ceased" if result.ceased_at is None else f"ceased at step {result.ceased_at}"
         outcome = f"{last.step + 1} readings, {ceased}\nestimate ({x:.2f}, {y:.2f}) ± {last.spread:.2f} m"
         if source.truth:
-            outcome += f", source ({source.truth[0]:.2f}, {source.truth[1]:.2f}), error {math.dist(last.mean, source.truth):.2f} m"
-    print(f"replayed in {took_s:.1f} s: {outcome}", file=sys.stderr)
+            outcome += f"\nsource ({source.truth[0]:.2f}, {source.truth[1]:.2f}), error {math.dist(last.mean, source.truth):.2f} m"
+    replayed = f"replayed in {took_s:.1f} s: {outcome}"
     if rules is None:
-        return
+        return replayed
     if result.difference:
-        print(f"differs: {result.difference.text()}", file=sys.stderr)
-        return
+        return f"{replayed}\ndiffers: {result.difference.text()}"
     counted = [f"{n} {kind}{'' if n == 1 else 's'}" for kind, n in result.counts.items() if kind not in rules.ignored]
     relaxed = [f"within {rules.tolerance:g}"] * bool(rules.tolerance) + [f"without {name}" for name in sorted(rules.ignored)]
-    print(f"verified: {', '.join(counted)}" + f" ({', '.join(relaxed)})" * bool(relaxed), file=sys.stderr)
+    return f"{replayed}\nverified: {', '.join(counted)}" + f" ({', '.join(relaxed)})" * bool(relaxed)
 
 
 def _json(result: "Replayed", source: "Source", rules: "Rules | None") -> str:

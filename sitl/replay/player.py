@@ -1,4 +1,4 @@
-"""The player of a replay: says what the vehicle said then, when the services have said what they said then."""
+"""The player of a replay: publishes the vehicle's recorded messages, and waits for the services' answers in between."""
 
 import contextlib
 import math
@@ -18,16 +18,16 @@ from sitl.replay.source import SERVICES, VEHICLE_KEYS, Source, reading_time
 from sitl.replay.verify import Answer, Difference, Rules
 
 ANSWER_TIMEOUT_S = 10.0
-"""Real time within which an answer has to come, or three times the longest that one took then."""
+"""Longest wait for an answer, s of real time, or three times the longest recorded one."""
 SETTLE_S = 0.3
-"""Real time in which what should not be said at the end would be said, or twice the longest that an answer took."""
+"""Wait for unexpected answers at the end, s of real time, or twice the longest answer time."""
 
 
 class Replayed(NamedTuple):
-    """What became of one replay."""
+    """The result of one replay."""
 
     counts: dict[str, int]
-    """Messages heard, each once, by kind."""
+    """Number of different messages received, by kind."""
     last: Belief | None
     ceased_at: int | None
     """The step at which the search ceased."""
@@ -35,7 +35,7 @@ class Replayed(NamedTuple):
 
 
 def replay(source: Source, rules: Rules | None, speedup: float, connect: str | None) -> Replayed:
-    """Replay once; what was started for it has ended when it returns, whatever happened. Raises MissionFailed."""
+    """Replay once. Every process started for it has ended when this returns or raises. Raises MissionFailed."""
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
         readings = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
@@ -61,10 +61,10 @@ def _start(processes: Processes, source: Source) -> str:
 
 
 class Player:
-    """Says what the vehicle said, when the services have said what they said then."""
+    """Publishes the vehicle's recorded messages, and waits for the services' answers in between."""
 
     def __init__(self, bus: Bus, source: Source, progress: Progress, rules: Rules | None, own: bool) -> None:
-        """Take the bus, joined as the uav; `own` where the services were started for this replay."""
+        """Take the bus, joined as the uav. `own`: the services were started for this replay."""
         self._bus = bus
         self._source = source
         self._progress = progress
@@ -76,7 +76,7 @@ class Player:
         self._services = {SERVICES[kind] for _, kind in self._awaited} if source.recorded else {"estimator"}
         self._present: set[str] = set()
         self._due: set[tuple[int, str]] = set()
-        """Answers to what has been published that have not come yet."""
+        """Answers still missing for what has been published."""
         self._given_up: set[str] = set()
         self._patience_s = max(ANSWER_TIMEOUT_S, 3 * source.slowest_s)
         self._slowest_s = 0.0
@@ -91,17 +91,17 @@ class Player:
         self._difference: Difference | None = None
 
     def wait_for_services(self) -> None:
-        """Wait, like the vehicle, until those are there that answered then."""
+        """Wait, like the vehicle, until the services that answered in the recording are present."""
         told = False
         while missing := sorted(self._services - self._present):
             item = self._bus.receive(timeout_s=1.0)
             if item is None and not told and not self._own:
-                self._progress.say(f"waits for {' and '.join(missing)} on {self._source.namespace}")
+                self._progress.say(f"waiting for {' and '.join(missing)} on {self._source.namespace}")
                 told = True
             self._take(item)
 
     def play(self, speedup: float) -> None:
-        """Publish all of it at its pace, up to the first difference."""
+        """Publish all messages at their pace, up to the first difference."""
         began, first_ns = time.monotonic(), self._source.entries[0].published_ns
         for entry in self._source.entries:
             if speedup:
@@ -118,7 +118,7 @@ class Player:
             self._listen(time.monotonic() + max(SETTLE_S, 2 * self._slowest_s))
 
     def result(self) -> Replayed:
-        """Return what has become of it."""
+        """Return the result."""
         counts = {kind: sum(heard == kind for _, heard in self._heard) for kind in SERVICES}
         return Replayed(counts, self._last, self._ceased_at, self._difference)
 
@@ -131,7 +131,7 @@ class Player:
             self._first_ms = time_boot_ms
         if self._source.recorded:
             while self._awaited and self._awaited[0][0] <= time_boot_ms:
-                self._due.add(self._awaited.popleft())  # also those whose reading the log has lost
+                self._due.add(self._awaited.popleft())  # also answers whose reading the log lacks
         else:
             self._due.add((time_boot_ms, "belief"))
         self._due = {(time, kind) for time, kind in self._due if time >= self._first_ms and kind not in self._given_up}
@@ -140,7 +140,7 @@ class Player:
         self._resend_at = self._published_at + self._resend_s
 
     def _wait_for_answers(self) -> float:
-        """Wait until all that is due has come; returns how long it took. What does not come is a difference, or a warning."""
+        """Wait for all answers due; returns the time it took, s. A missing answer is a difference or a warning."""
         began = time.monotonic()
         self._listen(began + self._patience_s, for_answers=True)
         if self._due and not self._difference:
@@ -151,20 +151,16 @@ class Player:
         time_boot_ms, kind = key
         service = SERVICES[kind]
         gone = "" if service in self._present else f": the {service} is gone"
-        again = (
-            " (one that has seen these readings before takes them for late: start it anew)"
-            if not (self._own or self._heard or gone)
-            else ""
-        )
+        again = " (it refuses readings that it has seen before: restart it)" if not (self._own or self._heard or gone) else ""
         self._progress.say(
-            f"warning: no {kind} came for the reading at {time_boot_ms / 1000:.2f} s within {self._patience_s:g} s{gone}{again}"
+            f"warning: no {kind} received for the reading at {time_boot_ms / 1000:.2f} s within {self._patience_s:g} s{gone}{again}"
         )
         self._compare(key, None)
-        self._given_up |= {kind for _, kind in self._due}  # not waited for again before one comes
+        self._given_up |= {kind for _, kind in self._due}  # not waited for again until one arrives
         self._due.clear()
 
     def _listen(self, until: float, for_answers: bool = False) -> None:
-        """Take what comes until a time, or until nothing is due; say an unanswered reading again meanwhile, as the vehicle does."""
+        """Receive until a time, or until nothing is due; meanwhile repeat an unanswered reading, as the vehicle does."""
         while not self._difference and (self._due or not for_answers) and (now := time.monotonic()) < until:
             if self._due and now >= self._resend_at:
                 assert self._reading is not None
@@ -190,7 +186,7 @@ class Player:
                 elif not self._own:
                     self._present.add(service)
             case Arrival(key) if key is HEALTH:
-                # A service that was started just now is there when it says so: it may compile something first.
+                # A service started just now is present once it reports its health: it may compile kernels first.
                 if (health := self._bus.decode(item, Health)) is not None:
                     self._present.add(health.service)
             case Arrival(key, payload, attachment):
@@ -201,7 +197,7 @@ class Player:
 
     def _answered(self, answer: Answer) -> None:
         if answer.time_boot_ms > self._latest_ms:
-            return  # of an earlier flight, kept for late joiners
+            return  # from an earlier flight, kept for late joiners
         key = answer.time_boot_ms, answer.kind
         self._due.discard(key)
         self._given_up.discard(answer.kind)
@@ -211,7 +207,7 @@ class Player:
         self._compare(key, answer)
 
     def _compare(self, key: tuple[int, str], now: Answer | None) -> None:
-        """Hold what is said against what was; `now` is None where it did not come in time."""
+        """Compare an answer with the recorded one; `now` is None if none came in time."""
         then = self._source.then
         if self._rules is None or self._difference or not (key in then or self._must_be_silent(key)):
             return
@@ -219,7 +215,7 @@ class Player:
         self._difference = verify.difference(then.get(key), now, self._rules, belief.fields.get("step") if belief else None)
 
     def _must_be_silent(self, key: tuple[int, str]) -> bool:
-        """Whether the log says that there is no such answer."""
+        """Whether the log proves that there was no such answer."""
         source = self._source
         return key not in source.then and key[0] <= source.sure_ms and verify.must_be_silent(source.then, *key, source.budget)
 

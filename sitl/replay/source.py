@@ -1,4 +1,4 @@
-"""What a replay plays: a recording of the bus, with the answers of then, or an autopilot's log."""
+"""The source of a replay: a recording of the bus with the recorded answers, or an autopilot's log."""
 
 import argparse
 import math
@@ -21,41 +21,41 @@ from sitl.tlog import flight
 from sitl.tlog.sender import FlightError
 
 VEHICLE_KEYS = {READING.name: READING, MAVLINK_OUT.name: MAVLINK_OUT, HEALTH.name.replace("<service>", "uav"): HEALTH}
-"""What a vehicle publishes, by its key in a log."""
+"""The keys that a vehicle publishes on, by their names in a log."""
 SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
-"""Who answers with what."""
+"""The service that sends each kind of answer."""
 
 OVERTAKE_NS = 500_000_000
-"""By so much messages may overtake each other on their way into a log."""
+"""Largest time by which messages overtake each other on their way into a log, ns."""
 
 
 class BadSource(ValueError):
-    """The log, or what is asked for of it, cannot be replayed; the text is one clear line."""
+    """The log cannot be replayed as asked for; the message is one line."""
 
 
 class Source(NamedTuple):
-    """What is replayed, and to whom."""
+    """What is replayed, and the services to start."""
 
     path: Path
     entries: list[Entry]
-    """What the vehicle published, in that order."""
+    """The vehicle's messages in the order of publication."""
     then: Mapping[tuple[int, str], Answer]
-    """What the services answered; nothing in an autopilot's log."""
+    """The recorded answers of the services; empty for an autopilot's log."""
     parts: Mapping[str, list[str]]
     """The services to start, with their command lines."""
     namespace: str
     recorded: bool
-    """From the bus; otherwise an autopilot's log."""
+    """True: a recording of the bus. False: an autopilot's log."""
     sure_ms: float = math.inf
-    """Of readings up to this one the log has all answers; where it was cut off, later ones may lack some."""
+    """The log has all answers to readings up to this time; if it was cut off, later ones may lack some."""
     slowest_s: float = 0.0
-    """The longest that an answer took then."""
+    """The longest recorded answer time."""
     budget: float = math.inf
-    """Moves after which the agent was to give up."""
+    """The agent's step budget."""
     truth: tuple[float, float] | None = None
-    """Where the source was, m."""
+    """True location of the source, m; None if unknown."""
     notes: tuple[str, ...] = ()
-    """What has to be said of the log, a line each."""
+    """Remarks on the log, one line each."""
 
 
 class _Release(msgspec.Struct, frozen=True):
@@ -63,7 +63,7 @@ class _Release(msgspec.Struct, frozen=True):
 
 
 class _About(msgspec.Struct, frozen=True):
-    """What is used of what a recording tells about itself."""
+    """The fields used of a recording's own description."""
 
     parts: dict[str, list[str]] = {}
     namespace: str = "uav/1"
@@ -79,12 +79,12 @@ def recording(path: Path) -> Source:
     except RecordError as error:
         raise BadSource(str(error)) from None
     except msgspec.ValidationError as error:
-        raise BadSource(f"{path}: what it tells about itself cannot be used: {error}") from None
+        raise BadSource(f"{path}: its description cannot be used: {error}") from None
     notes: tuple[str, ...] = ()
     sure_ms = math.inf
     if not log.complete:
         end_s = max((entry.simulation_s for entry in log.entries), default=0.0)
-        notes = (f"{path} is cut off: it is replayed up to where it ends, at {end_s:.2f} s",)
+        notes = (f"{path} is cut off: replayed up to its end at {end_s:.2f} s",)
         end_ns = max((entry.published_ns for entry in log.entries), default=0)
         early = [entry for entry in log.entries if entry.key == READING.name and entry.published_ns <= end_ns - OVERTAKE_NS]
         sure_ms = max((time for time in map(reading_time, early) if time is not None), default=-1)
@@ -140,22 +140,22 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
 
 
 def find(args: argparse.Namespace, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> tuple[Source, Rules | None]:
-    """Return what a command line asks for: the source, and what --verify lets differ; raises BadSource.
+    """Return the source that a command line asks for, and the rules of --verify; raises BadSource.
 
-    `chosen` and `filtering` are the flags given for autopilots' logs: how one is read, and the estimator's.
+    `chosen` and `filtering` are the flags given for reading an autopilot's log and for its estimator.
     """
     recorded = is_recording(args.log)
     _refuse(args, recorded, chosen, filtering)
     source = recording(args.log) if recorded else autopilot_log(args.log, chosen, filtering)
     if not source.entries:
-        raise BadSource(f"{args.log}: there is nothing in it that a vehicle published")
+        raise BadSource(f"{args.log}: it has no messages of a vehicle")
     source = source._replace(namespace=args.namespace or source.namespace, entries=_cut(source.entries, args))
     rules = _rules(args, source) if args.verify else None
     return (source if args.connect else _with_services(source, rules)), rules
 
 
 def reading_time(entry: Entry) -> int | None:
-    """The time under which a reading is answered; None of one that no estimator takes."""
+    """The time that identifies a reading, ms; None if no estimator accepts it."""
     try:
         return unpack_reading(entry.payload).time_boot_ms
     except BadFrame:
@@ -163,7 +163,7 @@ def reading_time(entry: Entry) -> int | None:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a log is a recording of the bus; raises BadSource where it cannot be read."""
+    """Whether a log is a recording of the bus; raises BadSource if it cannot be read."""
     try:
         return is_record(path)
     except RecordError as error:
@@ -171,16 +171,16 @@ def is_recording(path: Path) -> bool:
 
 
 def _refuse(args: argparse.Namespace, recorded: bool, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> None:
-    """Refuse the flags that have nothing to say here: not to heed them would be worse."""
+    """Raise BadSource on a flag that would have no effect here."""
     for name in (*chosen, *filtering) if recorded else ():
-        raise BadSource(f"--{name.replace('_', '-')}: not allowed with {args.log}: a recording says itself how it was flown")
+        raise BadSource(f"--{name.replace('_', '-')}: not allowed with {args.log}: a recording has its own settings")
     for name in filtering if args.connect else ():
-        raise BadSource(f"--{name.replace('_', '-')}: not allowed with --connect: the estimator there has flags of its own")
+        raise BadSource(f"--{name.replace('_', '-')}: not allowed with --connect: the estimator there has its own settings")
     for name, value in () if args.verify else (("ignore", args.ignore), ("tolerance", args.tolerance)):
         if value:
             raise BadSource(f"--{name}: only allowed with --verify")
     if args.loop and args.connect:
-        raise BadSource("--loop: not allowed with --connect: an estimator takes the same readings only once")
+        raise BadSource("--loop: not allowed with --connect: an estimator accepts the same readings only once")
     if args.verify and not recorded:
         raise BadSource(f"--verify: not allowed with {args.log}: an autopilot's log holds no answers to compare with")
     if args.verify and args.from_s:
@@ -194,7 +194,7 @@ def _cut(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
     within = [entry for entry in entries if args.from_s <= entry.simulation_s - first_s <= args.to_s]
     if not within:
         long_s = max(entry.simulation_s for entry in entries) - first_s
-        raise BadSource(f"--from: nothing of {args.log} lies between {args.from_s:g} and {args.to_s:g} s; it is {long_s:.1f} s long")
+        raise BadSource(f"--from: no message of {args.log} is between {args.from_s:g} and {args.to_s:g} s; it is {long_s:.1f} s long")
     return within
 
 
@@ -205,17 +205,17 @@ def _rules(args: argparse.Namespace, source: Source) -> Rules:
         raise BadSource(str(error)) from None
     published = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
     if not any(time in published and kind not in rules.ignored for time, kind in source.then):
-        raise BadSource(f"--verify: no belief, stop or waypoint in {args.log} answers what is replayed: there is nothing to compare")
+        raise BadSource(f"--verify: no belief, stop or waypoint in {args.log} answers a replayed reading: nothing to compare")
     return rules
 
 
 def _with_services(source: Source, rules: Rules | None) -> Source:
-    """Say which services that answered then cannot be started; where their answers are to be compared that is an error."""
+    """Add a note for each recorded service that cannot be started; raises BadSource if its answers are to be compared."""
     notes = list(source.notes)
     for service in sorted({SERVICES[kind] for _, kind in source.then} - set(source.parts)):
         text = f"{source.path} does not say how its {service} was started"
         kinds = [kind for kind in SERVICES if SERVICES[kind] == service]
         if rules and not rules.ignored.issuperset(kinds):
             raise BadSource(f"{text}; start one and give --connect, or give {' '.join(f'--ignore {kind}' for kind in kinds)}")
-        notes.append(f"warning: {text}: it is replayed without")
+        notes.append(f"warning: {text}: replayed without it")
     return source._replace(notes=tuple(notes))

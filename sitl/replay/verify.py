@@ -1,4 +1,4 @@
-"""What estimator and agent said then, held against what they say now, field by field. It knows their bytes, and none of their code."""
+"""Compares the answers of estimator and agent with the recorded ones, field by field. It decodes their bytes without their code."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,7 +14,7 @@ from link.bus.messages import Belief, Stop
 from link.record.record import Entry
 
 KINDS = {"stop": STOP.name, "belief": BELIEF.name, "waypoint": MAVLINK_IN.name}
-"""What a reading is answered with and on which key, in the order in which it is said."""
+"""Kinds of answers to a reading and their keys, in the order of publication."""
 PARTICLES = "particles"
 WAYPOINT = mavlink.MAVLink_set_position_target_local_ned_message
 FIELDS: Mapping[str, tuple[str, ...]] = {
@@ -23,27 +23,27 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "waypoint": tuple(WAYPOINT.fieldnames),
 }
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}
-"""What is told of a message that only one side has."""
+"""Fields shown of a message that only one side has."""
 
 
 class Answer(NamedTuple):
-    """One message of a service, about one reading."""
+    """One answer of a service to one reading."""
 
     kind: str
     time_boot_ms: int
-    """Of the reading that it answers."""
+    """Time of the reading that it answers."""
     fields: dict[str, Any]
 
 
 class Difference(NamedTuple):
-    """The first thing that is not as it was."""
+    """The first difference from the recording."""
 
     kind: str
     time_boot_ms: int
     step: int | None
-    """None where no belief tells it."""
+    """None where no belief says it."""
     field: str
-    """Which value; empty where the whole message is on one side only."""
+    """The value that differs; empty if only one side has the message."""
     was: Any
     now: Any
 
@@ -63,25 +63,25 @@ class Difference(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """What may differ."""
+    """Differences that are accepted."""
 
     ignored: frozenset[str] = frozenset()
     """Kinds, and fields as KIND.FIELD."""
     tolerance: float = 0.0
-    """Numbers may differ by so much."""
+    """Largest difference of numbers that is accepted."""
 
 
 EXACTLY = Rules()
 
 
 def place(key: tuple[int, str]) -> tuple[int, int]:
-    """Where an answer, by time and kind, stands among all that is said: the order in which differences are looked for."""
+    """Sort key of answers by time and kind: the order in which they are compared."""
     time_boot_ms, kind = key
     return time_boot_ms, list(KINDS).index(kind)
 
 
 def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
-    """Return what a message answers: nothing where it is no answer of a service, or does not decode."""
+    """Return the answers in a message; empty if it is not an answer of a service or does not decode."""
     if key == MAVLINK_IN.name:
         return _waypoints(payload)
     kind = {BELIEF.name: "belief", STOP.name: "stop"}.get(key)
@@ -100,7 +100,7 @@ def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
 
 
 def said(entries: Iterable[Entry]) -> dict[tuple[int, str], Answer]:
-    """Return what a log holds of answers, by reading and kind, in order; what is said again counts once."""
+    """Return the answers in a log by reading and kind, in order; repeated ones count once."""
     found: dict[tuple[int, str], Answer] = {}
     for entry in entries:
         for answer in answers(entry.key, entry.payload, entry.attachment):
@@ -109,7 +109,7 @@ def said(entries: Iterable[Entry]) -> dict[tuple[int, str], Answer]:
 
 
 def ignored(names: Sequence[str], then: Iterable[Answer] = ()) -> frozenset[str]:
-    """Read what --ignore takes; raises ValueError with what is allowed. Fields that only the log knows can be ignored too."""
+    """Parse the values of --ignore; raises ValueError that says what is allowed. Fields that only the log has can be ignored too."""
     fields = {kind: list(known) for kind, known in FIELDS.items()}
     for answer in then:
         fields[answer.kind] = list(dict.fromkeys((*fields[answer.kind], *answer.fields)))
@@ -129,9 +129,9 @@ def ignored(names: Sequence[str], then: Iterable[Answer] = ()) -> frozenset[str]
 
 
 def difference(was: Answer | None, now: Answer | None, rules: Rules = EXACTLY, step: int | None = None) -> Difference | None:
-    """Compare one message with its counterpart, either of which may be missing; returns the first field that differs.
+    """Compare one message with its counterpart, one of which may be missing; returns the first field that differs.
 
-    `step` is for those that do not say theirs.
+    `step` is used for messages that have none.
     """
     one = was or now
     assert one is not None
@@ -149,7 +149,7 @@ def difference(was: Answer | None, now: Answer | None, rules: Rules = EXACTLY, s
 
 
 def compare(then: Mapping[tuple[int, str], Answer], now: Mapping[tuple[int, str], Answer], rules: Rules = EXACTLY) -> Difference | None:
-    """Compare all that was said in two logs of the same kind of mission; returns the first difference."""
+    """Compare the answers of two logs; returns the first difference."""
     both = {**then, **now}
     for key in sorted(both, key=place):
         if found := difference(then.get(key), now.get(key), rules, _step(both.get((key[0], "belief")))):
@@ -158,9 +158,9 @@ def compare(then: Mapping[tuple[int, str], Answer], now: Mapping[tuple[int, str]
 
 
 def must_be_silent(then: Mapping[tuple[int, str], Answer], time_boot_ms: int, kind: str, budget: float) -> bool:
-    """Whether the log's silence means that nothing was said, rather than that it begins later or ends before.
+    """True if a missing answer proves that none was sent, rather than that the log begins later or ends earlier.
 
-    What is said to the last reading may have come when nobody recorded any more, unless the log shows that it was not to come.
+    Answers to the last reading may have been sent after the recording ended, unless the log shows that none was to be sent.
     """
     times = [time for time, _ in then]
     if not times or not times[0] <= time_boot_ms <= times[-1]:
@@ -195,13 +195,13 @@ def _waypoints(payload: bytes) -> list[Answer]:
 
 
 def _particles(attachment: bytes, unknowns: Any) -> Any:
-    """Rows of float32; bytes that are no such rows stay what they are."""
+    """Return rows of float32, or the bytes unchanged if they do not divide into rows."""
     columns = len(unknowns) + 1 if isinstance(unknowns, list) else 1
     return attachment if len(attachment) % (4 * columns) else np.frombuffer(attachment, "<f4").reshape(-1, columns)
 
 
 def _float32(value: Any) -> Any:
-    """The number with the fewest digits that is the same float32: as many as the wire carries, and no more."""
+    """Return the number with the fewest digits that is the same float32, as the wire carries it."""
     return float(str(np.float32(value))) if isinstance(value, float | np.floating) else value
 
 
@@ -245,7 +245,7 @@ def _same(was: float, now: float, tolerance: float) -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """What can be printed of an array or of bytes: their size."""
+    """Return the size of an array or of bytes as text, other values unchanged."""
     if isinstance(value, np.ndarray):
         return f"{len(value)} rows of {value.shape[1]}"
     return f"{len(value)} bytes" if isinstance(value, bytes) else value

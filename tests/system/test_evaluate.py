@@ -44,7 +44,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(start, tmp_path: Path, wait_u
     wait_until(lambda: any(path.read_bytes().count(b"\n") > 5 for path in tmp_path.glob("runs/*.jsonl")))
     first.process.send_signal(signal.SIGINT)
     assert first.ended() == 130
-    assert any("the same command goes on from there" in line for line in first.err)
+    assert any("Run the command again: it resumes" in line for line in first.err)
     (journal,) = tmp_path.glob("runs/*.jsonl")
     kept = journal.read_bytes()
     second = start(*command, cwd=tmp_path)
@@ -85,7 +85,7 @@ def test_a_killed_worker_ends_the_sweep_with_a_line_and_nothing_is_lost(start, t
     count = len([line for line in kept.splitlines() if line])
     assert sweep.err[-1] == (
         "error: a worker process was killed; the memory may have run out; "
-        f"{count} of 10000 missions are kept; the same command goes on from there\n"
+        f"{count} of 10000 missions are saved. Run the command again: it resumes\n"
     )
     assert not sweep.says("Traceback")
     assert gone(second)
@@ -159,7 +159,7 @@ def test_a_table_that_cannot_be_written_loses_nothing(start, tmp_path: Path) -> 
         (("--scenarios", "0"), "--scenarios: '0' is not allowed"),
         (("--headings", "5"), "--headings: invalid choice: 5 (choose from 4, 8)"),
         (("--missions", "/tmp"), "--missions: '/tmp' is a folder; wanted a file"),
-        (("--missions", "nowhere/missions.csv"), "--missions: no folder 'nowhere' to write in"),
+        (("--missions", "nowhere/missions.csv"), "--missions: no such folder: 'nowhere'"),
         (("--stop-on", "q=3"), "--stop-on: 'q=3' is not allowed"),
     ],
 )

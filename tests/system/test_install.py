@@ -271,7 +271,7 @@ def test_the_command_and_the_module_take_the_same_command_lines(own: Installed, 
 @pytest.mark.parametrize(
     ("words", "status", "told"),
     [
-        (("report",), 1, "pictures are drawn with matplotlib: pip install 'plumeward[view]'"),
+        (("report",), 1, "report needs matplotlib: pip install 'plumeward[view]'"),
         (("train", "ppo"), 2, "training needs torch, stable_baselines3, gymnasium, onnx, tensorboard: pip install 'plumeward[train]'"),
         (("evaluate", "--ray", "auto"), 2, "--ray: Ray is not installed; pip install 'plumeward[ray]'"),
     ],

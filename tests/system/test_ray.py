@@ -119,7 +119,7 @@ def test_two_nodes_give_what_the_cores_give_and_an_interrupt_loses_nothing(
         wait_until(lambda: len(journal()) > len(kept) + 1, timeout_s=60)
         sweep.process.send_signal(sign)
         assert sweep.ended() == 130
-        assert sweep.says("the same command goes on from there")
+        assert sweep.says("Run the command again: it resumes")
         assert not sweep.says("ray")
         assert journal().startswith(kept)
         return journal()
@@ -141,7 +141,7 @@ def test_a_node_with_other_code_is_refused(start, cluster: Cluster, tmp_path: Pa
         refused = start(*SWEEP, "--scenarios", "2", "--ray", address, cwd=tmp_path)
         assert refused.ended() == 2
         assert refused.err[-1].startswith("error: --ray: node ")
-        assert refused.err[-1].endswith("lacks the plumeward, numpy and numba that are here; install the same there\n")
+        assert refused.err[-1].endswith("has other versions of plumeward, numpy or numba; install those of this machine\n")
         assert not refused.says("Traceback")
 
 

@@ -241,7 +241,7 @@ class TestVerify:
         cut = tmp_path / "cut.mcap"
         cut.write_bytes(whole[: len(whole) * 2 // 3])
         err, result = verify.passes(cut)
-        assert f"replay: {cut} is cut off: it is replayed up to where it ends, at " in "".join(err)
+        assert f"replay: {cut} is cut off: replayed up to its end at " in "".join(err)
         readings = {
             mavlink.MAVLink(None).parse_buffer(entry.payload)[0].time_boot_ms for entry in read(cut).entries if entry.key == "reading"
         }
@@ -280,7 +280,7 @@ class TestReplay:
         took_s = (entries[-1].published_ns - entries[0].published_ns) / 1e9
         replay = start("sitl", "replay", str(log), *from_the_first_reading(log), "--speedup", repr(took_s / 3))
         assert replay.ended() == 0
-        said_s = float(next(line for line in replay.err if line.startswith("replayed in ")).split()[2])
+        said_s = float(next(line for line in replay.out if line.startswith("replayed in ")).split()[2])
         assert said_s > 3
 
     def test_it_ends_when_a_service_of_its_own_is_killed(self, start, family, wait_until: Callable, log: Path) -> None:
@@ -304,7 +304,7 @@ class TestReplay:
 
     def test_a_loop_verifies_each_round_until_it_is_interrupted(self, start, wait_until: Callable, log: Path) -> None:
         replay = start("sitl", "replay", str(log), "--speedup", "0", "--loop", "--verify")
-        wait_until(lambda: sum(line.startswith("verified: ") for line in replay.err) >= 2)
+        wait_until(lambda: sum(line.startswith("verified: ") for line in replay.out) >= 2)
         replay.process.send_signal(signal.SIGINT)
         assert replay.ended() == 130
 
@@ -312,7 +312,7 @@ class TestReplay:
         tampered = rewritten(log, tmp_path / "tampered.mcap", json_changed("belief", 0, spread=1.0))
         replay = start("sitl", "replay", str(tampered), "--speedup", "0", "--loop", "--verify")
         assert replay.ended() == 1
-        assert sum(line.startswith("differs: ") for line in replay.err) == 1
+        assert sum(line.startswith("differs: ") for line in replay.out) == 1
 
 
 class TestOnAnotherBus:
@@ -322,14 +322,14 @@ class TestOnAnotherBus:
         self, start, router: str, wait_until: Callable, log: Path
     ) -> None:
         replay = start("sitl", "replay", str(log), "--connect", router, "--verify", "--speedup", "0.3")
-        wait_until(lambda: replay.says("waits for agent and estimator on uav/1"))
+        wait_until(lambda: replay.says("waiting for agent and estimator on uav/1"))
         running = services_of(log, start, router)
         wait_until(lambda: replay.says("step  10"))
         for service in running.values():
             service.kill()
         services_of(log, start, router)
         assert replay.ended() == 0, replay.err
-        assert replay.err[-1].startswith("verified: ")
+        assert replay.out[-1].startswith("verified: ")
 
     def test_listeners_get_what_the_vehicle_published_to_the_last_byte(self, start, router: str, log: Path) -> None:
         with Stranger(router) as viewer:
@@ -353,10 +353,10 @@ class TestOnAnotherBus:
         with Services(monkeypatch, router) as services:
             services.start(read(log).about["parts"])
             assert run_sitl(monkeypatch, capsys, *replay)[0] == 0
-            status, _, err = run_sitl(monkeypatch, capsys, *replay)
+            status, out, err = run_sitl(monkeypatch, capsys, *replay)
         assert status == 1
-        assert any("start it anew" in line for line in err)
-        assert any(line.startswith("differs: belief at ") and line.endswith(", is none") for line in err)
+        assert any("restart it" in line for line in err)
+        assert any(line.startswith("differs: belief at ") and line.endswith(", is none") for line in out)
 
 
 class TestAutopilotLog:
@@ -384,7 +384,7 @@ class TestAutopilotLog:
         assert replay.ended() == 0, replay.err
         result = json.loads(replay.out[-1])
         assert result["error_m"] == pytest.approx(math.dist(result["estimate"], (17, 16)))
-        assert replay.says(", source (17.00, 16.00), error ")
+        assert replay.says("source (17.00, 16.00), error ")
         assert 10 < result["beliefs"] < 35
 
     @pytest.mark.parametrize(
@@ -436,7 +436,7 @@ class TestBadInput:
         (tmp_path / "noise.mcap").write_bytes(b"noise")
         assert "noise.mcap" in refusal(str(tmp_path / "noise.mcap"))
         Writer(tmp_path / "empty.mcap", {"seed": 1}).close()
-        assert refusal(str(tmp_path / "empty.mcap")).endswith("empty.mcap: there is nothing in it that a vehicle published")
+        assert refusal(str(tmp_path / "empty.mcap")).endswith("empty.mcap: it has no messages of a vehicle")
 
     def test_a_log_that_does_not_say_how_it_was_flown(self, start, refusal: Callable[..., str], log: Path, tmp_path: Path) -> None:
         anonymous = rewritten(log, tmp_path / "anonymous.mcap", about={})
@@ -455,4 +455,4 @@ class TestBadInput:
         assert replay.err[-1].startswith("error: --policy: ")
         assert "'clairvoyance' is not allowed" in replay.err[-1]
         broken = rewritten(log, tmp_path / "broken.mcap", about={"parts": "all"})
-        assert "broken.mcap: what it tells about itself cannot be used: " in refusal(str(broken))
+        assert "broken.mcap: its description cannot be used: " in refusal(str(broken))

@@ -9,9 +9,8 @@ def test_it_makes_a_page_of_what_evaluate_wrote(start, tmp_path: Path) -> None:
     assert start("agent", "evaluate", *flags, cwd=tmp_path).ended() == 0
     report = start("agent", "report", cwd=tmp_path)
     assert report.ended(120) == 0, report.err
-    assert report.out == []
     assert report.says("flying 100 missions of greedy")
-    assert report.err[-1] == "report/index.html\n"
+    assert report.out[-1] == "report/index.html\n"
     assert "| 20 | 0.5 | greedy | 2 |" in (tmp_path / "report" / "results.md").read_text()
     assert (tmp_path / "report" / "hundred.png").read_bytes().startswith(b"\x89PNG")
     again = start("agent", "report", cwd=tmp_path)
@@ -25,8 +24,8 @@ def test_bad_input_is_one_line(start, tmp_path: Path) -> None:
     (tmp_path / "other" / "shopping.csv").write_text("what,many\neggs,6\n")
     (tmp_path / "file").touch()
     for flags, error in (
-        (("--results", "nowhere"), "error: --results: no folder 'nowhere'; `python -m agent evaluate --missions FILE.csv` writes"),
-        (("--results", "empty"), "error: --results: no mission in 'empty'; `python -m agent evaluate --missions FILE.csv` writes"),
+        (("--results", "nowhere"), "error: --results: no such folder: 'nowhere'; `plumeward evaluate --missions FILE.csv` writes"),
+        (("--results", "empty"), "error: --results: no missions in 'empty'; `plumeward evaluate --missions FILE.csv` writes"),
         (("--results", "other"), "error: --results: other/shopping.csv: "),
         (("--report", "empty"), "error: unrecognized arguments: --report"),
     ):

@@ -1,4 +1,4 @@
-"""`python -m agent train`: learn a policy, and write it down as a bundle that the agent flies."""
+"""`plumeward train`: train a policy and export it as a bundle that the agent flies."""
 
 import argparse
 import os
@@ -12,42 +12,41 @@ import msgspec
 from agent.bundle import BundleError, Point, read
 from agent.learn.train.folder import CheckpointError, checkpoints, claim
 from agent.learn.train.recipes import PRESETS, Recipe
-from agent.trials.progress import progress_bar
+from agent.trials.progress import NARROW, progress_bar
 from link import cli
+from link.terminal import tell
 from plume.randomness import MAX_SEED
 
 KEPT_IN = Path("runs/train")
 NEEDED = ("torch", "stable_baselines3", "gymnasium", "onnx", "tensorboard")
 EVALUATED_AT = (100, 1000, 4000)
-"""Numbers of particles that a bundle's figures are measured with."""
+"""Numbers of particles with which a bundle's figures are measured."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `train`."""
-    parser.add_argument("algorithm", choices=PRESETS["tuned"], help="what learns: %(choices)s")
-    parser.add_argument(
-        "--preset", choices=PRESETS, default="tuned", help="the recipe: what did best, or the paper's (default: %(default)s)"
-    )
+    parser.add_argument("algorithm", choices=PRESETS["tuned"], help="learning algorithm: %(choices)s")
+    parser.add_argument("--preset", choices=PRESETS, default="tuned", help="recipe: our best one, or the paper's (default: %(default)s)")
     parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="the same seed gives the same policy (default: %(default)s)")
-    parser.add_argument("--steps", type=cli.whole(1, 10**12), metavar="N", help="moves to learn from (default: the recipe's)")
+    parser.add_argument("--steps", type=cli.whole(1, 10**12), metavar="N", help="moves to train on (default: the recipe's)")
     parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help=f"checkpoints, curve and bundle (default: {KEPT_IN}/ALGORITHM-PRESET-SEED)"
+        "--out", type=Path, metavar="FOLDER", help=f"folder for checkpoints, curve and bundle (default: {KEPT_IN}/ALGORITHM-PRESET-SEED)"
     )
     parser.add_argument(
         "--threads", type=cli.whole(1, 4096), default=os.cpu_count() or 1, metavar="T",
-        help="that share the missions; they change no result (default: all cores, %(default)s)",
+        help="threads that share the missions, without effect on the result (default: all cores, %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--scenarios",
         type=cli.whole(0, 10_000_000),
         default=1000,
         metavar="N",
-        help="test missions to judge the bundle by (default: %(default)s)",
+        help="test missions to evaluate the bundle on (default: %(default)s)",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train, export and judge; the same command goes on where it was cut off."""
+    """Train, export and evaluate; returns the exit status. If interrupted, the same command resumes."""
     if missing := [name for name in NEEDED if find_spec(name) is None]:
         print(f"error: training needs {', '.join(missing)}: pip install 'plumeward[train]'", file=sys.stderr)
         return cli.BAD_INPUT
@@ -71,61 +70,63 @@ def run(args: argparse.Namespace) -> int:
 
                 judge(bundle, args.scenarios, EVALUATED_AT)
         except BundleError as error:
-            print(f"error: --out: {str(bundle)!r}: {error}; delete it to train anew", file=sys.stderr)
+            print(f"error: --out: {str(bundle)!r}: {error}; delete it to train again", file=sys.stderr)
             return cli.BAD_INPUT
         except CheckpointError as error:
             print(f"error: --out: {error}", file=sys.stderr)
             return cli.BAD_INPUT
         except KeyboardInterrupt:
-            print(f"interrupted{_kept(recipe, folder, bundle)}", file=sys.stderr)
+            tell(f"interrupted{_kept(recipe, folder, bundle)}")
             raise
-    print(f"{bundle}: fly it with `python -m sitl --policy {bundle}`", file=sys.stderr)
+    tell(f"fly it with\n  plumeward fly --policy {bundle}", sys.stdout)
     return 0
 
 
 def _tell_of_steps(asked: int | None, recipe: Recipe) -> None:
-    """Say where a run is longer than it was asked to be, or too short to learn anything."""
+    """Say if a run is longer than asked for, or too short to learn anything."""
     if asked is None:
         return
     if recipe.steps != asked:
         at_a_time = f"{recipe.algorithm} learns from {recipe.moves_at_a_time:,} moves at a time"
-        print(f"--steps {asked}: {at_a_time}: trains {recipe.steps:,}", file=sys.stderr)
+        tell(f"--steps {asked}: rounded up to {recipe.steps:,}, since {at_a_time}")
     if recipe.steps <= (looks_on := recipe.settings.get("learning_starts", 0)):
-        print(
-            f"--steps {asked}: {recipe.algorithm} begins to learn after {looks_on:,} moves: from so few it learns nothing", file=sys.stderr
-        )
+        tell(f"warning: --steps {asked}: too few; {recipe.algorithm} begins to learn after {looks_on:,} moves")
 
 
 def _kept(recipe: Recipe, folder: Path, bundle: Path) -> str:
-    """What an interrupted run leaves behind."""
+    """Return in words what an interrupted run has saved."""
     if bundle.exists():
-        return f": {bundle} is trained; the same command goes on with its test missions"
+        return f": {bundle} is trained. Run the command again: it resumes with the test missions"
     if checkpoints(folder):
-        return f": {folder} keeps the last checkpoint; the same command goes on from there"
-    return f" before the first checkpoint, after {recipe.checkpoint_steps:,} moves: nothing is kept; the same command begins anew"
+        return f": {folder} holds the last checkpoint. Run the command again: it resumes there"
+    return f" before the first checkpoint at {recipe.checkpoint_steps:,} moves: nothing is saved, the command begins anew"
 
 
 def _learn(recipe: Recipe, seed: int, folder: Path, threads: int, bundle: Path) -> None:
     if bundle.exists():
         read(bundle)
-        print(f"{bundle} is there already: trained to its end", file=sys.stderr)
+        tell(f"{bundle} is already trained")
         return
-    from agent.learn.train.export import export
-    from agent.learn.train.loop import train
-
     began = time.monotonic()
     with progress_bar(stands=True) as progress:
-        task = progress.add_task(recipe.algorithm, total=recipe.steps, stands="")
-        if kept := checkpoints(folder):
-            progress.console.print(f"goes on from {kept[-1].name}")
+        wide = progress.console.width >= NARROW
+        task = progress.add_task(recipe.algorithm, total=recipe.steps, stands="starting: loading torch")
+        tell(f"training {recipe.algorithm} in {folder}: {recipe.steps:,} moves")
+        from agent.learn.train.export import export
+        from agent.learn.train.loop import train
 
-        def tell(point: Point, speed: float) -> None:
+        if kept := checkpoints(folder):
+            tell(f"resuming from {kept[-1].name}")
+        progress.update(task, stands="starting: first missions")
+
+        def show(point: Point, speed: float) -> None:
             mtd = "–" if point.mtd_m is None else f"{point.mtd_m:.1f} m"
-            stands = f"{speed:,.0f} moves/s ceased {100 * point.ceased:.1f}% located {100 * point.located:.1f}% MTD {mtd}"
+            ceased = f"ceased {100 * point.ceased:.1f}% " if wide else ""
+            stands = f"{speed:,.0f} moves/s {ceased}located {100 * point.located:.1f}% MTD {mtd}"
             progress.update(task, completed=point.steps, stands=stands)
             if not progress.console.is_terminal:
-                progress.console.print(f"{point.steps:,} moves: {stands}")
+                tell(f"{point.steps:,} moves: {stands}")
 
-        model, curve = train(recipe, seed, folder, threads, tell)
+        model, curve = train(recipe, seed, folder, threads, show)
     export(model, recipe, seed, curve, bundle)
-    print(f"trained in {(time.monotonic() - began) / 60:.1f} minutes", file=sys.stderr)
+    tell(f"trained in {(time.monotonic() - began) / 60:.1f} minutes")

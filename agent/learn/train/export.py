@@ -1,4 +1,4 @@
-"""From a learner to a bundle."""
+"""Export of a trained learner to a bundle."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from agent.observation import SCHEMAS
 
 
 def export(model: BaseAlgorithm, recipe: Recipe, seed: int, curve: list[Point], path: Path) -> None:
-    """Write the policy that a learner has come to, with how it was made."""
+    """Write the policy of a learner to a bundle, with its recipe and training curve."""
     settings = Settings(**recipe.env)
     schema = SCHEMAS[settings.observation]
     page = Page(

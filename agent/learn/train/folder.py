@@ -1,4 +1,4 @@
-"""The folder of a training run: whose it is, what it keeps, and that one process at a time trains in it."""
+"""The folder of a training run: its recipe, its checkpoints, and a lock, so that one process at a time trains in it."""
 
 import fcntl
 from pathlib import Path
@@ -10,13 +10,13 @@ from agent.learn.train.recipes import Recipe
 
 
 class CheckpointError(ValueError):
-    """A checkpoint that cannot be gone on from, in one line."""
+    """A checkpoint that a run cannot resume from; the message is one line."""
 
 
 def claim(folder: Path, recipe: Recipe, seed: int, bundle: Path) -> IO[bytes]:
-    """Make a folder that of a run until the file that is returned is closed.
+    """Reserve a folder for a run until the returned file is closed.
 
-    Raises ValueError where another process trains in it, or where it keeps what another run has learned, and OSError.
+    Raises ValueError if another process trains in it or if it holds another run, and OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "recipe.json"
@@ -36,17 +36,17 @@ def _claim(file: IO[bytes], folder: Path, said: bytes, keeps: bool) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise ValueError(f"another process trains in {str(folder)!r}; wanted another folder, or to wait for its end") from None
+        raise ValueError(f"another process trains in {str(folder)!r}; choose another folder, or wait until it ends") from None
     file.seek(0)
     if file.read() == said:
         return
     if keeps:
-        raise ValueError(f"{str(folder)!r} holds a run of another recipe or seed; wanted an empty folder, or the same command as then")
+        raise ValueError(f"{str(folder)!r} holds a run of another recipe or seed; wanted an empty folder, or the command of that run")
     file.truncate(0)
     file.write(said)
     file.flush()
 
 
 def checkpoints(folder: Path) -> list[Path]:
-    """Return the checkpoints of a run, the last one last."""
+    """Return the checkpoints of a run, the oldest first."""
     return sorted(folder.glob("checkpoint-[0-9]*"))

@@ -1,4 +1,4 @@
-"""The ONNX graph of a trained network: observation in, what it says of the action out."""
+"""The ONNX graph of a trained network, from the observation to the scores of headings or the action."""
 
 from collections.abc import Sequence
 
@@ -8,12 +8,12 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 OPSET, IR = 17, 8
-"""Old enough for any onnxruntime that is still about."""
+"""Old enough for every onnxruntime in use."""
 KINDS: dict[type[nn.Module], str] = {nn.ReLU: "Relu", nn.Tanh: "Tanh"}
 
 
 def graph(layers: Sequence[nn.Module]) -> bytes:
-    """Return linear layers and what is between them as an ONNX graph (1, F) -> (1, A). Raises TypeError on another kind of layer."""
+    """Return linear layers and their activations as an ONNX graph (1, F) -> (1, A). Raises TypeError on another kind of layer."""
     nodes, weights = [], []
     linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
     flowing = "observation"

@@ -1,35 +1,37 @@
-"""A bundle's figures: flown on the test missions, and written into it."""
+"""A bundle's figures, measured on the test missions and written into it."""
 
 import os
+import sys
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import msgspec
 
 from agent.bundle import read, write
 from agent.trials.evaluate import FIRST_TEST_SEED, named, print_table
-from agent.trials.progress import progress_bar
+from agent.trials.progress import with_bar
 from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 
 
 def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
-    """Fly so many test missions with each number of particles; figures that a bundle has already are kept.
+    """Fly `scenarios` test missions with each number of particles and print the figures. A bundle that has figures keeps them.
 
-    What is flown is kept beside the bundle until all is: cut off, the same call goes on from there.
+    A journal beside the bundle keeps each flight until all have ended, so an interrupted call can resume.
     """
     page, graph = read(bundle)
     if page.evaluation:
         return
     sweep = Sweep([str(bundle)], range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios), particles)
     journal = journal_of(sweep, bundle.parent)
+    workers = os.cpu_count() or 1
+    flights = fly_all(sweep, journal, on_cores(workers))
     rows = []
-    with progress_bar() as progress:
-        task = progress.add_task("test missions", total=sweep.count)
-        for flown in fly_all(sweep, journal, on_cores(os.cpu_count() or 1)):
-            rows += flown
-            progress.advance(task)
+    with closing(with_bar(flights, sweep.count, "test missions", f"starting {workers} workers")) as flown:
+        for each in flown:
+            rows += each
     evaluation = named(ordered(rows, sweep))
     page = msgspec.structs.replace(page, evaluation={str(said["particles"]): said for said in evaluation.values()})
     write(bundle, page, graph)
     journal.unlink()
-    print_table(evaluation)
+    print_table(evaluation, sys.stdout)

@@ -1,7 +1,7 @@
-"""The training loop around stable-baselines3: progress, TensorBoard, checkpoints, and a run that goes on where it was cut off.
+"""The training loop around stable-baselines3: progress, TensorBoard, checkpoints, and resuming an interrupted run.
 
-A run is cut into legs, from checkpoint to checkpoint. Each leg begins with new missions and new random generators, keyed by the seed
-and the moves so far; so a leg is a function of the checkpoint before it, and a run that was killed comes to the very same end.
+A run consists of legs from checkpoint to checkpoint. Each leg begins with new missions and new random generators, keyed by the seed and
+the moves so far. A leg is therefore a function of the checkpoint before it, and a resumed run yields the identical policy.
 """
 
 import random
@@ -32,17 +32,17 @@ from agent.learn.train.recipes import Recipe
 from plume.randomness import derived_seed
 
 POINTS = 100
-"""A curve has about so many points."""
+"""Approximate number of points of a curve."""
 
 Tell = Callable[[Point, float], None]
-"""(how it stands, moves a second)."""
+"""(point of the curve, moves per second)."""
 
 
 class SlowActorDDPG(DDPG):
-    """DDPG whose policy may learn at another rate than its value."""
+    """DDPG whose actor may have another learning rate than its critic."""
 
     def __init__(self, *args: Any, actor_learning_rate_share: float = 1.0, **settings: Any) -> None:
-        """actor_learning_rate_share: the policy's rate as a share of the value's."""
+        """actor_learning_rate_share: the actor's learning rate as a share of the critic's."""
         self.actor_learning_rate_share = actor_learning_rate_share
         super().__init__(*args, **settings)
 
@@ -53,7 +53,7 @@ class SlowActorDDPG(DDPG):
 
 
 class EndedMission(msgspec.Struct, frozen=True):
-    """What came of a training mission."""
+    """The result of a training mission."""
 
     ceased: bool
     located: bool
@@ -61,12 +61,12 @@ class EndedMission(msgspec.Struct, frozen=True):
 
 
 class RunState(msgspec.Struct):
-    """What a run has to remember beside the learner."""
+    """The state of a run besides the learner."""
 
     steps: int = 0
     curve: list[Point] = []
     ended: list[EndedMission] = []
-    """Missions since the last point of the curve."""
+    """Missions that ended since the last point of the curve."""
 
 
 def learner(recipe: Recipe, env: StableBaselinesEnv, seed: int) -> BaseAlgorithm:
@@ -87,7 +87,7 @@ def learner(recipe: Recipe, env: StableBaselinesEnv, seed: int) -> BaseAlgorithm
 
 
 def layers_of(model: BaseAlgorithm) -> list[nn.Module]:
-    """The layers that turn an observation into what a policy says: scores of the headings, or the action."""
+    """Return the layers from the observation to the scores of the headings, or to the action."""
     policy: Any = model.policy
     if isinstance(model, PPO):
         return [*policy.mlp_extractor.policy_net, policy.action_net]
@@ -95,10 +95,10 @@ def layers_of(model: BaseAlgorithm) -> list[nn.Module]:
 
 
 class Legs(BaseCallback):
-    """Cuts a run into legs, and tells how it stands."""
+    """Divides a run into legs, and reports progress."""
 
     def __init__(self, recipe: Recipe, seed: int, folder: Path, state: RunState, tell: Tell) -> None:
-        """Tells how it stands at each point of the curve."""
+        """`tell` is called at each point of the curve."""
         super().__init__()
         self._recipe, self._seed, self._folder, self._state, self._tell = recipe, seed, folder, state, tell
         self._begun = False
@@ -108,7 +108,7 @@ class Legs(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         every = self._recipe.checkpoint_steps
-        if not self._begun:  # at the start, or at the checkpoint that the run goes on from
+        if not self._begun:  # at the start, or at the checkpoint that the run resumes from
             self._begun = True
             self._begin_leg()
         elif self.num_timesteps // every > self._state.steps // every:
@@ -129,7 +129,7 @@ class Legs(BaseCallback):
         model._last_obs = model.env.reset()  # type: ignore[assignment]
         model._last_episode_starts = np.ones(model.n_envs, dtype=bool)
         if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None and model.num_timesteps:
-            # Returns over several moves must not run on from the missions that were broken off into the new ones.
+            # Returns over several moves must not continue from the missions that the checkpoint broke off into the new ones.
             last = model.replay_buffer.pos - 1
             model.replay_buffer.timeouts[last] = 1.0 - model.replay_buffer.dones[last]
 
@@ -162,7 +162,7 @@ class Legs(BaseCallback):
 
 
 def point_of(steps: int, ended: list[EndedMission]) -> Point:
-    """Sum up missions that ended."""
+    """Return the point of the curve for missions that ended."""
     distances = [mission.distance_m for mission in ended if mission.ceased]
     count = max(len(ended), 1)
     return Point(
@@ -174,7 +174,7 @@ def point_of(steps: int, ended: list[EndedMission]) -> Point:
 
 
 def save(model: BaseAlgorithm, state: RunState, folder: Path) -> None:
-    """Write a checkpoint, whole or not at all, and drop those before it."""
+    """Write a checkpoint, completely or not at all, then delete those before it."""
     path = folder / f"checkpoint-{state.steps:012d}"
     partial = folder / "checkpoint.partial"
     shutil.rmtree(partial, ignore_errors=True)
@@ -188,29 +188,29 @@ def save(model: BaseAlgorithm, state: RunState, folder: Path) -> None:
         shutil.rmtree(older)
 
 
-def _gone_on(model: BaseAlgorithm, env: StableBaselinesEnv, path: Path) -> tuple[BaseAlgorithm, RunState]:
-    """Return the learner and the state of a checkpoint. Raises CheckpointError where it is broken."""
+def _resumed(model: BaseAlgorithm, env: StableBaselinesEnv, path: Path) -> tuple[BaseAlgorithm, RunState]:
+    """Return the learner and the state of a checkpoint. Raises CheckpointError if it is broken."""
     try:
-        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of returns over several moves, which the loaded buffer has
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # that the loaded replay buffer has returns over several moves
             model = type(model).load(path / "learner.zip", env=env, device="cpu")
         if isinstance(model, OffPolicyAlgorithm):
             model.load_replay_buffer(path / "replay.pkl")
         return model, msgspec.json.decode((path / "state.json").read_bytes(), type=RunState)
-    except Exception as error:  # what zipfile, torch and pickle raise on a broken file has no common base
+    except Exception as error:  # zipfile, torch and pickle raise errors without a common base on a broken file
         said = " ".join(str(error).split())[:200]
         raise CheckpointError(f"{str(path)!r} cannot be read: {said or type(error).__name__}; delete it to begin anew") from error
 
 
 def train(recipe: Recipe, seed: int, folder: Path, threads: int, tell: Tell) -> tuple[BaseAlgorithm, list[Point]]:
-    """Train by a recipe, from the last checkpoint in the folder where there is one; returns the learner and its curve.
+    """Train by a recipe, from the last checkpoint in the folder if there is one; returns the learner and its curve.
 
-    Raises CheckpointError where that checkpoint is broken.
+    Raises CheckpointError if that checkpoint is broken.
     """
-    torch.set_num_threads(1)  # more of them change the last bits, and their idle ones spin on cores that the missions want
+    torch.set_num_threads(1)  # more would change the last bits, and idle ones would take cores from the missions
     env = StableBaselinesEnv(SourceSearchVector(recipe.missions, threads, **recipe.env))
     model, state = learner(recipe, env, seed % 2**32), RunState()
     if kept := checkpoints(folder):
-        model, state = _gone_on(model, env, kept[-1])
+        model, state = _resumed(model, env, kept[-1])
     model.set_logger(Logger(None, []))
     legs = Legs(recipe, seed, folder, state, tell)
     model.learn(recipe.steps - state.steps, legs, log_interval=None, reset_num_timesteps=not state.steps)  # type: ignore[arg-type]

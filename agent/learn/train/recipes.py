@@ -1,4 +1,4 @@
-"""The recipes: everything that a training run is made with. A run is a function of its recipe and its seed."""
+"""Training recipes. A run is a function of its recipe and its seed."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,34 +9,34 @@ TRAIN_FREQ = {"dqn": 4, "ddpg": 1}
 
 
 class Recipe(msgspec.Struct, frozen=True, kw_only=True):
-    """One training run, but for its seed."""
+    """The settings of a training run, except its seed."""
 
     algorithm: str
-    """`ppo`, `dqn` or `ddpg`, as stable-baselines3 has them."""
+    """`ppo`, `dqn` or `ddpg` of stable-baselines3."""
     steps: int
-    """Moves, of all missions together."""
+    """Total number of moves of all missions."""
     missions: int
-    """So many are flown side by side."""
+    """Number of missions flown in parallel."""
     env: dict[str, Any]
     """Settings of `agent.learn.env.Settings`."""
     layers: tuple[int, ...]
-    """Widths of the hidden layers, of the policy and of the value alike."""
+    """Widths of the hidden layers, the same for policy and value."""
     learning_rate: float
     final_learning_rate: float
-    """The rate falls to it in a straight line."""
+    """The learning rate falls linearly to this value."""
     settings: dict[str, Any]
     """Other arguments of stable-baselines3's class."""
     action_noise: float = 0.0
-    """DDPG explores with it: standard deviation, of actions in [−1, 1]."""
+    """DDPG's exploration noise: standard deviation, for actions in [−1, 1]."""
     actor_learning_rate_share: float = 1.0
-    """DDPG's policy learns at this share of the value's rate."""
+    """DDPG's actor learns at this share of the critic's rate."""
     checkpoint_steps: int = 100_000
-    """After so many moves all that the run needs is written down, and all missions begin anew."""
+    """Moves between two checkpoints; at each one all missions begin anew."""
 
     @property
     def moves_at_a_time(self) -> int:
-        """It learns from so many moves at a time, of all missions together: a run is as long as a multiple of them."""
-        # Where a recipe is silent, what stable-baselines3 has.
+        """Moves of all missions between two updates. The length of a run is a multiple of it."""
+        # The defaults are those of stable-baselines3.
         each: int = (
             self.settings.get("n_steps", 2048) if self.algorithm == "ppo" else self.settings.get("train_freq", TRAIN_FREQ[self.algorithm])
         )
@@ -62,7 +62,7 @@ PAPER = {
         settings={"batch_size": 64, "buffer_size": 1000, "learning_starts": 1000, "gamma": 0.99},
     ),
 }  # fmt: skip
-"""What the paper states, and stable-baselines3's own where it is silent."""
+"""The paper's settings; where it states none, those of stable-baselines3."""
 
 TUNED = {
     "ppo": Recipe(
@@ -85,6 +85,6 @@ TUNED = {
         },
     ),
 }  # fmt: skip
-"""What did best."""
+"""The best settings found (docs/learning.md)."""
 
 PRESETS: Mapping[str, Mapping[str, Recipe]] = {"tuned": TUNED, "paper": PAPER}

@@ -1,1 +1,1 @@
-"""The tables, pictures and the page of a report, from the missions that `evaluate` flew. Imports: plume, link, agent, agent.trials."""
+"""The tables, pictures and page of a report on missions that `evaluate` flew. Imports: plume, link, agent, agent.trials."""

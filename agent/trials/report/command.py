@@ -1,4 +1,4 @@
-"""`python -m agent report`: tables, pictures and one page from raw results."""
+"""`plumeward report`: tables, pictures and one page from raw results."""
 
 import argparse
 import sys
@@ -15,6 +15,7 @@ from agent.trials.report.results import USUAL, Results, read
 from agent.trials.report.tables import tables
 from agent.trials.rollout import rollout
 from link import cli
+from link.terminal import tell
 from plume.scenario import BUDGET_STEPS, SUCCESS_RADIUS_M
 
 if TYPE_CHECKING:
@@ -22,28 +23,28 @@ if TYPE_CHECKING:
 
 FLIGHTS = 100
 TELLING_SEED = 1_000_009
-"""A scenario in which methods differ: there is no gas between the start and the source."""
+"""A scenario in which policies differ: there is no gas between the start and the source."""
 PICTURES = ("particles", "thresholds", "trajectories", "hundred", "distances")
 FILES = (*(f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg")), "results.md", "index.html")
-"""What a report consists of."""
+"""The files of a report."""
 UNDATED = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-"""What an SVG would say of its making: left out, the same picture is the same file."""
+"""SVG metadata left out, so that the same picture gives the same file."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `report`."""
     parser.add_argument(
         "--results", type=Path, default=Path("results"), metavar="DIR",
-        help="raw results: .csv and .csv.gz files of `evaluate --missions` (default: %(default)s)",
+        help="folder of raw results, the .csv and .csv.gz files of `evaluate --missions` (default: %(default)s)",
     )  # fmt: skip
-    parser.add_argument("--out", type=Path, default=Path("report"), metavar="DIR", help="where to write (default: %(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("report"), metavar="DIR", help="folder to write to (default: %(default)s)")
     cli.add_output_guard(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the report on a folder of raw results."""
+    """Write the report on a folder of raw results; returns the exit status."""
     if find_spec("matplotlib") is None:
-        print("error: pictures are drawn with matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
+        print("error: report needs matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
         return cli.FAILED
     try:
         results = read(args.results)
@@ -67,8 +68,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def write(results: Results, out: Path, flights: int) -> None:
-    """Write pictures, tables and the page to a folder; `flights` missions are flown for the pictures of many."""
-    import matplotlib  # here, and below: only a report needs it, and it takes long to import
+    """Write pictures, tables and the page to a folder. Two of the pictures show `flights` missions, which are flown here."""
+    import matplotlib  # not at the top: it takes long to import
 
     from agent.trials.report.drawing import STYLE
 
@@ -76,13 +77,13 @@ def write(results: Results, out: Path, flights: int) -> None:
     with matplotlib.rc_context(STYLE):
         for name, title, caption, figure in _drawn(results, flights):
             pictures.append(Picture(name, title, caption, save(figure, out / name)))
-            _say(f"{out / name}.png, .svg")
+            tell(f"{out / name}.png, .svg", sys.stdout)
     all_tables = tables(results)
-    text = "\n".join(["# What was measured\n", _summary(results) + "\n", *(it.markdown() for it in all_tables)])
+    text = "\n".join(["# Results\n", _summary(results) + "\n", *(it.markdown() for it in all_tables)])
     for name, words in (("results.md", text), ("index.html", page(_summary(results), pictures, all_tables))):
         with whole(out / name) as partial:
             partial.write_text(words)
-        _say(out / name)
+        tell(str(out / name), sys.stdout)
 
 
 def save(figure: "Figure", stem: Path) -> bytes:
@@ -94,14 +95,10 @@ def save(figure: "Figure", stem: Path) -> bytes:
         return svg.read_bytes()
 
 
-def _say(what: object) -> None:
-    print(what, file=sys.stderr)
-
-
 def _summary(results: Results) -> str:
     return (
         f"{sum(map(len, results.rows.values())):,} missions of {len(results.policies)} policies: {results.behind(list(results.rows))}."
-        " `python -m agent evaluate --missions FILE.csv` flew them, `python -m agent report` made all that is here from their rows."
+        " `plumeward evaluate --missions FILE.csv` flew them. `plumeward report` made this page from their rows."
     )
 
 
@@ -110,38 +107,38 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
     from agent.trials.report import drawing
 
     curves = (
-        "Bars: 95% intervals, Wilson's for ceased, bootstrap for MTD and ST. Points stand beside each other so that all are seen; the scale"
-        " of ceased is stretched towards 100%. Dashed: the mean information floor. Hollow: the paper. MTD and ST are means over ceased"
-        " missions. Made by `python -m agent report`."
+        "Bars: 95% intervals, Wilson's for ceased, bootstrap for MTD and ST. Points are shifted sideways so that none hides another. The"
+        " scale of ceased is stretched towards 100%. Dashed: the mean information floor. Hollow: the paper. MTD and ST are means over"
+        " ceased missions. Made by `plumeward report`."
     )
     keys = [key for key in results.rows if key[1].threshold_m == results.threshold_m]
     yield (
         "particles",
-        "Against the number of particles",
+        "Figures by number of particles",
         f"ζ = {results.threshold_m:g} m; {results.behind(keys)}. {curves}",
         drawing.against_particles(results),
     )
     keys = [key for key in results.rows if key[1].particles == results.particles]
     yield (
         "thresholds",
-        "Against the threshold ζ",
+        "Figures by threshold ζ",
         f"N = {results.particles:,}; {results.behind(keys)}. {curves}",
         drawing.against_thresholds(results),
     )
     setting = results.nearest(USUAL)
     set_to = f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, {BUDGET_STEPS} steps at most"
     flags = f"--particles {setting.particles} --threshold {setting.threshold_m:g}"
-    _say(f"flying {len(OURS)} policies on one scenario")
+    tell(f"flying {len(OURS)} policies on one scenario")
     yield (
         "trajectories",
-        "All methods on one scenario",
-        f"Seed {TELLING_SEED}, chosen because methods differ in it; {set_to}. One mission a policy. MissionRow by `python -m agent report`;"
-        f" one alone: `python -m agent rollout --seed {TELLING_SEED} --policy infotaxis {flags}`.",
+        "All policies on one scenario",
+        f"Seed {TELLING_SEED}, chosen because policies differ in it; {set_to}. One mission per policy, flown by `plumeward report`. To fly"
+        f" one of them: `plumeward rollout --seed {TELLING_SEED} --policy infotaxis {flags}`.",
         drawing.trajectories([rollout(TELLING_SEED, policy, *setting) for policy in OURS]),
     )
     best = results.best(setting, OURS)
     policy = best or OURS[0]
-    _say(f"flying {flights} missions of {policy}")
+    tell(f"flying {flights} missions of {policy}")
     flown = [rollout(seed, policy, *setting) for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + flights)]
     ceased, located = (sum(it) for it in zip(*((result.ceased, result.located) for result, _ in flown), strict=True))
     missions = (
@@ -149,19 +146,19 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
         f" located."
     )
     if best:
-        missions += f" Of the policies whose ceased share is within one point of the highest at this N and ζ, {best} has the least MTD."
+        missions += f" {best} has the lowest MTD of the policies whose ceased share is within one point of the highest at this N and ζ."
     yield (
         "hundred",
-        f"{flights} missions: ways of the UAV and of the belief's mean",
-        f"{missions} The source of each is at the origin. Dots: where each ended. Dashed: {SUCCESS_RADIUS_M:g} m around the source."
-        " MissionRow by `python -m agent report`.",
+        f"{flights} missions: paths of the UAV and of the belief's mean",
+        f"{missions} The source is at the origin. Dots: ends of missions. Dashed: {SUCCESS_RADIUS_M:g} m around the source. Flown by"
+        " `plumeward report`.",
         drawing.many(flown),
     )
     yield (
         "distances",
         f"{flights} missions: distances at each step",
-        f"{missions} Thin: each mission, to its end at the dot; black: the median; band: the quartiles. A mission that has ended stays in"
-        f" both with its last distance. Distances below {drawing.LEAST_DISTANCE_M:g} m are drawn as that. MissionRow by `python -m agent"
-        " report`.",
+        f"{missions} Thin: each mission, with a dot at its end. Black: the median. Band: the quartiles. Median and quartiles include ended"
+        f" missions with their last distance. Distances below {drawing.LEAST_DISTANCE_M:g} m are drawn at this value. Flown by"
+        " `plumeward report`.",
         drawing.distances(flown),
     )

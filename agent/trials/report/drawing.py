@@ -35,9 +35,9 @@ STYLE: Any = {
     "grid.linewidth": 0.6,
     "legend.frameon": False,
     "savefig.dpi": 150,
-    "svg.hashsalt": "plumeward",  # the same picture is the same file
+    "svg.hashsalt": "plumeward",  # the same picture gives the same file
 }
-"""To be set while a picture is made and saved."""
+"""Settings of matplotlib while a picture is made and saved."""
 WIDTH_IN = 10.0
 LOOKS = {
     "infotaxis": ("#0072b2", "o"),
@@ -55,12 +55,12 @@ LOOKS = {
     "dqn": ("#882255", "h"),
     "ddpg": ("#999933", "p"),
 }
-"""Colour and marker of a policy, the same in all pictures; where colours are hard to tell apart, markers are not."""
+"""Colour and marker of each policy in all pictures. Policies of similar colours have different markers."""
 OTHER_LOOK = ("#777777", "8")
 PANELS = (("ceased", "ceased, %", 100.0), ("mtd_m", "MTD, m", 1.0), ("search_time_s", "ST, s", 1.0))
 """(figure, label, scale)."""
 GAS = (0.1, 100.0)
-"""Range of concentrations shown, g/m³: from half the noise in clean air."""
+"""Range of concentrations shown, g/m³; it begins at half the noise in clean air."""
 START: dict[str, Any] = {"marker": "o", "markersize": 7, "markerfacecolor": "white", "linestyle": "none", "clip_on": False, "zorder": 5}
 ESTIMATE: dict[str, Any] = {"marker": "x", "markersize": 9, "markeredgewidth": 2.2, "linestyle": "none", "zorder": 5}
 SOURCE: dict[str, Any] = {"marker": "*", "markersize": 13, "color": "black", "markeredgecolor": "white", "linestyle": "none", "zorder": 4}
@@ -69,9 +69,9 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73")
 NAMED = (("position", "UAV", COLOURS[0]), ("mean", "belief mean", COLOURS[1]))
 LAST_STEPS = 10
 APART_IN = 0.025
-"""Between the points of two policies at one setting."""
+"""Distance between the points of two policies at one setting."""
 LEAST_DISTANCE_M = 0.05
-"""Shorter distances are drawn as this one."""
+"""Shorter distances are drawn at this value."""
 
 
 def against_particles(results: Results) -> Figure:
@@ -96,7 +96,7 @@ def against_thresholds(results: Results) -> Figure:
 
 
 def _panels(results: Results, keys: Sequence[Key], x_of: Callable[[Setting | Published], float | None]) -> Figure:
-    """One panel a figure, a curve a policy; hollow is what the paper says."""
+    """One panel per figure, one curve per policy; the paper's figures are hollow."""
     figure = Figure(figsize=(WIDTH_IN, 4.8), layout="constrained")
     policies = [policy for policy in results.policies if policy in {key[0] for key in keys}]
     for ax, (name, label, scale) in zip(figure.subplots(1, 3), PANELS, strict=True):
@@ -105,12 +105,12 @@ def _panels(results: Results, keys: Sequence[Key], x_of: Callable[[Setting | Pub
             said = [(x_of(key[1]), results.figures[key]) for key in keys if key[0] == policy]
             curve = [(x, it[name], *it[f"{name}_interval"]) for x, it in said if it[name] is not None]
             x, value, low, high = np.array(sorted(curve)).reshape(-1, 4).T * [[1], [scale], [scale], [scale]]
-            bars = np.maximum((value - low, high - value), 0)  # an end may be past its value by a rounding
-            beside = ScaledTranslation((i - (len(policies) - 1) / 2) * APART_IN, 0, figure.dpi_scale_trans)  # so that all are seen
+            bars = np.maximum((value - low, high - value), 0)  # rounding can put an end of the interval past the value
+            beside = ScaledTranslation((i - (len(policies) - 1) / 2) * APART_IN, 0, figure.dpi_scale_trans)
             colour, marker = LOOKS.get(policy, OTHER_LOOK)
             style: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 5, "linewidth": 1.2}
             ax.errorbar(x, value, bars, label=policy, transform=ax.transData + beside, **style)
-            ax.update_datalim(np.stack([np.tile(x, 2), np.concatenate([low, high])], axis=1))  # what is moved aside is not counted
+            ax.update_datalim(np.stack([np.tile(x, 2), np.concatenate([low, high])], axis=1))  # autoscaling ignores shifted points
         for it in PUBLISHED:
             if it.figure == name and (at := x_of(it)) is not None:
                 colour, marker = LOOKS[it.policy]
@@ -134,7 +134,7 @@ def _panels(results: Results, keys: Sequence[Key], x_of: Callable[[Setting | Pub
 
 
 def _stretched(percent: Array) -> Array:
-    """Room for the last per cents: nearly all methods are there, and 95 and 99 are not the same."""
+    """Stretch the scale towards 100%, where most policies are."""
     height: Array = -np.log10(101 - np.minimum(percent, 100.9))
     return height
 
@@ -151,7 +151,7 @@ def _ticks(axis: Axis, values: Iterable[float], form: str) -> None:
 
 
 def trajectories(flights: Sequence[Flight]) -> Figure:
-    """One panel a policy, all on one scenario."""
+    """One panel per policy, all on one scenario."""
     columns = 3 if len(flights) <= 9 else 4
     rows = -(-len(flights) // columns)
     figure = Figure(figsize=(WIDTH_IN, 0.9 + rows * (0.5 + 0.78 * WIDTH_IN / columns)), layout="compressed")
@@ -195,7 +195,7 @@ def _verdict(result: Outcome) -> str:
 
 
 def many(flights: Sequence[Flight]) -> Figure:
-    """Where UAV and belief mean went in many missions, the source of each at the origin; below, their last steps."""
+    """Paths of UAV and belief mean in many missions, with the source at the origin; below, their last steps."""
     figure = Figure(figsize=(WIDTH_IN, 9.6), layout="constrained")
     grid = figure.subplots(2, 2, sharex="row", sharey="row")
     for (whole, last), (name, what, colour) in zip(grid.T, NAMED, strict=True):
@@ -215,9 +215,9 @@ def many(flights: Sequence[Flight]) -> Figure:
 
 
 def distances(flights: Sequence[Flight]) -> Figure:
-    """Distances at each step of many missions, their median and quartiles; and how many are still flying.
+    """Distances at each step of many missions with median and quartiles, and the number of missions still flying.
 
-    A mission that has ended stays in median and quartiles with its last distance.
+    Median and quartiles include ended missions with their last distance.
     """
     figure = Figure(figsize=(WIDTH_IN, 7.0), layout="constrained")
     panels = figure.subplots(2, 2, sharex=True).ravel()

@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: pictures are in it, and it looks right by day and by night."""
+"""The report as one self-contained HTML page, with pictures embedded, for light and dark mode."""
 
 import base64
 import re
@@ -34,10 +34,10 @@ code { font-size: .92em; background: var(--band); padding: .1em .3em; border-rad
 
 @dataclass(frozen=True)
 class Picture:
-    """A drawn figure and what is to be known about it."""
+    """A drawn figure with its caption."""
 
     name: str
-    """Of its files, without the ending."""
+    """Name of its files without the ending."""
     title: str
     caption: str
     svg: bytes
@@ -54,11 +54,11 @@ def page(summary: str, pictures: Sequence[Picture], tables: Sequence[Table]) -> 
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Plumeward: what was measured</title>
+<title>Plumeward: results</title>
 <style>{STYLE}</style>
 </head>
 <body>
-<h1>Plumeward: what was measured</h1>
+<h1>Plumeward: results</h1>
 <p>{_prose(summary)}</p>
 <nav aria-label="Contents"><ol>
 {contents}
@@ -82,5 +82,5 @@ def _table(table: Table) -> str:
 
 
 def _prose(text: str) -> str:
-    """Markdown's `code` and *stress*, which notes and captions are written with."""
+    """HTML of a text with Markdown's `code` and *emphasis*."""
     return re.sub(r"\*(.+?)\*", r"<em>\1</em>", re.sub(r"`(.+?)`", r"<code>\1</code>", escape(text)))

@@ -1,22 +1,22 @@
-"""What the paper says it measured, to stand beside what we measure."""
+"""The figures that the paper reports."""
 
 from typing import NamedTuple
 
 
 class Published(NamedTuple):
-    """One figure of the paper. What it does not state of its setting is None."""
+    """One figure of the paper. Settings that the paper does not state are None."""
 
     figure: str
-    """Ours of the same meaning: a key of `agent.trials.figures.figures`."""
+    """Our figure of the same meaning: a key of `agent.trials.figures.figures`."""
     value: float
     """A share, or m, or s."""
     method: str
     policy: str
-    """Ours of the same name."""
+    """Our policy of the same name."""
     particles: int | None = None
     threshold_m: float | None = None
     below: bool = False
-    """The paper says only that it is less than `value`."""
+    """The paper says only that the figure is below `value`."""
 
 
 PUBLISHED = (

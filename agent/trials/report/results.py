@@ -1,4 +1,4 @@
-"""Raw results: what `evaluate` wrote, joined over the files of a folder, and the figures of each policy, N and ζ."""
+"""Raw results: the missions in all files of a folder, and the figures of each policy, N and ζ."""
 
 from collections import Counter
 from collections.abc import Collection, Mapping
@@ -13,15 +13,14 @@ from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow, figures
 
 AS_GOOD = 0.01
-"""Policies whose ceased shares differ by no more than this are told apart by their MTD."""
-
+"""Policies whose ceased shares differ by at most this much are compared by their MTD."""
 
 WAY = ("budget", "headings", "step_m", "measurements", "sensor", "prior", "stop_on")
-"""Columns that are the same in all missions that are counted together."""
+"""Columns that must be equal in all missions of one figure."""
 
 
 class Setting(NamedTuple):
-    """What the filter and its stop were set to."""
+    """Settings of the filter and its stop."""
 
     particles: int
     threshold_m: float
@@ -30,16 +29,16 @@ class Setting(NamedTuple):
 Key = tuple[str, Setting]
 """(policy, setting)."""
 USUAL = Setting(1000, 0.5)
-"""What `rollout` and `evaluate` have when they are not told."""
+"""The defaults of `rollout` and `evaluate`."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """All missions that were flown. Policies are in the registry's order, those that it does not know last."""
+    """All missions flown. Policies are in the order of the registry, unknown ones last."""
 
     rows: Mapping[Key, list[MissionRow]]
     figures: Mapping[Key, dict[str, Any]]
-    """What `agent.trials.figures.figures` says of the rows."""
+    """The result of `agent.trials.figures.figures` for the rows."""
 
     @property
     def policies(self) -> list[str]:
@@ -48,21 +47,21 @@ class Results:
 
     @property
     def threshold_m(self) -> float:
-        """The ζ at which most was flown: there, numbers of particles are compared."""
+        """The ζ of most missions, at which numbers of particles are compared."""
         return Counter(setting.threshold_m for _, setting in self.rows).most_common(1)[0][0]
 
     @property
     def particles(self) -> int:
-        """The N with which most was flown: there, thresholds are compared."""
+        """The N of most missions, at which thresholds are compared."""
         return Counter(setting.particles for _, setting in self.rows).most_common(1)[0][0]
 
     def nearest(self, wanted: Setting) -> Setting:
-        """Return the setting, of those flown, that is nearest to one: in N first."""
+        """Return the setting flown that is nearest to `wanted`, first in N, then in ζ."""
         flown = {setting for _, setting in self.rows}
         return min(flown, key=lambda it: (abs(it.particles - wanted.particles), abs(it.threshold_m - wanted.threshold_m)))
 
     def best(self, setting: Setting, of: Collection[str]) -> str | None:
-        """Return the policy with the least MTD, of those within one point of the highest ceased share; None where none ceased."""
+        """Return the policy with the lowest MTD among those within one point of the highest ceased share; None if none ceased."""
         said = {policy: it for (policy, flown), it in self.figures.items() if flown == setting and policy in of and it["ceased"]}
         most = max((it["ceased"] for it in said.values()), default=0.0)
         return min((policy for policy in said if said[policy]["ceased"] >= most - AS_GOOD), key=lambda it: said[it]["mtd_m"], default=None)
@@ -79,25 +78,25 @@ class Results:
         return float(np.mean(list(floors.values()))) if floors else None
 
     def behind(self, keys: Collection[Key]) -> str:
-        """Say how many missions, of which seeds, stand behind each of these figures."""
+        """Return in words the number of missions and the seeds of these figures."""
         counts = sorted(len(self.rows[key]) for key in keys)
         seeds = {row.seed for key in keys for row in self.rows[key]}
         each = f"{counts[0]:,}" if counts[0] == counts[-1] else f"{counts[0]:,} to {counts[-1]:,}"
-        return f"{each} missions a policy and setting, of seeds {min(seeds)} to {max(seeds)}"
+        return f"{each} missions per policy and setting, seeds {min(seeds)} to {max(seeds)}"
 
 
 def read(folder: Path) -> Results:
-    """Read every .csv and .csv.gz file of a folder; the same mission in two files counts once. Raises ValueError."""
+    """Read every .csv and .csv.gz file of a folder; a mission in two files counts once. Raises ValueError."""
     if not folder.is_dir():
-        raise ValueError(f"no folder {str(folder)!r}; `python -m agent evaluate --missions FILE.csv` writes what belongs there")
+        raise ValueError(f"no such folder: {str(folder)!r}; `plumeward evaluate --missions FILE.csv` writes results")
     missions: dict[Key, dict[int, MissionRow]] = {}
     for path in sorted(path for path in folder.iterdir() if path.name.endswith((".csv", ".csv.gz"))):
         for row in read_csv(path):
             same = missions.setdefault((row.policy, Setting(row.particles, row.threshold_m)), {})
             if _way(same.setdefault(row.seed, row)) != _way(next(iter(same.values()))):
-                raise ValueError(f"{path}: {row.policy} was flown in another way there ({', '.join(WAY)})")
+                raise ValueError(f"{path}: {row.policy} was flown with other settings there ({', '.join(WAY)})")
     if not missions:
-        raise ValueError(f"no mission in {str(folder)!r}; `python -m agent evaluate --missions FILE.csv` writes them")
+        raise ValueError(f"no missions in {str(folder)!r}; `plumeward evaluate --missions FILE.csv` writes them")
     rank = {policy: i for i, policy in enumerate(OURS)}
     order = sorted(missions, key=lambda key: (rank.get(key[0], len(rank)), key))
     rows = {key: [missions[key][seed] for seed in sorted(missions[key])] for key in order}

@@ -1,4 +1,4 @@
-"""The report's tables: our figures by setting, and the paper's beside them."""
+"""The report's tables: our figures by setting, and the paper's figures beside ours."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from plume.scenario import BUDGET_STEPS, LIFETIME_S, SUCCESS_RADIUS_M
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text, and what is to be known about it."""
+    """A table of text with notes."""
 
     title: str
     heads: Sequence[str]
@@ -29,18 +29,18 @@ class Table:
 
 
 def tables(results: Results) -> list[Table]:
-    """Return all of them."""
+    """Return all tables of the report."""
     by_particles = [key for key in results.rows if key[1].threshold_m == results.threshold_m]
     by_threshold = [key for key in results.rows if key[1].particles == results.particles]
     return [
         against_paper(results),
-        ours(results, by_particles, f"Ours at ζ = {results.threshold_m:g} m"),
-        ours(results, by_threshold, f"Ours at N = {results.particles:,}, by ζ"),
+        ours(results, by_particles, f"Our figures at ζ = {results.threshold_m:g} m"),
+        ours(results, by_threshold, f"Our figures at N = {results.particles:,}, by ζ"),
     ]
 
 
 def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
-    """Return our figures, a row a policy and setting."""
+    """Return our figures, one row per policy and setting."""
     rows = []
     for policy, setting in sorted(keys, key=lambda key: key[1]):  # policies stay in their order
         said = results.figures[policy, setting]
@@ -49,16 +49,16 @@ def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
     notes = [
         "In brackets: 95% intervals, Wilson's for shares and bootstrap for means. *ceased*: a stop was declared within the step budget."
         f" *located*: ceased, and the estimate is within {SUCCESS_RADIUS_M:g} m of the source. *false stop*: ceased but not located, as a"
-        " share of ceased. *MTD*: mean distance travelled over ceased missions; *floors*: it as a multiple of the mean information floor of"
-        " the same missions. *NEES*: normalised estimation error squared at the stop; its mean is 2 for an honest belief. *ST*: compute"
-        " time of estimator and agent over a ceased mission, mean; its ratios carry over to other machines better than its seconds."
-        " *decision*, *update*: compute time of the agent a decision, of the estimator a reading; mean.",
+        " share of ceased. *MTD*: mean distance travelled over ceased missions. *floors*: MTD as a multiple of the mean information floor"
+        " of the same missions. *NEES*: normalised estimation error squared at the stop; its mean is 2 for an honest belief. *ST*: mean"
+        " compute time of estimator and agent over a ceased mission; compare ratios, which depend less on the machine than seconds."
+        " *decision*: mean compute time of the agent per decision. *update*: mean compute time of the estimator per reading.",
     ]
     return Table(title, ["N", "ζ, m", "policy", "missions", *(head for head, _, _ in COLUMNS.values())], rows, notes)
 
 
 def against_paper(results: Results) -> Table:
-    """Return the paper's published figures, and ours of the same meaning at the same setting as far as it is stated."""
+    """Return the paper's figures with ours of the same meaning, at the paper's setting as far as it is stated."""
     rows = []
     below = []
     for it in PUBLISHED:
@@ -81,16 +81,16 @@ def against_paper(results: Results) -> Table:
         ])  # fmt: skip
     heads = ["figure", "the paper's setting", "method", "the paper", "our N, ζ", "ours, same method", "ours, best", "comparable"]
     return Table("The paper's figures beside ours", heads, rows, [
-        "In brackets: 95% intervals; in parentheses: missions. *best*: of the policies whose ceased share is within one point of the"
-        " highest, the one with the least MTD. –: not flown, or no mission ceased.",
-        f"(1) The paper states no τ, no step budget, no prior and no success radius. Ours are τ = {LIFETIME_S:g} s, {BUDGET_STEPS} steps,"
-        f" a uniform prior over the area and {SUCCESS_RADIUS_M:g} m, so its scenarios may be easier or harder. Where it states N only, ours"
-        f" is at ζ = {results.threshold_m:g} m; where it states ζ only, at N = {results.particles:,}.",
-        '(2) Its "success rate" is the share that ceased: the figures it gives count declared stops only, and not how many of them were'
-        " false. Beside ours stands what share was located.",
-        "(3) A mean over ceased missions: a method that ceases more seldom is judged by its easier missions.",
+        "In brackets: 95% intervals. In parentheses: missions. *best*: the policy with the lowest MTD among those whose ceased share is"
+        " within one point of the highest. –: not flown, or no mission ceased.",
+        f"(1) The paper states no τ, step budget, prior or success radius. Ours are τ = {LIFETIME_S:g} s, {BUDGET_STEPS} steps,"
+        f" a uniform prior over the area and {SUCCESS_RADIUS_M:g} m. Its scenarios may be easier or harder. Where it states N only, our"
+        f" figure is at ζ = {results.threshold_m:g} m; where it states ζ only, at N = {results.particles:,}.",
+        '(2) The paper\'s "success rate" is the share of missions that ceased. It does not say how many of these stops were false. Ours'
+        " adds the share located.",
+        "(3) A mean over ceased missions only: for a method that ceases less often, it covers its easier missions.",
         *([_below_the_floor(results, below)] if below else []),
-        "(5) Compute time, of other code on another machine.",
+        "(5) Compute times of different code on different machines.",
     ])  # fmt: skip
 
 
@@ -120,7 +120,7 @@ def _below_the_floor(results: Results, below: Sequence[tuple[Published, Setting,
     truths = [mission(seed, "random", 1, 1.0, 0).scenario for seed in seeds]
     straight_m = np.mean([math.dist(it.start, it.source) for it in truths])
     return (
-        f"(4) {values} cannot be reached with this noise, these starts and these sources: before the mean information floor"
-        f" ({floors}) no belief can be expected to be that sure, even along the best path of an oracle that knows the source. The source is"
-        f" {straight_m:.1f} m away on average, over {len(seeds):,} seeds. docs/floor.md derives the floor."
+        f"(4) {values} cannot be reached with this noise, these starts and these sources. They are below the mean information floor"
+        f" ({floors}): even an oracle that knows the source and flies the best path cannot expect the spread to be below ζ earlier. The"
+        f" mean distance to the source is {straight_m:.1f} m over {len(seeds):,} seeds. docs/floor.md derives the floor."
     )

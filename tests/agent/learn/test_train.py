@@ -302,7 +302,7 @@ def test_a_run_that_is_killed_comes_to_the_same_end(
     assert out == ""
     assert not (tmp_path / "run" / "dqn.zip").exists()
     if number != signal.SIGKILL:
-        assert f"interrupted: {tmp_path / 'run'} keeps the last checkpoint; the same command goes on from there" in err
+        assert f"interrupted: {tmp_path / 'run'} holds the last checkpoint. Run the command again: it resumes there" in err
         assert "Traceback" not in err
     wait_until_the_next_second(wait_until)
     resumed = learn(tmp_path / "run", tiny("dqn"))
@@ -319,8 +319,8 @@ def test_a_run_that_is_interrupted_before_its_first_checkpoint_says_that_it_keep
     run.send_signal(signal.SIGINT)
     out, err = run.communicate(timeout=60)
     assert (run.returncode, out) == (130, ""), err
-    assert "interrupted before the first checkpoint, after 100 moves: nothing is kept; the same command begins anew\n" in err
-    assert "keeps" not in err
+    assert "interrupted before the first checkpoint at 100 moves: nothing is saved, the command begins anew\n" in err
+    assert "holds" not in err
     assert checkpoints(tmp_path / "run") == []
     claim(tmp_path / "run", tiny("dqn", steps=200), 7, tmp_path / "run" / "dqn.zip").close()  # and another run may begin there
 
@@ -334,7 +334,7 @@ def test_a_run_that_is_interrupted_while_it_is_judged_says_that_it_is_trained(
     out, err = run.communicate(timeout=60)
     bundle = tmp_path / "run" / "ppo.zip"
     assert (run.returncode, out) == (130, ""), err
-    assert f"interrupted: {bundle} is trained; the same command goes on with its test missions\n" in err
+    assert f"interrupted: {bundle} is trained. Run the command again: it resumes with the test missions\n" in err
     assert read(bundle)[0].evaluation == {}
 
 
@@ -342,11 +342,15 @@ def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(tmp_
     recipe = tiny("ppo", observation="paper")
     run = start(tmp_path / "run", recipe, "--scenarios", "2", "--seed", "6")
     out, err = run.communicate(timeout=110)
-    assert (run.returncode, out) == (0, ""), err
+    assert run.returncode == 0, err
+    caption, heads, *rows, fly, command = out.splitlines()
+    assert caption == "ζ = 0.5 m, 2 missions each, [95% interval]"
+    assert heads.split()[:2] == ["policy", "N"]
+    assert [row.split()[1] for row in rows] == ["100", "1,000", "4,000"]
+    assert f"{fly}\n{command}" == f"fly it with\n  plumeward fly --policy {tmp_path / 'run' / 'ppo.zip'}"
     assert "moves/s ceased " in err
     assert "located " in err
     assert "MTD " in err
-    assert f"{tmp_path / 'run' / 'ppo.zip'}: fly it with" in err
     page, graph = read(tmp_path / "run" / "ppo.zip")
     assert (page.seed, page.curve[-1].steps) == (6, 432)
     assert list(page.evaluation) == ["100", "1000", "4000"]
@@ -358,7 +362,7 @@ def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(tmp_
     again = start(tmp_path / "run", recipe, "--scenarios", "2", "--seed", "6")
     _, err = again.communicate(timeout=110)
     assert again.returncode == 0
-    assert "trained to its end" in err
+    assert "is already trained" in err
     assert (tmp_path / "run" / "ppo.zip").read_bytes() == before
     assert learn(tmp_path / "here", recipe, seed=6).curve == page.curve
     assert read(tmp_path / "here" / "policy.zip")[1] == graph
@@ -421,7 +425,7 @@ def trained_by_command(
     status, out, err = told(
         capsys, monkeypatch, "train", algorithm, "--steps", str(steps), "--scenarios", "0", "--threads", "1", "--out", str(folder)
     )
-    assert (status, out) == (0, ""), err
+    assert (status, out) == (0, f"fly it with\n  plumeward fly --policy {folder / algorithm}.zip\n"), err
     return models[0][0], err
 
 
@@ -439,7 +443,7 @@ def test_steps_that_cannot_be_learned_from_alone_are_rounded_up_and_that_is_said
     at_a_time: int,
 ) -> None:
     model, err = trained_by_command(tmp_path / "run", monkeypatch, capsys, algorithm, asked)
-    line = f"--steps {asked}: {algorithm} learns from {at_a_time} moves at a time: trains {trains}\n"
+    line = f"--steps {asked}: rounded up to {trains}, since {algorithm} learns from {at_a_time} moves at a time\n"
     assert err.startswith(line) == ("moves at a time" in err) == (asked != trains)
     page, _ = read(tmp_path / "run" / f"{algorithm}.zip")
     assert (model.num_timesteps, page.training["steps"], page.curve[-1].steps) == (trains, trains, trains)
@@ -451,9 +455,9 @@ def test_steps_that_cannot_be_learned_from_alone_are_rounded_up_and_that_is_said
 def test_steps_from_which_nothing_is_learned_are_said_to_be_too_few(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = "dqn begins to learn after 40 moves: from so few it learns nothing\n"
+    line = "too few; dqn begins to learn after 40 moves\n"
     model, err = trained_by_command(tmp_path / "run", monkeypatch, capsys, "dqn", 40)
-    assert f"--steps 40: {line}" in err
+    assert f"warning: --steps 40: {line}" in err
     assert model._n_updates == 0
     model, err = trained_by_command(tmp_path / "more", monkeypatch, capsys, "dqn", 44)
     assert line not in err
@@ -466,7 +470,7 @@ def test_one_process_at_a_time_trains_in_a_folder(
     monkeypatch.chdir(tmp_path)
     with claim(Path("run"), PRESETS["tuned"]["ppo"], 0, Path("run/ppo.zip")):
         ended = told(capsys, monkeypatch, "train", "ppo", "--out", "run")
-    assert ended == (2, "", "error: --out: another process trains in 'run'; wanted another folder, or to wait for its end\n")
+    assert ended == (2, "", "error: --out: another process trains in 'run'; choose another folder, or wait until it ends\n")
     claim(Path("run"), PRESETS["tuned"]["ppo"], 0, Path("run/ppo.zip")).close()
 
 
@@ -506,7 +510,7 @@ def test_a_broken_checkpoint_or_bundle_is_named_in_one_line(
     line = err.splitlines()[-1]
     assert (status, out) == (2, "")
     assert line.startswith(f"error: --out: '{folder / ('dqn.zip' if broken == 'dqn.zip' else kept.name)}'")
-    assert line.endswith("delete it to train anew" if broken == "dqn.zip" else "delete it to begin anew")
+    assert line.endswith("delete it to train again" if broken == "dqn.zip" else "delete it to begin anew")
     assert "Traceback" not in err
 
 
@@ -515,7 +519,7 @@ def test_a_broken_checkpoint_or_bundle_is_named_in_one_line(
     [
         (("ppo", "--out", ".", "--seed", "1"), "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the "),
         (("ppo", "--out", ".", "--steps", "9"), "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the "),
-        (("dqn", "--out", "."), "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the same command as"),
+        (("dqn", "--out", "."), "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the command of"),
         (("ppo", "--out", "recipe.json"), "error: --out: [Errno 17] File exists: 'recipe.json'"),
         (("ppo", "--preset", "best"), "--preset: invalid choice: 'best' (choose from"),
         (("sarsa",), "algorithm: invalid choice: 'sarsa' (choose from"),

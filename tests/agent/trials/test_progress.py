@@ -1,9 +1,11 @@
-"""Protects the bar: all that it says stands in a line of 80 columns."""
+"""Protects the bar: its text fits a line of 60 or 80 columns."""
+
+from collections.abc import Generator
 
 import pytest
 from rich.console import Console
 
-from agent.trials.progress import progress_bar
+from agent.trials.progress import progress_bar, with_bar
 
 
 def shown(width: int, *, stands: str | None, what: str, done: int, total: int) -> str:
@@ -29,6 +31,22 @@ def test_a_bar_of_training_says_how_it_stands_in_a_line_of_80() -> None:
     (line,) = shown(80, stands=stands, what="ppo", done=3_000_000, total=6_000_000).splitlines()
     for word in ("ppo", "━━━━", "50%", "-:--:--", stands):
         assert word in line
+
+
+def test_bars_fit_a_line_of_60_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    for what, stands in (("starting 2 workers", None), ("ppo", "9,999 moves/s located 98.4% MTD 28.4 m")):
+        (line,) = shown(60, stands=stands, what=what, done=12_500, total=25_000).splitlines()
+        for word in (what, "-:--:--", stands or "12500/25000"):
+            assert word in line
+
+
+def test_a_bar_starts_with_its_first_words_before_anything_has_flown(capsys: pytest.CaptureFixture[str]) -> None:
+    def flights() -> Generator[int, None, None]:
+        assert capsys.readouterr().err == "starting 3 workers for 2 missions\n"
+        yield from (1, 2)
+
+    assert list(with_bar(flights(), 2, "missions", "starting 3 workers")) == [1, 2]
 
 
 def test_a_bar_is_for_people_and_goes_to_stderr() -> None:

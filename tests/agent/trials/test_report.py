@@ -51,7 +51,7 @@ def test_missions_flown_in_two_ways_are_not_joined(tmp_path: Path) -> None:
     write_csv(FOUR, tmp_path / "four.csv")
     for other in ({"headings": 8}, {"sensor": "hits:3.0,0.1"}, {"prior": "q=gamma:2,150"}, {"stop_on": "location,q=50"}):
         write_csv([msgspec.structs.replace(flown(1_000_004), **other)], tmp_path / "one.csv")
-        with pytest.raises(ValueError, match=r"one\.csv: greedy was flown in another way there \(budget, headings, step"):
+        with pytest.raises(ValueError, match=r"one\.csv: greedy was flown with other settings there \(budget, headings, step"):
             read(tmp_path)
 
 
@@ -175,7 +175,7 @@ def test_a_report_is_files_that_need_nothing_else(tmp_path: Path) -> None:
 def test_without_matplotlib_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert run(argparse.Namespace(results=tmp_path, out=tmp_path, force=False)) == 1
-    assert capsys.readouterr().err == "error: pictures are drawn with matplotlib: pip install 'plumeward[view]'\n"
+    assert capsys.readouterr().err == "error: report needs matplotlib: pip install 'plumeward[view]'\n"
 
 
 @pytest.mark.parametrize("name", FILES)

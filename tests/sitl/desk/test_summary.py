@@ -92,7 +92,7 @@ def test_the_summary_counts_keys_repeats_and_what_is_missing(log: Path, capsys: 
         "1 readings without a belief, at 3.00 s of simulation",
         "1 beliefs missing, of step 2",
         "1 pauses of the whole bus: 4.1 s at 2.0 s",
-        "estimator was started again 1 time",
+        "estimator was restarted 1 time",
         "1 belief could not be read: JSON is malformed: invalid character (byte 4)",
     ]
 
@@ -163,7 +163,7 @@ def test_health_that_is_no_json_is_counted_and_the_rest_is_summed_up(tmp_path: P
     assert fields["ceased"]
     (line,) = (line for line in fields["gaps"] if "health" in line)
     assert line.startswith(f"{2 * len(odd)} health messages could not be read: ")
-    assert "estimator was started again 1 time" in fields["gaps"]
+    assert "estimator was restarted 1 time" in fields["gaps"]
 
 
 def test_beliefs_of_another_version_are_counted_with_what_is_wrong_with_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -179,7 +179,7 @@ def test_beliefs_of_another_version_are_counted_with_what_is_wrong_with_them(tmp
     path = record(tmp_path / "older.mcap", [(float(n), float(n + 1), "belief", payload) for n, payload in enumerate(older)])
     text = said(capsys, path)
     assert "2 beliefs could not be read: Object missing required field `p_value`" in text
-    assert "no belief that can be read: what came of the search is not known" in text
+    assert "no readable belief: the outcome of the search is unknown" in text
 
 
 def test_a_belief_of_a_step_far_away_is_a_gap_like_any_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

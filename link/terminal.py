@@ -1,0 +1,136 @@
+"""Text for people: tables that fit the terminal and lines broken at its width. A file or a pipe gets all of it."""
+
+import sys
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TextIO
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+GAP = 2
+"""Spaces between two columns."""
+LONGEST_WORD = 11
+"""A longer heading is broken where its cells are narrower."""
+UNLIMITED = 100_000
+"""Columns of a line that nothing limits."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table."""
+
+    heading: str
+    cells: Sequence[str]
+    rank: int = 0
+    """Columns of the highest rank are left out first; those of rank 0 never."""
+    name: str = ""
+    """What it is called where it is left out; empty: its heading."""
+    left: bool = False
+    """Aligned to the left; numbers are aligned to the right."""
+    stacks: bool = False
+    """It may be broken into two lines: the heading at its comma, a cell at its first space."""
+    least: int | None = None
+    """A longer cell may be cut to this many characters; None: it may not be cut."""
+    keeps_end: bool = False
+    """Of a cell that is cut the end stays, as of a path; otherwise its beginning."""
+    styles: Sequence[str] = ()
+    """A style of rich for each cell."""
+
+    @property
+    def width(self) -> int:
+        """Characters of the longest line in it."""
+        return max((len(line) for text in (self.heading, *self.cells) for line in text.split("\n")), default=0)
+
+
+def width_of(stream: TextIO) -> int | None:
+    """Columns of the terminal that a stream goes to; None for a file or a pipe."""
+    from rich.console import Console
+
+    return Console(file=stream).width if stream.isatty() else None
+
+
+def fitted(columns: Sequence[Column], width: int | None) -> tuple[list[Column], list[str]]:
+    """Return the columns that fit a width, and the names of those left out. Cells are stacked, then cut, before a column goes."""
+    if width is None or _total(columns) <= width:
+        return list(columns), []
+    kept = [_stacked(column) for column in columns]
+    left_out: list[str] = []
+    while _total(shown := _squeezed(kept, width)) > width and (last := max(column.rank for column in kept)):
+        kept = [column for column in kept if column.rank < last]
+        left_out = [column.name or column.heading for column in columns if column.rank >= last]
+    return shown, left_out
+
+
+def _total(columns: Sequence[Column]) -> int:
+    return sum(column.width for column in columns) + GAP * (len(columns) - 1)
+
+
+def _stacked(column: Column) -> Column:
+    if column.stacks:
+        cells = [cell.replace(" ", "\n", 1) for cell in column.cells]
+        return replace(column, heading=column.heading.replace(", ", "\n"), cells=cells)
+    room = max(replace(column, heading="").width, LONGEST_WORD)
+    return replace(column, heading="\n".join(textwrap.wrap(column.heading, room, break_long_words=False)))
+
+
+def _squeezed(columns: Sequence[Column], width: int) -> list[Column]:
+    """Cut cells, as far as that is allowed, until all columns fit."""
+    result = list(columns)
+    for i, column in enumerate(columns):
+        excess = _total(result) - width
+        if column.least is not None and excess > 0:
+            result[i] = _cut(column, max(column.width - excess, column.least))
+    return result
+
+
+def _cut(column: Column, width: int) -> Column:
+    def cut(text: str) -> str:
+        if len(text) <= width:
+            return text
+        return f"…{text[1 - width :]}" if column.keeps_end else f"{text[: width - 1]}…"
+
+    return replace(column, cells=[cut(cell) for cell in column.cells])
+
+
+def table(
+    columns: Sequence[Column], width: int | None, elsewhere: str = "", above: Sequence[str] = (), below: Sequence[str] = ()
+) -> "Group":
+    """Return a table for rich, with lines above and below it. The last line names what is left out and says how to see it."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    shown, left_out = fitted(columns, width)
+    grid = Table(box=None, header_style="bold", pad_edge=False, padding=(0, GAP, 0, 0), collapse_padding=True)
+    for column in shown:
+        grid.add_column(Text(column.heading), justify="left" if column.left else "right", no_wrap=True)
+    for row in range(max((len(column.cells) for column in shown), default=0)):
+        grid.add_row(*(Text(column.cells[row], column.styles[row] if column.styles else "") for column in shown))
+    note = [f"left out: {', '.join(left_out)} (a wider terminal{f', or {elsewhere}' * bool(elsewhere)})"] if left_out else []
+    return Group(*(Text(broken(line, width), "bold") for line in above), grid, *(Text(broken(line, width)) for line in (*below, *note)))
+
+
+def broken(text: str, width: int | None) -> str:
+    """Break each line of a text at spaces to fit a width; what goes on is indented."""
+    if width is None:
+        return text
+    return "\n".join(
+        part for line in text.split("\n") for part in textwrap.wrap(line, width, subsequent_indent="  ", break_on_hyphens=False) or [""]
+    )
+
+
+def tell(said: "str | Group", stream: TextIO | None = None) -> None:
+    """Print a text, or what `table` made for the same stream, on stderr or on another stream."""
+    from rich.console import Console
+
+    stream = stream or sys.stderr
+    width = width_of(stream)
+    if isinstance(said, str):
+        print(broken(said, width), file=stream, flush=True)
+        return
+    console = Console(file=stream, width=width or UNLIMITED, highlight=False)
+    with console.capture() as captured:  # rich would end the program on a closed pipe
+        console.print(said)
+    print("\n".join(line.rstrip(" ") for line in captured.get().split("\n")), end="", file=stream, flush=True)
