@@ -9,6 +9,7 @@ from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[2]
 TOP_LEVEL = ("CONTRIBUTING.md", "CHANGELOG.md")
@@ -24,6 +25,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         for name, content in pages(page, json.loads(notebook.content_string)):
             files.append(File.generated(config, str(page.parent / name), content=content))
     return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """Lead links to those files to their pages; the notebook's own page offers it for download."""
+    markdown = re.sub(rf"\]\(\.\./((?:\.\./)*)({'|'.join(TOP_LEVEL)})\b", lambda found: f"]({found[1]}{found[2].lower()}", markdown)
+    return re.sub(r"\]\(([\w./-]*?)([\w-]+)\.ipynb\)(?!\{ \.md-button)", r"](\1\2.md)", markdown)
 
 
 def from_docs(text: str) -> str:
