@@ -1,7 +1,7 @@
 """Protects README and docs: every command and example on these pages runs, what they show is what is printed, every link leads somewhere.
 
-The commands run in a copy of the checkout. What takes long runs smaller, what stays up runs until it has said what it should; the tables
-below say how, and a line of theirs that no page needs any more fails, too.
+The commands run in a copy of the checkout. Long commands run smaller. Commands that stay up run until they have said what they should. The
+tables below say how; a line of a table that no page needs fails, too.
 """
 
 import os
@@ -17,7 +17,7 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,16 +27,20 @@ from ruamel.yaml import YAML
 from sitl.script.script import load
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"sh", "console", "python", "yaml", "toml", "text", "mermaid"}
 """sh: commands. console: commands behind `$ `, each with what it prints below it. text and mermaid: nothing to run."""
 RUNS = ("python ", "make ", "plumeward ", "pip ", "docker ", "podman ", "source ", "tensorboard ")
 """A code span in a sentence that begins so is a command, too."""
-FLIES = re.compile(r"(python -m sitl|plumeward)( fly\b.*| uav\b.*)?")
-"""Commands that take less time with `--speedup 0`."""
+OURS = r"(plumeward|python -m (sitl|agent))"
+SHORTER = {
+    rf"{OURS} (fly|uav)\b.*": "--speedup 0",
+    rf"{OURS} evaluate\b.*": "--scenarios 2",
+    rf"{OURS} train\b.*": "--steps 1 --scenarios 0",
+}
+"""Commands that take less time with more flags; the last flag of a name counts."""
 TIMEOUT_S = 200
 
-FEW = "--scenarios 2"
 INSTEAD = {
     "make test": "make test FLAGS=tests/plume/test_world.py",
     "make lint": "make --dry-run lint",  # .ci/run runs it
@@ -57,36 +61,28 @@ INSTEAD = {
         "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
     "python -m benchmarks.mismatch": "python -m benchmarks.mismatch --missions 1 --policy greedy --only wind-30",
     "python -m benchmarks.record": "python -m benchmarks.record --comparisons 1 --stretch 10",
-    "python -m agent evaluate": f"python -m agent evaluate {FEW}",
-    "python -m agent evaluate --missions FILE.csv": f"python -m agent evaluate --missions FILE.csv {FEW}",
-    "python -m agent evaluate --policy infotaxis,homing --scenarios 200": f"python -m agent evaluate --policy infotaxis,homing {FEW}",
-    "python -m agent evaluate --policy infotaxis,infotaxis-variance,dcee --scenarios 400 --measurements K":
-        f"python -m agent evaluate --policy infotaxis,infotaxis-variance,dcee {FEW} --measurements 5",
-    "python -m agent evaluate --policy beeline.zip,greedy --scenarios 200": f"python -m agent evaluate --policy beeline.zip,greedy {FEW}",
-    "python -m agent evaluate --policy weave,greedy --scenarios 200": f"python -m agent evaluate --policy weave,greedy {FEW}",
-    "python -m agent report":
-        f"mkdir few && python -m agent evaluate {FEW} --missions few/rows.csv && python -m agent report --results few --out few",
-    "python -m agent train ppo": "python -m agent train ppo --steps 1 --scenarios 0",
-    "python -m agent train ppo --preset paper": "python -m agent train ppo --preset paper --steps 1 --scenarios 0",
+    "plumeward report":
+        "mkdir few && plumeward evaluate --scenarios 2 --missions few/rows.csv && plumeward report --results few --out few",
     "pip install .": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
+    "pip install ./heaviest": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
     "python -m hatchling build": "python -m hatchling build --target wheel",
-    "python -m sitl status": "python -m sitl status --connect tcp/127.0.0.1:7447",
-    "python -m sitl uav --out udpin:127.0.0.1:14550": "python -m sitl uav --out udpin:127.0.0.1:7447",
-    "python -m sitl replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "python -m sitl replay flight.tlog --gas gas*1.0 --wind 2.5,270",
+    "plumeward status": "plumeward status --connect tcp/127.0.0.1:7447",
+    "plumeward uav --out udpin:127.0.0.1:14550": "plumeward uav --out udpin:127.0.0.1:7447",
+    "plumeward replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "plumeward replay flight.tlog --gas gas*1.0 --wind 2.5,270",
     "tensorboard --logdir runs/train": "tensorboard --logdir runs/train --port 0",
 }  # fmt: skip
-"""What is run in place of a command: less of what takes long, and what does not need what only others have."""
+"""What is run in place of a command: one that takes less time, or needs nothing that only others have."""
 STAYS = {
-    "python -m sitl router --listen tcp/127.0.0.1:7447": "tcp/127.0.0.1:",
-    "python -m sitl uav --seed 7 --connect tcp/127.0.0.1:7447": "its agent: ",
-    "python -m sitl uav --out udpout:127.0.0.1:14540": "MAVLink to ",
-    "python -m sitl uav --out udpin:127.0.0.1:14550": "MAVLink to ",
-    "python -m sitl record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
-    "python -m estimator --connect tcp/127.0.0.1:7447": "ready: ",
-    "python -m estimator --connect tcp/127.0.0.1:7447 --particles 4000": "ready: ",
-    "python -m estimator --connect tcp/127.0.0.1:7447 --rate 364.9238897255652 --diffusivity 5.890049834047215": "ready: ",
-    "python -m agent --connect tcp/127.0.0.1:7447 --policy homing": "ready: ",
-    "python -m agent --connect tcp/127.0.0.1:7447 --policy infotaxis": "ceased at step",  # says the estimator: a whole mission is flown
+    "plumeward router --listen tcp/127.0.0.1:7447": "tcp/127.0.0.1:",
+    "plumeward uav --seed 7 --connect tcp/127.0.0.1:7447": "its agent: ",
+    "plumeward uav --out udpout:127.0.0.1:14540": "MAVLink to ",
+    "plumeward uav --out udpin:127.0.0.1:14550": "MAVLink to ",
+    "plumeward record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
+    "plumeward estimator --connect tcp/127.0.0.1:7447": "ready: ",
+    "plumeward estimator --connect tcp/127.0.0.1:7447 --particles 4000": "ready: ",
+    "plumeward estimator --connect tcp/127.0.0.1:7447 --rate 364.9238897255652 --diffusivity 5.890049834047215": "ready: ",
+    "plumeward agent --connect tcp/127.0.0.1:7447 --policy homing": "ready: ",
+    "plumeward agent --connect tcp/127.0.0.1:7447 --policy infotaxis": "ceased at step",  # says the estimator: a whole mission is flown
     "tensorboard --logdir runs/train": "http://",
 }
 """Commands that stay up, and what must have been said before the next command of the block is run; then they are interrupted."""
@@ -111,13 +107,13 @@ class Command(NamedTuple):
 
 
 class Session(NamedTuple):
-    """The commands of a block, in order, or the one of a sentence."""
+    """The commands of a block, in order, or those of a whole tutorial, or the one of a sentence."""
 
     page: Path
     commands: tuple[Command, ...]
 
     def __str__(self) -> str:
-        return f"{self.page.name}: {self.commands[0].text}"
+        return f"{self.page.relative_to(ROOT)}: {self.commands[0].text}"
 
 
 @cache
@@ -145,6 +141,11 @@ def folder(page: Path) -> str:
     return f"of-{page.stem}" if any(map(named, blocks(page))) else "."
 
 
+def place(command: str, page: Path) -> str:
+    """Where a command of a page runs: make and the virtual environment are those of the checkout."""
+    return "." if command.startswith(("make ", "source ")) else folder(page)
+
+
 def typed(text: str) -> Iterator[Command]:
     """The commands of a block, one a line, without prompts, comments and breaks."""
     for line in text.replace("\\\n", " ").splitlines():
@@ -160,6 +161,15 @@ def watched(text: str) -> Iterator[Command]:
         yield Command(re.sub(r"\s+#\s.*", "", command), tuple(line for line in shown.splitlines() if line.strip()))
 
 
+SHELLS = {"sh": typed, "console": watched}
+
+
+def said_to_type(page: Path) -> list[tuple[Command, ...]]:
+    """The commands of each block of a page; a tutorial is one story, each of its blocks needs those before it."""
+    each = [tuple(SHELLS[block.language](block.text)) for block in blocks(page) if block.language in SHELLS]
+    return [tuple(chain.from_iterable(each))] if page.parent.name == "tutorials" else each
+
+
 def spans(page: Path) -> Iterator[str]:
     """The code spans of a page's sentences."""
     prose = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
@@ -168,22 +178,26 @@ def spans(page: Path) -> Iterator[str]:
 
 
 def is_a_repeat(session: Session, earlier: list[Session]) -> bool:
-    """Whether all that a block says has been typed in the same folder before, and it shows nothing that is printed."""
-    there = {command.text for other in earlier if folder(other.page) == folder(session.page) for command in other.commands}
-    return all(command.text in there and not command.shown for command in session.commands)
+    """Whether all commands of a block were typed in the same folder before, and the block shows nothing that is printed."""
+    there = {(command.text, place(command.text, other.page)) for other in earlier for command in other.commands}
+    return all((command.text, place(command.text, session.page)) in there and not command.shown for command in session.commands)
+
+
+def mentioned(span: str) -> str:
+    """The command of a code span: a name such as `plumeward fly` stands for its help."""
+    return f"{span} --help" if re.fullmatch(r"plumeward [a-z]+", span) else span
 
 
 def sessions() -> list[Session]:
     """All that is to be run; what another page or a sentence only repeats is run once."""
-    found = [Session(block.page, tuple(typed(block.text))) for block in of("sh")]
-    found += [Session(block.page, tuple(watched(block.text))) for block in of("console")]
+    found = [Session(page, commands) for page in PAGES for commands in said_to_type(page)]
     found = [session for number, session in enumerate(found) if not is_a_repeat(session, found[:number])]
     there = {command.text for session in found for command in session.commands}
     for page in PAGES:
-        for span in spans(page):
-            if span.startswith(RUNS) and span not in there:
-                there.add(span)
-                found.append(Session(page, (Command(span),)))
+        for span in filter(lambda span: span.startswith(RUNS), spans(page)):
+            if not {span, mentioned(span)} & there:
+                there.add(mentioned(span))
+                found.append(Session(page, (Command(mentioned(span)),)))
     return found
 
 
@@ -210,7 +224,7 @@ def make_environment(copy: Path) -> None:
     scripts = tomllib.loads((copy / "pyproject.toml").read_text())["project"].get("scripts", {})
     for name, (module, _, function) in {name: target.partition(":") for name, target in scripts.items()}.items():
         (bin_ / name).unlink(missing_ok=True)
-        (bin_ / name).write_text(f"#!/usr/bin/env python\nfrom {module} import {function}\n{function}()\n")
+        (bin_ / name).write_text(f"#!/usr/bin/env python\nfrom {module} import {function}\nif __name__ == '__main__':\n    {function}()\n")
         (bin_ / name).chmod(0o755)
     (copy / ".venv" / ".ready").touch()
 
@@ -290,7 +304,12 @@ def smaller(command: str) -> str:
     """What is run in place of a command."""
     if command in INSTEAD:
         return INSTEAD[command]
-    return f"{command} --speedup 0" if FLIES.fullmatch(command) else command
+    return " ".join((command, *(flags for pattern, flags in SHORTER.items() if re.fullmatch(pattern, command))))
+
+
+def is_whole(command: str) -> bool:
+    """Whether what is run gives the command's own figures. At another speed-up a mission is the same."""
+    return smaller(command).removesuffix(" --speedup 0") == command
 
 
 def words(line: str) -> str:
@@ -307,7 +326,7 @@ def lacking(shown: tuple[str, ...], printed: str, *, whole: bool) -> list[str]:
 def put_in_place(command: str, copy: Path, said: Path) -> None:
     """Have the records that a command names: NAME is a mission's, flight.tlog was flown elsewhere."""
     if "NAME" in command and not (copy / "runs" / "NAME.mcap").exists():
-        assert ended("python -m sitl fly missions/wind-shift.yaml --speedup 0 --record runs/NAME.mcap", copy, copy, said) == 0
+        assert ended("plumeward fly missions/wind-shift.yaml --speedup 0 --record runs/NAME.mcap", copy, copy, said) == 0
     if "flight.tlog" in command and not (copy / "flight.tlog").exists():
         put_in_place("NAME", copy, said)
         shutil.copy(copy / "runs" / "NAME.tlog", copy / "flight.tlog")
@@ -316,7 +335,7 @@ def put_in_place(command: str, copy: Path, said: Path) -> None:
 @pytest.mark.timeout(TIMEOUT_S + 100)
 @pytest.mark.parametrize("session", SESSIONS, ids=str)
 def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: Path) -> None:
-    port, cwd = str(free_port()), checkout / folder(session.page)
+    port = str(free_port())
     with ExitStack() as up:
         for command, shown in session.commands:
             if command.startswith(("docker ", "podman ")):
@@ -326,6 +345,7 @@ def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: 
                 check_install(command)
                 continue
             put_in_place(command, checkout, said)
+            cwd = checkout / place(command, session.page)
             before = said.stat().st_size if said.exists() else 0
             run = smaller(command).replace("7447", port)
             if command in STAYS:
@@ -339,7 +359,7 @@ def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: 
                 status = ended(run, cwd, checkout, said)
                 assert status == 0, f"{command}: exit status {status}\n{output(said, before)}"
             printed = output(said, before)
-            missing = "\n".join(lacking(shown, printed, whole=command not in INSTEAD))
+            missing = "\n".join(lacking(shown, printed, whole=is_whole(command)))
             assert not missing, f"{command}: the page shows what is not printed:\n{missing}\n\nprinted was:\n{printed}"
 
 
@@ -388,13 +408,13 @@ def test_an_example_in_toml_can_be_read(block: Block) -> None:
     tomllib.loads(block.text)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_block_says_what_it_is(page: Path) -> None:
     unknown = [f"{page.name}:{block.line}: {block.language!r}" for block in blocks(page) if block.language not in LANGUAGES]
     assert not unknown, f"allowed are {', '.join(sorted(LANGUAGES))}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_link_and_every_page_that_is_named_is_there(page: Path) -> None:
     text = page.read_text()
     links = [link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
