@@ -56,6 +56,8 @@ def main(arguments: list[str]) -> int:
     for number, name in enumerate([what] if what else LISTS):
         how, lines = LISTS[name]
         print(f"{chr(10) if number else ''}{name.capitalize()}: {how}")
-        for key, about in lines():
-            print(textwrap.fill(about, 80, initial_indent=f"  {key:<22} ", subsequent_indent=" " * 25))
+        shown = list(lines())
+        width = max(len(key) for key, _ in shown) + 4
+        for key, about in shown:
+            print(textwrap.fill(about, 80, initial_indent=f"  {key}".ljust(width), subsequent_indent=" " * width))
     return 0
