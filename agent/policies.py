@@ -79,7 +79,7 @@ def _about(plugin: EntryPoint) -> str:
 
 
 def check(name: str) -> None:
-    """Raise ValueError where no policy has this name, or where the file is not a bundle. What flies is not loaded: that may take seconds."""
+    """Raise ValueError if no policy has this name, or the file is not a bundle. The policy is not loaded, which may take seconds."""
     if name in PLANNERS:
         return
     if path := bundle_path(name):

@@ -11,14 +11,14 @@ from plume.scenario import AREA_M
 
 def main(prog: str = "python -m estimator", arguments: list[str] | None = None) -> None:
     """Parse the command line and serve."""
-    parser = cli.Parser(prog=prog, description="The estimator service alone, a particle filter: readings in, beliefs and the stop (AGDC) out.")
+    parser = cli.Parser(prog=prog, description="The estimator service alone: readings in, beliefs and the stop (AGDC) out.")
     cli.add_bus_arguments(parser)
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
     positive = cli.number(0, math.inf, above=True)
     parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="seed of the filter's random draws (default: %(default)s)")
     parser.add_argument("--rate", type=positive, default=300.0, metavar="Q", help="release rate q, g/s (default: %(default)g)")
-    parser.add_argument("--diffusivity", type=positive, default=4.5, metavar="D", help="effective diffusivity d, m²/s (default: %(default)g)")
+    parser.add_argument("--diffusivity", type=positive, default=4.5, metavar="D", help="diffusivity d, m²/s (default: %(default)g)")
     parser.add_argument("--lifetime", type=positive, default=10.0, metavar="TAU", help="lifetime τ of the gas, s (default: %(default)g)")
     parser.add_argument(
         "--area", type=cli.number(0, 100_000, above=True), default=AREA_M, metavar="M",

@@ -146,7 +146,9 @@ def listed(parse: Callable[[str], Any]) -> Callable[[str], list[Any]]:
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags that choose the bus to join."""
-    parser.add_argument("-e", "--connect", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="the Zenoh router to join (default: %(default)s)")
+    parser.add_argument(
+        "-e", "--connect", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="the Zenoh router to join (default: %(default)s)"
+    )
     parser.add_argument("--namespace", metavar="NAME", default="uav/1", help="the vehicle's key prefix (default: %(default)s)")
     add_log_argument(parser)
 
@@ -163,7 +165,11 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
     count, threshold = whole(10, 1_000_000), number(0, 100, above=True)
     more = "; several between commas" if several else ""
     parser.add_argument(
-        "--particles", type=listed(count) if several else count, default="1000", metavar="N", help=f"particles of the filter{more} (default: %(default)s)"
+        "--particles",
+        type=listed(count) if several else count,
+        default="1000",
+        metavar="N",
+        help=f"particles of the filter{more} (default: %(default)s)",
     )
     parser.add_argument(
         "--threshold", type=listed(threshold) if several else threshold, default="0.5", metavar="M",
@@ -187,10 +193,15 @@ def add_reach_arguments(parser: argparse.ArgumentParser, budget: int) -> None:
     parser.add_argument(
         "--budget", type=whole(1, 1_000_000), default=budget, metavar="STEPS", help="give up after so many moves (default: %(default)s)"
     )
-    parser.add_argument("--headings", type=int, choices=(4, 8), help="directions that the planner chooses from (default: the planner's own)")
+    parser.add_argument(
+        "--headings", type=int, choices=(4, 8), help="directions that the planner chooses from (default: the planner's own)"
+    )
     parser.add_argument("--step", type=number(0, 10, above=True), metavar="M", help="length of a move, m (default: 1)")
     parser.add_argument(
-        "--measurements", type=whole(1, 10_000), metavar="K", help="hypothetical readings that the planner samples for each move (default: the planner's own)"
+        "--measurements",
+        type=whole(1, 10_000),
+        metavar="K",
+        help="hypothetical readings that the planner samples for each move (default: the planner's own)",
     )
 
 

@@ -63,7 +63,11 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
     )  # fmt: skip
     cli.completed(mission, shipped, "yaml", "yml")
     parser.add_argument(
-        "--seed", type=cli.whole(0, MAX_SEED), default=1, metavar="S", help="seed of the scenario and the sensor noise (default: %(default)s)"
+        "--seed",
+        type=cli.whole(0, MAX_SEED),
+        default=1,
+        metavar="S",
+        help="seed of the scenario and the sensor noise (default: %(default)s)",
     )
     parser.add_argument(
         "--speedup",
@@ -73,7 +77,12 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
         help="times real time; 0 is as fast as possible (default: %(default)g)",
     )
     parser.add_argument(
-        "-I", "--instance", type=cli.whole(0, 254), default=0, metavar="N", help="number of the vehicle; its system id and namespace are N+1 (default: %(default)s)"
+        "-I",
+        "--instance",
+        type=cli.whole(0, 254),
+        default=0,
+        metavar="N",
+        help="number of the vehicle; its system id and namespace are N+1 (default: %(default)s)",
     )
     kind = parser.add_argument(
         "--sensor", type=cli.checked(sensor.parse, sensor.KINDS), default="gaussian", metavar="KIND[:NUMBERS]",
@@ -137,7 +146,9 @@ def _load(args: argparse.Namespace) -> Script:
     """Read the mission script. Raises FileError, with the nearest name where there is no such mission."""
     missions = shipped()
     if not os.path.lexists(args.mission) and (near := cli.did_you_mean(args.mission.removesuffix(".yaml"), missions)):
-        raise FileError(f"{args.mission}: no such file and no shipped mission{near} Wanted a mission script, or one of {', '.join(missions)}")
+        raise FileError(
+            f"{args.mission}: no such file and no shipped mission{near} Wanted a mission script, or one of {', '.join(missions)}"
+        )
     return load(args.mission)
 
 
@@ -179,7 +190,9 @@ def _parse(
     fly.add_argument(
         "-e", "--connect", metavar="ENDPOINT", help="join a router, estimator and agent that run elsewhere; start only the vehicle"
     )
-    fly.add_argument("--record", type=_record, metavar="FILE.mcap", help="the record's file; a .tlog is written beside it (default: in runs/)")
+    fly.add_argument(
+        "--record", type=_record, metavar="FILE.mcap", help="the record's file; a .tlog is written beside it (default: in runs/)"
+    )
     fly.add_argument("--no-record", action="store_true", help="record nothing")
     cli.add_output_guard(fly)
     fly.add_argument(
