@@ -33,7 +33,9 @@ class Parser(argparse.ArgumentParser):
         """Say what is wrong in one line and exit with status 2."""
         self.exit(BAD_INPUT, f"{self.prog}: error: {message.removeprefix('argument ')}\n")
 
-    def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:
+    def parse_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> argparse.Namespace:
         """Parse a command line; where a shell asks for completions, print them and exit."""
         if COMPLETING in os.environ:
             import argcomplete
@@ -94,7 +96,7 @@ def not_allowed(value: object, known: Iterable[str], wanted: str) -> str:
 
 
 def completed(action: argparse.Action, names: Callable[[], Iterable[str]], *endings: str) -> argparse.Action:
-    """Let a shell complete an argument's value: by names, and by files with these endings. The last of several between commas is completed."""
+    """Let a shell complete an argument by names and by files with these endings; of several between commas it completes the last."""
 
     def complete(prefix: str, **_: Any) -> list[str]:
         from argcomplete.completers import FilesCompleter
@@ -201,7 +203,7 @@ def add_reach_arguments(parser: argparse.ArgumentParser, budget: int) -> None:
         "--measurements",
         type=whole(1, 10_000),
         metavar="K",
-        help="hypothetical readings that the planner samples for each move (default: the planner's own)",
+        help="hypothetical readings for each move (default: the planner's own)",
     )
 
 

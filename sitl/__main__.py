@@ -52,8 +52,8 @@ def _record(text: str) -> Path:
     return path
 
 
-def _policy_or_none(check: "CheckPolicy") -> "CheckPolicy":
-    return lambda text: text == "none" or check(text)
+def _policy_or_none(check: "CheckPolicy | None") -> "CheckPolicy":
+    return lambda text: text == "none" or check is None or check(text)
 
 
 def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> None:
@@ -94,7 +94,7 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
     )
     parser.add_argument(
         "--out", type=_udp_url, action="append", default=[], metavar="URL",
-        help="also speak MAVLink: udpout:HOST:PORT sends (14540 MAVSDK and MAVROS, 14550 ground stations), udpin:HOST:PORT waits for a call",
+        help="also speak MAVLink: udpout:HOST:PORT sends (14540 MAVSDK and MAVROS, 14550 ground stations), udpin:HOST:PORT waits",
     )  # fmt: skip
     parser.add_argument(
         "--silence", type=cli.number(0, math.inf, above=True), default=30.0, metavar="S",
@@ -178,7 +178,7 @@ def _parse(
     fly = commands.add_parser("fly", help="fly one mission, with router, vehicle, estimator and agent as processes")
     _add_vehicle_arguments(fly, speedup=10.0)
     policy = fly.add_argument(
-        "--policy", type=check_policy and cli.checked(_policy_or_none(check_policy)), default=AgentPart().policy, metavar="NAME",
+        "--policy", type=cli.checked(_policy_or_none(check_policy)), default=AgentPart().policy, metavar="NAME",
         help="how waypoints are chosen: a name that `plumeward list policies` shows, or a bundle, FILE.zip (default: %(default)s)",
     )  # fmt: skip
     cli.completed(policy, policies, "zip")
