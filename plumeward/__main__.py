@@ -20,7 +20,7 @@ class Command(NamedTuple):
 
 GROUPS = {
     "Fly a mission": {
-        "fly": Command("sitl", "fly one mission, with router, vehicle, estimator and agent as processes"),
+        "fly": Command("sitl", "fly one mission, each part a process of its own"),
         "rollout": Command("agent", "fly one mission in this process, without a network"),
         "list": Command("plumeward", "list the missions, policies and sensors to choose from"),
     },
