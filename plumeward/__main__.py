@@ -125,12 +125,12 @@ def _policies() -> dict[str, Any]:
 
 def _words_to_complete() -> list[str]:
     """Return the command whose arguments a shell wants completed; none while the command itself is being typed."""
-    typed = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))].split()
-    start = int(os.environ[cli.COMPLETING])  # where `plumeward` ends in the line: 1, or more as `python -m plumeward`
-    whole = typed if os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))].endswith(" ") else typed[:-1]
-    words = whole[start : start + 1]
+    line = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))]
+    complete = f"{line}|".split()[:-1]  # without the word that the cursor is in
+    start = int(os.environ[cli.COMPLETING])  # the words that `plumeward` itself takes in the line
+    words = complete[start : start + 1]
     if not words or words[0] not in COMMANDS:
-        _parser().parse_args([])
+        _parser().parse_args([])  # offers the commands and exits
     if words[0] in (*SERVICES, "list"):
         os.environ[cli.COMPLETING] = str(start + 1)  # their parsers begin behind the command
     return words

@@ -5,6 +5,7 @@ import json
 import math
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,7 @@ def test_a_rollout_by_default_is_homings_and_its_outcome_is_that_of_its_trace() 
     assert (outcome.policy, outcome.steps) == ("homing", len(trace) - 1)
     assert outcome.source == plumeward.draw(3).source
     assert outcome.error_m == pytest.approx(math.dist(trace[-1].mean, outcome.source))
-    assert outcome.distance_m == pytest.approx(sum(math.dist(a.position, b.position) for a, b in zip(trace, trace[1:], strict=False)))
+    assert outcome.distance_m == pytest.approx(sum(math.dist(a.position, b.position) for a, b in pairwise(trace)))
     assert outcome.ceased == (trace[-1].spread < 0.5)
     assert trace == plumeward.rollout(3, "homing")[1]
 
@@ -166,7 +167,7 @@ def test_figures_are_those_of_the_missions_one_by_one() -> None:
 
 @pytest.mark.parametrize("wrong", [{"policies": []}, {"policies": "hommer"}, {"scenarios": 0}, {"workers": 0}])
 def test_what_cannot_be_evaluated_is_a_value_error(wrong: dict) -> None:
-    with pytest.raises(ValueError, match="wanted|Wanted"):
+    with pytest.raises(ValueError, match=r"wanted|Wanted"):
         plumeward.evaluate(**{"scenarios": 1, **wrong})
 
 

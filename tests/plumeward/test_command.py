@@ -84,7 +84,7 @@ WRONG = [
     (["fly", "hommer.yaml"], "error: hommer.yaml:2: agent.policy: 'hommer' is not allowed; did you mean 'homing'? Wanted infotaxis, "),
     (
         ["fly", "wnd-shift"],
-        "error: wnd-shift: no such file and no shipped mission; did you mean 'wind-shift'? Wanted a mission script, or ",
+        "error: wnd-shift: no such file and no shipped mission; did you mean 'wind-shift'? Wanted a mission ",
     ),
     (["fly", "list.yaml"], "error: list.yaml:1: "),
     (["fly", "--sensor", "gausian"], "plumeward fly: error: --sensor: 'gausian' is not allowed; did you mean 'gaussian'? Wanted "),
