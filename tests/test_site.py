@@ -14,6 +14,7 @@ import pytest
 from nbclient import NotebookClient
 from ruamel.yaml import YAML
 
+import plumeward
 from plume import __version__
 
 ROOT = Path(__file__).parents[1]
@@ -22,7 +23,7 @@ NOTEBOOKS = sorted(DOCS.rglob("*.ipynb"))
 PAGES = {str(page.relative_to(DOCS).with_suffix("")) for page in (*DOCS.rglob("*.md"), *NOTEBOOKS)} | {"contributing", "changelog"}
 """The pages that there should be; the last two are made from files beside README.md."""
 MODULES = {
-    "api/index": ("plumeward",),
+    "api/index": [f"plumeward.{name}" for name in plumeward.__all__ if name != "__version__"],
     "api/physics": ("plume.dispersion.concentration", "plume.sensor.Gaussian.log_likelihood", "plume.scenario.Scenario.tau"),
     "api/estimator": ("estimator.filter.assimilate", "estimator.filter.Config.threshold_m", "estimator.belief.belief"),
     "api/planners": ("agent.planners.homing.plan", "agent.planners.registry.PLANNERS"),

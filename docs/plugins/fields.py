@@ -6,15 +6,17 @@ import griffe
 
 NEW_LINE = re.compile(r"\n(?=[a-z_]+(?:, [a-z_]+)*: |Returns |Raises )")
 """Where a docstring begins to speak of another argument or of the result."""
+IMPORTS = re.compile(r"\s*Imports: .+?\.(?=\n|$)")
+"""What a package's docstring says of its place in the house; the architecture page has it for all."""
 
 
 class Fields(griffe.Extension):
     """Reads `field: Annotated[type, Meta(description="...")]`, and names of such types."""
 
     def on_instance(self, *, obj: griffe.Object, **_: object) -> None:
-        """Keep each argument on a line of its own."""
+        """Keep each argument on a line of its own, and leave out what a package imports."""
         if obj.docstring:
-            obj.docstring.value = NEW_LINE.sub("  \n", obj.docstring.value)
+            obj.docstring.value = NEW_LINE.sub("  \n", IMPORTS.sub("", obj.docstring.value))
 
     def on_attribute_instance(self, *, attr: griffe.Attribute, **_: object) -> None:
         """Take the description for the docstring, and the type alone for the annotation."""
