@@ -16,7 +16,8 @@ RUN /opt/plumeward/bin/pip uninstall --yes --quiet pip setuptools \
 # The kernels, for the CPU that this runs on. Where numba finds itself on another it compiles them anew, in about half a minute.
 WORKDIR /opt/plumeward
 ENV NUMBA_CACHE_DIR=/opt/kernels
-RUN bin/python -m agent rollout --policy infotaxis \
+RUN bin/python -m agent rollout \
+    && bin/python -m agent rollout --policy infotaxis \
     && bin/python -m agent rollout --policy ppo
 
 FROM ${BASE}

@@ -9,7 +9,7 @@ LEARNED := infotaxis,ppo,dqn,ddpg
 # More flags for what a target runs, such as: make results FLAGS='--scenarios 20'
 FLAGS ?=
 
-.PHONY: setup mission test lint docs bench bench-filter bench-planners bench-env train results report calibration mismatch golden clean
+.PHONY: setup mission test lint docs site bench bench-filter bench-planners bench-env train results report calibration mismatch golden clean
 
 setup: $(READY)
 
@@ -37,6 +37,10 @@ docs: setup
 	$(BIN)/python -m link > docs/bus.md
 	$(BIN)/python -m sitl.script > missions/mission.schema.json
 	$(BIN)/python docs/picture.py
+
+# Pages for a browser: site/index.html. It needs no network, neither here nor there.
+site: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench: setup
 	$(BIN)/python benchmarks/loop.py $(FLAGS)
@@ -78,5 +82,5 @@ golden: setup
 	$(BIN)/python -m tests.golden
 
 clean:
-	rm -rf .venv build *.egg-info runs report
+	rm -rf .venv build *.egg-info runs report site
 	find . -name __pycache__ -prune -exec rm -rf {} +

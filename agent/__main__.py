@@ -7,7 +7,7 @@ import traceback
 from concurrent.futures import BrokenExecutor
 from types import ModuleType
 
-from agent.policies import PolicyError, named, policy_argument, reach
+from agent.policies import PolicyError, add_policy_argument, reach
 from agent.service import waypoints
 from link import cli
 from link.bus.session import Bus
@@ -15,31 +15,23 @@ from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS
 
 OTHERS = {
-    "evaluate": ("agent.trials.evaluate", "the figures of policies over many missions, in-process"),
-    "train": ("agent.learn.train.command", "learn a policy, and write it down as a bundle that the agent flies"),
-    "report": ("agent.trials.report.command", "tables, pictures and a page from the missions that `evaluate` flew"),
+    "evaluate": ("agent.trials.evaluate", "fly many missions in-process and print the policies' figures"),
+    "train": ("agent.learn.train.command", "train a policy and write it to a bundle that the agent flies"),
+    "report": ("agent.trials.report.command", "draw tables, figures and a page from the missions of `evaluate`"),
 }
-"""Commands with a module of their own, loaded only when asked for: a service has to start fast, and knows nothing of trials."""
+"""Commands with a module of their own. It is imported only for its command: a service starts fast and knows nothing of trials."""
 
 
-def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--policy",
-        type=policy_argument,
-        default="infotaxis",
-        metavar="NAME",
-        help=f"how to choose waypoints: {', '.join(named())}, or a bundle, FILE.zip (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--seed", type=cli.whole(0, MAX_SEED), default=0, help="of the policy's draws; of the mission in a rollout (default: %(default)s)"
-    )
+def _add_policy_arguments(parser: argparse.ArgumentParser, of: str) -> None:
+    add_policy_argument(parser)
+    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help=f"seed of the {of} (default: %(default)s)")
     cli.add_reach_arguments(parser, BUDGET_STEPS)
 
 
 def _add_rollout_arguments(parser: argparse.ArgumentParser) -> None:
     from estimator.options import add_sensor_argument
 
-    _add_policy_arguments(parser)
+    _add_policy_arguments(parser, "mission")
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
     cli.add_output_arguments(parser)
@@ -50,18 +42,18 @@ def _module(command: str) -> ModuleType:
 
 
 def _parse(prog: str, arguments: list[str]) -> argparse.Namespace:
-    parser = cli.Parser(prog=prog, description="Beliefs in, waypoints out.")
+    parser = cli.Parser(prog=prog, description="The agent service alone: beliefs in, waypoints out.")
     cli.add_bus_arguments(parser)
-    _add_policy_arguments(parser)
+    _add_policy_arguments(parser, "policy's random draws")
     parser.add_argument(
         "--waypoints", action="append", default=[], metavar="STEP:X,Y;X,Y;...",
-        help="fly these instead of the policy's, from the answer to this step's belief on",
+        help="fly these waypoints instead of the policy's, starting with the answer to the belief of this step",
     )  # fmt: skip
     parser.add_argument(
         "--area", type=cli.number(0, 100_000, above=True), default=AREA_M, metavar="M",
-        help="side of the square search area, the estimator's --area (default: %(default)g m)",
+        help="side of the square search area, m; the estimator needs the same (default: %(default)g)",
     )  # fmt: skip
-    parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="MAVLink system id of the vehicle (default: %(default)s)")
+    parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="the vehicle's MAVLink system id (default: %(default)s)")
     commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="rollout | evaluate | train | report")
     rollout = commands.add_parser("rollout", help="fly one mission in-process, without Zenoh")
     if "rollout" in arguments:

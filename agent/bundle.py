@@ -6,16 +6,18 @@ Flying a bundle needs onnxruntime, but neither torch nor pickle: a file from a s
 import os
 import zipfile
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from agent.observation import SCHEMAS, Schema
 from agent.planning.moves import Headings, Move, Reach
 from link.bus.messages import Belief, Particles
+
+if TYPE_CHECKING:
+    from agent.observation import Schema
 
 FORMAT = 1
 GRAPH, PAGE = "policy.onnx", "bundle.json"
@@ -106,7 +108,9 @@ class Bundle:
         return x, y
 
 
-def _schema_of(page: Page) -> Schema:
+def _schema_of(page: Page) -> "Schema":
+    from agent.observation import SCHEMAS  # compiles: a bundle that is only looked into does not need it
+
     schema = SCHEMAS.get(page.schema)
     if schema is None:
         raise BundleError(f"observation {page.schema!r} is not known; wanted {' or '.join(SCHEMAS)}")

@@ -1,10 +1,13 @@
 """Policies by name: planners, the bundles that ship, bundles in files, and what other packages plug in."""
 
 import argparse
+import ast
+import inspect
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 
@@ -13,6 +16,7 @@ import numpy as np
 from agent.planners import registry as planners
 from agent.planners.registry import PLANNERS
 from agent.planning.moves import Reach
+from link import cli
 from link.bus.messages import Belief, Particles
 from plume.randomness import keyed
 from plume.scenario import AREA_M
@@ -20,42 +24,93 @@ from plume.scenario import AREA_M
 Policy = Callable[[Belief, Particles, Reach, np.random.Generator], Sequence[float]]
 """(belief, particles, how it may move, keyed randomness) -> the next waypoint (x, y) m."""
 
-SHIPPED = {name: Path(__file__).parent / "bundles" / f"{name}.zip" for name in ("ppo", "dqn", "ddpg")}
-"""Learned policies that come with the project; `make train` makes them anew."""
+LEARNED = {
+    "ppo": "Learned by proximal policy optimisation (PPO): steps in 16 headings.",
+    "dqn": "Learned by deep Q-learning (DQN): steps in 16 headings.",
+    "ddpg": "Learned by deep deterministic policy gradient (DDPG): a heading and a step of up to 1 m.",
+}
+"""What each shipped bundle is."""
+SHIPPED = {name: Path(__file__).parent / "bundles" / f"{name}.zip" for name in LEARNED}
+"""Learned policies that come with the project, made by `make train`."""
 OURS = (*PLANNERS, *SHIPPED)
 """The policies of the project, in the order of its tables."""
+DEFAULT = "homing"
+"""The best policy that needs no training."""
 PLUGINS = "plumeward.policies"
 """Entry points of this group are policies of other packages: docs/policies.md."""
 
 
 class PolicyError(ValueError):
-    """A policy failed at a decision, or said what is no place, in one line."""
+    """A policy failed at a decision, or returned something that is not a waypoint; the text is one line."""
 
 
 def named() -> tuple[str, ...]:
-    """Return all the names; a path to a bundle is good too."""
+    """Return the names of all policies. The path of a bundle is a policy too."""
     return (*OURS, *(plugin.name for plugin in entry_points(group=PLUGINS)))
+
+
+def policies() -> dict[str, str]:
+    """Return the policies that can be flown, and one line about each.
+
+    The keys are the names that `rollout`, `evaluate` and the flag `--policy` take: the planners, the learned policies that ship,
+    and the policies that installed packages plug in (entry points of the group `plumeward.policies`). A bundle in a file is a
+    policy too, by its path.
+
+    Example: `"homing" in plumeward.policies()` is True.
+    """
+    plugged_in = {plugin.name: _about(plugin) for plugin in entry_points(group=PLUGINS)}
+    return {**{name: _first_line(module) for name, module in PLANNERS.items()}, **LEARNED, **plugged_in}
+
+
+def _first_line(module: str) -> str:
+    """The first line of a module's docstring. The module is not imported: some compile."""
+    spec = find_spec(module)
+    assert spec is not None
+    assert spec.origin is not None
+    return (ast.get_docstring(ast.parse(Path(spec.origin).read_text(encoding="utf-8"))) or "").partition("\n")[0]
+
+
+def _about(plugin: EntryPoint) -> str:
+    try:
+        about = inspect.getdoc(plugin.load()) or ""
+    except Exception as error:  # it may be anybody's code
+        about = f"does not load: {type(error).__name__}: {_short(str(error))}"
+    return f"{about.partition(chr(10))[0]} [plug-in {plugin.value}]".lstrip()
+
+
+def check(name: str) -> None:
+    """Raise ValueError if no policy has this name, or the file is not a bundle. The policy is not loaded, which may take seconds."""
+    if name in PLANNERS:
+        return
+    if path := bundle_path(name):
+        from agent.bundle import BundleError, read
+
+        try:
+            read(path)
+        except BundleError as error:
+            raise ValueError(f"{path}: {error}") from error
+    elif not entry_points(group=PLUGINS, name=name):
+        raise ValueError(cli.not_allowed(name, named(), f"{', '.join(named())}, or the path of a bundle, FILE.zip"))
 
 
 @cache
 def policy(name: str) -> Policy:
-    """Find a policy by its name or its file. Raises ValueError with what is wrong and what is allowed."""
+    """Return the policy of a name or a file. Raises ValueError with what is wrong and what is allowed."""
+    check(name)
     if name in PLANNERS:
         return _planned(name)
     if path := bundle_path(name):
-        from agent.bundle import BundleError, load  # what a learned policy sees with takes time to load
+        from agent.bundle import BundleError, load  # needs onnxruntime, which takes time to load
 
         try:
             return load(path).waypoint
         except BundleError as error:
             raise ValueError(f"{path}: {error}") from error
-    if plugins := tuple(entry_points(group=PLUGINS, name=name)):
-        return _plugged_in(name, plugins)
-    raise ValueError(f"{name!r} is not allowed; wanted {', '.join(named())}, or the path of a bundle, FILE.zip")
+    return _plugged_in(name, tuple(entry_points(group=PLUGINS, name=name)))
 
 
 def bundle_path(name: str) -> Path | None:
-    """Where the bundle of a policy is; None where it is not a learned one."""
+    """Return where the bundle of a learned policy is; None for other policies."""
     return SHIPPED.get(name) or (Path(name) if name.endswith(".zip") else None)
 
 
@@ -66,6 +121,18 @@ def policy_argument(text: str) -> str:
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return text
+
+
+def add_policy_argument(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the flag that chooses the policy, or with `several` the policies."""
+    argument = parser.add_argument(
+        "--policy",
+        type=cli.listed(policy_argument) if several else policy_argument,
+        default=[DEFAULT] if several else DEFAULT,
+        metavar="NAME,NAME" if several else "NAME",
+        help=f"how waypoints are chosen: {', '.join(named())}, or a bundle, FILE.zip (default: {DEFAULT})",
+    )
+    cli.completed(argument, named, "zip")
 
 
 def _plugged_in(name: str, plugins: Sequence[EntryPoint]) -> Policy:
@@ -92,7 +159,7 @@ def _planned(name: str) -> Policy:
 
 
 def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: float = AREA_M) -> Reach:
-    """What a policy may choose from: a planner's own, but for the area and what is given of the fields of `Reach`. Raises ValueError."""
+    """Return what a policy may choose from: the planner's own `Reach`, with the area and the given fields. Raises ValueError."""
     if name in PLANNERS:
         return planners.reach(name, {**given, "area_m": area_m})
     if bundle_path(name):
@@ -109,7 +176,7 @@ def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: 
 def choose(name: str, belief: Belief, particles: Particles, seed: int, within: Reach) -> tuple[float, float]:
     """Return the next waypoint (x, y) m in the area, a float32 pair: a function of the belief and the seed alone.
 
-    Raises PolicyError where a policy fails, or says what is no place.
+    Raises PolicyError where the policy fails, or returns something that is not a waypoint.
     """
     decide = policy(name)
     seen = np.asfortranarray(particles).view()  # one order of numbers in memory, on the bus and off it: sums depend on it

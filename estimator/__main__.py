@@ -11,27 +11,27 @@ from plume.scenario import AREA_M
 
 def main(prog: str = "python -m estimator", arguments: list[str] | None = None) -> None:
     """Parse the command line and serve."""
-    parser = cli.Parser(prog=prog, description="Particle filter: readings in, beliefs and the AGDC stop out.")
+    parser = cli.Parser(prog=prog, description="The estimator service alone: readings in, beliefs and the stop (AGDC) out.")
     cli.add_bus_arguments(parser)
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
     positive = cli.number(0, math.inf, above=True)
-    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="of the filter's own draws (default: %(default)s)")
-    parser.add_argument("--rate", type=positive, default=300.0, metavar="Q", help="release rate q (default: %(default)s g/s)")
-    parser.add_argument("--diffusivity", type=positive, default=4.5, metavar="D", help="diffusivity d (default: %(default)s m²/s)")
-    parser.add_argument("--lifetime", type=positive, default=10.0, metavar="TAU", help="lifetime τ of the gas (default: %(default)s s)")
+    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="seed of the filter's random draws (default: %(default)s)")
+    parser.add_argument("--rate", type=positive, default=300.0, metavar="Q", help="release rate q, g/s (default: %(default)g)")
+    parser.add_argument("--diffusivity", type=positive, default=4.5, metavar="D", help="diffusivity d, m²/s (default: %(default)g)")
+    parser.add_argument("--lifetime", type=positive, default=10.0, metavar="TAU", help="lifetime τ of the gas, s (default: %(default)g)")
     parser.add_argument(
         "--area", type=cli.number(0, 100_000, above=True), default=AREA_M, metavar="M",
-        help="side of the square search area, whose corner is home (default: %(default)g m)",
+        help="side of the square search area, m; its south-west corner is home (default: %(default)g)",
     )  # fmt: skip
-    parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="MAVLink system id of the vehicle (default: %(default)s)")
+    parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="the vehicle's MAVLink system id (default: %(default)s)")
     args = parser.parse_args(arguments)
     try:
         known = knowledge(args, args.area)
     except ValueError as error:
         parser.error(str(error))
 
-    from estimator.filter import Config  # compiles or loads the kernels: after the command line is known to be good
+    from estimator.filter import Config  # loads or compiles the kernels, so only for a good command line
     from estimator.service import run
 
     config = Config(args.particles, args.threshold, args.seed, args.rate, args.diffusivity, args.lifetime, args.area, **known)

@@ -24,7 +24,14 @@ STUCK = 3
 
 
 def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Belief, Particles]:
-    """Return the belief message after `reading`, including whether the search has ceased, and the particle array (N, D + 1)."""
+    """Return the belief message after `reading`, including whether the search has ceased, and the particle array (N, D + 1).
+
+    A row of the array, float32, is a particle: its D unknowns in the order of `Belief.unknowns`, then its weight; the weights sum to 1.
+
+    Example:
+        `said, particles = belief(posterior, reading, config)`; then `said.mean` is the estimate of the source (m), `said.spread` its
+        standard deviation (m) and `said.ceased` whether the search may stop.
+    """
     unknown_means, unknown_covariance = moments(posterior.particles, posterior.weights)
     means = config.prior_rows[:, 1].copy()  # known values; the unknowns' means follow
     covariance = np.zeros((len(PARAMETERS), len(PARAMETERS)))

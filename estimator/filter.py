@@ -22,7 +22,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Config:
-    """What the estimator knows beforehand, and its stop criterion. Raises ValueError if they are inconsistent."""
+    """What the estimator knows beforehand, and its stop criterion. Raises ValueError if they are inconsistent.
+
+    Example:
+        `Config(particles=4000, rate=250.0, diffusivity=3.0)` knows the release rate (g/s) and the diffusivity (m²/s), and takes the
+        source to be anywhere in the area.
+    """
 
     particles: int = 1000
     threshold_m: float = 0.5
@@ -108,7 +113,11 @@ class Posterior:
 
 
 def prior(config: Config) -> Posterior:
-    """Return the belief before any reading."""
+    """Return the belief before any reading: N particles of equal weight, drawn from the priors of `config`.
+
+    Example:
+        `prior(Config(particles=500)).particles.shape` is (2, 500): a row for each unknown, x and y in metres.
+    """
     count = config.particles
     particles = priors.draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
     log_targets = log_priors(particles, config.unknown_indices, config.prior_rows)
@@ -116,7 +125,23 @@ def prior(config: Config) -> Posterior:
 
 
 def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Posterior:
-    """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move (`estimator.kernels.update`)."""
+    """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move (`estimator.kernels.update`).
+
+    A function of its arguments alone: the same readings in the same order give the same particles. `posterior` is not changed.
+
+    Example:
+        ```python
+        config = plumeward.Config(rate=250.0, diffusivity=3.0)
+        posterior = plumeward.prior(config)
+        for step, (position, gas) in enumerate(samples):
+            reading = plumeward.Reading(1000 * step, position, 5.0, wind, gas)
+            posterior = plumeward.assimilate(posterior, reading, config)
+            said, particles = plumeward.belief(posterior, reading, config)
+            if said.ceased:
+                break
+        print(said.mean, said.spread)
+        ```
+    """
     particles, log_weights, weights, log_targets = (
         array.copy() for array in (posterior.particles, posterior.log_weights, posterior.weights, posterior.log_targets)
     )

@@ -1,4 +1,4 @@
-"""The command line's words for what the estimator knows beforehand and when it may stop."""
+"""Flags that say what the estimator knows beforehand and when it may stop."""
 
 import argparse
 import math
@@ -12,15 +12,19 @@ from plume.scenario import AREA_M
 
 
 def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the flag that says which sensor is assumed."""
-    parser.add_argument(
-        "--sensor", type=cli.checked(sensor.parse), default="gaussian", metavar="KIND[:NUMBERS]",
-        help="gaussian, threshold or hits, with their numbers where chosen, such as threshold:0.5,0.3 (default: %(default)s)",
+    """Add the flag that chooses the sensor that the estimator assumes."""
+    kind = parser.add_argument(
+        "--sensor", type=cli.checked(sensor.parse, sensor.KINDS), default="gaussian", metavar="KIND[:NUMBERS]",
+        help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: threshold:0.5,0.3 (default: %(default)s)",
     )  # fmt: skip
+    cli.completed(kind, lambda: sensor.KINDS)
 
 
 def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any]:
-    """Return the fields of `Config` that --prior, in an area, --stop-on and --sensor give; raises ValueError with what is allowed."""
+    """Return the fields of `Config` that --prior, --stop-on and --sensor set, for an area of side `area_m`.
+
+    Raises ValueError with what is allowed.
+    """
     priors: dict[str, Prior] = {}
     for text in args.prior:
         try:
@@ -32,7 +36,7 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
         priors[name] = prior
     unknown = {"x", "y", *priors} - {name for name, prior in priors.items() if isinstance(prior, Fixed)}
     if not unknown:
-        raise ValueError("--prior: nothing is left unknown; at least one parameter needs a prior that is not fixed")
+        raise ValueError("--prior: nothing is unknown; at least one parameter needs a prior that is not fixed")
     limits: dict[str, float] = {}
     for item in args.stop_on.split(","):
         name, _, limit = item.partition("=")

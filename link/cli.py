@@ -10,7 +10,7 @@ import os
 import select
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
@@ -28,14 +28,91 @@ FAILED = 1
 LAUNCHER = "PLUMEWARD_LAUNCHER"
 """The environment variable by which a launcher tells its parts its process id: they end with it, however it ends."""
 PR_SET_PDEATHSIG = 1
+COMPLETING = "_ARGCOMPLETE"
+"""The environment variable by which a shell asks for completions."""
 
 
 class Parser(argparse.ArgumentParser):
-    """An argparse parser that answers bad input with one line."""
+    """An argparse parser that answers bad input with one line, which suggests the nearest name where there is one."""
 
     def error(self, message: str) -> NoReturn:
-        """Name what was wrong; usage is what --help is for."""
+        """Say what is wrong in one line and exit with status 2."""
         self.exit(BAD_INPUT, f"{self.prog}: error: {message.removeprefix('argument ')}\n")
+
+    def parse_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> argparse.Namespace:
+        """Parse a command line; where a shell asks for completions, print them and exit."""
+        if COMPLETING in os.environ:
+            import argcomplete
+
+            argcomplete.autocomplete(self)
+        return super().parse_args(args, namespace)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse a command line, and refuse every word that no argument takes."""
+        words = sys.argv[1:] if args is None else list(args)
+        if COMPLETING not in os.environ:
+            self._refuse_unknown_flags(words)
+        parsed, unknown = super().parse_known_args(words, namespace)
+        if unknown and COMPLETING not in os.environ:
+            self.error(f"{unknown[0]!r} is not expected here")
+        return parsed, unknown
+
+    def _refuse_unknown_flags(self, words: Iterable[str]) -> None:
+        """Refuse a wrong flag before its value is taken for something else. Words behind a command are the command's."""
+        flags = self._option_string_actions
+        for word in words:
+            if word == "--" or word in self._commands():
+                return
+            flag = word.partition("=")[0]
+            if flag.startswith("--") and not any(known.startswith(flag) for known in flags):
+                self.error(f"no flag {flag!r}{did_you_mean(flag, flags) or f'; {self.prog} --help lists them'}")
+
+    def _commands(self) -> Collection[str]:
+        return next((action.choices for action in self._actions if isinstance(action, argparse._SubParsersAction)), ())
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse a value that is not among an argument's choices."""
+        if action.choices is None or value in action.choices:
+            return
+        names = [str(choice) for choice in action.choices]
+        if isinstance(action, argparse._SubParsersAction):
+            raise argparse.ArgumentError(None, f"no command {value!r}{did_you_mean(value, names) or f'; wanted {listing(names)}'}")
+        raise argparse.ArgumentError(action, not_allowed(value, names, listing(names)))
+
+
+def listing(names: Sequence[str]) -> str:
+    """Write a choice of names in words: fly, log or status."""
+    return " or ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return "; did you mean 'fly'?" with the known name nearest to a wrong one; empty where none is near."""
+    import difflib
+
+    near = difflib.get_close_matches(name, list(known), 1, cutoff=0.5)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def not_allowed(value: object, known: Iterable[str], wanted: str) -> str:
+    """Say that a value is not allowed, which name is nearest to it, and what is wanted."""
+    near = did_you_mean(str(value), known)
+    return f"{value!r} is not allowed{near} Wanted {wanted}" if near else f"{value!r} is not allowed; wanted {wanted}"
+
+
+def completed(action: argparse.Action, names: Callable[[], Iterable[str]], *endings: str) -> argparse.Action:
+    """Let a shell complete an argument by names and by files with these endings; of several between commas it completes the last."""
+
+    def complete(prefix: str, **_: Any) -> list[str]:
+        from argcomplete.completers import FilesCompleter
+
+        before, comma, last = prefix.rpartition(",")
+        files = FilesCompleter(endings)(last) if endings else []
+        return [f"{before}{comma}{name}" for name in (*names(), *files) if name.startswith(last)]
+
+    action.completer = complete  # type: ignore[attr-defined]
+    return action
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
@@ -76,87 +153,100 @@ def listed(parse: Callable[[str], Any]) -> Callable[[str], list[Any]]:
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags that say which bus to join."""
-    parser.add_argument("-e", "--connect", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="Zenoh router to join (default: %(default)s)")
+    """Add the flags that choose the bus to join."""
+    parser.add_argument(
+        "-e", "--connect", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="the Zenoh router to join (default: %(default)s)"
+    )
     parser.add_argument("--namespace", metavar="NAME", default="uav/1", help="the vehicle's key prefix (default: %(default)s)")
     add_log_argument(parser)
 
 
 def add_log_argument(parser: argparse.ArgumentParser, default: str = "info") -> None:
-    """Add the flag that says how much is logged."""
+    """Add the flag that chooses how much is logged."""
     parser.add_argument(
-        "--log-level", choices=LEVELS, default=default, help="the least that is logged; debug is a line a step (default: %(default)s)"
+        "--log-level", choices=LEVELS, default=default, help="the lowest level that is logged; debug logs every step (default: %(default)s)"
     )
 
 
 def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
     """Add the flags of the particle filter and its stop; with `several` the first two take lists."""
     count, threshold = whole(10, 1_000_000), number(0, 100, above=True)
-    more = ", or several with commas between" if several else ""
+    more = "; several between commas" if several else ""
     parser.add_argument(
-        "--particles", type=listed(count) if several else count, default="1000", metavar="N", help=f"particles{more} (default: %(default)s)"
+        "--particles",
+        type=listed(count) if several else count,
+        default="1000",
+        metavar="N",
+        help=f"particles of the filter{more} (default: %(default)s)",
     )
     parser.add_argument(
         "--threshold", type=listed(threshold) if several else threshold, default="0.5", metavar="M",
-        help=f"stop when the spread is below it{more} (default: %(default)s m)",
+        help=f"stop when the spread of the belief is below M metres{more} (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
         "--prior",
         action="append",
         default=[],
         metavar="NAME=KIND:NUMBERS",
-        help="what else is unknown, or known better, of x y z q u phi d tau: q=gamma:2,150 u=normal:2.5,0.5 tau=uniform:5,15 z=fixed:1.5",
+        help="prior of one of x y z q u phi d tau, such as q=gamma:2,150 u=normal:2.5,0.5 tau=uniform:5,15 z=fixed:1.5; may be repeated",
     )
     parser.add_argument(
         "--stop-on", default="location", metavar="WHAT",
-        help="what a stop wants to know: location (the threshold), or standard deviations too: location,q=50 (default: %(default)s)",
+        help="what must be known to stop: location (--threshold), or also standard deviations, as in location,q=50 (default: %(default)s)",
     )  # fmt: skip
 
 
 def add_reach_arguments(parser: argparse.ArgumentParser, budget: int) -> None:
-    """Add the flags that say how often and how a planner may move, and how much it imagines."""
+    """Add the flags that set how often and how a planner may move, and how many readings it samples."""
     parser.add_argument(
-        "--budget", type=whole(1, 1_000_000), default=budget, metavar="STEPS", help="moves before giving up (default: %(default)s)"
+        "--budget", type=whole(1, 1_000_000), default=budget, metavar="STEPS", help="give up after so many moves (default: %(default)s)"
     )
-    parser.add_argument("--headings", type=int, choices=(4, 8), help="directions that a planner chooses from (default: the planner's own)")
-    parser.add_argument("--step", type=number(0, 10, above=True), metavar="M", help="length of a move (default: 1 m)")
     parser.add_argument(
-        "--measurements", type=whole(1, 10_000), metavar="K", help="hypothetical readings for each move (default: the planner's own)"
+        "--headings", type=int, choices=(4, 8), help="directions that the planner chooses from (default: the planner's own)"
+    )
+    parser.add_argument("--step", type=number(0, 10, above=True), metavar="M", help="length of a move, m (default: 1)")
+    parser.add_argument(
+        "--measurements",
+        type=whole(1, 10_000),
+        metavar="K",
+        help="hypothetical readings for each move (default: the planner's own)",
     )
 
 
 def reach_given(args: argparse.Namespace) -> dict[str, float]:
-    """Of the flags of `add_reach_arguments`, those that were given: by the flag's name."""
+    """Return the flags of `add_reach_arguments` that were given, by their names."""
     given = {"headings": args.headings, "step": args.step, "measurements": args.measurements}
     return {name: value for name, value in given.items() if value is not None}
 
 
-def checked(parse: Callable[[str], object]) -> Callable[[str], str]:
-    """Argument type: text that `parse` accepts; its ValueError says what is allowed."""
+def checked(parse: Callable[[str], object], known: Collection[str] = ()) -> Callable[[str], str]:
+    """Argument type: text that `parse` accepts; its ValueError says what is allowed. A name before a colon may be near a known one."""
 
     def check(text: str) -> str:
         try:
             parse(text)
         except ValueError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
+            name, said = text.partition(":")[0], str(error)
+            near = "" if name in known else did_you_mean(name, known)
+            raise argparse.ArgumentTypeError(said.replace("; wanted", f"{near} Wanted", 1) if near else said) from None
         return text
 
     return check
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags that say what a mission prints."""
-    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object on the last line of stdout")
-    parser.add_argument("--trace", action="store_true", help="with --json: add every step's position, reading, mean and spread")
+    """Add the flags that choose what a mission prints."""
+    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object on stdout")
+    parser.add_argument("--trace", action="store_true", help="with --json: add the position, reading, mean and spread of every step")
 
 
 def add_output_guard(parser: argparse.ArgumentParser) -> None:
-    """Add the flag without which no file that exists is written over."""
+    """Add the flag that allows overwriting files."""
     parser.add_argument("--force", action="store_true", help="overwrite files that exist")
 
 
 def existing(flag: str, paths: Iterable[Path], force: bool) -> str | None:
-    """Return the refusal, in one line, to overwrite the first of these that exists; None where there is none, or with `force`."""
+    """Return one line that refuses to overwrite the first of these files that exists; None if none exists, or with `force`."""
     there = next((path for path in paths if not force and os.path.lexists(path)), None)
     return None if there is None else f"{flag}: {str(there)!r} exists; wanted another name, or --force"
 
@@ -180,12 +270,12 @@ def uninterrupted() -> Iterator[None]:
 
 
 def _end_with_the_launcher() -> None:
-    """Have Linux end a process that a launcher has started when that dies, however it dies."""
-    launcher = os.environ.pop(LAUNCHER, None)  # what this process starts is not the launcher's child
+    """Have Linux end this process, if a launcher has started it, when the launcher dies in whatever way."""
+    launcher = os.environ.pop(LAUNCHER, None)  # the launcher is not the parent of what this process starts
     if launcher is None or sys.platform != "linux":
         return
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if str(os.getppid()) != launcher:  # it died before it could be said
+    if str(os.getppid()) != launcher:  # the launcher died before prctl took effect
         sys.exit(INTERRUPTED)
 
 

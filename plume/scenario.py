@@ -48,7 +48,18 @@ class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:
-    """Draw a scenario of the paper's training and test distribution (Table 1)."""
+    """Draw a scenario of the paper's training and test distribution (Table 1).
+
+    Args:
+        seed: A whole number from 0. The same seed gives the same scenario; test scenarios are the seeds from 1,000,000 on.
+        lifetime_s: Lifetime τ of the gas, s.
+
+    Returns:
+        The release, the wind and the start of the search. It holds the true source.
+
+    Example:
+        `plumeward.draw(7).source` is where the source of mission 7 is, (x, y) in metres.
+    """
     rng = keyed(seed, "scenario")
     low = np.array([SOURCE_LOW_M, SOURCE_LOW_M, 100.0, 1.0, 0.0, 1.0, 0.0, 0.0])
     high = np.array([SOURCE_HIGH_M, SOURCE_HIGH_M, 500.0, 4.0, 2 * np.pi, 8.0, 5.0, 5.0])

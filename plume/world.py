@@ -18,7 +18,16 @@ def float32(value: float) -> float:
 
 
 class World:
-    """A scenario and the noise of its sensor."""
+    """A scenario and the noise of its sensor. It answers with what an instrument would read.
+
+    `wind` is (u cos φ, u sin φ) in m/s and points to where the wind comes from; `start` is where the search begins, (x, y) in metres.
+
+    Example:
+        ```python
+        world = plumeward.World(plumeward.draw(7), seed=7)
+        world.gas((12.0, 15.0), step=0)  # the first reading, g/m³
+        ```
+    """
 
     def __init__(self, scenario: Scenario, seed: int, sensor: Sensor = GAUSSIAN) -> None:
         """Take the mission's seed: the noise of reading k is keyed by (seed, k)."""

@@ -1,11 +1,108 @@
-"""Plumeward: the public face. `import plumeward` registers the gymnasium environments; `plumeward` is the one command.
+"""Plumeward: simulate a gas leak, search for it with a drone, and measure how far the search can be trusted.
 
-Imports: plume, link.
+Imports: plume, link, link.bus, link.record, sitl.script, estimator, agent, agent.trials, agent.learn.
+
+`import plumeward` registers the gymnasium environments `plumeward/SourceSearch-v0` and `plumeward/SourceSearchContinuous-v0` where
+gymnasium is installed. The other names are loaded when they are first used. The command `plumeward` is in `plumeward.__main__`; it
+registers nothing, so that it starts fast.
+
+    import plumeward
+
+    outcome, trace = plumeward.rollout(seed=1)
+    print(outcome.located, outcome.error_m)
+
+Lengths are in metres, x east and y north of home; times in seconds; angles in radians.
 """
 
-from plume import __version__
-from plumeward.environments import register
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["__version__"]
+from plumeward.names import check, leave_out_the_current_folder, runs_as_command
 
-register()
+if TYPE_CHECKING:
+    from agent.learn.env import SourceSearch, SourceSearchVector
+    from agent.policies import policies
+    from agent.trials.rollout import rollout
+    from estimator.belief import belief
+    from estimator.filter import Config, Posterior, assimilate, prior
+    from link.bus.mavlink import Reading
+    from link.bus.messages import Belief
+    from link.record.reader import Recording
+    from link.record.reader import read as read_record
+    from plume.outcome import Outcome, TracePoint
+    from plume.scenario import Scenario, draw
+    from plume.world import World
+    from plumeward.evaluation import evaluate
+
+WHERE = {
+    "rollout": "agent.trials.rollout",
+    "evaluate": "plumeward.evaluation",
+    "policies": "agent.policies",
+    "Scenario": "plume.scenario",
+    "draw": "plume.scenario",
+    "World": "plume.world",
+    "Config": "estimator.filter",
+    "prior": "estimator.filter",
+    "assimilate": "estimator.filter",
+    "belief": "estimator.belief",
+    "Reading": "link.bus.mavlink",
+    "read_record": "link.record.reader:read",
+    "SourceSearch": "agent.learn.env",
+    "SourceSearchVector": "agent.learn.env",
+    "Outcome": "plume.outcome",
+    "TracePoint": "plume.outcome",
+    "Posterior": "estimator.filter",
+    "Belief": "link.bus.messages",
+    "Recording": "link.record.reader",
+}
+"""The module of each name of the API, and its name there where that is another one."""
+
+__all__ = [
+    "Belief",
+    "Config",
+    "Outcome",
+    "Posterior",
+    "Reading",
+    "Recording",
+    "Scenario",
+    "SourceSearch",
+    "SourceSearchVector",
+    "TracePoint",
+    "World",
+    "__version__",
+    "assimilate",
+    "belief",
+    "draw",
+    "evaluate",
+    "policies",
+    "prior",
+    "read_record",
+    "rollout",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a name of the API when it is first used."""
+    if name not in WHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, there = WHERE[name].partition(":")
+    found = getattr(import_module(module), there or name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    """List the API."""
+    return sorted({*globals(), *__all__})
+
+
+if runs_as_command():
+    leave_out_the_current_folder()
+check()
+
+from plume import __version__  # noqa: E402  (a file plume.py of a user is told first)
+
+if not runs_as_command():
+    from plumeward.environments import register
+
+    register()

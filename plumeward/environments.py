@@ -1,21 +1,22 @@
 """The gymnasium environments by their names."""
 
-import contextlib
-
 ENVIRONMENTS = {"plumeward/SourceSearch-v0": False, "plumeward/SourceSearchContinuous-v0": True}
 """The name of each, and whether its actions are continuous."""
 
 
 def register() -> None:
-    """Register the environments, once. Without gymnasium (the extra `train`) there is nothing to register."""
-    with contextlib.suppress(ModuleNotFoundError):
+    """Register the environments, once. Without gymnasium, which the extra `train` installs, there is nothing to register."""
+    try:
         import gymnasium
-
-        for name, continuous in ENVIRONMENTS.items():
-            if name not in gymnasium.registry:
-                gymnasium.register(
-                    name,
-                    entry_point="agent.learn.env:SourceSearch",
-                    vector_entry_point="agent.learn.env:SourceSearchVector",
-                    kwargs={"continuous": continuous},
-                )
+    except ModuleNotFoundError as error:
+        if error.name != "gymnasium":
+            raise
+        return
+    for name, continuous in ENVIRONMENTS.items():
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name,
+                entry_point="agent.learn.env:SourceSearch",
+                vector_entry_point="agent.learn.env:SourceSearchVector",
+                kwargs={"continuous": continuous},
+            )

@@ -1,9 +1,11 @@
-"""`python -m sitl`: fly one mission with all its parts, replay one, look into its log, or run one part alone."""
+"""`python -m sitl`: fly or replay a mission, look into its log, or run one part alone."""
 
 import argparse
 import importlib
 import math
+import os
 import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -14,7 +16,7 @@ from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
-from sitl.script.script import OnBoard, Script, find, load
+from sitl.script.script import AgentPart, OnBoard, Script, find, load, shipped
 from sitl.script.typed_yaml import Document, FileError
 
 if TYPE_CHECKING:
@@ -50,47 +52,64 @@ def _record(text: str) -> Path:
     return path
 
 
+def _policy_or_none(check: "CheckPolicy | None") -> "CheckPolicy":
+    return lambda text: text == "none" or check is None or check(text)
+
+
 def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> None:
-    parser.add_argument(
+    mission = parser.add_argument(
         "mission", nargs="?", metavar="MISSION",
-        help="a mission script, MISSION.yaml, or the name of one that ships, such as wind-shift; flags given beside it win",
+        help="a mission script, MISSION.yaml, or the name of a shipped one, such as wind-shift; flags override its fields",
     )  # fmt: skip
-    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=1, help="of the scenario and the sensor (default: %(default)s)")
+    cli.completed(mission, shipped, "yaml", "yml")
+    parser.add_argument(
+        "--seed",
+        type=cli.whole(0, MAX_SEED),
+        default=1,
+        metavar="S",
+        help="seed of the scenario and the sensor noise (default: %(default)s)",
+    )
     parser.add_argument(
         "--speedup",
         type=cli.number(0, 1000),
         default=speedup,
         metavar="X",
-        help="1 real time, 0 as fast as possible (default: %(default)g)",
+        help="times real time; 0 is as fast as possible (default: %(default)g)",
     )
     parser.add_argument(
-        "-I", "--instance", type=cli.whole(0, 254), default=0, metavar="N", help="vehicle N: system id and namespace N+1 (default 0)"
+        "-I",
+        "--instance",
+        type=cli.whole(0, 254),
+        default=0,
+        metavar="N",
+        help="number of the vehicle; its system id and namespace are N+1 (default: %(default)s)",
     )
-    parser.add_argument(
-        "--sensor", type=cli.checked(sensor.parse), default="gaussian", metavar="KIND[:NUMBERS]",
-        help="gaussian, threshold or hits, with their numbers where chosen, such as threshold:0.5,0.3 (default: %(default)s)",
+    kind = parser.add_argument(
+        "--sensor", type=cli.checked(sensor.parse, sensor.KINDS), default="gaussian", metavar="KIND[:NUMBERS]",
+        help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: threshold:0.5,0.3 (default: %(default)s)",
     )  # fmt: skip
+    cli.completed(kind, lambda: sensor.KINDS)
     parser.add_argument(
-        "--home", type=_home, metavar="LAT,LON,ALT,HEADING", help="where home, the corner of the search area, is on the globe"
+        "--home", type=_home, metavar="LAT,LON,ALT,HEADING", help="where home is, which is the south-west corner of the search area"
     )
     parser.add_argument(
         "--out", type=_udp_url, action="append", default=[], metavar="URL",
-        help="speak MAVLink to udpout:HOST:PORT, too, by convention 14540 (MAVSDK, MAVROS), 14550 (ground stations); udpin: to who calls",
+        help="also speak MAVLink: udpout:HOST:PORT sends (14540 MAVSDK and MAVROS, 14550 ground stations), udpin:HOST:PORT waits",
     )  # fmt: skip
     parser.add_argument(
         "--silence", type=cli.number(0, math.inf, above=True), default=30.0, metavar="S",
-        help="real seconds without a waypoint after which the vehicle returns home and lands (default: %(default)g)",
+        help="return home and land after S real seconds without a waypoint (default: %(default)g)",
     )  # fmt: skip
 
 
 SCRIPTS = (".yaml", ".yml")
 OTHERS = {
-    "replay": ("sitl.replay.command", "fly a log again: what the vehicle said then, to services that run now"),
-    "log": ("sitl.desk.summary", "what a log holds: a summary, or one key as CSV"),
-    "status": ("sitl.desk.status", "how the parts of a mission are doing: at a glance, or as JSON; status 1 where something is wrong"),
-    "record": ("sitl.desk.recorder", "record all that is said on a bus, until interrupted"),
+    "replay": ("sitl.replay.command", "feed a log to the estimator and agent again"),
+    "log": ("sitl.desk.summary", "summarise a log, or print one of its keys as CSV"),
+    "status": ("sitl.desk.status", "show how the parts of a running mission are doing; exit status 1 if something is wrong"),
+    "record": ("sitl.desk.recorder", "record everything on a bus until interrupted"),
 }
-"""Commands with a module of their own, loaded only when asked for: a part has to start fast."""
+"""Commands with a module of their own. It is imported only for its command: a part starts fast."""
 FIELDS = {
     "seed": "seed", "speedup": "speedup", "sensor": "sensor", "silence": "vehicle.silence_s", "policy": "agent.policy",
     "budget": "agent.budget", "headings": "agent.headings", "step": "agent.step_m", "measurements": "agent.measurements",
@@ -100,52 +119,85 @@ FIELDS = {
 """The field of a mission script that each flag sets."""
 RECORD_FILE = "FILE.mcap"
 """What the recorder calls the file that --record names."""
+CheckPolicy = Callable[[str], object]
+"""Raises ValueError, with what is allowed, on a policy that cannot be flown."""
 HOME = ("home_lat_deg", "home_lon_deg", "home_alt_m", "home_heading_deg")
 
 
 def _script(args: argparse.Namespace, given: argparse.Namespace) -> Script:
-    """Return the mission script that was named, or the usual one, with the flags that were given in it; raises FileError."""
+    """Return the named mission script, or the default one, with the given flags put in. Raises FileError."""
     flags = {**vars(given)}
     if "prior" in flags:
         flags["prior"] = dict(item.partition("=")[::2] for item in given.prior)
     if args.mission:
-        script = load(args.mission)
+        script = _load(args)
     else:
         script, flags = Script(), {**flags, "speedup": args.speedup}
     changes = {field: flags[name] for name, field in FIELDS.items() if name in flags}
     if "home" in flags:
         changes |= {f"vehicle.{field}": value for field, value in zip(HOME, given.home, strict=True)}
-    return script.changed(changes)
+    script = script.changed(changes)
+    if script.agent.policy == "none" and not script.scripted():
+        raise FileError("--policy: 'none' is not allowed; wanted a policy, or a mission that scripts all its waypoints")
+    return script
+
+
+def _load(args: argparse.Namespace) -> Script:
+    """Read the mission script. Raises FileError, with the nearest name where there is no such mission."""
+    missions = shipped()
+    if not os.path.lexists(args.mission) and (near := cli.did_you_mean(args.mission.removesuffix(".yaml"), missions)):
+        raise FileError(
+            f"{args.mission}: no such file and no shipped mission{near} Wanted a mission script, or one of {', '.join(missions)}"
+        )
+    return load(args.mission)
+
+
+def _check_policy(args: argparse.Namespace, given: argparse.Namespace, check: CheckPolicy) -> None:
+    """Refuse the policy of a mission script before anything starts; argparse has checked that of the flag. Raises FileError."""
+    if not args.mission or args.connect or "policy" in given:
+        return
+    policy = _load(args).agent.policy
+    try:
+        if policy != "none":
+            check(policy)
+    except ValueError as error:
+        raise Document(find(args.mission)).error(["agent", "policy"], str(error)) from None
 
 
 def _module(command: str) -> ModuleType:
     return importlib.import_module(OTHERS[command][0])
 
 
-def _parse(prog: str, arguments: list[str]) -> tuple[argparse.Namespace, argparse.Namespace]:
-    """Return the arguments, and of them those that were given."""
+def _parse(
+    prog: str, arguments: list[str], check_policy: CheckPolicy | None, policies: Callable[[], Iterable[str]]
+) -> tuple[argparse.Namespace, argparse.Namespace]:
+    """Return all arguments, and those that were given on the command line."""
     parser = cli.Parser(prog=prog, description="Simulated flights to a gas leak. Without a command: fly, with its defaults.")
     commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, required=True, metavar="COMMAND")
 
-    fly = commands.add_parser("fly", help="fly one mission: router, uav, estimator and agent as processes")
+    fly = commands.add_parser("fly", help="fly one mission, with router, vehicle, estimator and agent as processes")
     _add_vehicle_arguments(fly, speedup=10.0)
-    fly.add_argument(
-        "--policy", default="infotaxis", help="how waypoints are chosen; `python -m agent -h` lists them (default: %(default)s)"
-    )
+    policy = fly.add_argument(
+        "--policy", type=cli.checked(_policy_or_none(check_policy)), default=AgentPart().policy, metavar="NAME",
+        help="how waypoints are chosen: a name that `plumeward list policies` shows, or a bundle, FILE.zip (default: %(default)s)",
+    )  # fmt: skip
+    cli.completed(policy, policies, "zip")
     cli.add_reach_arguments(fly, BUDGET_STEPS)
     cli.add_filter_arguments(fly)
     fly.add_argument(
         "-l", "--listen", metavar="ENDPOINT", default="tcp/127.0.0.1:0", help="where the router listens (default: a free local port)"
     )
     fly.add_argument(
-        "-e", "--connect", metavar="ENDPOINT", help="fly with router, estimator and agent that run elsewhere; start only the vehicle"
+        "-e", "--connect", metavar="ENDPOINT", help="join a router, estimator and agent that run elsewhere; start only the vehicle"
     )
-    fly.add_argument("--record", type=_record, metavar="FILE.mcap", help="where to record to, with a .tlog beside it (default: in runs/)")
+    fly.add_argument(
+        "--record", type=_record, metavar="FILE.mcap", help="the record's file; a .tlog is written beside it (default: in runs/)"
+    )
     fly.add_argument("--no-record", action="store_true", help="record nothing")
     cli.add_output_guard(fly)
     fly.add_argument(
         "--patience", type=cli.number(WARN_S, math.inf), default=PATIENCE_S, metavar="S",
-        help="real seconds that a part may say nothing before the mission fails; inf: for ever (default: %(default)g)",
+        help="fail the mission when a part is silent for S real seconds; inf waits for ever (default: %(default)g)",
     )  # fmt: skip
     cli.add_log_argument(fly, "warning")
     cli.add_output_arguments(fly)
@@ -283,8 +335,8 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
             joining = f"--connect {endpoint} --namespace {namespace}"
             chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
             who = "" if config.sysid == 1 else f" --sysid {config.sysid}"
-            log.info(f"its estimator: python -m estimator {joining} --rate {release.q!r} --diffusivity {release.d!r}{chosen}{who}")
-            log.info(f"its agent: python -m agent {joining} --sysid {config.sysid}")
+            log.info(f"its estimator: plumeward estimator {joining} --rate {release.q!r} --diffusivity {release.d!r}{chosen}{who}")
+            log.info(f"its agent: plumeward agent {joining} --sysid {config.sysid}")
         events = [event for event in script.events if isinstance(event, OnBoard)]
         try:
             uav = Uav(config, script.world(), Clock(script.speedup), inbox, bus, args.out, log, events)
@@ -297,11 +349,22 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     return 0
 
 
-def main(prog: str = "python -m sitl", arguments: list[str] | None = None) -> int:
-    """Parse the command line and run what it names."""
-    args, given = _parse(prog, sys.argv[1:] if arguments is None else arguments)
+def main(
+    prog: str = "python -m sitl",
+    arguments: list[str] | None = None,
+    check_policy: CheckPolicy | None = None,
+    policies: Callable[[], Iterable[str]] = tuple,
+) -> int:
+    """Parse the command line and run the command.
+
+    `check_policy` refuses a policy before anything starts; without it the agent does when it has started. `policies` returns the names
+    that a shell completes.
+    """
+    args, given = _parse(prog, sys.argv[1:] if arguments is None else arguments, check_policy, policies)
     if args.command in ("fly", "uav"):
         try:
+            if args.command == "fly" and check_policy:
+                _check_policy(args, given, check_policy)
             return {"fly": _fly, "uav": _uav}[args.command](args, given)
         except FileError as error:
             print(f"error: {error}", file=sys.stderr)

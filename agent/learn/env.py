@@ -150,6 +150,15 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
 
     `reset(seed=s)` begins the mission of seed s, the same that `plumeward rollout --seed s` flies. Resets without a seed begin missions
     drawn by that seed. AGDC's stop *terminates* an episode, right or wrong; a spent budget *truncates* it.
+
+    Example:
+        ```python
+        import gymnasium, plumeward
+
+        env = gymnasium.make("plumeward/SourceSearch-v0", particles=500)
+        observation, info = env.reset(seed=1)
+        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        ```
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012

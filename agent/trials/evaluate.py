@@ -11,23 +11,23 @@ from collections.abc import Sequence
 from contextlib import closing
 from itertools import groupby
 from pathlib import Path
-from typing import IO, Any, TextIO, cast
+from typing import IO, TYPE_CHECKING, Any, TextIO, cast
 
 import msgspec
 
-from agent.policies import bundle_path, policy_argument, reach
-from agent.policies import named as policy_names
-from agent.trials.cluster import ClusterError, join, on_cluster
+from agent.policies import add_policy_argument, bundle_path, reach
 from agent.trials.figures import COLUMNS, MissionRow, cell, figures
 from agent.trials.files import whole
 from agent.trials.progress import with_bar
-from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 from agent.trials.workers import WorkerLost
 from estimator.options import add_sensor_argument
 from link import cli
 from link.terminal import Column, table, tell, width_of
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
+
+if TYPE_CHECKING:
+    from agent.trials.sweep import Sweep
 
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
@@ -59,13 +59,7 @@ def address(text: str) -> str:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `evaluate`."""
-    parser.add_argument(
-        "--policy",
-        type=cli.listed(policy_argument),
-        default=["homing"],
-        metavar="NAME,NAME",
-        help=f"any of {', '.join(policy_names())}, or bundles, FILE.zip (default: homing)",
-    )
+    add_policy_argument(parser, several=True)
     parser.add_argument(
         "--scenarios", type=cli.whole(1, 10_000_000), default=1000, metavar="N", help="number of missions (default: %(default)s)"
     )
@@ -97,6 +91,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fly the missions and print their figures; returns the exit status."""
+    from agent.trials.cluster import ClusterError, join  # here, and below: they load the kernels, which help does not need
+    from agent.trials.sweep import Sweep
+
     sweep = Sweep(
         args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.threshold, args.budget,
         cli.reach_given(args), args.knowledge,
@@ -127,7 +124,10 @@ def run(args: argparse.Namespace) -> int:
         return cli.BAD_INPUT
 
 
-def _evaluate(sweep: Sweep, args: argparse.Namespace) -> int:
+def _evaluate(sweep: "Sweep", args: argparse.Namespace) -> int:
+    from agent.trials.cluster import on_cluster
+    from agent.trials.sweep import fly_all, journal_of, on_cores, ordered
+
     journal = journal_of(sweep, KEPT_IN)
     rows: list[MissionRow] = []
 

@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from agent.planning.moves import Reach
-from agent.policies import choose, reach
+from agent.policies import DEFAULT, choose, reach
 from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
@@ -69,10 +69,32 @@ def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: i
 
 
 def rollout(
-    seed: int, policy: str, particles: int = 1000, threshold_m: float = 0.5, budget: int = BUDGET_STEPS,
+    seed: int, policy: str = DEFAULT, particles: int = 1000, threshold_m: float = 0.5, budget: int = BUDGET_STEPS,
     moves: Mapping[str, float] = USUAL, **knowledge: Any,
 ) -> tuple[Outcome, list[TracePoint]]:  # fmt: skip
-    """Fly the mission of a seed with a policy; returns its outcome and trace. `moves` and `knowledge` are those of `mission`."""
+    """Fly one mission in this process, without a network. The same mission over Zenoh gives the same bits.
+
+    Args:
+        seed: Draws the scenario and all noise; a whole number from 0.
+        policy: A name of `plumeward.policies()`, or the path of a bundle.
+        particles: Particles of the filter.
+        threshold_m: The search stops when the spread of the belief is below it, m.
+        budget: Moves after which the mission is given up.
+        moves: Of a planner: `headings`, `step` (m) and `measurements`, where its own are not wanted.
+        knowledge: Further fields of `plumeward.Config`, such as `sensor` and `priors`.
+
+    Returns:
+        The outcome, and a trace of one point for each reading, the first of them before any move. Lengths are in metres.
+
+    Raises:
+        ValueError: The policy is not known, or cannot be flown so.
+
+    Example:
+        ```python
+        outcome, trace = plumeward.rollout(seed=1)
+        print(outcome.located, outcome.error_m, len(trace))
+        ```
+    """
     flown = mission(seed, policy, particles, threshold_m, budget, moves, **knowledge)
     trace: list[TracePoint] = []
     search_time_s = 0.0

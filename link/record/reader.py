@@ -75,11 +75,19 @@ def is_record(path: Path) -> bool:
     return begin == MCAP0_MAGIC
 
 
-def read(path: Path) -> Recording:
+def read(path: Path | str) -> Recording:
     """Read a log, also one that is truncated or still being written.
 
     Raises RecordError if the file is not a log of ours, its format is unknown, or it holds more than LARGEST_RECORD.
+
+    Example:
+        ```python
+        recording = plumeward.read_record("runs/NAME.mcap")
+        beliefs = [json.loads(entry.payload) for entry in recording.entries if entry.key == "belief"]
+        [said["spread"] for said in beliefs]  # m, after each reading
+        ```
     """
+    path = Path(path)
     if not is_record(path):
         raise RecordError(f"{path} is not an MCAP file")
     reader = _Reader(path)

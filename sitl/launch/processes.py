@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, Self
 
 from link.bus import log
@@ -21,6 +22,8 @@ from sitl.launch.output import Lines
 STOP_TIMEOUT_S = 1.0
 LAST = ("recorder", "router")
 """Ended behind the others, in this order: the record is to hold their last words."""
+ROOT = Path(__file__).parents[2]
+"""Where our packages are."""
 ANSWERING = ("recorder", "router")
 """Parts whose first line on stdout is for the launcher: they say it when they are ready."""
 START_WARN_S, START_LIMIT_S = 15.0, 300.0
@@ -65,6 +68,14 @@ def raise_for(ended: Ended) -> NoReturn:
     raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
 
 
+def environment() -> dict[str, str]:
+    """Return the environment of a part: it finds our packages, and no file of the current folder that has their names."""
+    found = {**os.environ, LAUNCHER: str(os.getpid()), "PYTHONSAFEPATH": "1"}
+    if ROOT.name not in ("site-packages", "dist-packages"):  # in a checkout, which need not be installed
+        found["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    return found
+
+
 class Child:
     """One part as a process. It leads a process group: what it starts ends with it, and a terminal's Ctrl-C reaches the launcher alone."""
 
@@ -80,7 +91,7 @@ class Child:
         self._last_words = "no last words"
         self._process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0, process_group=0,
-            env={**os.environ, LAUNCHER: str(os.getpid())},
+            env=environment(),
         )  # fmt: skip
         self._thread = threading.Thread(target=self._watch, name=part, daemon=True)
         self._thread.start()

@@ -80,7 +80,7 @@ class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """What chooses waypoints, and how far it may go."""
 
-    policy: Annotated[str, Meta(description="a policy's name or a bundle; none: only the scripted waypoints are flown")] = "infotaxis"
+    policy: Annotated[str, Meta(description="a policy's name or a bundle; none: only the scripted waypoints are flown")] = "homing"
     budget: Count = BUDGET_STEPS
     headings: Literal[4, 8] | None = None
     step_m: Annotated[float, Meta(gt=0, le=10)] | None = None

@@ -83,10 +83,21 @@ def test_the_names_are_the_planners_the_policies_that_ship_and_what_is_plugged_i
     assert named() == (*PLANNERS, "ppo", "dqn", "ddpg", "theirs")
 
 
-@pytest.mark.parametrize("name", ["clairvoyance", "", "Infotaxis", "ppo.onnx", "theirs"])
-def test_an_unknown_name_is_answered_with_all_that_is_allowed(name: str) -> None:
-    with pytest.raises(ValueError, match=f"^'{name}' is not allowed; wanted ") as refused:
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("clairvoyance", "; wanted infotaxis, "),
+        ("", "; wanted infotaxis, "),
+        ("theirs", "; wanted infotaxis, "),
+        ("hommer", "; did you mean 'homing'? Wanted infotaxis, "),
+        ("Infotaxis", "; did you mean 'infotaxis'? Wanted infotaxis, "),
+        ("ppo.onnx", "; did you mean 'ppo'? Wanted infotaxis, "),
+    ],
+)
+def test_an_unknown_name_is_answered_with_the_nearest_and_all_that_is_allowed(name: str, told: str) -> None:
+    with pytest.raises(ValueError, match="is not allowed") as refused:
         policy(name)
+    assert str(refused.value).startswith(f"{name!r} is not allowed{told}")
     for allowed in (*PLANNERS, *SHIPPED, "FILE.zip"):
         assert allowed in str(refused.value)
 

@@ -157,7 +157,7 @@ def test_a_table_that_cannot_be_written_loses_nothing(start, tmp_path: Path) -> 
         (("--particles", "100,3"), "--particles: '3' is not allowed; wanted a whole number from 10 to 1000000"),
         (("--threshold", "0.5,"), "--threshold: '' is not allowed; wanted a number above 0 up to 100"),
         (("--scenarios", "0"), "--scenarios: '0' is not allowed"),
-        (("--headings", "5"), "--headings: invalid choice: 5 (choose from 4, 8)"),
+        (("--headings", "5"), "--headings: 5 is not allowed; wanted 4 or 8"),
         (("--missions", "/tmp"), "--missions: '/tmp' is a folder; wanted a file"),
         (("--missions", "nowhere/missions.csv"), "--missions: no such folder: 'nowhere'"),
         (("--stop-on", "q=3"), "--stop-on: 'q=3' is not allowed"),

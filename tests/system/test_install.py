@@ -94,7 +94,8 @@ def test_a_wheel_has_the_packages_the_missions_and_nothing_else(wheel: Path) -> 
 
 
 def test_an_sdist_has_what_the_wheel_is_made_of_and_no_records(sdist: Path) -> None:
-    ours = {*PACKAGES, "missions", "docs", "pyproject.toml", "constraints.txt", "Makefile", "LICENSE", "README.md"}
+    pages = {"README.md", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "docs", "mkdocs.yml"}
+    ours = {*PACKAGES, *pages, "missions", "pyproject.toml", "constraints.txt", "Makefile", "LICENSE"}
     assert {path.name for path in sdist.iterdir()} == ours | {"PKG-INFO", ".gitignore"}
     assert sum(path.stat().st_size for path in files(sdist)) < 5_000_000
 
@@ -106,7 +107,7 @@ def test_a_wheel_made_from_the_sdist_is_the_wheel_made_from_the_checkout(wheel: 
 
 
 def test_an_install_needs_no_torch_but_with_the_extra_that_trains(wheel: Path) -> None:
-    extras = {"": set(), "train": set(), "view": set(), "ray": set(), "bench": set(), "test": set()}
+    extras = {"": set(), "train": set(), "view": set(), "ray": set(), "bench": set(), "docs": set(), "test": set()}
     for requirement in requirements(wheel):
         extras[next((extra for extra in extras if extra and f'extra == "{extra}"' in str(requirement)), "")].add(requirement.name)
     learning = {"torch", "stable-baselines3", "gymnasium", "onnx", "tensorboard"}
@@ -114,7 +115,8 @@ def test_an_install_needs_no_torch_but_with_the_extra_that_trains(wheel: Path) -
     assert extras["view"] == {"matplotlib"}
     assert extras["ray"] == {"ray"}
     assert "stonesoup" in extras["bench"]
-    assert extras["test"] > extras["train"] | extras["view"] | extras["ray"] | extras["bench"]
+    assert extras["docs"] == {"mkdocs-material", "mkdocstrings"}
+    assert extras["test"] > extras["train"] | extras["view"] | extras["ray"] | extras["bench"] | extras["docs"]
     assert not extras[""] & extras["test"]
     assert "onnxruntime" in extras[""]
 

@@ -27,7 +27,7 @@ def test_bad_input_is_one_line(start, tmp_path: Path) -> None:
         (("--results", "nowhere"), "error: --results: no such folder: 'nowhere'; `plumeward evaluate --missions FILE.csv` writes"),
         (("--results", "empty"), "error: --results: no missions in 'empty'; `plumeward evaluate --missions FILE.csv` writes"),
         (("--results", "other"), "error: --results: other/shopping.csv: "),
-        (("--report", "empty"), "error: unrecognized arguments: --report"),
+        (("--report", "empty"), "error: no flag '--report'"),
     ):
         report = start("agent", "report", *flags, cwd=tmp_path)
         assert report.ended() == 2

@@ -52,7 +52,7 @@ def test_a_stack_that_flies_is_well_and_each_part_tells_its_figures(
         assert part["uptime_s"] > 0
         assert part["refused"] == {}
         assert part["last_error"] == ""
-    assert report["parts"]["agent"]["about"] == "infotaxis"
+    assert report["parts"]["agent"]["about"] == "homing"
     assert report["parts"]["uav"]["state"] == "searching"
     # The vehicle's answer takes the two services, and the way there and back.
     parts = report["parts"]
@@ -107,7 +107,7 @@ def test_the_table_names_parts_verdicts_and_figures(router: str, stack: dict[str
     rows = {line.split()[0]: line.split() for line in ended.stdout.splitlines()[2:]}
     assert rows["router"][1] == rows["estimator"][1] == rows["agent"][1] == "ok"
     assert rows["uav"][1] == "missing"
-    assert rows["agent"][2:4] == ["ready:", "infotaxis"]
+    assert rows["agent"][2:4] == ["ready:", "homing"]
 
 
 def test_a_watch_follows_who_comes_and_goes_until_interrupted(start, router: str, stack: dict[str, Any], wait_until: Callable) -> None:

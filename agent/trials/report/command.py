@@ -13,7 +13,6 @@ from agent.trials.files import whole
 from agent.trials.report.page import Picture, page
 from agent.trials.report.results import USUAL, Results, read
 from agent.trials.report.tables import tables
-from agent.trials.rollout import rollout
 from link import cli
 from link.terminal import tell
 from plume.scenario import BUDGET_STEPS, SUCCESS_RADIUS_M
@@ -105,6 +104,7 @@ def _summary(results: Results) -> str:
 def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Figure"]]:
     """Yield (name, title, caption, figure)."""
     from agent.trials.report import drawing
+    from agent.trials.rollout import rollout
 
     curves = (
         "Bars: 95% intervals, Wilson's for ceased, bootstrap for MTD and ST. Points are shifted sideways so that none hides another. The"

@@ -9,8 +9,7 @@ import numpy as np
 from agent.trials.figures import COLUMNS, UNKNOWN, cell
 from agent.trials.report.published import PUBLISHED, Published
 from agent.trials.report.results import USUAL, Key, Results, Setting
-from agent.trials.rollout import mission
-from plume.scenario import BUDGET_STEPS, LIFETIME_S, SUCCESS_RADIUS_M
+from plume.scenario import BUDGET_STEPS, LIFETIME_S, SUCCESS_RADIUS_M, draw
 
 
 @dataclass(frozen=True)
@@ -117,7 +116,7 @@ def _below_the_floor(results: Results, below: Sequence[tuple[Published, Setting,
     values = " and ".join(f"{it.value:g} m" for it, _, _ in below)
     floors = ", ".join(f"{floor_m:.1f} m at ζ = {setting.threshold_m:g} m" for _, setting, floor_m in below)
     seeds = sorted({row.seed for rows in results.rows.values() for row in rows})
-    truths = [mission(seed, "random", 1, 1.0, 0).scenario for seed in seeds]
+    truths = [draw(seed) for seed in seeds]
     straight_m = np.mean([math.dist(it.start, it.source) for it in truths])
     return (
         f"(4) {values} cannot be reached with this noise, these starts and these sources. They are below the mean information floor"

@@ -1,0 +1,61 @@
+"""A hook of mkdocs: pages that are made from files elsewhere: notebooks, CONTRIBUTING.md and CHANGELOG.md."""
+
+import base64
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).parents[2]
+TOP_LEVEL = ("CONTRIBUTING.md", "CHANGELOG.md")
+"""Pages that lie beside README.md, where people look for them."""
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages."""
+    for name in TOP_LEVEL:
+        files.append(File.generated(config, name.lower(), content=from_docs((ROOT / name).read_text(encoding="utf-8"))))
+    for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
+        page = PurePosixPath(notebook.src_uri)
+        for name, content in pages(page, json.loads(notebook.content_string)):
+            files.append(File.generated(config, str(page.parent / name), content=content))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """Lead links to those files to their pages; the notebook's own page offers it for download."""
+    markdown = re.sub(rf"\]\(\.\./((?:\.\./)*)({'|'.join(TOP_LEVEL)})\b", lambda found: f"]({found[1]}{found[2].lower()}", markdown)
+    return re.sub(r"\]\(([\w./-]*?)([\w-]+)\.ipynb\)(?!\{ \.md-button)", r"](\1\2.md)", markdown)
+
+
+def from_docs(text: str) -> str:
+    """Links of a page beside README.md as they read in docs/; a link to a file that the site does not hold becomes its name."""
+    text = re.sub(r"\]\(docs/([^)]+)\)", r"](\1)", text)
+    text = re.sub(r"\[([^\]]+)\]\(((?:\w+/)+[\w.]+|[\w.]+\.(?!md)\w+|README\.md)\)", r"\1", text)
+    return re.sub(rf"\]\(({'|'.join(TOP_LEVEL)})\)", lambda found: f"]({found[1].lower()})", text)
+
+
+def pages(page: PurePosixPath, notebook: dict[str, Any]) -> Iterator[tuple[str, str | bytes]]:
+    """(name, content) of a notebook's page in Markdown, and of the pictures in it."""
+    text: list[str] = []
+    for number, cell in enumerate(notebook["cells"]):
+        source = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            text.append(source)
+            continue
+        text.append(f"```python\n{source}\n```")
+        for output in cell["outputs"]:
+            data = output.get("data", {})
+            if "image/png" in data:
+                picture = f"{page.stem}-{number}.png"
+                yield picture, base64.b64decode("".join(data["image/png"]))
+                text.append(f"![{cell['metadata'].get('alt', '')}]({picture})")
+            elif said := "".join(output.get("text", data.get("text/plain", ""))).rstrip():
+                text.append(f"```text\n{said}\n```")
+    text.insert(1, f"[Download the notebook]({page.name}){{ .md-button download }}")
+    yield f"{page.stem}.md", "\n\n".join(text) + "\n"

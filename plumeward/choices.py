@@ -1,0 +1,63 @@
+"""`plumeward list`: the missions, policies and sensors to choose from, with one line about each."""
+
+import dataclasses
+import textwrap
+from collections.abc import Callable, Iterator
+
+from link import cli
+
+Line = tuple[str, str]
+"""A name, and what it is."""
+SENSORS = {
+    "gaussian": "a concentration with Gaussian noise, g/m³",
+    "threshold": "a concentration that reads 0 below a threshold or when missed, g/m³",
+    "hits": "a Poisson count of hits",
+}
+
+
+def missions() -> Iterator[Line]:
+    """Yield the missions that ship: their names, and what they show."""
+    from sitl.script.script import load, shipped
+
+    for name in shipped():
+        yield name, load(name).about
+
+
+def policies() -> Iterator[Line]:
+    """Yield the policies."""
+    from agent.policies import policies
+
+    yield from policies().items()
+
+
+def sensors() -> Iterator[Line]:
+    """Yield the sensors with their numbers, as the flag --sensor takes them."""
+    from plume.sensor import KINDS
+
+    for name, kind in KINDS.items():
+        fields = dataclasses.fields(kind)
+        numbers = ",".join(f"{field.default:g}" for field in fields)
+        yield f"{name}:{numbers}", f"{SENSORS[name]}; its numbers: {', '.join(field.name for field in fields)}"
+
+
+LISTS: dict[str, tuple[str, Callable[[], Iterator[Line]]]] = {
+    "missions": ("plumeward fly MISSION", missions),
+    "policies": ("--policy NAME", policies),
+    "sensors": ("--sensor KIND or KIND:NUMBERS", sensors),
+}
+"""What can be listed: how it is chosen, and the lines."""
+
+
+def main(arguments: list[str]) -> int:
+    """Print the lists that are asked for, or all."""
+    parser = cli.Parser(prog="plumeward list", description="List the missions, policies and sensors to choose from.")
+    parser.add_argument("what", nargs="?", choices=tuple(LISTS), help="list only these (default: all)")
+    what = parser.parse_args(arguments).what
+    for number, name in enumerate([what] if what else LISTS):
+        how, lines = LISTS[name]
+        print(f"{chr(10) if number else ''}{name.capitalize()}: {how}")
+        shown = list(lines())
+        width = max(len(key) for key, _ in shown) + 4
+        for key, about in shown:
+            print(textwrap.fill(about, 80, initial_indent=f"  {key}".ljust(width), subsequent_indent=" " * width))
+    return 0

@@ -1,0 +1,56 @@
+"""The figures of policies over many missions, for Python; `plumeward evaluate` is the same for shells."""
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import Any
+
+from agent.policies import DEFAULT
+from agent.trials.evaluate import FIRST_TEST_SEED, named
+from agent.trials.sweep import Sweep, fly, on_cores, ordered
+from plume.scenario import BUDGET_STEPS
+
+
+def evaluate(
+    policies: str | Sequence[str] = DEFAULT,
+    scenarios: int = 100,
+    *,
+    first_seed: int = FIRST_TEST_SEED,
+    particles: int = 1000,
+    threshold_m: float = 0.5,
+    budget: int = BUDGET_STEPS,
+    workers: int = 1,
+    **knowledge: Any,
+) -> dict[str, Any]:
+    """Fly the same missions with each policy and return the figures of each.
+
+    Args:
+        policies: One name of `plumeward.policies()` or path of a bundle, or several of them.
+        scenarios: Missions for each policy, of the seeds from `first_seed` on.
+        first_seed: Training uses no seed from 1,000,000 on.
+        particles: Particles of the filter.
+        threshold_m: The search stops when the spread of the belief is below it, m.
+        budget: Moves after which a mission is given up.
+        workers: Processes that fly. A script that asks for more than one needs `if __name__ == "__main__":`.
+        knowledge: Further fields of `plumeward.Config`, such as `sensor`.
+
+    Returns:
+        A dict with an entry for each policy, as `plumeward evaluate --json` prints it. `ceased`, `located` and `false_stop` are shares
+        from 0 to 1, `mtd_m` is the mean distance travelled (m), `search_time_s` the compute time of a search (s), `nees_mean` is 2 for
+        an honest posterior. `located_interval` and the like are their 95% intervals, `[low, high]`.
+
+    Raises:
+        ValueError: A policy is not known, or a number is out of range.
+
+    Example:
+        ```python
+        figures = plumeward.evaluate(["homing", "infotaxis"], scenarios=50)
+        figures["homing"]["located"], figures["homing"]["located_interval"]
+        ```
+    """
+    names = [policies] if isinstance(policies, str) else list(dict.fromkeys(policies))
+    if not names or scenarios < 1 or workers < 1:
+        raise ValueError("wanted one policy, one scenario and one worker at least")
+    sweep = Sweep(names, range(first_seed, first_seed + scenarios), (particles,), (threshold_m,), budget, knowledge=knowledge)
+    by_seed = (list(flights) for _, flights in groupby(sweep.flights, key=lambda flight: flight[2]))
+    flown = (rows for flights in by_seed for rows in fly(sweep, flights)) if workers == 1 else on_cores(workers)(sweep, by_seed)
+    return named(ordered((row for rows in flown for row in rows), sweep))

@@ -1,0 +1,196 @@
+"""Protects the names that `import plumeward` gives: each does what its docstring says, against truths derived here or elsewhere."""
+
+import ast
+import json
+import math
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+import plumeward
+from plume.randomness import derived_seed
+
+ROOT = Path(__file__).parents[2]
+GOLDEN = ROOT / "tests" / "golden" / "homing-gaussian.mcap"
+
+
+def run(code: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, timeout=100)
+
+
+def mean_gas(
+    position: tuple[float, float], source: tuple[float, float], wind: tuple[float, float], q: float, d: float, tau: float
+) -> float:
+    """The paper's equation: m = q/(4π d r) · exp(−r/λ + ψ)."""
+    dx, dy = position[0] - source[0], position[1] - source[1]
+    r = max(math.hypot(dx, dy), 0.1)
+    decay = math.sqrt(d * tau / (1 + (wind[0] ** 2 + wind[1] ** 2) * tau / (4 * d)))
+    return q / (4 * math.pi * d * r) * math.exp(-r / decay - (dx * wind[0] + dy * wind[1]) / (2 * d))
+
+
+def test_every_name_of_the_api_is_there_and_typed_and_listed() -> None:
+    tree = ast.parse((ROOT / "plumeward" / "__init__.py").read_text())
+    (typed,) = (node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    names = {alias.asname or alias.name for node in typed.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert names | {"__version__"} == set(plumeward.__all__) <= set(dir(plumeward))
+    for name in names:
+        assert getattr(plumeward, name).__doc__
+        assert getattr(plumeward, name).__name__ == {"read_record": "read"}.get(name, name)
+    with pytest.raises(AttributeError, match="module 'plumeward' has no attribute 'rollouts'"):
+        _ = plumeward.rollouts
+
+
+def test_importing_loads_nothing_that_takes_long(tmp_path: Path) -> None:
+    heavy = {"numba", "torch", "zenoh", "onnxruntime", "matplotlib", "ray"}
+    ran = run(f"import sys, plumeward; print(sorted({heavy} & set(sys.modules)))", tmp_path)
+    assert (ran.stdout, ran.stderr) == ("[]\n", "")
+
+
+def test_the_environments_are_made_by_name_after_an_import(tmp_path: Path) -> None:
+    code = """
+import gymnasium, plumeward
+one = gymnasium.make("plumeward/SourceSearch-v0", particles=100)
+assert isinstance(one.unwrapped, plumeward.SourceSearch)
+assert one.observation_space.contains(one.reset(seed=1)[0])
+assert gymnasium.make("plumeward/SourceSearchContinuous-v0").action_space.shape == (2,)
+many = gymnasium.make_vec("plumeward/SourceSearch-v0", num_envs=3, vectorization_mode="vector_entry_point", particles=100)
+assert isinstance(many.unwrapped, plumeward.SourceSearchVector)
+assert len(many.reset(seed=1)[0]) == 3
+"""
+    ran = run(code, tmp_path)
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_a_rollout_by_default_is_homings_and_its_outcome_is_that_of_its_trace() -> None:
+    outcome, trace = plumeward.rollout(seed=3)
+    assert (outcome.policy, outcome.steps) == ("homing", len(trace) - 1)
+    assert outcome.source == plumeward.draw(3).source
+    assert outcome.error_m == pytest.approx(math.dist(trace[-1].mean, outcome.source))
+    assert outcome.distance_m == pytest.approx(sum(math.dist(a.position, b.position) for a, b in pairwise(trace)))
+    assert outcome.ceased == (trace[-1].spread < 0.5)
+    assert trace == plumeward.rollout(3, "homing")[1]
+
+
+def test_scenarios_are_of_table_1() -> None:
+    drawn = [plumeward.draw(seed) for seed in range(2000)]
+    values = np.array([(*it.source, it.q, it.u, it.phi, it.d, *it.start) for it in drawn])
+    low, high = np.array([(10, 25), (10, 25), (100, 500), (1, 4), (0, 2 * math.pi), (1, 8), (0, 5), (0, 5)], float).T
+    assert ((values >= low) & (values <= high)).all()
+    # The mean of 2,000 uniform draws scatters by a width of 1/√12/√2000, 0.0065.
+    assert ((values.mean(axis=0) - low) / (high - low)) == pytest.approx(0.5, abs=5 * 0.0065)
+
+
+def test_a_world_answers_with_the_papers_gas_and_noise() -> None:
+    scenario = plumeward.Scenario(source=(12.0, 15.0), q=250.0, u=2.0, phi=0.7, d=3.0, tau=10.0, start=(1.0, 2.0))
+    world = plumeward.World(scenario, seed=4)
+    assert world.start == (1.0, 2.0)
+    assert world.wind == pytest.approx((2 * math.cos(0.7), 2 * math.sin(0.7)))
+    place = (10.5, 13.5)
+    mean = mean_gas(place, (12.0, 15.0), world.wind, 250.0, 3.0, 10.0)
+    readings = np.array([world.gas(place, step) for step in range(4000)])
+    sigma = math.hypot(0.3 * mean, 0.2)
+    assert readings.mean() == pytest.approx(mean, abs=4 * sigma / math.sqrt(4000))
+    assert readings.std() == pytest.approx(sigma, rel=0.05)
+    assert plumeward.World(scenario, seed=4).gas(place, 17) == readings[17]
+
+
+def test_a_prior_is_uniform_over_the_area() -> None:
+    posterior = plumeward.prior(plumeward.Config(particles=20_000))
+    assert isinstance(posterior, plumeward.Posterior)
+    assert posterior.particles.shape == (2, 20_000)
+    assert posterior.particles.mean(axis=1) == pytest.approx([15, 15], abs=0.3)
+    assert posterior.particles.std(axis=1) == pytest.approx([30 / math.sqrt(12)] * 2, rel=0.02)
+    with pytest.raises(ValueError, match="q is not unknown"):
+        plumeward.Config(stop_limits={"q": 5.0})
+
+
+def test_two_readings_give_the_posterior_that_a_grid_gives() -> None:
+    wind, rate, diffusivity = (1.5, -0.5), 250.0, 3.0
+    config = plumeward.Config(particles=20_000, rate=rate, diffusivity=diffusivity)
+    taken = [((8.0, 9.0), 1.3), ((12.0, 10.0), 2.1)]
+    posterior = plumeward.prior(config)
+    for step, (position, gas) in enumerate(taken):
+        reading = plumeward.Reading(1000 * step, position, 5.0, wind, gas)
+        posterior = plumeward.assimilate(posterior, reading, config)
+        said, particles = plumeward.belief(posterior, reading, config)
+
+    places = (np.arange(300) + 0.5) / 10
+    log_density = np.zeros((300, 300))
+    for position, gas in taken:
+        means = np.array([[mean_gas(position, (x, y), wind, rate, diffusivity, 10.0) for y in places] for x in places])
+        variance = (0.3 * means) ** 2 + 0.2**2
+        log_density += -0.5 * np.log(variance) - (gas - means) ** 2 / (2 * variance)
+    density = np.exp(log_density - log_density.max())
+    density /= density.sum()
+    x, y = density.sum(axis=1) @ places, density.sum(axis=0) @ places
+    spread = math.sqrt(density.sum(axis=1) @ (places - x) ** 2 + density.sum(axis=0) @ (places - y) ** 2)
+    assert said.mean == pytest.approx((x, y), abs=0.05 * spread)
+    assert said.spread == pytest.approx(spread, rel=0.05)
+    assert isinstance(said, plumeward.Belief)
+    assert (said.step, said.ceased) == (1, False)
+    assert particles.shape == (20_000, 3)
+    assert particles[:, 2].sum() == pytest.approx(1, rel=1e-4)
+    assert particles[:, 2] @ particles[:, :2] == pytest.approx(said.mean, rel=1e-3)
+
+
+def test_readings_of_ones_own_give_the_beliefs_of_a_mission() -> None:
+    scenario = plumeward.draw(5)
+    _, trace = plumeward.rollout(5, particles=300, budget=12)
+    config = plumeward.Config(300, seed=derived_seed(5, "estimator"), rate=scenario.q, diffusivity=scenario.d)
+    posterior = plumeward.prior(config)
+    for step, point in enumerate(trace):
+        reading = plumeward.Reading(step, point.position, 5.0, plumeward.World(scenario, 5).wind, point.reading)
+        posterior = plumeward.assimilate(posterior, reading, config)
+        said, _ = plumeward.belief(posterior, reading, config)
+        assert (said.mean, said.spread) == (point.mean, point.spread)
+
+
+def test_figures_are_those_of_the_missions_one_by_one() -> None:
+    seeds = range(1_000_000, 1_000_006)
+    said = plumeward.evaluate(["homing", "random"], scenarios=6, particles=200, budget=60)
+    assert list(said) == ["homing", "random"]
+    for policy, figures in said.items():
+        flown = [plumeward.rollout(seed, policy, 200, budget=60)[0] for seed in seeds]
+        ceased = [outcome for outcome in flown if outcome.ceased]
+        assert figures["missions"] == 6
+        assert figures["ceased"] == pytest.approx(len(ceased) / 6)
+        assert figures["located"] == pytest.approx(sum(outcome.located for outcome in flown) / 6)
+        if ceased:
+            assert figures["mtd_m"] == pytest.approx(np.mean([outcome.distance_m for outcome in ceased]))
+    assert plumeward.evaluate("homing", 6, particles=200, budget=60)["homing"]["mtd_m"] == said["homing"]["mtd_m"]
+
+
+@pytest.mark.parametrize("wrong", [{"policies": []}, {"policies": "hommer"}, {"scenarios": 0}, {"workers": 0}])
+def test_what_cannot_be_evaluated_is_a_value_error(wrong: dict) -> None:
+    with pytest.raises(ValueError, match=r"wanted|Wanted"):
+        plumeward.evaluate(**{"scenarios": 1, **wrong})
+
+
+def test_the_policies_are_the_planners_the_learned_ones_and_plug_ins(tmp_path: Path) -> None:
+    files = {path.stem.replace("_", "-") for path in (ROOT / "agent" / "planners").glob("*.py")} - {"--init--", "registry"}
+    assert set(plumeward.policies()) == files | {"ppo", "dqn", "ddpg"}
+    assert all(plumeward.policies().values())
+    (tmp_path / "theirs.py").write_text('def fly(belief, particles, reach, rng):\n    """Fly north."""\n')
+    about = tmp_path / "theirs-1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1\n")
+    (about / "entry_points.txt").write_text("[plumeward.policies]\ntheirs = theirs:fly\nbroken = nowhere:fly\n")
+    code = f"import sys; sys.path.append({str(tmp_path)!r}); import plumeward, json; print(json.dumps(plumeward.policies()))"
+    said = json.loads(run(code, tmp_path).stdout)
+    assert said["theirs"] == "Fly north. [plug-in theirs:fly]"
+    assert said["broken"].startswith("does not load: ModuleNotFoundError: ")
+
+
+def test_a_record_is_read_back_as_it_was_written() -> None:
+    recording = plumeward.read_record(str(GOLDEN))
+    assert isinstance(recording, plumeward.Recording)
+    with GOLDEN.open("rb") as file:
+        written = [json.loads(message.data)["spread"] for _, channel, message in make_reader(file).iter_messages(topics=["belief"])]
+    assert [json.loads(entry.payload)["spread"] for entry in recording.entries if entry.key == "belief"] == written
+    assert len(written) > 5
+    assert (recording.complete, recording.about["policy"]) == (True, "homing")

@@ -1,0 +1,122 @@
+"""Protects the command `plumeward`: help that is quick, near misses, and refusals before anything starts."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from plume import __version__
+from plume.sensor import KINDS, Sensor, parse
+from plumeward.__main__ import COMMANDS, GROUPS, main
+
+ROOT = Path(__file__).parents[2]
+MISSIONS = {path.stem: path.read_text() for path in (ROOT / "missions").glob("*.yaml")}
+HEAVY = ("numba", "torch", "gymnasium", "onnxruntime", "matplotlib", "ray", "onnx", "stable_baselines3")
+
+
+def said(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: str) -> tuple[int, str, str]:
+    """Run the command in this process; returns its status, stdout and stderr."""
+    monkeypatch.setattr(sys, "argv", ["plumeward", *words])
+    try:
+        status = main() or 0
+    except SystemExit as end:
+        status = int(str(end.code or 0))
+    return status, *capsys.readouterr()
+
+
+def test_the_help_lists_every_command_in_a_group_within_80_columns(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    status, out, err = said(capsys, monkeypatch, "--help")
+    assert (status, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 80
+    assert re.findall(r"^  (\w+)  ", out, re.MULTILINE) == list(COMMANDS)
+    assert [line for line in out.splitlines() if line.removesuffix(":") in GROUPS] == [f"{group}:" for group in GROUPS]
+    assert 'eval "$(register-python-argcomplete plumeward)"' in out
+    assert said(capsys, monkeypatch)[1] == out
+    assert said(capsys, monkeypatch, "--version") == (0, f"plumeward {__version__}\n", "")
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help_loads_nothing_that_takes_long(tmp_path: Path, command: str) -> None:
+    words = ["plumeward", *([command] if command else []), "--help"]
+    code = (
+        f"import atexit, sys; sys.argv = {words}; loaded = lambda: sorted(set({HEAVY}) & set(sys.modules))\n"
+        "atexit.register(lambda: print('loaded', loaded())); from plumeward.__main__ import command; command()"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert ran.stdout.startswith(f"usage: {' '.join(words[:-1])} ")
+    assert ran.stdout.endswith("loaded []\n")
+
+
+def test_missions_policies_and_sensors_are_listed_by_name(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    status, everything, _ = said(capsys, monkeypatch, "list")
+    assert status == 0
+    assert max(map(len, everything.splitlines())) <= 80
+    lists = [said(capsys, monkeypatch, "list", what)[1] for what in ("missions", "policies", "sensors")]
+    assert "\n".join(lists) == everything
+    missions, policies, sensors = (dict(re.findall(r"^  (\S+) +(.+)$", text, re.MULTILINE)) for text in lists)
+    assert set(missions) == set(MISSIONS)
+    for name, about in missions.items():
+        assert f"about: {about}" in MISSIONS[name]
+    assert {"homing", "infotaxis", "space-aware-infotaxis", "ppo", "dqn", "ddpg"} <= set(policies)
+    kinds: list[Sensor] = [parse(text) for text in sensors]  # as --sensor takes them
+    assert kinds == [kind() for kind in KINDS.values()]
+
+
+WRONG = [
+    (["flyy"], "plumeward: error: no command 'flyy'; did you mean 'fly'?"),
+    (["juggle"], "plumeward: error: no command 'juggle'; wanted fly, rollout, list, "),
+    (["list", "mission"], "plumeward list: error: what: 'mission' is not allowed; did you mean 'missions'? Wanted missions, policies or "),
+    (["fly", "--polcy", "homing"], "plumeward fly: error: no flag '--polcy'; did you mean '--policy'?"),
+    (["fly", "--qqq=3"], "plumeward fly: error: no flag '--qqq'; plumeward fly --help lists them"),
+    (["agent", "--polcy", "homing"], "plumeward agent: error: no flag '--polcy'; did you mean '--policy'?"),
+    (["estimator", "--particels", "5"], "plumeward estimator: error: no flag '--particels'; did you mean '--particles'?"),
+    (["replay", "--speed-up", "3"], "plumeward replay: error: no flag '--speed-up'; did you mean '--speedup'?"),
+    (["fly", "wind-shift", "now"], "plumeward fly: error: 'now' is not expected here"),
+    (["fly", "--policy", "hommer"], "plumeward fly: error: --policy: 'hommer' is not allowed; did you mean 'homing'? Wanted infotaxis, "),
+    (["fly", "--policy", "missing.zip"], "plumeward fly: error: --policy: missing.zip: there is no such file"),
+    (["fly", "--policy", "empty.zip"], "plumeward fly: error: --policy: empty.zip: no"),
+    (["fly", "--policy", "none"], "error: --policy: 'none' is not allowed; wanted a policy, or a mission that scripts all its waypoints"),
+    (["fly", "hommer.yaml"], "error: hommer.yaml:2: agent.policy: 'hommer' is not allowed; did you mean 'homing'? Wanted infotaxis, "),
+    (
+        ["fly", "wnd-shift"],
+        "error: wnd-shift: no such file and no shipped mission; did you mean 'wind-shift'? Wanted a mission ",
+    ),
+    (["fly", "list.yaml"], "error: list.yaml:1: "),
+    (["fly", "--sensor", "gausian"], "plumeward fly: error: --sensor: 'gausian' is not allowed; did you mean 'gaussian'? Wanted "),
+    (["fly", "--sensor", "hits:0"], "plumeward fly: error: --sensor: 'hits:0' is not allowed; "),
+    (["fly", "--headings", "5"], "plumeward fly: error: --headings: 5 is not allowed; wanted 4 or 8"),
+    (["rollout", "--policy", "hommer"], "plumeward rollout: error: --policy: 'hommer' is not allowed; did you mean 'homing'? Wanted "),
+    (["evaluate", "--policy", "homing,gredy"], "plumeward evaluate: error: --policy: 'gredy' is not allowed; did you mean 'greedy'? "),
+    (["train", "pp"], "plumeward train: error: algorithm: 'pp' is not allowed; did you mean 'ppo'? Wanted ppo, dqn or ddpg"),
+]
+
+
+@pytest.mark.parametrize(("words", "line"), WRONG, ids=[" ".join(words) for words, _ in WRONG])
+def test_what_is_wrong_is_one_line_before_anything_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], line: str
+) -> None:
+    (tmp_path / "empty.zip").write_bytes(b"")
+    (tmp_path / "hommer.yaml").write_text("seed: 3\nagent: {policy: hommer}\n")
+    (tmp_path / "list.yaml").write_text("- 1\n")
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(subprocess, "Popen", None)  # nothing can be started
+    status, out, err = said(capsys, monkeypatch, *words)
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert err.startswith(line)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_flag_wins_over_the_policy_of_a_script_that_is_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "hommer.yaml").write_text("seed: 3\nagent: {policy: hommer, budget: 2}\n")
+    monkeypatch.chdir(tmp_path)
+    status, _, err = said(capsys, monkeypatch, "fly", "hommer.yaml", "--policy", "random", "--speedup", "0", "--no-record")
+    assert status == 0, err
