@@ -34,7 +34,7 @@ class FaultySensor:
         return now_s < self._silent_until_s
 
     def read(self, gas: float) -> float:
-        """Return the faulty value for a true one, as float32 as on the wire. A stuck sensor hides spikes, but their readings still count."""
+        """Return the faulty value for a true one, as float32 as on the wire. A stuck sensor hides spikes; their readings still count."""
         gas = float32(gas + sum(added for _, added in self._spikes))
         self._spikes = [(left - 1, added) for left, added in self._spikes if left > 1]
         if self._stuck:

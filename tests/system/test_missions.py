@@ -153,7 +153,7 @@ def test_an_event_that_comes_too_late_is_told(start, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("script", "told"),
     [
-        ("sead: 3\n", "1: sead: there is no such field; allowed: "),
+        ("sead: 3\n", "1: sead: unknown field; allowed: "),
         ("seed: 3\nagent:\n  policy: foo\n", "3: agent.policy: 'foo' is not allowed; wanted infotaxis, "),
         ("estimator:\n  particles: 50\n  prior: {q: 'gama:2,3'}\n", "3: estimator.prior: 'q=gama:2,3' is not allowed; wanted "),
         ("estimator:\n  stop_on: luck\n", "2: estimator.stop_on: 'luck' is not allowed; wanted "),
