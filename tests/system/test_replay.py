@@ -393,7 +393,7 @@ class TestAutopilotLog:
             (["--verify"], "error: --verify: not allowed with "),
             (["--connect", "tcp/127.0.0.1:1", "--particles", "1000"], "error: --particles: not allowed with --connect: "),
             (["--wind", "3"], "python -m sitl replay: error: --wind: '3' is not allowed; wanted SPEED,FROM, two numbers"),
-            (["--gas", "methane"], "error: system 1 told no methane; "),
+            (["--gas", "methane"], "error: system 1 sent no methane; "),
             (["--plume", "none.yaml"], "error: none.yaml"),
             (["--sysid", "9"], "error: "),
         ],
