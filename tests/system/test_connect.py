@@ -23,7 +23,7 @@ expect: located
 
 @pytest.fixture
 def mission(tmp_path: Path) -> str:
-    """A release as the estimator assumes it unless told otherwise."""
+    """A release with the estimator's default rate, diffusivity and lifetime."""
     (tmp_path / "mission.yaml").write_text(MISSION)
     return "mission.yaml"
 

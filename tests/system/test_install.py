@@ -238,7 +238,7 @@ def test_a_shipped_mission_is_flown_by_its_name(own: Installed, tmp_path: Path) 
     flown = outcome(ran)
     assert flown["expectations"] == {"located": True}
     assert (flown["seed"], flown["scenario"]["q"], flown["scenario"]["d"], flown["scenario"]["tau"]) == (7, 300, 4.5, 10)
-    assert ran.stderr.startswith("mission: a release as the estimator assumes it unless told otherwise, seed 7, infotaxis, ")
+    assert ran.stderr.startswith("mission: a release with the estimator's default rate, diffusivity and lifetime, seed 7, infotaxis, ")
 
 
 def test_files_of_the_folder_that_it_is_run_in_are_not_taken_for_parts_of_it(own: Installed, tmp_path: Path) -> None:
