@@ -1,4 +1,4 @@
-"""Protects `fly --connect`: the vehicle and its watch join services that run elsewhere, and the mission is the very same."""
+"""Protects `fly --connect`: the vehicle joins services that run elsewhere, and the mission is identical."""
 
 import json
 import signal
@@ -37,7 +37,7 @@ def test_it_is_the_mission_that_a_launcher_of_all_parts_flies_to_the_last_bit(st
     joined = start("sitl", "fly", mission, "--connect", router, "--json", "--trace", cwd=tmp_path)
     assert joined.ended() == 0, joined.err
     one, other = (json.loads(part.out[-1]) for part in (whole, joined))
-    assert one["policy"] == other["policy"] == "homing"  # told by the agent: this command line does not name it
+    assert one["policy"] == other["policy"] == "homing"  # reported by the agent: this command line does not name it
     assert {**one, "search_time_s": 0} == {**other, "search_time_s": 0}
     (summary,) = (tmp_path / "runs").glob("*-connected-*.json")
     assert json.loads(summary.read_text())["mission"]["agent"]["policy"] == "homing"
@@ -55,7 +55,7 @@ def test_an_expectation_that_does_not_hold_is_status_1_and_used_services_fly_no_
     second = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
     assert second.ended() == 1
     assert "has a mission behind it, at step" in second.err[-1]
-    assert all(service.process.poll() is None for service in services)  # they are not ours to end
+    assert all(service.process.poll() is None for service in services)  # a mission does not end services that it did not start
 
 
 def test_it_waits_for_services_and_says_for_whom_whatever_else_is_said(
