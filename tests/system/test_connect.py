@@ -55,7 +55,7 @@ def test_an_expectation_that_does_not_hold_is_status_1_and_used_services_fly_no_
     second = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
     assert second.ended() == 1
     assert "has a mission behind it, at step" in second.err[-1]
-    assert all(service.process.poll() is None for service in services)  # a mission does not end services that it did not start
+    assert all(service.process.poll() is None for service in services)  # they are not ours to end
 
 
 def test_it_waits_for_services_and_says_for_whom_whatever_else_is_said(
