@@ -1,5 +1,5 @@
 #!/bin/sh
-# Where a container begins: numba wants to write to its cache, so the kernels that came with the image go where it may.
+# Entry point of the containers: numba needs a writable cache, so the image's kernels are copied to one.
 set -e
 mkdir -p "$NUMBA_CACHE_DIR"
 cp -R /opt/kernels/. "$NUMBA_CACHE_DIR"

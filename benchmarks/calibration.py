@@ -1,10 +1,10 @@
-"""How far the stop can be believed: thousands of missions, judged by the truth. Writes the tables of docs/calibration.md.
+"""Reliability of the stop: compares thousands of stops with the true source. Writes the tables of docs/calibration.md.
 
     python benchmarks/calibration.py                      # all sections, about an hour on two cores
-    python benchmarks/calibration.py --only sensors       # one of them
+    python benchmarks/calibration.py --only sensors       # one section
 
-Scenarios are the test seeds (1,000,000 and up) and infotaxis flies. A mission is flown on until its spread is below the smallest ζ
-asked for; where it first was below each ζ, it would have stopped there: one flight serves all thresholds.
+Scenarios are the test seeds (1,000,000 and up); the policy is infotaxis. A mission flies until its spread is below the smallest ζ. It
+would have stopped at each larger ζ when its spread first was below that one: one flight serves all thresholds.
 """
 
 import argparse
@@ -49,33 +49,33 @@ PARTICLES = (100, 500, 1000, 2000, 4000)
 
 @dataclass(frozen=True)
 class Case:
-    """What is flown and what the estimator knows: a row of a table."""
+    """What is flown and what the estimator knows: one case of a table."""
 
     name: str
     particles: int = 1000
     thresholds_m: Sequence[float] = THRESHOLDS_M
     sensor: Sensor = GAUSSIAN
     priors: dict[str, Prior] = field(default_factory=dict)
-    """As of `Config`."""
+    """`Config.priors`."""
     all_eight: bool = False
-    """The truth is drawn from AutoSTE's priors, and all of it is unknown."""
+    """All eight parameters are unknown; the truth is drawn from AutoSTE's priors."""
     fault: Callable[[int, float, float], float] | None = None
-    """What a broken sensor says instead: (step, the true reading, the one it said before) -> reading."""
+    """A broken sensor: (step, true reading, previous faulty reading) -> faulty reading, g/m³."""
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Where a mission first was below one ζ."""
+    """The step at which a mission's spread first was below one ζ."""
 
     threshold_m: float
     steps: int
     error_m: float
     nees: float
-    """Of the location; its mean is 2 for an honest posterior."""
+    """NEES of the location; its mean is 2 for an honest posterior."""
     nees_all: float
-    """Of all unknowns; its mean is their number."""
+    """NEES of all unknowns; its mean is their number."""
     warned: bool
-    """The readings were found incompatible with the model, at the stop or before it."""
+    """True if the readings were found incompatible with the model by then."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,9 @@ class Flight:
 
 
 def eight(seed: int) -> tuple[Scenario, dict[str, Prior]]:
-    """AutoSTE's unknowns at the scale of Table 1: a truth drawn from the very priors that the estimator is given.
+    """AutoSTE's eight unknowns at the scale of Table 1: (scenario, priors), the scenario drawn from the estimator's own priors.
 
-    Wind speed and direction are known to about 0.5 m/s and 10 degrees, as from an anemometer that is not trusted further.
+    Wind speed and direction are known to about 0.5 m/s and 10 degrees, as from an inaccurate anemometer.
     """
     rng = keyed(seed, "eight unknowns")
     u, phi = rng.uniform(1.5, 3.5), rng.uniform(0, 2 * math.pi)
@@ -109,7 +109,7 @@ def eight(seed: int) -> tuple[Scenario, dict[str, Prior]]:
 
 
 def fly(case: Case, seed: int) -> Flight:
-    """Fly one mission of a case to its smallest ζ."""
+    """Fly one mission of a case until its smallest ζ."""
     scenario, unknown = eight(seed) if case.all_eight else (draw(seed), case.priors)
     config = Config(
         case.particles, min(case.thresholds_m), derived_seed(seed, "estimator"), scenario.q, scenario.d, scenario.tau,
@@ -165,17 +165,17 @@ def flights(case: Case, missions: int) -> list[Flight]:
 
 
 def share(hits: int, of: int) -> str:
-    """A share in percent with its interval."""
+    """Write a share in percent with its interval."""
     return "–" if of == 0 else wilson(hits, of).text(100.0, 1)
 
 
 def statistic(values: Array, of_samples: Callable[[Array], Array] = mean) -> str:
-    """A statistic with its interval."""
+    """Write a statistic with its interval."""
     return "–" if len(values) == 0 else bootstrap(values, of_samples).text(1.0, 2)
 
 
 def quantile(level: float, samples: Array) -> Array:
-    """Return what a share of each sample (R, n) lies below: (R,)."""
+    """Return the quantile of each sample (R, n): (R,)."""
     return np.asarray(np.quantile(samples, level, axis=1))
 
 
@@ -183,7 +183,7 @@ COLUMNS = "ζ, m | missions | ceased, % | located, % | false stop, % | error ≤
 
 
 def row(results: Sequence[Flight], threshold_m: float) -> str:
-    """One row of a table: what came of the missions at one ζ."""
+    """One row of a table: the results of the missions at one ζ."""
     stops = [flight.stops[threshold_m] for flight in results if threshold_m in flight.stops]
     errors, nees = np.array([stop.error_m for stop in stops]), np.array([stop.nees for stop in stops])
     located = int((errors <= SUCCESS_RADIUS_M).sum())
@@ -212,7 +212,7 @@ def section_stop(missions: int) -> str:
     for count in PARTICLES:
         results = flights(Case("stop", count), missions)
         rows += [(str(count), row(results, threshold_m)) for threshold_m in THRESHOLDS_M]
-    return "x and y unknown, the Gaussian sensor: the paper's case.\n\n" + table("N", rows)
+    return "The paper's case: x and y are unknown, the sensor is Gaussian.\n\n" + table("N", rows)
 
 
 LATER_THRESHOLDS_M = (0.3, 0.5, 0.9)
@@ -225,12 +225,15 @@ def section_sensors(missions: int) -> str:
     for name, sensor in (("threshold", Threshold()), ("hits", Hits())):
         results = flights(Case(name, thresholds_m=LATER_THRESHOLDS_M, sensor=sensor), missions)
         rows += [(f"{name}, N 1,000", row(results, threshold_m)) for threshold_m in LATER_THRESHOLDS_M]
-    words = "The Gaussian sensor is above. `threshold`: 0 below 0.5 g/m³, 30% missed. `hits`: Poisson, 3 hits a g/m³ and 0.1 of background."
+    words = (
+        "The Gaussian sensor is in the table above. `threshold`: 0 below 0.5 g/m³, and 30% of readings missed (0).\n"
+        "`hits`: Poisson counts with a mean of 3 hits per g/m³ plus 0.1 background hits."
+    )
     return words + "\n\n" + table("sensor", rows)
 
 
 def section_unknowns(missions: int) -> str:
-    """The stop with more unknowns; NEES is that of the location, and once more that of all unknowns."""
+    """The stop with more unknowns; NEES of the location, and NEES of all unknowns."""
     rows, means = [], []
     for count in (1000, 4000):
         for name, case in (
@@ -244,11 +247,13 @@ def section_unknowns(missions: int) -> str:
                 nees = np.array([flight.stops[threshold_m].nees_all for flight in results if threshold_m in flight.stops])
                 means.append(f"| {name}, N {count:,} | {threshold_m:g} | {statistic(nees)} |")
     words = (
-        "`q`: the rate is unknown too, U(100, 500). `all eight`: x, y, z ~ U(0, 5) m below a flight at 5 m, q ~ gamma(2, 150), wind speed\n"
-        "and direction within N(0, 0.5 m/s) and N(0, 10°) of what is thought, d ~ U(1, 8), τ ~ U(5, 20); the truth is drawn from these."
+        "`q`: x, y and the rate are unknown, q ~ U(100, 500). `all eight`: x, y, z ~ U(0, 5) m (the flight is at 5 m),\n"
+        "q ~ gamma(2, 150), wind speed and direction with errors N(0, 0.5 m/s) and N(0, 10°), d ~ U(1, 8), τ ~ U(5, 20).\n"
+        "The truth is drawn from these priors."
     )
     both = "| unknown | ζ, m | mean NEES of all unknowns |\n|---|---|---|\n" + "\n".join(means)
-    return words + "\n\n" + table("unknown", rows) + "\n\nAn honest mean is 3 with q unknown, 8 with all eight:\n\n" + both
+    honest = "For an honest posterior the mean NEES of all unknowns is 3 with q unknown and 8 with all eight:"
+    return f"{words}\n\n{table('unknown', rows)}\n\n{honest}\n\n{both}"
 
 
 def zero(_step: int, _gas: float, _before: float) -> float:
@@ -267,12 +272,12 @@ def frozen(step: int, gas: float, before: float) -> float:
 
 
 def hum(step: int, _gas: float, _before: float) -> float:
-    """Stuck at 1 g/m³, with electronic noise of 0.2 g/m³ on it."""
+    """Stuck at 1 g/m³, plus electronic noise of 0.2 g/m³."""
     return 1.0 + 0.2 * float(keyed(step, "hum").standard_normal())
 
 
 def doubled(_step: int, gas: float, _before: float) -> float:
-    """Says twice the truth."""
+    """Reports twice the true value."""
     return 2.0 * gas
 
 
@@ -284,12 +289,14 @@ def section_faults(missions: int) -> str:
         warned = share(sum(flight.warned for flight in results), len(results))
         name = f"{(fault.__doc__ or '').rstrip('.').lower()}; warned in {warned}%"
         rows += [(name, row(results, threshold_m)) for threshold_m in LATER_THRESHOLDS_M]
-    words = "N 1,000. While readings do not fit the model (p < 1e-4, or the last three equal), and before the third, nothing is claimed."
+    words = (
+        "N 1,000. No stop is declared before the third reading, or while readings do not fit the model (p < 1e-4, or the last three equal)."
+    )
     return words + "\n\n" + table("fault", rows)
 
 
 def harsh(seed: int) -> tuple[Scenario, list[tuple[float, float]]]:
-    """A scenario from a wider distribution than Table 1, and a straight dash at its source from nearby or far away."""
+    """A scenario from a wider distribution than Table 1, and a straight path to its source from nearby or far away."""
     rng = keyed(seed, "harsh")
     x, y = rng.uniform(0, AREA_M, 2).tolist()
     q, d = np.exp(rng.uniform(np.log([50, 0.2]), np.log([5000, 8]))).tolist()
@@ -302,7 +309,7 @@ def harsh(seed: int) -> tuple[Scenario, list[tuple[float, float]]]:
 
 
 def survive(seed: int) -> tuple[bool, float]:
-    """Fly one harsh mission; returns whether its posterior stayed sound, and its greatest NEES."""
+    """Fly one harsh mission; returns True if its posterior stayed sound, and its greatest NEES."""
     s, places = harsh(seed)
     config = Config(1000, 0.5, derived_seed(seed, "estimator"), s.q, s.d, s.tau)
     world, posterior = World(s, seed), prior(config)
@@ -317,14 +324,14 @@ def survive(seed: int) -> tuple[bool, float]:
 
 
 def section_harsh(missions: int) -> str:
-    """Ten times as many missions that try to make the filter collapse."""
+    """Ten times as many missions, chosen to make the filter collapse."""
     with closing(as_flown(survive, range(FIRST_SEED, FIRST_SEED + 10 * missions), WORKERS)) as flown:
         results = [result for _, result in flown]
     beyond = sum(nees > 50 for _, nees in results)
     return (
-        "N 1,000, q log-uniform over 50 to 5,000 g/s, d over 0.2 to 8 m²/s, u to 6 m/s, τ 2 to 30 s; straight dashes at the source from\n"
-        "0, 0.3, 2 and 30 m, and five readings on it.\n\n"
-        "| missions | unsound: NaN, empty weights, particles outside | NEES ever above 50 | of missions, % | greatest NEES |\n"
+        "N 1,000. q is log-uniform from 50 to 5,000 g/s, d log-uniform from 0.2 to 8 m²/s, u from 0 to 6 m/s, τ from 2 to 30 s.\n"
+        "The path goes straight to the source from 0, 0.3, 2 or 30 m, and takes five readings there.\n\n"
+        "| missions | unsound: NaN, zero weights, particles outside | NEES ever above 50 | of missions, % | greatest NEES |\n"
         "|---|---|---|---|---|\n"
         f"| {len(results)} | {sum(not sound for sound, _ in results)} | {beyond} | {share(beyond, len(results))} | "
         f"{max(nees for _, nees in results):.0f} |"
@@ -340,20 +347,20 @@ SECTIONS: dict[str, tuple[str, Callable[[int], str]]] = {
 }
 """Heading and writer of each section of the page, by name."""
 
-HEAD = """# How far the stop can be believed
+HEAD = """# Reliability of the stop
 
-Made by `python benchmarks/calibration.py`: scenarios of the test seeds (1,000,000 and up), flown by infotaxis with a budget of 300
-steps. *located*: the error is at most 1 m. *false stop*: ceased but not located, as a share of ceased. *NEES*: normalised estimation
-error squared at the stop; its mean is 2 for an honest posterior over x and y. In brackets: 95% intervals, Wilson's for shares and
-bootstrap for the rest. One flight serves all thresholds: it would have stopped where its spread first was below each.
+Made by `python benchmarks/calibration.py`. Scenarios are the test seeds (1,000,000 and up); the policy is infotaxis with a budget of 300
+steps. *located*: the error is at most 1 m, as a share of ceased. *false stop*: ceased but not located, as a share of ceased. *NEES*:
+normalised estimation error squared at the stop; its mean is 2 for an honest posterior over x and y. Brackets hold 95% intervals: Wilson
+for shares, bootstrap for the rest. One flight serves all thresholds: for each ζ it stops when its spread first is below ζ.
 """
 
 
 def main() -> int:
-    """Fly what is asked for and put its tables into the page; other sections of the page stay as they are."""
+    """Fly the chosen sections and write their tables into the page; the other sections stay."""
     parser = argparse.ArgumentParser(description="Write the tables of docs/calibration.md.")
-    parser.add_argument("--only", choices=SECTIONS, action="append", help="these sections (default: all)")
-    parser.add_argument("--missions", type=int, default=1000, help="in each cell (default: %(default)s)")
+    parser.add_argument("--only", choices=SECTIONS, action="append", help="section to fly, may be repeated (default: all)")
+    parser.add_argument("--missions", type=int, default=1000, help="missions in each case (default: %(default)s)")
     args = parser.parse_args()
     texts = {}
     if DOCUMENT.exists():
@@ -364,7 +371,7 @@ def main() -> int:
         try:
             texts[name] = f"{title}\n\n{write(args.missions)}\n"
         except WorkerLost as error:
-            print(f"error: {error}; sections before `{name}` are written, --only flies the others", file=sys.stderr)
+            print(f"error: {error}; the sections before `{name}` are written; use --only to fly the others", file=sys.stderr)
             return cli.FAILED
         with whole(DOCUMENT) as page:
             page.write_text(HEAD + "".join(f"\n## {texts[name].rstrip()}\n" for name in SECTIONS if name in texts))

@@ -1,9 +1,9 @@
-"""Env steps a second, one mission at a time and many side by side, beside gymnasium's vector environments; where a step's time goes.
+"""Env steps per second of single and batched missions, compared with gymnasium's vector environments; the time of each part of a step.
 
     NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.env
 
-Every mission flies towards its estimate for 40 moves; one that stops before is followed by another, as in training. Resets at the start of
-a flight are not timed, those within it are.
+Each flight makes 40 moves towards the estimate. A mission that stops earlier is followed by another one, as in training. The reset
+before a flight is not timed; resets during a flight are.
 """
 
 import statistics
@@ -26,18 +26,18 @@ PARTICLES = (100, 500, 1000, 4000)
 BATCHES = (1, 4, 16, 64, 256, 1024)
 STEPS = 40
 MISSIONS = 32
-"""Batches that are smaller fly one after the other until so many missions have flown: the same ones."""
+"""Smaller batches fly one after the other until this many missions have flown, with the same seeds."""
 REPEATS = 3
 ENOUGH_S = 5.0
-"""Where repeats take longer than this together, there are no more of them."""
+"""No further repeat once the flights have taken more than this on average."""
 USUAL = 500
-"""Particles where there is a choice."""
+"""Particles in the tables that have one number of particles."""
 PEERS_BATCH, THREADS_BATCH = 64, 256
 WANTED = 10_000
-"""Steps a second per core at N = 500."""
+"""Target: steps per second per core at N = 500."""
 
 Flight = Callable[[], tuple[float, int]]
-"""Seconds and the env steps made in them."""
+"""Flies missions; returns the seconds taken and the env steps made."""
 
 
 def alone(particles: int) -> tuple[float, int]:
@@ -55,7 +55,7 @@ def alone(particles: int) -> tuple[float, int]:
 
 
 def side_by_side(env: Any, missions: int = MISSIONS) -> tuple[float, int]:
-    """Fly at least so many missions in a vector env."""
+    """Fly at least this many missions in a vector env."""
     actions, seconds, steps = np.zeros(env.num_envs, np.int64), 0.0, 0
     for seed in range(0, missions, env.num_envs):
         env.reset(seed=seed)
@@ -68,7 +68,7 @@ def side_by_side(env: Any, missions: int = MISSIONS) -> tuple[float, int]:
 
 
 def speeds(flights: dict[str, Flight]) -> dict[str, float]:
-    """Steps a second, median over the repeats. All fly before any flies again: what slows the machine slows all."""
+    """Steps per second, median over the repeats. Each repeat runs all flights in turn, so that other load slows them alike."""
     said: dict[str, list[float]] = {}
     began = time.perf_counter()
     for _ in range(REPEATS):
@@ -81,7 +81,7 @@ def speeds(flights: dict[str, Flight]) -> dict[str, float]:
 
 
 def by_size(particles: int) -> dict[str, float]:
-    """Steps a second on one thread, by the number of missions side by side."""
+    """Steps per second on one thread, by the number of missions in a batch."""
     flights: dict[str, Flight] = {"single env": partial(alone, particles)}
     result = speeds(flights)
     for count in BATCHES:
@@ -90,7 +90,7 @@ def by_size(particles: int) -> dict[str, float]:
 
 
 def beside_peers() -> dict[str, tuple[int, float]]:
-    """Cores that each way may use, and its steps a second."""
+    """(Cores used, steps per second) of each vector env."""
     single = partial(SourceSearch, particles=USUAL)
     native = partial(SourceSearchVector, particles=USUAL)
     in_turn = SyncVectorEnv([single] * PEERS_BATCH, autoreset_mode=AutoresetMode.SAME_STEP)
@@ -108,16 +108,16 @@ def beside_peers() -> dict[str, tuple[int, float]]:
 
 
 class Stopwatch:
-    """Seconds by part of the work; a part's own, without those of the parts that it calls."""
+    """Seconds spent in each part of the work, without the parts that it calls."""
 
     def __init__(self) -> None:
-        """Begin with nothing."""
+        """Start empty."""
         self.seconds: dict[str, float] = {}
         self._parts: list[str] = []
         self._since = 0.0
 
     def timed(self, part: str, work: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the same work, timed."""
+        """Return the same function, timed as this part."""
 
         def watched(*arguments: Any, **named: Any) -> Any:
             self._count()
@@ -138,7 +138,7 @@ class Stopwatch:
 
 
 def parts(count: int) -> dict[str, float]:
-    """Seconds of an env step of a mission, by part: whole flights of so many missions on one thread."""
+    """Seconds per env step and mission, by part: whole flights of `count` missions on one thread."""
     env, watch = SourceSearchVector(count, particles=USUAL), Stopwatch()
     env.reset(seed=0)
     missions = env._missions
@@ -164,7 +164,7 @@ def parts(count: int) -> dict[str, float]:
 
 def main() -> None:
     """Print the tables."""
-    side_by_side(SourceSearchVector(4, particles=100, threads=2))  # compiles what it compiles
+    side_by_side(SourceSearchVector(4, particles=100, threads=2))  # compiles the kernels
     console = Console(width=120)
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("flying", total=len(PARTICLES) + 2)

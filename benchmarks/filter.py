@@ -1,4 +1,4 @@
-"""The filter's speed beside three peers on the same readings, and beside the limit: computing concentrations and likelihoods alone.
+"""The filter's speed, compared with three peers on the same readings and with the lower limit: computing the likelihoods alone.
 
 make bench-filter        # installs the peers into .venv first
 """
@@ -26,7 +26,7 @@ STEPS = 30
 
 
 def readings(seed: int, steps: int = STEPS) -> Array:
-    """Readings (T, 7) on a straight way to the source, as `Config.row` gives them."""
+    """Readings (T, 7) on a straight path to the source, in the format of `Config.row`."""
     s = draw(seed)
     world = World(s, seed)
     ways = np.linspace(world.start, s.source, steps).astype(np.float32).tolist()
@@ -34,13 +34,13 @@ def readings(seed: int, steps: int = STEPS) -> Array:
 
 
 def config_of(seed: int, count: int) -> Config:
-    """What the estimator knows in the mission of a seed."""
+    """The estimator's configuration in the mission of a seed."""
     s = draw(seed)
     return Config(count, 0.5, seed, s.q, s.d, s.tau)
 
 
 def ours(seed: int, count: int, rows: Array) -> tuple[list[float], list[bool]]:
-    """Seconds of each update of a mission, and whether it resampled and moved."""
+    """(Seconds of each update of a mission, True for each update that resampled and moved)."""
     config = config_of(seed, count)
     p = prior(config)
     model = (config.unknown_indices, config.prior_rows, config.sensor_row, seed, config.sweeps)
@@ -67,7 +67,7 @@ def peer_times(kind: Callable[..., Peer], seed: int, count: int, rows: Array, mo
 
 
 def limit(seed: int, count: int, rows: Array) -> float:
-    """Seconds to compute the likelihoods of one reading alone, no filter around it."""
+    """Median seconds to compute only the likelihoods of one reading, without a filter."""
     config = config_of(seed, count)
     particles = prior(config).particles
     times = []
@@ -84,7 +84,7 @@ def main() -> None:
     flights = {seed: readings(seed) for seed in seeds}
     peers = {"Stone Soup": StoneSoup, "particles": Particles, "plain NumPy": PlainNumpy}
     for kind in peers.values():
-        peer_times(kind, 1_000_000, 1000, flights[1_000_000], moves=True)  # compiles what it compiles
+        peer_times(kind, 1_000_000, 1000, flights[1_000_000], moves=True)  # compiles the kernels
     print("µs an update: median without resampling; mean over whole missions, resample-and-move included\n")
     print("| N | filter | without resampling | ours is faster | whole mission, mean | ours is faster |\n|---|---|---|---|---|---|")
     for count in SIZES:

@@ -1,7 +1,7 @@
-"""Three other filters for the readings of a mission, as a benchmark's peers: Stone Soup's, IBIS of `particles`, and plain NumPy.
+"""Three peer filters for the benchmark: Stone Soup's, IBIS of the package `particles`, and plain NumPy.
 
-Each knows what ours knows (wind with each reading; q, d, τ beforehand), holds as many particles and starts from the uniform prior.
-The libraries are imported where a peer is made: this module needs neither.
+Each has the same knowledge as our filter (wind with each reading; q, d, τ beforehand), as many particles and the same uniform prior.
+The libraries are imported when a peer is created: importing this module needs neither.
 """
 
 import math
@@ -21,7 +21,7 @@ SENSOR_NOISE = 0.3
 ENVIRONMENT_NOISE = 0.2
 """β, g/m³."""
 RESAMPLE_BELOW = 0.5
-"""Share of N that the effective sample size must keep; Stone Soup's default too."""
+"""Resample when the effective sample size falls below this share of N; also Stone Soup's default."""
 SWEEPS = 3
 """Metropolis sweeps after each resampling; Stone Soup's regulariser always makes one."""
 
@@ -40,18 +40,18 @@ class Peer(ABC):
     """τ, s."""
     area_m: float
     moves: bool = True
-    """False: reweight only, neither resample nor move."""
+    """False: reweight only, without resampling or moves."""
 
     @abstractmethod
     def update(self, row: Array) -> None:
-        """Assimilate one reading (x, y, wind_x, wind_y, gas)."""
+        """Assimilate one reading (x, y, wind_x, wind_y, gas): m, m, m/s, m/s, g/m³."""
 
     @abstractmethod
     def weighted(self) -> tuple[Array, Array]:
         """Return the particles (2, N), m, and their log-weights (N,) up to a constant."""
 
     def mean_and_std(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Mean and standard deviation of x and of y, m."""
+        """Return the mean (x, y) and the standard deviation (x, y), m."""
         (x, y), log_weights = self.weighted()
         weights = np.exp(log_weights - log_weights.max())
         weights /= weights.sum()
@@ -59,7 +59,7 @@ class Peer(ABC):
         return (mean_x, mean_y), (math.sqrt(weights @ (x - mean_x) ** 2), math.sqrt(weights @ (y - mean_y) ** 2))
 
     def log_likelihood(self, x: Array, y: Array, row: Array) -> Array:
-        """Log-density of one reading for sources at (x, y): the plume of `plume/dispersion.py`, the Gaussian sensor."""
+        """Log-density of one reading for sources at (x, y): the plume model of `plume/dispersion.py` and the Gaussian sensor."""
         sensor_x, sensor_y, wind_x, wind_y, gas = row
         d, tau = self.diffusivity, self.lifetime
         decay_length = math.sqrt(d * tau / (1 + (wind_x**2 + wind_y**2) * tau / (4 * d)))
@@ -74,16 +74,17 @@ class Peer(ABC):
 
 @dataclass
 class StoneSoup(Peer):
-    """Stone Soup's `ParticleUpdater`, gas model, `ESSResampler` and `MCMCRegulariser`, put together as in its own gas example.
+    """Stone Soup's `ParticleUpdater`, gas model, `ESSResampler` and `MCMCRegulariser`, combined as in its own gas example.
 
-    What differs from ours:
-    - σ is α m + β, the noises added up instead of in quadrature: up to 1.4 times ours. Its sensing threshold is put below all readings.
-    - The regulariser makes one sweep, and its target is the newest reading's likelihood times a Gaussian around the particle as it was
-      before: not the posterior given all readings. What it returns is near to that, not equal.
-    - Likelihoods are exponentiated before the log is taken: where every particle is 38 σ or more from the reading, all becomes NaN.
+    Differences from our filter:
+    - σ is α m + β: the noises are added, not combined in quadrature. This σ is up to 1.4 times ours. The sensing threshold is set below
+      all readings.
+    - The regulariser makes one sweep. Its target is the newest reading's likelihood times a Gaussian around the particle's previous
+      position, not the posterior given all readings. The result is close to that posterior, but not equal.
+    - Likelihoods are exponentiated before the log is taken: if every particle is 38 σ or more from the reading, all weights become NaN.
 
-    The state is (x, y). In the model's own eight dimensions, six of them known, reweighting takes as long, and the regulariser
-    raises: it wants a regular covariance. The example's predictor is left out, for it does nothing to a source that stays.
+    The state is (x, y). With the model's own eight dimensions, six of them known, reweighting takes equally long, and the regulariser
+    raises, because it needs a regular covariance. The example's predictor is omitted: it does not change a source that stays.
     """
 
     def __post_init__(self) -> None:
@@ -99,7 +100,7 @@ class StoneSoup(Peer):
         from stonesoup.updater.particle import ParticleUpdater
 
         class PlumeOfKnownRelease(IsotropicPlume):  # type: ignore[misc]
-            """Stone Soup's plume for a state of which only x and y are unknown."""
+            """Stone Soup's plume for a state in which only x and y are unknown."""
 
             known: Any = Property(doc="The other six of its eight dimensions, (6, 1): z, Q, u, φ, ζ₁ (d), ζ₂ (τ)")
 
@@ -140,10 +141,10 @@ class StoneSoup(Peer):
 
 @dataclass
 class Particles(Peer):
-    """IBIS (Chopin 2002) of `particles`: the tool it has for a parameter that stays, one reading a step; random-walk Metropolis.
+    """IBIS (Chopin 2002) of the package `particles`, its method for a static parameter: one reading per step, random-walk Metropolis.
 
-    The model is ours. What differs: it resamples and moves at the start of the step after the one that wore the weights out, there is
-    no tempering, and where a reading leaves one particle with all the weight it raises (the proposal's covariance is singular).
+    The model is ours. Differences: it resamples and moves at the start of the step after the weights degenerated; it has no tempering;
+    if a reading leaves one particle with all the weight, it raises (the proposal's covariance is singular).
     """
 
     waste_free: bool = False
@@ -187,7 +188,7 @@ class Particles(Peer):
 
 @dataclass
 class PlainNumpy(Peer):
-    """Vectorised NumPy: ours without compiled loops, tempering or early rejection, and with a Gaussian random walk as the proposal."""
+    """Vectorised NumPy: our filter without compiled loops, tempering or early rejection, with a Gaussian random-walk proposal."""
 
     def __post_init__(self) -> None:
         """Draw the prior."""
@@ -198,7 +199,7 @@ class PlainNumpy(Peer):
         self._readings: list[Array] = []
 
     def update(self, row: Array) -> None:
-        """Assimilate one reading: reweight, and where the weights degenerate, resample and move."""
+        """Assimilate one reading: reweight; resample and move if the weights degenerate."""
         self._readings.append(row)
         log_likelihood = self.log_likelihood(self._particles[0], self._particles[1], row)
         self._log_weights = self._log_weights + log_likelihood

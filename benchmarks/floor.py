@@ -1,10 +1,10 @@
-"""The information floor: the shortest path on which an oracle, which knows the source, lets the posterior's spread come below ζ.
+"""The information floor: the shortest path on which an oracle that knows the source brings the posterior's spread below ζ.
 
     python benchmarks/floor.py                              # the table of docs/floor.md, test seeds (1,000,000 and up)
-    python benchmarks/floor.py --threshold 0.5 --fly        # and the paths flown with noisy readings and the filter
-    python benchmarks/floor.py --missions 200 --convergence # how much more effort changes
+    python benchmarks/floor.py --threshold 0.5 --fly        # also flies the paths with noisy readings and the filter
+    python benchmarks/floor.py --missions 200 --convergence # the effect of more search effort
 
-Distances travelled of search policies are reported as multiples of it; docs/floor.md derives it.
+The distances of search policies are reported as multiples of this floor; docs/floor.md derives it.
 """
 # mypy: allow-untyped-decorators
 
@@ -42,7 +42,7 @@ THOROUGH = floor.Effort(refined=16)
 
 @dataclass(frozen=True)
 class Effort:
-    """How hard both sides of the bracket are worked on."""
+    """The search effort for both sides of the bracket."""
 
     paths: floor.Effort = THOROUGH
     sectors: int = 120
@@ -58,19 +58,19 @@ class Bracket:
     """The floor of one mission at one ζ lies from `lower_m` to `found_m`."""
 
     found_m: float
-    """Length of the shortest path found, m; infinite where none is within the budget."""
+    """Length of the shortest path found, m; infinite if none is within the budget."""
     lower_m: float
-    """No path is shorter, m."""
+    """Proven lower bound on the length of every path, m."""
     headings: tuple[float, ...]
-    """The path found, one heading a step, rad."""
+    """The path found: one heading per step, rad."""
 
 
 @kernel("float64[:, ::1](float64[::1], float64[::1], int64, float64)", error_model="numpy")
 def _cells(start: Array, model: Array, sectors: int, growth: float) -> Array:
-    """Cells around the source that cover the area, by the step that can first reach them.
+    """Cells around the source that cover the area, sorted by the first step that can reach each.
 
-    A row: that step; the greatest c in the cell; g on its middle bearing at its inner and at its outer edge; how much g may differ
-    from that on its other bearings.
+    Each row holds: that step; the greatest c in the cell; g on the cell's middle bearing at its inner and at its outer edge (x, y each);
+    a bound on the deviation of g on its other bearings.
     """
     cells = []
     half_angle = math.pi / sectors
@@ -80,7 +80,7 @@ def _cells(start: Array, model: Array, sectors: int, growth: float) -> Array:
         core = inner == 0.0
         outer = SOURCE_RADIUS_M if core else inner + min(inner * growth, 0.1)
         middle = 0.5 * (inner + outer)
-        half = 0.5 * (outer - inner) + outer * half_angle  # no point of the cell is further from its middle
+        half = 0.5 * (outer - inner) + outer * half_angle  # greatest distance of the cell's points from its middle
         for sector in range(sectors):
             angle = (2 * sector + 1) * half_angle
             cos, sin = math.cos(angle), math.sin(angle)
@@ -88,7 +88,7 @@ def _cells(start: Array, model: Array, sectors: int, growth: float) -> Array:
             if min(x, y) < -half or max(x, y) > AREA_M + half:
                 continue
             step = max(math.ceil((math.hypot(x - start[0], y - start[1]) - half) / STEP_M), 1)
-            # m falls with r on every bearing, 1/λ being above u/(2d), and is greatest on the bearing that is most downwind.
+            # m falls with r on every bearing, because 1/λ > u/(2d), and is greatest on the most downwind bearing.
             off_wind = abs(math.atan2(sin * model[4] - cos * model[5], cos * model[4] + sin * model[5]))
             along = -1.0 if core else math.cos(min(off_wind + half_angle, math.pi))
             radius = max(inner, SOURCE_RADIUS_M)
@@ -104,10 +104,10 @@ def _cells(start: Array, model: Array, sectors: int, growth: float) -> Array:
 
 @kernel("boolean(int64, float64, float64[:, ::1], float64[::1], float64[::1], int64)", error_model="numpy")
 def _excluded(steps: int, variance: float, cells: Array, start: Array, model: Array, iterations: int) -> bool:
-    """Whether it is proven that no path of so many steps has a trace of the covariance below `variance`, m².
+    """True if it is proven that no path of `steps` steps has a covariance with a trace below `variance`, m².
 
-    tr M⁻¹ ≥ 2 tr W − tr W M W for every symmetric W, and the last term is a sum over the readings, each at most its greatest value
-    in reach.  W = M⁻¹ with M improved as by Frank and Wolfe (1956) makes this bound as great as it can be.
+    tr M⁻¹ ≥ 2 tr W − tr W M W for every symmetric W. The last term is a sum over the readings; each is at most the greatest value that
+    is reachable at its step. W = M⁻¹, with M improved as by Frank and Wolfe (1956), makes this bound as large as possible.
     """
     c, g, h = information(start[0], start[1], model)
     base = PRIOR + c * g * g, c * g * h, PRIOR + c * h * h
@@ -145,13 +145,13 @@ def _excluded(steps: int, variance: float, cells: Array, start: Array, model: Ar
 def brackets(
     scenario: Scenario, thresholds_m: Sequence[float], effort: Effort = Effort(), budget: int = BUDGET_STEPS
 ) -> dict[float, Bracket]:
-    """Bracket the floor at each ζ, in m; the answer for one does not depend on the others."""
+    """Bracket the floor at each ζ (m); the bracket of one ζ does not depend on the others."""
     start, parameters = np.array(scenario.start), model(scenario)
     cells = _cells(start, parameters, effort.sectors, effort.growth)
     result = {}
     lower = found = 0
     paths: dict[int, tuple[float, ...]] = {}
-    for threshold_m in sorted(thresholds_m, reverse=True):  # a smaller ζ takes no fewer steps
+    for threshold_m in sorted(thresholds_m, reverse=True):  # a smaller ζ never needs fewer steps
         while lower <= budget and _excluded(lower, threshold_m**2, cells, start, parameters, effort.iterations):
             lower += 1
         found = max(found, lower)
@@ -171,14 +171,14 @@ def brackets(
 
 
 def lower_m(scenario: Scenario, threshold_m: float, budget: int = BUDGET_STEPS) -> float:
-    """A length that no path after which the spread can be below ζ falls short of, m; infinite where it is beyond the budget."""
+    """Lower bound on the length of a path that brings the spread below ζ, m; infinite if it exceeds the budget."""
     return brackets(scenario, [threshold_m], budget=budget)[threshold_m].lower_m
 
 
 def fly(seed: int, headings: Sequence[float], threshold_m: float) -> float:
-    """Distance at which the filter's spread first is below ζ on a path, m, with noisy readings; infinite where it never is.
+    """Distance at which the filter's spread first is below ζ on a path with noisy readings, m; infinite if it never is.
 
-    Where the path ends before, it goes on around the source, on a triangle with sides of one step.
+    If the path ends earlier, the flight continues around the source on a triangle with sides of one step.
     """
     scenario = draw(seed)
     config = Config(FLOWN_PARTICLES, threshold_m, derived_seed(seed, "estimator"), scenario.q, scenario.d, scenario.tau)
@@ -202,13 +202,13 @@ def fly(seed: int, headings: Sequence[float], threshold_m: float) -> float:
 
 
 def straight(scenario: Scenario) -> list[float]:
-    """Headings of the path straight to the source, rad, as far as whole steps go."""
+    """Headings of the straight path to the source, rad, in whole steps."""
     (x, y), (source_x, source_y) = scenario.start, scenario.source
     return [math.atan2(source_y - y, source_x - x)] * int(math.dist(scenario.start, scenario.source) / STEP_M)
 
 
 def figures(missions: int, thresholds_m: Sequence[float], flown: bool, effort: Effort = Effort()) -> dict[float, dict[str, float]]:
-    """One row of the table for each ζ: figures by name, means in m."""
+    """One row of the table for each ζ: figures by name; means in m."""
     seeds = range(FIRST_SEED, FIRST_SEED + missions)
     scenarios = [draw(seed) for seed in seeds]
     bracketed = [brackets(scenario, thresholds_m, effort) for scenario in scenarios]
@@ -235,7 +235,7 @@ def figures(missions: int, thresholds_m: Sequence[float], flown: bool, effort: E
 
 
 def table(rows: dict[float, dict[str, float]]) -> str:
-    """The figures as Markdown tables: the floor, and what was flown."""
+    """The figures as Markdown tables: the floor, and the flown paths."""
     lines = ["| ζ, m | missions | floor, m | lower bracket, m | to the source, m |", "|---|---|---|---|---|"]
     for threshold_m, row in rows.items():
         floor = f"{row['floor_m']:.2f} [{row['low_m']:.2f}, {row['high_m']:.2f}]"
@@ -261,7 +261,7 @@ EFFORTS = {
 
 
 def convergence(missions: int, thresholds_m: Sequence[float]) -> str:
-    """Mean floor and lower bracket under more and less effort, as a Markdown table."""
+    """Mean floor and lower bracket with less and more effort, as a Markdown table."""
     heads = ["effort", *(f"ζ {threshold_m:g}: floor, lower bracket, m" for threshold_m in thresholds_m)]
     lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
     for name, effort in EFFORTS.items():
@@ -272,13 +272,13 @@ def convergence(missions: int, thresholds_m: Sequence[float]) -> str:
 
 
 def main() -> None:
-    """Print the table that is asked for."""
-    parser = argparse.ArgumentParser(description="The shortest path before the spread can be below ζ, for one who knows the source.")
+    """Print the chosen table."""
+    parser = argparse.ArgumentParser(description="The shortest path that brings the spread below ζ, for an oracle that knows the source.")
     parser.add_argument("--missions", type=int, default=1000, help="test seeds, from 1,000,000 (default: %(default)s)")
     parser.add_argument("--threshold", type=float, nargs="+", default=THRESHOLDS_M, help="ζ, m (default: %(default)s)")
-    parser.add_argument("--fly", action="store_true", help="fly the paths with noisy readings and the filter as well")
-    parser.add_argument("--convergence", action="store_true", help="print what more and less effort finds instead")
-    parser.add_argument("--json", action="store_true", help="one JSON object as the last line; the table goes to stderr")
+    parser.add_argument("--fly", action="store_true", help="also fly the paths with noisy readings and the filter")
+    parser.add_argument("--convergence", action="store_true", help="instead, print the results of less and more search effort")
+    parser.add_argument("--json", action="store_true", help="print one JSON object on stdout; the table goes to stderr")
     args = parser.parse_args()
     if args.missions < 1:
         parser.error(f"argument --missions: {args.missions} given; allowed is 1 and up")

@@ -1,7 +1,7 @@
-"""Loop speed: whole missions at --speedup 0, ms a step, split into sitl, link, estimator and agent.
+"""Loop speed: ms per step of whole missions at --speedup 0, split into sitl, link, estimator and agent.
 
-Beside it, in the same run: the same missions in-process, and the bare Zenoh ring (three clients, one router, the same message
-sizes, no work), which is the floor for the link.
+The same run also measures the same missions in-process, and a bare Zenoh ring (three clients, one router, messages of the same size,
+no computation). The ring is the lower limit of the link's time.
 """
 
 import argparse
@@ -25,7 +25,7 @@ RING_ROUNDS = 2000
 
 
 def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
-    """Fly one mission; returns the milliseconds of each step."""
+    """Fly one mission; returns the milliseconds of each step, by part."""
     processes = Processes(Inbox())
     script = Script().changed({"seed": seed, "agent.policy": policy, "estimator.particles": particles})
     read_at: list[tuple[int, float]] = []
@@ -67,7 +67,7 @@ def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
 
 
 def ring(particles: int) -> list[float]:
-    """Milliseconds of one round of the bare ring: reading, belief and waypoint by their sizes, through a router process."""
+    """Milliseconds of each round of the bare ring: messages of a reading's, belief's and waypoint's size through a router process."""
     processes = Processes(Inbox())
     try:
         endpoint = processes.start("router", "sitl", "router", "--listen", "tcp/127.0.0.1:0").readline().strip()

@@ -1,12 +1,12 @@
-"""Outside its comfort: every policy in worlds that are not what the estimator takes them for. Writes docs/mismatch.md.
+"""Robustness to model mismatch: every policy in worlds that differ from the estimator's model. Writes docs/mismatch.md.
 
     python -m benchmarks.mismatch                                       # every world and policy, on all cores
-    python -m benchmarks.mismatch --only wind-30 --policy homing,ppo    # these again; what else was flown stays
-    python -m benchmarks.mismatch --resume                              # what is missing yet; if nothing is, only the page is written
+    python -m benchmarks.mismatch --only wind-30 --policy homing,ppo    # these cells again; all other results stay
+    python -m benchmarks.mismatch --resume                              # the missing cells only; if none is missing, only the page
 
-Scenarios are the test seeds (1,000,000 and up). The rows of each world, one a mission, are in results/mismatch/WORLD.csv.gz: a file for
-each world, for rows do not name it, and in a folder of their own, for `python -m agent report` takes all rows of a folder to be
-missions in one world. A policy's rows are put there when all its missions in that world have been flown.
+Scenarios are the test seeds (1,000,000 and up). results/mismatch/WORLD.csv.gz holds one row per mission. Each world has its own file,
+because rows do not name their world, and the files have their own folder, because `plumeward report` takes all rows of a folder to be
+from one world. The rows of a policy are written when all its missions in that world are complete.
 """
 
 import math
@@ -53,40 +53,40 @@ POLICIES = (
 
 @dataclass(frozen=True)
 class Mismatch:
-    """A world, by what the estimator takes to be otherwise: a row of each table."""
+    """A world, described by how it differs from the estimator's model: a row of each table."""
 
     words: str
     lifetime_factor: float = 1.0
-    """On τ; the estimator keeps to that of Table 1."""
+    """Factor on τ; the estimator assumes Table 1's τ."""
     wind_error_deg: float = 0.0
-    """The anemometer is turned by so much, in half of the missions to the left and in half to the right; the speed is right."""
+    """Constant error of the measured wind direction, to the left or to the right with equal probability; the speed is right."""
     noise_factor: float = 1.0
-    """On α and β; the estimator keeps to the paper's."""
+    """Factor on α and β; the estimator assumes the paper's values."""
     lost_share: float = 0.0
-    """Of readings, never the first: they do not reach the estimator."""
+    """Share of readings, never the first, that do not reach the estimator."""
     source_outside: bool = False
-    """The source is where Table 1 never has one. The estimator's prior is uniform over the area: it is the policies that are surprised."""
+    """The source lies outside Table 1's square. The estimator's prior covers the whole area, so this tests the policies only."""
 
     @property
     def sensor(self) -> Gaussian:
-        """The sensor that readings are drawn from."""
+        """The sensor model that readings are drawn from."""
         return Gaussian(self.noise_factor * GAUSSIAN.sensor_noise, self.noise_factor * GAUSSIAN.environment_noise)
 
     def scenario(self, seed: int) -> Scenario:
-        """Return the truth of a mission: that of the seed, but for what is otherwise here."""
+        """Return the true scenario of a mission: the seed's, with this world's changes."""
         usual = draw(seed)
         source = outside(seed) if self.source_outside else usual.source
         return replace(usual, source=source, tau=self.lifetime_factor * usual.tau)
 
     def measured_wind(self, seed: int) -> tuple[float, float]:
-        """Return the wind as the anemometer of a mission reports it, a float32 pair, m/s."""
+        """Return the measured wind of a mission, a float32 pair (x east, y north), m/s, pointing to where it comes from."""
         true = self.scenario(seed)
         side = 1.0 if keyed(seed, "wind error").random() < 0.5 else -1.0
         x, y = replace(true, phi=true.phi + side * math.radians(self.wind_error_deg)).wind
         return float32(x), float32(y)
 
     def loses(self, seed: int, step: int) -> bool:
-        """Whether reading number `step` of a mission is lost."""
+        """True if reading number `step` of a mission is lost."""
         return step > 0 and bool(keyed(seed, "lost reading", step).random() < self.lost_share)
 
 
@@ -100,11 +100,11 @@ WORLDS = {
     "readings-lost": Mismatch("20% of readings lost", lost_share=0.2),
     "source-outside": Mismatch("source outside U(10, 25)²", source_outside=True),
 }
-"""By the names that --only takes."""
+"""The worlds, by their names in --only."""
 
 
 def outside(seed: int) -> tuple[float, float]:
-    """Draw a source uniformly from the area without Table 1's square, (x, y) m."""
+    """Draw a source uniformly from the area outside Table 1's square, (x, y) m."""
     rng = keyed(seed, "source outside")
     while True:
         x, y = rng.uniform(0.0, AREA_M, 2).tolist()
@@ -113,10 +113,10 @@ def outside(seed: int) -> tuple[float, float]:
 
 
 def steps(mismatch: Mismatch, name: str, seed: int, particles: int = PARTICLES, budget: int = BUDGET_STEPS) -> Iterator[Step]:
-    """Fly a mission of a policy as `agent.trials.rollout` does, but in a world that may not be the one that the estimator is told of.
+    """Fly a mission of a policy as `agent.trials.rollout` does, in a world that may differ from the estimator's model.
 
-    Where a reading was lost the belief is the one before it, with the place that the vehicle is at and the moves that it has made:
-    it knows both without the estimator, and each decision has its own randomness.
+    After a lost reading the policy gets the previous belief with the current position and step: the vehicle knows both without the
+    estimator, and the step keys the randomness of the decision.
     """
     known = draw(seed)
     config = Config(particles, THRESHOLD_M, derived_seed(seed, "estimator"), known.q, known.d, known.tau)
@@ -183,7 +183,7 @@ Cell = tuple[str, str]
 
 
 def fly_all(cells: Sequence[Cell], seeds: Sequence[int], progress: Progress) -> Generator[tuple[Cell, list[MissionRow]], None, None]:
-    """Fly the missions of all seeds in each cell, on all cores; yields the rows of each cell when it has been flown."""
+    """Fly the missions of all seeds in each cell, on all cores; yields the rows of each cell when it is complete."""
     bar = progress.add_task("missions", total=len(cells) * len(seeds))
     tasks = ((cell, seed) for cell in cells for seed in seeds)
     rows: dict[Cell, list[MissionRow]] = {}
@@ -200,7 +200,7 @@ def _fly(task: tuple[Cell, int]) -> MissionRow:
 
 
 def read(results: Path) -> dict[Cell, list[MissionRow]]:
-    """Read the rows of all that has been flown."""
+    """Read all rows that were written, by (world, policy)."""
     rows: dict[Cell, list[MissionRow]] = {}
     for world in WORLDS:
         for row in _read(results, world):
@@ -209,7 +209,7 @@ def read(results: Path) -> dict[Cell, list[MissionRow]]:
 
 
 def keep(results: Path, world: str, name: str, rows: Sequence[MissionRow]) -> None:
-    """Put the rows of a policy in a world beside those of others, in the place of its own from before."""
+    """Write the rows of a policy in a world; they replace its earlier rows, and those of other policies stay."""
     results.mkdir(parents=True, exist_ok=True)
     write_csv([*(row for row in _read(results, world) if row.policy != name), *rows], _path(results, world))
 
@@ -224,45 +224,46 @@ def _path(results: Path, world: str) -> Path:
 
 
 SHOWN = ("ceased", "located", "false_stop", "mtd_m")
-"""Figures in the tables of policies."""
+"""Figures in the tables of the policies."""
 
-HEAD = f"""# Outside its comfort
+HEAD = f"""# Robustness to model mismatch
 
-Made by `python -m benchmarks.mismatch`. Each policy flies in worlds that are not what the estimator is told, and it is not told so:
+Made by `python -m benchmarks.mismatch`. Each policy flies in worlds that differ from the estimator's model. The estimator does not know
+of the difference.
 
-- *as modelled*: the world is what the estimator takes it for. A mission here is that of `python -m agent rollout`, to the last bit.
-- *τ halved*, *τ doubled*: the gas lives for 5 s or 20 s; the estimator assumes 10 s.
-- *wind direction 10° wrong*, *30°*: the wind in the readings is turned by so much against the wind that carries the gas, to the left or to
-  the right by the mission's seed. Its speed is right.
+- *as modelled*: the world equals the estimator's model. A mission is identical to that of `plumeward rollout`, bit for bit.
+- *τ halved*, *τ doubled*: the lifetime of the gas is 5 s or 20 s; the estimator assumes 10 s.
+- *wind direction 10° wrong*, *30° wrong*: the measured wind direction differs by this angle from the wind that carries the gas. The seed
+  chooses left or right. The measured speed is right.
 - *noise doubled*: readings are drawn with α = 0.6 and β = 0.4 g/m³; the estimator assumes 0.3 and 0.2 g/m³.
-- *20% of readings lost*: each but the first with this probability, by (seed, step). The filter never sees them; the vehicle goes on, and
-  the policy decides from the belief as it was, at the place where it is now.
-- *source outside U(10, 25)²*: it is drawn uniformly from the rest of the area. The estimator's prior is uniform over the whole area, so
-  its model holds; policies that were trained or tuned on Table 1 have never met such sources. They are at other distances from the
-  start than those of the other rows: compare MTD within this row only.
+- *20% of readings lost*: every reading but the first is lost with this probability, drawn by (seed, step). The filter never receives it.
+  The vehicle flies on, and the policy decides from the previous belief and the current position.
+- *source outside U(10, 25)²*: the source is drawn uniformly from the rest of the area. The estimator's model still holds, because its
+  prior is uniform over the whole area. Policies trained or tuned on Table 1 have never met such sources. Their distances from the start
+  differ from those of the other rows: compare MTD within this row only.
 
-Scenarios are those of the test seeds, from {FIRST_TEST_SEED:,} on, the same ones in all worlds; N = {PARTICLES:,}, ζ = {THRESHOLD_M} m,
-at most {BUDGET_STEPS} steps. *ceased*: AGDC declared a stop within the step budget. *located*: ceased, and the estimate is within
+The scenarios are the test seeds from {FIRST_TEST_SEED:,} on, the same in all worlds. N = {PARTICLES:,}, ζ = {THRESHOLD_M} m, at most
+{BUDGET_STEPS} steps. *ceased*: AGDC declared a stop within the step budget. *located*: ceased, and the estimate is within
 {SUCCESS_RADIUS_M:g} m of the source. *false stop*: ceased but not located, as a share of ceased. *MTD*: mean distance travelled over
-ceased missions. In brackets: 95% intervals, Wilson's for shares and bootstrap for MTD. –: not flown, or no mission ceased; the first
-table rests on the missions that the others count. A row a mission: `results/mismatch/`.
+ceased missions. Brackets hold 95% intervals: Wilson for shares, bootstrap for MTD. A dash (–) means not flown, or no mission ceased. The
+first table covers the same missions as the tables of the policies. `results/mismatch/` holds one row per mission.
 """
 
 CONCLUSIONS = """\
-- A gas that lives half or twice as long, a wind that is 10° off and a fifth of the readings lost cost every policy up to six points of
-  located, and the learned ones no more than the planners. They stay the fastest.
-- A wind that is 30° off and noise twice as strong make stops false, whoever flies: 15 to 33% of them with the first, 14 to 22% with the
-  second, for `infotaxis`, `homing`, `greedy` and the learned ones. The estimator is sure of what the wrong model says, and that its
-  readings do not fit the model shows too late or not at all. No policy can mend that: it takes an estimator that knows less of the wind
-  or the noise.
-- Sources where Table 1 never draws one are what the learned policies were not trained for: `ppo` locates 90% of them, `ddpg` 89% and
-  `dqn` 81%, where `infotaxis`, `homing` and `space-aware-infotaxis` locate 97% and more. They are not deceived, false stops are as rare
-  as ever: they do not get there within the budget. Whoever searches elsewhere than in the middle should fly `homing`, or train anew."""
-"""What the tables say, in words; written by hand, here, so that it stays when the page is made again."""
+- A wrong gas lifetime (half or double), a wind direction 10° wrong, or 20% of the readings lost: each costs a policy up to about six
+  percentage points of located. Learned policies lose no more than planners and remain the fastest.
+- A wind direction 30° wrong or doubled noise causes false stops under every policy. For `infotaxis`, `homing`, `greedy` and the learned
+  policies, 15 to 33% of stops are false with the wrong wind and 14 to 22% with doubled noise. The estimator trusts the wrong model, and
+  the misfit of the readings shows too late or not at all. No policy can correct this. It takes an estimator with a prior over the wind
+  error or the noise.
+- The learned policies were not trained on sources outside Table 1's square: `ppo` locates 90% of them, `ddpg` 89% and `dqn` 81%;
+  `infotaxis`, `homing` and `space-aware-infotaxis` locate at least 97%. Their false stops remain rare, but they do not reach the source
+  within the budget. To search outside the middle of the area, use `homing` or train a new policy."""
+"""Conclusions from the tables, written by hand; kept here so that making the page again does not lose them."""
 
 
 def page(rows: dict[Cell, list[MissionRow]]) -> str:
-    """Return the page, from the rows of all that has been flown."""
+    """Return the page made from all rows."""
     said = {flown: figures(of) for flown, of in rows.items()}
     flown = {name for _, name in said}
     names = [name for name in POLICIES if name in flown] + sorted(flown.difference(POLICIES))
@@ -270,7 +271,7 @@ def page(rows: dict[Cell, list[MissionRow]]) -> str:
     def figure(world: str, name: str, key: str) -> str:
         return cell(said[world, name], key) if (world, name) in said else UNKNOWN
 
-    parts = [HEAD, f"## What it shows\n\n{CONCLUSIONS}\n", f"## {COLUMNS['located'][0]}\n"]
+    parts = [HEAD, f"## Results\n\n{CONCLUSIONS}\n", "## Sources located (%) in each world\n"]
     located = ([it.words, *(figure(world, name, "located") for name in names)] for world, it in WORLDS.items())
     parts.append(_table(["world", *names], located))
     for name in names:
@@ -288,23 +289,29 @@ def _table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
 
 def _is_world(text: str) -> None:
     if text not in WORLDS:
-        raise ValueError(f"{text!r} is not allowed; wanted {', '.join(WORLDS)}, with commas between several")
+        raise ValueError(f"{text!r} is not allowed; wanted one or several of {', '.join(WORLDS)}, separated by commas")
 
 
 def main() -> int:
-    """Fly what is asked for, keep its rows, and write the page from all that are kept."""
-    parser = cli.Parser(prog="python -m benchmarks.mismatch", description="Fly policies in worlds that the estimator does not expect.")
+    """Fly the chosen cells, write their rows, and write the page from all rows."""
+    parser = cli.Parser(prog="python -m benchmarks.mismatch", description="Fly policies in worlds that differ from the estimator's model.")
     parser.add_argument(
         "--only", type=cli.listed(cli.checked(_is_world)), default=list(WORLDS), metavar="WORLD,WORLD",
-        help=f"of {', '.join(WORLDS)} (default: all)",
+        help=f"worlds: {', '.join(WORLDS)} (default: all)",
     )  # fmt: skip
     parser.add_argument(
-        "--policy", type=cli.listed(cli.checked(policy)), default=",".join(POLICIES), metavar="NAME,NAME", help="(default: %(default)s)"
+        "--policy",
+        type=cli.listed(cli.checked(policy)),
+        default=",".join(POLICIES),
+        metavar="NAME,NAME",
+        help="policies (default: %(default)s)",
     )
-    parser.add_argument("--missions", type=cli.whole(1, 1_000_000), default=1000, metavar="N", help="in each cell (default: %(default)s)")
-    parser.add_argument("--resume", action="store_true", help="fly only the cells of which there are not so many missions yet")
-    parser.add_argument("--results", type=Path, default=RESULTS, metavar="DIR", help="where rows are kept (default: %(default)s)")
-    parser.add_argument("--page", type=Path, default=PAGE, metavar="FILE.md", help="what is written (default: %(default)s)")
+    parser.add_argument(
+        "--missions", type=cli.whole(1, 1_000_000), default=1000, metavar="N", help="missions in each cell (default: %(default)s)"
+    )
+    parser.add_argument("--resume", action="store_true", help="fly only the cells that do not have all missions yet")
+    parser.add_argument("--results", type=Path, default=RESULTS, metavar="DIR", help="folder of the rows (default: %(default)s)")
+    parser.add_argument("--page", type=Path, default=PAGE, metavar="FILE.md", help="page to write (default: %(default)s)")
     args = parser.parse_args()
     seeds = range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.missions)
     there = read(args.results) if args.resume else {}
@@ -327,7 +334,7 @@ def main() -> int:
         return cli.FAILED
     finally:
         if kept < len(cells):
-            print(f"{kept} of {len(cells)} cells were flown; the same command with --resume flies the others", file=sys.stderr)
+            print(f"{kept} of {len(cells)} cells were flown; run the command again with --resume to fly the others", file=sys.stderr)
         with whole(args.page) as partial:
             partial.write_text(page(read(args.results)))
     print(args.page)

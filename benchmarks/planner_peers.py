@@ -1,7 +1,7 @@
-"""Two other ways to decide on a move from a belief, as a benchmark's peers: plain vectorised NumPy, and Stone Soup's expected KLD.
+"""Two peer planners for the benchmark: plain vectorised NumPy, and Stone Soup's expected Kullback-Leibler divergence.
 
-Both know what ours know. Beliefs are over x and y, the source at the height flown: the default. Stone Soup is imported where its peer
-is made: this module does not need it.
+Both have the same knowledge as our planners. Beliefs are over x and y, with the source at the height of the flight (the default). Stone
+Soup is imported when its peer is created: importing this module does not need it.
 """
 
 import math
@@ -21,7 +21,7 @@ from plume.sensor import Gaussian, parse
 
 Array = NDArray[np.float64]
 Scores = Callable[[Belief, Particles, Reach, np.random.Generator], Array]
-"""(belief, particles, what may be chosen from, keyed randomness) -> (A,) of the moves; the greatest is chosen."""
+"""(belief, particles, reach, keyed randomness) -> scores of the moves (A,); the move with the greatest score is chosen."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Imagined:
     place: Array
     """(2,), m."""
     sources: Array
-    """(N, 2): where the particles see the source, m."""
+    """(N, 2): the particles' source positions, m."""
     weights: Array
     """(N,), sum one."""
     means: Array
@@ -41,11 +41,11 @@ class Imagined:
     likelihoods: Array
     """(K, N)."""
     predictive: Array
-    """(K,): density of each reading in the belief's predictive distribution."""
+    """(K,): predictive density of each reading under the belief."""
 
 
 def imagine(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Iterator[Imagined]:
-    """Draw readings at each place that can be reached from the predictive density there: the draws of `agent.planning.predict.imagine`."""
+    """Draw readings at each reachable place from the predictive density there, the same draws as `agent.planning.predict.imagine`."""
     sensor = parse(belief.sensor)
     sources, weights = particles[:, :2].astype(np.float64), particles[:, 2].astype(np.float64)
     weights = weights / weights.sum()
@@ -68,18 +68,18 @@ def information(there: Imagined) -> float:
 
 
 def infotaxis(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Array:
-    """What a reading is expected to tell about the source, nats."""
+    """Expected information of a reading about the source, nats."""
     return np.array([information(there) for there in imagine(belief, particles, reach, rng)])
 
 
 def entrotaxis(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Array:
-    """Entropy of the reading, nats: the information that it holds, and what of it is noise."""
+    """Entropy of the reading, nats: its information about the source plus the entropy of the noise."""
     sensor = parse(belief.sensor)
     return np.array([information(there) + there.weights @ sensor.entropy(there.means) for there in imagine(belief, particles, reach, rng)])
 
 
 def dcee(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Array:
-    """Minus the squared distance to the source that is expected after a reading, m²."""
+    """Minus the expected squared distance to the source after a reading, m²."""
 
     def expected(there: Imagined) -> Array:
         squared = np.square(there.place - there.sources).sum(axis=1)
@@ -89,38 +89,38 @@ def dcee(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
 
 
 NUMPY: dict[str, Scores] = {"infotaxis": infotaxis, "entrotaxis": entrotaxis, "dcee": dcee}
-"""By the names of our planners: the same means over the same draws, by the sensor's and the plume's own definitions, uncompiled."""
+"""By our planners' names: the same means over the same draws, computed uncompiled from the definitions of sensor and plume."""
 
 
 def choose(policy: str, belief: Belief, particles: Particles, seed: int, reach: Reach) -> tuple[float, float]:
-    """Return the next waypoint (x, y) m as `agent.service.choose` does, by NumPy."""
+    """Return the next waypoint (x, y), m, computed with NumPy; the counterpart of `agent.policies.choose`."""
     scores = NUMPY[policy](belief, particles, reach, keyed(seed, policy, belief.step))
     x, y = reach.moves(belief.position)[np.argmax(scores)].tolist()
     return x, y
 
 
 class StoneSoup:
-    """Stone Soup's reward for sensor management by expected Kullback–Leibler divergence, put together as in its own gas example.
+    """Stone Soup's sensor management by expected Kullback–Leibler divergence, combined as in its own gas example.
 
-    As there: `GasIntensitySensor` on a `FixedPlatform` whose controller offers the moves, a `ParticleUpdater` that neither resamples
-    nor regularises, no predictor (it does nothing to a source that stays), and for each move a deep copy of the platform, which is
-    part of the method's cost. The state has the model's own eight dimensions; the six that are known are the same in all particles.
+    As in the example: a `GasIntensitySensor` on a `FixedPlatform` whose controller offers the moves; a `ParticleUpdater` without
+    resampling and regularisation; no predictor (it does not change a source that stays); a deep copy of the platform for each move, which
+    is part of the method's cost. The state has the model's own eight dimensions; the six known ones are equal in all particles.
 
-    What differs from ours, and from infotaxis:
-    - One measurement a move, `ExpectedKLDivergence`: what a source at the belief's mean would give, without noise. With more, the
-      example's `MultiUpdateExpectedKLDivergence`: of particles resampled anew for each move, from NumPy's global state; their noise
-      lacks the environment's part; the reward is their sum, not their mean.
-    - The divergence is Σ w log(w/w') from the updated belief to the one before, in nats, the greatest chosen; infotaxis has
-      Σ w' log(w'/w). Particles whose likelihood is zero in double precision are left out of the sum, where they should make it infinite.
-    - σ is α m + β, the noises added up instead of in quadrature. The sensing threshold is put below all readings, and none is missed.
-    - The controller is the library's `MaxSpeedActionableMovable`, which knows four and eight headings; the example's grid knows four.
-      Staying, which both offer, is passed over.
+    Differences from our planners, and from infotaxis:
+    - With one measurement per move, `ExpectedKLDivergence`: the noise-free reading from a source at the belief's mean. With more, the
+      example's `MultiUpdateExpectedKLDivergence`: particles are resampled for each move from NumPy's global random state, their noise
+      lacks the environment's part, and the reward is the sum over measurements, not the mean.
+    - The divergence is Σ w log(w/w') between the previous weights w and the updated weights w', in nats; infotaxis uses Σ w' log(w'/w).
+      Particles with zero likelihood in double precision are left out of the sum; they should make it infinite.
+    - σ is α m + β: the noises are added, not combined in quadrature. The sensing threshold is set below all readings; none is missed.
+    - The controller is the library's `MaxSpeedActionableMovable`, with four or eight headings; the example's grid has four. The option
+      to stay, which both offer, is skipped.
 
-    What a user of the library holds already, the particle state and the platform, is made here and not in `choose`.
+    The particle state and the platform are created here, not in `choose`, because a user of the library already holds them.
     """
 
     def __init__(self, belief: Belief, particles: Particles, reach: Reach, measurements: int = 1) -> None:
-        """Set up the platform at the belief's position, the track that ends in its particles, and the reward."""
+        """Set up the platform at the belief's position, the track that ends in the belief's particles, and the reward."""
         from stonesoup.movable.max_speed import MaxSpeedActionableMovable
         from stonesoup.platform import FixedPlatform
         from stonesoup.sensor.gas import GasIntensitySensor
@@ -162,7 +162,7 @@ class StoneSoup:
             self._reward = MultiUpdateExpectedKLDivergence(updater=updater, updates_per_track=measurements)
 
     def rewards(self) -> dict[tuple[float, float], float]:
-        """Reward of each waypoint (x, y) m, nats; the greatest is chosen."""
+        """Return the reward of each waypoint (x, y) m, nats."""
         (actions,) = self._platform.actions(self._then)
         result = {}
         for action in list(actions)[1:]:  # the first is to stay
@@ -171,6 +171,6 @@ class StoneSoup:
         return result
 
     def choose(self) -> tuple[float, float]:
-        """Return the next waypoint (x, y) m."""
+        """Return the waypoint (x, y) m with the greatest reward."""
         rewards = self.rewards()
         return max(rewards, key=rewards.__getitem__)

@@ -1,8 +1,8 @@
-"""The time of one decision beside two peers on the same beliefs, and beside the limit: the hypothetical readings' likelihoods alone.
+"""The time of one decision, compared with two peers on the same beliefs and with the lower limit: the likelihoods alone.
 
-    NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.planners     # with Stone Soup installed
+    NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.planners     # needs Stone Soup
 
-A decision goes from the belief and its float32 particles, as they come over the bus, to the waypoint.
+A decision starts from the belief and its float32 particles, as received from the bus, and ends with the waypoint.
 """
 # mypy: allow-untyped-decorators
 
@@ -34,26 +34,26 @@ MEASUREMENTS = 25
 FIRST_SEED = 1_000_000
 MISSIONS = 4
 KEPT = 4
-"""Beliefs of a mission, evenly spaced from its first to its last before the stop."""
+"""Beliefs per mission, evenly spaced from the first to the last before the stop."""
 REPEATS = 5
 
 
 def flight(seed: int, count: int) -> Iterator[Case]:
-    """Fly the mission of a seed with infotaxis; yields each belief that a decision is made from."""
+    """Fly the mission of a seed with infotaxis; yields each belief from which a decision is made."""
     for said, particles, *_ in mission(seed, "infotaxis", count, 0.5, BUDGET_STEPS).steps:
         if not said.ceased:
             yield said, particles
 
 
 def beliefs(seed: int, count: int, kept: int = KEPT) -> list[Case]:
-    """Some beliefs of a mission, from its first to its last."""
+    """Evenly spaced beliefs of a mission, from its first to its last."""
     cases = list(flight(seed, count))
     return [cases[i] for i in np.linspace(0, len(cases) - 1, kept).astype(int)]
 
 
 @numba.njit(error_model="numpy")
 def likelihoods(coefficients: Array, readings: Array, result: Array) -> None:
-    """Likelihoods (N,), one reading after the other: e to a quadratic of the reading, its coefficients (A, 3, N) given."""
+    """Likelihoods (N,), one reading after the other: exp of a quadratic in the reading with coefficients (A, 3, N)."""
     for a in range(len(coefficients)):
         for z in readings:
             for i in range(len(result)):
@@ -61,7 +61,7 @@ def likelihoods(coefficients: Array, readings: Array, result: Array) -> None:
 
 
 def decisions(case: Case, reach: Reach) -> dict[str, Callable[[], object]]:
-    """Every way to decide, by its row in the table."""
+    """The decision functions to time, by their row in the table."""
     said, particles = case
     noise = np.random.default_rng(0)
     coefficients, readings = noise.uniform(-1, 0, (len(reach.moves(said.position)), 3, len(particles))), noise.uniform(0, 5, MEASUREMENTS)
@@ -77,11 +77,11 @@ def decisions(case: Case, reach: Reach) -> dict[str, Callable[[], object]]:
 
 
 def medians(cases: list[Case], reach: Reach) -> dict[str, float]:
-    """Median time of a decision over the beliefs, s. All decide from one belief before the next: what slows the machine slows all."""
+    """Median time of a decision over the beliefs, s. All planners decide from a belief before the next, so that load slows them alike."""
     times: dict[str, list[float]] = {}
     for case in cases:
         for name, decide in decisions(case, reach).items():
-            decide()  # compiles what it compiles
+            decide()  # compiles the kernels
             for _ in range(REPEATS):
                 began = time.perf_counter()
                 decide()
@@ -98,9 +98,10 @@ def main() -> None:
             columns[f"N {count:,}, {headings} headings"] = medians(cases, Reach(headings=headings, measurements=MEASUREMENTS))
     others = ", ".join(f"{own(name).measurements} of {name}" for name in PLANNERS if own(name).measurements != MEASUREMENTS)
     print(
-        f"ms a decision, {MEASUREMENTS} readings imagined a move ({others}): median over {MISSIONS * KEPT} beliefs of {MISSIONS} missions;"
+        f"ms per decision, {MEASUREMENTS} hypothetical readings per move ({others}): "
+        f"median over {MISSIONS * KEPT} beliefs of {MISSIONS} missions."
     )
-    print("in brackets how many times ours of the same name\n")
+    print("In brackets: the time as a multiple of our planner of the same name.\n")
     print(f"| planner | {' | '.join(columns)} |\n|---|{'---|' * len(columns)}")
     for name in next(iter(columns.values())):
         ours = name.split(",")[0]

@@ -1,7 +1,7 @@
-"""What recording costs: how much slower the loop at --speedup 0 is with a recorder than without one, on the same missions.
+"""The cost of recording: how much slower the loop at --speedup 0 is with a recorder than without, on the same missions.
 
-A recorder joins a mission that is under way and leaves it again, over and over. Its stretch of steps is compared with the stretches of
-the same length before it joined and after it has left, within a second or two: a machine that others use too slows all of them.
+A recorder repeatedly joins and leaves a running mission. The steps while it records are compared with equally long stretches before it
+joins and after it leaves. All three lie within a second or two, so that other load on the machine slows them alike.
 """
 
 import argparse
@@ -25,9 +25,9 @@ from sitl.launch.processes import Processes
 from sitl.script.script import load
 
 SETTLE_STEPS = 40
-"""Steps that are not counted after a recorder has come or gone."""
+"""Steps that are not counted after a recorder has joined or left."""
 MISSION_STEPS = 700
-"""A longer mission is begun anew: a recorder that joins is given all readings so far."""
+"""After this many steps a new mission starts: a recorder that joins receives all readings so far, and their number must stay small."""
 MISSION = """\
 seed: {seed}
 speedup: 0
@@ -35,11 +35,11 @@ agent: {{policy: {policy}, budget: 100000}}
 estimator: {{threshold_m: 1.0e-9}}
 vehicle: {{endurance_s: 1.0e+6}}
 """
-"""It never ends by itself."""
+"""A mission that never ends by itself."""
 
 
 def comparisons(seed: int, policy: str, stretch: int, log: Path) -> Iterator[tuple[float, float]]:
-    """Fly a mission; yields milliseconds a step without and with a recorder, again and again."""
+    """Fly a mission; yields pairs of milliseconds per step (without a recorder, with one)."""
     processes = Processes(Inbox())
     mission = log.with_name("mission.yaml")
     mission.write_text(MISSION.format(seed=seed, policy=policy))
@@ -80,14 +80,14 @@ def comparisons(seed: int, policy: str, stretch: int, log: Path) -> Iterator[tup
 
 
 def recording(recorder: "subprocess.Popen[bytes]") -> Callable[[], bool]:
-    """Return what tells whether a recorder has begun."""
+    """Return a function that is true once the recorder has started."""
     assert recorder.stdout
     out = recorder.stdout.fileno()
     return lambda: bool(select.select([out], [], [], 0)[0])
 
 
 def ended(recorder: "subprocess.Popen[bytes]") -> Callable[[], bool]:
-    """Return what tells whether a recorder is gone."""
+    """Return a function that is true once the recorder has ended."""
     return lambda: recorder.poll() is not None
 
 

@@ -1,4 +1,4 @@
-"""What many tests need: compiled kernels, a router on a free port of this machine, and polling instead of sleeping."""
+"""Shared by many tests: compiled kernels, a router on a free port, and polling instead of sleeping."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ from hypothesis import settings
 
 from link.bus.session import open_router
 
-# The same examples on every run, and no judgement of how long one takes: the machine may be busy.
+# The same examples on every run, and no time limit per example: the machine may be busy.
 settings.register_profile("plumeward", derandomize=True, deadline=None)
 settings.load_profile("plumeward")
 
@@ -19,32 +19,32 @@ ROOT = Path(__file__).parents[1]
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Fill numba's cache before the first test: on a fresh checkout that takes a minute, which no test's time limit allows for.
+    """Fill numba's cache before the first test: on a fresh checkout this takes a minute, longer than the time limits of the tests.
 
-    One process does it for all: it is done before there are workers.
+    The main process does it once, before the workers start.
     """
     if hasattr(session.config, "workerinput") or session.config.option.collectonly:
         return
     files = [path for folder in ("plume", "estimator", "agent", "benchmarks") for path in sorted((ROOT / folder).rglob("*.py"))]
     modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files if "\n@kernel(" in path.read_text()]
-    # Where one cannot be imported, its tests say so.
+    # A module that cannot be imported fails its own tests.
     code = f"import contextlib, importlib\nfor name in {modules}:\n    with contextlib.suppress(Exception): importlib.import_module(name)"
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False, timeout=600)
 
 
 @pytest.fixture
 def router() -> Iterator[str]:
-    """The endpoint of a router that lives as long as the test."""
+    """The endpoint of a router that runs during the test."""
     session, endpoint = open_router("tcp/127.0.0.1:0")
     with session:
         yield endpoint
 
 
 def wait_until(holds: Callable[[], object], timeout_s: float = 30.0) -> None:
-    """Poll until something holds; fails where it does not within the time."""
+    """Poll until `holds()` is true; fails if that takes longer than `timeout_s`."""
     deadline = time.monotonic() + timeout_s
     while not holds():
-        assert time.monotonic() < deadline, "it did not come to hold in time"
+        assert time.monotonic() < deadline, f"not true within {timeout_s:g} s"
         time.sleep(0.01)
 
 

@@ -1,4 +1,4 @@
-"""What a simulated vehicle is and where it may fly."""
+"""The vehicle's configuration: home, search area, speed limits, failsafe times and battery."""
 
 import math
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from sitl.autopilot.motion import Limits, Ned
 
 @dataclass(frozen=True)
 class VehicleConfig:
-    """What the vehicle is and where it may fly; speeds, battery warning and mode numbers are PX4's defaults where it has them."""
+    """Configuration of one vehicle; raises ValueError on a value outside its range. Speeds are PX4's defaults where PX4 has one."""
 
     sysid: int = 1
     home_lat_deg: float = 47.397742
@@ -19,8 +19,9 @@ class VehicleConfig:
     """Above mean sea level."""
     home_heading_deg: float = 0.0
     area_m: float = 30.0
-    """Side of the search plane [0, area]²: x east, y north, home is its origin."""
+    """Side of the search area [0, area]²: x east, y north, origin at home."""
     ceiling_m: float = 120.0
+    """Highest altitude above home."""
     speed_mps: float = 5.0
     climb_mps: float = 3.0
     descent_mps: float = 1.5
@@ -28,13 +29,14 @@ class VehicleConfig:
     yaw_rate_dps: float = 45.0
     takeoff_altitude_m: float = 5.0
     return_altitude_m: float = 5.0
-    """A return climbs to it first when lower, and keeps its altitude when higher."""
+    """Lowest altitude above home for a return: a vehicle below it climbs first, one above it keeps its altitude."""
     silence_s: float = 30.0
+    """Time without a setpoint after which OFFBOARD fails safe: return in the air, disarm on the ground."""
     endurance_s: float = 1800.0
-    """How long the battery lasts with the motors on; `math.inf` for one that never drains."""
+    """How long the battery lasts with the motors on; `math.inf`: it never drains."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot fly."""
+        """Check every range."""
         if not 1 <= self.sysid <= 255:
             raise ValueError(f"sysid is {self.sysid}: allowed is 1 to 255")
         for name, limit in (("home_lat_deg", 90.0), ("home_lon_deg", 180.0), ("home_heading_deg", 360.0), ("home_alt_m", 10_000.0)):
@@ -52,11 +54,11 @@ class VehicleConfig:
 
     @property
     def limits(self) -> Limits:
-        """The limits of motion."""
+        """Limits of speed and acceleration."""
         return Limits(self.speed_mps, self.climb_mps, self.descent_mps, self.accel_mps2)
 
     def outside(self, position: Ned) -> tuple[str, str] | None:
-        """Return the kind of the reason and the reason why a position is not one inside the fence; None where it is."""
+        """Return (kind of reason, reason) if a position (NED, m from home) is outside the fence; None if it is inside."""
         north, east, down = position
         place = f"({metres(east)}, {metres(north)}) m"
         if not all(map(math.isfinite, position)):
@@ -69,5 +71,5 @@ class VehicleConfig:
 
 
 def metres(value: float) -> str:
-    """Write the shortest decimal that is this float32: 31.1, not 31.100000381."""
+    """Return the shortest decimal that rounds to this float32: 31.1, not 31.100000381."""
     return str(np.float32(value))

@@ -1,4 +1,4 @@
-"""Latitude and longitude from local metres and back: PX4's spherical azimuthal equidistant projection about home (Snyder 1987, p. 195)."""
+"""Local metres to latitude and longitude and back: PX4's spherical azimuthal equidistant projection about home (Snyder 1987, p. 195)."""
 
 import math
 
@@ -6,7 +6,7 @@ EARTH_RADIUS_M = 6_371_000.0
 
 
 def to_global(home_lat_deg: float, home_lon_deg: float, north_m: float, east_m: float) -> tuple[float, float]:
-    """Return (latitude, longitude) in degrees of a point so many metres north and east of home."""
+    """Return (latitude, longitude) in degrees of the point that lies `north_m` north and `east_m` east of home."""
     arc = math.hypot(north_m, east_m) / EARTH_RADIUS_M
     if arc == 0.0:
         return home_lat_deg, home_lon_deg
@@ -20,11 +20,11 @@ def to_global(home_lat_deg: float, home_lon_deg: float, north_m: float, east_m: 
 
 
 def to_local(home_lat_deg: float, home_lon_deg: float, lat_deg: float, lon_deg: float) -> tuple[float, float]:
-    """Return (north, east) in metres of a latitude and longitude; undoes `to_global`."""
+    """Return (north, east) of a latitude and longitude, in metres from home; the inverse of `to_global`."""
     lat0, lat, turn = math.radians(home_lat_deg), math.radians(lat_deg), math.radians(lon_deg - home_lon_deg)
     north = math.cos(lat0) * math.sin(lat) - math.sin(lat0) * math.cos(lat) * math.cos(turn)
     east = math.cos(lat) * math.sin(turn)
-    # (north, east) is sin(arc) long; the projection makes it arc long. atan2 keeps its precision at small arcs, acos does not.
+    # (north, east) has length sin(arc); the projection scales it to length arc. atan2 is precise at small arcs, acos is not.
     sine = math.hypot(north, east)
     cosine = math.sin(lat0) * math.sin(lat) + math.cos(lat0) * math.cos(lat) * math.cos(turn)
     scale = EARTH_RADIUS_M * (math.atan2(sine, cosine) / sine if sine > 0.0 else 1.0)

@@ -1,4 +1,4 @@
-"""Closed-form motion: where the vehicle is at time t is a formula of t, never the sum of steps, so any speed-up sees the same positions."""
+"""Closed-form motion: the position is a formula of time, never a sum of steps. Every speed-up therefore sees the same positions."""
 
 import math
 from typing import NamedTuple
@@ -6,15 +6,15 @@ from typing import NamedTuple
 GRAVITY_MPS2 = 9.80665
 
 Ned = tuple[float, float, float]
-"""(north, east, down) m from home, or its derivatives: the third number grows towards the ground."""
+"""(north, east, down): position in m from home, velocity in m/s or acceleration in m/s². Down grows towards the ground."""
 
 ZERO: Ned = (0.0, 0.0, 0.0)
 NOTHING = 1e-9
-"""A target nearer than this (m) has been reached, a vehicle slower than this (m/s) stands: there is no direction to divide out."""
+"""A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its direction would be 0/0."""
 
 
 class Limits(NamedTuple):
-    """How fast the vehicle may move; the acceleration bounds every change of speed along a line."""
+    """Speed limits (horizontal, up, down) and the acceleration along a line."""
 
     speed_mps: float
     climb_mps: float
@@ -31,9 +31,9 @@ class Motion(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """A stretch of constant acceleration, given by the motion at one instant of it.
+    """A stretch of constant acceleration, defined by the known motion at one instant of it.
 
-    A phase that ends at rest is given by its end: rounding then cannot carry it past, through the ground or the fence.
+    A phase that ends at rest is defined at its end. Rounding then cannot carry the vehicle past it, through the ground or the fence.
     """
 
     start_s: float
@@ -42,7 +42,7 @@ class Phase(NamedTuple):
     known: Motion
 
     def at(self, t_s: float) -> Motion:
-        """Motion at a time within the phase."""
+        """Motion at a time of the phase."""
         dt = max(t_s, self.start_s) - self.known_s
         position, velocity, acceleration = self.known
         return Motion(
@@ -53,7 +53,7 @@ class Phase(NamedTuple):
 
 
 class Trajectory(NamedTuple):
-    """Phases one after the other, then rest on the target, exactly: the last bit of the position is the target's."""
+    """Consecutive phases, then rest exactly on the target: the final position equals the target bit for bit."""
 
     start_s: float
     target: Ned
@@ -61,18 +61,18 @@ class Trajectory(NamedTuple):
 
     @property
     def end_s(self) -> float:
-        """When the path comes to rest."""
+        """Time at which the path comes to rest."""
         return self.phases[-1].end_s if self.phases else self.start_s
 
     def at(self, t_s: float) -> Motion:
-        """Motion at any time from the start on."""
+        """Motion at a time not before the start."""
         for phase in self.phases:
             if t_s < phase.end_s:
                 return phase.at(t_s)
         return Motion(self.target)
 
     def to(self, target: Ned, limits: Limits) -> "Trajectory":
-        """This trajectory, then a straight leg from its end to another target: speed up, cruise (if long enough), slow down."""
+        """This trajectory plus a straight leg from its end to a new target: speed up, cruise (if long enough), slow down."""
         difference = _minus(target, self.target)
         length = math.hypot(*difference)
         if length < NOTHING:
@@ -97,18 +97,18 @@ class Trajectory(NamedTuple):
 
 
 def halt(t_s: float, motion: Motion, limits: Limits) -> Trajectory:
-    """Brake to rest along the present direction; a vehicle at rest stays where it is."""
+    """Brake to rest along the current direction; a vehicle at rest stays where it is."""
     speed = math.hypot(*motion.velocity)
     if speed < NOTHING:
         return Trajectory(t_s, motion.position)
     direction, end_s = _times(motion.velocity, 1.0 / speed), t_s + speed / limits.accel_mps2
     north, east, down = _along(motion.position, direction, speed * speed / limits.accel_mps2 / 2.0)
-    stop = (north, east, min(down, 0.0))  # rounding, again: every leg ends above the ground or on it, so braking on it does, too
+    stop = (north, east, min(down, 0.0))  # every leg ends on or above the ground; rounding must not put the stop below it
     return Trajectory(t_s, stop, (Phase(t_s, end_s, end_s, Motion(stop, ZERO, _times(direction, -limits.accel_mps2))),))
 
 
 def fall(t_s: float, motion: Motion) -> Trajectory:
-    """Drop to the ground (down = 0) with the motors off, without air drag; it comes to rest where it hits."""
+    """Fall to the ground (down = 0) with the motors off and without air drag, then rest at the impact point."""
     height, climb = -motion.position[2], -motion.velocity[2]
     duration = (climb + math.sqrt(climb * climb + 2.0 * GRAVITY_MPS2 * max(height, 0.0))) / GRAVITY_MPS2
     end_s, gravity = t_s + duration, (0.0, 0.0, GRAVITY_MPS2)
@@ -118,7 +118,7 @@ def fall(t_s: float, motion: Motion) -> Trajectory:
 
 
 class Turn(NamedTuple):
-    """A turn of the nose at a constant rate, the shorter way round; it ends on the target exactly."""
+    """A yaw turn at a constant rate, the shorter way round; it ends exactly on the target."""
 
     start_s: float
     start_rad: float
@@ -127,11 +127,11 @@ class Turn(NamedTuple):
 
     @property
     def end_s(self) -> float:
-        """When the nose points to the target."""
+        """Time at which the target yaw is reached."""
         return self.start_s + abs(self._angle()) / self.rate_radps
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """(yaw, yaw rate) at any time from the start on; yaw in [−π, π] from north, clockwise."""
+        """(yaw in rad, yaw rate in rad/s) at a time not before the start; yaw is clockwise from north, in [−π, π]."""
         if t_s >= self.end_s:
             return self.target_rad, 0.0
         rate = math.copysign(self.rate_radps, self._angle())
@@ -147,18 +147,18 @@ def wrapped(angle_rad: float) -> float:
 
 
 def tilt(acceleration: Ned, yaw_rad: float) -> tuple[float, float]:
-    """(roll, pitch) of a multirotor whose thrust gives this acceleration against gravity; air drag is left out."""
+    """(roll, pitch) in rad of a multirotor whose thrust and gravity give this acceleration (NED, m/s²), without air drag."""
     north, east, down = acceleration
     forward = north * math.cos(yaw_rad) + east * math.sin(yaw_rad)
     right = east * math.cos(yaw_rad) - north * math.sin(yaw_rad)
     weight = GRAVITY_MPS2 - down
-    if forward == right == weight == 0.0:  # in free fall there is no thrust to tell an attitude from
+    if forward == right == weight == 0.0:  # free fall: without thrust the attitude is undefined
         return 0.0, 0.0
     return math.atan2(right, math.hypot(forward, weight)), math.atan2(-forward, weight)
 
 
 def _speed_limit(direction: Ned, limits: Limits) -> float:
-    """The greatest speed along a unit vector that keeps its horizontal and its vertical part within their limits."""
+    """Highest speed (m/s) along a unit vector whose horizontal and vertical parts stay within their limits."""
     horizontal, down = math.hypot(direction[0], direction[1]), direction[2]
     vertical_limit = limits.descent_mps if down > 0.0 else limits.climb_mps
     return min(

@@ -1,4 +1,4 @@
-"""The autopilot's MAVLink protocol, as PX4 speaks it: commands and setpoints in; acknowledgements, requested messages and texts out."""
+"""The autopilot's MAVLink protocol, compatible with PX4: commands and setpoints in; acknowledgements, messages, texts out."""
 
 import math
 from collections import Counter
@@ -14,12 +14,13 @@ from sitl.autopilot.vehicle import Vehicle
 
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FORCE = 21196.0
-"""param2 of an arm or disarm command that skips the checks (MAVLink's magic number)."""
+"""MAVLink's magic number: as param2 of MAV_CMD_COMPONENT_ARM_DISARM (400) it forces a disarm in the air."""
 TEXT_LENGTH = 50
+"""Characters in one STATUSTEXT (253)."""
 GLOBAL_STEP_M = 0.02
-"""A little more than 1e-7 degrees, the resolution of latitude and longitude in MAVLink."""
+"""A little more than 1e-7 degrees, MAVLink's resolution of latitude and longitude."""
 REFUSAL_INTERVAL_S = 1.0
-"""Clients repeat setpoints at 20 Hz: each kind of refusal is told once in this time at most."""
+"""Clients repeat setpoints at 20 Hz: each kind of refusal is reported at most once per interval."""
 
 ABOVE_SEA = {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
 ABOVE_HOME = {mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT}
@@ -29,7 +30,7 @@ NUMBERED = {
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: 2,
     mavlink.MAV_CMD_REQUEST_MESSAGE: 1,
 }
-"""How many of a command's first parameters have to be numbers; NaN elsewhere is "not given"."""
+"""How many leading parameters of a command must be finite; NaN in any other means "not given"."""
 NO_POSITION = (
     mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
 )
@@ -38,7 +39,7 @@ UNSUPPORTED = Result(mavlink.MAV_RESULT_UNSUPPORTED)
 
 
 class Params(NamedTuple):
-    """The parameters of COMMAND_LONG or COMMAND_INT alike; NaN means not given."""
+    """The parameters of a COMMAND_LONG (76) or a COMMAND_INT (75); NaN means "not given"."""
 
     p1: float
     p2: float
@@ -51,20 +52,21 @@ class Params(NamedTuple):
 
 
 class MavlinkProtocol:
-    """What MAVLink clients can ask of one vehicle, each over a link of its own, and what they are told."""
+    """Handles the MAVLink messages of all clients of one vehicle and builds the answers."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Speak for a vehicle."""
+        """Serve one vehicle."""
         self.refused: Counter[str] = Counter()
-        """Setpoints refused, by kind of reason."""
+        """Refused setpoints, by kind of reason."""
         self._vehicle = vehicle
-        self._told_s: dict[str, float] = {}  # when each kind of refusal was last told
+        self._told_s: dict[str, float] = {}  # when each kind of refusal was last reported
         self._chunked_texts = 0
 
     def receive(self, message: Message, t_s: float, streams: Telemetry | None = None) -> list[Message]:
-        """Handle one decoded message; return the messages that answer it, unsent, for the link that it came over.
+        """Handle one decoded message received at `t_s`; return the answers for the caller to send back over the same link.
 
-        `streams` is the telemetry of that link: requests for messages and for their rates are about it.
+        Messages to another system or component get no answer. `streams` is the telemetry of the link: requests for messages and
+        rates act on it; without it they are unsupported.
         """
         self._vehicle.catch_up(t_s)
         if getattr(message, "target_system", 0) not in (0, self._vehicle.config.sysid):
@@ -83,7 +85,7 @@ class MavlinkProtocol:
         return []
 
     def statustext(self, severity: int, text: str) -> list[Message]:
-        """A text as STATUSTEXT, in chunks where it is long; the receiver joins those of one id until one is not full."""
+        """Return a text as STATUSTEXT (253). A long text is split into chunks of one id; the first chunk that is not full ends it."""
         raw = text.encode("ascii", "replace")
         if len(raw) <= TEXT_LENGTH:
             return [mavlink.MAVLink_statustext_message(severity, raw)]
@@ -129,13 +131,13 @@ class MavlinkProtocol:
 
     def _set_custom_mode(self, t_s: float, base_mode: int, main: int, sub: int) -> Result:
         if not base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
-            return denied("Mode refused: only PX4's custom modes are known")
+            return denied("Mode refused: only PX4's custom modes are supported")
         if main == Mode.OFFBOARD.value[0]:
             sub = 0
         try:
             mode = Mode((main, sub))
         except ValueError:
-            return denied(f"Mode refused: PX4 mode {main}, {sub} is not flown here")
+            return denied(f"Mode refused: PX4 mode {main}, {sub} is not supported")
         return self._vehicle.set_mode(t_s, mode)
 
     def _reposition(self, p: Params, t_s: float) -> Result:
@@ -145,7 +147,7 @@ class MavlinkProtocol:
         north, east, down = self._vehicle.state(t_s).position
         if math.isfinite(p.lat_deg) and math.isfinite(p.lon_deg):
             local = to_local(config.home_lat_deg, config.home_lon_deg, p.lat_deg, p.lon_deg)
-            # The edge of the area, home itself on it, is hard to hit in steps of 1e-7 degrees: what misses it by less is on it.
+            # Home lies on the area's edge, which steps of 1e-7 degrees cannot hit exactly: a position this close to it counts as on it.
             north, east = (_snapped(along_m, config.area_m) for along_m in local)
         if math.isfinite(p.alt_m):
             down = -self._above_home(p)
@@ -154,7 +156,7 @@ class MavlinkProtocol:
     def _above_home(self, p: Params) -> float:
         return p.alt_m if p.frame in ABOVE_HOME else p.alt_m - self._vehicle.config.home_alt_m
 
-    # ---- setpoints: they are not acknowledged, and an ignored one is not told at all ----
+    # ---- setpoints: never acknowledged; a refused one is reported by STATUSTEXT, an ignored one is not reported ----
 
     def _setpoint(self, m: Message, t_s: float) -> Result:
         if m.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:

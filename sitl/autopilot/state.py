@@ -1,4 +1,4 @@
-"""What is told of a vehicle: its modes, its state at one instant, what happened to it, what became of a command."""
+"""What the vehicle reports: flight modes, the state at one instant, events, and results of commands."""
 
 from enum import Enum
 from typing import NamedTuple
@@ -8,10 +8,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.autopilot.motion import Ned
 
 LOW_BATTERY = 0.15
+"""Share of the charge at which the low-battery warning comes; PX4's default."""
 
 
 class Mode(Enum):
-    """The PX4 flight modes that are flown here, as PX4 numbers them: (main mode, sub mode)."""
+    """The supported PX4 flight modes, by PX4's numbers (main mode, sub mode)."""
 
     TAKEOFF = (4, 2)
     HOLD = (4, 3)
@@ -21,13 +22,13 @@ class Mode(Enum):
 
     @property
     def custom_mode(self) -> int:
-        """The two in one number, as HEARTBEAT carries them."""
+        """Both numbers packed into one, as HEARTBEAT (0) carries them."""
         main, sub = self.value
         return int(main << 16 | sub << 24)
 
 
 class State(NamedTuple):
-    """All that telemetry needs to know of the vehicle at one instant. Vectors are north, east, down from home."""
+    """The vehicle at one instant. Vectors are NED from home, in m, m/s and m/s²; angles in rad, yaw clockwise from north."""
 
     time_s: float
     position: Ned
@@ -43,20 +44,20 @@ class State(NamedTuple):
     """MAV_LANDED_STATE."""
     failsafe: bool
     battery: float
-    """What is left of it, 0 to 1."""
+    """Remaining charge, 0 to 1."""
     fit: bool
-    """Nothing but being disarmed keeps it from flying."""
+    """False if the battery is empty or the vehicle is falling: it then cannot be armed."""
 
 
 class Arrived(NamedTuple):
-    """A setpoint was reached, to the last bit: take one reading here."""
+    """The vehicle came to rest exactly on a setpoint (NED, m from home): one reading is due here."""
 
     time_s: float
     position: Ned
 
 
 class Said(NamedTuple):
-    """The autopilot has something to say, unasked."""
+    """A text that the autopilot sends unasked, as STATUSTEXT (253)."""
 
     time_s: float
     severity: int
@@ -68,16 +69,16 @@ VehicleEvent = Arrived | Said
 
 
 class Result(NamedTuple):
-    """What became of a command: a MAV_RESULT, and the reason where it was refused."""
+    """The result of a command: a MAV_RESULT, and the reason if it was refused."""
 
     code: int
     reason: str = ""
     kind: str = ""
-    """Which of the reasons that a setpoint is refused for."""
+    """Kind of reason, for counting refused setpoints; empty for other commands."""
 
     @property
     def accepted(self) -> bool:
-        """Whether it is being done."""
+        """True for MAV_RESULT_ACCEPTED."""
         return self.code == ACCEPTED.code
 
 
@@ -85,10 +86,10 @@ ACCEPTED = Result(mavlink.MAV_RESULT_ACCEPTED)
 
 
 def not_now(reason: str) -> Result:
-    """Refused because of the state that the vehicle is in."""
+    """A refusal because of the vehicle's current state (MAV_RESULT_TEMPORARILY_REJECTED)."""
     return Result(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, reason)
 
 
 def denied(reason: str, kind: str = "") -> Result:
-    """Refused because of what was asked."""
+    """A refusal because the request itself is invalid (MAV_RESULT_DENIED)."""
     return Result(mavlink.MAV_RESULT_DENIED, reason, kind)

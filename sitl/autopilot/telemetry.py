@@ -1,4 +1,4 @@
-"""Telemetry: a table of the messages that the vehicle streams, each built from one snapshot, at the rates of PX4's ONBOARD link."""
+"""Telemetry: the table of streamed messages, each built from one snapshot, at the rates of PX4's ONBOARD link."""
 
 import math
 from collections.abc import Callable
@@ -17,24 +17,25 @@ CELLS = 4
 EMPTY_CELL_V, FULL_CELL_V = 3.5, 4.2
 HOVER_THROTTLE = 0.5
 FLIGHT_SW_VERSION = (0, 1, 0, mavlink.FIRMWARE_VERSION_TYPE_DEV)
-"""Plumeward's own: it speaks PX4's protocol but does not claim to be one of its releases."""
+"""Plumeward's own version: the vehicle speaks PX4's protocol but does not claim to be a PX4 release."""
 FASTEST_HZ = 1000.0
+"""Highest rate that a client can set."""
 UNKNOWN_U16 = 0xFFFF
 
 
 class Snapshot(NamedTuple):
-    """What telemetry reports about: the vehicle and the air at one instant."""
+    """The vehicle and the air at one instant: the input of every message."""
 
     config: VehicleConfig
     state: State
     wind: tuple[float, float]
-    """(u cos φ, u sin φ) m/s: points to where the wind comes from, as everywhere in the search plane."""
+    """(u cos φ, u sin φ) m/s, x east, y north: points to where the wind comes from."""
     gas: tuple[int, float] | None
     """time_boot_ms and value of the last reading, in the sensor's unit; None before the first."""
 
     @property
     def time_boot_ms(self) -> int:
-        """Milliseconds since the start of the simulation, as MAVLink counts them (it wraps after 49 days)."""
+        """Milliseconds since the start of the simulation, 32 bits (wraps after 49.7 days)."""
         return round(self.state.time_s * 1000.0) & 0xFFFFFFFF
 
     @property
@@ -51,7 +52,7 @@ class Snapshot(NamedTuple):
 
 
 def heartbeat(s: Snapshot) -> Message:
-    """A PX4 quadrotor, its mode and whether it is armed."""
+    """HEARTBEAT (0): a PX4 quadrotor, its mode and whether it is armed."""
     mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
     mode |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED | mavlink.MAV_MODE_FLAG_AUTO_ENABLED
     status = mavlink.MAV_STATE_STANDBY
@@ -71,11 +72,11 @@ ALWAYS_HEALTHY = (
     | mavlink.MAV_SYS_STATUS_AHRS
     | mavlink.MAV_SYS_STATUS_GEOFENCE
 )
-"""What the simulation stands in for, perfectly. Nothing else is claimed: no barometer, no receiver, no logging."""
+"""Parts that the simulation models without faults. Parts that it does not model (barometer, receiver, logging) are not reported."""
 
 
 def sys_status(s: Snapshot) -> Message:
-    """Health: a bit is set as healthy only for what is simulated and works; PREARM_CHECK when nothing would keep it from arming."""
+    """SYS_STATUS (1): only simulated parts that work are reported healthy; PREARM_CHECK unless the battery is empty or it is falling."""
     simulated = ALWAYS_HEALTHY | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY | mavlink.MAV_SYS_STATUS_PREARM_CHECK
     healthy = ALWAYS_HEALTHY
     if s.state.battery > LOW_BATTERY:
@@ -100,7 +101,7 @@ def sys_status(s: Snapshot) -> Message:
 
 
 def gps_raw_int(s: Snapshot) -> Message:
-    """A GPS without error: its accuracy is given as unknown rather than as zero."""
+    """GPS_RAW_INT (24): a GPS without error; its accuracy is reported as unknown, not as zero."""
     lat, lon = s.lat_lon_e7
     north, east, _ = s.state.velocity
     speed = math.hypot(north, east)
@@ -119,7 +120,7 @@ def gps_raw_int(s: Snapshot) -> Message:
 
 
 def global_position_int(s: Snapshot) -> Message:
-    """Where it is on the globe."""
+    """GLOBAL_POSITION_INT (33): latitude, longitude, altitude, velocity and heading."""
     lat, lon = s.lat_lon_e7
     north, east, down = (round(speed * 100.0) for speed in s.state.velocity)
     altitude, above_home = round(s.altitude_m * 1000.0), round(-s.state.position[2] * 1000.0)
@@ -128,19 +129,19 @@ def global_position_int(s: Snapshot) -> Message:
 
 
 def local_position_ned(s: Snapshot) -> Message:
-    """Where it is from home; these float32 are the position that a reading is taken at, exactly."""
+    """LOCAL_POSITION_NED (32): position and velocity from home; a reading is taken at exactly these float32 values."""
     values = np.array(s.state.position + s.state.velocity, np.float32).tolist()
     return mavlink.MAVLink_local_position_ned_message(s.time_boot_ms, *values)
 
 
 def attitude(s: Snapshot) -> Message:
-    """Roll and pitch as thrust needs them, yaw; of the rates only yaw's is simulated."""
+    """ATTITUDE (30): roll and pitch from the thrust direction, yaw, and the yaw rate; roll and pitch rates are not simulated (0)."""
     state = s.state
     return mavlink.MAVLink_attitude_message(s.time_boot_ms, state.roll, state.pitch, state.yaw, 0.0, 0.0, state.yaw_rate)
 
 
 def vfr_hud(s: Snapshot) -> Message:
-    """Speeds over ground and through the air, heading, throttle, climb."""
+    """VFR_HUD (74): airspeed, ground speed, heading, throttle, altitude and climb rate."""
     north, east, down = s.state.velocity
     a_north, a_east, a_down = s.state.acceleration
     throttle = HOVER_THROTTLE * math.hypot(a_north, a_east, GRAVITY_MPS2 - a_down) / GRAVITY_MPS2 if s.state.armed else 0.0
@@ -155,7 +156,7 @@ def vfr_hud(s: Snapshot) -> Message:
 
 
 def battery_status(s: Snapshot) -> Message:
-    """A battery that drains evenly while the motors are on; no current is simulated."""
+    """BATTERY_STATUS (147): a battery that drains evenly while the motors are on; current is not simulated."""
     left = s.state.battery
     if left <= 0.0:
         charge = mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL
@@ -177,7 +178,7 @@ def battery_status(s: Snapshot) -> Message:
 
 
 def home_position(s: Snapshot) -> Message:
-    """The origin of the local frame."""
+    """HOME_POSITION (242): the origin of the local frame."""
     heading = math.radians(s.config.home_heading_deg)
     return mavlink.MAVLink_home_position_message(
         latitude=round(s.config.home_lat_deg * 1e7),
@@ -194,22 +195,22 @@ def home_position(s: Snapshot) -> Message:
 
 
 def extended_sys_state(s: Snapshot) -> Message:
-    """On the ground, taking off, in the air or landing."""
+    """EXTENDED_SYS_STATE (245): on the ground, taking off, in the air or landing."""
     return mavlink.MAVLink_extended_sys_state_message(mavlink.MAV_VTOL_STATE_UNDEFINED, s.state.landed_state)
 
 
 def wind_cov(s: Snapshot) -> Message:
-    """The air's velocity, NED."""
+    """WIND_COV (231): the air's velocity, NED, m/s."""
     return wind_message(s.time_boot_ms, s.wind)
 
 
 def named_value_float_gas(s: Snapshot) -> Message | None:
-    """The last reading, with the time and so the position that it was taken at; nothing before the first."""
+    """NAMED_VALUE_FLOAT (251) `gas`: the last reading with the time it was taken; None before the first."""
     return None if s.gas is None else gas_message(*s.gas)
 
 
 def autopilot_version(s: Snapshot) -> Message:
-    """What it can do."""
+    """AUTOPILOT_VERSION (148): capabilities and version."""
     major, minor, patch, kind = FLIGHT_SW_VERSION
     return mavlink.MAVLink_autopilot_version_message(
         capabilities=mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
@@ -229,7 +230,7 @@ def autopilot_version(s: Snapshot) -> Message:
 
 
 class Stream(NamedTuple):
-    """A message, how often it is sent by default (0: on request only), and how it is made; where it makes None there is nothing to send."""
+    """A message, its default rate (0: on request only), and its builder; a builder that returns None has nothing to send."""
 
     message_id: int
     rate_hz: float
@@ -255,16 +256,16 @@ STREAM = {stream.message_id: stream for stream in STREAMS}
 
 
 class Telemetry:
-    """What one link is sent and when; each link has its own, because its client may change the rates."""
+    """The message schedule of one link; each link has its own, because its client may change the rates. Times in s."""
 
     def __init__(self, snapshot: Callable[[float], Snapshot], start_s: float = 0.0) -> None:
-        """Take what gives the snapshot at a time; every stream is due at the start."""
+        """Take a function from a time to the snapshot; every stream is due at `start_s`."""
         self._snapshot = snapshot
         self._rate_hz = {stream.message_id: stream.rate_hz for stream in STREAMS if stream.rate_hz > 0.0}
         self._next_s = dict.fromkeys(self._rate_hz, start_s)
 
     def due(self, now_s: float) -> list[Message]:
-        """The messages to send now: one of a stream at most, however late the call."""
+        """Return the messages to send now: at most one per stream, however late the call."""
         due = [message_id for message_id, at in self._next_s.items() if at <= now_s]
         if not due:
             return []
@@ -274,11 +275,11 @@ class Telemetry:
         return [message for message_id in due if (message := STREAM[message_id].build(snapshot)) is not None]
 
     def next_due_s(self) -> float:
-        """When to call `due` again; infinity where all streams are off."""
+        """Return when to call `due` again; infinity if all streams are off."""
         return min(self._next_s.values(), default=math.inf)
 
     def set_interval(self, message_id: int, interval_us: float, now_s: float) -> bool:
-        """Stream a message at an interval: −1 turns it off, 0 is its default. False where it is not one of ours, or that is no interval."""
+        """Set a stream's interval in µs: −1 turns it off, 0 restores the default. Returns False for an unknown message or interval."""
         if message_id not in STREAM or not (interval_us >= 0.0 or interval_us == -1.0):
             return False
         default = STREAM[message_id].rate_hz if interval_us == 0.0 else 0.0
@@ -290,12 +291,12 @@ class Telemetry:
         return True
 
     def build(self, message_id: int, now_s: float) -> Message | None:
-        """One message as of now; None where it is not one of ours, or there is nothing to say yet."""
+        """Return one message as of now; None if the message is unknown or has no value yet."""
         return STREAM[message_id].build(self._snapshot(now_s)) if message_id in STREAM else None
 
 
 def _next_slot(now_s: float, rate_hz: float) -> float:
-    """The next multiple of the interval after now: streams keep their beat whenever they are asked."""
+    """The next multiple of the interval after now: a late call does not shift the schedule."""
     slot = math.floor(now_s * rate_hz) + 1
     return slot / rate_hz if slot / rate_hz > now_s else (slot + 1) / rate_hz
 

@@ -1,7 +1,7 @@
-"""The autopilot: a state machine in simulation time that flies, refuses and fails safe like a PX4 quadrotor.
+"""The autopilot: a state machine in simulation time that flies, refuses commands and fails safe like a PX4 quadrotor.
 
-It is a deterministic function of its configuration, the commands with their times, and the time: `advance` works through what
-happens at its exact, closed-form time, so one jump and a thousand small steps give the same events and the same bits.
+It is a deterministic function of its configuration, the commands with their times, and the time. `advance` handles each event at
+its exact, closed-form time: one jump and a thousand small steps give the same events and the same positions, bit for bit.
 """
 
 import math
@@ -18,12 +18,13 @@ from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, S
 class Vehicle:
     """One simulated multirotor with its autopilot.
 
-    Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`) takes the simulation time, which never runs backwards,
-    and first does what falls due until then. A program gives them itself, a MAVLink client through `sitl.autopilot.protocol`.
+    Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`) takes the simulation time in s and first handles all
+    events due by then. Time that runs backwards raises ValueError. Programs call the commands directly; MAVLink clients reach them
+    through `sitl.autopilot.protocol`. Positions are NED, in m from home.
     """
 
     def __init__(self, config: VehicleConfig) -> None:
-        """Stand at home, disarmed, with a full battery, at time 0."""
+        """Start at home at time 0, disarmed, with a full battery."""
         self.config = config
 
         self._now = 0.0
@@ -35,12 +36,12 @@ class Vehicle:
         heading = wrapped(math.radians(config.home_heading_deg))
         self._turn = Turn(0.0, heading, heading, math.radians(config.yaw_rate_dps))
         self._path = Trajectory(0.0, (0.0, 0.0, 0.0))
-        self._settled = True  # the end of the path has been dealt with
+        self._settled = True  # the end of the path has been handled
 
         self._setpoint: Ned | None = None
         self._setpoint_yaw: float | None = None
-        self._heard_s = -math.inf  # the last accepted setpoint
-        self._alone_since_s = 0.0  # the client has not had its say before: when OFFBOARD began to fly
+        self._heard_s = -math.inf  # time of the last accepted setpoint
+        self._alone_since_s = 0.0  # when OFFBOARD began to fly: a client's silence counts from here at the earliest
         self._readings: set[int] = set()
         self._newest: int | None = None
         self._answered = True
@@ -52,13 +53,13 @@ class Vehicle:
     # ---- time ----
 
     def advance(self, t_s: float) -> list[VehicleEvent]:
-        """Let time pass; return what happened since the last call, in order."""
+        """Advance to a time; return the events since the last call, in order."""
         self.catch_up(t_s)
         events, self._events = self._events, []
         return events
 
     def catch_up(self, t_s: float) -> None:
-        """Let time pass; what happens is kept for the next `advance`."""
+        """Advance to a time; the next `advance` returns the events. Raises ValueError if the time runs backwards."""
         if not t_s >= self._now:
             raise ValueError(f"time runs backwards: {t_s} s after {self._now} s")
         while upcoming := [(at, happen) for at, happen in self._upcoming() if at <= t_s]:
@@ -68,23 +69,23 @@ class Vehicle:
         self._now = t_s
 
     def next_event_s(self) -> float | None:
-        """When the next thing happens if no message comes: a leg ends, it touches down, silence or the battery runs out."""
+        """Time of the next event if no message comes (leg end, touchdown, setpoint timeout, battery); None if there is none."""
         if self._events:
             return self._now
         return min((at for at, _ in self._upcoming() if at < math.inf), default=None)
 
     @property
     def now_s(self) -> float:
-        """The time it has been brought to."""
+        """The current simulation time."""
         return self._now
 
     @property
     def moving(self) -> bool:
-        """Whether it is under way to somewhere (the end of that is then among the next events)."""
+        """True while the current path has not ended; its end is then one of the coming events."""
         return not self._settled
 
     def state(self, t_s: float) -> State:
-        """Everything about it at a time between the last advance and the next event."""
+        """The state at a time between the current one and the next event."""
         position, velocity, acceleration = self._path.at(t_s)
         yaw, yaw_rate = self._turn.at(t_s)
         roll, pitch = tilt(acceleration, yaw)
@@ -106,12 +107,12 @@ class Vehicle:
         )
 
     def _upcoming(self) -> list[tuple[float, Callable[[], None]]]:
-        """What will happen by itself; of two things at the same time, the first one listed goes first."""
+        """The coming events, each with its time and handler; of two at the same time, the first listed is handled first."""
         upcoming: list[tuple[float, Callable[[], None]]] = []
         if not self._settled:
             upcoming.append((self._path.end_s, self._settle))
         if self._armed and self._mode is Mode.OFFBOARD:
-            # A leg may take longer than the client is allowed to be silent, so that silence counts from its end.
+            # A leg may take longer than `silence_s`, so the client's silence counts from its end.
             upcoming.append((max(self._heard_s, self._alone_since_s, self._path.end_s) + self.config.silence_s, self._lose_client))
         if self._armed and self._battery_alarms < 2:
             lasts_s = self.config.endurance_s * (1.0 - LOW_BATTERY if self._battery_alarms == 0 else 1.0)
@@ -119,10 +120,10 @@ class Vehicle:
         return upcoming
 
     def _settle(self) -> None:
-        """The path has ended."""
+        """Handle the end of the path."""
         self._settled = True
         if not self._armed:
-            return  # it fell
+            return  # the vehicle fell
         match self._mode:
             case Mode.TAKEOFF:
                 self._mode = Mode.HOLD
@@ -144,7 +145,7 @@ class Vehicle:
             self._return()
 
     def _alarm_battery(self) -> None:
-        """Warn when low, as PX4 does by default; land where it is when empty, for nothing flies on an empty battery."""
+        """Warn when the battery is low, as PX4 does by default; land on the spot when it is empty."""
         self._battery_alarms += 1
         if self._battery_alarms == 1:
             self._say(mavlink.MAV_SEVERITY_WARNING, f"Battery low: {LOW_BATTERY:.0%} left")
@@ -158,10 +159,10 @@ class Vehicle:
                 self._mode = Mode.LAND
                 self._descend()
 
-    # ---- commands: each is done, or refused with a reason and then changes nothing ----
+    # ---- commands: a refused command gives a reason and changes nothing ----
 
     def arm(self, t_s: float) -> Result:
-        """Start the motors."""
+        """Arm: start the motors. A vehicle armed in OFFBOARD flies to its setpoint."""
         self.catch_up(t_s)
         if self._armed:
             return ACCEPTED
@@ -177,7 +178,7 @@ class Vehicle:
         return ACCEPTED
 
     def disarm(self, t_s: float, force: bool = False) -> Result:
-        """Stop the motors; in the air only by force, and then it drops."""
+        """Disarm: stop the motors. Refused in the air, unless forced: then the vehicle falls."""
         self.catch_up(t_s)
         if not self._armed:
             return ACCEPTED
@@ -193,16 +194,16 @@ class Vehicle:
         return ACCEPTED
 
     def take_off(self, t_s: float, altitude_m: float | None = None) -> Result:
-        """Climb straight up to an altitude above home, then hold."""
+        """Climb straight up to an altitude above home (default: `takeoff_altitude_m`), then hold."""
         self.catch_up(t_s)
         altitude = self.config.takeoff_altitude_m if altitude_m is None else altitude_m
         if not self._armed:
             return not_now("Take-off refused: disarmed")
         if not 0.0 < altitude <= self.config.ceiling_m:
-            return denied(f"Take-off refused: {metres(altitude)} m is not above 0 and up to {self.config.ceiling_m:g} m")
+            return denied(f"Take-off refused: altitude {metres(altitude)} m, allowed is above 0 and up to {self.config.ceiling_m:g} m")
         north, east, _ = self._motion.position
         if self._mode is Mode.TAKEOFF and self._path.target[2] == -altitude:
-            return ACCEPTED  # the command again, because its acknowledgement was lost
+            return ACCEPTED  # a client repeats the command if its acknowledgement was lost
         if not self._on_ground:
             return not_now("Take-off refused: already in the air")
         self._mode, self._failsafe = Mode.TAKEOFF, False
@@ -210,7 +211,7 @@ class Vehicle:
         return ACCEPTED
 
     def go_to(self, t_s: float, position: Ned, yaw_rad: float | None = None) -> Result:
-        """Fly somewhere and hold there (the guided flight of DO_REPOSITION); no reading is taken on it."""
+        """Fly to a position and hold there, as MAV_CMD_DO_REPOSITION (192) asks; no reading is taken."""
         self.catch_up(t_s)
         if refusal := self._unfit():
             return not_now(f"Go-to refused: {refusal}")
@@ -224,7 +225,7 @@ class Vehicle:
         return ACCEPTED
 
     def set_mode(self, t_s: float, mode: Mode) -> Result:
-        """Change the flight mode."""
+        """Change the flight mode; OFFBOARD needs a setpoint that is at most `silence_s` old."""
         self.catch_up(t_s)
         if mode is Mode.TAKEOFF:
             return self.take_off(t_s)
@@ -258,15 +259,15 @@ class Vehicle:
         return ACCEPTED
 
     def setpoint(self, t_s: float, position: Ned, yaw_rad: float | None = None, time_boot_ms: int | None = None) -> Result:
-        """Take a waypoint: fly there if in OFFBOARD, else remember it. It answers the reading of the same `time_boot_ms`, if any.
+        """Take a waypoint: fly there in OFFBOARD, else remember it. It answers the reading of the same `time_boot_ms`, if any.
 
-        What answers a reading again or answers an old one is ignored, and gives TEMPORARILY_REJECTED.
+        A second answer to a reading, or an answer to an older one, is ignored: TEMPORARILY_REJECTED.
         """
         self.catch_up(t_s)
         position, answers = _float32(position), self.awaiting_answer and time_boot_ms == self._newest
         if time_boot_ms in self._readings and not answers:
             kind = "duplicate" if time_boot_ms == self._newest else "late"
-            return not_now(f"Waypoint ignored: {kind} answer to the reading of {time_boot_ms} ms")
+            return not_now(f"Waypoint ignored: {kind} answer to the reading at {time_boot_ms} ms")
         if yaw_rad is not None and not math.isfinite(yaw_rad):
             return denied(f"Waypoint refused: yaw {yaw_rad} is not finite", "not finite")
         if outside := self.config.outside(position):
@@ -286,20 +287,20 @@ class Vehicle:
     # ---- readings ----
 
     def sampled(self, time_boot_ms: int) -> None:
-        """A reading was taken: setpoints that carry its time answer it, once."""
+        """Note that a reading was taken: the first setpoint with its time answers it. Raises ValueError unless times increase."""
         if self._newest is not None and time_boot_ms <= self._newest:
-            raise ValueError(f"a reading of {time_boot_ms} ms after one of {self._newest} ms: their times must grow to tell them apart")
+            raise ValueError(f"reading at {time_boot_ms} ms after one at {self._newest} ms: reading times must increase")
         self._readings.add(time_boot_ms)
         self._newest, self._answered = time_boot_ms, False
 
     @property
     def waypoint(self) -> Ned | None:
-        """The setpoint that was taken last."""
+        """The last accepted setpoint; None before the first."""
         return self._setpoint
 
     @property
     def awaiting_answer(self) -> bool:
-        """Whether the newest reading has not been answered."""
+        """True while the newest reading is unanswered."""
         return not self._answered
 
     # ---- flight ----
@@ -354,7 +355,7 @@ class Vehicle:
         self._fly(self._halted().to(target, self.config.limits))
 
     def _follow(self) -> None:
-        """OFFBOARD begins to fly: to the setpoint remembered."""
+        """Begin OFFBOARD flight: fly to the remembered setpoint."""
         assert self._setpoint is not None
         self._alone_since_s = self._now
         self._go(self._setpoint)
@@ -381,7 +382,7 @@ class Vehicle:
 
 
 def _float32(position: Ned) -> Ned:
-    """The same as the wire carries it."""
-    with np.errstate(over="ignore"):  # what is too great becomes infinite, and is refused as that
+    """The position rounded to float32, as the wire carries it."""
+    with np.errstate(over="ignore"):  # a number too large for float32 becomes infinite, and the fence refuses it
         north, east, down = np.array(position, np.float32).tolist()
     return north, east, down

@@ -1,1 +1,1 @@
-"""Mission scripts: what is flown, what goes wrong meanwhile, and what is expected of it. Imports: plume, sitl.autopilot."""
+"""Mission scripts: what is flown, which faults occur, and which outcome is expected. Imports: plume, sitl.autopilot."""

@@ -1,4 +1,4 @@
-"""`python -m sitl.script`: prints the JSON schema of mission scripts, for editors."""
+"""`python -m sitl.script` prints the JSON schema of mission scripts, for editors."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""What is wrong with a value that a struct refuses, field by field and in words: from the errors that its JSON schema gives."""
+"""Explains field by field why a struct refuses a value, from the errors of the struct's JSON schema."""
 
 import math
 import sys
@@ -14,22 +14,22 @@ if TYPE_CHECKING:
     from jsonschema.protocols import Validator
 
 Fields = list[str | int]
-"""The way to a field through objects and lists."""
+"""The path to a field through objects (names) and lists (indices)."""
 
 
 class Mistake(NamedTuple):
-    """One field, and what is wrong with it."""
+    """A field and its error."""
 
     fields: Fields
     text: str
     missing: bool = False
-    """Whether a field of it is not there; it may be there under a wrong name."""
+    """True if one of its fields is missing; that field may be present under a wrong name."""
 
 
 def find(value: Any, kind: type, infinite: Collection[str] = ()) -> list[Mistake]:
-    """Return the mistakes in a value that a struct of this kind is made from; none where there is none, or only msgspec knows it.
+    """Return the mistakes in a value for a struct of this kind; empty if there are none, or none that its JSON schema can express.
 
-    Numbers have to be finite, but in the fields named.
+    Numbers must be finite, except in the fields that `infinite` names.
     """
     schema = msgspec.json.schema(kind)
     words = _Words(schema["$defs"])
@@ -39,22 +39,22 @@ def find(value: Any, kind: type, infinite: Collection[str] = ()) -> list[Mistake
 
 
 def dotted(fields: Fields) -> str:
-    """Write the way to a field: events[2].gas."""
+    """Write the path to a field: events[2].gas."""
     return "".join(f"[{field}]" if isinstance(field, int) else f".{shown(field)}" for field in fields).lstrip(".")
 
 
 def shown(name: str) -> str:
-    """Return a name as one short line can show it."""
+    """Return a name in a form that fits into one short line."""
     return short(name if name.isprintable() else repr(name), 60)
 
 
 def short(text: str, length: int) -> str:
-    """Return the text, or the beginning of a long one."""
+    """Return the text, cut to `length` characters with an ellipsis."""
     return text if len(text) <= length else text[: length - 3] + "..."
 
 
 def finite(number: float) -> bool:
-    """Return whether it is a number that a float can hold."""
+    """True if a finite float can hold the number."""
     return abs(number) <= sys.float_info.max
 
 
@@ -62,13 +62,13 @@ def finite(number: float) -> bool:
 
 
 def _validator(schema: dict[str, Any], words: "_Words") -> "Validator":
-    import jsonschema  # it takes 0.05 s, and is needed only where there is a mistake
+    import jsonschema  # takes 0.05 s, and only a mistake needs it
 
     def is_number(_: Any, value: Any) -> bool:
         return isinstance(value, int | float) and not isinstance(value, bool) and finite(value)
 
     def is_whole(_: Any, value: Any) -> bool:
-        return isinstance(value, int) and not isinstance(value, bool)  # 5.0 is none
+        return isinstance(value, int) and not isinstance(value, bool)  # 5.0 is not a whole number
 
     def one_of(_: Any, allowed: list[Any], value: Any, __: Any) -> Iterator[jsonschema.ValidationError]:
         if not any(value == one and type(value) is type(one) for one in allowed):  # 8.0 is not 8
@@ -76,7 +76,7 @@ def _validator(schema: dict[str, Any], words: "_Words") -> "Validator":
 
     def any_of(validator: "Validator", several: list[Any], value: Any, schema: dict[str, Any]) -> Iterator[jsonschema.ValidationError]:
         meant = words.meant(schema, value)
-        if meant is not None:  # the errors of that one alone
+        if meant is not None:  # report the errors of the intended alternative only
             yield from validator.descend(value, several[meant], schema_path=meant)
         elif not any(validator.evolve(schema=one).is_valid(value) for one in several):
             yield jsonschema.ValidationError("none of them")
@@ -107,7 +107,7 @@ def _mistakes(error: "jsonschema.ValidationError", words: "_Words") -> Iterator[
         case "additionalProperties":
             for name in value:
                 if name not in schema["properties"]:
-                    yield Mistake([*fields, name], f"there is no such field; allowed: {', '.join(schema['properties'])}")
+                    yield Mistake([*fields, name], f"unknown field; allowed: {', '.join(schema['properties'])}")
         case "required":
             for name in schema["required"]:
                 if name not in value:
@@ -117,7 +117,7 @@ def _mistakes(error: "jsonschema.ValidationError", words: "_Words") -> Iterator[
 
 
 def _own_checks(value: Any, kind: inspect.Type, fields: Fields) -> Iterator[Mistake]:
-    """What structs refuse by themselves in a value that passes the schema, the innermost first: what it says is all."""
+    """The errors of the structs' own checks in a value that passes the schema, the innermost struct first."""
     match kind:
         case inspect.Metadata():
             yield from _own_checks(value, kind.type, fields)
@@ -140,19 +140,19 @@ def _own_checks(value: Any, kind: inspect.Type, fields: Fields) -> Iterator[Mist
 
 
 class _Words:
-    """What a schema allows, in words."""
+    """Describes in words what a schema allows."""
 
     def __init__(self, components: dict[str, Any]) -> None:
         self._components = components
 
     def wanted(self, schema: dict[str, Any]) -> str:
-        """Say in words what a field may be: as its description says, but for what is better listed."""
+        """Describe what a field may be: its own description, or a list of its fields, items or choices."""
         schema = self._resolved(schema)
         listed = schema.get("type") in ("object", "array") or "enum" in schema or any("enum" in one for one in schema.get("anyOf", []))
         return self._words(schema) if listed else schema.get("description") or self._words(schema)
 
     def meant(self, schema: dict[str, Any], value: Any) -> int | None:
-        """Return which one of several is meant: of objects the one that the tag names, of a value or a list the one that is there."""
+        """Return the index of the alternative that is meant: by the tag of an object, else by whether the value is a list or an object."""
         if "discriminator" in schema:
             tag = value.get(schema["discriminator"]["propertyName"]) if isinstance(value, dict) else None
             reference = schema["discriminator"]["mapping"].get(tag) if isinstance(tag, str) else None
@@ -163,7 +163,7 @@ class _Words:
         return next((number for number, one in enumerate(schema["anyOf"]) if self._resolved(one).get("type") == kind), None)
 
     def kinds(self, schema: dict[str, Any]) -> dict[str, Any]:
-        """Return the schema of the tag of a schema of several kinds of object."""
+        """Return the schema of the tag that tells several kinds of object apart."""
         return {"enum": list(schema["discriminator"]["mapping"])}
 
     def _resolved(self, schema: dict[str, Any]) -> dict[str, Any]:

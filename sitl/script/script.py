@@ -1,4 +1,4 @@
-"""Mission scripts: one YAML file says what is flown, what goes wrong meanwhile, and what is expected of it.
+"""Mission scripts: one YAML file defines what is flown, which faults occur, and which outcome is expected.
 
 `python -m sitl.script` prints their JSON schema for editors.
 """
@@ -24,17 +24,17 @@ Seconds = Annotated[float, Meta(ge=0)]
 Coordinate = Annotated[float, Meta(ge=0, le=AREA_M)]
 Point = tuple[Coordinate, Coordinate]
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
-StepNumber = Annotated[int, Meta(ge=0, description="a whole number from 0: of the reading, 0 at the start")]
+StepNumber = Annotated[int, Meta(ge=0, description="a whole number from 0: number of the reading, 0 at the start")]
 TimeS = Annotated[float, Meta(ge=0, description="a number from 0: simulation time, s")]
 Radians = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
 MOST_WAYPOINTS = 1000
-"""They go to the agent on its command line, whose words the system limits to 128 kB."""
+"""The agent receives them in one command-line argument, which the system limits to 128 kB."""
 MAY_BE_INFINITE = ("vehicle.endurance_s", "vehicle.silence_s")
 Expectation = Literal["ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"]
 
 
 class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The gas release; what is left out is drawn by the seed."""
+    """The gas release; the seed draws every field that is left out."""
 
     source: Annotated[Point | None, Meta(description="(x, y) m, x east, y north, each from 0 to 30")] = None
     q: Annotated[Positive | None, Meta(description="release rate, a number above 0, g/s")] = None
@@ -43,7 +43,7 @@ class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     d: Annotated[Positive | None, Meta(description="effective diffusivity, a number above 0, m²/s")] = None
     tau: Annotated[Positive | None, Meta(description="lifetime of the gas, a number above 0, s")] = None
     start: Annotated[Point | None, Meta(description="where the search begins: (x, y) m, each from 0 to 30")] = None
-    height: Annotated[float | None, Meta(description="a number: height of the source above the plane that is searched, m")] = None
+    height: Annotated[float | None, Meta(description="a number: height of the source above the search plane, m")] = None
 
 
 class VehiclePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -59,26 +59,26 @@ class VehiclePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     accel_mps2: Positive = VehicleConfig.accel_mps2
     takeoff_altitude_m: Annotated[float, Meta(gt=0, le=VehicleConfig.ceiling_m)] = VehicleConfig.takeoff_altitude_m
     return_altitude_m: Annotated[float, Meta(gt=0, le=VehicleConfig.ceiling_m)] = VehicleConfig.return_altitude_m
-    endurance_s: Annotated[float, Meta(gt=0, description="how long the battery lasts, a number above 0, s")] = VehicleConfig.endurance_s
-    silence_s: Annotated[float, Meta(gt=0, description="real time without a waypoint after which it returns home, a number above 0, s")] = (
+    endurance_s: Annotated[float, Meta(gt=0, description="flight time of the battery, a number above 0, s")] = VehicleConfig.endurance_s
+    silence_s: Annotated[float, Meta(gt=0, description="real time without a waypoint before the return home, a number above 0, s")] = (
         VehicleConfig.silence_s
     )
 
 
 class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The particle filter, what it is told beforehand, and when it may stop."""
+    """The particle filter, what it knows beforehand, and when it may stop."""
 
     particles: Annotated[int, Meta(ge=10, le=1_000_000)] = 1000
     threshold_m: Annotated[float, Meta(gt=0, le=100)] = 0.5
-    prior: Annotated[dict[str, str], Meta(description="by name, as --prior takes them: {q: 'gamma:2,150'}")] = {}
-    stop_on: Annotated[str, Meta(description="what a stop wants to know, as --stop-on takes it")] = "location"
-    rate: Annotated[Positive | None, Meta(description="release rate that it is told, g/s; the scenario's where left out")] = None
-    diffusivity: Annotated[Positive | None, Meta(description="diffusivity that it is told, m²/s; the scenario's where left out")] = None
-    lifetime: Annotated[Positive | None, Meta(description="lifetime that it is told, s; the scenario's where left out")] = None
+    prior: Annotated[dict[str, str], Meta(description="priors by name, in the format of --prior: {q: 'gamma:2,150'}")] = {}
+    stop_on: Annotated[str, Meta(description="what must be known before a stop, in the format of --stop-on")] = "location"
+    rate: Annotated[Positive | None, Meta(description="release rate assumed by the estimator, g/s; default: the scenario's")] = None
+    diffusivity: Annotated[Positive | None, Meta(description="diffusivity assumed by the estimator, m²/s; default: the scenario's")] = None
+    lifetime: Annotated[Positive | None, Meta(description="lifetime assumed by the estimator, s; default: the scenario's")] = None
 
 
 class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What chooses waypoints, and how far it may go."""
+    """The planner that chooses waypoints, and its step budget."""
 
     policy: Annotated[str, Meta(description="a policy's name or a bundle; none: only the scripted waypoints are flown")] = "homing"
     budget: Count = BUDGET_STEPS
@@ -88,19 +88,19 @@ class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 class ScriptEvent(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="do", omit_defaults=True):
-    """Something that happens at a reading or at a time."""
+    """An event that happens at a reading (`step`) or at a simulation time (`time_s`)."""
 
     step: StepNumber | None = None
     time_s: TimeS | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what happens never or twice."""
+        """Require exactly one of step and time_s."""
         if (self.step is None) == (self.time_s is None):
-            raise ValueError("when? wanted one of step and time_s")
+            raise ValueError("wanted exactly one of step and time_s")
 
 
 class Wind(ScriptEvent, frozen=True, tag="wind"):
-    """The wind turns or changes its speed, and with it the plume, from this reading on."""
+    """The wind changes its direction or speed, and the plume with it, from this reading on."""
 
     u: Annotated[float, Meta(ge=0)] | None = None
     phi: Radians | None = None
@@ -113,20 +113,20 @@ class Dropout(ScriptEvent, frozen=True, tag="dropout"):
 
 
 class Stuck(ScriptEvent, frozen=True, tag="stuck"):
-    """The sensor says its last value again and again."""
+    """The sensor repeats its last value."""
 
     readings: Count
 
 
 class Spike(ScriptEvent, frozen=True, tag="spike"):
-    """The sensor says too much, or too little."""
+    """A number is added to the sensor's readings."""
 
-    gas: Annotated[float, Meta(description="a number: added to the reading, in the sensor's unit")]
+    gas: Annotated[float, Meta(description="a number that is added to the reading, in the sensor's unit")]
     readings: Count = 1
 
 
 class Duplicate(ScriptEvent, frozen=True, tag="duplicate"):
-    """Readings are published several times."""
+    """Each reading is published `copies` more times."""
 
     readings: Count
     copies: Annotated[int, Meta(ge=1, le=100)] = 1
@@ -140,108 +140,111 @@ class Delay(ScriptEvent, frozen=True, tag="delay"):
 
 
 class Lose(ScriptEvent, frozen=True, tag="lose"):
-    """Readings are lost on the way, so many times each; the vehicle publishes them again until they are answered."""
+    """Each reading is lost `times` times on its way; the vehicle publishes it again until it is answered."""
 
     readings: Count
     times: Annotated[int, Meta(ge=1, le=100)] = 1
 
 
 class Pause(ScriptEvent, frozen=True, tag="pause"):
-    """The operator has the vehicle hold where it is."""
+    """The operator makes the vehicle hold its position."""
 
 
 class Resume(ScriptEvent, frozen=True, tag="resume"):
-    """The operator has the search go on; `after_s` counts from the last pause."""
+    """The operator resumes the search; `after_s` counts from the last pause."""
 
     after_s: TimeS | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a step: a vehicle that holds takes no readings."""
+        """Require exactly one of time_s and after_s."""
         if self.step is not None or (self.time_s is None) == (self.after_s is None):
-            raise ValueError("when? wanted one of time_s and after_s: a vehicle that holds takes no steps")
+            raise ValueError("wanted exactly one of time_s and after_s, and no step: a vehicle that holds takes no steps")
 
 
 class Abort(ScriptEvent, frozen=True, tag="abort"):
-    """The operator calls the vehicle home."""
+    """The operator commands a return to launch."""
 
 
 class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
-    """These waypoints are flown instead of the agent's, one a reading, from the answer to this step's reading on."""
+    """Waypoints that replace the agent's, one per reading; the first answers this step's reading."""
 
     points: Annotated[list[Point], Meta(min_length=1)]
 
     def path(self) -> list[Point]:
-        """Return the waypoints."""
+        """Return the waypoints, (x, y) in m."""
         return self.points
 
 
 class Lawnmower(ScriptEvent, frozen=True, tag="lawnmower"):
-    """Rows from west to east and back are flown instead of the agent's waypoints, from the south to the north of a rectangle."""
+    """Waypoints that replace the agent's: rows west to east and back, from the south to the north edge of a rectangle."""
 
     low: Point = (0.0, 0.0)
     high: Point = (AREA_M, AREA_M)
-    spacing_m: Annotated[float, Meta(ge=0.1, description="a number from 0.1: between two rows, m")] = 5.0
-    step_m: Annotated[float, Meta(ge=0.1, description="a number from 0.1: between two readings, m")] = STEP_M
+    spacing_m: Annotated[float, Meta(ge=0.1, description="a number from 0.1: distance between two rows, m")] = 5.0
+    step_m: Annotated[float, Meta(ge=0.1, description="a number from 0.1: distance between two readings, m")] = STEP_M
 
     def path(self) -> list[Point]:
-        """Return the waypoints: every row ends on the rectangle's edge, and so does the last row."""
+        """Return the waypoints, (x, y) in m; rows end on the rectangle's edges, and the last row lies on its north edge."""
         xs, ys = (_steps(low, high, step) for low, high, step in zip(self.low, self.high, (self.step_m, self.spacing_m), strict=True))
         return [(x, y) for row, y in enumerate(ys) for x in (xs if row % 2 == 0 else xs[::-1])]
 
 
 class Kill(ScriptEvent, frozen=True, tag="kill"):
-    """A part is killed (SIGKILL) and started again."""
+    """A part is killed (SIGKILL) and restarted."""
 
     part: Literal["estimator", "agent", "router"]
     restart_after_s: Annotated[Seconds, Meta(description="a number from 0: real time, s")] = 0.0
 
 
 class Cut(ScriptEvent, frozen=True, tag="cut"):
-    """The link between a part and the router is cut: nothing gets through, and nobody is told."""
+    """The link between a part and the router carries nothing for a while; neither end is notified."""
 
     part: Literal["uav", "estimator", "agent"]
     for_s: Annotated[float, Meta(gt=0, le=600, description="a number above 0 up to 600: real time, s")]
 
 
 OnBoard = Wind | Dropout | Stuck | Spike | Duplicate | Delay | Lose | Pause | Resume | Abort
-"""What happens to or in the vehicle."""
+"""Events that the UAV service carries out."""
 
 
 class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One mission."""
 
-    about: Annotated[str, Meta(description="what the mission is there to show")] = ""
-    seed: Annotated[int, Meta(ge=0, le=MAX_SEED, description="a whole number from 0: of the scenario and all noise")] = 1
+    about: Annotated[str, Meta(description="what the mission demonstrates")] = ""
+    seed: Annotated[int, Meta(ge=0, le=MAX_SEED, description="a whole number from 0: seed of the scenario and of all noise")] = 1
     speedup: Annotated[float, Meta(ge=0, le=1000, description="a number from 0 up to 1000: 1 real time, 0 as fast as possible")] = 10.0
     scenario: ScenarioPart = ScenarioPart()
     vehicle: VehiclePart = VehiclePart()
-    sensor: Annotated[str, Meta(description="gaussian, threshold or hits, with numbers where chosen: 'threshold:0.5,0.3'")] = "gaussian"
+    sensor: Annotated[str, Meta(description="gaussian, threshold or hits, with optional numbers: 'threshold:0.5,0.3'")] = "gaussian"
     estimator: EstimatorPart = EstimatorPart()
     agent: AgentPart = AgentPart()
     events: list[OnBoard | Waypoints | Lawnmower | Kill | Cut] = []
-    expect: Annotated[Expectation | list[Expectation], Meta(description="what has to hold in the end; decides the exit status")] = []
+    expect: Annotated[Expectation | list[Expectation], Meta(description="what must hold at the end; decides the exit status")] = []
 
     def release(self) -> Scenario:
-        """Return the scenario: what is given, the rest drawn by the seed."""
+        """Return the scenario: the fields given, the others drawn by the seed."""
         given = {name: value for name, value in msgspec.structs.asdict(self.scenario).items() if value is not None}
         return msgspec.structs.replace(draw(self.seed), **given)
 
     def world(self) -> World:
-        """Return the world that the mission is flown in."""
+        """Return the simulated world of the mission."""
         return World(self.release(), self.seed, sensor.parse(self.sensor))
 
     def vehicle_config(self, sysid: int) -> VehicleConfig:
-        """Return the vehicle's configuration; who is silent lives in real time, and at speed-up 0 so does a waiting vehicle."""
+        """Return the vehicle's configuration, with `silence_s` converted from real to simulation time.
+
+        At speed-up 0 a waiting vehicle runs in real time, so the factor is 1.
+        """
         fields = msgspec.structs.asdict(self.vehicle)
         return VehicleConfig(sysid, **{**fields, "silence_s": self.vehicle.silence_s * (self.speedup or 1.0)})
 
     @property
     def expectations(self) -> list[Expectation]:
-        """What is expected, as a list."""
+        """The expectations, as a list."""
         return [self.expect] if isinstance(self.expect, str) else self.expect
 
     def scripted(self) -> dict[int, Point]:
-        """Return the waypoints that are flown instead of the agent's, by the step of the reading that they answer."""
+        """Return the scripted waypoints, by the step of the reading that each answers."""
         path: dict[int, Point] = {}
         for event in self.events:
             if isinstance(event, Waypoints | Lawnmower):
@@ -251,11 +254,11 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     @property
     def budget(self) -> int:
-        """Moves before the search is given up: without a policy, up to the last scripted waypoint."""
+        """The greatest number of moves; without a policy, at most the number of scripted waypoints."""
         return min(self.agent.budget, max(self.scripted()) + 1) if self.agent.policy == "none" else self.agent.budget
 
     def changed(self, changes: Mapping[str, Any]) -> "Script":
-        """Return it with fields replaced, such as {"seed": 2, "agent.policy": "homing"}."""
+        """Return a copy with fields replaced, such as {"seed": 2, "agent.policy": "homing"}."""
         script = self
         for name, value in changes.items():
             part, _, field = name.rpartition(".")
@@ -266,7 +269,7 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 def shipped() -> dict[str, Path]:
-    """Return the missions that come with the project, by name: a wheel has them in this package, a checkout beside it."""
+    """Return the shipped missions by name; a wheel has them inside this package, a checkout beside it."""
     package = Path(__file__).parents[1]
     folder = package / "missions"
     if not folder.is_dir():
@@ -275,7 +278,7 @@ def shipped() -> dict[str, Path]:
 
 
 def find(mission: str | Path) -> Path:
-    """Return the file of a mission: the one so named, or else the shipped one of that name. Raises FileError."""
+    """Return the path of a mission: a file of this name, else the shipped mission of this name. Raises FileError if there is neither."""
     missions = shipped()
     if not os.path.isfile(mission) and (found := missions.get(str(mission).removesuffix(".yaml"))):
         return found
@@ -290,7 +293,7 @@ def find(mission: str | Path) -> Path:
 
 
 def load(mission: str | Path) -> Script:
-    """Read a mission script, or a shipped one by its name; raises FileError: one line with file, line, field and what is allowed."""
+    """Read a mission script, or a shipped one by its name. Raises FileError with file, line, field and what is allowed, in one line."""
     document = Document(find(mission))
     script = document.to(Script, MAY_BE_INFINITE)
     try:
@@ -303,7 +306,7 @@ def load(mission: str | Path) -> Script:
         if isinstance(event, Waypoints | Lawnmower) and event.step is not None:
             for step in range(event.step, event.step + len(event.path())):
                 if (other := taken.setdefault(step, number)) != number:
-                    raise document.error(["events", number], f"step {step} has its waypoint from events[{other}]; wanted one for each step")
+                    raise document.error(["events", number], f"events[{other}] already has a waypoint for step {step}; wanted one per step")
     if len(taken) > MOST_WAYPOINTS:
         raise document.error(["events"], f"{len(taken):,} scripted waypoints are not allowed; wanted {MOST_WAYPOINTS:,} at most")
     if script.agent.policy == "none" and (not taken or max(taken) >= len(taken)):
@@ -313,13 +316,13 @@ def load(mission: str | Path) -> Script:
 
 
 def _check(document: Document, number: int, event: ScriptEvent) -> None:
-    """Refuse what cannot be told from one field alone."""
+    """Check what depends on more than one field. Raises FileError."""
     field: list[str | int] = ["events", number]
     match event:
         case Wind(u=None, phi=None):
-            raise document.error(field, "nothing changes; wanted u, phi or both")
+            raise document.error(field, "no change is given; wanted u, phi or both")
         case Waypoints(step=None) | Lawnmower(step=None):
-            raise document.error([*field, "time_s"], "waypoints answer readings; wanted step")
+            raise document.error([*field, "time_s"], "not allowed for waypoints, which answer readings; wanted step")
         case Lawnmower(low=low, high=high) if not (low[0] < high[0] and low[1] < high[1]):
             raise document.error([*field, "high"], f"{list(high)} is not allowed; wanted a corner north-east of low, {list(low)}")
 

@@ -1,4 +1,4 @@
-"""Typed YAML files: read into a struct, with errors that name file, line, field, what was found and what is allowed."""
+"""Reads a YAML file into a typed struct; errors name file, line, field, what was found and what is allowed."""
 
 import os
 import stat
@@ -16,23 +16,23 @@ from sitl.script.mistakes import Fields, dotted, find, finite, short, shown
 T = TypeVar("T")
 
 MOST_BYTES = 250_000
-"""Reading this much takes a few seconds, and no mission needs as much."""
+"""Reading a file of this size takes a few seconds; no mission needs more."""
 MOST_VALUES = 100_000
-"""With each alias counted as what it stands for: nine short lines can stand for a thousand million values."""
+"""With every alias expanded: nine short lines can expand to a billion values."""
 MOST_DIGITS = 1000
-"""Of a whole number: Python refuses to write down one of more than 4300."""
+"""Digits of a whole number: Python refuses to print more than 4300."""
 TEXT, WHOLE, MERGE = (f"tag:yaml.org,2002:{name}" for name in ("str", "int", "merge"))
 
 
 class FileError(ValueError):
-    """A file that cannot be used; the text is one line."""
+    """A file cannot be used; the message is one line."""
 
 
 class Document:
-    """One YAML file with the places of its fields."""
+    """A YAML file's value, and the line of each field."""
 
     def __init__(self, path: Path) -> None:
-        """Read it; raises FileError where it cannot be read or is no YAML."""
+        """Read the file; raises FileError if it cannot be read or is not valid YAML."""
         self.path = path
         self._names: dict[Node, dict[str, tuple[Node, Node]]] = {}
         yaml = YAML(typ="safe", pure=True)  # YAML 1.2: `on` is a word, 1e3 a number
@@ -45,14 +45,14 @@ class Document:
             raise
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
-            raise self._at(mark.line + 1 if mark else 1, f"this is no YAML: {error.problem or error.context}") from None
+            raise self._at(mark.line + 1 if mark else 1, f"not valid YAML: {error.problem or error.context}") from None
         except (YAMLError, RecursionError, ValueError) as error:
-            raise FileError(f"{path}: this is no YAML: {str(error).splitlines()[0]}") from None
-        except LookupError:  # of `!!bool perhaps`
-            raise FileError(f"{path}: this is no YAML: a value is not what its tag says") from None
+            raise FileError(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
+        except LookupError:  # such as `!!bool perhaps`
+            raise FileError(f"{path}: not valid YAML: a value does not match its tag") from None
 
     def to(self, kind: type[T], infinite: Collection[str] = ()) -> T:
-        """Return it as a struct; raises FileError. Numbers have to be finite, but in the fields named."""
+        """Return the value as a struct of this kind; raises FileError. Numbers must be finite, except in the fields `infinite` names."""
         made, reason = None, ""
         try:
             made = msgspec.convert(self.value, kind)
@@ -61,7 +61,7 @@ class Document:
         except msgspec.ValidationError as error:
             reason = str(error)
         mistakes = find(self.value, kind, infinite)
-        if mistakes:  # the first one in the file; but a field that is missing may be there under a wrong name
+        if mistakes:  # the first in the file; missing fields last, because a misspelt name explains a missing field
             first = min(mistakes, key=lambda mistake: (mistake.missing, self._line(mistake.fields)))
             raise self.error(first.fields, first.text)
         if made is None:
@@ -69,21 +69,21 @@ class Document:
         return made
 
     def error(self, fields: Fields, text: str) -> FileError:
-        """Return the error that says this about a field."""
+        """Return an error with this text about a field, with its file and line."""
         return self._at(self._line(fields), f"{dotted(fields) + ': ' if fields else ''}{text}")
 
     def _at(self, line: int, text: str) -> FileError:
         return FileError(f"{self.path}:{line}: {short(text, 1000)}")
 
     def _check_nodes(self) -> None:
-        """Refuse what is too much, and names that are no text or come twice."""
+        """Refuse too many values, too long numbers, names that are not text, and duplicate names."""
         nodes = [self._root] if self._root else []
         count = 0
         while nodes:
             node = nodes.pop()
             count += 1
             if count > MOST_VALUES:
-                raise FileError(f"{self.path}: more than {MOST_VALUES:,} values, aliases counted in full, are not allowed")
+                raise FileError(f"{self.path}: more than {MOST_VALUES:,} values (with aliases expanded) are not allowed")
             if isinstance(node, MappingNode):
                 self._check_names(node)
                 nodes += [part for pair in node.value for part in pair]
@@ -101,7 +101,7 @@ class Document:
             line = name.start_mark.line + 1
             if name.tag not in (TEXT, MERGE):
                 found = shown(name.value) if isinstance(name, ScalarNode) else "a list or an object"
-                raise self._at(line, f"{found} is not allowed as a name; wanted text")
+                raise self._at(line, f"{found} is not allowed as a field name; wanted text")
             if name.value in names:
                 first = names[name.value][0].start_mark.line + 1
                 raise self._at(line, f'found duplicate key "{shown(name.value)}"; the first one is in line {first}')
@@ -120,7 +120,7 @@ class Document:
         return True
 
     def _line(self, fields: Fields) -> int:
-        """Line of a field, or of the nearest thing around it that is there."""
+        """Return the line of a field; if it is missing, the line of the innermost object or list around it."""
         node, line = self._root, 1
         if node is not None:
             line = node.start_mark.line + 1
@@ -137,7 +137,7 @@ class Document:
 
 
 def _read(path: Path) -> str:
-    """Return the text of a file; raises FileError, and waits for no pipe."""
+    """Return the text of a file; raises FileError. Does not block on a pipe."""
     try:
         with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
             about = os.fstat(file.fileno())
@@ -151,4 +151,4 @@ def _read(path: Path) -> str:
     try:
         return content.decode()
     except UnicodeDecodeError:
-        raise FileError(f"{path}: this is no UTF-8 text") from None
+        raise FileError(f"{path}: not valid UTF-8") from None

@@ -1,4 +1,4 @@
-"""Telemetry logs of any ArduPilot or PX4 vehicle, read as the readings of a search.
+"""Reads the telemetry log of any ArduPilot or PX4 vehicle as the readings of a search.
 
 Imports: plume, link.bus, link.record, sitl.autopilot.
 """

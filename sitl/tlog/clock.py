@@ -1,4 +1,4 @@
-"""The vehicle's own time in a telemetry log, over restarts, gaps and leaps of the log's clock."""
+"""The vehicle's time in a telemetry log, continuous across restarts, gaps and jumps of the log's clock."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from sitl.tlog.sender import GLOBAL, LOCAL, Autopilot, FlightError, FlightLog, f
 
 Floats = NDArray[np.float64]
 
-CLOCKS = {  # what any autopilot sends, and where in its payload time_boot_ms is
+CLOCKS = {  # messages that every autopilot sends, with the offset of time_boot_ms in the payload
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 8,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 0,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 0,
@@ -18,22 +18,25 @@ CLOCKS = {  # what any autopilot sends, and where in its payload time_boot_ms is
     GLOBAL: 0,
 }
 REORDER_MS = 1000
-"""Messages overtake each other by so much, on a radio or over UDP; a clock that goes back further was started again."""
+"""Messages overtake each other by up to this time, on a radio or over UDP; a clock that goes back further may have restarted."""
 LOOKAHEAD = 5
-"""Of so many messages behind one that came later still, one shows that the clock went on; otherwise it was started again."""
+"""If one of the next LOOKAHEAD messages continues the old clock, a message that went back further was only late: no restart."""
 WRAP = 2**32
-"""time_boot_ms begins at zero again after 49.7 days."""
+"""time_boot_ms wraps to zero after 49.7 days."""
 WRAPPED_MS = 3_600_000
-"""So soon after that; a clock that shows more was started again."""
+"""A clock that goes back has wrapped if its step modulo 2³² is at most this; else it restarted."""
 GAP_US = 5_000_000
-"""A silence that is worth a note."""
+"""Shortest silence that is noted."""
 
 
 class VehicleClock:
-    """The vehicle's time, ms since its start; it goes on growing when the vehicle is started again."""
+    """The vehicle's time in ms: time_boot_ms of its first boot in the log, continued across restarts; without any, ms since the log began.
+
+    A tick is a record that carries time_boot_ms. In all methods, `records` are indices into the log.
+    """
 
     def __init__(self, log: FlightLog, ticks: Integers, raw: Integers, times_ms: Integers, boots: Integers) -> None:
-        """Take the records that tell it, what they say, what that is in a row, and how many starts were before."""
+        """Take the ticks' records, their time_boot_ms (`raw`), their continuous times, and the number of restarts before each."""
         self._log = log
         self._ticks = ticks
         self._raw = raw
@@ -43,11 +46,11 @@ class VehicleClock:
         self._newest_ms = np.maximum.accumulate(times_ms) if len(ticks) else times_ms
 
     def boots(self, records: Integers) -> Integers:
-        """How often the vehicle had been started again when these were logged."""
+        """Return the number of restarts before each record."""
         return self._boots[self._tick(records)] if len(self._ticks) else np.zeros(len(records), np.int64)
 
     def own_ms(self, records: Integers, boot_ms: Integers) -> Floats:
-        """The vehicle's time at records that say their time_boot_ms."""
+        """Return the vehicle's time of records that carry time_boot_ms."""
         if not len(self._ticks):
             return self.logged_ms(records)
         tick = self._tick(records)
@@ -55,7 +58,7 @@ class VehicleClock:
         return (self._times_ms[tick] + since).astype(np.float64)
 
     def logged_ms(self, records: Integers) -> Floats:
-        """The vehicle's time when records were logged: what to go by where a message does not say its own."""
+        """Return the vehicle's time at which records were logged, for messages without a time of their own."""
         us = self._log.times_us[records]
         if not len(self._ticks):
             return np.asarray((us - self._log.times_us[0]) / 1000.0)
@@ -64,7 +67,7 @@ class VehicleClock:
         return np.asarray(np.interp(us - first, self._ticks_us - first, self._newest_ms) + beyond)
 
     def logged_us(self, times_ms: Floats) -> Integers:
-        """When times of the vehicle were logged, or would have been."""
+        """Return the log's time (µs since 1970) at the vehicle's times."""
         first = self._log.times_us[self._ticks[0] if len(self._ticks) else 0]
         if not len(self._ticks):
             return np.asarray(first + np.rint(1000.0 * times_ms).astype(np.int64))
@@ -75,30 +78,33 @@ class VehicleClock:
 
 
 def vehicle_clock(log: FlightLog, autopilot: Autopilot) -> tuple[VehicleClock, list[str]]:
-    """Put the vehicle's times in a row, and take leaps out of the log's clock. Raises FlightError where neither tells the time."""
+    """Make the vehicle's times continuous and remove jumps from the log's clock. Return the clock and notes for people.
+
+    Raises FlightError if neither the log nor the vehicle's messages contain times.
+    """
     ticks = log.select(autopilot.system, CLOCKS, autopilot.component)
     raw = []
     for start, message_id in zip(log.records.starts[ticks].tolist(), log.records.message_ids[ticks].tolist(), strict=True):
         at = CLOCKS[message_id]
         raw.append(int.from_bytes(frames.payload(log.data, start)[at : at + 4], "little"))
-    times_ms, boots = _in_a_row(raw, log.times_us[ticks].tolist())
+    times_ms, boots = _continuous(raw, log.times_us[ticks].tolist())
     own = np.flatnonzero(log.records.systems == autopilot.system)
     if log.is_timed:
-        notes = _take_out_leaps(log, own, ticks, times_ms, boots)
+        notes = _remove_jumps(log, own, ticks, times_ms, boots)
     elif len(ticks):
         log.times_us = np.interp(np.arange(len(log)), ticks, np.maximum.accumulate(times_ms) * 1000).astype(np.int64)
-        notes = ["its frames were logged without times: the vehicle's own are taken"]
+        notes = ["the log has no record times: the vehicle's own times are used"]
     else:
-        raise FlightError("neither the log nor the vehicle tells the time; wanted a telemetry log (.tlog) as ground stations write it")
+        raise FlightError("neither the log nor the vehicle's messages contain times; wanted a ground station's telemetry log (.tlog)")
     starts = (np.flatnonzero(np.diff(boots)) + 1).tolist()
     if starts:
         told = [f"at {log.seconds(ticks[tick]):.1f} s (time_boot_ms from {raw[tick - 1]:,} to {raw[tick]:,})" for tick in starts]
-        notes.append(f"the vehicle was started again: {few(told)}; here its time goes on")
+        notes.append(f"the vehicle restarted: {few(told)}; its time continues across restarts here")
     return VehicleClock(log, ticks, np.array(raw, np.int64), times_ms, boots), notes + _notes_on_gaps(log, own)
 
 
-def _in_a_row(raw: list[int], logged_us: list[int]) -> tuple[Integers, Integers]:
-    """Times that go on where the clock was started again, as far as the log's did and by 1 ms at least; and the starts before each."""
+def _continuous(raw: list[int], logged_us: list[int]) -> tuple[Integers, Integers]:
+    """Return continuous times and the number of restarts before each; over a restart the log's elapsed time is added, at least 1 ms."""
     times, boots = [], []
     boot, last = 0, raw[0] if raw else 0
     newest = last
@@ -118,11 +124,11 @@ def _in_a_row(raw: list[int], logged_us: list[int]) -> tuple[Integers, Integers]
 
 
 def _goes_on(last: int, now: int) -> bool:
-    """Whether a clock that showed `last` can show `now` without a new start: it is later, or a little late, or has wrapped."""
+    """True if a clock can go from `last` to `now` without a restart: later, slightly earlier (a late message), or wrapped."""
     return now > last or (last - now) % WRAP <= REORDER_MS or (now - last) % WRAP <= WRAPPED_MS
 
 
-def _take_out_leaps(log: FlightLog, own: Integers, ticks: Integers, times_ms: Integers, boots: Integers) -> list[str]:
+def _remove_jumps(log: FlightLog, own: Integers, ticks: Integers, times_ms: Integers, boots: Integers) -> list[str]:
     told = []
     steps_us = np.diff(log.times_us[own])
     for silence in np.flatnonzero(steps_us > GAP_US).tolist():
@@ -133,11 +139,11 @@ def _take_out_leaps(log: FlightLog, own: Integers, ticks: Integers, times_ms: In
         if leap_us > GAP_US:
             log.times_us[own[silence + 1] :] -= leap_us
             told.append(f"{leap_us / 1e6:,.1f} s at {log.seconds(own[silence]):.1f} s")
-    return [f"the log's clock leaps ahead of the vehicle's by {few(told)}: that is taken off"] if told else []
+    return [f"the log's clock jumps ahead of the vehicle's by {few(told)}: corrected"] if told else []
 
 
 def _notes_on_gaps(log: FlightLog, own: Integers) -> list[str]:
     silences_us = np.diff(log.times_us[own])
     gaps = np.flatnonzero(silences_us > GAP_US).tolist()
     told = [f"{silences_us[gap] / 1e6:.1f} s at {log.seconds(own[gap]):.1f} s" for gap in gaps]
-    return [f"gaps without a word of the vehicle: {few(told)}; {silences_us[gaps].sum() / 1e6:.1f} s in all"] if gaps else []
+    return [f"gaps without a message from the vehicle: {few(told)}; {silences_us[gaps].sum() / 1e6:.1f} s in total"] if gaps else []

@@ -1,4 +1,4 @@
-"""Other people's flights: the telemetry log of any ArduPilot or PX4 vehicle, read as the readings of a search and all that it said."""
+"""Reads the telemetry log of any ArduPilot or PX4 vehicle: the readings of a search, and all frames that the vehicle sent."""
 
 import math
 from collections import Counter
@@ -25,47 +25,47 @@ from sitl.tlog.track import Anchor, FlownPath, Place
 
 NOT_A_TLOG = {b"ULog": "is a PX4 ULog", b"\xa3\x95": "is an ArduPilot dataflash log", b"\x89MCAP": "is an MCAP file"}
 MARGIN_M = 2.0
-"""Between the path and the edge of an area that is made for it."""
+"""Between the path and the edge of a search area that is fitted to it."""
 STRONGEST_MPS = 100.0
 LEAST_EVERY_S = 0.001
-"""Times are whole milliseconds."""
+"""Reading times are whole milliseconds."""
 
 
 class Origin(NamedTuple):
-    """Where the corner of the search plane is."""
+    """The south-west corner of the search area."""
 
     north_m: float
-    """From the origin of the log's local frame."""
+    """North and east of the origin of the log's local frame."""
     east_m: float
     lat_deg: float | None
-    """None where no message says where that is on the globe."""
+    """None if no message ties the local frame to the globe."""
     lon_deg: float | None
 
 
 class Flight(NamedTuple):
-    """A flight as a mission: what an estimator would have been given, and all that the vehicle said."""
+    """A flight as a mission: the readings for an estimator, and all frames that the vehicle sent."""
 
     entries: list[Entry]
-    """The readings, and every frame of the vehicle as it flew, in the order in which they were said."""
+    """The readings and every original frame of the vehicle, in order of time."""
     system: int
-    """The vehicle's system id, which the readings' frames carry."""
+    """The vehicle's system id; the readings' frames carry it too."""
     area_m: float
     """Side of the search area."""
     origin: Origin
     notes: list[str]
-    """What was read, what was left out and why: lines for people."""
+    """What was read, what was left out and why, in lines for people."""
 
 
 def read(
     path: Path, *, system: int | None = None, gas: str = "gas", wind: Pair | None = None, every_s: float = 1.0,
     origin: Pair | None = None, area_m: float | None = None, plume: World | None = None,
 ) -> Flight:  # fmt: skip
-    """Read a flight; raises FlightError where there is nothing to search with.
+    """Read a flight; raises FlightError if it yields no readings or an argument is not allowed.
 
-    system: of the vehicle; else the autopilot that told most positions. gas: as `parse_gas` takes it.
-    wind: (m/s, degrees clockwise from north that it comes from), instead of the log's.
-    origin: (north, east) m of the search plane's corner in the log's local frame; area_m: its side.
-    plume: a world that gas and wind are taken from, instead of the log.
+    system: the vehicle's system id; default: the autopilot with the most positions. gas: see `parse_gas`.
+    wind: (speed in m/s, direction it comes from in degrees clockwise from north), instead of the log's wind.
+    every_s: at most one reading per this time. plume: a simulated world to take gas and wind from, instead of the log.
+    origin: (north, east) in m of the search area's south-west corner in the log's local frame. area_m: the side of the area.
     """
     source = parse_gas(gas)
     _check(wind, every_s, origin, area_m, plume)
@@ -91,7 +91,7 @@ def read(
     side_m, corner = _area([place for _, place, _ in taken], origin, area_m, plume is not None)
     readings = _readings(taken, corner, side_m, plume, left_out)
     if not readings:
-        raise FlightError(f"{path}: no reading is left of {len(samples):,} samples; left out are {_listed(left_out) or 'none'}")
+        raise FlightError(f"{path}: none of the {len(samples):,} samples can be a reading; left out: {_listed(left_out) or 'none'}")
     where = _where(corner, flown.anchor)
     notes += _notes_on_readings([reading for reading, _ in readings], left_out, every_s, side_m, where)
     return Flight(_entries(log, autopilot, clock, readings), autopilot.system, side_m, where, notes)
@@ -115,14 +115,14 @@ def _check(wind: Pair | None, every_s: float, origin: Pair | None, area_m: float
 
 
 def open_log(path: Path) -> tuple[FlightLog, list[str]]:
-    """Return a log's records and what there is to say of the file; raises FlightError where it holds none."""
+    """Return a log's records and notes about the file; raises FlightError if it cannot be read or contains no MAVLink frame."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise FlightError(f"{path} cannot be read: {error.strerror}") from None
     log = FlightLog(data)
     if not len(log):
-        what = next((what for magic, what in NOT_A_TLOG.items() if data.startswith(magic)), "holds no frame of MAVLink 1 or 2")
+        what = next((what for magic, what in NOT_A_TLOG.items() if data.startswith(magic)), "contains no MAVLink 1 or 2 frame")
         raise FlightError(f"{path} {what}; wanted a telemetry log (.tlog), as ground stations write it")
     return log, _notes_on_file(path.name, log)
 
@@ -139,18 +139,16 @@ def _notes_on_file(name: str, log: FlightLog) -> list[str]:
         runs = counted(len(records.garbage), "run")
         notes.append(f"skipped: {counted(amount, 'byte')} of garbage in {runs}, the first at {log.seconds(first):.1f} s")
     if records.refused:
-        notes.append(f"of it, frames with a wrong checksum, damaged or of another dialect: {few(_by_message(records.refused))}")
+        notes.append(f"among them, frames with a wrong checksum (damaged or from another dialect): {few(_by_message(records.refused))}")
     if records.unknown:
-        notes.append(f"frames of messages that are not known, with checksums that cannot be verified: {few(_by_message(records.unknown))}")
+        notes.append(f"frames of unknown messages, whose checksums cannot be verified: {few(_by_message(records.unknown))}")
     if records.cut_off:
         notes.append(f"the last record is cut off after {counted(records.cut_off, 'byte')}")
     if log.is_timed and clock.damaged:
-        notes.append(
-            f"frames without a time of their own, or with an impossible one: {clock.damaged:,}; they have that of the frame before"
-        )
+        notes.append(f"frames with a missing or impossible time: {clock.damaged:,}; each takes the time of the frame before it")
     if clock.jumps:
         jumps = [f"{back_us / 1e6:,.1f} s at {log.seconds(index):.1f} s" for index, back_us in clock.jumps]
-        notes.append(f"the log's clock goes back by {few(jumps)}: from there on that is added")
+        notes.append(f"the log's clock jumps back by {few(jumps)}: later times are corrected")
     return notes
 
 
@@ -163,7 +161,7 @@ def _by_message(counts: Counter[int]) -> list[str]:
 
 
 class Taken(NamedTuple):
-    """A sample that can be a reading."""
+    """A sample that can become a reading, with its place and wind."""
 
     sample: Sample
     place: Place
@@ -171,7 +169,7 @@ class Taken(NamedTuple):
 
 
 def _along(path: FlownPath, clock: VehicleClock, every_s: float) -> tuple[list[Sample], list[str]]:
-    """Places for simulated readings, as regular in time as there are fixes."""
+    """Return samples for simulated readings: every `every_s`, wherever the path has fixes."""
     every_ms = 1000.0 * every_s
     lines = [line for track in path.tracks for line in track.lines()]
     first = min(begin for begin, _ in lines)
@@ -184,13 +182,13 @@ def _along(path: FlownPath, clock: VehicleClock, every_s: float) -> tuple[list[S
 def _take(
     samples: Sequence[Sample], every_s: float, flying: Callable[[float], bool], path: FlownPath, air: Air, left_out: Counter[str]
 ) -> list[Taken]:
-    """Of each interval the first sample that was taken in the air, at a known place and in a known wind."""
+    """Return the first sample of each interval that was taken in the air, at a known place and in a known wind."""
     taken: list[Taken] = []
     interval = None
     for sample in samples:
         number = math.floor((sample.time_ms - samples[0].time_ms) / (1000.0 * every_s))
         if number == interval:
-            left_out[f"more within {every_s:g} s"] += 1
+            left_out[f"extra within {every_s:g} s"] += 1
         elif not flying(sample.time_ms):
             left_out["not in the air"] += 1
         elif (place := path.at(sample.time_ms)) is None:
@@ -204,7 +202,7 @@ def _take(
 
 
 def _area(places: Sequence[Place], origin: Pair | None, area_m: float | None, usual: bool) -> tuple[float, Pair]:
-    """Side and (north, east) corner of the area: as asked for; else the usual one, or one that holds the path, about its middle."""
+    """Return the area's side and (north, east) corner in m: as given, else centred on the path with the default side or a larger one."""
     low, high = (end(np.array(places or [(0.0, 0.0, 0.0)])[:, :2], axis=0) for end in (np.min, np.max))
     span = float(np.max(high - (low if origin is None else origin))) + MARGIN_M * (2 if origin is None else 1)
     side_m = area_m or (AREA_M if usual or span <= AREA_M else float(math.ceil(span)))
@@ -215,14 +213,14 @@ def _area(places: Sequence[Place], origin: Pair | None, area_m: float | None, us
 def _readings(
     taken: Sequence[Taken], corner: Pair, side_m: float, plume: World | None, left_out: Counter[str]
 ) -> list[tuple[Reading, Sample]]:
-    """The readings inside of the area, with times that MAVLink can tell."""
+    """Return the readings inside the area, with times shifted if they do not fit MAVLink's 32-bit time_boot_ms."""
     fits = bool(taken) and taken[0].sample.time_ms >= 0 and taken[-1].sample.time_ms < WRAP
     first_ms = 0 if fits or not taken else taken[0].sample.time_ms
     readings: list[tuple[Reading, Sample]] = []
     for sample, (north, east, up), wind in taken:
         position = float32(east - corner[1]), float32(north - corner[0])
         if not all(0.0 <= value <= side_m for value in position):
-            left_out["outside of the area"] += 1
+            left_out["outside the area"] += 1
             continue
         gas = plume.gas(position, len(readings)) if plume else sample.gas
         readings.append((Reading(sample.time_ms - first_ms, position, float32(up), wind, gas), sample))
@@ -245,16 +243,17 @@ def _notes_on_readings(readings: Sequence[Reading], left_out: Counter[str], ever
     x, y = np.mean([reading.wind for reading in readings], axis=0).tolist()
     globe = "" if origin.lat_deg is None else f" ({origin.lat_deg:.7f}, {origin.lon_deg:.7f})"
     notes = [
-        f"readings: {len(readings):,}, one in {every_s:g} s at most, gas from {min(gas):g} to {max(gas):g}; "
+        f"readings: {len(readings):,}, at most one per {every_s:g} s, gas from {min(gas):g} to {max(gas):g}; "
         f"mean wind {math.hypot(x, y):.1f} m/s from {math.degrees(math.atan2(x, y)) % 360:.0f}°"
     ]
     if left_out:
         notes.append(f"left out: {_listed(left_out)}")
-    return [*notes, f"area: {side_m:g} m, its corner {origin.north_m:g} m north and {origin.east_m:g} m east of the local origin{globe}"]
+    corner = f"{origin.north_m:g} m north and {origin.east_m:g} m east of the local origin{globe}"
+    return [*notes, f"area: side {side_m:g} m, south-west corner {corner}"]
 
 
 def _entries(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, readings: Sequence[tuple[Reading, Sample]]) -> list[Entry]:
-    """The readings and the vehicle's frames; of one time the frames come first."""
+    """Return the readings and the vehicle's frames in order of time; at equal times the frames come first."""
     own = np.flatnonzero(log.records.systems == autopilot.system)
     shift_ms = readings[0][0].time_boot_ms - readings[0][1].time_ms
     times_s = (clock.logged_ms(own) + shift_ms) / 1000.0

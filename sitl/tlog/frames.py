@@ -1,7 +1,7 @@
-"""Telemetry logs (.tlog): the MAVLink frames in one, each found whole and checked, however much of the file around it is damaged.
+"""Finds the intact MAVLink frames of a telemetry log (.tlog), however damaged the file around them is.
 
-A record of such a log is 8 bytes, µs since 1970, most significant byte first, and one MAVLink 1 or 2 frame. Nothing marks where a
-record begins, so where one is damaged the next is searched for, byte by byte.
+A record is a time (µs since 1970, 8 bytes, big-endian) followed by one MAVLink 1 or 2 frame. Nothing marks the start of a record:
+after damage, the next one is searched for byte by byte.
 """
 
 import math
@@ -20,39 +20,39 @@ from link.bus.frames import MAVLINK_1, MAVLINK_2, SHORTEST, Frame, checksums, fr
 Integers = NDArray[np.int64]
 
 STAMP = 8
-"""Bytes of a record before its frame."""
+"""Bytes of the time before each frame."""
 NO_STAMP = -1
 LATEST_US = 4_102_444_800_000_000
-"""The year 2100: later times are damaged ones. Early ones are not: a computer without a clock of its own begins in 1970."""
+"""The year 2100: a later time is damaged. An early one is valid: a computer without a battery-backed clock starts in 1970."""
 MAGIC = re.compile(b"[\xfd\xfe]")
 CHECKSUM_SEEDS = {message_id: bytes([kind.crc_extra]) for message_id, kind in mavlink.mavlink_map.items()}
 SURE_US = 1_000_000
-"""From one record to the next the clock may go back by so much, where two links are logged at once, or ahead, without a second look."""
+"""A larger step of the clock between two records, back or ahead, is checked against the records that follow."""
 
 
 class Records(NamedTuple):
     """The frames of a log, in the order of the file: arrays of one length."""
 
     logged_us: Integers
-    """When each was logged, µs since 1970; NO_STAMP where those bytes are damaged or missing."""
+    """When each was logged, µs since 1970; NO_STAMP if those bytes are damaged or missing."""
     starts: Integers
-    """Where each frame begins in the file, behind its time."""
+    """Offset of each frame in the file, after its time."""
     ends: Integers
     message_ids: Integers
     systems: Integers
     components: Integers
     garbage: list[tuple[int, int]]
-    """Runs of bytes that belong to no record: how many records lie before one, and its length."""
+    """Runs of bytes that belong to no record: (records before the run, its length)."""
     refused: Counter[int]
-    """Of the garbage, what is whole but for its checksum, by message id: frames damaged in place, or of another revision of the dialect."""
+    """Whole frames among the garbage whose checksum is wrong, by message id: damaged, or from another revision of the dialect."""
     unknown: Counter[int]
-    """How many there are of each message that the dialect does not know: their checksums cannot be verified."""
+    """Frames of messages outside the dialect, by message id; their checksums cannot be verified."""
     cut_off: int
-    """Bytes of a last record that has no end."""
+    """Bytes of an incomplete last record."""
 
 
 def scan(data: bytes) -> Records:
-    """Find all records. It never fails: what is no record is counted."""
+    """Find all records. Never raises: bytes outside records are counted."""
     logged, starts, ends, message_ids, systems, components = (array("q") for _ in range(6))
     unknown: Counter[int] = Counter()
     refused: Counter[int] = Counter()
@@ -86,24 +86,24 @@ def scan(data: bytes) -> Records:
 
 
 def payload(data: bytes, start: int) -> bytes:
-    """The payload of the frame that starts there; MAVLink 2 leaves zeros at its end away."""
+    """Return the payload of the frame at offset `start`; MAVLink 2 omits trailing zeros."""
     frame = frame_at(data, start)
     assert frame is not None
     return data[frame.payload : frame.checksum]
 
 
 class LogClock(NamedTuple):
-    """When each record was logged, as a clock that never goes back, and what was wrong with it."""
+    """The log's times made monotonic, and what was corrected."""
 
     times_us: Integers
     damaged: int
-    """Records whose time is missing, or fits no neighbour's; they have the time of the record before."""
+    """Number of records whose time is missing or fits neither neighbour; each takes the time of the record before it."""
     jumps: list[tuple[int, int]]
-    """Where the clock was set back: the record, and by how many µs. After it the times go on from before."""
+    """Where the clock was set back: (record, µs). This amount is added to all later times."""
 
 
 def log_clock(logged_us: Integers) -> LogClock:
-    """Mend the times of a log."""
+    """Correct the times of a log."""
     stamps = logged_us.tolist()
     times, jumps, damaged, offset = array("q", bytes(8 * len(stamps))), [], 0, 0
     newest = next((stamp for stamp in stamps if stamp != NO_STAMP), 0)
@@ -127,7 +127,7 @@ def log_clock(logged_us: Integers) -> LogClock:
 
 
 def _record(data: bytes, at: int) -> Frame | None:
-    """The next frame from there on, in step with the records before it if it can be."""
+    """Return the next frame from offset `at` on; a record that starts exactly there is tried first."""
     frame = frame_at(data, at + STAMP)
     if frame is not None and _is_good(data, at, frame):
         return frame
@@ -139,7 +139,7 @@ def _record(data: bytes, at: int) -> Frame | None:
 
 
 def _is_good(data: bytes, at: int, frame: Frame) -> bool:
-    """Whether a frame is one: by its checksum; where that cannot be verified, by what is before, behind and inside it."""
+    """True for a real frame: by its checksum or, for an unknown message, by the bytes before, after and inside it."""
     verified = _is_right(data, frame)
     if verified is not None:
         return verified
@@ -151,7 +151,7 @@ def _is_good(data: bytes, at: int, frame: Frame) -> bool:
 
 
 def _is_right(data: bytes, frame: Frame) -> bool | None:
-    """Whether a frame's checksum is right; None where the dialect does not know the message."""
+    """True if the frame's checksum is right; None if the dialect does not know the message."""
     seed = CHECKSUM_SEEDS.get(frame.message_id)
     if seed is None:
         return None
@@ -160,7 +160,7 @@ def _is_right(data: bytes, frame: Frame) -> bool | None:
 
 
 def _refused(data: bytes, at: int, end: int) -> list[int]:
-    """The message ids of a run of garbage that is nothing but records with a wrong checksum."""
+    """Return the message ids of a run of garbage that consists only of records with a wrong checksum; else an empty list."""
     message_ids = []
     while at < end:
         frame = frame_at(data, at + STAMP)
@@ -177,12 +177,12 @@ def _stamp(data: bytes, at: int) -> int:
 
 
 def _may_begin(data: bytes, at: int) -> bool:
-    """Whether a record may begin there, or all that is left of one."""
+    """True if a record, or the beginning of an incomplete last one, may start at this offset."""
     if len(data) - at < STAMP + SHORTEST:
         return True
     return _stamp(data, at) != NO_STAMP and data[at + STAMP] in (MAVLINK_1, MAVLINK_2)
 
 
 def _ends_beyond(data: bytes, at: int) -> bool:
-    """Whether a record that begins there would end behind the file."""
+    """True if a record that starts at this offset would extend beyond the end of the file."""
     return _may_begin(data, at) and at + STAMP + frame_length(data, at + STAMP) > len(data)

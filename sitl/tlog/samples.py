@@ -1,4 +1,4 @@
-"""The gas values and the wind of a telemetry log."""
+"""Reads the gas values and the wind from a telemetry log."""
 
 import math
 from collections import Counter, defaultdict
@@ -21,47 +21,45 @@ NAMED = (mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, mavlink.MAVLINK_MSG_ID_NAMED_
 WIND_COV, WIND = mavlink.MAVLINK_MSG_ID_WIND_COV, mavlink.MAVLINK_MSG_ID_WIND
 MESSAGES = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}
 NAME_LENGTH = 10
-"""Characters of the name of a NAMED_VALUE_FLOAT."""
+"""Longest name of a NAMED_VALUE_FLOAT (251) or NAMED_VALUE_INT (252)."""
 
 SAME_CLOCK_MS, OWN_CLOCK_MS = 500.0, 5000.0
-"""A sender's clock is the vehicle's where they differ by this at most, in the median; one value of it by the second."""
+"""Largest difference between a sender's time and the vehicle's if both share a clock: of the median, and of a single value."""
 WIND_AGE_MS = 30_000.0
-"""So long before or after it was told a wind is believed."""
+"""A wind message is valid for this long before and after it was logged."""
 
 
 class GasSource(NamedTuple):
-    """Where in a log the gas values are."""
+    """Which message and field of a log carry the gas values."""
 
     text: str
     message_ids: tuple[int, ...]
     field: str
     name: str | None
-    """Of a NAMED_VALUE_FLOAT or NAMED_VALUE_INT; None: the message is no such value."""
+    """Name of the NAMED_VALUE_FLOAT or NAMED_VALUE_INT; None for any other message."""
     factor: float
 
 
 def parse_gas(text: str) -> GasSource:
-    """Read NAME, of a NAMED_VALUE_FLOAT or NAMED_VALUE_INT, or MESSAGE.FIELD; either with *FACTOR behind it. Raises FlightError."""
+    """Parse NAME (of a NAMED_VALUE_FLOAT or NAMED_VALUE_INT) or MESSAGE.FIELD, either followed by *FACTOR. Raises FlightError."""
     what, star, number = text.partition("*")
     try:
         factor = float(number) if star else 1.0
     except ValueError:
         factor = math.nan
     if not 0.0 < factor < math.inf:
-        raise FlightError(f"{text!r} is not allowed; wanted a number above 0 behind the *")
+        raise FlightError(f"{text!r} is not allowed; wanted a number above 0 after the *")
     message, _, field = what.partition(".")
     if message in MESSAGES and field:
         kind = MESSAGES[message]
         numbers = [name for name in kind.fieldnames if _is_number(kind, name)]
         if field not in numbers:
-            raise FlightError(
-                f"{text!r} is not allowed; wanted a field of {message} that is one number: {', '.join(numbers) or 'it has none'}"
-            )
+            raise FlightError(f"{text!r} is not allowed; wanted a numeric field of {message}: {', '.join(numbers) or 'it has none'}")
         return GasSource(text, (kind.id,), field, None, factor)
     if not 1 <= len(what) <= NAME_LENGTH:
         raise FlightError(
             f"{text!r} is not allowed; wanted the NAME of a NAMED_VALUE_FLOAT, 1 to {NAME_LENGTH} characters, "
-            "or MESSAGE.FIELD such as SCALED_PRESSURE3.temperature, either with *FACTOR behind it"
+            "or MESSAGE.FIELD such as SCALED_PRESSURE3.temperature, either followed by *FACTOR"
         )
     return GasSource(text, NAMED, "value", what, factor)
 
@@ -72,22 +70,23 @@ def _is_number(kind: Message, field: str) -> bool:
 
 
 class Sample(NamedTuple):
-    """A gas value, or a place for one that will be simulated."""
+    """A gas value, or the time for a simulated one."""
 
     time_ms: int
     """The vehicle's time."""
     logged_us: int
+    """The log's time, µs since 1970."""
     gas: float
 
 
 Air = Callable[[float], Pair | None]
-"""The wind at a time of the vehicle: to where it comes from, m/s."""
+"""Maps the vehicle's time in ms to the wind, (x east, y north) m/s, pointing to where it comes from; None if unknown."""
 
 
 def read_gas(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, source: GasSource, left_out: Counter[str]
 ) -> tuple[list[Sample], list[str]]:
-    """The gas values in order of time."""
+    """Return the gas values in order of time, and notes; raises FlightError if there are none."""
     said: list[tuple[int, int, int]] = []
     values = []
     for index, m in log.messages(log.select(autopilot.system, source.message_ids)):
@@ -100,7 +99,7 @@ def read_gas(
     records, components, boot_ms = np.array(said, np.int64).T
     times_ms, by_log = _timed(clock, records, components, boot_ms)
     if by_log:
-        notes.append(f"gas values that have the time at which they were logged, since theirs is not the vehicle's: {by_log:,}")
+        notes.append(f"gas values from senders without the vehicle's clock: {by_log:,}; their log times are used")
     with np.errstate(over="ignore"):
         gas = (np.array(values, np.float64) * source.factor).astype(np.float32).tolist()
     samples: list[Sample] = []
@@ -110,14 +109,14 @@ def read_gas(
         if not math.isfinite(sample.gas):
             left_out["not finite"] += 1
         elif samples and samples[-1].time_ms == sample.time_ms:
-            left_out["said again" if samples[-1].gas == sample.gas else "other values of the same time"] += 1
+            left_out["repeated" if samples[-1].gas == sample.gas else "with the time of another value"] += 1
         else:
             samples.append(sample)
     return samples, notes
 
 
 def _timed(clock: VehicleClock, records: Integers, components: Integers, boot_ms: Integers) -> tuple[Floats, int]:
-    """The vehicle's times of gas values, and how many of them are by the log: those of senders that have another clock, or none."""
+    """Return the vehicle's times of gas values, and how many come from the log because their sender has another clock or none."""
     logged_ms, own_ms = clock.logged_ms(records), clock.own_ms(records, boot_ms)
     apart_ms = np.abs(own_ms - logged_ms)
     is_own = apart_ms <= OWN_CLOCK_MS
@@ -132,24 +131,24 @@ def _no_gas(log: FlightLog, autopilot: Autopilot, source: GasSource) -> str:
     for _, m in log.messages(log.select(None, NAMED)):
         names[m.get_srcSystem()].add(m.name)
     there = ", ".join(sorted(names[autopilot.system])) or "none"
-    elsewhere = "".join(f"; system {system} has it" for system in sorted(names) if source.name in names[system])
+    elsewhere = "".join(f"; system {system} did" for system in sorted(names) if source.name in names[system])
     return (
-        f"system {autopilot.system} told no {source.text}{elsewhere}; named values that it told: {there}; "
-        "choose one with --gas, or lay a simulated plume over its path with --plume MISSION.yaml"
+        f"system {autopilot.system} sent no {source.text}{elsewhere}; its named values: {there}; "
+        "choose one with --gas, or simulate a plume along its path with --plume MISSION.yaml"
     )
 
 
 def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: Pair | None) -> tuple[Air, list[str]]:
-    """The wind that was asked for, else WIND_COV, else ArduPilot's WIND; raises FlightError where there is none."""
+    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168), and notes; raises FlightError if none exists."""
     if wind is not None:
-        return steady(_from_compass(*wind)), [f"wind: {wind[0]:g} m/s from {wind[1]:g}°, as asked for"]
+        return steady(_from_compass(*wind)), [f"wind: {wind[0]:g} m/s from {wind[1]:g}°, as given"]
     for message_id, toward in ((WIND_COV, _wind_cov), (WIND, _wind)):
         said = [(index, toward(m)) for index, m in log.messages(log.select(autopilot.system, (message_id,)))]
         said = [(index, pair) for index, pair in said if all(map(math.isfinite, pair))]
         if said:
             told = Told(clock.logged_ms(np.array([index for index, _ in said], np.int64)), [pair for _, pair in said])
-            return _changing(told), [f"wind: {len(said):,} of {mavlink.mavlink_map[message_id].msgname}"]
-    raise FlightError(f"system {autopilot.system} told no wind: neither WIND_COV nor WIND; give it with --wind SPEED,FROM")
+            return _changing(told), [f"wind: {len(said):,} {mavlink.mavlink_map[message_id].msgname}"]
+    raise FlightError(f"system {autopilot.system} sent no wind (WIND_COV or WIND); give it with --wind SPEED,FROM")
 
 
 def _from_compass(speed: float, from_deg: float) -> Pair:
@@ -157,12 +156,12 @@ def _from_compass(speed: float, from_deg: float) -> Pair:
 
 
 def _wind_cov(m: Message) -> Pair:
-    """WIND_COV has the air's velocity, north and east."""
+    """WIND_COV (231) carries the air's velocity, north and east."""
     return -m.wind_y, -m.wind_x
 
 
 def _wind(m: Message) -> Pair:
-    """ArduPilot's WIND has the direction that it comes from."""
+    """ArduPilot's WIND (168) carries the direction that the wind comes from."""
     return _from_compass(m.speed, m.direction)
 
 
@@ -172,7 +171,7 @@ def steady(wind: Pair) -> Air:
 
 
 def _changing(told: Told) -> Air:
-    """The wind that was told last, as long as it is believed."""
+    """Return the latest wind message at each time, while it is valid."""
 
     def air(time_ms: float) -> Pair | None:
         last = told.last(time_ms)

@@ -1,4 +1,4 @@
-"""Where a logged vehicle was, and when it was in the air."""
+"""The path of a logged vehicle, and when it was in the air."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -19,37 +19,37 @@ Home = tuple[float, float, float]
 
 EXTENDED_SYS_STATE = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
 JOIN_MS, REACH_MS = 5000.0, 1000.0
-"""Fixes that are so near in time are joined by a line, which is believed for so long beyond its ends."""
+"""Fixes at most JOIN_MS apart are joined by a line; a line is extrapolated by at most REACH_MS beyond its ends."""
 SAMPLED = 500
-"""So many fixes say well enough how two frames lie to each other."""
+"""About this many fixes suffice to find the offset between two frames."""
 SHIFTED_M = 0.1
-"""A frame that lies so far off another is worth a note."""
+"""Smallest offset between two frames that is noted."""
 
 
 class Track:
     """Fixes of one kind in order of time."""
 
     def __init__(self, times_ms: Sequence[float], places: Sequence[Place], boots: Sequence[int]) -> None:
-        """Take each fix's time, place, and the starts of the vehicle before it."""
+        """Take each fix's time, place, and the number of the vehicle's restarts before it."""
         self.times_ms, chosen = np.unique(np.array(times_ms, np.float64), return_index=True)
         self.places = np.array(places, np.float64).reshape(-1, 3)[chosen]
         self.boots = np.array(boots, np.int64)[chosen]
         breaks = (np.diff(self.times_ms) > JOIN_MS) | (np.diff(self.boots) != 0)
         self._lines = np.concatenate([[0], np.cumsum(breaks)])[: len(chosen)]
-        """The number of the line that each fix is on."""
+        """The number of each fix's line."""
 
     def __len__(self) -> int:
-        """How many fixes there are."""
+        """Number of fixes."""
         return len(self.times_ms)
 
     def lines(self) -> Iterator[tuple[float, float]]:
-        """From when to when fixes are joined."""
+        """Yield the first and last time of each line of joined fixes."""
         for line in np.unique(self._lines):
             times = self.times_ms[self._lines == line]
             yield float(times[0]), float(times[-1])
 
     def at(self, time_ms: float) -> Place | None:
-        """The place between the fixes before and after; up to 1 s beyond the end of a line, where its last second leads. None elsewhere."""
+        """Return the place, interpolated on a line or extrapolated from its first or last second by at most 1 s; None elsewhere."""
         after = int(np.searchsorted(self.times_ms, time_ms, side="right"))
         before = after - 1
         if before >= 0 and after < len(self) and self._lines[before] == self._lines[after]:
@@ -71,7 +71,7 @@ class Track:
 
 
 class Anchor(NamedTuple):
-    """A point of the globe, and where it is in the local frame."""
+    """A point on the globe and its place in the local frame."""
 
     lat_deg: float
     lon_deg: float
@@ -80,20 +80,23 @@ class Anchor(NamedTuple):
 
 
 class FlownPath:
-    """Where the vehicle was, in one local frame, by the best fixes there are."""
+    """The vehicle's path in one local frame, from the best fixes available."""
 
     def __init__(self, tracks: Sequence[Track], anchor: Anchor | None) -> None:
-        """Take the tracks, the best first, and what ties them to the globe."""
+        """Take the tracks, the best first, and the anchor on the globe, if known."""
         self.tracks = [track for track in tracks if len(track)]
         self.anchor = anchor
 
     def at(self, time_ms: float) -> Place | None:
-        """The place at a time; None where no fix is near enough."""
+        """Return the place at a time; None if no fix is near enough."""
         return next((place for track in self.tracks if (place := track.at(time_ms)) is not None), None)
 
 
 def flown(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[FlownPath, list[str]]:
-    """Return the path: LOCAL_POSITION_NED, else GLOBAL_POSITION_INT, and GPS_RAW_INT where neither was ever sent; raises FlightError."""
+    """Return the path and notes; raises FlightError if the vehicle sent no position.
+
+    Fixes come from LOCAL_POSITION_NED (32), else GLOBAL_POSITION_INT (33); from GPS_RAW_INT (24) only if neither was ever sent.
+    """
     home = _home(log, autopilot)
     local = _track(log, autopilot, clock, LOCAL, _local_place)
     around, home = _globe_track(log, autopilot, clock, GLOBAL, home)
@@ -101,18 +104,18 @@ def flown(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[Fl
     if not len(local) and not len(around):
         around, home = _globe_track(log, autopilot, clock, GPS, home)
         name = "GPS_RAW_INT"
-    told = [f"{len(track):,} of {kind}" for track, kind in ((local, "LOCAL_POSITION_NED"), (around, name)) if len(track)]
+    told = [f"{len(track):,} {kind}" for track, kind in ((local, "LOCAL_POSITION_NED"), (around, name)) if len(track)]
     if not told:
         raise FlightError(
-            f"system {autopilot.system} told no position; wanted LOCAL_POSITION_NED, or GLOBAL_POSITION_INT or GPS_RAW_INT with a fix"
+            f"system {autopilot.system} sent no position; wanted LOCAL_POSITION_NED, or GLOBAL_POSITION_INT or GPS_RAW_INT with a fix"
         )
-    notes = [f"positions: {', else '.join(told)}"]
+    notes = [f"positions: {', otherwise '.join(told)}"]
     if not len(local):
         assert home is not None
         return FlownPath([around], Anchor(home[0], home[1], 0.0, 0.0)), notes
     offsets = _offsets(local, around)
     if len(np.unique(local.boots)) > max(1, len(offsets)):
-        notes.append("its local frame is taken to be the same after each start where no GLOBAL_POSITION_INT tells otherwise")
+        notes.append("the local frame is assumed unchanged after each restart without GLOBAL_POSITION_INT")
     if not offsets:
         return FlownPath([local], None), notes
     assert home is not None
@@ -122,15 +125,15 @@ def flown(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[Fl
         local.places[local.boots == boot] += offset - base
         if math.hypot(north, east) >= SHIFTED_M:
             notes.append(
-                f"after start {boot + 1} the origin of its local frame lies {north:.1f} m north and {east:.1f} m east of where it was, "
-                "by GLOBAL_POSITION_INT: what follows is moved by that"
+                f"after start {boot + 1} the origin of the local frame is {north:.1f} m north and {east:.1f} m east of the first one, "
+                "by GLOBAL_POSITION_INT: positions are corrected"
             )
     around.places -= base
     return FlownPath([local, around], Anchor(home[0], home[1], -float(base[0]), -float(base[1]))), notes
 
 
 def _track(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, message_id: int, place: Callable[[Message], Place | None]) -> Track:
-    """The fixes of one message. The time of a GPS_RAW_INT may be any clock's, so it counts from when it was logged."""
+    """Return the fixes of one message. A GPS_RAW_INT (24) may carry any clock's time, so its log time is used."""
     records = log.select(autopilot.system, (message_id,), autopilot.component)
     fixes = [(index, spot, getattr(m, "time_boot_ms", 0)) for index, m in log.messages(records) if (spot := place(m)) is not None]
     kept = np.array([index for index, _, _ in fixes], np.int64)
@@ -146,7 +149,7 @@ def _local_place(m: Message) -> Place | None:
 def _globe_track(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, message_id: int, home: Home | None
 ) -> tuple[Track, Home | None]:
-    """Fixes on the globe as metres from home, or from the first of them."""
+    """Return global fixes as metres from home (or from the first fix without a home), and that origin."""
 
     def place(m: Message) -> Place | None:
         nonlocal home
@@ -161,7 +164,7 @@ def _globe_track(
 
 
 def _home(log: FlightLog, autopilot: Autopilot) -> Home | None:
-    """The first home that is one."""
+    """Return the first valid HOME_POSITION (242)."""
     for _, m in log.messages(log.select(autopilot.system, (mavlink.MAVLINK_MSG_ID_HOME_POSITION,), autopilot.component)):
         if _is_place(m.latitude, m.longitude):
             return m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3
@@ -169,12 +172,12 @@ def _home(log: FlightLog, autopilot: Autopilot) -> Home | None:
 
 
 def _is_place(lat_e7: int, lon_e7: int) -> bool:
-    """Zero and zero is what is told without a fix."""
+    """True for a valid latitude and longitude; (0, 0) is sent without a fix."""
     return abs(lat_e7) <= 900_000_000 and abs(lon_e7) <= 1_800_000_000 and (lat_e7, lon_e7) != (0, 0)
 
 
 def _offsets(local: Track, around: Track) -> dict[int, Floats]:
-    """By start: where the origin of the local frame is in the other track's frame, from fixes of one time."""
+    """Return, by number of restarts, the local frame's origin in the other track's frame, from fixes at equal times."""
     offsets = {}
     for boot in np.unique(local.boots).tolist():
         fixes = np.flatnonzero(local.boots == boot)
@@ -186,11 +189,11 @@ def _offsets(local: Track, around: Track) -> dict[int, Floats]:
     return offsets
 
 
-# ---- what was said of a state ----
+# ---- reported states ----
 
 
 class Told:
-    """What was said of something, by when it was said."""
+    """A reported state over time: values and the times of their messages."""
 
     def __init__(self, times_ms: Floats, values: Sequence[float | tuple[float, ...]]) -> None:
         """Take the times in order."""
@@ -198,12 +201,15 @@ class Told:
         self.values = np.array(values, np.float64)
 
     def last(self, time_ms: float) -> int:
-        """Number of what was said last at a time, or else first of all."""
+        """Return the index of the latest value at a time; before the first value, that of the first."""
         return max(int(np.searchsorted(self.times_ms, time_ms, side="right")) - 1, 0)
 
 
 def flying(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[Callable[[float], bool], list[str]]:
-    """Return what says whether it was in the air at a time: armed, and not on the ground, as far as it ever said to be."""
+    """Return a function that tells if the vehicle was in the air at a time (ms), and notes.
+
+    In the air means armed (HEARTBEAT, 0) and not on the ground (EXTENDED_SYS_STATE, 245). A state that was never reported is ignored.
+    """
 
     def told(message_id: int, state: Callable[[Message], bool | None]) -> Told:
         records = log.select(autopilot.system, (message_id,), autopilot.component)
@@ -217,7 +223,7 @@ def flying(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[C
     aloft = told(EXTENDED_SYS_STATE, is_aloft)
     words = [word for word, state in (("disarmed", armed), ("on the ground", aloft)) if state.values.any()]
     states = [state for state in (armed, aloft) if state.values.any()]
-    notes = [f"in the air: what was measured while it was {' or '.join(words)} is no reading"]
+    notes = [f"in the air: samples taken while {' or '.join(words)} are not used"]
     if not words:
-        notes = ["in the air: it never says to be armed or off the ground, so all that was measured counts"]
+        notes = ["in the air: the log never reports armed or airborne, so all samples are used"]
     return lambda time_ms: all(bool(state.values[state.last(time_ms)]) for state in states), notes

@@ -1,4 +1,4 @@
-"""What goes wrong with a sensor and with the radio that carries its readings."""
+"""Simulated faults of the gas sensor and of the radio that carries its readings."""
 
 import heapq
 import itertools
@@ -10,17 +10,17 @@ from sitl.script.script import Delay, Dropout, Duplicate, Lose, Spike, Stuck
 
 
 class FaultySensor:
-    """Stands between the world and the vehicle: passes readings on as the faults leave them."""
+    """Applies a script's sensor faults to each reading. Values are in the sensor's unit, times are simulation time in s."""
 
     def __init__(self) -> None:
-        """Begin without a fault."""
+        """Start without faults."""
         self._last: float | None = None
         self._silent_until_s = -math.inf
         self._stuck = 0
-        self._spikes: list[tuple[int, float]] = []  # (readings left, what is added)
+        self._spikes: list[tuple[int, float]] = []  # (readings left, added value)
 
     def begin(self, fault: Dropout | Stuck | Spike, now_s: float) -> None:
-        """Have a fault begin with the next reading."""
+        """Start a fault with the next reading."""
         match fault:
             case Dropout(for_s=for_s):
                 self._silent_until_s = max(self._silent_until_s, now_s + for_s)
@@ -30,11 +30,11 @@ class FaultySensor:
                 self._spikes.append((readings, gas))
 
     def silent(self, now_s: float) -> bool:
-        """Whether it gives no value now."""
+        """True during a dropout: the sensor gives no value."""
         return now_s < self._silent_until_s
 
     def read(self, gas: float) -> float:
-        """Return what it says where it should say this; a float32, as the wire carries it. Spikes pass unseen while it is stuck."""
+        """Return the faulty value for a true one, as float32 as on the wire. A stuck sensor hides spikes; their readings still count."""
         gas = float32(gas + sum(added for _, added in self._spikes))
         self._spikes = [(left - 1, added) for left, added in self._spikes if left > 1]
         if self._stuck:
@@ -45,10 +45,10 @@ class FaultySensor:
 
 
 class FaultyRadio:
-    """Loses, delays and doubles readings on the way to the bus. Its times are real ones: radio waves know of no speed-up."""
+    """Loses, delays and duplicates readings on their way to the bus. Its times are real time in s, whatever the speed-up."""
 
     def __init__(self, publish: Callable[[bytes], None]) -> None:
-        """Take what really sends."""
+        """Take the function that publishes a reading."""
         self._publish = publish
         self._faults: list[tuple[int, Delay | Duplicate | Lose]] = []  # (readings left, fault)
         self._delay_s, self._copies, self._losses = 0.0, 1, 0
@@ -56,11 +56,11 @@ class FaultyRadio:
         self._on_the_way: list[tuple[float, int, bytes]] = []
 
     def begin(self, fault: Delay | Duplicate | Lose) -> None:
-        """Have a fault begin with the next reading."""
+        """Start a fault with the next reading."""
         self._faults.append((fault.readings, fault))
 
     def new_reading(self) -> None:
-        """From now on another reading is sent: find out what happens to it, each time that it is sent."""
+        """Start a new reading: fix its delay, copies and losses for each time that it is sent."""
         faults = [fault for _, fault in self._faults]
         self._faults = [(left - 1, fault) for left, fault in self._faults if left > 1]
         self._delay_s = sum(fault.by_s for fault in faults if isinstance(fault, Delay))
@@ -68,7 +68,7 @@ class FaultyRadio:
         self._losses = sum(fault.times for fault in faults if isinstance(fault, Lose))
 
     def send(self, payload: bytes, now_s: float) -> None:
-        """Send the reading."""
+        """Send the current reading, once or again."""
         if self._losses:
             self._losses -= 1
             return
@@ -79,10 +79,10 @@ class FaultyRadio:
                 self._publish(payload)
 
     def deliver(self, now_s: float) -> None:
-        """Let arrive what is due."""
+        """Publish the delayed readings that are due."""
         while self._on_the_way and self._on_the_way[0][0] <= now_s:
             self._publish(heapq.heappop(self._on_the_way)[2])
 
     def next_s(self) -> float:
-        """When the next one arrives; infinite where none is on the way."""
+        """Return when the next delayed reading is due; infinity if there is none."""
         return self._on_the_way[0][0] if self._on_the_way else math.inf

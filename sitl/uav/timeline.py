@@ -1,4 +1,4 @@
-"""When the events of a mission happen: those of a step as its reading is taken, those of a time at that time exactly."""
+"""When the events of a mission happen: an event with a step at that step's reading, an event with a time at exactly that time."""
 
 import heapq
 import itertools
@@ -9,16 +9,16 @@ from sitl.autopilot.state import Arrived
 from sitl.script.script import Abort, OnBoard, Pause
 
 Item = OnBoard | Arrived
-"""An event; or a place where the sensor was silent, to be tried again."""
+"""A script event, or a place at which to measure again after a sensor dropout."""
 BY_OPERATOR = (Pause, Abort)
-"""The operator of a script sees a reading before doing something."""
+"""Operator events: they happen after the reading of their step, all others before it."""
 
 
 class Timeline:
-    """What is still to come."""
+    """The events that are still to come. Times are simulation time in s."""
 
     def __init__(self, events: Sequence[OnBoard] = ()) -> None:
-        """Take the events in the order in which those of one moment happen. What has neither step nor time comes by `schedule`."""
+        """Take the events; simultaneous ones happen in this order. An event with neither step nor time waits for `schedule`."""
         self._order = itertools.count()
         self._timed: list[tuple[float, int, Item]] = []
         self._stepped: dict[int, list[OnBoard]] = defaultdict(list)
@@ -29,23 +29,23 @@ class Timeline:
                 self.schedule(event.time_s, event)
 
     def schedule(self, time_s: float, item: Item) -> None:
-        """Have something happen at a time."""
+        """Schedule an item for a time."""
         heapq.heappush(self._timed, (time_s, next(self._order), item))
 
     def next_s(self) -> float | None:
-        """When the next thing of a time happens."""
+        """Return the time of the next scheduled item; None if there is none."""
         return self._timed[0][0] if self._timed else None
 
     def pop(self) -> Item:
-        """Take the next thing of a time."""
+        """Remove and return the next scheduled item."""
         return heapq.heappop(self._timed)[2]
 
     def before(self, step: int) -> list[OnBoard]:
-        """Take the events of a step that bear on its reading."""
+        """Remove and return the events of a step that precede its reading."""
         return self._take(step, lambda event: not isinstance(event, BY_OPERATOR))
 
     def after(self, step: int) -> list[OnBoard]:
-        """Take the events of a step that come once its reading is there."""
+        """Remove and return the events of a step that follow its reading."""
         return self._take(step, lambda event: isinstance(event, BY_OPERATOR))
 
     def _take(self, step: int, wanted: Callable[[OnBoard], bool]) -> list[OnBoard]:

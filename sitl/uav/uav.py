@@ -29,21 +29,21 @@ from sitl.uav.timeline import Timeline
 from sitl.uav.udp import UdpLink
 
 TRY_AGAIN_S = 1.0
-"""Simulation time after which a silent sensor is asked again."""
+"""Simulation time after which a sensor without a value is read again."""
 
 
 class Link(Protocol):
-    """Somewhere that MAVLink messages are sent to."""
+    """A destination for MAVLink messages."""
 
     def send(self, *messages: Message) -> None:
-        """Send messages in this link's own sequence."""
+        """Send messages with this link's own sequence numbers."""
 
 
 class BusLink:
     """MAVLink over the bus."""
 
     def __init__(self, bus: Bus, system: int) -> None:
-        """Send on `mavlink/out`."""
+        """Publish on `mavlink/out` as this system id."""
         self._bus = bus
         self._codec = Codec(system, COMPONENT)
 
@@ -53,21 +53,21 @@ class BusLink:
 
 
 class Port(NamedTuple):
-    """A link and the telemetry that goes out on it: each client sets its own rates."""
+    """A link and its telemetry: the client of each link sets its own rates."""
 
     link: Link
     telemetry: Telemetry
 
 
 class FromUdp(NamedTuple):
-    """A message that came over UDP, and on which port of ours."""
+    """A message received over UDP, with the index of its `Port`."""
 
     port: int
     message: Message
 
 
 class Uav:
-    """One vehicle in one world: the loop that ties its clock, its links and its sensor together."""
+    """One vehicle in one world: the loop that connects its clock, its links and its sensor."""
 
     def __init__(
         self,
@@ -80,9 +80,9 @@ class Uav:
         log: Log,
         events: Sequence[OnBoard] = (),
     ) -> None:
-        """Join the links; raises ValueError for a UDP URL that cannot be used. `events` are what a script has happen on board.
+        """Open the links; raises ValueError for a UDP URL that cannot be used.
 
-        `log` is the bus's, where there is one.
+        outs: UDP URLs; log: the bus's own log if there is a bus; events: the script events that happen on board.
         """
         self._vehicle = Vehicle(config)
         self._protocol = MavlinkProtocol(self._vehicle)
@@ -119,11 +119,11 @@ class Uav:
             self._ports.append(Port(link, self._telemetry()))
 
     def _telemetry(self) -> Telemetry:
-        # The vehicle's own time, not that of the streams: at speed-up 0 the two differ.
+        # The vehicle's time, not the streams' time: at speed-up 0 they differ.
         return Telemetry(lambda _: Snapshot(self._vehicle.config, self._vehicle.state(self._vehicle.now_s), self._world.wind, self._gas))
 
     def run(self) -> None:
-        """Fly until interrupted."""
+        """Run the service until it is interrupted."""
         if self._bus:
             self._bus.subscribe(MAVLINK_IN, STOP)
             self._bus.watch_services()
@@ -150,16 +150,16 @@ class Uav:
     # ---- time ----
 
     def _next_event_s(self) -> float | None:
-        """When the next thing happens to the vehicle or by the script, if no message comes."""
+        """Return the time of the next vehicle or script event if no message comes; None if there is none."""
         return min((at for at in (self._vehicle.next_event_s(), self._timeline.next_s()) if at is not None), default=None)
 
     @property
     def _busy(self) -> bool:
-        """Whether nobody is waited for: at speed-up 0 time may then leap to the next event."""
+        """True if the vehicle waits for nobody: at speed-up 0 time may then jump to the next event."""
         return self._vehicle.moving or (self._tally.state == "searching" and self._timeline.next_s() is not None and not self._must_resend)
 
     def _live_until(self, now_s: float) -> None:
-        """Let time pass, and each event of the script happen at its very own."""
+        """Advance to a time; each script event happens at its exact time."""
         while (at := self._timeline.next_s()) is not None and at <= now_s:
             self._let_pass(max(at, self._vehicle.now_s))
             if (at := self._timeline.next_s()) is not None and at <= self._vehicle.now_s:
@@ -184,7 +184,7 @@ class Uav:
             real_s = min(self._radio.next_s(), self._resend_at if self._must_resend else math.inf)
             timeout_s = min(timeout_s, max(real_s - time.monotonic(), 0.0))
         try:
-            return self._inbox.get(timeout=min(timeout_s, SIGNAL_POLL_S))  # a client may have turned all streams off
+            return self._inbox.get(timeout=min(timeout_s, SIGNAL_POLL_S))  # the timeout may be infinite: a client can turn all streams off
         except queue.Empty:
             return None
 
@@ -226,7 +226,7 @@ class Uav:
     # ---- the search ----
 
     def _go_on_with_the_search(self) -> None:
-        """Arm, take off and go to the start when estimator and agent are there; then their waypoints lead."""
+        """Once estimator and agent are alive: arm, take off, fly to the start, then follow their waypoints."""
         now_s = self._vehicle.now_s
         mode = self._vehicle.state(now_s).mode
         if self._tally.state == "standby" and self._searchers >= SEARCHERS:
@@ -254,7 +254,7 @@ class Uav:
             self._bus.publish_health()
 
     def _sample(self, arrived: Arrived) -> None:
-        """Take one reading where the vehicle came to rest, and publish it."""
+        """Take one reading where the vehicle came to rest, and publish it. A sensor without a value publishes NaN and is read again."""
         for event in self._timeline.before(self._readings):
             self._perform(event)
         north, east, down = arrived.position
@@ -291,7 +291,7 @@ class Uav:
         return self._bus is not None and self._tally.state == "searching" and self._vehicle.awaiting_answer and not self._stopped
 
     def _resend(self) -> None:
-        """Send an unanswered reading again: whichever message of the round trip was lost, this one has it said once more."""
+        """Publish an unanswered reading again: the reading, the belief or the waypoint may have been lost."""
         now_s = time.monotonic()
         self._radio.deliver(now_s)
         if self._must_resend and now_s >= self._resend_at:
@@ -302,7 +302,7 @@ class Uav:
     # ---- the script ----
 
     def _perform(self, event: OnBoard | Arrived) -> None:
-        """Have an event of the script happen now."""
+        """Carry out a script event, or measure again after a dropout."""
         if isinstance(event, Arrived):
             if self._vehicle.state(self._vehicle.now_s).mode is Mode.OFFBOARD and not self._vehicle.moving:
                 self._sample(event)
@@ -326,7 +326,7 @@ class Uav:
                     self._timeline.schedule(self._vehicle.now_s + after_s, Resume(time_s=self._vehicle.now_s + after_s))
                 del self._after_pause_s[:1]
             case Resume():
-                # A pause may outlast the time that a setpoint is good for.
+                # A pause may last longer than a setpoint stays valid: send the setpoint again first.
                 if self._vehicle.waypoint:
                     self._operate(setpoint(self._vehicle.waypoint))
                 self._operate(change_mode(Mode.OFFBOARD))
@@ -334,7 +334,7 @@ class Uav:
                 self._operate(command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH))
 
     def _operate(self, message: Message) -> None:
-        """Take a message of the script's operator, as if it had come over a link."""
+        """Handle a message of the script's operator as if it had come over a link."""
         message.pack(mavlink.MAVLink(None, *OPERATOR))
         answers = self._protocol.receive(message, self._vehicle.now_s)
         for text in (answer.text for answer in answers if answer.get_type() == "STATUSTEXT"):

@@ -1,4 +1,4 @@
-"""MAVLink over UDP with ground stations and programs: `udpout:HOST:PORT` or `udpin:HOST:PORT`, as pymavlink writes them."""
+"""MAVLink over UDP with ground stations and programs: `udpout:HOST:PORT` or `udpin:HOST:PORT`, pymavlink's URLs."""
 
 import logging
 import re
@@ -18,46 +18,46 @@ logger = logging.getLogger(__name__)
 
 LARGEST_DATAGRAM = 65535
 FORGET_AFTER_S = 60.0
-"""Who has been silent for so long on a `udpin` is gone: a ground station sends a heartbeat every second."""
+"""A peer of a `udpin` that is silent for this long is dropped: a ground station sends a heartbeat every second."""
 MOST_PEERS = 16
-"""So many, the last to have spoken, are answered on a `udpin`: an address is easily made up."""
+"""A `udpin` answers at most this many peers, the latest to have sent a frame: source addresses are easily forged."""
 ALLOWED = "udpout:HOST:PORT or udpin:HOST:PORT"
 
 
 class Url(NamedTuple):
-    """Where to speak MAVLink."""
+    """The parts of a UDP URL."""
 
     listens: bool
-    """`udpin`: bind there and answer whoever has spoken; `udpout`: speak to there."""
+    """True for `udpin`: bind to the address and answer every sender. False for `udpout`: send to the address."""
     host: str
     port: int
 
     @property
     def counterpart(self) -> str:
-        """What clients are given to reach it."""
+        """The URL that a client needs to reach this link."""
         if self.listens:
             return f"MAVSDK: udpout://HOST:{self.port}, pymavlink and MAVProxy: udpout:HOST:{self.port}"
         return f"MAVSDK: udpin://0.0.0.0:{self.port}, pymavlink and MAVProxy: udpin:0.0.0.0:{self.port}"
 
 
 def parse_url(url: str) -> Url:
-    """Return what a URL says; raises ValueError where it is none."""
+    """Parse a URL; raises ValueError if it is not valid."""
     match = re.fullmatch(r"udp(in|out):([^\s:/]+):([0-9]{1,5})", url)
     if not match or not 1 <= int(match[3]) <= 65535:
-        raise ValueError(f"{url!r} is not a MAVLink link: allowed is {ALLOWED} with a port from 1 to 65535")
+        raise ValueError(f"{url!r} is not a MAVLink UDP URL: allowed is {ALLOWED} with a port from 1 to 65535")
     return Url(match[1] == "in", match[2], int(match[3]))
 
 
 def decode(datagram: bytes) -> tuple[list[Message], int]:
-    """Return the messages of a datagram, MAVLink 1 or 2, and how many bytes of it belong to none.
+    """Return the messages in a datagram (MAVLink 1 or 2) and the number of bytes that belong to no message.
 
-    A frame never straddles datagrams, so nothing is kept between them: garbage cannot swallow the good frame that follows it.
+    A frame never spans two datagrams, so no state is kept between them: garbage cannot swallow a good frame that follows it.
     """
     parser = mavlink.MAVLink(None)
     messages, skipped, at = [], 0, 0
     while at < len(datagram):
         frame = frame_at(datagram, at)
-        # Of a message outside the dialect not even the checksum can be verified.
+        # The checksum of a message outside the dialect cannot be verified.
         message = _decode_frame(parser, datagram[at : frame.end]) if frame and frame.message_id in LAYOUTS else None
         if frame is None or message is None:
             skipped += 1
@@ -76,27 +76,27 @@ def _decode_frame(parser: mavlink.MAVLink, frame: bytes) -> Message | None:
 
 
 class UdpLink:
-    """Sends messages to its peers and hands those that come back to a callback, in a thread of its own.
+    """Sends messages to its peers and passes received ones to a callback, in a thread of its own.
 
-    The peer of a `udpout` is its address, heard or not: what cannot be sent is lost, as on a radio. Those of a `udpin` are all who
-    have lately sent it a frame.
+    A `udpout` has one peer, its address, whether or not anyone answers there; a message that cannot be sent is lost, as on a radio.
+    The peers of a `udpin` are all who sent it a frame in the last minute.
     """
 
     def __init__(self, url: str, on_message: Callable[[Message], None], system: int = 1, component: int = 1) -> None:
-        """Open the link; raises ValueError where the URL is not one or its host or port cannot be had."""
+        """Open the link; raises ValueError if the URL is not valid or its host or port cannot be used."""
         self.garbage = 0
-        """Bytes received that belong to no frame."""
+        """Received bytes that belong to no message."""
         where = parse_url(url)
         self._codec = Codec(system, component)
         self._on_message = on_message
         self._heard: dict[tuple[str, int], float] | None = {} if where.listens else None
-        """When each peer of a `udpin` was last heard, the latest last; replaced as a whole, as two threads use it."""
+        """When each peer of a `udpin` was last heard, the latest last. Replaced as a whole because two threads use it."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             if where.listens:
                 self._socket.bind(where[1:])
             else:
-                self._socket.connect(where[1:])  # from now on only this peer is heard
+                self._socket.connect(where[1:])  # from now on the kernel delivers only this peer's datagrams
         except OSError as error:
             self._socket.close()
             raise ValueError(f"{url!r} cannot be used: {error.strerror}; allowed is {ALLOWED} with a usable IPv4 host") from None
@@ -116,7 +116,7 @@ class UdpLink:
                         self._socket.send(frame)
                     else:
                         self._socket.sendto(frame, peer)
-                except OSError:  # nobody listens there (yet), the buffer is full, or the link is closed
+                except OSError:  # no listener there (yet), a full buffer, or a closed link
                     continue
 
     def _peers(self) -> list[tuple[str, int] | None]:
@@ -126,7 +126,7 @@ class UdpLink:
         return [peer for peer, heard in self._heard.items() if heard >= oldest]
 
     def close(self) -> None:
-        """End the thread and free the socket; a second call does nothing."""
+        """End the thread and free the socket; a second call has no effect."""
         self._wake.close()
         if self._thread is not threading.current_thread():
             self._thread.join()
@@ -140,7 +140,7 @@ class UdpLink:
                 return
             try:
                 datagram, peer = self._socket.recvfrom(LARGEST_DATAGRAM)
-            except OSError:  # the peer refused what was sent to it: it is not there yet
+            except OSError:  # the peer refused an earlier datagram: no listener there yet
                 continue
             messages, garbage = decode(datagram)
             self.garbage += garbage

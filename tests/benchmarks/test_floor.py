@@ -1,4 +1,4 @@
-"""Protects the bracket of the information floor: the bound from below, what was found above it, what was flown."""
+"""Protects the bracket of the information floor: its lower bound, the paths found, and the flown paths."""
 
 import itertools
 import json
@@ -68,7 +68,7 @@ def test_a_floor_beyond_the_budget_is_infinite() -> None:
 
 @pytest.mark.parametrize("seed", range(1_000_000, 1_000_010))
 def test_the_quick_search_finds_what_the_thorough_one_does(seed: int) -> None:
-    # It begins elsewhere and refines fewer paths; a step more is allowed.
+    # The quick search starts from other paths and refines fewer; one step more is allowed.
     thresholds_m = [0.9, 0.2, 0.5]
     brackets = floor.brackets(draw(seed), thresholds_m)
     for threshold_m, found_m in floors_m(draw(seed), thresholds_m).items():
@@ -76,7 +76,7 @@ def test_the_quick_search_finds_what_the_thorough_one_does(seed: int) -> None:
 
 
 def test_the_flown_spread_comes_below_a_threshold_near_the_floor() -> None:
-    # Over ten missions: the filter's real spread against an expectation; 2 m of mean difference are allowed.
+    # Over ten missions, the filter's spread is compared with its expectation; a mean difference of 2 m is allowed.
     differences = []
     for seed in range(1_000_000, 1_000_010):
         found = floor.brackets(draw(seed), [0.5])[0.5]

@@ -1,4 +1,4 @@
-"""Protects the worlds that differ from the model: each differs as it says and in nothing else, and none of it reaches the estimator."""
+"""Protects the worlds that differ from the model: each differs only as it states, and the estimator never learns of the difference."""
 
 import math
 import os
@@ -34,7 +34,7 @@ def flown(world: str, name: str, seed: int, particles: int = 200, budget: int = 
 
 
 def formula(at: tuple[float, float], source: tuple[float, float], q: float, u: float, phi: float, d: float, tau: float) -> float:
-    """The paper's concentration, written again."""
+    """The paper's concentration, written independently of the code."""
     r = max(math.dist(at, source), 0.1)
     psi = -((at[0] - source[0]) * u * math.cos(phi) + (at[1] - source[1]) * u * math.sin(phi)) / (2 * d)
     return q / (4 * math.pi * d * r) * math.exp(-r / math.sqrt(d * tau / (1 + u**2 * tau / (4 * d))) + psi)
@@ -72,7 +72,7 @@ def test_readings_come_from_the_world_and_beliefs_from_the_model(world: str, tau
     assert (source == true.source) == (world != "source-outside")
     for step in flown(world, "greedy", seed):
         said = step.belief
-        mean = formula(said.position, source, true.q, true.u, true.phi, true.d, tau)  # the wind that carries the gas is the true one
+        mean = formula(said.position, source, true.q, true.u, true.phi, true.d, tau)  # the true wind carries the gas
         noise = keyed(seed, "sensor", said.step).standard_normal()
         assert said.gas == pytest.approx(mean + noise * math.sqrt((alpha * mean) ** 2 + beta**2), rel=1e-5, abs=1e-6)
         assert (said.rate, said.diffusivity, said.lifetime, said.sensor) == (true.q, true.d, 10.0, "gaussian:0.3,0.2")
@@ -98,7 +98,7 @@ def test_the_measured_wind_is_turned_to_either_side_and_as_fast(world: str, degr
         cross, dot = true[0] * measured[1] - true[1] * measured[0], true[0] * measured[0] + true[1] * measured[1]
         turns.append(math.degrees(math.atan2(cross, dot)))
     assert np.abs(turns) == pytest.approx(degrees, abs=1e-4)
-    # Of 300, 150 to the left with a standard deviation of 8.7: four of them are allowed.
+    # Of 300, 150 ± 8.7 (one standard deviation) turn left: four standard deviations are allowed.
     assert 115 <= np.sum(np.array(turns) > 0) <= 185
 
 
@@ -122,7 +122,7 @@ def test_a_fifth_of_readings_is_lost_and_never_the_first() -> None:
     world = WORLDS["readings-lost"]
     lost = np.array([[world.loses(seed, step) for step in range(101)] for seed in SEEDS[:100]])
     assert not lost[:, 0].any()
-    # Of 10,000, with a standard deviation of sqrt(0.2 · 0.8 / 10,000) = 0.4%: four of them are allowed.
+    # Of 10,000, with a standard deviation of sqrt(0.2 · 0.8 / 10,000) = 0.4%: four standard deviations are allowed.
     assert abs(lost[:, 1:].mean() - 0.2) < 0.016
     assert (lost[0] != lost[1]).any()
     assert not any(other.loses(seed, step) for other in WORLDS.values() if other is not world for seed in SEEDS[:5] for step in range(50))
@@ -148,7 +148,7 @@ def test_a_lost_reading_never_reaches_the_filter_and_the_vehicle_goes_on(monkeyp
         if after.belief.step in lost:
             assert replace(after.belief, position=before.belief.position, step=before.belief.step) == before.belief
             assert (after.particles == before.particles).all()
-    # One that does arrive is taken where the vehicle is, with the noise of its number.
+    # A reading that arrives is taken at the vehicle's position, with the noise of its step.
     true = draw(seed)
     for reading in seen:
         mean = formula(reading.position, true.source, true.q, true.u, true.phi, true.d, 10)
@@ -164,7 +164,7 @@ def test_sources_outside_are_uniform_over_the_area_without_the_square() -> None:
     # Of 30² − 15² = 675 m², 300 are west of the square, 150 east of it, 150 south (10 · 15) and 75 north (5 · 15) of its middle.
     within = (x >= 10) & (x <= 25)
     shares = [(x < 10).mean(), (x > 25).mean(), (within & (y < 10)).mean(), (within & (y > 25)).mean()]
-    # Standard deviations are below sqrt(0.25 / 2000) = 1.1%: four of them are allowed.
+    # Standard deviations are below sqrt(0.25 / 2000) = 1.1%: four standard deviations are allowed.
     assert shares == pytest.approx([300 / 675, 150 / 675, 150 / 675, 75 / 675], abs=0.045)
 
 
@@ -177,7 +177,7 @@ def row(name: str, seed: int, ceased: bool = True, error_m: float = 0.5, distanc
 
 
 FOUR = [row("greedy", 1, True, 0.5, 30.0), row("greedy", 2, True, 1.5, 50.0), row("greedy", 3, True, 0.2, 40.0), row("greedy", 4, False)]
-"""Of four, three ceased and two are located."""
+"""Four missions: three ceased, two of them located."""
 
 
 def test_what_is_flown_again_takes_its_old_place_and_leaves_the_rest(tmp_path: Path) -> None:
@@ -216,7 +216,7 @@ def test_rows_of_a_learned_policy_have_no_planners_numbers_and_all_say_who_flew_
     learned, planned = (fly("noise-doubled", name, 1_000_000, 100, 3) for name in ("ppo", "homing"))
     assert (learned.headings, learned.measurements, planned.headings, planned.measurements) == (None, None, 8, 100)
     assert (learned.version, planned.version) == (__version__, __version__)
-    assert learned.sensor == "gaussian:0.3,0.2"  # as the estimator is told, which is not what the world has
+    assert learned.sensor == "gaussian:0.3,0.2"  # the estimator's model, not the world's noise
 
 
 def test_what_is_flown_again_joins_the_rows_that_an_older_version_kept(tmp_path: Path) -> None:
@@ -248,7 +248,7 @@ def test_a_killed_worker_ends_it_with_a_line(tmp_path: Path, wait_until: Callabl
     assert process.returncode == 1
     lines = said.splitlines()
     assert "error: a worker process was killed; the memory may have run out" in lines
-    assert lines[-1] == "0 of 1 cells were flown; the same command with --resume flies the others"
+    assert lines[-1] == "0 of 1 cells were flown; run the command again with --resume to fly the others"
 
 
 def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -1,4 +1,4 @@
-"""Protects the planners' speed from costing their result: scores and moves are those of plain NumPy, on beliefs of real missions."""
+"""Protects the fast planners' results: scores and moves equal those of plain NumPy on beliefs of whole missions."""
 
 import numpy as np
 import pytest
@@ -15,14 +15,14 @@ from plume.sensor import parse
 
 @pytest.fixture(scope="module")
 def cases() -> list[Case]:
-    """Beliefs from the first to the last before the stop, of missions with several numbers of particles."""
+    """Beliefs from the first to the last before the stop, from missions with different numbers of particles."""
     flown = [beliefs(FIRST_SEED + i, count, kept=6) for i, count in enumerate((300, 500, 700, 1000))]
     assert min(mission[-1][0].spread for mission in flown) < 0.6  # nearly ceased
     return [case for mission in flown for case in mission]
 
 
 def ours(name: str, case: Case, reach: Reach, rng: np.random.Generator) -> np.ndarray:
-    """(A,): what our planner of that name compares; the greatest is chosen."""
+    """(A,): the scores of our planner of that name; the greatest is chosen."""
     belief, particles = case
     moves, hypotheses = reach.moves(belief.position), cloud(belief, particles)
     squared = np.square(moves[:, :, None] - hypotheses.places).sum(axis=1)
@@ -50,4 +50,4 @@ def test_moves_are_those_of_plain_numpy(name: str, headings: int, cases: list[Ca
     for case in cases:
         assert choose(name, *case, 7, reach) == planner_peers.choose(name, *case, 7, reach)
     chosen = {planner(name)(*case, reach, np.random.default_rng(1)) for case in cases}
-    assert len(chosen) > 1  # not one heading for all
+    assert len(chosen) > 1  # the cases lead to different headings

@@ -1,4 +1,4 @@
-"""`python -m tests.golden`: flies the golden missions anew, keeps the records of those that say something else now, and tells what."""
+"""`python -m tests.golden` flies the golden missions again, replaces the records whose answers changed, and lists the changes."""
 
 import json
 import os
@@ -18,14 +18,14 @@ from sitl.replay import verify
 FOLDER = Path(__file__).parent
 SENSORS = ("gaussian", "threshold", "hits")
 FLAGS = ("--seed", "26", "--particles", "100", "--budget", "45", "--speedup", "0")
-"""One small mission that nearly all cease in; those that do not spend their budget."""
+"""A small mission in which nearly all policies cease; the others use up their budget."""
 GOLDEN: Mapping[str, tuple[str, ...]] = {
     f"{policy}-{sensor}": ("--policy", policy, "--sensor", sensor, *FLAGS) for policy in OURS for sensor in SENSORS
 }
 
 
 def path(name: str) -> Path:
-    """Where a golden record lies."""
+    """The path of a golden record."""
     return FOLDER / f"{name}.mcap"
 
 
@@ -35,7 +35,7 @@ def beliefs(log: Recording) -> list[dict[str, Any]]:
 
 
 def lacks(log: Recording, result: Mapping[str, Any]) -> str:
-    """What a record does not hold of a mission of this result: a belief for each step, a waypoint between any two; empty if nothing."""
+    """What a record lacks: its end, a belief for each step, a waypoint between any two steps, the stop; empty if complete."""
     if not log.complete:
         return "its end"
     there = Counter(kind for _, kind in verify.said(log.entries))
@@ -44,28 +44,28 @@ def lacks(log: Recording, result: Mapping[str, Any]) -> str:
 
 
 def outcome(log: Recording) -> str:
-    """What a mission came to, in a line."""
+    """The outcome of a mission, in one line."""
     last = beliefs(log)[-1]
     ceased = "ceased" if last["ceased"] else "not ceased"
     return f"{ceased} after {last['step']} steps at ({last['mean'][0]:.2f}, {last['mean'][1]:.2f}) ± {last['spread']:.2f} m"
 
 
 def changes(then: Recording, now: Recording) -> str:
-    """What is different now, in a line; empty where nothing is."""
+    """The first difference between two records, in one line; empty if there is none."""
     if found := verify.compare(verify.said(then.entries), verify.said(now.entries)):
         return f"{found.text()}; {outcome(then)} -> {outcome(now)}"
     for part, words in now.about["parts"].items():
         if words != (before := then.about["parts"][part]):
-            return f"{part} was started with {' '.join(before)}, is with {' '.join(words)}"
+            return f"{part} was started with {' '.join(before)}, now with {' '.join(words)}"
     return ""
 
 
 class NotFlown(Exception):
-    """A golden mission could not be flown, or not be recorded whole; the text says which and why."""
+    """A golden mission could not be flown or fully recorded; the message gives the reason."""
 
 
 def renew(name: str) -> str:
-    """Fly a golden mission; returns what changed, and keeps the new record where something did."""
+    """Fly a golden mission; returns what changed, and keeps the new record if anything did."""
     with tempfile.TemporaryDirectory(dir=FOLDER) as folder:
         flown = Path(folder) / "flown.mcap"
         command = [sys.executable, "-m", "sitl", "fly", *GOLDEN[name], "--json", "--record", str(flown)]
@@ -82,7 +82,7 @@ def renew(name: str) -> str:
 
 
 def main() -> int:
-    """Renew all of them, and remove those that are none any more; returns the exit status."""
+    """Renew all records and remove those that are no longer golden; returns the exit status."""
     status = 0
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for name, renewed in {name: pool.submit(renew, name) for name in GOLDEN}.items():

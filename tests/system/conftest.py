@@ -1,4 +1,4 @@
-"""Real processes for the system tests: started with a log of what they say, gone when the test is over."""
+"""Real processes for the system tests: their output is collected, and they end with the test."""
 
 import subprocess
 import sys
@@ -10,7 +10,7 @@ import pytest
 
 
 class Part:
-    """A process and the lines that it has written."""
+    """A process and the lines of its stdout and stderr."""
 
     def __init__(self, *arguments: str, cwd: Path | None = None) -> None:
         self.process = subprocess.Popen(
@@ -33,7 +33,7 @@ class Part:
         return any(text in line for line in self.err)
 
     def ended(self, timeout_s: float = 60.0) -> int:
-        """Wait for its end; returns the exit status. What it has said so far is told where it does not end."""
+        """Wait for the process to end; returns its exit status. Fails with its last stderr lines if it does not end in time."""
         try:
             status = self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
@@ -49,7 +49,7 @@ class Part:
 
 @pytest.fixture
 def start() -> Iterator[type[Part]]:
-    """Start `python -m arguments`; whatever still runs at the end of the test is killed."""
+    """Start `python -m arguments`; processes that still run at the end of the test are killed."""
     parts: list[Part] = []
 
     class Started(Part):
@@ -63,12 +63,12 @@ def start() -> Iterator[type[Part]]:
 
 
 def family(pid: int) -> dict[str, int]:
-    """The children of a launcher by the part that they are."""
+    """The process ids of a launcher's children, by part."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     found = {}
     for child in children:
         words = Path(f"/proc/{child}/cmdline").read_text().split("\0")
-        if len(words) < 4:  # forked, but not the part yet
+        if len(words) < 4:  # forked, but has not yet executed the part
             continue
         found[words[3] if words[2] == "sitl" else words[2]] = int(child)
     return found
@@ -76,5 +76,5 @@ def family(pid: int) -> dict[str, int]:
 
 @pytest.fixture(name="family")
 def family_fixture():
-    """Give tests the list of a launcher's children."""
+    """Give tests the function `family`."""
     return family

@@ -1,8 +1,8 @@
-"""A service that kills at points of its own choice: `python -m tests.system.dies WHOM POINT,… MODULE ARGUMENTS`.
+"""A service that kills a process at given points: `python -m tests.system.dies WHOM POINT,… MODULE ARGUMENTS`.
 
-It is `python -m MODULE ARGUMENTS` but for this: the first time that it publishes `key` at `step` or later, a point `before:key:step`
-sends SIGKILL right before the message is handed to Zenoh, `after:key:step` right after; whether that message still leaves the dying
-process is up to Zenoh's threads. WHOM is `self`, or a file that tells the id of the process to kill.
+It runs `python -m MODULE ARGUMENTS` with one change: the first time that it publishes `key` at `step` or later, a point `before:key:step`
+sends SIGKILL just before the message is handed to Zenoh, and a point `after:key:step` just after. Whether that message still leaves the
+dying process depends on Zenoh's threads. WHOM is `self`, or a file with the id of the process to kill.
 """
 
 import os
@@ -17,7 +17,7 @@ from link.bus.session import Bus
 
 
 def main(whom: str, points: list[str], module: str, *arguments: str) -> None:
-    """Run the module with a Bus that kills."""
+    """Run the module with a Bus that kills at the points."""
     publish = Bus.publish
 
     def strike(when: str, key: Key, step: int) -> None:

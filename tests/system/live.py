@@ -1,4 +1,4 @@
-"""Services as threads of the test's process: their own command lines on a real bus, without the seconds that a process takes to start."""
+"""Services as threads of the test's process: real command lines on a real bus, without the start-up time of processes."""
 
 import contextlib
 import importlib
@@ -18,7 +18,7 @@ END = object()
 
 
 class Services:
-    """The services on one router; they end with the with block."""
+    """The services on one router; they end with the `with` block."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, router: str) -> None:
         self._monkeypatch = monkeypatch
@@ -35,7 +35,7 @@ class Services:
             thread.join()
 
     def start(self, parts: Mapping[str, Sequence[str]]) -> None:
-        """Start `python -m part words` for each."""
+        """Start `python -m part words` for each part."""
         for part, words in parts.items():
             module = importlib.import_module(f"{part}.__main__")
             self._monkeypatch.setattr(module, "Bus", self._bus())
@@ -48,7 +48,7 @@ class Services:
         ready = self._ready
 
         class Mortal(Bus):
-            """Tells when its service is ready, and ends it when it is told to."""
+            """Reports when its service is ready, and ends the service on request."""
 
             told = False
 
@@ -77,7 +77,7 @@ def run_sitl(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 
 
 def run_agent(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[str], list[str]]:
-    """Run `python -m agent arguments` in this process; returns the same."""
+    """Run `python -m agent arguments` in this process; returns its status and the lines of its stdout and stderr."""
     return _run(agent.__main__.main, monkeypatch, capsys, "agent", *arguments)
 
 

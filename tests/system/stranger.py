@@ -1,4 +1,4 @@
-"""A client that knows only docs/bus.md: plain Zenoh, pymavlink and JSON, none of our code."""
+"""A client written from docs/bus.md alone: plain Zenoh, pymavlink and JSON, without our code."""
 
 import json
 import math
@@ -38,7 +38,7 @@ class Stranger:
         publisher = self.session.declare_publisher(f"uav/1/{key}", congestion_control=zenoh.CongestionControl.BLOCK, express=True)
         self._held.append(publisher)
         deadline = time.monotonic() + 30.0
-        while not publisher.matching_status.matching:  # what is sent before the subscription is known reaches nobody
+        while not publisher.matching_status.matching:  # a message sent before the subscription is known reaches nobody
             assert time.monotonic() < deadline, f"nobody subscribes to {key}"
             time.sleep(0.01)
         return publisher.put
@@ -68,7 +68,7 @@ class Stranger:
 
 
 def messages(sample: zenoh.Sample) -> dict[str, object]:
-    """The MAVLink messages of a payload by type."""
+    """The MAVLink messages of a payload, by type."""
     return {m.get_type(): m for m in mavlink.MAVLink(None).parse_buffer(sample.payload.to_bytes())}
 
 
@@ -83,7 +83,7 @@ def particles(sample: zenoh.Sample) -> list[tuple[float, float, float]]:
 
 
 def nothing_more(samples: "queue.SimpleQueue[zenoh.Sample]", within_s: float = 0.5) -> bool:
-    """Whether nothing arrives for a while: silence can only be waited for."""
+    """True if nothing arrives within a time."""
     deadline = time.monotonic() + within_s
     while time.monotonic() < deadline:
         if not samples.empty():

@@ -1,4 +1,4 @@
-"""Protects `fly --connect`: the vehicle and its watch join services that run elsewhere, and the mission is the very same."""
+"""Protects `fly --connect`: the vehicle joins services that run elsewhere, and the mission is identical."""
 
 import json
 import signal
@@ -23,7 +23,7 @@ expect: located
 
 @pytest.fixture
 def mission(tmp_path: Path) -> str:
-    """A release as the estimator assumes it unless told otherwise."""
+    """A release with the estimator's default rate, diffusivity and lifetime."""
     (tmp_path / "mission.yaml").write_text(MISSION)
     return "mission.yaml"
 
@@ -37,7 +37,7 @@ def test_it_is_the_mission_that_a_launcher_of_all_parts_flies_to_the_last_bit(st
     joined = start("sitl", "fly", mission, "--connect", router, "--json", "--trace", cwd=tmp_path)
     assert joined.ended() == 0, joined.err
     one, other = (json.loads(part.out[-1]) for part in (whole, joined))
-    assert one["policy"] == other["policy"] == "homing"  # told by the agent: this command line does not name it
+    assert one["policy"] == other["policy"] == "homing"  # reported by the agent: this command line does not name it
     assert {**one, "search_time_s": 0} == {**other, "search_time_s": 0}
     (summary,) = (tmp_path / "runs").glob("*-connected-*.json")
     assert json.loads(summary.read_text())["mission"]["agent"]["policy"] == "homing"

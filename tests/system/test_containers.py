@@ -1,4 +1,4 @@
-"""Protects the containers: what Dockerfile and compose file promise, and a mission flown between containers of the image itself."""
+"""Protects the containers: the claims of Dockerfile and compose file, and a mission flown in containers of the built image."""
 
 import ast
 import json
@@ -43,7 +43,7 @@ ELSEWHERE = {"build", "image", "command", "depends_on", "healthcheck", "profiles
 
 
 class TestTheFiles:
-    """Dockerfile and compose file, as they are written."""
+    """Dockerfile and compose file, read as text."""
 
     def tool(self, name: str) -> str:
         """A program of the test environment."""
@@ -97,14 +97,14 @@ class TestTheFiles:
 
 
 def said(*command: str, **more: Any) -> str:
-    """Run a command that has to succeed; returns what it said."""
+    """Run a command that must succeed; returns its output."""
     ran = subprocess.run(command, capture_output=True, text=True, check=False, **more)
     assert ran.returncode == 0, f"{command} failed: {ran.stdout[-2000:]} {ran.stderr[-4000:]}"
     return ran.stdout.strip()
 
 
 def mirror() -> str:
-    """Where this machine has its Debian packages from."""
+    """The Debian mirror of this machine."""
     if shutil.which("apt-get"):
         targets = said("apt-get", "indextargets", "--format", "$(REPO_URI) $(ORIGIN) $(COMPONENT)", "Created-By: Packages").splitlines()
         for target in targets:
@@ -115,7 +115,7 @@ def mirror() -> str:
 
 @pytest.fixture(scope="module")
 def base() -> Iterator[str]:
-    """An image of Debian with Python, in place of the one that the Dockerfile names: a mirror of Debian is easier had than a registry."""
+    """A Debian image with Python in place of the Dockerfile's base image, because a Debian mirror is easier to reach than a registry."""
     if missing := [tool for tool in TOOLS if not shutil.which(tool)]:
         pytest.skip(f"no container can be built and run: {', '.join(missing)} not installed")
     if os.geteuid() != 0:
@@ -135,7 +135,7 @@ def base() -> Iterator[str]:
 
 
 def remove() -> None:
-    """Remove all that the tests have made."""
+    """Remove everything that the tests created."""
     containers = said("podman", "ps", "--all", "--quiet", "--filter", f"name=^{OURS}-").split()
     for command in (
         ["podman", "rm", "--force", *containers],
@@ -147,7 +147,7 @@ def remove() -> None:
 
 
 def pip_settings(folder: Path) -> list[str]:
-    """The build's view of this machine's own way to PyPI, of which the Dockerfile knows nothing: its pip.conf and certificates."""
+    """Mount options for this machine's pip.conf and certificates, which the build needs to reach PyPI and the Dockerfile does not have."""
     settings = {}
     for line in said(sys.executable, "-m", "pip", "config", "list").splitlines():
         name, _, value = line.partition("=")
@@ -163,7 +163,7 @@ def pip_settings(folder: Path) -> list[str]:
 def image(base: str, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The image, built from this checkout."""
     settings = pip_settings(tmp_path_factory.mktemp("pip"))
-    environment = {**os.environ, "BUILDAH_ISOLATION": "chroot"}  # all that a machine which is itself a container lets it do
+    environment = {**os.environ, "BUILDAH_ISOLATION": "chroot"}  # the isolation that works on a machine which is itself a container
     said("buildah", "bud", *settings, "--build-arg", f"BASE={base}", "--tag", IMAGE, str(ROOT), env=environment)
     return IMAGE
 
@@ -180,7 +180,7 @@ def listens(port: int) -> bool:
 
 
 class Containers:
-    """The compose file's services as containers on the host's network, with the ports that are free there."""
+    """The compose file's services as containers on the host's network, on free ports."""
 
     def __init__(self, image: str, wait_until: Callable[..., None]) -> None:
         self._image = image
@@ -193,7 +193,7 @@ class Containers:
         return [re.sub(r"(?<=:)(7447|14550)$", lambda port: ports[port[0]], word) for word in words]
 
     def start(self, name: str, *more: str, service: dict[str, Any] | None = None) -> None:
-        """Start a service as the compose file has it, with more words to its command."""
+        """Start a service as in the compose file, with extra arguments to its command."""
         service = service or SERVICES[name]
         assert set(service) <= OPTIONS.keys() | ELSEWHERE, "the compose file says what this test does not do"
         options = [word for key, option in OPTIONS.items() if key in service for word in option(service[key])]
@@ -201,18 +201,18 @@ class Containers:
         said(*PODMAN, "run", "--detach", "--replace", f"--name={OURS}-{name}", *HOST, *options, self._image, *command)
 
     def start_router(self) -> None:
-        """Start our own, in place of the image that the compose file names."""
+        """Start our own router in place of the compose file's image."""
         words = ["plumeward", "router", *SERVICES["router"]["command"][:2]]
         self.start("router", service={**SERVICES["estimator"], "command": words})
         self._wait_until(lambda: listens(self.router_port), 120)
 
     def healthy(self, name: str) -> bool:
-        """Whether a service's health check says so now."""
+        """True if a service's health check passes now."""
         check = self._words(SERVICES[name]["healthcheck"]["test"][1:])
         return subprocess.run(("podman", "exec", f"{OURS}-{name}", *check), capture_output=True, check=False).returncode == 0
 
     def start_services(self) -> None:
-        """Start what the vehicle waits for, until it is healthy."""
+        """Start the services that the vehicle waits for, and wait until they are healthy."""
         for name in SERVICES["uav"]["depends_on"]:
             self.start(name)
         for name in SERVICES["uav"]["depends_on"]:
@@ -223,17 +223,17 @@ class Containers:
         return said("podman", "exec", f"{OURS}-{name}", *command)
 
     def status(self, name: str) -> int:
-        """Wait for a service's end; returns its exit status."""
+        """Wait for a service to end; returns its exit status."""
         return int(said("podman", "wait", f"{OURS}-{name}", timeout=180))
 
     def log(self, name: str) -> str:
-        """What a service has said so far."""
+        """A service's output so far."""
         command = ("podman", "logs", f"{OURS}-{name}")
         return subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True).stdout
 
 
 def hears_the_vehicle(port: int) -> bool:
-    """Whether a ground station that calls there gets heartbeats."""
+    """True if a ground station that connects to the port receives heartbeats."""
     station = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=255)
     try:
         station.mav.heartbeat_send(mavutil.mavlink.MAV_TYPE_GCS, mavutil.mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0)
@@ -251,7 +251,7 @@ def test_the_image_is_small_and_without_torch_and_flies_missions_that_exit_with_
     within = [*PODMAN, "run", "--rm", *HOST, "--read-only", "--tmpfs=/tmp", image]
     user = said(*within, "id", "--user")
     assert user != "0"
-    assert said(*within, "stat", "--format=%u", "/data/runs") == user  # a new volume there becomes the user's, too
+    assert said(*within, "stat", "--format=%u", "/data/runs") == user  # so a new volume there belongs to the user too
     assert said(*within[:-1], "--user=0", image, "find", "/", "-xdev", "-name", "torch", "-o", "-name", "libtorch*") == ""
 
     containers = Containers(image, wait_until)
@@ -265,10 +265,10 @@ def test_the_image_is_small_and_without_torch_and_flies_missions_that_exit_with_
     assert json.loads(summary.read_text())["outcome"]["located"]
     assert [record.stat().st_size > 0 for record in runs.glob("*.mcap")] == [True]
     for service in ("estimator", "agent"):
-        containers.execute(service, "diff", "-r", "/opt/kernels", "/tmp/kernels")  # nothing had to be compiled
+        containers.execute(service, "diff", "-r", "/opt/kernels", "/tmp/kernels")  # no kernel had to be compiled
 
-    containers.start_services()  # anew: these have a mission behind them
-    containers.start("uav", "--speedup", "3", "--silence", "1")  # slow enough to be looked at, and soon home without an estimator
+    containers.start_services()  # restart: these have already flown a mission
+    containers.start("uav", "--speedup", "3", "--silence", "1")  # slow enough to observe, and soon home without an estimator
     wait_until(lambda: hears_the_vehicle(containers.mavlink_port), 60)
     wait_until(lambda: containers.healthy("uav"), 60)
     wait_until(lambda: "step " in containers.log("uav"), 60)

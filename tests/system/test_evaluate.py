@@ -1,4 +1,4 @@
-"""Protects `python -m agent evaluate` as it is typed: its figures, its errors, and that an interrupt loses nothing."""
+"""Protects the command `evaluate`: its figures, its errors, and that an interrupt loses nothing."""
 
 import csv
 import json
@@ -35,7 +35,7 @@ def test_it_prints_the_figures_as_json_and_writes_a_row_a_mission(start, tmp_pat
     rows = list(csv.DictReader((tmp_path / "missions.csv").read_text().splitlines()))
     assert [(row["policy"], row["seed"]) for row in rows] == [(name, seed) for name in figures for seed in "789"]
     assert figures["greedy"]["ceased"] == pytest.approx(sum(row["ceased"] == "True" for row in rows[:3]) / 3)
-    assert not list((tmp_path / "runs").iterdir())  # the journal of a sweep that is done is gone
+    assert not list((tmp_path / "runs").iterdir())  # a completed sweep removes its journal
 
 
 def test_an_interrupted_sweep_goes_on_where_it_was(start, tmp_path: Path, wait_until: Callable) -> None:
@@ -55,13 +55,13 @@ def test_an_interrupted_sweep_goes_on_where_it_was(start, tmp_path: Path, wait_u
 
 
 def workers(pid: int) -> list[int]:
-    """The processes that fly for a sweep."""
+    """The worker processes of a sweep."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return [int(child) for child in children if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text()]
 
 
 def gone(pid: int) -> bool:
-    """Whether a process has ended; it may not have been waited for."""
+    """True if a process has ended, also if nobody has waited for it."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except FileNotFoundError:
@@ -69,7 +69,7 @@ def gone(pid: int) -> bool:
 
 
 def flying(sweep, folder: Path) -> bool:
-    """Whether some missions have been flown."""
+    """True if some missions have been flown."""
     return len(workers(sweep.process.pid)) == 2 and any(path.read_bytes().count(b"\n") > 5 for path in folder.glob("runs/*.jsonl"))
 
 
@@ -101,7 +101,7 @@ def test_an_interrupt_from_the_terminal_is_one_line_and_leaves_no_worker(start, 
     sweep = start(*QUICK, "--scenarios", "5000", cwd=tmp_path)
     wait_until(lambda: flying(sweep, tmp_path) if when == "as it flies" else workers(sweep.process.pid))
     pids = workers(sweep.process.pid)
-    for pid in (*pids, sweep.process.pid):  # as a terminal does: to all of them
+    for pid in (*pids, sweep.process.pid):  # as a terminal does: to all processes
         os.kill(pid, signal.SIGINT)
     assert sweep.ended() == 130
     assert sweep.err[-1].startswith("interrupted: ")

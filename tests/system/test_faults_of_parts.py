@@ -30,7 +30,7 @@ STRANGER = """
 
 
 def state(pid: int) -> str:
-    """What the system says of a process: R or S where it goes on, T where it is stopped."""
+    """The state of a process in /proc: R or S while it runs, T while it is stopped."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
@@ -97,7 +97,7 @@ def test_what_a_script_cuts_off_for_longer_than_the_patience_is_no_hang(start, t
 
 @pytest.fixture
 def plugged_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Policies of another package, for processes that are started from now on."""
+    """Policies of another package, available to processes started from now on."""
     (tmp_path / "packages").mkdir()
     install(tmp_path / "packages", "stranger", STRANGER, loud="loud", messy="messy")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "packages"))

@@ -12,11 +12,11 @@ import pytest
 from link.record.reader import read
 
 PARTS = ["router", "uav", "estimator", "agent"]
-LONG = ("sitl", "fly", "--policy", "random", "--speedup", "4")  # 87 s, and four times as fast in the air
+LONG = ("sitl", "fly", "--policy", "random", "--speedup", "4")  # 300 moves take 87 s at this speed-up
 
 
 def runs(pid: int) -> bool:
-    """Whether a process has not ended; one whose parent was killed may have, and wait a while for init to take note."""
+    """True if a process still runs; an ended one whose parent was killed may stay for a while until init collects it."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
@@ -83,7 +83,7 @@ def test_ctrl_c_ends_all_of_it_whichever_process_it_hits(start, family, wait_unt
     os.kill(mission.process.pid if hit == "launcher" else pids[hit], signal.SIGINT)
     assert mission.ended() == 130
     assert nothing_is_left(pids)
-    assert {path.suffix for path in (tmp_path / "runs").iterdir()} == {".mcap", ".tlog"}  # what was flown is not lost
+    assert {path.suffix for path in (tmp_path / "runs").iterdir()} == {".mcap", ".tlog"}  # the flown part is recorded
     assert "Traceback" not in "".join(mission.err)
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
@@ -122,7 +122,7 @@ def test_an_occupied_port_is_one_line_and_status_2(start, router: str, tmp_path:
 
 def test_an_unreachable_router_is_one_line_and_status_2(start) -> None:
     services = ("sitl", "uav"), ("estimator",), ("agent",)
-    for ended in [start(*service, "--connect", "tcp/127.0.0.1:1") for service in services]:  # all wait for it at once
+    for ended in [start(*service, "--connect", "tcp/127.0.0.1:1") for service in services]:  # all parts wait for the router at once
         assert ended.ended() == 2
         assert ended.err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: plumeward router)\n"]
 

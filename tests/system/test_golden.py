@@ -1,4 +1,4 @@
-"""Protects what the project says: missions recorded once have to be answered as they were then, by every policy with every sensor."""
+"""Protects the answers of every policy with every sensor: recorded missions must be answered exactly as they were."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +13,7 @@ from tests.golden.__main__ import FOLDER, GOLDEN, SENSORS, changes, path, renew
 from tests.system.live import Services, run_sitl
 
 LEARNED_TOLERANCE = 1e-4
-"""What a learned policy may differ by, m: ONNX Runtime sums in another order on other CPUs. Everything else is exact to the last bit."""
+"""Allowed difference of a learned policy, m: ONNX Runtime sums in another order on other CPUs. All else must be equal bit for bit."""
 
 
 def flags(name: str) -> list[str]:

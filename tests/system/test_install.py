@@ -1,4 +1,4 @@
-"""Protects the install: what a release holds, and that its wheel flies in a fresh environment, without torch and away from the checkout."""
+"""Protects the install: the contents of a release, and that its wheel flies in a fresh environment without torch or the checkout."""
 
 import email
 import functools
@@ -22,7 +22,7 @@ from agent.trials.rollout import rollout
 from plume import __version__
 from plume.outcome import outcome_json
 
-pytestmark = pytest.mark.timeout(600)  # an environment is made and filled, and kernels are compiled in it
+pytestmark = pytest.mark.timeout(600)  # environments are created and filled, and kernels compiled in them
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("plume", "link", "sitl", "estimator", "agent", "plumeward")
@@ -38,7 +38,7 @@ def files(folder: Path) -> Iterator[Path]:
 
 
 def build(source: Path, out: Path, *kinds: str) -> Path:
-    """Build a release of a source tree, without a network."""
+    """Build a release of a source tree, without network access."""
     command = [sys.executable, "-P", "-m", "hatchling", "build", *kinds, "-d", str(out)]
     built = subprocess.run(command, cwd=source, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
@@ -138,7 +138,7 @@ def test_the_wheel_gives_one_command_and_says_which_pythons_it_is_for(wheel: Pat
 
 
 class Installed:
-    """A fresh environment with the wheel and what it requires."""
+    """A fresh environment with the wheel and its requirements."""
 
     def __init__(self, python: str, wheel: Path, folder: Path) -> None:
         self.folder = folder
@@ -147,13 +147,13 @@ class Installed:
         self.pip = self(folder, "python", "-m", *pip, "-c", str(CONSTRAINTS), str(wheel))
 
     def __call__(self, cwd: Path, command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-        """Run a command of it in a folder."""
+        """Run a command of the installation in a folder."""
         words = [self.folder / "bin" / command, *arguments]
         return subprocess.run(words, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, check=False)
 
 
 def interpreter(version: str) -> str | None:
-    """A Python of this version that can make environments, where the machine has one."""
+    """A Python of this version that can create environments, if the machine has one."""
     elsewhere = sorted(map(str, Path.home().glob(f".pyenv/versions/{version}.*/bin/python")))
     for candidate in (sys.executable if version == OWN else None, shutil.which(f"python{version}"), *elsewhere):
         usable = f"import sys, venv, ensurepip; sys.exit('%d.%d' % sys.version_info[:2] != {version!r})"
@@ -164,7 +164,7 @@ def interpreter(version: str) -> str | None:
 
 @pytest.fixture(scope="module")
 def install(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Installed]]:
-    """Install the wheel for a version of Python, once; skips where there is none, or where a dependency has no wheel for it."""
+    """Install the wheel for a version of Python, once; skips if the machine lacks it, or if a dependency has no wheel for it."""
     folders: list[Path] = []
 
     @functools.cache
@@ -195,7 +195,7 @@ def own(install: Callable[[str], Installed]) -> Installed:
 
 
 def outcome(ran: subprocess.CompletedProcess[str]) -> dict:
-    """The outcome that a mission printed, without the time it took."""
+    """The outcome that a mission printed, without the search time."""
     assert ran.returncode == 0, ran.stderr
     result = json.loads(ran.stdout.splitlines()[-1])
     del result["search_time_s"]
@@ -240,7 +240,7 @@ def test_a_shipped_mission_is_flown_by_its_name(own: Installed, tmp_path: Path) 
     flown = outcome(ran)
     assert flown["expectations"] == {"located": True}
     assert (flown["seed"], flown["scenario"]["q"], flown["scenario"]["d"], flown["scenario"]["tau"]) == (7, 300, 4.5, 10)
-    assert ran.stderr.startswith("mission: a release as the estimator assumes it unless told otherwise, seed 7, infotaxis, ")
+    assert ran.stderr.startswith("mission: a release with the estimator's default rate, diffusivity and lifetime, seed 7, infotaxis, ")
 
 
 def test_files_of_the_folder_that_it_is_run_in_are_not_taken_for_parts_of_it(own: Installed, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Protects mission scripts end to end: every mission of ours does what it says, and events do what they promise and nothing else."""
+"""Protects mission scripts end to end: every shipped mission meets its expectations, and events change only what they state."""
 
 import json
 import math
@@ -76,7 +76,7 @@ def test_the_wind_turns_with_the_reading_that_it_says_and_the_plume_with_it(star
     release = draw(9)
     for step, point in enumerate(result["trace"]):
         u, phi = (release.u, release.phi) if step < 3 else (3.5, 1.0)
-        # The paper's equation once more, with numbers: gas lies downwind of where the wind comes from.
+        # The paper's equation with numbers: gas lies downwind.
         dx, dy = point["position"][0] - release.source[0], point["position"][1] - release.source[1]
         r = max(math.hypot(dx, dy), 0.1)
         decay = math.sqrt(release.d * release.tau / (1 + u * u * release.tau / (4 * release.d)))
@@ -112,7 +112,7 @@ def recorded_readings(folder: Path) -> list[Reading]:
 
 
 def unpack(payload: bytes) -> Reading:
-    """What a reading says, also one without a value."""
+    """The contents of a reading, also of one without a value."""
     position, wind, gas = mavlink.MAVLink(None).parse_buffer(payload)
     return Reading(position.time_boot_ms, (position.y, position.x), -position.z, (-wind.wind_y, -wind.wind_x), gas.value)
 
@@ -122,7 +122,7 @@ def test_a_pause_takes_as_long_as_it_says(start, tmp_path: Path) -> None:
     flown(start, tmp_path, written(tmp_path, f"agent: {{policy: random, budget: 5}}\nevents: {events}\n"))
     times = sorted({reading.time_boot_ms for reading in recorded_readings(tmp_path)})
     legs = [after - before for before, after in pairwise(times)]
-    leg_ms = 1000 * 2 * math.sqrt(1 / 3)  # a metre from rest to rest at 3 m/s²
+    leg_ms = 1000 * 2 * math.sqrt(1 / 3)  # time of 1 m from rest to rest at 3 m/s²
     assert legs == pytest.approx([leg_ms, leg_ms, leg_ms + 45_000, leg_ms, leg_ms], abs=2)
 
 
@@ -140,7 +140,7 @@ def test_doubled_readings_are_there_as_often_as_it_says(start, tmp_path: Path) -
     counted = Counter(reading.time_boot_ms for reading in recorded_readings(tmp_path))
     counts = [counted[time] for time in sorted(counted)]
     assert len(counts) == 5
-    assert [count % 4 == 0 for count in counts[1:3]] == [True, True]  # each time that it is sent: on a busy machine that may be twice
+    assert [count % 4 == 0 for count in counts[1:3]] == [True, True]  # per transmission: on a busy machine a reading may be sent twice
 
 
 def test_an_event_that_comes_too_late_is_told(start, tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_an_event_that_comes_too_late_is_told(start, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("script", "told"),
     [
-        ("sead: 3\n", "1: sead: there is no such field; allowed: "),
+        ("sead: 3\n", "1: sead: unknown field; allowed: "),
         ("seed: 3\nagent:\n  policy: foo\n", "3: agent.policy: 'foo' is not allowed; wanted infotaxis, "),
         ("estimator:\n  particles: 50\n  prior: {q: 'gama:2,3'}\n", "3: estimator.prior: 'q=gama:2,3' is not allowed; wanted "),
         ("estimator:\n  stop_on: luck\n", "2: estimator.stop_on: 'luck' is not allowed; wanted "),

@@ -1,4 +1,4 @@
-"""Protects parity: a mission over Zenoh and the same mission in-process agree to the last bit."""
+"""Protects parity: a mission over Zenoh and the same mission in-process agree bit for bit."""
 
 import json
 import subprocess
@@ -13,7 +13,7 @@ from tests.system.live import run_agent
 
 
 def flown(folder: Path, *command: str) -> dict:
-    """What a command says of its mission, as processes; none keeps a record: tests/system/test_missions.py compares those that do."""
+    """The JSON outcome of a mission flown as processes, without a record: tests/system/test_missions.py compares those with one."""
     done = subprocess.run([sys.executable, "-m", *command, "--json", "--trace"], capture_output=True, text=True, cwd=folder, timeout=120)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
@@ -25,7 +25,7 @@ def over_the_bus(folder: Path, *flags: str) -> dict:
 
 @pytest.fixture
 def in_process(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., dict]:
-    """Roll a mission out in this process, by the same flags."""
+    """Roll a mission out in this process, with the same flags."""
 
     def rolled(*flags: str) -> dict:
         status, out, err = run_agent(monkeypatch, capsys, "rollout", *flags, "--json", "--trace")

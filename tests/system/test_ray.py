@@ -1,4 +1,4 @@
-"""Protects sweeps on a Ray cluster: two nodes give what the cores give, an interrupt loses nothing, and what cannot work is said."""
+"""Protects sweeps on a Ray cluster: two nodes give the same results as local cores, an interrupt loses nothing, errors are clear."""
 
 import contextlib
 import json
@@ -28,7 +28,7 @@ START = "--num-cpus=1", "--block", "--object-store-memory=100000000", "--include
 
 
 class Cluster:
-    """`ray start`, typed on several machines that all are this one."""
+    """`ray start` as on several machines, all of them this one."""
 
     def __init__(self, folder: Path, wait_until: Callable) -> None:
         self.folder = folder
@@ -36,7 +36,7 @@ class Cluster:
         self.nodes: list[subprocess.Popen] = []
 
     def add(self, name: str, *flags: str, **environment: str) -> str:
-        """Start a node; returns what it says."""
+        """Start a node; returns its output."""
         said = self.folder / f"{name}.log"
         with said.open("w") as file:
             node = subprocess.Popen(
@@ -56,7 +56,7 @@ class Cluster:
         return re.search(r"--address='(\S+)'", said)[1]
 
     def flew(self, name: str) -> bool:
-        """Whether a worker of this node has done a task of a sweep: its log names it."""
+        """True if a worker of this node has done a task of a sweep: its log names the task."""
         return any(":task_name:fly_there\n" in log.read_text() for log in self.folder.glob(f"{name}/session_2*/logs/worker-*.out"))
 
     def stop(self) -> None:
@@ -71,12 +71,12 @@ class Cluster:
 
 @pytest.fixture
 def cluster(monkeypatch: pytest.MonkeyPatch, wait_until: Callable) -> Iterator[Cluster]:
-    """A cluster without nodes yet, which nobody else can join."""
+    """A cluster without nodes yet; nobody else can join it."""
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     monkeypatch.setenv("RAY_AUTH_MODE", "token")
     monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex())
-    folder = Path(tempfile.mkdtemp(prefix="ray-", dir="/tmp"))  # the paths of its sockets may have 107 bytes
+    folder = Path(tempfile.mkdtemp(prefix="ray-", dir="/tmp"))  # a socket's path has at most 107 bytes
     cluster = Cluster(folder, wait_until)
     try:
         yield cluster
@@ -86,7 +86,7 @@ def cluster(monkeypatch: pytest.MonkeyPatch, wait_until: Callable) -> Iterator[C
 
 
 def untimed(path: Path) -> list[MissionRow]:
-    """Rows without what is measured and not computed."""
+    """Rows without the measured times."""
     return [msgspec.structs.replace(row, search_time_s=0.0, decision_ms=0.0, update_ms=0.0) for row in read_csv(path)]
 
 
@@ -103,7 +103,7 @@ def test_two_nodes_give_what_the_cores_give_and_an_interrupt_loses_nothing(
     assert cluster.flew("second")
     (figures,) = on_ray.out
     assert json.loads(figures)["greedy particles=100 threshold=0.5"]["missions"] == 50
-    assert not on_ray.says("ray")  # nothing of its chatter
+    assert not on_ray.says("ray")  # none of Ray's own output
     on_cores = start(*few, "--workers", "2", "--missions", "cores.csv", cwd=tmp_path)
     assert on_cores.ended() == 0, on_cores.err
     rows = untimed(tmp_path / "ray.csv")
@@ -130,7 +130,7 @@ def test_two_nodes_give_what_the_cores_give_and_an_interrupt_loses_nothing(
 
 @pytest.mark.timeout(300)
 def test_a_node_with_other_code_is_refused(start, cluster: Cluster, tmp_path: Path) -> None:
-    """Its missions could come out otherwise."""
+    """Other code could give other results."""
     other = cluster.folder / "other"
     for package in PACKAGES:
         shutil.copytree(Path(__file__).parents[2] / package, other / package)

@@ -1,4 +1,4 @@
-"""Protects the recorder as a process: it hears everything, and neither its death nor a full disk costs more than the last second."""
+"""Protects the recorder as a process: it records everything, and its death or a full disk loses at most the last second."""
 
 import json
 import os
@@ -59,7 +59,7 @@ def test_publish_times_are_the_publishers_own(start, router: str, tmp_path: Path
         recorder.process.send_signal(signal.SIGTERM)
         assert recorder.ended() == 0
     (entry,) = (entry for entry in read(tmp_path / "run.mcap").entries if entry.key == "reading")
-    assert before - 1_000_000 <= entry.published_ns <= after + 1_000_000  # Zenoh's clock may run ahead of the system's by less
+    assert before - 1_000_000 <= entry.published_ns <= after + 1_000_000  # Zenoh's clock may run ahead of the system's by less than this
     assert entry.simulation_s == 1.0
 
 
@@ -114,7 +114,7 @@ def test_a_full_disk_stops_the_record_with_a_line_and_not_the_mission(
 ) -> None:
     mission = start("sitl", "fly", "--policy", "random", "--budget", "25", "--speedup", "20", "--json", cwd=tmp_path)
     wait_until(lambda: "record" in family(mission.process.pid))
-    limit = 40_000  # bytes that a file may have: a write beyond it fails as on a full disk
+    limit = 40_000  # largest file size in bytes: a write beyond it fails as on a full disk
     resource.prlimit(family(mission.process.pid)["record"], resource.RLIMIT_FSIZE, (limit, limit))
     assert mission.ended() == 0
     assert json.loads(mission.out[-1])["steps"] == 25

@@ -1,4 +1,4 @@
-"""Protects the loop against loss: whatever message is lost and whichever service dies, the mission goes on to the same bits."""
+"""Protects the loop against loss: whichever message is lost or service dies, the mission continues with identical results."""
 
 import json
 import math
@@ -56,7 +56,7 @@ def test_a_killed_service_resumes_with_the_same_belief(start, router: str, undis
         said: dict = {"ceased": False}
         while not said["ceased"]:
             said = belief(beliefs.get(timeout=60))
-            assert seen.setdefault(said["step"], point_of(said)) == point_of(said)  # said again, it is the same
+            assert seen.setdefault(said["step"], point_of(said)) == point_of(said)  # a repeated belief is the same
             if victim in running and said["step"] == kill_at:
                 running.pop(victim).kill()
                 start(*commands[victim])
@@ -65,7 +65,7 @@ def test_a_killed_service_resumes_with_the_same_belief(start, router: str, undis
 
 
 def test_a_mission_with_lost_doubled_and_late_messages_equals_an_undisturbed_one(start, router: str, undisturbed: list) -> None:
-    """A stranger is the agent: of each three waypoints one is lost, one doubled, one followed by an old one."""
+    """A stranger acts as the agent: of every three waypoints one is lost, one duplicated, one followed by an old one."""
     with Stranger(router, "health/agent") as stranger:
         beliefs = stranger.subscribe("belief")
         start("estimator", "-e", router, *ESTIMATOR)
@@ -127,13 +127,13 @@ LAST = 29
 
 @cache
 def undisturbed_mission(policy: str, budget: int) -> tuple[Config, list[Step]]:
-    """What is said in the same mission in-process."""
+    """The configuration and steps of the same mission in-process."""
     flown = mission(SEED, policy, 1000, 0.5, budget)
     return flown.config, list(flown.steps)
 
 
 class Viewer:
-    """Watches a mission: all that it is told must be what is said in an undisturbed one, to the last bit but for the vehicle's times."""
+    """Watches a mission: every message must equal that of an undisturbed mission bit for bit, except for the vehicle's times."""
 
     def __init__(self, router: str, policy: str = "infotaxis", budget: int = BUDGET_STEPS) -> None:
         self._config, self._undisturbed = undisturbed_mission(policy, budget)
@@ -180,17 +180,17 @@ class Viewer:
 
     @property
     def has_seen_the_end(self) -> bool:
-        """Whether the last belief has come, its reading, and the stop where there is one."""
+        """True once the last belief, its reading, and the stop (if there is one) have arrived."""
         last = self.beliefs.get(len(self._undisturbed) - 1)
         return last in self._readings and bool(self._stops) == self._undisturbed[-1].belief.ceased
 
     @property
     def has_seen_all(self) -> bool:
-        """Whether each belief has come as well."""
+        """True once all beliefs have arrived as well."""
         return self.has_seen_the_end and len(self.beliefs) == len(self._undisturbed)
 
     def check(self) -> None:
-        """Each reading was taken once and where it should be, each waypoint led there, and each belief is about its reading."""
+        """Check that each reading was taken once at the right place, each waypoint led there, and each belief belongs to its reading."""
         taken = [unpack_reading(frames, 1) for frames in self._readings.values()]
         assert [(reading.position, reading.gas) for reading in taken] == [(said.position, said.gas) for said, *_ in self._undisturbed]
         times = [reading.time_boot_ms for reading in taken]
@@ -202,7 +202,7 @@ class Viewer:
 
 
 def check_from_the_end(router: str, policy: str = "infotaxis", budget: int = BUDGET_STEPS) -> None:
-    """One that joins when all is over is told the last belief, the stop, and every reading."""
+    """A viewer that joins after the end receives the last belief, the stop, and every reading."""
     with Viewer(router, policy, budget) as late:
         late.watch_until(lambda: late.has_seen_the_end)
         late.check()
@@ -220,19 +220,19 @@ def parts(router: str, speedup: int) -> dict[str, tuple[str, ...]]:
 @pytest.mark.parametrize(
     "deaths",
     [
-        # The second life and the third end while they rebuild from the first reading.
+        # The second and the third process die while they rebuild from the first reading.
         pytest.param(["before:belief:0", "after:belief:0", "before:belief:0"], id="at the start"),
-        # Where it resamples, in the midst of rebuilding from that, where it resamples again, and in between.
+        # At a resampling step, while rebuilding after it, at another resampling step, and between two of them.
         pytest.param(["before:belief:11", "before:belief:4", "before:belief:15", "after:belief:21"], id="midway"),
         pytest.param(["before:agdc/stop:0"], id="before the stop"),
-        # Whether the stop left the first of these or not, the second is about to say its belief.
+        # The stop may or may not have been sent by the first process; the second is about to publish its belief.
         pytest.param(["after:agdc/stop:0", f"before:belief:{LAST}"], id="between the stop and its belief"),
         pytest.param([f"after:belief:{LAST}"], id="after the last belief"),
     ],
 )
 def test_an_estimator_that_dies_at_any_step_goes_on_as_if_it_had_not(start, router: str, deaths: list[str]) -> None:
     services = parts(router, speedup=0)
-    with Viewer(router) as viewer:  # from before the first belief on: it must see them all
+    with Viewer(router) as viewer:  # joins before the first belief, to see all of them
         start(*services["uav"])
         start(*services["agent"])
         for death in deaths:
@@ -281,8 +281,8 @@ def test_estimator_and_agent_may_die_in_the_same_round_trip(start, router: str) 
 
 @pytest.fixture
 def listen(start, wait_until: Callable, tmp_path: Path) -> Callable:
-    """Start a router as a process, on the same port each time; the file `router` tells its id."""
-    # Below the ports that the system gives to connections: a client that tries to connect to one of those may meet itself.
+    """Start a router as a process, on the same port each time; the file `router` holds its id."""
+    # Below the ephemeral ports: a client that connects to one of those may connect to itself.
     ports = range(20_000 + os.getpid() % 10_000, 32_000)
     endpoint = f"tcp/127.0.0.1:{next(filter(is_free, ports))}"
 
@@ -313,7 +313,7 @@ def is_free(port: int) -> bool:
 def test_a_mission_survives_its_router_whatever_the_cut_swallows(
     start, listen: Callable, tmp_path: Path, service: str, deaths: list
 ) -> None:
-    """A service kills the router at the very message that is not to come through, or has perhaps just not come through."""
+    """A service kills the router just before or just after it publishes a message."""
     router = listen()
     endpoint = router.out[0].strip()
     services = parts(endpoint, speedup=20)
@@ -358,9 +358,9 @@ def test_missing_readings_are_not_given_up_while_the_router_is_away(listen: Call
     with Bus("uav", endpoint) as uav, Bus("estimator", endpoint) as estimator:
         for frames in (b"first", b"second", b"third"):
             uav.publish(forgetful, frames)
-        uav.settle(30.0)  # what is still on its way to the router would be passed on to who subscribes next
+        uav.settle(30.0)  # a message still on its way to the router would reach the next subscriber
         estimator.subscribe(READING)
-        assert estimator.receive(timeout_s=0.1) is None  # it has the third, and asks for the others
+        assert estimator.receive(timeout_s=0.1) is None  # it has received the third, and asks for the others
         router.kill()
         assert estimator.receive(timeout_s=1.5) is None
         listen()

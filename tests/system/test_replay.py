@@ -1,4 +1,4 @@
-"""Protects the replay: a log in the vehicle's place gets the same answers to the last bit, and any that differs is found and named."""
+"""Protects the replay: a log in place of the vehicle gets the same answers bit for bit, and any difference is found and named."""
 
 import json
 import math
@@ -26,7 +26,7 @@ STEP = 7
 
 
 def said(log: Path, key: str) -> list[dict[str, Any]]:
-    """The JSON of a key in a log, what was said again once."""
+    """The JSON messages of a key in a log, each repeated message once."""
     messages = [json.loads(entry.payload) for entry in read(log).entries if entry.key == key]
     return list({message["time_boot_ms"]: message for message in messages}.values())
 
@@ -44,7 +44,7 @@ def rewritten(
     about: Mapping[str, Any] | None = None,
     flush_every: int = 1_000_000,
 ) -> Path:
-    """Write a log again with entries changed or, for None, left out, and with another description of itself."""
+    """Write a copy of a log with entries changed (None: removed), and with another description of itself."""
     recording = read(log)
     writer = Writer(path, dict(recording.about if about is None else about))
     for number, entry in enumerate(filter(None, map(change, sorted(recording.entries, key=lambda entry: entry.published_ns))), start=1):
@@ -79,7 +79,7 @@ def json_changed(key: str, step: int, **changes: object) -> Callable[[Entry], En
 
 
 def from_the_first_reading(log: Path) -> tuple[str, str]:
-    """Flags that leave out what the vehicle said on the ground."""
+    """Flags that skip the vehicle's messages on the ground."""
     entries = read(log).entries
     first = next(entry for entry in entries if entry.key == "reading")
     return "--from", repr(first.simulation_s - entries[0].simulation_s - 0.001)
@@ -92,7 +92,7 @@ def services_of(log: Path, start: Callable, router: str) -> dict[str, Any]:
 
 
 class Verify:
-    """Replays logs with --verify to fresh services of their own."""
+    """Replays logs with --verify to fresh services."""
 
     def __init__(self, router: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
         self._router, self._monkeypatch, self._capsys = router, monkeypatch, capsys
@@ -106,13 +106,13 @@ class Verify:
         return status, err, json.loads(out[-1])
 
     def passes(self, log: Path, *flags: str) -> tuple[list[str], dict[str, Any]]:
-        """Expect it to verify; returns its lines for people and its JSON."""
+        """Expect success; returns the lines for people and the JSON."""
         status, err, result = self._replay(log, *flags)
         assert (status, result["verified"], result["difference"]) == (0, True, None), err[-2:]
         return err, result
 
     def fails(self, log: Path, *flags: str) -> tuple[str, dict[str, Any]]:
-        """Expect a difference; returns it, for people and as JSON."""
+        """Expect a difference; returns the lines for people and the JSON."""
         status, err, result = self._replay(log, *flags)
         assert (status, result["verified"]) == (1, False)
         return next(line for line in err if line.startswith("differs: ")).removeprefix("differs: "), result["difference"]
@@ -125,7 +125,7 @@ def verify(router: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 @pytest.fixture
 def refusal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
-    """Have `replay arguments` refused; returns its one line."""
+    """Run `replay arguments`, which must be refused; returns the one error line."""
 
     def refused(*arguments: str) -> str:
         status, out, err = run_sitl(monkeypatch, capsys, "replay", *arguments)
@@ -173,7 +173,7 @@ class TestVerify:
         def change(entry: Entry) -> Entry:
             cloud = bytearray(entry.attachment)
             if is_it(entry):
-                cloud[12 * 30 + 4] ^= 1  # of the 31st particle's y
+                cloud[12 * 30 + 4] ^= 1  # a byte of the 31st particle's y
             return entry._replace(attachment=bytes(cloud))
 
         tampered = rewritten(log, tmp_path / "tampered.mcap", change)
@@ -216,7 +216,7 @@ class TestVerify:
         ("part", "flag", "value", "kinds"),
         [
             ("estimator", "--seed", "5", ("belief at ",)),
-            ("estimator", "--threshold", "2.0", ("stop at ", "belief at ")),  # of one reading: whichever overtakes the other
+            ("estimator", "--threshold", "2.0", ("stop at ", "belief at ")),  # both of one reading, in either order
             ("agent", "--seed", "5", ("waypoint at ",)),
         ],
     )
@@ -342,7 +342,7 @@ class TestOnAnotherBus:
         assert list(dict.fromkeys(got["reading"])) == list(dict.fromkeys(published["reading"]))
         assert got["health/uav"] == published["health/uav"]
         remaining = iter(published["mavlink/out"])
-        assert all(payload in remaining for payload in got["mavlink/out"])  # in order; frames may be dropped for a slow reader
+        assert all(payload in remaining for payload in got["mavlink/out"])  # in order; frames may be dropped if the reader is slow
         assert len(got["mavlink/out"]) > 0.9 * len(published["mavlink/out"])
 
     def test_an_estimator_that_knows_the_flight_already_is_found_out(
@@ -393,7 +393,7 @@ class TestAutopilotLog:
             (["--verify"], "error: --verify: not allowed with "),
             (["--connect", "tcp/127.0.0.1:1", "--particles", "1000"], "error: --particles: not allowed with --connect: "),
             (["--wind", "3"], "python -m sitl replay: error: --wind: '3' is not allowed; wanted SPEED,FROM, two numbers"),
-            (["--gas", "methane"], "error: system 1 told no methane; "),
+            (["--gas", "methane"], "error: system 1 sent no methane; "),
             (["--plume", "none.yaml"], "error: none.yaml"),
             (["--sysid", "9"], "error: "),
         ],

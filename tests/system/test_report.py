@@ -1,4 +1,4 @@
-"""Protects `python -m agent report` as it is typed: from the missions of `evaluate` to a page, and its errors."""
+"""Protects the command `report`: from the missions of `evaluate` to a page, and its errors."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Protects each service alone against a stranger that knows only docs/bus.md: answers, repeats, and what must not stop it."""
+"""Protects each service alone, tested by a client written from docs/bus.md: answers, repeats, and inputs that must not stop it."""
 
 import json
 import math
@@ -124,7 +124,7 @@ class TestEstimator:
         assert nothing_more(stops)
 
     def test_it_warns_while_the_readings_do_not_fit_its_model(self, estimator, stranger: Stranger, wait_until: Callable) -> None:
-        """A sensor that says about 3 g/m³ wherever it is: no source is everywhere."""
+        """A sensor that reports about 3 g/m³ everywhere, which no source can cause."""
         beliefs, health, publish = stranger.subscribe("belief"), stranger.subscribe("health/estimator"), stranger.publisher("reading")
         said = {"p_value": 1.0}
         for step in range(60):
@@ -246,7 +246,7 @@ class TestUav:
         for _ in range(5):
             time_boot_ms, north, east = place.time_boot_ms, place.x + 1.0, place.y
             publish(stranger.waypoint(time_boot_ms, north, east))
-            while place.time_boot_ms == time_boot_ms:  # readings are repeated while they are unanswered
+            while place.time_boot_ms == time_boot_ms:  # unanswered readings are repeated
                 place = messages(get(readings))["LOCAL_POSITION_NED"]
             assert place.time_boot_ms > time_boot_ms
             assert (place.x, place.y, place.z) == (pytest.approx(north, abs=1e-6), east, -5.0)
@@ -292,7 +292,7 @@ class TestUav:
     def test_it_survives_a_client_that_turns_all_streams_off(self, uav, stranger: Stranger) -> None:
         publish = stranger.publisher("mavlink/in")
         out = stranger.subscribe("mavlink/out")
-        for message_id in (0, 1, 24, 33, 32, 30, 74, 147, 242, 245, 231, 251):  # all that it streams
+        for message_id in (0, 1, 24, 33, 32, 30, 74, 147, 242, 245, 231, 251):  # all streamed messages
             publish(stranger.frames(mavlink.MAVLink_command_long_message(1, 1, 511, 0, message_id, -1.0, 0, 0, 0, 0, 0)))
         acknowledged = 0
         while acknowledged < 12:

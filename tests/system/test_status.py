@@ -1,4 +1,4 @@
-"""Protects `python -m sitl status` on real processes: its exit status is what health checks and scripts go by."""
+"""Protects `status` on real processes: health checks and scripts rely on its exit status."""
 
 import json
 import signal
@@ -28,7 +28,7 @@ def verdicts(report: dict[str, Any]) -> dict[str, str]:
 
 @pytest.fixture
 def stack(start, router: str, wait_until: Callable) -> dict[str, Any]:
-    """A vehicle on the ground with its services: without a mission, as it takes off with both there, one part is always asked of."""
+    """Estimator and agent, ready, without a vehicle: a vehicle would take off as soon as both are there."""
     parts = {"estimator": start("estimator", "--connect", router), "agent": start("agent", "--connect", router)}
     wait_until(lambda: all(part.says("ready") for part in parts.values()))
     return parts
@@ -54,7 +54,7 @@ def test_a_stack_that_flies_is_well_and_each_part_tells_its_figures(
         assert part["last_error"] == ""
     assert report["parts"]["agent"]["about"] == "homing"
     assert report["parts"]["uav"]["state"] == "searching"
-    # The vehicle's answer takes the two services, and the way there and back.
+    # The vehicle's latency includes both services and the way there and back.
     parts = report["parts"]
     assert parts["uav"]["compute_s"] > 0 < parts["estimator"]["compute_s"]
 
@@ -69,7 +69,7 @@ def test_a_part_that_was_killed_is_missing(router: str, stack: dict[str, Any]) -
 
 def test_a_part_that_hangs_is_stale_and_one_that_was_never_ready_is_starting(router: str) -> None:
     with Bus("estimator", router) as hangs, Bus("agent", router):
-        hangs.publish_health()  # and never again: it does not come to receive
+        hangs.publish_health()  # and never again: the service does not get to receive it
         code, report = status(router, "--parts", "estimator,agent")
     assert (code, verdicts(report)) == (1, {"estimator": "stale", "agent": "starting"})
 
@@ -79,7 +79,7 @@ def test_a_part_that_refuses_messages_is_refusing_and_says_why(router: str, stac
         beliefs, publish = stranger.subscribe("belief"), stranger.publisher("reading")
         publish(stranger.reading(5000))
         assert belief(beliefs.get(timeout=30))["step"] == 0
-        publish(stranger.reading(5000))  # once more: that happens on any radio
+        publish(stranger.reading(5000))  # a duplicate, as on any radio
         assert belief(beliefs.get(timeout=30))["step"] == 0
         assert status(router, "--parts", "estimator")[0] == 0
         publish(b"noise")

@@ -1,4 +1,4 @@
-"""Protects what MAVLink clients ask and are told: which command does what, what is answered and to whom, and in which words."""
+"""Protects the MAVLink protocol: what each command does, who gets which answer, and the words of the texts."""
 
 import math
 import struct
@@ -32,7 +32,7 @@ CLIENT = (245, 190)
 
 
 def wire(message):
-    """The message as a client on the other side of a wire sends it: every float a float32."""
+    """The message as a remote client sends it: every float is a float32."""
     packed = message.pack(mavlink.MAVLink(None, srcSystem=CLIENT[0], srcComponent=CLIENT[1]))
     return mavlink.MAVLink(None).decode(bytearray(packed))
 
@@ -157,7 +157,7 @@ def test_a_waypoint_that_makes_no_sense_is_refused_with_its_reason_and_changes_n
     assert text(protocol.receive(message, 10.0)) == reason
     assert protocol.refused == {kind: 1}
     assert vehicle.state(10.0) == before
-    assert vehicle.next_event_s() == expiry  # a refused setpoint is no sign of life either
+    assert vehicle.next_event_s() == expiry  # a refused setpoint does not reset the timeout either
 
 
 def test_a_waypoint_with_a_yaw_that_is_no_number_is_refused():
@@ -169,7 +169,7 @@ def test_the_same_refusal_is_told_once_a_second_at_20_hz():
     told = [text(protocol.receive(waypoint(4.0, 31.0 + n), 10.0 + n / 20.0)) != "" for n in range(60)]
     assert sum(told) == 3
     assert protocol.refused["outside the area"] == 60
-    assert text(protocol.receive(waypoint(NAN, 1.0), 13.0)) != ""  # another reason is told at once
+    assert text(protocol.receive(waypoint(NAN, 1.0), 13.0)) != ""  # another reason is reported at once
 
 
 def test_a_long_reason_comes_in_chunks_of_50_with_one_id():
@@ -221,7 +221,7 @@ def test_go_to_flies_to_a_latitude_and_longitude_and_holds_there(frame):
     answers = MavlinkProtocol(vehicle).receive(command_int(192, frame, round(lat * 1e7), round(lon * 1e7), altitude, p4=1.0), 10.0)
     assert ack(answers) == ACCEPTED
     assert vehicle.advance(100.0) == []
-    assert vehicle.state(100.0).position == pytest.approx((10.0, 20.0, -8.0), abs=0.012)  # the step of 1e-7 degrees
+    assert vehicle.state(100.0).position == pytest.approx((10.0, 20.0, -8.0), abs=0.012)  # the resolution, 1e-7 degrees
     assert (vehicle.state(100.0).mode, vehicle.state(100.0).yaw) == (Mode.HOLD, 1.0)
 
 
@@ -233,7 +233,7 @@ def test_go_to_without_a_place_changes_only_the_altitude():
 
 
 def test_go_to_home_is_not_outside_the_area_by_a_rounded_digit():
-    config = VehicleConfig(home_lat_deg=47.39774205, home_lon_deg=8.54559405)  # 5 mm off what MAVLink can say
+    config = VehicleConfig(home_lat_deg=47.39774205, home_lon_deg=8.54559405)  # 5 mm off the nearest position that MAVLink can carry
     vehicle = hovering(config)
     assert ack(MavlinkProtocol(vehicle).receive(command_int(192, 6, 473977420, 85455940, 6.0), 10.0)) == ACCEPTED
 
@@ -275,7 +275,7 @@ def test_a_message_lets_time_pass_and_what_happened_meanwhile_is_still_told():
     vehicle = offboard()
     MavlinkProtocol(vehicle).receive(wire(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)), 34.0)
     assert vehicle.now_s == 34.0
-    assert vehicle.state(34.0).mode is Mode.LAND  # it was above home already
+    assert vehicle.state(34.0).mode is Mode.LAND  # it was already above home
     assert texts(vehicle.advance(34.0)) == ["No setpoint for 30 s: returning home"]
 
 

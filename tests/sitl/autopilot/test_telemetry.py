@@ -1,4 +1,4 @@
-"""Protects what the vehicle reports: rates, units, signs, honesty; every frame is packed, parsed again and read as a client would."""
+"""Protects telemetry: rates, units, signs, and that only simulated parts are reported. Every frame is packed and parsed as by a client."""
 
 import math
 import struct
@@ -127,7 +127,7 @@ def test_an_interval_may_be_changed_turned_off_and_set_back():
     assert source.set_interval(NUMBER["ATTITUDE"], -1.0, 0.0)
     assert source.set_interval(NUMBER["AUTOPILOT_VERSION"], 1e6, 0.0)
     counted = count(source, 10.0, 0.001)
-    assert (counted["HEARTBEAT"], counted["ATTITUDE"], counted["AUTOPILOT_VERSION"]) == (39, 0, 9)  # from the next beat on
+    assert (counted["HEARTBEAT"], counted["ATTITUDE"], counted["AUTOPILOT_VERSION"]) == (39, 0, 9)  # from the next slot on
     for name in ("HEARTBEAT", "ATTITUDE", "AUTOPILOT_VERSION"):
         source.set_interval(NUMBER[name], 0.0, -1e-9)
     counted = count(source, 10.0, 0.001)

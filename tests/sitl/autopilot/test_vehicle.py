@@ -1,4 +1,4 @@
-"""Protects the autopilot: what it refuses and why, what it does and when, and that neither depends on how time is cut into steps."""
+"""Protects the autopilot: refusals and their reasons, flight and its timing, and that neither depends on the time steps."""
 
 import math
 import struct
@@ -99,7 +99,7 @@ def test_a_waypoint_that_makes_no_sense_is_refused_with_its_reason_and_changes_n
     before, expiry = vehicle.state(10.0), vehicle.next_event_s()
     assert vehicle.setpoint(10.0, target) == (DENIED, reason, kind)
     assert vehicle.state(10.0) == before
-    assert vehicle.next_event_s() == expiry  # a refused setpoint is no sign of life either
+    assert vehicle.next_event_s() == expiry  # a refused setpoint does not reset the timeout either
 
 
 @pytest.mark.parametrize("target", [(-1e-6, 0.0, -5.0), (30.000002, 0.0, -5.0), (0.0, 0.0, 1e-6), (0.0, 0.0, -math.inf)])
@@ -184,7 +184,7 @@ def test_a_forced_disarm_in_the_air_lets_it_fall():
     vehicle = hovering()
     assert vehicle.disarm(10.0, force=True).code == ACCEPTED
     impact = 10.0 + math.sqrt(10.0 / GRAVITY_MPS2)
-    assert vehicle.next_event_s() == pytest.approx(10.0)  # what it has to say
+    assert vehicle.next_event_s() == pytest.approx(10.0)  # the text about the stopped motors is due
     assert vehicle.advance(10.0) == [Said(10.0, EMERGENCY, "Motors stopped in the air")]
     assert vehicle.next_event_s() == pytest.approx(impact)
     assert not vehicle.state(10.5).armed
@@ -200,7 +200,7 @@ def test_hold_brakes_and_stays():
     vehicle = offboard()
     vehicle.setpoint(10.0, (20.0, 0.0, -5.0))
     assert vehicle.set_mode(13.0, Mode.HOLD).code == ACCEPTED
-    assert vehicle.advance(60.0) == []  # neither arrived nor silent: OFFBOARD is over
+    assert vehicle.advance(60.0) == []  # neither an arrival nor a setpoint timeout: OFFBOARD has ended
     ramp_s, ramp_m = 5.0 / 3.0, 25.0 / 6.0
     stop = ramp_m + (3.0 - ramp_s) * 5.0 + ramp_m
     assert vehicle.state(60.0).position == pytest.approx((stop, 0.0, -5.0))
@@ -300,11 +300,11 @@ def test_a_late_answer_and_a_second_one_are_ignored():
     vehicle.setpoint(10.0, (1.0, 0.0, -5.0), time_boot_ms=100)
     assert not vehicle.awaiting_answer
     again = vehicle.setpoint(10.1, (2.0, 0.0, -5.0), time_boot_ms=100)
-    assert again == (REJECTED, "Waypoint ignored: duplicate answer to the reading of 100 ms", "")
+    assert again == (REJECTED, "Waypoint ignored: duplicate answer to the reading at 100 ms", "")
     fly_on(vehicle)
     vehicle.sampled(200)
     late = vehicle.setpoint(20.0, (3.0, 0.0, -5.0), time_boot_ms=100)
-    assert late == (REJECTED, "Waypoint ignored: late answer to the reading of 100 ms", "")
+    assert late == (REJECTED, "Waypoint ignored: late answer to the reading at 100 ms", "")
     assert not vehicle.moving
     assert vehicle.awaiting_answer
 
@@ -368,7 +368,7 @@ def test_silence_brings_it_home():
     vehicle = offboard()
     vehicle.setpoint(10.0, (10.0, 10.0, -5.0))
     arrived = fly_on(vehicle)[0].time_s
-    assert vehicle.next_event_s() == arrived + 30.0  # a leg may take long: silence counts from its end
+    assert vehicle.next_event_s() == arrived + 30.0  # silence counts from the end of the leg
     vehicle.advance(arrived + 29.9)
     assert vehicle.state(arrived + 29.9).mode is Mode.OFFBOARD
     assert vehicle.advance(arrived + 30.1) == [Said(arrived + 30.0, CRITICAL, "No setpoint for 30 s: returning home")]
@@ -395,7 +395,7 @@ def test_a_client_that_comes_back_may_take_over_again():
     vehicle = offboard()
     vehicle.advance(40.0)
     vehicle.setpoint(40.0, (2.0, 2.0, -5.0))
-    assert vehicle.state(40.0).mode is not Mode.OFFBOARD  # a setpoint alone does not
+    assert vehicle.state(40.0).mode is not Mode.OFFBOARD  # a setpoint alone does not switch to OFFBOARD
     assert vehicle.set_mode(40.0, Mode.OFFBOARD).accepted
     assert not vehicle.state(40.0).failsafe
 
@@ -422,7 +422,7 @@ def test_two_flights_use_up_one_battery():
     vehicle = Vehicle(VehicleConfig(endurance_s=100.0, silence_s=math.inf, climb_mps=1.0, descent_mps=1.0, accel_mps2=1.0))
     vehicle.arm(10.0)
     vehicle.take_off(10.0)
-    vehicle.arm(20.0)  # once more, because the acknowledgement was lost: they have been on since 10 s
+    vehicle.arm(20.0)  # repeated, as after a lost acknowledgement: the motors have been on since 10 s
     vehicle.set_mode(24.0, Mode.LAND)
     vehicle.advance(29.9)
     assert vehicle.state(29.9).armed
@@ -491,7 +491,7 @@ flights = st.lists(st.tuples(st.floats(0.0, 8.0), st.sampled_from(["waypoint", "
 
 
 def play(script, steps):
-    """Everything that a script brings about, time cut into the given steps between its actions (none: one jump)."""
+    """All states and events of a script; `steps` are the time steps between its actions (none: one jump)."""
     vehicle = Vehicle(VehicleConfig(silence_s=6.0, endurance_s=50.0))
     events, results, states = [], [], []
 
@@ -521,7 +521,7 @@ def test_one_jump_and_many_steps_give_the_same_bits_and_events(script, steps):
 def test_a_flight_in_steps_of_a_millisecond_gives_the_same_bits_and_events():
     script = [*START, (4.0, "waypoint", (9.0, 7.0, -6.0)), (0.0, "offboard", (0.0, 0.0, 0.0)), (1.3, "waypoint", (2.0, 20.0, -5.0))]
     events, *rest = play(script, [])
-    assert [type(event) for event in events] == [Arrived, Said]  # arrived; silence brings it home
+    assert [type(event) for event in events] == [Arrived, Said]  # arrival; then the setpoint timeout
     assert repr((events, *rest)) == repr(play(script, [0.001] * 10))
 
 
@@ -530,5 +530,5 @@ def test_a_flight_in_steps_of_a_millisecond_gives_the_same_bits_and_events():
 def test_left_alone_it_comes_to_rest_and_never_below_the_ground(script):
     _, _, states = play(script, [])
     assert all(state.position[2] <= 0.0 for state in states)
-    assert not states[-1].armed  # the battery sees to that
+    assert not states[-1].armed  # the battery has run out by then
     assert states[-1].velocity == (0.0, 0.0, 0.0)

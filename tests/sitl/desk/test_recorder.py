@@ -1,4 +1,4 @@
-"""Protects a record's begin and end: it overwrites nothing unasked, and what was said before its end is in it, however early that is."""
+"""Protects the start and end of a record: it overwrites nothing unasked, and holds every message sent before its end."""
 
 import argparse
 import signal
@@ -39,14 +39,14 @@ def test_a_file_that_exists_is_refused_in_one_line_before_anything_is_joined(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], there: str
 ) -> None:
     (tmp_path / there).write_text("old")
-    assert recorder.run(given(tmp_path / "run.mcap", "tcp/127.0.0.1:1")) == 2  # nobody listens there
+    assert recorder.run(given(tmp_path / "run.mcap", "tcp/127.0.0.1:1")) == 2  # no router listens there
     assert capsys.readouterr().err == f"error: FILE.mcap: {str(tmp_path / there)!r} exists; wanted another name, or --force\n"
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(there, "old")]
 
 
 @pytest.mark.parametrize("there", ["run.mcap", "run.tlog"])
 def test_of_two_recorders_that_begin_at_once_the_second_is_refused(tmp_path: Path, there: str) -> None:
-    (tmp_path / there).write_text("the first one's")  # made behind the second one's first look
+    (tmp_path / there).write_text("the first one's")  # created after the second recorder's first check
     with pytest.raises(FileExistsError):
         recorder._begin(tmp_path / "run.mcap", False, {})
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(there, "the first one's")]

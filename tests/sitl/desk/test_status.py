@@ -1,4 +1,4 @@
-"""Protects the status at a glance: who is missing, starting, stale or refusing, told from health alone and without clocks that agree."""
+"""Protects the status: missing, starting, stale or refusing parts are recognised from health messages alone, without a common clock."""
 
 import pytest
 
@@ -15,7 +15,7 @@ def board(*alive: str, only: tuple[str, ...] = ()) -> Board:
 
 
 def speak(b: Board, service: str, at_s: float, refused_lately: int = 0) -> None:
-    """A part says what was kept of it, and then something new."""
+    """A part's cached health message, followed by a new one."""
     b.hears(health(service, 10.0), at_s - 0.5)
     b.hears(health(service, 11.0, refused_lately), at_s)
 
@@ -47,7 +47,7 @@ def test_who_is_there_but_has_not_said_that_it_is_ready_is_starting() -> None:
 def test_what_the_bus_has_kept_is_no_sign_of_life() -> None:
     b = board("estimator", only=("estimator",))
     b.hears(health("estimator", 10.0), 1000.1)
-    b.hears(health("estimator", 10.0), 1003.0)  # the same again: a late copy
+    b.hears(health("estimator", 10.0), 1003.0)  # the same message again: a late copy
     assert not b.settled(1004.0)
     assert b.settled(1005.0)
     assert b.verdict("estimator", 1005.0) == "stale"

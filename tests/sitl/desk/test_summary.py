@@ -1,4 +1,4 @@
-"""Protects `python -m sitl log`: what it counts and misses in a log that is made here message by message, and what it exports."""
+"""Protects the command `log`: its counts and findings in a log made here message by message, and its export."""
 
 import csv
 import io
@@ -51,7 +51,7 @@ MESSAGES = [
     (1.4, 2.0, "health/estimator", health("estimator", 0.2, 0.25)),  # started again
     (1.5, 2.0, "belief", belief(1)),
     (2.0, 2.0, "mavlink/out", Codec(1, 1).pack(gas_message(2000, 0.5))),
-    (6.1, 3.0, "reading", reading(2)),  # 4.1 s of silence before it; never answered
+    (6.1, 3.0, "reading", reading(2)),  # after 4.1 s of silence; never answered
     (7.1, 4.0, "reading", reading(3)),
     (7.15, 4.0, "agdc/stop", msgspec.json.encode(Stop(4000, 3, (14.0, 12.0), (0.09, 0.0, 0.04), 0.36, 0.5))),
     (7.2, 4.0, "belief", belief(3, ceased=True)),

@@ -1,4 +1,4 @@
-"""Protects what is shown of a part's output: whole lines however they come, and never more kept of it than a line."""
+"""Protects the display of a part's output: whole lines, however they arrive, and at most one line in memory."""
 
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,4 +1,4 @@
-"""Protects the launcher from its parts: whatever they print, and whatever they leave behind, it goes on and ends, and so do they."""
+"""Protects the launcher from its parts: whatever they print or leave behind, the launcher continues, and all of them end."""
 
 import contextlib
 import os
@@ -26,7 +26,7 @@ print("left", left.pid, file=sys.stderr, flush=True)
 
 
 class Launched:
-    """The parts of a test, and all that has come of them so far."""
+    """The parts of a test and their events so far."""
 
     def __init__(self) -> None:
         self.inbox = Inbox()
@@ -62,7 +62,7 @@ def runs(pid: int) -> bool:
 
 
 def test_a_part_may_print_what_it_likes_and_it_is_shown_with_its_name(launched: Launched, wait_until: Callable) -> None:
-    launched.processes.start("agent", TOLD, "for n in range(2000): print(f'{n:060d}')")  # 120 kB: a pipe holds 64
+    launched.processes.start("agent", TOLD, "for n in range(2000): print(f'{n:060d}')")  # 120 kB: more than a pipe's 64 kB
     wait_until(launched.ends)
     assert launched.lines() == [f"agent: {n:060d}" for n in range(2000)]
     assert launched.ends() == [Ended("agent", 0, "no last words")]
@@ -79,7 +79,7 @@ def test_bytes_that_are_no_text_and_a_line_without_end_do_no_harm(launched: Laun
 def test_of_lines_that_nobody_takes_the_oldest_are_dropped_and_counted(launched: Launched, wait_until: Callable) -> None:
     written = 20 * WAITING_MESSAGES
     child = launched.processes.start("agent", TOLD, f"for n in range({written}): print(n)")
-    wait_until(lambda: child.wait(0.01))  # a part that could not go on printing would not end
+    wait_until(lambda: child.wait(0.01))  # a part blocked on its output would not end
     child.join()
     assert launched.inbox.waiting() == WAITING_MESSAGES + 1
     log = Log("mission", "uav/1", Tally())

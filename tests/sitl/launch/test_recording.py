@@ -1,4 +1,4 @@
-"""Protects the files of a record: what exists is lost to no mission that was not allowed to, and to none that never began."""
+"""Protects the files of a record: an existing file is overwritten only with --force, and only by a mission that begins."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ def old(tmp_path: Path) -> Path:
 
 
 def made(path: Path) -> RecordFiles:
-    """Files that a recorder has made with --force."""
+    """Files written by a recorder with --force."""
     files = RecordFiles(path)
     assert files.refusal(force=True) is None
     for each in (files.path, files.path.with_suffix(".tlog")):

@@ -1,4 +1,4 @@
-"""Protects the link that can be cut: it carries both ways, is silent while cut, and carries on."""
+"""Protects the relay that can be cut: it carries data both ways, nothing while cut, and resumes."""
 
 import socket
 import threading
@@ -11,7 +11,7 @@ from sitl.launch.relay import Relay
 
 @pytest.fixture
 def echo() -> Iterator[str]:
-    """The endpoint of a server that says everything again."""
+    """The endpoint of an echo server."""
     listener = socket.create_server(("127.0.0.1", 0))
 
     def serve(peer: socket.socket) -> None:
@@ -66,7 +66,7 @@ def test_a_cut_link_is_silent_and_comes_back(relay: Relay) -> None:
         relay.cut()
         peer.sendall(b"meanwhile")
         peer.settimeout(0.3)
-        with pytest.raises(TimeoutError):  # silence can only be waited for
+        with pytest.raises(TimeoutError):  # only waiting can show that nothing arrives
             peer.recv(1)
         peer.settimeout(10.0)
         relay.restore()

@@ -1,4 +1,4 @@
-"""Protects the watch over silent parts, under a false clock: who hangs is named in time, and nobody else ever."""
+"""Protects the watchdog over silent parts, with a simulated clock: it names a hanging part in time, and never any other."""
 
 import math
 
@@ -10,7 +10,7 @@ PARTS = ("router", "uav", "estimator", "agent", "recorder")
 
 
 class Flight:
-    """A mission under a false clock, in which a second passes between two looks; all parts speak in each but those that are silent."""
+    """A mission with a simulated clock: one second passes between two checks, and every part not listed as silent reports each second."""
 
     def __init__(self, patience_s: float = 30.0, spoken: bool = True) -> None:
         self.said: list[str] = []
@@ -82,7 +82,7 @@ def test_where_the_router_is_silent_nobody_else_is_blamed_for_it() -> None:
     flight = Flight(patience_s=20.0)
     flight.silent = {"router"}
     assert flight.goes_on(19) == ""
-    flight.silent = set(PARTS[1:])  # they have yet to come back to it
+    flight.silent = set(PARTS[1:])  # they have not reconnected to it yet
     assert flight.goes_on(4) == ""
     assert flight.said == ["warning: the router has said nothing for 5 s", "the router is back"]
 

@@ -1,4 +1,4 @@
-"""A part that does as it is told: `python -m tests.sitl.launch.told 'PYTHON SOURCE'`."""
+"""A part that runs given code: `python -m tests.sitl.launch.told 'PYTHON SOURCE'`."""
 
 import sys
 

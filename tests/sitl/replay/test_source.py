@@ -1,4 +1,4 @@
-"""Protects what a replay plays: a log that cannot be played is one clear line, before anything is started."""
+"""Protects the input of a replay: a log that cannot be played gives one clear line before anything starts."""
 
 import os
 from argparse import Namespace

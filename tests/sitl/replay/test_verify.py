@@ -1,4 +1,4 @@
-"""Protects the comparison of a replay: what counts as an answer, what differs to the last bit, and what the log cannot tell."""
+"""Protects the comparison of a replay: which messages are answers, every difference in a bit, and what the log cannot show."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Protects mission scripts: what they mean, and that a mistake is told with its file, line, field and what is allowed."""
+"""Protects mission scripts: what they mean, and that an error names file, line, field and what is allowed."""
 
 import json
 import math
@@ -39,12 +39,12 @@ expect: [located, returned home]
 MISTAKES = {
     ("seed: 7", "seed: seven"): "2: seed: 'seven' is not allowed; wanted a whole number from 0",
     ("seed: 7", "seed: -1"): "2: seed: -1 is not allowed; wanted a whole number from 0",
-    ("seed: 7", "sead: 7"): "2: sead: there is no such field; allowed: about, seed, speedup, scenario, vehicle, sensor, estimator, agent, ",
+    ("seed: 7", "sead: 7"): "2: sead: unknown field; allowed: about, seed, speedup, scenario, vehicle, sensor, estimator, agent, ",
     ("seed: 7", "seed: 7\nseed: 8"): '3: found duplicate key "seed"',
-    ("seed: 7", "seed: [7"): "3: this is no YAML: ",
+    ("seed: 7", "seed: [7"): "3: not valid YAML: ",
     ("seed: 7", "speedup: 2000"): "2: speedup: 2000 is not allowed; wanted a number from 0 up to 1000",
     ("phi: 1.5", "phi: 15"): "3: scenario.phi: 15 is not allowed; wanted direction the wind comes from, counter-clockwise from east, ",
-    ("phi: 1.5", "fi: 1.5"): "3: scenario.fi: there is no such field; allowed: source, q, u, phi, d, tau, start, height",
+    ("phi: 1.5", "fi: 1.5"): "3: scenario.fi: unknown field; allowed: source, q, u, phi, d, tau, start, height",
     ("[12, 13]", "[12, 31]"): "3: scenario.source[1]: 31 is not allowed; wanted a number from 0 up to 30",
     ("[12, 13]", "12"): "3: scenario.source: 12 is not allowed; wanted (x, y) m, x east, y north, each from 0 to 30",
     ("{phi: 1.5, source: [12, 13]}", "windy"): "3: scenario: 'windy' is not allowed; wanted fields: source, q, u, phi",
@@ -52,31 +52,31 @@ MISTAKES = {
     ("particles: 500", "particles: 5"): "6: estimator.particles: 5 is not allowed; wanted a whole number from 10 up to 1000000",
     ("particles: 500", "particles: 5.5"): "6: estimator.particles: 5.5 is not allowed; wanted a whole number",
     ("{q: 'gamma:2,150'}", "{q: 3}"): "7: estimator.prior.q: 3 is not allowed; wanted text",
-    ("do: wind, phi: 2", "do: wind"): "9: events[0]: nothing changes; wanted u, phi or both",
+    ("do: wind, phi: 2", "do: wind"): "9: events[0]: no change is given; wanted u, phi or both",
     ("do: wind, phi: 2", "do: winds"): "9: events[0].do: 'winds' is not allowed; wanted one of wind, dropout, stuck, spike, ",
     ("do: wind, ", ""): "9: events[0]: do is missing; wanted one of wind, dropout",
     ("do: wind, phi: 2", "do: stuck"): "9: events[0]: readings is missing; wanted a whole number from 1 up to 1000000",
-    ("do: pause", "step: 2, do: pause"): "10: events[1]: when? wanted one of step and time_s",
-    ("time_s: 10, ", ""): "10: events[1]: when? wanted one of step and time_s",
-    ("after_s: 10.5", "step: 3"): "11: events[2]: when? wanted one of time_s and after_s",
+    ("do: pause", "step: 2, do: pause"): "10: events[1]: wanted exactly one of step and time_s",
+    ("time_s: 10, ", ""): "10: events[1]: wanted exactly one of step and time_s",
+    ("after_s: 10.5", "step: 3"): "11: events[2]: wanted exactly one of time_s and after_s",
     ("high: [10, 10]", "high: [0, 10]"): "14: events[3].high: [0.0, 10.0] is not allowed; wanted a corner north-east of low, [0.0, 0.0]",
-    ("step: 3", "time_s: 3"): "12: events[3].time_s: waypoints answer readings; wanted step",
+    ("step: 3", "time_s: 3"): "12: events[3].time_s: not allowed for waypoints, which answer readings; wanted step",
     ("located, r", "found, r"): "15: expect[0]: 'found' is not allowed; wanted one of ceased, false stop, landed, located, not ceased, ",
     ("expect: [located, returned home]", "expect: lost"): "15: expect: 'lost' is not allowed; wanted one of ceased",
     ("seed: 7", "seed: 5.0"): "2: seed: 5.0 is not allowed; wanted a whole number from 0",
     ("seed: 7", "seed: yes"): "2: seed: 'yes' is not allowed; wanted a whole number from 0",
     ("seed: 7", "seed: true"): "2: seed: True is not allowed; wanted a whole number from 0",
     ("seed: 7", "seed: 0x" + "f" * 5000): "2: a number of 5,002 digits is not allowed; wanted 1,000 at most",
-    ("seed: 7", "7: seed"): "2: 7 is not allowed as a name; wanted text",
-    ("seed: 7", "? [seed]\n: 7"): "2: a list or an object is not allowed as a name; wanted text",
-    ("seed: 7", '"se\\ned": 7'): "2: 'se\\ned': there is no such field",
+    ("seed: 7", "7: seed"): "2: 7 is not allowed as a field name; wanted text",
+    ("seed: 7", "? [seed]\n: 7"): "2: a list or an object is not allowed as a field name; wanted text",
+    ("seed: 7", '"se\\ned": 7'): "2: 'se\\ned': unknown field",
     ("seed: 7", "agent: {headings: 8.0}"): "2: agent.headings: 8.0 is not allowed; wanted one of 4, 8",
-    ("seed: 7", "seed: !!bool perhaps"): ": this is no YAML: a value is not what its tag says",
-    ("seed: 7", "seed: 2020-99-99"): ": this is no YAML: month must be in 1..12",
+    ("seed: 7", "seed: !!bool perhaps"): ": not valid YAML: a value does not match its tag",
+    ("seed: 7", "seed: 2020-99-99"): ": not valid YAML: month must be in 1..12",
     ("[12, 13]", "[12]"): "3: scenario.source: [12] is not allowed; wanted a list of two: a number from 0 up to 30",
     ("[12, 13]", "[12, 13, 14]"): "3: scenario.source: [12, 13, 14] is not allowed; wanted a list of two: a number from 0 up to 30",
     ("do: wind, phi: 2", "do: [wind]"): "9: events[0].do: ['wind'] is not allowed; wanted one of wind, dropout",
-    ("do: wind, phi: 2", "do: stuck, reading: 2"): "9: events[0].reading: there is no such field; allowed: do, readings, step, time_s",
+    ("do: wind, phi: 2", "do: stuck, reading: 2"): "9: events[0].reading: unknown field; allowed: do, readings, step, time_s",
     ("{step: 30, do: wind, phi: 2}", "pause"): "9: events[0]: 'pause' is not allowed; wanted fields with do: one of wind, dropout",
     ("after_s: 10.5", "after_s: -1"): "11: events[2].after_s: -1 is not allowed; wanted a number from 0: simulation time, s",
     (
@@ -135,9 +135,7 @@ def test_a_battery_and_a_patience_without_end_are_allowed(tmp_path: Path) -> Non
 def test_of_several_mistakes_the_first_is_told_but_a_wrong_name_before_the_one_that_it_stands_for(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text("events:\n- step: 1\n  do: stuck\n  reading: 3\nexpect: [lost]\nseed: x\n")
-    with pytest.raises(
-        FileError, match=r"mission.yaml:4: events\[0\].reading: there is no such field; allowed: do, readings, step, time_s$"
-    ):
+    with pytest.raises(FileError, match=r"mission.yaml:4: events\[0\].reading: unknown field; allowed: do, readings, step, time_s$"):
         load(path)
 
 
@@ -166,7 +164,7 @@ def test_a_missing_file_and_a_folder_are_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", MISSIONS, ids=lambda path: path.stem)
 def test_a_shipped_mission_is_found_by_its_name_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / path.stem).mkdir()  # a folder is no mission, whatever it is called
+    (tmp_path / path.stem).mkdir()  # a folder is not a mission, even with a mission's name
     assert load(path.stem) == load(path.name) == load(path)
 
 
@@ -227,7 +225,7 @@ def test_two_waypoints_for_one_step_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
     event = "- {step: %d, do: waypoints, points: [[1, 2], [2, 2]]}\n"
     path.write_text("events:\n" + event % 0 + event % 1)
-    with pytest.raises(FileError, match=r"mission.yaml:3: events\[1\]: step 1 has its waypoint from events\[0\]"):
+    with pytest.raises(FileError, match=r"mission.yaml:3: events\[1\]: events\[0\] already has a waypoint for step 1"):
         load(path)
 
 
@@ -238,13 +236,13 @@ def test_the_published_schema_is_up_to_date_and_a_schema() -> None:
 
 
 def test_the_schema_and_the_reader_agree(tmp_path: Path) -> None:
-    """As an editor sees it: the schema passes all our missions, and finds each mistake that lies in one field."""
+    """The schema accepts all shipped missions and finds each mistake that lies in one field, as an editor uses it."""
     validator = jsonschema.Draft202012Validator(schema())
     for path in MISSIONS:
         validator.validate(YAML(typ="safe", pure=True).load(path.read_text()))
         load(path)
     assert validator.is_valid(YAML(typ="safe", pure=True).load(GOOD))
     for change, told in MISTAKES.items():
-        beyond = ("corner", "sensor:", "agent.policy", "as a name", "digits", "5.0", "8.0")  # to JSON, 5.0 is a whole number
+        beyond = ("corner", "sensor:", "agent.policy", "field name", "digits", "5.0", "8.0")  # in JSON, 5.0 is a whole number
         if " is not allowed" in told and not any(word in told for word in beyond):
             assert not validator.is_valid(YAML(typ="safe", pure=True).load(GOOD.replace(*change))), change

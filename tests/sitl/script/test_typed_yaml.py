@@ -1,4 +1,4 @@
-"""Protects the reading of mission scripts from files that are huge, endless, locked, no files at all, or written by another editor."""
+"""Protects the reading of mission scripts from huge, recursive or locked files, pipes and devices, and other editors' text formats."""
 
 import os
 from pathlib import Path
@@ -35,7 +35,7 @@ def test_a_few_lines_that_stand_for_endless_values_are_refused_at_once(tmp_path:
     path.write_text(text)
     with pytest.raises(FileError) as error:
         load(path)
-    assert str(error.value) == f"{path}: more than 100,000 values, aliases counted in full, are not allowed"
+    assert str(error.value) == f"{path}: more than 100,000 values (with aliases expanded) are not allowed"
 
 
 def test_an_alias_stands_for_its_value(tmp_path: Path) -> None:
@@ -48,7 +48,7 @@ def test_an_alias_stands_for_its_value(tmp_path: Path) -> None:
 def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
     with path.open("wb") as file:
-        file.truncate(100_000_000_000)  # more than there is memory; a hole takes no room on the disk
+        file.truncate(100_000_000_000)  # larger than the memory; a sparse file takes no disk space
     with pytest.raises(FileError) as error:
         load(path)
     assert str(error.value) == f"{path}: 100,000,000,000 bytes are not allowed; wanted 250,000 at most"
@@ -69,7 +69,7 @@ def test_a_nest_without_a_bottom_is_refused(tmp_path: Path, opening: str) -> Non
     path.write_text("seed: 1\nevents:\n  " + opening * 50_000)
     with pytest.raises(FileError) as error:
         load(path)
-    assert str(error.value) == f"{path}: this is no YAML: maximum recursion depth exceeded"
+    assert str(error.value) == f"{path}: not valid YAML: maximum recursion depth exceeded"
 
 
 def test_a_pipe_and_a_device_are_not_waited_for(tmp_path: Path) -> None:
@@ -84,13 +84,13 @@ def test_a_pipe_and_a_device_are_not_waited_for(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_read_is_one_line_that_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     loop = tmp_path / "loop.yaml"
     loop.symlink_to(loop)
-    broken = Path("/proc/self/mem")  # a file by its looks, whose first byte cannot be read
+    broken = Path("/proc/self/mem")  # a regular file whose first byte cannot be read
     for path, reason in ((loop, "Too many levels of symbolic links"), (broken, "Input/output error")):
         with pytest.raises(FileError, match=f"^{path}: {reason}$"):
             load(path)
     locked = tmp_path / "mission.yaml"
     locked.touch(mode=0)
-    if os.access(locked, os.R_OK):  # as root, whom nothing is locked for
+    if os.access(locked, os.R_OK):  # root can read every file
         monkeypatch.setattr(os, "open", lambda *_: (_ for _ in ()).throw(PermissionError(13, os.strerror(13))))
     with pytest.raises(FileError, match=f"^{locked}: Permission denied$"):
         load(locked)

@@ -1,4 +1,4 @@
-"""Vehicles in the situations that the tests of the vehicle and of its protocol begin with, and what to read from their events."""
+"""Vehicles in the initial situations of the tests, and helpers that read their events."""
 
 import math
 
@@ -19,7 +19,7 @@ def on_the_ground(config: VehicleConfig = CONFIG) -> Vehicle:
 
 
 def hovering(config: VehicleConfig = CONFIG) -> Vehicle:
-    """A vehicle that holds 5 m over home."""
+    """A vehicle that holds 5 m above home."""
     vehicle = Vehicle(config)
     assert vehicle.arm(0.0).accepted
     assert vehicle.take_off(0.0).accepted
@@ -29,7 +29,7 @@ def hovering(config: VehicleConfig = CONFIG) -> Vehicle:
 
 
 def offboard(config: VehicleConfig = CONFIG) -> Vehicle:
-    """A vehicle in OFFBOARD at rest 5 m over home, the arrival there already told."""
+    """A vehicle in OFFBOARD at rest 5 m above home; its arrival event has already been read."""
     vehicle = hovering(config)
     t = vehicle.now_s
     vehicle.setpoint(t, (0.0, 0.0, -5.0))

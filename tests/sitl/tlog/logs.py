@@ -1,4 +1,4 @@
-"""Telemetry logs made byte by byte, as the tests of their reader need them: by ArduPilot, by PX4, damaged."""
+"""Builds telemetry logs byte by byte for the tests of their reader: from ArduPilot, from PX4, damaged."""
 
 import struct
 from pathlib import Path
@@ -12,7 +12,7 @@ ARMED, DISARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED, 0
 
 
 class Recorder:
-    """Writes what a ground station would: each frame behind the time at which it came."""
+    """Writes a log as a ground station does: the arrival time of each frame, then the frame."""
 
     def __init__(self, stamped: bool = True) -> None:
         self.records: list[bytes] = []
@@ -69,7 +69,7 @@ def gas(boot_ms, value, name=b"gas"):
 
 
 def wind(from_deg, speed):
-    """As ArduPilot tells it."""
+    """ArduPilot's WIND (168)."""
     return mavlink.MAVLink_wind_message(from_deg, speed, 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Protects the reader of other people's flights: what it takes for a reading, where and when, and what it says of all the rest."""
+"""Protects the reader of telemetry logs: which samples become readings, where and when, and the notes on everything else."""
 
 import itertools
 import math
@@ -49,7 +49,7 @@ def readings(flight: Flight) -> list[Reading]:
 
 
 def noted(flight: Flight, *words: str) -> str:
-    """The only note that has these words."""
+    """The only note with these words."""
     (note,) = [note for note in flight.notes if all(word in note for word in words)]
     return note
 
@@ -68,7 +68,7 @@ def fly(
     value: Callable[[float], float] | None = None,
     system: int = 1,
 ) -> None:
-    """Log a flight: heartbeats and wind each second, places at 5 Hz, gas each second between two of these: 10 times the seconds."""
+    """Log a flight: heartbeat and wind at 1 Hz, positions at 5 Hz, gas at 1 Hz between two positions (default value: 10 × time in s)."""
     for n in range(round(5 * begin_s), round(5 * end_s) + 1):
         now = n / 5
         boot_ms = round(1000 * (now - boot_at_s))
@@ -127,7 +127,7 @@ def test_a_px4_flight_among_a_ground_station_and_an_onboard_computer_is_read(tmp
     assert "system 1 (PX4), component 1 (5 frames)" in noted(flight, "vehicle:")
     assert "component 191 (2 frames)" in noted(flight, "on board")
     assert "system 255 component 190 (ground station, 1 frame)" in noted(flight, "skipped:")
-    assert flight.origin == (0.0, 0.0, None, None)  # nothing ties its local frame to the globe
+    assert flight.origin == (0.0, 0.0, None, None)  # no message ties the local frame to the globe
 
 
 def test_all_that_the_vehicle_said_is_there_as_it_flew_and_in_order_of_time(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_all_that_the_vehicle_said_is_there_as_it_flew_and_in_order_of_time(tmp_
     assert {entry.key for entry in flight.entries} == {"mavlink/out", "reading"}
     for earlier, later in itertools.pairwise(flight.entries):
         assert earlier.published_ns <= later.published_ns
-    # A reading comes with its gas value, at 0.5, 1.5 … s, and its own time is the simulation's.
+    # A reading is published at its gas value's time, 0.5, 1.5 … s, which is also its simulation time.
     said = [(entry.published_ns - 1000 * BEGAN_US, entry.simulation_s) for entry in flight.entries if entry.key == "reading"]
     assert said == [(round(1e9 * s), s) for s in (0.5, 1.5, 2.5, 3.5, 4.6)]
     assert flight.entries[-1].key == "reading"
@@ -171,8 +171,8 @@ def test_local_positions_come_before_global_ones_which_fill_in_where_there_are_n
             log.hear(now, local(200 * n, now - 3.0 + 0.25, -4.0, up=5.0))
         log.hear(now, gas(200 * n, n))
     flight = read(log.write(tmp_path), wind=WESTERLY, origin=(-10.0, -10.0))
-    assert noted(flight, "positions:") == "positions: 16 of LOCAL_POSITION_NED, else 31 of GLOBAL_POSITION_INT"
-    # The local frame reads 0.25 m more than what was laid out, and the global fixes are laid onto it: 11.1 mm is their resolution.
+    assert noted(flight, "positions:") == "positions: 16 LOCAL_POSITION_NED, otherwise 31 GLOBAL_POSITION_INT"
+    # The local frame is 0.25 m off the global one, and global fixes are moved onto it; their resolution is 11.1 mm.
     expected = [(6.0, 7.25 + s) for s in range(7)]
     for reading, place in zip(readings(flight), expected, strict=True):
         assert reading.position == pytest.approx(place, abs=0.012)
@@ -198,9 +198,9 @@ def test_without_any_other_position_the_receivers_fixes_are_taken_and_no_fix_is_
         log.hear(n, gps(LAT_E7 + 100 * n, LON_E7, fix, alt_mm=490_000 + 1000 * n))
         log.hear(n, gas(1000 * n, n))
     flight = read(log.write(tmp_path), wind=WESTERLY, origin=(-5.0, 0.0))
-    assert noted(flight, "positions:") == "positions: 6 of GPS_RAW_INT"
+    assert noted(flight, "positions:") == "positions: 6 GPS_RAW_INT"
     flown = readings(flight)
-    assert [reading.gas for reading in flown] == [1, 2, 3, 4, 5, 6, 7]  # the first one a second before there was a fix
+    assert [reading.gas for reading in flown] == [1, 2, 3, 4, 5, 6, 7]  # the first one 1 s before the first fix
     assert flown[-1].position == pytest.approx((0.0, 5.0 + 500 * METRES_AN_E7), abs=1e-3)
     assert flown[-1].altitude_m == 5.0
 
@@ -211,7 +211,7 @@ def test_no_position_at_all_is_an_error(tmp_path: Path) -> None:
         log.hear(n, globe(1000 * n, 0, 0))
         log.hear(n, local(1000 * n, math.nan, 0.0))
         log.hear(n, gas(1000 * n, n))
-    with pytest.raises(FlightError, match="system 1 told no position; wanted LOCAL_POSITION_NED"):
+    with pytest.raises(FlightError, match="system 1 sent no position; wanted LOCAL_POSITION_NED"):
         read(log.write(tmp_path), wind=WESTERLY)
 
 
@@ -222,7 +222,7 @@ def test_gas_values_in_a_gap_are_left_out_and_up_to_a_second_beyond_its_ends_the
         log.hear(10.0 + late_s, gas(round(1000 * (10.0 + late_s)), 500.0 + late_s))
     fly(log, 30.0, 33.0)
     flight = read(log.write(tmp_path), origin=(0.0, 0.0), area_m=100.0)
-    assert "gaps without a word of the vehicle: 8.4 s at 11.6 s, 8.9 s at 20.0 s; 17.3 s in all" in flight.notes
+    assert "gaps without a message from the vehicle: 8.4 s at 11.6 s, 8.9 s at 20.0 s; 17.3 s in total" in flight.notes
     assert "3 without a position" in noted(flight, "left out")
     by_gas = {reading.gas: reading for reading in readings(flight)}
     assert by_gas[float(np.float32(500.9))].position == pytest.approx((21.8, 1.0), abs=1e-4)  # 2 m/s east
@@ -236,7 +236,7 @@ def test_an_area_of_30_m_is_laid_about_the_path_or_a_larger_one_that_holds_it(tm
     flight = read(log.write(tmp_path))
     assert (flight.area_m, *flight.origin[:2]) == (30.0, 1.0 - 15.0, 12.0 - 15.0)
     assert readings(flight)[0].position == (4.0, 15.0)
-    assert noted(flight, "area:") == "area: 30 m, its corner -14 m north and -3 m east of the local origin"
+    assert noted(flight, "area:") == "area: side 30 m, south-west corner -14 m north and -3 m east of the local origin"
     fly(log, 12.2, 20.0)  # to 39 m: 38 m and 2 m at either end
     flight = read(log.write(tmp_path))
     assert (flight.area_m, *flight.origin[:2]) == (42.0, 1.0 - 21.0, 20.0 - 21.0)
@@ -249,10 +249,10 @@ def test_a_chosen_area_leaves_out_what_is_not_in_it(tmp_path: Path) -> None:
     path = log.write(tmp_path)
     flight = read(path, origin=(0.0, 4.0), area_m=10.0)
     assert [reading.position for reading in readings(flight)] == [(x, 1.0) for x in (1.0, 3.0, 5.0, 7.0, 9.0)]
-    assert "15 outside of the area" in noted(flight, "left out")
+    assert "15 outside the area" in noted(flight, "left out")
     assert read(path, area_m=10.0).origin[:2] == (-4.0, 15.0)
     assert read(path, origin=(0.0, 0.0)).area_m == 41.0  # 39 m and 2 m
-    with pytest.raises(FlightError, match=r"no reading is left of 20 samples; left out are 20 outside of the area"):
+    with pytest.raises(FlightError, match=r"none of the 20 samples can be a reading; left out: 20 outside the area"):
         read(path, origin=(100.0, 100.0), area_m=5.0)
 
 
@@ -274,11 +274,11 @@ def test_after_a_restart_times_go_on_and_the_new_local_frame_is_laid_onto_the_fi
     both(0, 10, -100.0, 0.0)  # since 100 s on
     both(14, 20, 12.0, 8.0)  # started again at 12 s, with its origin 8 m further east
     flight = read(log.write(tmp_path), wind=WESTERLY, origin=(0.0, 0.0))
-    note = noted(flight, "started again")
+    note = noted(flight, "vehicle restarted")
     assert "at 14.0 s (time_boot_ms from 110,000 to 2,000)" in note
-    assert "8.0 m east of where it was" in noted(flight, "after start 2")
+    assert "8.0 m east of the first one" in noted(flight, "after start 2")
     flown = readings(flight)
-    # 10 s and 14 s are 4 s apart by the log's clock, and so they are here.
+    # 10 s and 14 s are 4 s apart by the log's clock, and in the readings too.
     assert [reading.time_boot_ms for reading in flown] == [1000 * (100 + s) for s in (*range(11), *range(14, 21))]
     for reading in flown:
         assert reading.position == pytest.approx((reading.gas, 0.0), abs=0.012)
@@ -288,7 +288,7 @@ def test_a_restart_without_global_positions_says_what_it_takes_for_granted(tmp_p
     log = Recorder()
     fly(log, 0.0, 5.0, boot_at_s=-60.0)
     fly(log, 6.0, 9.0, boot_at_s=5.5)
-    assert "taken to be the same after each start" in noted(read(log.write(tmp_path)), "local frame")
+    assert "assumed unchanged after each restart" in noted(read(log.write(tmp_path)), "local frame")
 
 
 def test_a_restart_without_a_clock_of_the_log_goes_on_by_a_millisecond(tmp_path: Path) -> None:
@@ -296,8 +296,8 @@ def test_a_restart_without_a_clock_of_the_log_goes_on_by_a_millisecond(tmp_path:
     fly(log, 0.0, 5.0, boot_at_s=-60.0)
     fly(log, 6.0, 9.0, boot_at_s=5.5)
     flight = read(log.write(tmp_path, "flight.raw"))
-    assert "logged without times" in noted(flight, "the vehicle's own")
-    # The last fix was at 65.0 s; the first one after it says 0.5 s, the gas value behind that 1.0 s.
+    assert "no record times" in noted(flight, "the vehicle's own")
+    # The last fix was at 65.0 s; the next fix carries 0.5 s, the gas value after it 1.0 s.
     times = [reading.time_boot_ms for reading in readings(flight)]
     assert times == [60_500, 61_500, 62_500, 63_500, 64_500, 65_001 + 500, 66_501, 67_501]
 
@@ -311,7 +311,7 @@ def test_messages_that_overtake_each_other_are_no_restart(tmp_path: Path) -> Non
     for n in range(1, 6):
         log.hear(10.0 + n / 5, local(60_000 + 200 * n, *eastward(10.0 + n / 5)))
     flight = read(log.write(tmp_path), origin=(0.0, 0.0))
-    assert not [note for note in flight.notes if "started again" in note]
+    assert not [note for note in flight.notes if "restarted" in note]
     flown = readings(flight)
     assert [reading.time_boot_ms for reading in flown] == [50_500 + 1000 * n for n in range(10)]
     for reading in flown:
@@ -326,7 +326,7 @@ def test_a_clock_that_wraps_after_49_days_is_no_restart(tmp_path: Path) -> None:
         log.hear(n, local(boot_ms, 0.0, n))
         log.hear(n, gas(boot_ms, n))
     flight = read(log.write(tmp_path), wind=WESTERLY)
-    assert not [note for note in flight.notes if "started again" in note]
+    assert not [note for note in flight.notes if "restarted" in note]
     # As they are, the times would not fit their field any more: they begin at 0.
     assert [reading.time_boot_ms for reading in readings(flight)] == [1000 * n for n in range(11)]
 
@@ -340,10 +340,10 @@ def test_jumps_of_the_logs_clock_are_noted_and_change_no_reading(tmp_path: Path)
                 log.hear(n + shift_s, gas(1000 * n, n))
     calm, shaken = (read(log.write(tmp_path), wind=WESTERLY) for log in (plain, jumping))
     assert readings(shaken) == readings(calm)
-    assert "goes back by 10,799.0 s at 7219.0 s" in noted(shaken, "log's clock goes back")
-    assert "7,200.0 s at 9.0 s" in noted(shaken, "log's clock leaps ahead")
+    assert "jumps back by 10,799.0 s at 7219.0 s" in noted(shaken, "log's clock jumps back")
+    assert "7,200.0 s at 9.0 s" in noted(shaken, "log's clock jumps ahead")
     spans = [flight.entries[-1].published_ns - flight.entries[0].published_ns for flight in (calm, shaken)]
-    assert spans == [29 * 10**9, 28 * 10**9]  # how long it took to set the clock back nobody knows
+    assert spans == [29 * 10**9, 28 * 10**9]  # the time between the two records around the set-back clock is unknown
 
 
 @pytest.mark.parametrize("boot_ms", [lambda now: 0, lambda now: round(1000 * now) + 777_000])
@@ -355,7 +355,7 @@ def test_gas_from_a_computer_with_another_clock_or_none_is_placed_by_when_it_was
         if n % 5 == 3:
             log.hear(now + 0.1, gas(boot_ms(now), 5.0), component=191)
     flight = read(log.write(tmp_path), wind=WESTERLY, origin=(0.0, 0.0))
-    assert "theirs is not the vehicle's: 10" in noted(flight, "at which they were logged")
+    assert "without the vehicle's clock: 10" in noted(flight, "log times are used")
     assert [reading.time_boot_ms for reading in readings(flight)] == [30_700 + 1000 * n for n in range(10)]
     assert readings(flight)[1].position == pytest.approx((3.4, 1.0), abs=1e-4)
 
@@ -371,7 +371,7 @@ def test_of_each_interval_the_first_value_counts(tmp_path: Path) -> None:
     path = log.write(tmp_path)
     flight = read(path, wind=WESTERLY)
     assert [reading.gas for reading in readings(flight)] == [0.0, 10.0, 20.0, 30.0]
-    assert "27 more within 1 s" in noted(flight, "left out")
+    assert "27 extra within 1 s" in noted(flight, "left out")
     assert [reading.gas for reading in readings(read(path, wind=WESTERLY, every_s=0.5))] == [5.0 * n for n in range(7)]
 
 
@@ -385,7 +385,7 @@ def test_what_is_no_number_or_said_again_is_left_out_and_counted(tmp_path: Path)
                 log.hear(n, gas(1000 * n, value))
     flight = read(log.write(tmp_path), wind=WESTERLY)
     assert [(reading.time_boot_ms, reading.gas) for reading in readings(flight)] == [(0, 1.0), (3000, 4.0), (4000, 4.0)]
-    assert noted(flight, "left out") == "left out: 1 said again, 2 not finite, 1 other values of the same time"
+    assert noted(flight, "left out") == "left out: 1 repeated, 2 not finite, 1 with the time of another value"
 
 
 def test_on_the_ground_nothing_is_measured(tmp_path: Path) -> None:
@@ -411,7 +411,7 @@ def test_a_vehicle_that_is_never_armed_is_carried(tmp_path: Path) -> None:
         log.hear(n, gas(1000 * n, n))
     flight = read(log.write(tmp_path), wind=WESTERLY)
     assert len(readings(flight)) == 4
-    assert "all that was measured counts" in noted(flight, "in the air")
+    assert "all samples are used" in noted(flight, "in the air")
 
 
 def test_gas_may_be_a_field_of_any_message_and_in_another_unit(tmp_path: Path) -> None:
@@ -420,7 +420,7 @@ def test_gas_may_be_a_field_of_any_message_and_in_another_unit(tmp_path: Path) -
         log.hear(n, local(1000 * n, 0.0, n))
         log.hear(n, mavlink.MAVLink_scaled_pressure3_message(1000 * n, 1000.0, 0.0, 250 + n, 0))
         log.hear(n, mavlink.MAVLink_named_value_int_message(1000 * n, b"ppm", 100 * n), version=1)
-        log.hear(n, mavlink.MAVLink_battery_status_message(0, 0, 0, 0, [0] * 10, 10 * n, 0, 0, 0))  # it has no time
+        log.hear(n, mavlink.MAVLink_battery_status_message(0, 0, 0, 0, [0] * 10, 10 * n, 0, 0, 0))  # a message without a time
     path = log.write(tmp_path)
     assert [r.gas for r in readings(read(path, gas="SCALED_PRESSURE3.temperature", wind=WESTERLY))] == [250.0, 251.0, 252.0]
     assert [r.gas for r in readings(read(path, gas="ppm*0.25", wind=WESTERLY))] == [0.0, 25.0, 50.0]
@@ -432,12 +432,12 @@ def test_gas_may_be_a_field_of_any_message_and_in_another_unit(tmp_path: Path) -
     [
         ("", "wanted the NAME of a NAMED_VALUE_FLOAT, 1 to 10 characters, or MESSAGE.FIELD"),
         ("SCALED_PRESURE.temperature", "wanted the NAME"),
-        ("SCALED_PRESSURE.temp", "a field of SCALED_PRESSURE that is one number: time_boot_ms, press_abs, press_diff, temperature"),
-        ("DEBUG_FLOAT_ARRAY.data", "one number: time_usec, array_id"),
-        ("STATUSTEXT.text", "one number: severity"),
-        ("CH4*ppm", "a number above 0 behind the *"),
-        ("CH4*-1", "a number above 0 behind the *"),
-        ("CH4*", "a number above 0 behind the *"),
+        ("SCALED_PRESSURE.temp", "a numeric field of SCALED_PRESSURE: time_boot_ms, press_abs, press_diff, temperature"),
+        ("DEBUG_FLOAT_ARRAY.data", "a numeric field of DEBUG_FLOAT_ARRAY: time_usec, array_id"),
+        ("STATUSTEXT.text", "a numeric field of STATUSTEXT: severity"),
+        ("CH4*ppm", "a number above 0 after the *"),
+        ("CH4*-1", "a number above 0 after the *"),
+        ("CH4*", "a number above 0 after the *"),
     ],
 )
 def test_a_bad_gas_mapping_is_refused_with_what_is_allowed(text: str, wanted: str) -> None:
@@ -457,8 +457,8 @@ def test_without_gas_the_names_that_are_there_are_told(tmp_path: Path) -> None:
     with pytest.raises(FlightError) as refusal:
         read(log.write(tmp_path), wind=WESTERLY)
     assert str(refusal.value) == (
-        "system 1 told no gas; system 7 has it; named values that it told: CH4, Lights1; "
-        "choose one with --gas, or lay a simulated plume over its path with --plume MISSION.yaml"
+        "system 1 sent no gas; system 7 did; its named values: CH4, Lights1; "
+        "choose one with --gas, or simulate a plume along its path with --plume MISSION.yaml"
     )
 
 
@@ -477,7 +477,7 @@ def test_the_wind_is_the_last_that_was_told_while_that_is_not_too_old(tmp_path: 
     assert told[15.0] == pytest.approx((2.0, 0.0), abs=1e-6)
     assert sorted(told) == [5.0, 15.0, 25.0, 35.0]
     assert "2 without a wind" in noted(flight, "left out")
-    # A wind that is asked for holds throughout.
+    # A given wind holds for the whole flight.
     for reading in readings(read(log.write(tmp_path), wind=(2.0, 30.0))):
         assert reading.wind == pytest.approx((1.0, math.sqrt(3.0)))
 
@@ -506,7 +506,7 @@ def test_of_several_vehicles_the_one_with_most_positions_is_read_or_the_one_that
     other = read(path, system=5)
     assert other.system == 5
     assert [reading.time_boot_ms for reading in readings(other)] == [500, 1500, 2500, 3500, 4500]
-    with pytest.raises(FlightError, match=r"system 4 is not in the log; those that are: 3, 5, 255"):
+    with pytest.raises(FlightError, match=r"system 4 is not in the log; its systems: 3, 5, 255"):
         read(path, system=4)
 
 
@@ -517,7 +517,7 @@ def test_an_autopilot_is_known_by_its_heartbeat_whatever_its_component(tmp_path:
         log.hear(n, heartbeat(), system=2, component=0)
         log.hear(n, local(1000 * n, 0.0, n), system=2, component=0)
         log.hear(n, gas(1000 * n, n), system=2, component=0)
-        log.hear(n, local(1000 * n, 50.0, n), system=2, component=154)  # a gimbal that says where it is
+        log.hear(n, local(1000 * n, 50.0, n), system=2, component=154)  # a gimbal that sends its position
     flight = read(log.write(tmp_path), wind=WESTERLY, origin=(0.0, 0.0))
     assert [reading.position for reading in readings(flight)] == [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]
     assert "vehicle: system 2 (ArduPilot), component 0 (9 frames)" in flight.notes
@@ -527,7 +527,7 @@ def test_a_log_of_nothing_but_a_ground_station_has_no_vehicle(tmp_path: Path) ->
     log = Recorder()
     for n in range(3):
         log.hear(n, ground_station(), system=255, component=190)
-    with pytest.raises(FlightError, match="no vehicle is in the log: no autopilot is among the systems 255"):
+    with pytest.raises(FlightError, match=r"no vehicle is in the log: none of its systems \(255\) is an autopilot"):
         read(log.write(tmp_path))
 
 
@@ -556,8 +556,8 @@ def test_a_plume_laid_over_the_path_is_read_as_its_world_tells_it(tmp_path: Path
 def test_the_source_of_a_lawnmower_flight_is_found(tmp_path: Path) -> None:
     """An ArduPilot log with GLOBAL_POSITION_INT at 5 Hz, WIND, and gas of a known source: the filter must find it.
 
-    For an honest Gaussian posterior with spread σ√2 the error is beyond twice its spread in exp(−4), 1.8%, of all flights; this one is
-    always the same. The spread must be below the ζ of 0.5 m that a mission would stop at, so the error is below 1 m.
+    With an honest Gaussian posterior of spread σ√2 the error exceeds twice the spread in exp(−4) = 1.8% of flights; this flight is
+    always the same. The spread must be below the stop threshold ζ = 0.5 m of a mission: the error is then below 1 m.
     """
     s = Scenario(source=(18.3, 12.9), q=250.0, u=2.0, phi=2.2, d=3.0, tau=10.0, start=(0.0, 0.0))
     compass = math.degrees(math.atan2(*s.wind)) % 360.0
@@ -590,7 +590,7 @@ def test_the_source_of_a_lawnmower_flight_is_found(tmp_path: Path) -> None:
     assert math.dist(summary.mean, s.source) < 2.0 * summary.spread
 
 
-# ---- damage, and what is no log ----
+# ---- damaged logs, and files that are not logs ----
 
 
 def test_garbage_between_frames_costs_nothing_but_itself(tmp_path: Path) -> None:
@@ -616,17 +616,17 @@ def test_what_is_damaged_is_told(tmp_path: Path) -> None:
     log.records[-1] = log.records[-1][:20]
     notes = read(log.write(tmp_path)).notes
     assert f"skipped: {len(log.records[10]) + 8} bytes of garbage in 2 runs, the first at 1.2 s" in notes
-    assert "of it, frames with a wrong checksum, damaged or of another dialect: 1 LOCAL_POSITION_NED" in notes
-    assert "frames of messages that are not known, with checksums that cannot be verified: 1 of id 54321" in notes
+    assert "among them, frames with a wrong checksum (damaged or from another dialect): 1 LOCAL_POSITION_NED" in notes
+    assert "frames of unknown messages, whose checksums cannot be verified: 1 of id 54321" in notes
     assert "the last record is cut off after 20 bytes" in notes
-    assert "frames without a time of their own, or with an impossible one: 1; they have that of the frame before" in notes
+    assert "frames with a missing or impossible time: 1; each takes the time of the frame before it" in notes
 
 
 @pytest.mark.parametrize(
     ("data", "what"),
     [
-        (b"", "holds no frame of MAVLink 1 or 2"),
-        (b"plain text\n" * 50, "holds no frame of MAVLink 1 or 2"),
+        (b"", "contains no MAVLink 1 or 2 frame"),
+        (b"plain text\n" * 50, "contains no MAVLink 1 or 2 frame"),
         (b"ULog\x01\x12\x35\x01" + bytes(50), "is a PX4 ULog"),
         (b"\xa3\x95\x80\x80" + bytes(50), "is an ArduPilot dataflash log"),
     ],

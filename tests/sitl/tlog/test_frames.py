@@ -15,13 +15,13 @@ SECOND = 1_000_000
 
 
 def found(data: bytes) -> list[bytes]:
-    """The records that are found, each with its time where it has one."""
+    """The records found, each with its time if it has one."""
     r = scan(data)
     return [data[start - (8 if us != NO_STAMP else 0) : end] for us, start, end in zip(r.logged_us, r.starts, r.ends, strict=True)]
 
 
 def accounted(data: bytes) -> int:
-    """Bytes of records, of garbage and of what is cut off."""
+    """Bytes of records, of garbage, and of a cut-off last record."""
     r = scan(data)
     return sum(map(len, found(data))) + sum(count for _, count in r.garbage) + r.cut_off
 
@@ -34,7 +34,7 @@ def mixed(count: int = 12) -> Recorder:
 
 
 def unknown_frame(payload: bytes) -> bytes:
-    """A MAVLink 2 frame of message 54321, which no dialect has; its checksum cannot be verified."""
+    """A MAVLink 2 frame of message 54321, which is in no dialect: its checksum cannot be verified."""
     return bytes([0xFD, len(payload), 0, 0, 7, 1, 1]) + (54_321).to_bytes(3, "little") + payload + b"\x12\x34"
 
 
@@ -109,7 +109,7 @@ def test_an_unknown_message_followed_by_garbage_is_garbage() -> None:
 
 
 def test_what_may_be_an_unknown_message_never_swallows_a_frame_that_is_one() -> None:
-    # A damaged header that spans the two whole records behind it and ends exactly where a third begins.
+    # A damaged header that spans the two whole records after it and ends exactly where a third begins.
     one, two, three = mixed(3).records
     head = struct.pack(">Q", BEGAN_US) + bytes([0xFD, len(one + two) - 2, 0, 0, 7, 1, 1, 0x31, 0xD4, 0x00])
     assert found(head + one + two + three) == [one, two, three]
@@ -139,7 +139,7 @@ def test_a_stream_without_times_is_found_too() -> None:
 
 
 class TestTheLogsClock:
-    """Its times grow, whatever it was set to."""
+    """The log's times never decrease, however the clock was set."""
 
     @staticmethod
     def clock(*seconds: float | None):

@@ -1,4 +1,4 @@
-"""Protects the faults: what a broken sensor says and what a bad radio brings, reading by reading."""
+"""Protects the simulated faults: the values of a broken sensor and the deliveries of a bad radio, reading by reading."""
 
 import numpy as np
 
@@ -114,7 +114,7 @@ def test_of_overlapping_dropouts_the_last_end_counts() -> None:
 
 
 class Air:
-    """A radio whose arrivals are written down with their times: every quarter of a second what is due comes."""
+    """A radio that notes each delivery with its time; it delivers what is due every 0.25 s."""
 
     def __init__(self) -> None:
         self.now_s = 0.0

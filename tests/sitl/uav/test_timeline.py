@@ -1,4 +1,4 @@
-"""Protects the order of events: each at its step or time, once."""
+"""Protects the order of events: each happens once, at its step or time."""
 
 from sitl.script.script import Abort, Pause, Spike, Stuck, Wind
 from sitl.uav.timeline import Timeline

@@ -1,4 +1,4 @@
-"""Protects the UDP link: what it refuses, what it survives, and that it lets go of its thread and socket."""
+"""Protects the UDP link: what it refuses, what it survives, and that closing it frees its thread and socket."""
 
 import queue
 import socket
@@ -174,12 +174,12 @@ def test_close_ends_the_thread_and_frees_the_socket_and_may_be_repeated(peer, re
         again.bind(own)
     link.send(mavlink.MAVLink_ping_message(0, 1, 0, 0))
     peer.setblocking(False)
-    with pytest.raises(BlockingIOError):  # what is sent on a closed link goes nowhere, and quietly so
+    with pytest.raises(BlockingIOError):  # sending on a closed link has no effect and raises nothing
         peer.recv(1000)
 
 
 class TestUdpIn:
-    """`udpin:HOST:PORT`: bound there, it answers whoever has spoken."""
+    """`udpin:HOST:PORT`: bound to its port, it answers every sender."""
 
     @pytest.fixture
     def port(self):
@@ -214,7 +214,7 @@ class TestUdpIn:
         assert received.get(timeout=WAIT_S).value == 1.5
 
     def numbers(self, station):
-        """The pings that wait at a station; on this machine what has been sent is there."""
+        """The pings that wait at a station; on one machine a sent datagram has already arrived."""
         station.setblocking(False)
         pings = []
         try:
@@ -243,7 +243,7 @@ class TestUdpIn:
         caller.send(b"not a frame")
         caller.send(b"\xfd" + bytes(40))
         self.ping(link, 1)
-        self.greet(caller, received)  # by now the garbage has been read, too
+        self.greet(caller, received)  # the garbage was read before this greeting
         assert link.garbage == len(b"not a frame") + 41
         self.ping(link, 2)
         assert self.numbers(caller) == [2]
@@ -282,7 +282,7 @@ class TestUdpIn:
         callers = [station() for _ in range(MOST_PEERS + 2)]
         for caller in callers:
             self.greet(caller, received)
-        self.greet(callers[0], received)  # and so is one that goes on speaking
+        self.greet(callers[0], received)  # a peer that keeps sending stays served
         self.ping(link, 1)
         served = [self.numbers(caller) == [1] for caller in callers]
         assert served == [True, False, False] + [True] * (MOST_PEERS - 1)
