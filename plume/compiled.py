@@ -8,6 +8,7 @@ import contextlib
 import hashlib
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from types import CodeType, EllipsisType, FunctionType, ModuleType, NoneType
 from typing import Any, TypeVar
 
@@ -20,6 +21,8 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 from numba.core.runtime.nrt import rtsys
+
+from plume import COMPILING
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -36,8 +39,10 @@ def kernel(signature: str, **options: Any) -> Callable[[F], F]:
     def compiled(function: F) -> F:
         dispatcher: Any = njit(**options)(function)
         known_by = fingerprint(dispatcher.py_func, signature, options, dispatcher.targetctx.codegen().magic_tuple())
-        with contextlib.suppress(RuntimeError):  # there is no place for files: it is compiled at every start
+        try:
             dispatcher._cache = _KernelCache(dispatcher.py_func, known_by)
+        except RuntimeError:  # no folder can be written to: it is compiled at every start
+            _tell()
         with typeinfer.register_dispatcher(dispatcher):
             dispatcher.compile(signature)
             dispatcher.disable_compile()
@@ -45,6 +50,12 @@ def kernel(signature: str, **options: Any) -> Callable[[F], F]:
         return compiled_function
 
     return compiled
+
+
+@cache
+def _tell() -> None:
+    """Say, once a process, that kernels are being compiled: it takes seconds."""
+    print(COMPILING, file=sys.stderr, flush=True)
 
 
 def fingerprint(function: FunctionType, *more: Any) -> str:
@@ -149,13 +160,16 @@ class _KernelCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return what was kept, or None where there is nothing, or only what a crash has left of it."""
         try:
-            # Not numba's own, which first imports all that it needs to compile: that takes longer than to load all our kernels.
+            # Numba's own method first imports all that it needs to compile, which takes longer than to load all our kernels.
             rtsys.initialize(target_context)
-            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            kept = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         except Exception:  # a damaged pickle raises anything
+            kept = None
             with contextlib.suppress(OSError):
                 self.flush()  # type: ignore[no-untyped-call]
-            return None
+        if kept is None:
+            _tell()
+        return kept
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled, if it can be: a full disk is no reason not to run."""

@@ -70,11 +70,11 @@ def outcome_json(result: Outcome, trace: Sequence[TracePoint] | None, more: Mapp
 
 
 def outcome_text(result: Outcome) -> str:
-    """Two lines for people."""
-    x, y = result.source
-    if result.ceased:
-        verdict = f"ceased after {result.steps} steps, {result.distance_m:.1f} m: {'located' if result.located else 'FALSE STOP'}"
-    else:
-        verdict = f"not ceased within {result.steps} steps, {result.distance_m:.1f} m"
-    estimate = f"({result.estimate[0]:.2f}, {result.estimate[1]:.2f}) ± {result.spread_m:.2f} m"
-    return f"{verdict}\nestimate {estimate}, source ({x:.2f}, {y:.2f}), error {result.error_m:.2f} m"
+    """Three lines for people, each within 60 characters."""
+    verdict = ("located" if result.located else "FALSE STOP") if result.ceased else "not ceased"
+    (x, y), (source_x, source_y) = result.estimate, result.source
+    return (
+        f"{verdict} after {result.steps} steps, {result.distance_m:.1f} m\n"
+        f"estimate ({x:.2f}, {y:.2f}) ± {result.spread_m:.2f} m\n"
+        f"source   ({source_x:.2f}, {source_y:.2f}), error {result.error_m:.2f} m"
+    )

@@ -20,7 +20,7 @@ from link.bus.log import LEVELS
 from link.bus.mavlink import BadFrame, Codec, Message, unpack
 from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus, LivelinessChange
-from plume import __version__
+from plume import COMPILING, __version__
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.randomness import derived_seed
 from sitl.autopilot.operator import OPERATOR, command
@@ -208,6 +208,7 @@ class _Watch:
         self._files = files
         self._trace: dict[int, TracePoint] = {}
         self._compute: dict[str, Health] = {}
+        self._compiling = False
         self._last: Belief | None = None
         self._distance_m = 0.0
         self._last_words: dict[str, str] = {}
@@ -245,12 +246,24 @@ class _Watch:
 
     def _listen(self, timeout_s: float | None) -> None:
         """Take what comes within a time, and see now and then who has fallen silent."""
+        if self._last is None:
+            self._progress.wait(self._reason())
         self._take(self._bus.receive(LOOK_S if timeout_s is None else min(timeout_s, LOOK_S)))
         now_s = time.monotonic()
         if now_s >= self._look_at:
             self._look_at = now_s + LOOK_S
             if reason := self._watchdog.look(now_s, self._bus.connected):
                 raise MissionFailed(reason)
+
+    def _reason(self) -> str:
+        """Return what the first belief waits for."""
+        state = self._compute["uav"].state if "uav" in self._compute else "standby"
+        if state != "standby":
+            return "flying to the start" if state == "searching" else state
+        missing = sorted({*SEARCHERS, "uav"} - set(self._compute))
+        if self._compiling and SEARCHERS & set(missing):
+            return COMPILING
+        return f"waiting for {', '.join(missing or ['takeoff'])}"
 
     def _take(self, item: Any) -> None:
         match item:
@@ -262,6 +275,7 @@ class _Watch:
                 raise_for(item)
             case LogLine(part, line, level):
                 self._last_words[part] = line
+                self._compiling = self._compiling or line == COMPILING
                 if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or "Script: " in line:
                     self._progress.say(line)
             case LivelinessChange(service, alive) if self._mission.connect and service in SEARCHERS:
@@ -288,10 +302,10 @@ class _Watch:
     def _follow(self, belief: Belief) -> None:
         script = self._script
         if self._last is None:
-            title = f" {script.about}," if script.about else ""
-            self._progress.say(
-                f"mission:{title} seed {script.seed}, {script.agent.policy}, speed-up {script.speedup:g}, router at {self._endpoint}"
-            )
+            if script.about:
+                self._progress.say(script.about)
+            self._progress.say(f"mission: seed {script.seed}, {script.agent.policy}, {_pace(script.speedup)}")
+            self._progress.say(f"router at {self._endpoint}")
             if self._files and (trouble := self._files.take_place()):
                 self._progress.say(f"warning: {trouble}")
         else:
@@ -337,6 +351,10 @@ class _Watch:
             "returned home": self._landed and math.hypot(*self._landed_at) < AT_HOME_M,
         }  # fmt: skip
         return Flown(script, result, points, {expected: so[expected] for expected in script.expectations})
+
+
+def _pace(speedup: float) -> str:
+    return {0: "as fast as possible", 1: "real time"}.get(speedup, f"{speedup:g} times real time")
 
 
 def _frames(payload: bytes) -> list[Message]:
