@@ -46,6 +46,17 @@ def test_it_flies_to_a_stop_and_says_what_it_found(start, tmp_path: Path) -> Non
     assert written["mission"]["seed"] == 1
 
 
+def test_the_first_flight_says_once_that_it_compiles(start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))  # empty; estimator and agent compile at the same time
+    brief = ("sitl", "fly", "--policy", "infotaxis", "--budget", "1", "--speedup", "0", "--no-record")
+    for expected in (1, 0):
+        mission = start(*brief, cwd=tmp_path)
+        assert mission.ended(100) == 0
+        before = mission.err[: next(number for number, line in enumerate(mission.err) if line.startswith("mission: "))]
+        assert sum("compiling kernels" in line for line in mission.err) == expected
+        assert sum(line == "compiling kernels, once, about 10 s\n" for line in before) == expected
+
+
 def test_a_spent_budget_is_an_outcome_not_a_failure(start, tmp_path: Path) -> None:
     mission = start("sitl", "fly", "--policy", "random", "--budget", "3", "--speedup", "0", "--json", cwd=tmp_path)
     assert mission.ended() == 0
