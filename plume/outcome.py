@@ -1,4 +1,4 @@
-"""What one mission came to, in the words that all tables use."""
+"""The outcome of one mission, in the words that all tables use."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from plume.scenario import SUCCESS_RADIUS_M, Scenario
 
 
 class TracePoint(msgspec.Struct, frozen=True):
-    """One step of a mission: where a reading was taken and what was believed after it."""
+    """One step of a mission: where a reading was taken, and the belief after it."""
 
     position: tuple[float, float]
     reading: float
@@ -61,9 +61,9 @@ def outcome(seed: int, policy: str, scenario: Scenario, trace: Sequence[TracePoi
 
 
 def outcome_json(result: Outcome, trace: Sequence[TracePoint] | None, more: Mapping[str, Any] = MappingProxyType({})) -> str:
-    """One line of JSON, with the trace as an extra field where it was asked for, and whatever more there is to say."""
+    """One line of JSON, with the trace if given, and `more` fields."""
     fields = {**msgspec.to_builtins(result), **more}
-    del fields["scenario"]["source"]  # stated once, beside the estimate
+    del fields["scenario"]["source"]  # it stands beside the estimate
     if trace is not None:
         fields["trace"] = trace
     return msgspec.json.encode(fields).decode()

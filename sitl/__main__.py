@@ -247,7 +247,7 @@ def _tell_record(record: "RecordFiles | None", to: TextIO) -> None:
 
 
 def _in_script(refusal: str, args: argparse.Namespace, given: argparse.Namespace) -> str:
-    """Where a part refuses a flag that the script gave it: name the script's line and field instead."""
+    """Reword a part's refusal of a flag that the script set: name the script's line and field instead."""
     flag, _, reason = refusal.partition(": ")
     if flag == RECORD_FILE:
         return f"--record: {reason}"

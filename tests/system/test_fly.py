@@ -97,7 +97,7 @@ def test_a_recorder_that_dies_is_told_and_the_mission_goes_on(start, family, wai
     wait_until(lambda: mission.says("step   0"))
     os.kill(family(mission.process.pid)["record"], signal.SIGKILL)
     assert mission.ended() == 0
-    assert mission.says("warning: the record has ended: ")
+    assert mission.says("warning: the recording stopped: ")
     assert mission.out[0].startswith("not ceased after 12 steps, ")
 
 
