@@ -357,7 +357,7 @@ class _Watch:
 
 
 def _pace(speedup: float) -> str:
-    return {0: "as fast as possible", 1: "real time"}.get(speedup, f"{speedup:g} times real time")
+    return {0.0: "as fast as possible", 1.0: "real time"}.get(speedup, f"{speedup:g} times real time")
 
 
 def _frames(payload: bytes) -> list[Message]:

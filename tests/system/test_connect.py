@@ -51,7 +51,7 @@ def test_an_expectation_that_does_not_hold_is_status_1_and_used_services_fly_no_
     (tmp_path / mission).write_text(MISSION.replace("located", "not ceased"))
     first = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
     assert first.ended() == 1
-    assert first.err[-1] == "expected not ceased: NO\n"
+    assert first.out[-1] == "expected not ceased: NO\n"
     second = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
     assert second.ended() == 1
     assert "has already flown a mission, to step" in second.err[-1]
