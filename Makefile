@@ -17,7 +17,8 @@ UNFINISHED := .venv/.unfinished
 ifneq ($(wildcard $(UNFINISHED)),)
 .PHONY: $(FLIGHT)
 endif
-# Without compiling what is installed: Python compiles what is imported, once.
+# pip compiles nothing: Python compiles what is imported, once, and has to be allowed to keep it.
+unexport PYTHONDONTWRITEBYTECODE
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
 setup: $(READY)

@@ -28,6 +28,7 @@ PYTHON = """#!/bin/sh
 # Stands in for Python and for pip: writes down what pip was asked for, and is slow where it is told to be.
 case "$*" in *venv*) mkdir -p .venv/bin; for name in pip plumeward pytest; do cp "$0" .venv/bin/$name; done;; esac
 case "$0" in *pip) echo "$@" >> asked; [ ! -e slow ] || { touch .venv/half-written began; exec sleep 60; };; esac
+case "$0" in *plumeward) echo "bytecode${PYTHONDONTWRITEBYTECODE+ not} written" > flown;; esac
 """
 
 
@@ -150,6 +151,14 @@ def test_an_install_that_was_killed_starts_again(make: Callable[..., list[str]],
     assert make(again) == (FLIGHT if again == "mission" else ALL)
     assert not (checkout / ".venv" / "half-written").exists()
     assert make(again) == []
+
+
+def test_what_is_not_compiled_at_install_is_kept_when_python_compiles_it(
+    make: Callable[..., list[str]], checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    make("mission")
+    assert (checkout / "flown").read_text() == "bytecode written\n"
 
 
 def test_an_old_python_is_refused_before_anything_is_made(checkout: Path) -> None:
