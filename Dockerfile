@@ -1,4 +1,4 @@
-# The image that flies: all parts of a mission, without what training needs. Its root may be read-only, and its user is not root.
+# The image that flies: all parts of a mission, nothing for training. The root file system may be read-only; the user is not root.
 ARG BASE=python:3.11-slim-bookworm
 
 FROM ${BASE} AS build
@@ -7,13 +7,13 @@ COPY . .
 RUN python3 -m venv /opt/plumeward \
     && /opt/plumeward/bin/pip install --no-cache-dir --no-compile -c constraints.txt .
 
-# Away with what no flight loads.
+# Delete what no flight loads.
 RUN /opt/plumeward/bin/pip uninstall --yes --quiet pip setuptools \
     && find /opt/plumeward \( -path '*/numba/tests/*' -o -path '*/llvmlite/tests/*' -o -path '*/onnxruntime/transformers/*' \
         -o -path '*/pymavlink/dialects/*' ! -path '*/v20/common.py' ! -path '*/v20/all.py' ! -name __init__.py -type f \) -delete \
     && python3 -m compileall -q /opt/plumeward/lib
 
-# The kernels, for the CPU that this runs on. Where numba finds itself on another it compiles them anew, in about half a minute.
+# Compile the kernels for the CPU of the build machine. On another CPU numba compiles them again, in about half a minute.
 WORKDIR /opt/plumeward
 ENV NUMBA_CACHE_DIR=/opt/kernels
 RUN bin/python -m agent rollout \

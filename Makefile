@@ -1,6 +1,7 @@
-# Each of these works as the first command on a fresh machine with Python 3.11 or newer.
+# Each target works as the first command on a fresh machine with Python 3.11 or newer. PYTHON=... names another Python.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
+FLIGHT := .venv/.flight
 READY := .venv/.ready
 POLICIES := infotaxis,entrotaxis,dcee,random,infotaxis-variance,entrotaxis-belief,thompson,space-aware-infotaxis,greedy,lookahead,homing
 LEARNERS := ppo dqn ddpg
@@ -11,20 +12,39 @@ FLAGS ?=
 
 .PHONY: setup mission test lint docs site bench bench-filter bench-planners bench-env train results report calibration mismatch golden clean
 
+# Left behind by an install that did not finish. Then .venv is made anew: pip may take a half-written package for a whole one.
+UNFINISHED := .venv/.unfinished
+ifneq ($(wildcard $(UNFINISHED)),)
+.PHONY: $(FLIGHT)
+endif
+# pip compiles nothing: Python compiles what is imported, once, and has to be allowed to keep it.
+unexport PYTHONDONTWRITEBYTECODE
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
+
 setup: $(READY)
 
-# Made anew when what it is made from changes. particles, a peer of the benchmarks, says that it wants an older numpy, and works with ours.
-$(READY): pyproject.toml constraints.txt
+# Two layers: what a flight needs, and on top of it all the rest. Each is brought up to date when the files that it is made from change.
+$(FLIGHT): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Plumeward needs Python 3.11 or newer; name one with: make PYTHON=...")'
-	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps particles
-	@touch $@
+	@if [ -e $(UNFINISHED) ]; then echo 'the last install did not finish: starting again'; rm -rf .venv; fi
+	@echo 'installing what a flight needs into .venv, about 450 MB'
+	@mkdir -p .venv && touch $(UNFINISHED)
+	@$(PYTHON) -m venv .venv
+	@$(INSTALL) -e .
+	@rm $(UNFINISHED) && touch $@
 
-mission: setup
-	$(BIN)/python -m sitl $(FLAGS)
+# particles, a peer of the benchmarks, asks for an older numpy but works with ours.
+$(READY): $(FLIGHT)
+	@echo 'installing what tests, training and benchmarks need into .venv, about 2 GB'
+	@touch $(UNFINISHED)
+	@$(INSTALL) -e '.[test]'
+	@$(INSTALL) --no-deps particles
+	@rm $(UNFINISHED) && touch $@
 
-# One process more than the two cores of a small machine: about half of the time that missions take they wait.
+mission: $(FLIGHT)
+	$(BIN)/plumeward fly $(FLAGS)
+
+# Three processes on a small machine's two cores: missions spend about half of their time waiting.
 test: setup
 	$(BIN)/pytest -n 3 --dist worksteal $(FLAGS)
 
@@ -55,7 +75,7 @@ bench-planners: setup
 bench-env: setup
 	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.env
 
-# Makes the policies that ship anew; these and the next take long: cut off, the same command goes on where it was.
+# Trains the shipped policies again. This and the next take long; if interrupted, run the command again: it resumes.
 train: setup
 	mkdir -p agent/bundles
 	for learner in $(LEARNERS); do $(BIN)/python -m agent train $$learner $(FLAGS) && cp runs/train/$$learner-tuned-0/$$learner.zip agent/bundles/ || exit; done
@@ -77,7 +97,7 @@ mismatch: setup
 calibration: setup
 	$(BIN)/python benchmarks/calibration.py $(FLAGS)
 
-# After a change that is meant to change what is said: which golden missions say what else, and their new records.
+# After an intended change of behaviour: shows which golden missions differ, and records them again.
 golden: setup
 	$(BIN)/python -m tests.golden
 

@@ -1,13 +1,14 @@
-"""Compiled kernels: numba's `njit`, with a cache on disk that follows all that a kernel is made of.
+"""Compiled kernels: numba's `njit`, with a cache on disk that depends on everything a kernel is made of.
 
-Numba's own cache knows a kernel by its file: after a change in a file that it calls into, or in a constant that it was given, the old
-machine code runs on. Here a kernel is known by its own bytecode and by that of every function and every constant that it uses.
+Numba's own cache identifies a kernel by its file: if a called function in another file or a constant changes, it still runs the old
+machine code. Here a kernel is identified by its own bytecode and by that of every function and constant that it uses.
 """
 
 import contextlib
 import hashlib
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from types import CodeType, EllipsisType, FunctionType, ModuleType, NoneType
 from typing import Any, TypeVar
 
@@ -21,23 +22,27 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 from numba.core.runtime.nrt import rtsys
 
+from plume import COMPILING
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 LIBRARIES = {"numba": numba.__version__, "llvmlite": llvmlite.__version__, "numpy": np.__version__, "python": sys.version}
-"""What these define is known by its name and by their versions."""
+"""What these libraries define is identified by its name and their versions."""
 
 
 def kernel(signature: str, **options: Any) -> Callable[[F], F]:
     """Compile a function for one signature, as `numba.njit` does, or load it from the cache. `options` are njit's.
 
-    Raises TypeError where the function uses something that the cache could not follow.
+    Raises TypeError if the function uses something that has no digest.
     """
 
     def compiled(function: F) -> F:
         dispatcher: Any = njit(**options)(function)
         known_by = fingerprint(dispatcher.py_func, signature, options, dispatcher.targetctx.codegen().magic_tuple())
-        with contextlib.suppress(RuntimeError):  # there is no place for files: it is compiled at every start
+        try:
             dispatcher._cache = _KernelCache(dispatcher.py_func, known_by)
+        except RuntimeError:  # no folder can be written to: it is compiled at every start
+            _tell()
         with typeinfer.register_dispatcher(dispatcher):
             dispatcher.compile(signature)
             dispatcher.disable_compile()
@@ -47,10 +52,16 @@ def kernel(signature: str, **options: Any) -> Callable[[F], F]:
     return compiled
 
 
-def fingerprint(function: FunctionType, *more: Any) -> str:
-    """Digest of a function and of all that it is made of: other functions, constants, and theirs; and of whatever else decides.
+@cache
+def _tell() -> None:
+    """Say, once a process, that kernels are being compiled: it takes seconds."""
+    print(COMPILING, file=sys.stderr, flush=True)
 
-    Equal in all processes. Raises TypeError where it is made of something that has no digest.
+
+def fingerprint(function: FunctionType, *more: Any) -> str:
+    """Digest of a function and of everything that it uses: functions and constants, recursively; and of `more`.
+
+    Equal in all processes. Raises TypeError if something that it uses has no digest.
     """
     digest = hashlib.blake2b(digest_size=12)
     for part in (*_value((LIBRARIES, *more), [], {}), *_function(function, {})):
@@ -83,11 +94,11 @@ def _function(function: FunctionType, seen: dict[Any, int]) -> Iterator[bytes]:
 
 
 def _value(value: Any, names: list[str], seen: dict[Any, int]) -> Iterator[bytes]:
-    """Whatever a function may use. names: those that the function says, attributes of modules among them."""
+    """Yield what identifies a value that a function uses. names: the names in the function, attributes of modules among them."""
     match value:
         case Dispatcher():
             compiled: Any = value
-            # One that compiles for whatever it is called with has no signatures of its own.
+            # One that compiles on demand has no signatures of its own.
             signatures = () if compiled._can_compile else tuple(map(str, compiled.nopython_signatures))
             yield from _value((signatures, compiled.targetoptions, compiled.locals), names, seen)
             yield from _function(compiled.py_func, seen)
@@ -110,7 +121,7 @@ def _value(value: Any, names: list[str], seen: dict[Any, int]) -> Iterator[bytes
             yield f"{type(value).__qualname__} of {len(value)}".encode()
             for item in value:
                 yield from _value(item, names, seen)
-        case frozenset():  # in an order that does not hang on the hashes of strings, which differ between processes
+        case frozenset():  # sorted: hashes of strings, and so the order, differ between processes
             yield from _value(tuple(sorted(repr(item) for item in value)), names, seen)
         case dict():
             yield from _value(tuple(sorted(value.items())), names, seen)
@@ -135,29 +146,32 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 
 class _KernelCache(FunctionCache):
-    """Numba's cache, in the folders that it chooses; files are named by the fingerprint, so that none is of another kernel."""
+    """Numba's cache, in the folders that it chooses. The fingerprint is part of a file's name: each kernel has its own."""
 
     def __init__(self, function: FunctionType, known_by: str) -> None:
-        """Raises RuntimeError where no folder can be written to."""
+        """Raises RuntimeError if no folder can be written to."""
         super().__init__(function)  # type: ignore[no-untyped-call]
         name = f"{function.__module__}.{function.__qualname__}".replace("<", "").replace(">", "")
         self._cache_file: Any = IndexDataCacheFile(self._cache_path, f"{name}-{known_by}", known_by)  # type: ignore[no-untyped-call]
 
     def _index_key(self, sig: Any, _codegen: Any) -> str:
-        return str(sig)  # all the rest is in the fingerprint
+        return str(sig)  # the fingerprint covers the rest
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what was kept, or None where there is nothing, or only what a crash has left of it."""
+        """Return the kept machine code; None if there is none or a crash has damaged it."""
         try:
-            # Not numba's own, which first imports all that it needs to compile: that takes longer than to load all our kernels.
+            # Numba's own method first imports all that it needs to compile, which takes longer than to load all our kernels.
             rtsys.initialize(target_context)
-            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        except Exception:  # a damaged pickle raises anything
+            kept = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except Exception:  # a damaged pickle can raise anything
+            kept = None
             with contextlib.suppress(OSError):
                 self.flush()  # type: ignore[no-untyped-call]
-            return None
+        if kept is None:
+            _tell()
+        return kept
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled, if it can be: a full disk is no reason not to run."""
+        """Keep the machine code if possible: the kernel also runs when the disk is full."""
         with contextlib.suppress(OSError):
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]

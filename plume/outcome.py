@@ -1,4 +1,4 @@
-"""What one mission came to, in the words that all tables use."""
+"""The outcome of one mission, in the words that all tables use."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from plume.scenario import SUCCESS_RADIUS_M, Scenario
 
 
 class TracePoint(msgspec.Struct, frozen=True):
-    """One step of a mission: where a reading was taken and what was believed after it."""
+    """One step of a mission: where a reading was taken, and the belief after it."""
 
     position: tuple[float, float]
     reading: float
@@ -61,20 +61,20 @@ def outcome(seed: int, policy: str, scenario: Scenario, trace: Sequence[TracePoi
 
 
 def outcome_json(result: Outcome, trace: Sequence[TracePoint] | None, more: Mapping[str, Any] = MappingProxyType({})) -> str:
-    """One line of JSON, with the trace as an extra field where it was asked for, and whatever more there is to say."""
+    """One line of JSON, with the trace if given, and `more` fields."""
     fields = {**msgspec.to_builtins(result), **more}
-    del fields["scenario"]["source"]  # stated once, beside the estimate
+    del fields["scenario"]["source"]  # it stands beside the estimate
     if trace is not None:
         fields["trace"] = trace
     return msgspec.json.encode(fields).decode()
 
 
 def outcome_text(result: Outcome) -> str:
-    """Two lines for people."""
-    x, y = result.source
-    if result.ceased:
-        verdict = f"ceased after {result.steps} steps, {result.distance_m:.1f} m: {'located' if result.located else 'FALSE STOP'}"
-    else:
-        verdict = f"not ceased within {result.steps} steps, {result.distance_m:.1f} m"
-    estimate = f"({result.estimate[0]:.2f}, {result.estimate[1]:.2f}) ± {result.spread_m:.2f} m"
-    return f"{verdict}\nestimate {estimate}, source ({x:.2f}, {y:.2f}), error {result.error_m:.2f} m"
+    """Three lines for people, each within 60 characters."""
+    verdict = ("located" if result.located else "FALSE STOP") if result.ceased else "not ceased"
+    (x, y), (source_x, source_y) = result.estimate, result.source
+    return (
+        f"{verdict} after {result.steps} steps, {result.distance_m:.1f} m\n"
+        f"estimate ({x:.2f}, {y:.2f}) ± {result.spread_m:.2f} m\n"
+        f"source   ({source_x:.2f}, {source_y:.2f}), error {result.error_m:.2f} m"
+    )

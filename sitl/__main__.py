@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from link import cli
 from link.bus.session import DEFAULT_ROUTER
@@ -264,15 +264,16 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
         _give_up(record, refused=refused)
         print(f"error: {_in_script(str(failure), args, given) if refused else failure}", file=sys.stderr)
         return failure.status
-    print(outcome_text(flown.outcome), file=sys.stderr)
+    results = sys.stderr if args.json else sys.stdout
+    print(outcome_text(flown.outcome), file=results)
     try:
         write_summary(flown, summary)
-        print(f"summary in {summary}", file=sys.stderr)
+        print(f"summary  {summary}", file=results)
     except OSError as error:
         print(f"warning: no summary written to runs/: {error.strerror}", file=sys.stderr)
-    _tell_record(record)
+    _tell_record(record, results)
     for expectation, so in flown.expectations.items():
-        print(f"expected {expectation}: {'yes' if so else 'NO'}", file=sys.stderr)
+        print(f"expected {expectation}: {'yes' if so else 'NO'}", file=results)
     if args.json:
         print(flown.json(with_trace=args.trace))
     return 0 if all(flown.expectations.values()) else cli.FAILED
@@ -289,16 +290,16 @@ def _unfit_for_connect(script: Script, given: argparse.Namespace) -> str | None:
 def _give_up(record: "RecordFiles | None", *, refused: bool = False) -> None:
     if record:
         record.give_up(refused=refused)
-        _tell_record(record)
+        _tell_record(record, sys.stderr)
 
 
-def _tell_record(record: "RecordFiles | None") -> None:
+def _tell_record(record: "RecordFiles | None", to: TextIO) -> None:
     if record and record.made and record.path.exists():
-        print(f"record in {record.path}", file=sys.stderr)
+        print(f"record   {record.path}", file=to)
 
 
 def _in_script(refusal: str, args: argparse.Namespace, given: argparse.Namespace) -> str:
-    """Where a part refuses a flag that the script gave it: name the script's line and field instead."""
+    """Reword a part's refusal of a flag that the script set: name the script's line and field instead."""
     flag, _, reason = refusal.partition(": ")
     if flag == RECORD_FILE:
         return f"--record: {reason}"

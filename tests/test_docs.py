@@ -216,7 +216,7 @@ def make_environment(copy: Path) -> None:
     bin_ = copy / ".venv" / "bin"
     bin_.mkdir(parents=True)
     for there in Path(sys.prefix).iterdir():
-        if there.name not in ("bin", ".ready"):
+        if there.name not in ("bin", ".flight", ".ready"):
             (copy / ".venv" / there.name).symlink_to(there)
     for there in (Path(sys.prefix) / "bin").iterdir():
         if not there.name.startswith("pip"):
@@ -226,7 +226,8 @@ def make_environment(copy: Path) -> None:
         (bin_ / name).unlink(missing_ok=True)
         (bin_ / name).write_text(f"#!/usr/bin/env python\nfrom {module} import {function}\nif __name__ == '__main__':\n    {function}()\n")
         (bin_ / name).chmod(0o755)
-    (copy / ".venv" / ".ready").touch()
+    for layer in (".flight", ".ready"):
+        (copy / ".venv" / layer).touch()
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""What a script does to processes and links: kills, restarts, cuts. Their delays are real time, for processes know of no speed-up."""
+"""What a script does to processes and links: kills, restarts, cuts. Delays are real time: the speed-up does not apply to processes."""
 
 import heapq
 import itertools
@@ -22,7 +22,7 @@ class Disturbances:
         watchdog: Watchdog,
         say: Callable[[str], None],
     ) -> None:
-        """Take what can be disturbed, who is not to mistake it for a hang, and who is told."""
+        """Take what can be disturbed, the watchdog that must not take it for a hang, and how to tell people."""
         self._to_come = list(events)
         self._processes = processes
         self._relays = relays
@@ -32,7 +32,7 @@ class Disturbances:
         self._mends: list[tuple[float, int, Callable[[], None], str]] = []
 
     def reached(self, step: int, time_s: float) -> None:
-        """Do what is due when the search has come to a step, at a simulation time."""
+        """Perform the events that are due at a step and a simulation time."""
         for event in [event for event in self._to_come if _due(event, step, time_s)]:
             self._to_come.remove(event)
             match event:
@@ -49,14 +49,14 @@ class Disturbances:
         self.mend()
 
     def mend(self) -> None:
-        """Restart and restore what is due."""
+        """Restart processes and restore links that are due."""
         while self._mends and self._mends[0][0] <= time.monotonic():
             _, _, mend, text = heapq.heappop(self._mends)
             mend()
             self._say(f"script: {text}")
 
     def wait_s(self) -> float | None:
-        """Real time until something has to be mended; None where nothing has."""
+        """Real time until the next restart or restore; None if there is none."""
         return max(self._mends[0][0] - time.monotonic(), 0.0) if self._mends else None
 
     def _restart(self, part: str) -> None:

@@ -1,4 +1,4 @@
-"""Missions with a router, an estimator and an agent that run elsewhere: what can be flown so, and waiting for them."""
+"""Missions whose router, estimator and agent run elsewhere: which scripts allow it, and waiting for the services."""
 
 from collections.abc import Callable, Collection
 
@@ -13,27 +13,27 @@ SAY_AFTER_S = 1.0
 
 
 def refusal(script: Script, given: Collection[str]) -> str | None:
-    """Say why a script cannot be flown with services that run elsewhere; `given` are the fields that flags set, such as agent.policy."""
+    """Return why a script cannot be flown with services that run elsewhere, or None. `given`: fields set by flags, such as agent.policy."""
     for part, usual in THEIRS.items():
         told = getattr(script, part)
         changed = {f"{part}.{field}" for field in told.__struct_fields__ if getattr(told, field) != getattr(usual, field)}
-        # The budget is also ours: the mission ends where it is spent.
+        # The launcher uses the budget too: it ends the mission.
         for field in sorted((changed | {name for name in given if name.startswith(f"{part}.")}) - {"agent.budget"}):
-            return f"--connect: {field} cannot be chosen: the {part} runs elsewhere, with flags of its own"
+            return f"--connect: {field} cannot be chosen: the {part} runs elsewhere, with its own flags"
     for number, event in enumerate(script.events):
         if isinstance(event, Kill | Cut | Waypoints | Lawnmower):
             tag = event.__struct_config__.tag
-            return f"--connect: events[{number}], {tag}, cannot happen: it needs parts that were started for the mission"
+            return f"--connect: events[{number}], {tag}, cannot happen: it needs parts that this command starts"
     return None
 
 
 def await_services(bus: Bus, namespace: str, say: Callable[[str], None]) -> str:
     """Wait until estimator and agent are there; returns the agent's policy.
 
-    `bus` has subscribed to HEALTH. Raises MissionFailed where one of them has a mission behind it, or another vehicle is there.
+    `bus` has subscribed to HEALTH. Raises MissionFailed if one of them has already flown a mission, or another vehicle is there.
     """
     if "uav" in bus.services():
-        raise MissionFailed(f"there is a uav on {namespace} already")
+        raise MissionFailed(f"another uav is already on {namespace}")
     bus.watch_services()
     alive: set[str] = set()
     health: dict[str, Health] = {}
@@ -42,16 +42,16 @@ def await_services(bus: Bus, namespace: str, say: Callable[[str], None]) -> str:
         item = bus.receive(SAY_AFTER_S)
         match item:
             case None if not told:
-                say(f"waits for {' and '.join(sorted(missing))} on {namespace}")
+                say(f"waiting for {' and '.join(sorted(missing))} on {namespace}")
                 told = True
             case LivelinessChange(service, there):
                 (alive.add if there else alive.discard)(service)
                 if not there:
-                    health.pop(service, None)  # its successor has yet to speak
+                    health.pop(service, None)  # a restarted one has to report first
             case Arrival(key) if key is HEALTH:
                 if (said := bus.decode(item, Health)) is not None:
                     health[said.service] = said
     for service in sorted(SEARCHERS):
         if health[service].step >= 0:
-            raise MissionFailed(f"the {service} has a mission behind it, at step {health[service].step}: start it anew")
+            raise MissionFailed(f"the {service} has already flown a mission, to step {health[service].step}: restart it")
     return health["agent"].about

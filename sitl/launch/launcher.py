@@ -20,7 +20,7 @@ from link.bus.log import LEVELS
 from link.bus.mavlink import BadFrame, Codec, Message, unpack
 from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus, LivelinessChange
-from plume import __version__
+from plume import COMPILING, __version__
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.randomness import derived_seed
 from sitl.autopilot.operator import OPERATOR, command
@@ -34,10 +34,10 @@ from sitl.launch.watchdog import LOOK_S, PATIENCE_S, RECORDER, ROUTER, Watchdog
 from sitl.script.script import Cut, Expectation, Kill, Script
 
 CALL_EVERY_S = 1.0
-"""Real time between two calls to come home."""
+"""Real time between two commands to return home."""
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
 RECORD_TIMEOUT_S = 5.0
-"""Real time that the record may be behind the mission's end: a recorder whose link was down is given what it missed."""
+"""Real time that the record may lag behind the mission's end: a recorder whose link was down first receives what it missed."""
 
 
 class Launch(NamedTuple):
@@ -47,14 +47,14 @@ class Launch(NamedTuple):
     instance: int = 0
     listen: str = "tcp/127.0.0.1:0"
     uav_arguments: Sequence[str] = ()
-    """The script's file and the flags that change it, for the uav to read them itself."""
+    """The script's file and the flags that change it: the uav reads them itself."""
     record: Path | None = None
     """The MCAP file to record to."""
     connect: str | None = None
-    """A router whose estimator and agent fly it; without one they are started."""
+    """A router whose estimator and agent fly it; None starts them."""
     log_level: str = "warning"
     patience_s: float = PATIENCE_S
-    """Real time that a part may say nothing before it counts as hung."""
+    """Real time after which a silent part counts as hung."""
 
     @property
     def namespace(self) -> str:
@@ -63,23 +63,26 @@ class Launch(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """What came of a mission."""
+    """The result of a mission."""
 
     script: Script
-    """With the policy that the agent had, where that runs elsewhere."""
+    """Names the agent's own policy where the agent runs elsewhere."""
     outcome: Outcome
     trace: list[TracePoint]
     expectations: dict[Expectation, bool]
-    """What the script expects, and whether it is so."""
+    """What the script expects, and whether it came true."""
 
     def json(self, *, with_trace: bool) -> str:
-        """One line of JSON; whether the expectations hold is in it where there are any."""
+        """One line of JSON, with the expectations if there are any."""
         expectations = {"expectations": self.expectations} if self.expectations else {}
         return outcome_json(self.outcome, self.trace if with_trace else None, expectations)
 
 
 def fly(mission: Launch, files: RecordFiles | None = None) -> Flown:
-    """Fly a mission, recorded to files. Raises MissionFailed where a part dies or hangs, or the vehicle gives up and nobody expected it."""
+    """Fly a mission and record it to files.
+
+    Raises MissionFailed if a part dies or hangs, or if the vehicle gives up unexpectedly.
+    """
     if files:
         mission = mission._replace(record=files.path)
     inbox = Inbox()
@@ -119,11 +122,11 @@ def fly(mission: Launch, files: RecordFiles | None = None) -> Flown:
 def start_parts(processes: Processes, mission: Launch, relays: dict[str, Relay]) -> str:
     """Start all parts that do not run elsewhere; returns the router's endpoint. Links that the script cuts get a relay.
 
-    Raises MissionFailed: no router, no record.
+    Raises MissionFailed if the router or the recorder cannot start.
     """
     script = mission.script
     endpoint = mission.connect or processes.start_router(mission.listen)
-    level = "debug" if mission.log_level == "debug" else "info"  # what is shown is chosen later
+    level = "debug" if mission.log_level == "debug" else "info"  # the launcher filters what it shows
     relays |= {part: Relay(endpoint) for part in sorted({event.part for event in script.events if isinstance(event, Cut)})}
 
     def joining(part: str) -> tuple[str, ...]:
@@ -142,13 +145,13 @@ def start_parts(processes: Processes, mission: Launch, relays: dict[str, Relay])
     for service, words in services.items():
         processes.start(service, service, *joining(service), *words)
     if recording:
-        processes.answer(recording)  # it hears all from now on
+        processes.answer(recording)  # it records everything from now on
     processes.start("uav", "sitl", "uav", *mission.uav_arguments, *joining("uav"), "-I", str(mission.instance))
     return endpoint
 
 
 def estimator_arguments(mission: Launch) -> list[str]:
-    """Return the estimator's flags: only what the paper's knows, and a seed of its own; from the mission's the source could be drawn."""
+    """Return the estimator's flags: what the paper's estimator knows, and a seed of its own. The mission's seed would reveal the source."""
     script, told = mission.script, mission.script.estimator
     release = script.release()
     flags = {
@@ -175,7 +178,7 @@ def agent_arguments(mission: Launch) -> list[str]:
 
 
 def _path(scripted: Mapping[int, tuple[float, float]], start: int) -> str:
-    """Write the waypoints from a step on, up to the first gap, as the agent's --waypoints takes them."""
+    """Format the waypoints from a step up to the first gap for the agent's --waypoints."""
     points = [scripted[step] for step in itertools.takewhile(scripted.__contains__, itertools.count(start))]
     return f"{start}:" + ";".join(f"{x:.9g},{y:.9g}" for x, y in points)  # 9 digits tell one float32 from the next
 
@@ -208,6 +211,7 @@ class _Watch:
         self._files = files
         self._trace: dict[int, TracePoint] = {}
         self._compute: dict[str, Health] = {}
+        self._compiling = False
         self._last: Belief | None = None
         self._distance_m = 0.0
         self._last_words: dict[str, str] = {}
@@ -218,7 +222,7 @@ class _Watch:
         self._landed_at = (math.nan, math.nan)
 
     def until_the_end(self) -> Flown:
-        """Watch; returns what came of it."""
+        """Watch; returns the result."""
         script = self._script
         while not self._over:
             self._listen(self._disturbances.wait_s())
@@ -228,7 +232,7 @@ class _Watch:
                 break
         if self._last is None or (self._landed and not self._over and not script.expectations):
             words = self._last_words.get("uav", "none")
-            raise MissionFailed(f"the uav has landed before the search was over; its last words: {words}")
+            raise MissionFailed(f"the uav landed before the search was over; its last words: {words}")
         if {"returned home", "landed"} & set(script.expectations):
             self._await_landing(call_home="returned home" in script.expectations)
         self._await_record(self._last.step)
@@ -236,7 +240,7 @@ class _Watch:
 
     @property
     def _over(self) -> bool:
-        """Whether the search is over, and the last compute times, which come just behind the last belief, are in."""
+        """Whether the search is over and the last compute times, which follow the last belief, have arrived."""
         last, compute = self._last, self._compute
         if last is None or not (last.ceased or last.step >= self._script.budget):
             return False
@@ -244,7 +248,9 @@ class _Watch:
         return all(service in compute and compute[service].step >= step for service, step in wanted.items())
 
     def _listen(self, timeout_s: float | None) -> None:
-        """Take what comes within a time, and see now and then who has fallen silent."""
+        """Handle what arrives within a time, and check now and then for silent parts."""
+        if self._last is None:
+            self._progress.wait(self._reason())
         self._take(self._bus.receive(LOOK_S if timeout_s is None else min(timeout_s, LOOK_S)))
         now_s = time.monotonic()
         if now_s >= self._look_at:
@@ -252,16 +258,27 @@ class _Watch:
             if reason := self._watchdog.look(now_s, self._bus.connected):
                 raise MissionFailed(reason)
 
+    def _reason(self) -> str:
+        """Return what the first belief waits for."""
+        state = self._compute["uav"].state if "uav" in self._compute else "standby"
+        if state != "standby":
+            return "flying to the start" if state == "searching" else state
+        missing = sorted({*SEARCHERS, "uav"} - set(self._compute))
+        if self._compiling and SEARCHERS & set(missing):
+            return COMPILING
+        return f"waiting for {', '.join(missing or ['takeoff'])}"
+
     def _take(self, item: Any) -> None:
         match item:
             case Ended(part="recorder"):
                 self._record_ended = True
                 self._watchdog.ended(RECORDER)
-                self._progress.say(f"warning: the record has ended: {item.last_words}")
+                self._progress.say(f"warning: the recording stopped: {item.last_words}")
             case Ended():
                 raise_for(item)
             case LogLine(part, line, level):
                 self._last_words[part] = line
+                self._compiling = self._compiling or line == COMPILING
                 if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or "Script: " in line:
                     self._progress.say(line)
             case LivelinessChange(service, alive) if self._mission.connect and service in SEARCHERS:
@@ -288,10 +305,10 @@ class _Watch:
     def _follow(self, belief: Belief) -> None:
         script = self._script
         if self._last is None:
-            title = f" {script.about}," if script.about else ""
-            self._progress.say(
-                f"mission:{title} seed {script.seed}, {script.agent.policy}, speed-up {script.speedup:g}, router at {self._endpoint}"
-            )
+            if script.about:
+                self._progress.say(script.about)
+            self._progress.say(f"mission: seed {script.seed}, {script.agent.policy}, {_pace(script.speedup)}")
+            self._progress.say(f"router at {self._endpoint}")
             if self._files and (trouble := self._files.take_place()):
                 self._progress.say(f"warning: {trouble}")
         else:
@@ -301,7 +318,7 @@ class _Watch:
         self._progress.show(belief, self._distance_m)
 
     def _await_landing(self, *, call_home: bool) -> None:
-        """Wait until it has landed, and where; as an operator calls it home first, again each second until it is on its way."""
+        """Wait until it has landed and its place is known. With `call_home`, command the return each second until it is on its way."""
         self._bus.subscribe(MAVLINK_OUT)
         codec = Codec(*OPERATOR)
         while not self._landed or math.isnan(self._landed_at[0]):
@@ -311,13 +328,13 @@ class _Watch:
             self._listen(CALL_EVERY_S)
 
     def _await_record(self, step: int) -> None:
-        """Wait until the record has all readings: those that are missing can be had only while the vehicle lives."""
+        """Wait until the record has all readings: only a running vehicle can send missing ones again."""
         if not self._mission.record:
             return
         deadline = time.monotonic() + RECORD_TIMEOUT_S
         while not self._record_ended and not ("recorder" in self._compute and self._compute["recorder"].step >= step):
             if time.monotonic() >= deadline:
-                self._progress.say("warning: the record lacks the last readings: the recorder was not given them in time")
+                self._progress.say("warning: the record lacks the last readings: they came too late")
                 return
             self._listen(deadline - time.monotonic())
 
@@ -339,6 +356,10 @@ class _Watch:
         return Flown(script, result, points, {expected: so[expected] for expected in script.expectations})
 
 
+def _pace(speedup: float) -> str:
+    return {0.0: "as fast as possible", 1.0: "real time"}.get(speedup, f"{speedup:g} times real time")
+
+
 def _frames(payload: bytes) -> list[Message]:
     try:
         return unpack(payload)
@@ -347,7 +368,7 @@ def _frames(payload: bytes) -> list[Message]:
 
 
 def run_name(policy: str, seed: int) -> str:
-    """Return a name for a run's files that no other run has."""
+    """Return a unique name for a run's files."""
     return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{Path(policy).stem}-seed{seed}-{os.getpid()}"
 
 

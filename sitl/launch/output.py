@@ -1,18 +1,18 @@
-"""What a part prints, cut into lines: a long one is cut short, and what is no text is shown all the same."""
+"""Cuts what a part prints into lines. Long lines are cropped; bytes that are not text are replaced."""
 
 LONGEST = 4_000
 """Bytes of a line that are kept."""
 
 
 class Lines:
-    """Cuts what comes through a pipe into lines, and never holds more than one."""
+    """Cuts the data of a pipe into lines, holding at most one."""
 
     def __init__(self) -> None:
-        """Begin with nothing."""
+        """Start empty."""
         self._begun = b""
 
     def take(self, data: bytes) -> list[str]:
-        """Return the lines that are whole now, without those that are blank. No data is the end: what was begun is a line then."""
+        """Return the complete lines, without blank ones. Empty data means the end: an unfinished line is then complete."""
         *whole, begun = (self._begun + (data or b"\n")).split(b"\n")
         self._begun = begun[: LONGEST + 1]
         return [text for line in whole if (text := _text(line))]

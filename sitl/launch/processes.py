@@ -21,15 +21,15 @@ from sitl.launch.output import Lines
 
 STOP_TIMEOUT_S = 1.0
 LAST = ("recorder", "router")
-"""Ended behind the others, in this order: the record is to hold their last words."""
+"""Ended after the others, in this order, so that the record holds their last words."""
 ROOT = Path(__file__).parents[2]
 """Where our packages are."""
 ANSWERING = ("recorder", "router")
-"""Parts whose first line on stdout is for the launcher: they say it when they are ready."""
+"""Parts that print a first line on stdout for the launcher when they are ready."""
 START_WARN_S, START_LIMIT_S = 15.0, 300.0
-"""How long a part may take before its first word, until that is told and until it counts as hung: it may compile for a minute or two."""
+"""Time to a part's first message, until people are told and until it counts as hung: on a slow machine it may compile for minutes."""
 LEFT_OPEN_S = 0.5
-"""A part that has ended is waited for so long at most: what it has started may hold its stdout and stderr open."""
+"""How long to read on after a part has ended: its own children may hold its stdout and stderr open."""
 CHUNK = 1 << 16
 
 
@@ -42,7 +42,7 @@ class Ended(NamedTuple):
 
 
 class LogLine(NamedTuple):
-    """A line that a part wrote, as people are told it."""
+    """A line that a part wrote, as people see it."""
 
     part: str
     line: str
@@ -50,7 +50,7 @@ class LogLine(NamedTuple):
 
 
 class MissionFailed(Exception):
-    """A mission or a replay cannot go on; the text says why, the status is the launcher's."""
+    """A mission or a replay cannot go on; the text says why, the status is the launcher's exit status."""
 
     def __init__(self, text: str, status: int = FAILED) -> None:
         """Take the reason and the exit status."""
@@ -59,9 +59,9 @@ class MissionFailed(Exception):
 
 
 def raise_for(ended: Ended) -> NoReturn:
-    """Raise what the end of a part means for the whole."""
+    """Raise the exception that the end of a part means for the mission."""
     if ended.status == INTERRUPTED:
-        raise KeyboardInterrupt  # somebody interrupted a part: that ends all as Ctrl-C does
+        raise KeyboardInterrupt  # an interrupted part ends the mission as Ctrl-C does
     if ended.status == BAD_INPUT:
         raise MissionFailed(ended.last_words.rpartition("error: ")[2], BAD_INPUT)
     how = f"was killed by signal {-ended.status}" if ended.status < 0 else f"exited with status {ended.status}"
@@ -77,13 +77,13 @@ def environment() -> dict[str, str]:
 
 
 class Child:
-    """One part as a process. It leads a process group: what it starts ends with it, and a terminal's Ctrl-C reaches the launcher alone."""
+    """One part as a process. It leads a process group: its children end with it, and a terminal's Ctrl-C reaches only the launcher."""
 
     def __init__(self, part: str, command: list[str], inbox: Inbox) -> None:
-        """Start it; what it prints and its end go into the inbox."""
+        """Start it. Its output and its end go into the inbox."""
         self.part = part
         self.killed = False
-        """Whether its end is wanted, and nobody has to be told."""
+        """Whether its end is intended: then it is not reported."""
         self._inbox = inbox
         self._answer: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._awaited = part in ANSWERING
@@ -97,7 +97,7 @@ class Child:
         self._thread.start()
 
     def readline(self) -> str:
-        """Wait for the answer of a part that is ANSWERING; empty where it ends without one. Raises MissionFailed where it hangs."""
+        """Wait for the answer of an ANSWERING part; empty if it ends without one. Raises MissionFailed if it hangs."""
         began, told = time.monotonic(), False
         while True:
             try:
@@ -107,16 +107,16 @@ class Child:
             if waited_s >= START_LIMIT_S:
                 raise MissionFailed(f"the {self.part} has said nothing in {START_LIMIT_S:g} s since it was started")
             if waited_s >= START_WARN_S and not told:
-                print(f"waits for the {self.part} to start", file=sys.stderr)
+                print(f"waiting for the {self.part} to start", file=sys.stderr)
                 told = True
 
     def signal(self, number: signal.Signals) -> None:
         """Send it a signal."""
-        self._process.send_signal(number)  # none, where it has ended
+        self._process.send_signal(number)  # does nothing if it has ended
 
     def kill(self) -> None:
-        """End it and all that it has started, at once."""
-        with contextlib.suppress(OSError):  # they are gone
+        """Kill it and its children."""
+        with contextlib.suppress(OSError):  # already gone
             os.killpg(self._process.pid, signal.SIGKILL)
 
     def wait(self, timeout_s: float) -> bool:
@@ -128,11 +128,11 @@ class Child:
         return True
 
     def join(self) -> None:
-        """Wait until all that it has said has been passed on; it has ended."""
+        """Wait until all its output has been passed on. Call it after the process has ended."""
         self._thread.join()
 
     def _watch(self) -> None:
-        """Pass on what it prints, and its end. What it has started does not outlive it, unless it has left the process group."""
+        """Pass on its output and its end. Its children end with it, unless they left the process group."""
         process, give_up_at = self._process, math.inf
         assert process.stdout
         assert process.stderr
@@ -167,7 +167,7 @@ class Child:
 
 
 class Processes:
-    """The children; what becomes of them goes into the inbox."""
+    """The child processes; their output and ends go into the inbox."""
 
     def __init__(self, inbox: Inbox) -> None:
         """Start with none."""
@@ -187,13 +187,13 @@ class Processes:
         return child
 
     def start_router(self, listen: str) -> str:
-        """Start a router; returns its endpoint, where it is started again too. Raises MissionFailed where it cannot listen."""
+        """Start a router; returns its endpoint, which a restart uses again. Raises MissionFailed if it cannot listen."""
         endpoint = self.answer(self.start("router", "sitl", "router", "--listen", listen))
         self._commands["router"] = ("sitl", "router", "--listen", endpoint)
         return endpoint
 
     def answer(self, child: Child) -> str:
-        """Wait for what an ANSWERING part says when it is ready. Raises what it means where a part ends instead."""
+        """Wait for the answer of an ANSWERING part. If a part ends instead, raises what that means."""
         line = child.readline().strip()
         while not line:
             if isinstance(item := self._inbox.get(), Ended):
@@ -201,18 +201,18 @@ class Processes:
         return line
 
     def kill(self, part: str) -> None:
-        """Kill a part on purpose: its end does not go into the inbox."""
+        """Kill a part on purpose: its end is not reported."""
         child = self._children[part]
         child.killed = True
         child.kill()
         child.wait(STOP_TIMEOUT_S)
 
     def restart(self, part: str) -> None:
-        """Start a part that was killed again, as it was started first; a router where it was."""
+        """Start a killed part again with its first command; a router at its old endpoint."""
         self.start(part, *self._commands[part])
 
     def __enter__(self) -> Self:
-        """Enter a with block, which ends all of them at its end."""
+        """Enter a with block; its end ends all processes."""
         self._suspended_before = signal.signal(signal.SIGTSTP, self._suspend)
         return self
 
@@ -222,15 +222,15 @@ class Processes:
         signal.signal(signal.SIGTSTP, self._suspended_before)
 
     def _suspend(self, *_: object) -> None:
-        """Ctrl-Z: it reaches the launcher alone, and is meant for all."""
+        """Ctrl-Z reaches only the launcher: pass it on to all."""
         for child in self._children.values():
             child.signal(signal.SIGSTOP)
-        os.kill(os.getpid(), signal.SIGSTOP)  # goes on here, when it does
+        os.kill(os.getpid(), signal.SIGSTOP)  # continues here after SIGCONT
         for child in self._children.values():
             child.signal(signal.SIGCONT)
 
     def stop(self) -> None:
-        """End all of them, kindly first; afterwards none is left, however often Ctrl-C is pressed meanwhile."""
+        """End all of them: SIGTERM first, then SIGKILL. None is left, even if Ctrl-C is pressed meanwhile."""
         with contextlib.suppress(KeyboardInterrupt), uninterrupted():
             for group in (set(self._children) - set(LAST), *({part} for part in LAST)):
                 self._end([child for part, child in self._children.items() if part in group])
@@ -241,7 +241,7 @@ class Processes:
     def _end(children: list[Child]) -> None:
         for child in children:
             child.signal(signal.SIGTERM)
-            child.signal(signal.SIGCONT)  # one that was stopped could not end
+            child.signal(signal.SIGCONT)  # a stopped process cannot handle SIGTERM
         deadline = time.monotonic() + STOP_TIMEOUT_S
         for child in children:
             if not child.wait(max(deadline - time.monotonic(), 0.0)):

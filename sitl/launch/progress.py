@@ -1,4 +1,6 @@
-"""What a mission shows while it flies: one live line on a terminal, now and then a line elsewhere."""
+"""What a mission shows while it flies: one live line on a terminal, a line now and then elsewhere."""
+
+import time
 
 from rich.console import Console
 from rich.live import Live
@@ -7,17 +9,24 @@ from rich.text import Text
 from link.bus.messages import Belief
 
 PLAIN_EVERY_STEPS = 10
+PLAIN_FIELDS = 4
+"""Fields of a line that is not on a terminal: 60 characters."""
+SAY_AFTER_S = 2.0
+"""How long a wait lasts before it gets a line of its own where there is no live line."""
 
 
 class Progress:
-    """Shows the newest belief on stderr."""
+    """Shows on stderr what a mission waits for, then its newest belief."""
 
     def __init__(self, budget: int, starting: str = "router, uav, estimator, agent") -> None:
-        """Take the step budget, which is shown beside the step, and what is being started meanwhile."""
+        """Take the step budget, which is shown beside the step, and what is being started."""
         self._budget = budget
         self._ceased = False
+        self._reason = ""
+        self._waiting_since = 0.0
+        self._said = False
         self._console = Console(stderr=True, highlight=False)
-        self._live = Live(Text(f"starting {starting}"), console=self._console, refresh_per_second=10, transient=True)
+        self._live = Live(_line(f"starting {starting}"), console=self._console, refresh_per_second=10, transient=True)
 
     def __enter__(self) -> "Progress":
         """Begin to show."""
@@ -34,14 +43,35 @@ class Progress:
         """Print a line that stays."""
         self._console.print(text, markup=False, soft_wrap=True)
 
+    def wait(self, reason: str) -> None:
+        """Show what is waited for. Called again and again: without a live line it is printed once, if it lasts."""
+        if reason != self._reason:
+            self._reason, self._waiting_since, self._said = reason, time.monotonic(), False
+            self._live.update(_line(reason))
+        if not (self._said or self._console.is_terminal) and time.monotonic() - self._waiting_since >= SAY_AFTER_S:
+            self._said = True
+            self.say(reason)
+
     def show(self, belief: Belief, distance_m: float) -> None:
         """Show how far the search is."""
-        line = (
-            f"step {belief.step:3d}/{self._budget}  at ({belief.position[0]:5.2f}, {belief.position[1]:5.2f}) m  gas {belief.gas:6.2f}  "
-            f"estimate ({belief.mean[0]:5.2f}, {belief.mean[1]:5.2f}) ± {belief.spread:5.2f} m  flown {distance_m:5.1f} m"
-        )
+        (x, y), (mean_x, mean_y) = belief.position, belief.mean
+        fields = [
+            f"step {belief.step:3d}/{self._budget}", f"at ({x:5.2f}, {y:5.2f})", f"gas {belief.gas:6.2f}", f"spread {belief.spread:5.2f} m",
+            f"flown {distance_m:5.1f} m", f"estimate ({mean_x:5.2f}, {mean_y:5.2f})",
+        ]  # fmt: skip
         if self._console.is_terminal:
-            self._live.update(Text(line))
+            self._live.update(_line(fitting(fields, self._console.width)))
         elif belief.step % PLAIN_EVERY_STEPS == 0 or (belief.ceased and not self._ceased):
-            self.say(line)
+            self.say("  ".join(fields[:PLAIN_FIELDS]))
         self._ceased = belief.ceased
+
+
+def fitting(fields: list[str], width: int) -> str:
+    """Join as many fields as fit in the width, at least the first."""
+    while len(fields) > 1 and len("  ".join(fields)) > width:
+        fields = fields[:-1]
+    return "  ".join(fields)
+
+
+def _line(text: str) -> Text:
+    return Text(text, no_wrap=True, overflow="crop")

@@ -1,4 +1,4 @@
-"""The files of a mission's record: what must not be lost by them, and when they take the place of older ones."""
+"""The files of a mission's record: when they may replace older ones, and when they are deleted."""
 
 import os
 from pathlib import Path
@@ -7,18 +7,18 @@ from link import cli
 
 
 class RecordFiles:
-    """An .mcap and the .tlog beside it. Older files of these names stay until there is a search to record."""
+    """An .mcap and the .tlog beside it. Older files of these names stay until a search has begun."""
 
     def __init__(self, path: Path) -> None:
-        """Take where the .mcap is to be."""
+        """Take the path of the .mcap."""
         self._wanted = path
         self.path = path
-        """Where the recorder writes it."""
+        """Where the recorder writes."""
         self.made = False
-        """Whether the recorder has made them; others are not ours."""
+        """Whether the recorder has made the files."""
 
     def refusal(self, force: bool) -> str | None:
-        """Say why they cannot be there. With `force` older files are no reason: then they are made beside these at first."""
+        """Return why the files cannot be written, or None. With `force`, new files are first written beside older ones."""
         wanted = both(self._wanted)
         if reason := cli.existing("--record", wanted, force):
             return reason
@@ -30,7 +30,7 @@ class RecordFiles:
         return None
 
     def take_place(self) -> str:
-        """The search has begun: replace older files. Returns what has gone wrong, empty if nothing has."""
+        """Replace older files, once the search has begun. Returns what went wrong, or an empty text."""
         if self.path != self._wanted:
             try:
                 for path, wanted in reversed(list(zip(both(self.path), both(self._wanted), strict=True))):
@@ -41,12 +41,12 @@ class RecordFiles:
         return ""
 
     def give_up(self, *, refused: bool) -> None:
-        """The mission has failed: of one that was refused no record stays, nor one that has not replaced older files."""
+        """Clean up after a failed mission: delete the record if it was refused, or if older files are still in place."""
         if self.made and (refused or self.path != self._wanted):
             for path in both(self.path):
                 path.unlink(missing_ok=True)
 
 
 def both(path: Path) -> tuple[Path, Path]:
-    """Return the two files of a record, of which the .mcap is given."""
+    """Return the two files of a record, given the .mcap."""
     return path, path.with_suffix(".tlog")

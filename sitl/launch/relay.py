@@ -1,4 +1,4 @@
-"""A link that can be cut: carries TCP between a part and the router until it is told to carry nothing."""
+"""A link that can be cut: forwards TCP between a part and the router."""
 
 import contextlib
 import selectors
@@ -9,13 +9,13 @@ CHUNK = 1 << 16
 
 
 class Relay:
-    """One part's way to the router, in a thread of its own.
+    """One part's link to the router, in its own thread.
 
-    While it is cut it takes nothing, gives nothing and closes nothing, as a radio out of range: each side has to find out for itself.
+    While it is cut it forwards nothing and closes nothing, like a radio out of range: each side must notice by itself.
     """
 
     def __init__(self, router: str) -> None:
-        """Listen on a free local port; raises ValueError where the router's endpoint is not TCP."""
+        """Listen on a free local port; raises ValueError if the router's endpoint is not TCP."""
         protocol, _, address = router.partition("/")
         host, _, port = address.rpartition(":")
         if protocol != "tcp":
@@ -35,12 +35,12 @@ class Relay:
         self._thread.start()
 
     def cut(self) -> None:
-        """Carry nothing from now on."""
+        """Stop forwarding."""
         self._cut = True
         self._wake.send(b".")
 
     def restore(self) -> None:
-        """Carry again; what was sent meanwhile comes late, as far as its sender still waits for an answer."""
+        """Forward again. What was sent meanwhile arrives late, if its sender still waits."""
         self._cut = False
         self._wake.send(b".")
 
@@ -70,7 +70,7 @@ class Relay:
         part, _ = self._listener.accept()
         try:
             router = socket.create_connection(self._router, timeout=1.0)
-        except OSError:  # the router is not there (yet): so says a closed connection
+        except OSError:  # the router is not there (yet): close, as it would refuse
             part.close()
             return
         for one, other in ((part, router), (router, part)):

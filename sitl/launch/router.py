@@ -1,4 +1,4 @@
-"""A Zenoh router of our own, so that no other software is needed to fly."""
+"""A Zenoh router in this process: no other software is needed to fly."""
 
 import time
 
@@ -6,7 +6,7 @@ from link.bus.session import SIGNAL_POLL_S, open_router
 
 
 def run(endpoint: str) -> None:
-    """Route until interrupted; stdout tells the endpoint, with the port chosen where port 0 was asked for."""
+    """Route until interrupted. Prints the endpoint on stdout; port 0 is replaced by the chosen port."""
     session, listening = open_router(endpoint)
     with session:
         print(listening, flush=True)

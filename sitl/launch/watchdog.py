@@ -1,4 +1,4 @@
-"""Notices which part of a mission has said nothing for too long. It has no clock: it is told the time, s, and who was heard."""
+"""Notices which part of a mission has been silent for too long. It has no clock: callers pass the time, s, and who was heard."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from sitl.launch.processes import START_LIMIT_S, START_WARN_S
 
 WARN_S = 5.0
-"""A part says each second how it is doing: one that has not for so long hangs, or its link is cut."""
+"""Each part publishes its health every second: one that is silent for this long hangs, or its link is cut."""
 PATIENCE_S = 30.0
 LOOK_S = 1.0
-"""So often at least it is to look. Where it does later, it was held up itself, and that time says nothing about the parts."""
+"""How often to call `look`. A later call means that the launcher itself was held up: that time does not count as silence."""
 ROUTER, RECORDER = "router", "recorder"
 
 
@@ -21,23 +21,23 @@ class _Watched:
     """When it last spoke, or was started."""
     spoken: bool = False
     told: bool = False
-    """Whether people know of its silence."""
+    """Whether its silence has been reported."""
     disturbed: int = 0
-    """How many things that silence it a script has done and not mended yet."""
+    """How many script events silence it at the moment."""
 
 
 class Watchdog:
-    """Who has spoken when, and what their silence means."""
+    """When each part was last heard, and what its silence means."""
 
     def __init__(self, parts: Iterable[str], patience_s: float, now_s: float, say: Callable[[str], None]) -> None:
-        """Take parts that have just been started, how long one of them may be silent, and who tells people."""
+        """Take parts that have just been started, how long one may be silent, and how to tell people."""
         self._parts = {part: _Watched(now_s) for part in parts}
         self._patience_s = patience_s
         self._looked_s = now_s
         self._say = say
 
     def heard(self, part: str, now_s: float) -> None:
-        """A part has spoken."""
+        """Note that a part was heard."""
         if (known := self._parts.get(part)) is None:
             return
         if known.told and known.spoken:
@@ -45,27 +45,27 @@ class Watchdog:
         known.since_s, known.spoken, known.told = now_s, True, False
 
     def ended(self, part: str) -> None:
-        """A part is gone for good."""
+        """Stop watching a part that has ended."""
         self._parts.pop(part, None)
 
     def begins(self, part: str, now_s: float) -> None:
-        """A part was started anew: it may take a while before it speaks."""
+        """Note that a part was restarted: its first message may take a while."""
         if known := self._parts.get(part):
             known.since_s, known.spoken, known.told = now_s, False, False
 
     def disturb(self, part: str) -> None:
-        """A script silences a part: from now on its silence means nothing."""
+        """Note that a script silences a part: its silence means nothing until `mend`."""
         if known := self._parts.get(part):
             known.disturbed += 1
 
     def mend(self, part: str, now_s: float) -> None:
-        """What a script did to a part is mended."""
+        """Note that a script has undone what silenced a part."""
         if known := self._parts.get(part):
             known.disturbed -= 1
             known.since_s, known.told = now_s, False
 
     def look(self, now_s: float, connected: bool) -> str:
-        """Tell of who has fallen silent; returns why the mission cannot go on, empty where it can. `connected`: the router is there."""
+        """Report silent parts; returns why the mission cannot go on, or an empty text. `connected`: the router is there."""
         held_up_s = max(now_s - self._looked_s - 2 * LOOK_S, 0.0)
         self._looked_s = now_s
         if connected:
@@ -73,7 +73,7 @@ class Watchdog:
         for part, known in self._parts.items():
             known.since_s += held_up_s
             if known.disturbed or not (connected or part == ROUTER):
-                known.since_s = now_s  # could not be heard
+                known.since_s = now_s  # it cannot be heard
             silent_s = now_s - known.since_s
             warn_s, limit_s = (WARN_S, self._patience_s) if known.spoken else (START_WARN_S, max(START_LIMIT_S, self._patience_s))
             if silent_s >= limit_s and part != RECORDER:
@@ -81,5 +81,5 @@ class Watchdog:
                 return f"the {part} has said nothing for {limit_s:g} s{since} (--patience S waits longer)"
             if silent_s >= warn_s and not known.told:
                 known.told = True
-                self._say(f"warning: the {part} has said nothing for {warn_s:g} s" if known.spoken else f"waits for the {part} to start")
+                self._say(f"warning: the {part} has said nothing for {warn_s:g} s" if known.spoken else f"waiting for the {part} to start")
         return ""

@@ -163,6 +163,19 @@ def test_a_kernel_that_calls_itself_is_kept_too(tmp_path: Path) -> None:
 
 USE = JITTED + "@njit\ndef use(x): return x + 1"
 
+TWO_KERNELS = f"{PLAIN}\n@kernel('float64(float64)')\ndef more(x): return x\n"
+
+
+def test_a_process_that_compiles_says_so_once_and_one_that_need_not_says_nothing(tmp_path: Path) -> None:
+    write(tmp_path, USE, TWO_KERNELS)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT))), "NUMBA_CACHE_DIR": ""}
+    said = [
+        subprocess.run([sys.executable, "-c", "import tiny.loops"], env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    assert [(process.stdout, process.stderr.count("compiling kernels, once")) for process in said] == [("", 1), ("", 0)]
+    assert said[0].stderr.count("\n") == 1
+
 
 def test_comments_and_another_place_change_nothing(tmp_path: Path) -> None:
     (tmp_path / "one").mkdir()

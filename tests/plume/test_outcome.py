@@ -2,7 +2,9 @@
 
 import json
 
-from plume.outcome import TracePoint, outcome, outcome_json
+import pytest
+
+from plume.outcome import TracePoint, outcome, outcome_json, outcome_text
 from plume.scenario import Scenario
 
 SCENARIO = Scenario(source=(3.0, 4.0), q=100.0, u=1.0, phi=0.0, d=1.0, tau=10.0, start=(0.0, 0.0))
@@ -37,3 +39,14 @@ def test_the_json_has_the_fields_that_others_rely_on() -> None:
     }  # fmt: skip
     assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}
     assert set(fields["trace"][0]) == {"position", "reading", "mean", "spread"}
+
+
+@pytest.mark.parametrize(
+    ("estimate", "ceased", "verdict"),
+    [((3.0, 3.1), True, "located"), ((3.0, 2.0), True, "FALSE STOP"), ((3.0, 3.1), False, "not ceased")],
+)
+def test_the_text_names_verdict_estimate_and_source(estimate: tuple[float, float], ceased: bool, verdict: str) -> None:
+    told = outcome_text(outcome(1, "random", SCENARIO, flown(estimate), ceased, 0.1)).splitlines()
+    assert told[0] == f"{verdict} after 2 steps, 2.0 m"
+    assert told[1] == f"estimate (3.00, {estimate[1]:.2f}) ± 0.40 m"
+    assert told[2] == f"source   (3.00, 4.00), error {4 - estimate[1]:.2f} m"

@@ -51,10 +51,10 @@ def test_an_expectation_that_does_not_hold_is_status_1_and_used_services_fly_no_
     (tmp_path / mission).write_text(MISSION.replace("located", "not ceased"))
     first = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
     assert first.ended() == 1
-    assert first.err[-1] == "expected not ceased: NO\n"
+    assert first.out[-1] == "expected not ceased: NO\n"
     second = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
     assert second.ended() == 1
-    assert "has a mission behind it, at step" in second.err[-1]
+    assert "has already flown a mission, to step" in second.err[-1]
     assert all(service.process.poll() is None for service in services)  # they are not ours to end
 
 
@@ -62,7 +62,7 @@ def test_it_waits_for_services_and_says_for_whom_whatever_else_is_said(
     start, router: str, mission: str, wait_until: Callable, tmp_path: Path
 ) -> None:
     flight = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
-    wait_until(lambda: flight.says("waits for agent and estimator on uav/1"))
+    wait_until(lambda: flight.says("waiting for agent and estimator on uav/1"))
     with Stranger(router) as stranger:
         stranger.publisher("health/estimator")(b"noise")
         wait_until(lambda: flight.says("refused health/<service>: "))
@@ -98,19 +98,19 @@ def test_a_second_vehicle_in_the_same_namespace_is_refused(start, router: str, m
     with Bus("uav", router):
         flight = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
         assert flight.ended() == 1
-        assert flight.err[-1] == "error: there is a uav on uav/1 already\n"
+        assert flight.err[-1] == "error: another uav is already on uav/1\n"
 
 
 @pytest.mark.parametrize(
     ("flags", "line"),
     [
-        (["--policy", "ppo"], "--connect: agent.policy cannot be chosen: the agent runs elsewhere, with flags of its own"),
-        (["--particles", "500"], "--connect: estimator.particles cannot be chosen: the estimator runs elsewhere, with flags of its own"),
+        (["--policy", "ppo"], "--connect: agent.policy cannot be chosen: the agent runs elsewhere, with its own flags"),
+        (["--particles", "500"], "--connect: estimator.particles cannot be chosen: the estimator runs elsewhere, with its own flags"),
         (["--listen", "tcp/127.0.0.1:0"], "--listen: not with --connect, whose router runs elsewhere"),
-        (["missions/link-cut.yaml"], "--connect: events[0], cut, cannot happen: it needs parts that were started for the mission"),
+        (["missions/link-cut.yaml"], "--connect: events[0], cut, cannot happen: it needs parts that this command starts"),
         (
             ["missions/unknown-rate.yaml"],
-            "--connect: estimator.particles cannot be chosen: the estimator runs elsewhere, with flags of its own",
+            "--connect: estimator.particles cannot be chosen: the estimator runs elsewhere, with its own flags",
         ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

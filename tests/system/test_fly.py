@@ -31,7 +31,7 @@ def test_it_flies_to_a_stop_and_says_what_it_found(start, tmp_path: Path) -> Non
     mission = start("sitl", "--seed", "1", "--speedup", "0", "--json", cwd=tmp_path)
     assert mission.ended() == 0
     said = "".join(mission.err)
-    for words in ("router at tcp/127.0.0.1:", "step   0/300", "estimate", "flown", "located", "source (14.85, 14.67)", "error"):
+    for words in ("router at tcp/127.0.0.1:", "step   0/300", "spread", "located after", "estimate (", "source   (14.85, 14.67), error"):
         assert words in said
     result = json.loads(mission.out[-1])
     assert result["ceased"]
@@ -46,11 +46,39 @@ def test_it_flies_to_a_stop_and_says_what_it_found(start, tmp_path: Path) -> Non
     assert written["mission"]["seed"] == 1
 
 
+def test_the_first_flight_says_once_that_it_compiles(start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))  # empty; estimator and agent compile at the same time
+    brief = ("sitl", "fly", "--policy", "infotaxis", "--budget", "1", "--speedup", "0", "--no-record")
+    for expected in (1, 0):
+        mission = start(*brief, cwd=tmp_path)
+        assert mission.ended(100) == 0
+        before = mission.err[: next(number for number, line in enumerate(mission.err) if line.startswith("mission: "))]
+        assert sum("compiling kernels" in line for line in mission.err) == expected
+        assert sum(line == "compiling kernels, once, about 10 s\n" for line in before) == expected
+
+
 def test_a_spent_budget_is_an_outcome_not_a_failure(start, tmp_path: Path) -> None:
     mission = start("sitl", "fly", "--policy", "random", "--budget", "3", "--speedup", "0", "--json", cwd=tmp_path)
     assert mission.ended() == 0
     result = json.loads(mission.out[-1])
     assert (result["ceased"], result["located"], result["steps"]) == (False, False, 3)
+
+
+@pytest.mark.parametrize("flags", [(), ("--json",)], ids=["text", "json"])
+def test_results_go_to_stdout_unless_json_does_and_no_line_wraps_at_60_columns(start, tmp_path: Path, flags: tuple[str, ...]) -> None:
+    mission = start("sitl", "fly", "--policy", "random", "--budget", "12", "--speedup", "0", *flags, cwd=tmp_path)
+    assert mission.ended() == 0
+    results, progress = (mission.err[-5:], mission.err[:-5]) if flags else (mission.out, mission.err)
+    assert [line.split()[0] for line in results] == ["not", "estimate", "source", "summary", "record"]
+    assert [line.split()[0] for line in progress if line.startswith(("mission", "router", "step"))] == [
+        "mission:",
+        "router",
+        "step",
+        "step",
+    ]
+    assert max(len(line.rstrip("\n")) for line in (*results, *progress)) <= 60
+    assert len(mission.out) == (1 if flags else 5)
+    assert all(Path(tmp_path, line.split()[1]).is_file() for line in results[3:])
 
 
 @pytest.mark.parametrize("part", PARTS)
@@ -69,8 +97,8 @@ def test_a_recorder_that_dies_is_told_and_the_mission_goes_on(start, family, wai
     wait_until(lambda: mission.says("step   0"))
     os.kill(family(mission.process.pid)["record"], signal.SIGKILL)
     assert mission.ended() == 0
-    assert mission.says("warning: the record has ended: ")
-    assert mission.says("not ceased within 12 steps")
+    assert mission.says("warning: the recording stopped: ")
+    assert mission.out[0].startswith("not ceased after 12 steps, ")
 
 
 @pytest.mark.parametrize("hit", ["launcher", *PARTS])
@@ -159,7 +187,7 @@ def test_what_exists_is_not_overwritten_without_force(start, wait_until: Callabl
         assert {path.name: path.read_text() for path in tmp_path.iterdir() if path.is_file()} == {"good.mcap": "old", "good.tlog": "old"}
     forced = start(*brief, "--force", cwd=tmp_path)
     assert forced.ended() == 0
-    assert forced.err[-1] == "record in good.mcap\n"
+    assert forced.out[-1] == "record   good.mcap\n"
     assert read(tmp_path / "good.mcap").complete
     assert (tmp_path / "good.tlog").stat().st_size > 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["good.mcap", "good.tlog", "runs"]

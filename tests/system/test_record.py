@@ -118,7 +118,7 @@ def test_a_full_disk_stops_the_record_with_a_line_and_not_the_mission(
     resource.prlimit(family(mission.process.pid)["record"], resource.RLIMIT_FSIZE, (limit, limit))
     assert mission.ended() == 0
     assert json.loads(mission.out[-1])["steps"] == 25
-    (line,) = (line for line in mission.err if "record stopped" in line and "warning: the record has ended" not in line)
+    (line,) = (line for line in mission.err if "record stopped" in line and "warning: the recording stopped" not in line)
     assert line.startswith("recorder: warning: record stopped: File too large (runs/")
     (path,) = (tmp_path / "runs").glob("*.mcap")
     assert 0 < path.stat().st_size <= limit

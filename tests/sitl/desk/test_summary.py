@@ -102,7 +102,7 @@ def test_the_outcome_is_judged_by_the_source_that_the_log_tells(log: Path, capsy
     assert (fields["ceased"], fields["located"], fields["estimate"], fields["error_m"]) == (True, True, [14.0, 12.0], 0.5)
     text = said(capsys, log)
     assert "a test, homing, seed 7" in text
-    assert "source (14.00, 12.50), error 0.50 m" in text
+    assert "source   (14.00, 12.50), error 0.50 m" in text
 
 
 def test_a_key_as_csv_has_a_column_for_each_number(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -143,4 +143,4 @@ def test_a_part_that_never_answers_is_told_and_given_up(
     child = launched.processes.start("router", TOLD, "import time; time.sleep(600)")
     with pytest.raises(MissionFailed, match=r"the router has said nothing in 0\.6 s since it was started"):
         launched.processes.answer(child)
-    assert capsys.readouterr().err == "waits for the router to start\n"
+    assert capsys.readouterr().err == "waiting for the router to start\n"

