@@ -247,6 +247,7 @@ def test_files_of_the_folder_that_it_is_run_in_are_not_taken_for_parts_of_it(own
     ran = own(tmp_path, "plumeward", "fly", "--budget", "2", "--speedup", "0", "--json")
     assert outcome(ran)["steps"] == 2
     assert list((tmp_path / "runs").glob("*.mcap"))
+    (tmp_path / "plumeward.py").unlink()
     script = tmp_path / "mine.py"
     script.write_text("import plumeward")
     told = own(tmp_path, "python", "mine.py").stderr.splitlines()[-1]
