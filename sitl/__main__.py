@@ -144,8 +144,8 @@ def _script(args: argparse.Namespace, given: argparse.Namespace) -> Script:
 
 def _load(args: argparse.Namespace) -> Script:
     """Read the mission script. Raises FileError, with the nearest name where there is no such mission."""
-    missions = shipped()
-    if not os.path.lexists(args.mission) and (near := cli.did_you_mean(args.mission.removesuffix(".yaml"), missions)):
+    missions, name = shipped(), args.mission.removesuffix(".yaml")
+    if not os.path.lexists(args.mission) and name not in missions and (near := cli.did_you_mean(name, missions)):
         raise FileError(
             f"{args.mission}: no such file and no shipped mission{near} Wanted a mission script, or one of {', '.join(missions)}"
         )

@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+from link import cli
+
 COMMANDS = [
     (["agent", "rollout", "--policy", "clairvoyance"], ["--policy", "'clairvoyance'", "wanted infotaxis, entrotaxis"]),
     (["agent", "rollout", "--particles", "-5"], ["--particles", "'-5'", "from 10 to 1000000"]),
@@ -19,6 +21,13 @@ COMMANDS = [
     (["sitl", "uav", "--home", "91,0,0,0"], ["--home", "'91,0,0,0'", "LAT within ±90"]),
     (["sitl", "fly", "--patience", "1"], ["--patience", "'1'", "from 5 up to inf"]),
     (["sitl", "juggle"], ["'juggle'", "fly", "uav", "router"]),
+    (["sitl", "fyl"], ["python -m sitl: error: no command 'fyl'; did you mean 'fly'?"]),
+    (["sitl", "fly", "--sed", "3"], ["python -m sitl fly: error: no flag '--sed'; did you mean '--seed'?"]),
+    (["sitl", "fly", "--policy", "hommer", "--no-record"], ["'hommer'", "did you mean 'homing'?", "Wanted infotaxis, "]),
+    (["estimator", "--sensor", "hit:1,2"], ["'hit:1,2'", "did you mean 'hits'?", "Wanted gaussian, threshold, hits"]),
+    (["agent", "--polcy", "homing", "rollout"], ["no flag '--polcy'", "did you mean '--policy'?"]),
+    (["agent", "evalute"], ["no command 'evalute'", "did you mean 'evaluate'?"]),
+    (["agent", "--log-level", "inf"], ["--log-level: 'inf'", "did you mean 'info'?", "Wanted debug, info, warning or error"]),
 ]
 
 
@@ -38,3 +47,20 @@ def test_every_command_explains_itself(arguments: list[str]) -> None:
     ended = subprocess.run([sys.executable, "-m", *arguments, "--help"], capture_output=True, text=True, timeout=60)
     assert ended.returncode == 0
     assert "usage: python -m " + " ".join(arguments) in " ".join(ended.stdout.split())
+
+
+def test_a_flag_may_still_be_shortened_and_take_a_negative_value() -> None:
+    parser = cli.Parser(prog="it")
+    parser.add_argument("--policy")
+    parser.add_argument("--home")
+    args = parser.parse_args(["--pol", "homing", "--home=-35.1,149"])
+    assert (args.policy, args.home) == ("homing", "-35.1,149")
+
+
+def test_flags_behind_a_command_are_that_commands() -> None:
+    parser = cli.Parser(prog="it")
+    parser.add_argument("--loud", action="store_true")
+    fly = parser.add_subparsers(dest="command").add_parser("fly")
+    fly.add_argument("--seed")
+    args = parser.parse_args(["--loud", "fly", "--seed", "3"])
+    assert (args.loud, args.command, args.seed) == (True, "fly", "3")

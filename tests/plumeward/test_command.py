@@ -1,5 +1,6 @@
 """Protects the command `plumeward`: help that is quick, near misses, and refusals before anything starts."""
 
+import json
 import re
 import subprocess
 import sys
@@ -120,3 +121,14 @@ def test_a_flag_wins_over_the_policy_of_a_script_that_is_wrong(
     monkeypatch.chdir(tmp_path)
     status, _, err = said(capsys, monkeypatch, "fly", "hommer.yaml", "--policy", "random", "--speedup", "0", "--no-record")
     assert status == 0, err
+
+
+@pytest.mark.parametrize("mission", ["default-release", "default-release.yaml"])
+def test_a_shipped_mission_is_flown_by_its_name_from_anywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], mission: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, err = said(capsys, monkeypatch, "fly", mission, "--speedup", "0", "--no-record", "--json")
+    assert status == 0, err
+    flown = json.loads(out.splitlines()[-1])
+    assert (flown["policy"], flown["expectations"]) == ("homing", {"located": True})

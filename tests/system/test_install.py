@@ -240,7 +240,7 @@ def test_a_shipped_mission_is_flown_by_its_name(own: Installed, tmp_path: Path) 
     flown = outcome(ran)
     assert flown["expectations"] == {"located": True}
     assert (flown["seed"], flown["scenario"]["q"], flown["scenario"]["d"], flown["scenario"]["tau"]) == (7, 300, 4.5, 10)
-    assert ran.stderr.startswith("mission: a release with the estimator's default rate, diffusivity and lifetime, seed 7, infotaxis, ")
+    assert ran.stderr.startswith("mission: a release with the estimator's default rate, diffusivity and lifetime, seed 7, homing, ")
 
 
 def test_files_of_the_folder_that_it_is_run_in_are_not_taken_for_parts_of_it(own: Installed, tmp_path: Path) -> None:
@@ -249,20 +249,34 @@ def test_files_of_the_folder_that_it_is_run_in_are_not_taken_for_parts_of_it(own
     ran = own(tmp_path, "plumeward", "fly", "--budget", "2", "--speedup", "0", "--json")
     assert outcome(ran)["steps"] == 2
     assert list((tmp_path / "runs").glob("*.mcap"))
+    (tmp_path / "plumeward.py").unlink()
+    script = tmp_path / "mine.py"
+    script.write_text("import plumeward")
+    told = own(tmp_path, "python", "mine.py").stderr.splitlines()[-1]
+    assert told == f"ImportError: {tmp_path / 'plume.py'} hides plumeward's own package 'plume': rename this file or folder"
+
+
+def test_the_api_and_its_lists_work_where_nothing_but_a_flight_is_installed(own: Installed, tmp_path: Path) -> None:
+    code = "import plumeward; print(plumeward.rollout(1, particles=100, budget=2)[0].steps, len(plumeward.evaluate('random', 1, budget=2)))"
+    assert own(tmp_path, "python", "-c", code).stdout == "2 1\n"
+    listed = own(tmp_path, "plumeward", "list")
+    assert (listed.returncode, listed.stderr) == (0, "")
+    assert "  wind-shift " in listed.stdout
 
 
 def test_a_mission_that_is_none_is_one_line_with_those_that_ship(own: Installed, tmp_path: Path) -> None:
     ran = own(tmp_path, "plumeward", "fly", "wnd-shift")
     missions = ", ".join(sorted(path.stem for path in (ROOT / "missions").glob("*.yaml")))
     assert ran.returncode == 2
-    assert ran.stderr == f"error: wnd-shift: no such file and no shipped mission; wanted a mission script, or one of {missions}\n"
+    told = f"no such file and no shipped mission; did you mean 'wind-shift'? Wanted a mission script, or one of {missions}"
+    assert ran.stderr == f"error: wnd-shift: {told}\n"
 
 
 def test_the_command_and_the_module_take_the_same_command_lines(own: Installed, tmp_path: Path) -> None:
-    for words in (["--help"], *([command, "--help"] for command in ("fly", "uav", "router", "status", "replay", "log", "record"))):
-        command, module = own(tmp_path, "plumeward", *words), own(tmp_path, "python", "-m", "sitl", *words)
+    for name in ("fly", "uav", "router", "status", "replay", "log", "record"):
+        command, module = own(tmp_path, "plumeward", name, "--help"), own(tmp_path, "python", "-m", "sitl", name, "--help")
         assert command.returncode == module.returncode == 0
-        assert command.stdout.startswith(f"usage: plumeward {words[0] if words[1:] else '[-h]'} ")
+        assert command.stdout.startswith(f"usage: plumeward {name} ")
         assert command.stdout.split() == module.stdout.replace("usage: python -m sitl", "usage: plumeward").split()
     command, module = own(tmp_path, "plumeward", "fly", "--seed", "x"), own(tmp_path, "python", "-m", "sitl", "fly", "--seed", "x")
     assert command.returncode == module.returncode == 2

@@ -39,7 +39,7 @@ def undisturbed() -> list[dict]:
     """The trace of seed 2 in-process."""
     return [
         {"position": list(point.position), "reading": point.reading, "mean": list(point.mean), "spread": point.spread}
-        for point in rollout(2, "infotaxis")[1]
+        for point in rollout(2, "homing")[1]
     ]
 
 

@@ -31,7 +31,7 @@ ESTIMATOR = (
     "--rate", repr(SCENARIO.q), "--diffusivity", repr(SCENARIO.d), "--lifetime", repr(SCENARIO.tau),
     "--seed", str(derived_seed(SEED, "estimator")),
 )  # fmt: skip
-AGENT = ("--seed", str(derived_seed(SEED, "agent")))
+AGENT = ("--policy", "infotaxis", "--seed", str(derived_seed(SEED, "agent")))
 
 
 @pytest.fixture(scope="module")

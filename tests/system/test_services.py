@@ -162,7 +162,7 @@ class TestAgent:
 
     @pytest.fixture
     def agent(self, start, router: str, stranger: Stranger, wait_until: Callable):
-        part = start("agent", "--connect", router, "--budget", "5")
+        part = start("agent", "--connect", router, "--policy", "infotaxis", "--budget", "5")
         wait_until(lambda: part.says("ready"))
         return part
 
