@@ -105,7 +105,7 @@ def test_a_prior_is_uniform_over_the_area() -> None:
     assert posterior.particles.shape == (2, 20_000)
     assert posterior.particles.mean(axis=1) == pytest.approx([15, 15], abs=0.3)
     assert posterior.particles.std(axis=1) == pytest.approx([30 / math.sqrt(12)] * 2, rel=0.02)
-    with pytest.raises(ValueError, match="q is not unknown"):
+    with pytest.raises(ValueError, match="a stop cannot wait for q"):
         plumeward.Config(stop_limits={"q": 5.0})
 
 

@@ -38,11 +38,11 @@ def test_a_golden_mission_is_answered_as_it_was(
     name: str, router: str, services: Services, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     services.start(read(path(name)).about["parts"])
-    status, _, err = run_sitl(
+    status, out, err = run_sitl(
         monkeypatch, capsys, "replay", str(path(name)), "--verify", "--speedup", "0", "--connect", router, *flags(name)
     )
-    assert status == 0, err[-1]
-    assert err[-1].startswith("verified: ")
+    assert status == 0, (out, err)
+    assert out[-1].startswith("verified: ")
 
 
 @pytest.mark.parametrize("name", ["infotaxis-gaussian", "thompson-threshold", "ppo-hits"])

@@ -420,7 +420,7 @@ class TestBadInput:
             (["--tolerance", "1"], "error: --tolerance: only allowed with --verify"),
             (["--verify", "--to", "0.5"], "error: --verify: no belief, stop or waypoint in "),
             (["--verify", *("--ignore", "belief", "--ignore", "stop", "--ignore", "waypoint")], "error: --verify: no belief, stop or "),
-            (["--from", "1e6"], "error: --from: nothing of "),
+            (["--from", "1e6"], "error: --from: no message of "),
             (["--from", "5", "--to", "4"], "error: --to: 4 is not allowed; wanted at least --from, 5"),
             (["--connect", "tcp/127.0.0.1:1", "--loop"], "error: --loop: not allowed with --connect: "),
             (["--speedup", "-1"], "python -m sitl replay: error: --speedup: '-1' is not allowed; wanted a number from 0 up to 1000"),

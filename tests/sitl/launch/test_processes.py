@@ -121,6 +121,30 @@ def test_a_stopped_part_is_ended(launched: Launched, wait_until: Callable) -> No
     assert not runs(pid)
 
 
+@pytest.mark.parametrize("hangs", [False, True])
+def test_the_recorder_may_take_its_time_to_write_the_end_of_the_record(
+    launched: Launched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], hangs: bool
+) -> None:
+    monkeypatch.setattr(module, "STOP_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(module, "RECORDER_STOP_TIMEOUT_S", 0.3 if hangs else 30.0)
+    record = tmp_path / "record"
+    source = f"""
+import pathlib, signal, time
+def write(*_):
+    time.sleep({600 if hangs else 0.5})
+    pathlib.Path({str(record)!r}).write_text("whole")
+    raise SystemExit
+signal.signal(signal.SIGTERM, write)
+print("recording", flush=True)
+time.sleep(600)
+"""
+    launched.processes.answer(launched.processes.start("recorder", TOLD, source))
+    launched.processes.stop()
+    assert record.exists() is not hangs
+    told = capsys.readouterr().err
+    assert told == ("warning: the recorder did not end within 0.3 s: the record may lack its end\n" if hangs else "")
+
+
 def test_a_part_that_answers_is_waited_for_and_its_answer_is_not_shown(launched: Launched, wait_until: Callable) -> None:
     child = launched.processes.start("recorder", TOLD, "print('recording'); print('more')")
     assert launched.processes.answer(child) == "recording"
