@@ -55,6 +55,9 @@ def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
         processes.stop()
     steps = []
     for step in range(1, last):  # from one reading to the next: the estimator and the agent answer reading `step`
+        known = step in compute["uav"] and step + 1 in compute["uav"]
+        if not (known and all({step - 1, step} <= compute[service].keys() for service in ("estimator", "agent"))):
+            continue  # health messages may be dropped: such a step is not measured
         total = read_at[step + 1][1] - read_at[step][1]
         parts = {
             "sitl": compute["uav"][step + 1] - compute["uav"][step],

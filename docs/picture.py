@@ -69,7 +69,7 @@ def main() -> None:
     """Write the drawing."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--policy", default="infotaxis")
+    parser.add_argument("--policy", default="homing")
     parser.add_argument("--file", type=Path, default=Path(__file__).with_name("mission.svg"))
     args = parser.parse_args()
     args.file.write_text(drawing(args.seed, args.policy))

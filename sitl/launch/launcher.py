@@ -27,7 +27,7 @@ from sitl.autopilot.operator import OPERATOR, command
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.joining import await_services
 from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes, raise_for
-from sitl.launch.progress import Progress
+from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
 from sitl.launch.watchdog import LOOK_S, PATIENCE_S, RECORDER, ROUTER, Watchdog
@@ -307,7 +307,7 @@ class _Watch:
         if self._last is None:
             if script.about:
                 self._progress.say(script.about)
-            self._progress.say(f"mission: seed {script.seed}, {script.agent.policy}, {_pace(script.speedup)}")
+            self._progress.say(f"mission: seed {script.seed}, {script.agent.policy}, {pace(script.speedup)}")
             self._progress.say(f"router at {self._endpoint}")
             if self._files and (trouble := self._files.take_place()):
                 self._progress.say(f"warning: {trouble}")
@@ -354,10 +354,6 @@ class _Watch:
             "returned home": self._landed and math.hypot(*self._landed_at) < AT_HOME_M,
         }  # fmt: skip
         return Flown(script, result, points, {expected: so[expected] for expected in script.expectations})
-
-
-def _pace(speedup: float) -> str:
-    return {0.0: "as fast as possible", 1.0: "real time"}.get(speedup, f"{speedup:g} times real time")
 
 
 def _frames(payload: bytes) -> list[Message]:

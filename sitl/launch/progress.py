@@ -75,3 +75,8 @@ def fitting(fields: list[str], width: int) -> str:
 
 def _line(text: str) -> Text:
     return Text(text, no_wrap=True, overflow="crop")
+
+
+def pace(speedup: float) -> str:
+    """Return the speed-up for people."""
+    return {0.0: "as fast as possible", 1.0: "real time"}.get(speedup, f"{speedup:g} times real time")

@@ -154,7 +154,7 @@ def _text(result: "Replayed", source: "Source", rules: "Rules | None", took_s: f
         ceased = "not ceased" if result.ceased_at is None else f"ceased at step {result.ceased_at}"
         outcome = f"{last.step + 1} readings, {ceased}\nestimate ({x:.2f}, {y:.2f}) ± {last.spread:.2f} m"
         if source.truth:
-            outcome += f"\nsource ({source.truth[0]:.2f}, {source.truth[1]:.2f}), error {math.dist(last.mean, source.truth):.2f} m"
+            outcome += f"\nsource   ({source.truth[0]:.2f}, {source.truth[1]:.2f}), error {math.dist(last.mean, source.truth):.2f} m"
     replayed = f"replayed in {took_s:.1f} s: {outcome}"
     if rules is None:
         return replayed

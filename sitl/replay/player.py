@@ -12,7 +12,7 @@ from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.record.record import Entry
 from sitl.launch.processes import Ended, LogLine, Processes, raise_for
-from sitl.launch.progress import Progress
+from sitl.launch.progress import Progress, pace
 from sitl.replay import verify
 from sitl.replay.source import SERVICES, VEHICLE_KEYS, Source, reading_time
 from sitl.replay.verify import Answer, Difference, Rules
@@ -45,7 +45,7 @@ def replay(source: Source, rules: Rules | None, speedup: float, connect: str | N
         bus = stack.enter_context(Bus("uav", endpoint, source.namespace, inbox))
         bus.subscribe(BELIEF, STOP, MAVLINK_IN, HEALTH)
         bus.watch_services()
-        progress.say(f"replay: {source.path} as {source.namespace}, speed-up {speedup:g}, router at {endpoint}")
+        progress.say(f"replay: {source.path} as {source.namespace}, {pace(speedup)}, router at {endpoint}")
         player = Player(bus, source, progress, rules, own=connect is None)
         player.wait_for_services()
         player.play(speedup)

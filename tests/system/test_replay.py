@@ -384,7 +384,7 @@ class TestAutopilotLog:
         assert replay.ended() == 0, replay.err
         result = json.loads(replay.out[-1])
         assert result["error_m"] == pytest.approx(math.dist(result["estimate"], (17, 16)))
-        assert replay.says("source (17.00, 16.00), error ")
+        assert replay.says("source   (17.00, 16.00), error ")
         assert 10 < result["beliefs"] < 35
 
     @pytest.mark.parametrize(
