@@ -44,6 +44,7 @@ TIMEOUT_S = 200
 INSTEAD = {
     "make test": "make test FLAGS=tests/plume/test_world.py",
     "make lint": "make --dry-run lint",  # .ci/run runs it
+    "make site": "make --dry-run site",  # tests/test_site.py builds it
     "make bench": "make bench FLAGS='--missions 1'",
     "make bench-env":
         "python -c 'from benchmarks import env as b; b.PARTICLES, b.BATCHES, b.MISSIONS, b.REPEATS = (500,), (1,), 1, 1; b.main()'",

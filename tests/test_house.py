@@ -91,7 +91,7 @@ def test_the_architecture_page_lists_the_rooms_from_the_ground_up() -> None:
         above.add(room)
 
 
-@pytest.mark.parametrize("page", sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")]), ids=name_of)
+@pytest.mark.parametrize("page", sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]), ids=name_of)
 def test_a_file_that_a_page_names_is_there(page: Path) -> None:
     named = re.findall(r"`((?:plume|link|sitl|estimator|agent|tests|benchmarks|docs|missions)/[\w./-]*)`", page.read_text())
     assert [name for name in named if not (ROOT / name).exists()] == []
