@@ -7,6 +7,7 @@ from rich.live import Live
 from rich.text import Text
 
 from link.bus.messages import Belief
+from link.terminal import broken
 
 PLAIN_EVERY_STEPS = 10
 PLAIN_FIELDS = 4
@@ -40,8 +41,9 @@ class Progress:
             self._live.stop()
 
     def say(self, text: str) -> None:
-        """Print a line that stays."""
-        self._console.print(text, markup=False, soft_wrap=True)
+        """Print a line that stays; on a terminal it is broken at words."""
+        width = self._console.width if self._console.is_terminal else None
+        self._console.print(broken(text, width), markup=False, soft_wrap=True)
 
     def wait(self, reason: str) -> None:
         """Show what is waited for. Called again and again: without a live line it is printed once, if it lasts."""

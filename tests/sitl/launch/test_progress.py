@@ -75,3 +75,18 @@ def test_without_a_terminal_each_tenth_step_is_a_line_of_at_most_60_characters(s
     lines = file.getvalue().splitlines()
     assert [line[:8] for line in lines] == ["step   0", "step  10", "step  20"]
     assert {len(line) for line in lines} == {59}
+
+
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        (30, "the sensor drops out twice;\n  the vehicle waits\n"),
+        (None, "the sensor drops out twice; the vehicle waits\n"),
+    ],
+)
+def test_a_line_that_stays_is_broken_at_words_on_a_terminal_and_whole_elsewhere(
+    shown: Callable, columns: int | None, expected: str
+) -> None:
+    progress, file = shown(columns)
+    progress.say("the sensor drops out twice; the vehicle waits")
+    assert file.getvalue() == expected
