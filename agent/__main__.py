@@ -111,7 +111,7 @@ def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> i
         print(f"error: {error}", file=sys.stderr)
         return cli.FAILED
     except BrokenExecutor as error:  # of `train`, which judges by a sweep
-        print(f"error: {error}; the same command goes on from what is kept", file=sys.stderr)
+        print(f"error: {error}. Run the command again: it resumes", file=sys.stderr)
         return cli.FAILED
     return None
 

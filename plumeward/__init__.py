@@ -2,9 +2,8 @@
 
 Imports: plume, link, link.bus, link.record, sitl.script, estimator, agent, agent.trials, agent.learn.
 
-`import plumeward` registers the gymnasium environments `plumeward/SourceSearch-v0` and `plumeward/SourceSearchContinuous-v0` where
-gymnasium is installed. The other names are loaded when they are first used. The command `plumeward` is in `plumeward.__main__`; it
-registers nothing, so that it starts fast.
+`import plumeward` registers the gymnasium environments `plumeward/SourceSearch-v0` and `plumeward/SourceSearchContinuous-v0` if
+gymnasium is installed. The other names are loaded when they are first used. The command `plumeward` is in `plumeward.__main__`.
 
     import plumeward
 
@@ -17,7 +16,7 @@ Lengths are in metres, x east and y north of home; times in seconds; angles in r
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from plumeward.names import check, leave_out_the_current_folder, runs_as_command
+from plumeward.names import check, leave_out_the_current_folder
 
 if TYPE_CHECKING:
     from agent.learn.env import SourceSearch, SourceSearchVector
@@ -55,7 +54,7 @@ WHERE = {
     "Belief": "link.bus.messages",
     "Recording": "link.record.reader",
 }
-"""The module of each name of the API, and its name there where that is another one."""
+"""The module of each name of the API, and its name there if it differs."""
 
 __all__ = [
     "Belief",
@@ -96,13 +95,10 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-if runs_as_command():
-    leave_out_the_current_folder()
+leave_out_the_current_folder()
 check()
 
-from plume import __version__  # noqa: E402  (a file plume.py of a user is told first)
+from plume import __version__  # noqa: E402  (after the check, which names a user's plume.py)
+from plumeward.environments import register  # noqa: E402
 
-if not runs_as_command():
-    from plumeward.environments import register
-
-    register()
+register()

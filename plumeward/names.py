@@ -1,30 +1,25 @@
-"""Whether the packages that Python would import are ours, and not files of a user that have their names."""
+"""Makes sure that Python imports our packages, and not a user's files of the same names."""
 
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 PACKAGES = ("plume", "link", "sitl", "estimator", "agent")
-"""What `plumeward` consists of beside itself."""
+"""The packages beside `plumeward` itself."""
 ROOT = Path(__file__).parents[1]
 
 
-def runs_as_command() -> bool:
-    """Return whether this process is the command `plumeward`, by that name or as `python -m plumeward`."""
-    if sys.argv[:1] == ["-m"]:  # what Python puts there until it has found the module
-        at = sys.orig_argv.index("-m") if "-m" in sys.orig_argv else -1
-        return at > 0 and sys.orig_argv[at + 1 : at + 2] == ["plumeward"]
-    return bool(sys.argv) and Path(sys.argv[0]).stem == "plumeward" and not sys.argv[0].endswith(".py")
-
-
 def leave_out_the_current_folder() -> None:
-    """Take the folder that `python -m` puts first out of the module search path, unless our packages are in it."""
-    if not sys.flags.safe_path and sys.argv[:1] == ["-m"] and Path(sys.path[0]).resolve() != ROOT:
+    """Under `python -m plumeward`, remove the current folder from the module search path, unless it holds our packages."""
+    if sys.flags.safe_path or sys.argv[:1] != ["-m"]:  # "-m" stands there until Python has found the module
+        return
+    at = sys.orig_argv.index("-m") if "-m" in sys.orig_argv else -1
+    if at > 0 and sys.orig_argv[at + 1 : at + 2] == ["plumeward"] and Path(sys.path[0]).resolve() != ROOT:
         del sys.path[0]
 
 
 def check() -> None:
-    """Raise ImportError where a file of somebody else has the name of one of our packages and is found first."""
+    """Raise ImportError if Python would find a foreign file or folder in place of one of our packages."""
     for package in PACKAGES:
         spec = getattr(sys.modules.get(package), "__spec__", None) or find_spec(package)
         found = Path(spec.origin).resolve() if spec and spec.origin else None

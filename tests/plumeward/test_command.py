@@ -1,6 +1,7 @@
 """Protects the command `plumeward`: help that is quick, near misses, and refusals before anything starts."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from plumeward.__main__ import COMMANDS, GROUPS, main
 
 ROOT = Path(__file__).parents[2]
 MISSIONS = {path.stem: path.read_text() for path in (ROOT / "missions").glob("*.yaml")}
-HEAVY = ("numba", "torch", "gymnasium", "onnxruntime", "matplotlib", "ray", "onnx", "stable_baselines3")
+HEAVY = ("numba", "torch", "onnxruntime", "matplotlib", "ray", "onnx", "stable_baselines3")
 
 
 def said(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: str) -> tuple[int, str, str]:
@@ -132,3 +133,20 @@ def test_a_shipped_mission_is_flown_by_its_name_from_anywhere(
     assert status == 0, err
     flown = json.loads(out.splitlines()[-1])
     assert (flown["policy"], flown["expectations"]) == ("homing", {"located": True})
+
+
+def test_a_plug_in_may_make_our_environments_also_in_the_workers_of_a_sweep(tmp_path: Path) -> None:
+    (tmp_path / "theirs.py").write_text(
+        "import gymnasium\n\n\ndef fly(belief, particles, reach, rng):\n"
+        "    gymnasium.make('plumeward/SourceSearch-v0', particles=20)\n    return 3.0, 4.0\n"
+    )
+    about = tmp_path / "theirs-1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1\n")
+    (about / "entry_points.txt").write_text("[plumeward.policies]\ntheirs = theirs:fly\n")
+    words = ["evaluate", "--policy", "theirs", "--scenarios", "2", "--workers", "2", "--budget", "1", "--json"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    command = [str(Path(sys.executable).parent / "plumeward"), *words]
+    ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=110)
+    assert ran.returncode == 0, ran.stderr
+    assert json.loads(ran.stdout)["theirs"]["missions"] == 2
