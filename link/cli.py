@@ -20,7 +20,7 @@ from link.bus.session import DEFAULT_ROUTER, BusError
 
 INTERRUPTED = 130
 UNREAD = 141
-"""What a shell shows for a program that SIGPIPE has killed: of `plumeward evaluate | head -1`, as of `cat FILE | head -1`."""
+"""Exit status if the reader of stdout has gone, as in `plumeward evaluate | head -1`: that of a program killed by SIGPIPE."""
 STREAMS = (1, 2)
 """File descriptors of stdout and stderr."""
 BAD_INPUT = 2
@@ -42,7 +42,7 @@ class Parser(argparse.ArgumentParser):
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> argparse.Namespace:
-        """Parse a command line; where a shell asks for completions, print them and exit."""
+        """Parse a command line. If a shell asks for completions, print them and exit."""
         if COMPLETING in os.environ:
             import argcomplete
 
@@ -88,7 +88,7 @@ def listing(names: Sequence[str]) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return "; did you mean 'fly'?" with the known name nearest to a wrong one; empty where none is near."""
+    """Return "; did you mean 'fly'?" with the known name nearest to a wrong one; empty if none is near."""
     import difflib
 
     near = difflib.get_close_matches(name, list(known), 1, cutoff=0.5)
@@ -102,7 +102,7 @@ def not_allowed(value: object, known: Iterable[str], wanted: str) -> str:
 
 
 def completed(action: argparse.Action, names: Callable[[], Iterable[str]], *endings: str) -> argparse.Action:
-    """Let a shell complete an argument by names and by files with these endings; of several between commas it completes the last."""
+    """Let a shell complete an argument by names and by files with these endings; in a list with commas, the last item."""
 
     def complete(prefix: str, **_: Any) -> list[str]:
         from argcomplete.completers import FilesCompleter
@@ -280,7 +280,7 @@ def _end_with_the_launcher() -> None:
 
 
 def run(command: Callable[[], int | None]) -> NoReturn:
-    """Run a command and exit with its status: 0 done, 1 failed, 2 bad input, 130 interrupted, 141 where nobody reads its output."""
+    """Run a command and exit with its status: 0 done, 1 failed, 2 bad input, 130 interrupted, 141 if the reader of its output has gone."""
     # A shell starts background jobs with SIGINT ignored; a service must end on it all the same.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminate)

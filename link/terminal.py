@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 GAP = 2
 """Spaces between two columns."""
 LONGEST_WORD = 11
-"""A longer heading is broken where its cells are narrower."""
+"""Characters. A longer heading is broken if its cells are narrower."""
 UNLIMITED = 100_000
 """Columns of a line that nothing limits."""
 
@@ -26,15 +26,15 @@ class Column:
     rank: int = 0
     """Columns of the highest rank are left out first; those of rank 0 never."""
     name: str = ""
-    """What it is called where it is left out; empty: its heading."""
+    """Its name in the note about left-out columns; empty: its heading."""
     left: bool = False
     """Aligned to the left; numbers are aligned to the right."""
     stacks: bool = False
-    """It may be broken into two lines: the heading at its comma, a cell at its first space."""
+    """True: on a narrow terminal the heading is broken at its comma, and each cell at its first space."""
     least: int | None = None
-    """A longer cell may be cut to this many characters; None: it may not be cut."""
+    """A longer cell may be cut to this many characters; None: never cut."""
     keeps_end: bool = False
-    """Of a cell that is cut the end stays, as of a path; otherwise its beginning."""
+    """True: a cut cell keeps its end, as a path should; False: its beginning."""
     styles: Sequence[str] = ()
     """A style of rich for each cell."""
 
@@ -113,7 +113,7 @@ def table(
 
 
 def broken(text: str, width: int | None) -> str:
-    """Break each line of a text at spaces to fit a width; what goes on is indented."""
+    """Break each line of a text at spaces to fit a width; continuation lines are indented."""
     if width is None:
         return text
     return "\n".join(
@@ -122,7 +122,7 @@ def broken(text: str, width: int | None) -> str:
 
 
 def tell(said: "str | Group", stream: TextIO | None = None) -> None:
-    """Print a text, or what `table` made for the same stream, on stderr or on another stream."""
+    """Print a text or a `table`, by default on stderr."""
     from rich.console import Console
 
     stream = stream or sys.stderr

@@ -45,7 +45,7 @@ GROUPS = {
 """The commands as the help shows them."""
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 SERVICES = ("estimator", "agent")
-"""Commands that are a package's whole command line, not a word of it."""
+"""Commands that run the whole command line of a package, not one of its sub-commands."""
 COMPLETION = 'Tab completion in bash or zsh: eval "$(register-python-argcomplete plumeward)"'
 
 
@@ -117,14 +117,14 @@ def _run(name: str, words: list[str]) -> int | None:
 
 
 def _policies() -> dict[str, Any]:
-    """What only this package may tell `fly`, which does not know the agent: which policies there are."""
+    """Return the arguments by which `fly`, which must not import the agent, learns the policies."""
     from agent.policies import check, named
 
     return {"check_policy": check, "policies": named}
 
 
 def _words_to_complete() -> list[str]:
-    """Return the command whose arguments a shell wants completed; none while the command itself is being typed."""
+    """Return the command whose arguments the shell completes. While the command itself is typed, offer commands and exit."""
     line = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))]
     complete = f"{line}|".split()[:-1]  # without the word that the cursor is in
     start = int(os.environ[cli.COMPLETING])  # the words that `plumeward` itself takes in the line
@@ -138,7 +138,7 @@ def _words_to_complete() -> list[str]:
 
 def command() -> NoReturn:
     """Run as `plumeward`, the command that an install gives."""
-    os.environ["PYTHONSAFEPATH"] = "1"  # no process that is started takes an agent.py of the current folder for ours
+    os.environ["PYTHONSAFEPATH"] = "1"  # child processes ignore an agent.py in the current folder
     cli.run(main)
 
 

@@ -16,7 +16,7 @@ SENSORS = {
 
 
 def missions() -> Iterator[Line]:
-    """Yield the missions that ship: their names, and what they show."""
+    """Yield the shipped missions: their names, and what they show."""
     from sitl.script.script import load, shipped
 
     for name in shipped():
@@ -45,11 +45,11 @@ LISTS: dict[str, tuple[str, Callable[[], Iterator[Line]]]] = {
     "policies": ("--policy NAME", policies),
     "sensors": ("--sensor KIND or KIND:NUMBERS", sensors),
 }
-"""What can be listed: how it is chosen, and the lines."""
+"""Each list: how a command takes its names, and the function that yields its lines."""
 
 
 def main(arguments: list[str]) -> int:
-    """Print the lists that are asked for, or all."""
+    """Print one list, or all of them."""
     parser = cli.Parser(prog="plumeward list", description="List the missions, policies and sensors to choose from.")
     parser.add_argument("what", nargs="?", choices=tuple(LISTS), help="list only these (default: all)")
     what = parser.parse_args(arguments).what

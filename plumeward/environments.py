@@ -5,7 +5,7 @@ ENVIRONMENTS = {"plumeward/SourceSearch-v0": False, "plumeward/SourceSearchConti
 
 
 def register() -> None:
-    """Register the environments, once. Without gymnasium, which the extra `train` installs, there is nothing to register."""
+    """Register the environments, once. Does nothing without gymnasium, which the extra `train` installs."""
     try:
         import gymnasium
     except ModuleNotFoundError as error:

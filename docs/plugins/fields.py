@@ -1,25 +1,25 @@
-"""A griffe extension: docstrings as they are written here, and fields that are described in their types."""
+"""A griffe extension: shows this project's docstrings well, and takes the descriptions of fields from their types."""
 
 import re
 
 import griffe
 
 NEW_LINE = re.compile(r"\n(?=[a-z_]+(?:, [a-z_]+)*: |Returns |Raises )")
-"""Where a docstring begins to speak of another argument or of the result."""
+"""The start of a line about another argument, the result or an error."""
 IMPORTS = re.compile(r"\s*Imports: .+?\.(?=\n|$)")
-"""What a package's docstring says of its place in the house; the architecture page has it for all."""
+"""The imports that a package's docstring states; the architecture page lists them for all packages."""
 
 
 class Fields(griffe.Extension):
-    """Reads `field: Annotated[type, Meta(description="...")]`, and names of such types."""
+    """Reads `field: Annotated[type, Meta(description="...")]`, also if the field names such a type."""
 
     def on_instance(self, *, obj: griffe.Object, **_: object) -> None:
-        """Keep each argument on a line of its own, and leave out what a package imports."""
+        """Keep each argument on a line of its own, and leave out the imports of a package."""
         if obj.docstring:
             obj.docstring.value = NEW_LINE.sub("  \n", IMPORTS.sub("", obj.docstring.value))
 
     def on_attribute_instance(self, *, attr: griffe.Attribute, **_: object) -> None:
-        """Take the description for the docstring, and the type alone for the annotation."""
+        """Use the description as the docstring, and only the type as the annotation."""
         annotation = attr.annotation
         if isinstance(annotation, griffe.ExprName) and isinstance(named := attr.module.members.get(annotation.name), griffe.Attribute):
             annotation = named.value

@@ -1,4 +1,4 @@
-"""A hook of mkdocs: pages that are made from files elsewhere: notebooks, CONTRIBUTING.md and CHANGELOG.md."""
+"""A hook of mkdocs: makes pages from notebooks, CONTRIBUTING.md and CHANGELOG.md."""
 
 import base64
 import json
@@ -28,20 +28,20 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
-    """Lead links to those files to their pages; the notebook's own page offers it for download."""
+    """Point links to those files at their pages. A notebook's own page keeps the link to the file, for download."""
     markdown = re.sub(rf"\]\(\.\./((?:\.\./)*)({'|'.join(TOP_LEVEL)})\b", lambda found: f"]({found[1]}{found[2].lower()}", markdown)
     return re.sub(r"\]\(([\w./-]*?)([\w-]+)\.ipynb\)(?!\{ \.md-button)", r"](\1\2.md)", markdown)
 
 
 def from_docs(text: str) -> str:
-    """Links of a page beside README.md as they read in docs/; a link to a file that the site does not hold becomes its name."""
+    """Rewrite the links of a page beside README.md for docs/. A link to a file outside the site becomes plain text."""
     text = re.sub(r"\]\(docs/([^)]+)\)", r"](\1)", text)
     text = re.sub(r"\[([^\]]+)\]\(((?:\w+/)+[\w.]+|[\w.]+\.(?!md)\w+|README\.md)\)", r"\1", text)
     return re.sub(rf"\]\(({'|'.join(TOP_LEVEL)})\)", lambda found: f"]({found[1].lower()})", text)
 
 
 def pages(page: PurePosixPath, notebook: dict[str, Any]) -> Iterator[tuple[str, str | bytes]]:
-    """(name, content) of a notebook's page in Markdown, and of the pictures in it."""
+    """Yield (name, content) of each picture in a notebook, then of its page in Markdown."""
     text: list[str] = []
     for number, cell in enumerate(notebook["cells"]):
         source = "".join(cell["source"])
