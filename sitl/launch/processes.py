@@ -20,7 +20,7 @@ from link.cli import BAD_INPUT, FAILED, INTERRUPTED, LAUNCHER, uninterrupted
 from sitl.launch.output import Lines
 
 STOP_TIMEOUT_S, RECORDER_STOP_TIMEOUT_S = 1.0, 20.0
-"""How long a part may take to end. The recorder writes the rest of the record first, at low priority."""
+"""How long a part may take to end, and how much longer the recorder, which writes the end of the record at low priority."""
 LAST = ("recorder", "router")
 """Ended after the others, in this order, so that the record holds their last words."""
 ROOT = Path(__file__).parents[2]
@@ -234,20 +234,23 @@ class Processes:
         """End all of them: SIGTERM first, then SIGKILL. None is left, even if Ctrl-C is pressed meanwhile."""
         with contextlib.suppress(KeyboardInterrupt), uninterrupted():
             for group in (set(self._children) - set(LAST), *({part} for part in LAST)):
-                limit_s = RECORDER_STOP_TIMEOUT_S if "recorder" in group else STOP_TIMEOUT_S
-                self._end([child for part, child in self._children.items() if part in group], limit_s)
+                self._end([child for part, child in self._children.items() if part in group])
             for child in self._all:
                 child.join()
 
     @staticmethod
-    def _end(children: list[Child], limit_s: float) -> None:
+    def _end(children: list[Child]) -> None:
         for child in children:
             child.signal(signal.SIGTERM)
             child.signal(signal.SIGCONT)  # a stopped process cannot handle SIGTERM
-        deadline = time.monotonic() + limit_s
+        deadline = time.monotonic() + STOP_TIMEOUT_S
         for child in children:
-            if not child.wait(max(deadline - time.monotonic(), 0.0)):
-                if child.part == "recorder":
-                    print(f"warning: the recorder did not end within {limit_s:g} s: the record may lack its end", file=sys.stderr)
+            ended = child.wait(max(deadline - time.monotonic(), 0.0))
+            if not ended and child.part == "recorder":
+                print("waiting for the recorder to write the end of the record", file=sys.stderr)
+                ended = child.wait(RECORDER_STOP_TIMEOUT_S)
+                if not ended:
+                    print("warning: the recorder hangs and is killed: the record may lack its end", file=sys.stderr)
+            if not ended:
                 child.kill()
                 child.wait(STOP_TIMEOUT_S)
