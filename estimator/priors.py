@@ -7,12 +7,14 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from plume.parameters import GAMMA, KNOWN, MEASURED, NORMAL, PARAMETERS, UNIFORM
+from plume.parameters import GAMMA, GREATEST_CV, KNOWN, LOGNORMAL, MEASURED, NORMAL, PARAMETERS, UNIFORM
 
 Array = NDArray[np.float64]
 
 SMALLEST = 1e-6
-"""Lower bound of q, d and τ under every prior, so that they stay above 0."""
+"""Lower bound of a positive parameter under every prior, so that it stays above 0."""
+POSITIVE = ("q", "d", "tau", "wind-speed", "gain", "noise")
+NOT_NEGATIVE = (*POSITIVE, "u", "cv")
 
 
 @dataclass(frozen=True)
@@ -40,17 +42,26 @@ class Gamma:
 
 
 @dataclass(frozen=True)
+class LogNormal:
+    """Log-normal with a median; the logarithm's standard deviation is sigma, so two thirds lie within a factor of exp(sigma)."""
+
+    median: float
+    sigma: float
+
+
+@dataclass(frozen=True)
 class Fixed:
     """Known value."""
 
     value: float
 
 
-Prior = Uniform | Normal | Gamma | Fixed
-KINDS: dict[str, type[Uniform] | type[Normal] | type[Gamma] | type[Fixed]] = {
+Prior = Uniform | Normal | Gamma | LogNormal | Fixed
+KINDS: dict[str, type[Uniform] | type[Normal] | type[Gamma] | type[LogNormal] | type[Fixed]] = {
     "uniform": Uniform,
     "normal": Normal,
     "gamma": Gamma,
+    "lognormal": LogNormal,
     "fixed": Fixed,
 }
 
@@ -62,7 +73,7 @@ def parse(text: str) -> tuple[str, Prior]:
     if not equals or name not in PARAMETERS or kind not in KINDS:
         raise ValueError(
             f"{text!r} is not allowed; wanted NAME=KIND:NUMBERS with NAME of {', '.join(PARAMETERS)} and "
-            "KIND of uniform:LOW,HIGH normal:MEAN,STD gamma:SHAPE,SCALE fixed:VALUE"
+            "KIND of uniform:LOW,HIGH normal:MEAN,STD gamma:SHAPE,SCALE lognormal:MEDIAN,SIGMA fixed:VALUE"
         )
     wanted = ",".join(field.name.upper() for field in fields(KINDS[kind]))
     try:
@@ -76,12 +87,15 @@ def parse(text: str) -> tuple[str, Prior]:
         case Normal(_, std):
             sound, rule = std > 0, "STD above 0"
         case Gamma(shape, scale):
-            sound, rule = (
-                shape > 0 and scale > 0 and name not in ("x", "y", "z", "phi"),
-                "SHAPE and SCALE above 0, and NAME of q, u, d, tau",
-            )
+            sound = shape > 0 and scale > 0 and name in NOT_NEGATIVE
+            rule = f"SHAPE and SCALE above 0, and NAME of {', '.join(NOT_NEGATIVE)}"
+        case LogNormal(median, sigma):
+            sound = median > 0 and sigma > 0 and name in NOT_NEGATIVE
+            rule = f"MEDIAN and SIGMA above 0, and NAME of {', '.join(NOT_NEGATIVE)}"
         case Fixed(value):
-            sound, rule = value > 0 or name not in ("q", "d", "tau"), "VALUE above 0 for q, d, tau"
+            sound, rule = value > 0 or name not in POSITIVE, f"VALUE above 0 for {', '.join(POSITIVE)}"
+            if name == "cv":
+                sound, rule = 0 <= value <= GREATEST_CV, f"VALUE from 0 to {GREATEST_CV:g} for cv"
     if not (sound and all(map(math.isfinite, values))):
         raise ValueError(f"{text!r} is not allowed; wanted {rule}")
     return name, prior
@@ -89,13 +103,8 @@ def parse(text: str) -> tuple[str, Prior]:
 
 def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
     """Return the ends of a parameter's range under its prior; raises ValueError if the prior excludes every possible value."""
-    low, high = {
-        "x": (0.0, area_m),
-        "y": (0.0, area_m),
-        "q": (SMALLEST, math.inf),
-        "d": (SMALLEST, math.inf),
-        "tau": (SMALLEST, math.inf),
-    }.get(name, (0.0, math.inf) if name == "u" else (-math.inf, math.inf))
+    low = SMALLEST if name in POSITIVE else 0.0 if name in ("x", "y", "u", "cv") else -math.inf
+    high = area_m if name in ("x", "y") else GREATEST_CV if name == "cv" else math.inf
     match prior:
         case Uniform(a, b):
             low, high = max(low, a), min(high, b)
@@ -103,17 +112,19 @@ def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
             low, high = max(low, mean - 8 * std), min(high, mean + 8 * std)
         case Gamma():
             low = max(low, SMALLEST)
+        case LogNormal(median, sigma):
+            low, high = max(low, median * math.exp(-8 * sigma)), min(high, median * math.exp(8 * sigma))
     if not low < high:
         raise ValueError(f"the prior of {name} excludes every possible value")
     return low, high
 
 
 def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float) -> Array:
-    """Return the priors as the kernels take them, (8, 5): kind, two numbers, ends of the support.
+    """Return the priors as the kernels take them, (13, 5): kind, two numbers (of LOGNORMAL log median and sigma), ends of the support.
 
     A parameter in neither `priors` nor `known` (u, φ) is measured.
     """
-    rows = np.zeros((8, 5))
+    rows = np.zeros((len(PARAMETERS), 5))
     for index, name in enumerate(PARAMETERS):
         prior = priors.get(name, Fixed(known[name]) if name in known else None)
         match prior:
@@ -127,6 +138,8 @@ def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float
                 rows[index] = NORMAL, a, b, *support(name, prior, area_m)
             case Gamma(a, b):
                 rows[index] = GAMMA, a, b, *support(name, prior, area_m)
+            case LogNormal(a, b):
+                rows[index] = LOGNORMAL, math.log(a), b, *support(name, prior, area_m)
     return rows
 
 
@@ -148,7 +161,8 @@ def draw(rows: Array, unknowns: NDArray[np.int64], count: int, rng: np.random.Ge
             continue
         missing = np.arange(count)
         while len(missing):  # redraw values outside the support
-            result[row, missing] = rng.normal(a, b, len(missing)) if kind == NORMAL else rng.gamma(a, b, len(missing))
+            drawn = rng.gamma(a, b, len(missing)) if kind == GAMMA else rng.normal(a, b, len(missing))
+            result[row, missing] = np.exp(drawn) if kind == LOGNORMAL else drawn
             missing = missing[(result[row, missing] < low) | (result[row, missing] > high)]
     return result
 

@@ -1,7 +1,16 @@
-"""The parameters of a release: their order in arrays, and the kinds of prior knowledge about each."""
+"""The parameters of a release and of what measures it: their order in arrays, and the kinds of prior knowledge about each."""
 
-PARAMETERS = ("x", "y", "z", "q", "u", "phi", "d", "tau")
-"""Position m (z above home), release rate g/s, wind m/s and rad, diffusivity m²/s, lifetime s."""
-X, Y, Z, Q, U, PHI, D, TAU = range(8)
-KNOWN, UNIFORM, NORMAL, GAMMA, MEASURED = 0.0, 1.0, 2.0, 3.0, 4.0
+PARAMETERS = ("x", "y", "z", "q", "u", "phi", "d", "tau", "wind-direction", "wind-speed", "gain", "noise", "cv")
+"""Of the release: position m (z above home), release rate g/s, wind m/s and rad, diffusivity m²/s, lifetime s.
+
+Of what measures it: `wind-direction` is what has to be added to the measured direction, degrees counter-clockwise; `wind-speed` and `gain`
+are factors, true speed by measured speed and reading by concentration; `noise` is a factor on the sensor's noise; `cv` is the gas's
+intermittency, the coefficient of variation of the concentration around the plume's mean.
+"""
+X, Y, Z, Q, U, PHI, D, TAU, WIND_DIRECTION, WIND_SPEED, GAIN, NOISE, CV = range(13)
+NEUTRAL = {"wind-direction": 0.0, "wind-speed": 1.0, "gain": 1.0, "noise": 1.0}
+"""Values of a faultless anemometer and sensor."""
+KNOWN, UNIFORM, NORMAL, GAMMA, MEASURED, LOGNORMAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 """Kinds of knowledge about a parameter: known value, family of its prior, or measured with each reading (wind)."""
+GREATEST_CV = 3.0
+"""The strongest intermittency that the sensor model covers."""

@@ -47,6 +47,9 @@ class Draws(Protocol):
     def random(self, size: tuple[int, ...], /) -> NDArray[np.float64]:
         """U[0, 1)."""
 
+    def standard_gamma(self, shape: float, size: tuple[int, ...], /) -> NDArray[np.float64]:
+        """Gamma variables of this shape and scale 1."""
+
     def poisson(self, lam: NDArray[np.float64], /) -> NDArray[np.int64]:
         """Poisson counts with means `lam`."""
 
@@ -78,6 +81,10 @@ class Abreast:
     def random(self, _size: tuple[int, ...], /) -> NDArray[np.float64]:
         """(M,) of U[0, 1)."""
         return np.array(self._drawn(lambda generator, _: generator.random()))
+
+    def standard_gamma(self, shape: float, _size: tuple[int, ...], /) -> NDArray[np.float64]:
+        """(M,) gamma variables of this shape and scale 1."""
+        return np.array(self._drawn(lambda generator, _: generator.standard_gamma(shape)))
 
     def poisson(self, lam: NDArray[np.float64], /) -> NDArray[np.int64]:
         """(M,) Poisson counts with means `lam` (M,)."""

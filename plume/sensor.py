@@ -6,6 +6,7 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from plume.parameters import GREATEST_CV
 from plume.randomness import Draws
 
 Array = NDArray[np.float64]
@@ -22,6 +23,33 @@ def _normal_cdf(value: ArrayLike) -> Array:
     return np.asarray(0.5 * (1.0 + _erf(np.asarray(value) / math.sqrt(2.0))))
 
 
+def fluctuating(mean: Array, cv: float, rng: Draws) -> Array:
+    """Draw the concentration around each mean, g/m³: gamma-distributed with this coefficient of variation; the mean itself if it is 0."""
+    return mean * rng.standard_gamma(1 / cv**2, mean.shape) * cv**2 if cv > 0 else mean
+
+
+def _gamma_and_normal(reading: Array, mean: Array, std: Array, cv: float) -> Array:
+    """Log-density of c + v at each reading: c is gamma with this mean and coefficient of variation, v ~ N(0, std²).
+
+    The integral runs over log c and, where a shape below 1 piles the gas up at 0, is first integrated by parts.
+    """
+    reading, mean, std = np.broadcast_arrays(reading, mean, std)
+    shape, scale = 1 / cv**2, np.maximum(mean, 1e-12 * std) * cv**2
+    # c^(k−1) e^(−c/θ − (z−c)²/2σ²) = d(c^k)/k · g(c), so the integral is that of −c^k g'(c)/k, with −g' = g · (1/θ − (z − c)/σ²).
+    highest = np.log(np.maximum(np.maximum(reading, 0) + 12 * std, scale * (shape + 1) * 1e-3)) + 0.1
+    grid = np.linspace(0.0, 1.0, 6001)
+    low = np.minimum(np.log(scale * (shape + 1)), highest) - 45 / (shape + 1) - 3
+    log_c = low[..., None] + (highest - low)[..., None] * grid
+    c = np.exp(log_c)
+    gap = (reading[..., None] - c) / std[..., None]
+    exponent = (shape + 1) * log_c - c / scale[..., None] - 0.5 * gap * gap
+    top = exponent.max(axis=-1)
+    slope = 1 / scale[..., None] - gap / std[..., None]
+    total = (slope * np.exp(exponent - top[..., None])).sum(axis=-1) * (highest - low) * (grid[1] - grid[0])
+    constant = math.log(shape) + math.lgamma(shape) + shape * np.log(scale) + np.log(std) + 0.5 * np.log(2 * np.pi)
+    return np.asarray(np.log(total) + top - constant)
+
+
 @dataclass(frozen=True)
 class Gaussian:
     """The paper's sensor: z = m + v, v ~ N(0, σ²), σ² = (α m)² + β². The two noises are independent and add in quadrature."""
@@ -30,19 +58,31 @@ class Gaussian:
     """α: standard deviation as a share of the concentration."""
     environment_noise: float = 0.2
     """β: standard deviation in clean air, g/m³; above 0."""
+    cv: float = 0.0
+    """Intermittency of the gas: coefficient of variation of the concentration around the plume's mean, up to GREATEST_CV; 0 is steady gas.
+
+    The concentration is then gamma-distributed with shape k = 1/cv² and scale m/k, independent from reading to reading, and z = c + v."""
 
     def noise_std(self, mean: ArrayLike) -> Array:
         """σ(m), g/m³."""
         return np.sqrt(np.square(self.sensor_noise * np.asarray(mean, np.float64)) + self.environment_noise**2)
 
-    def measure(self, mean: ArrayLike, rng: Draws) -> Array:
-        """Draw a reading for each mean concentration, g/m³; same shape."""
+    def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None) -> Array:
+        """Draw a reading for each mean concentration, g/m³; same shape. `concentration`: the gas that is there, if it was drawn elsewhere."""
         mean = np.asarray(mean, np.float64)
-        return np.asarray(mean + self.noise_std(mean) * rng.standard_normal(mean.shape))
+        noise = self.noise_std(mean) * rng.standard_normal(mean.shape)
+        if concentration is None:
+            concentration = fluctuating(mean, self.cv, rng)
+        return np.asarray(concentration + noise)
 
     def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
-        """log N(z; m, σ(m)²) with its normaliser, which differs between hypotheses because σ depends on m."""
+        """log N(z; m, σ(m)²) with its normaliser, which differs between hypotheses because σ depends on m.
+
+        In intermittent gas that of the sum of a gamma-distributed concentration and the noise, by numerical integration over the gas.
+        """
         std = self.noise_std(mean)
+        if self.cv > 0:
+            return _gamma_and_normal(np.asarray(reading, np.float64), np.asarray(mean, np.float64), std, self.cv)
         residual = np.asarray(reading, np.float64) - np.asarray(mean, np.float64)
         return np.asarray(-0.5 * np.square(residual / std) - np.log(std) - 0.5 * np.log(2 * np.pi))
 
@@ -81,9 +121,9 @@ class Threshold:
     def _analog(self) -> Gaussian:
         return Gaussian(self.sensor_noise, self.environment_noise)
 
-    def measure(self, mean: ArrayLike, rng: Draws) -> Array:
-        """Draw a reading for each mean concentration, g/m³; same shape."""
-        value = self._analog().measure(mean, rng)
+    def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None) -> Array:
+        """Draw a reading for each mean concentration, g/m³; same shape. `concentration`: the gas that is there, if it was drawn elsewhere."""
+        value = self._analog().measure(mean, rng, concentration)
         seen = rng.random(value.shape) >= self.missed
         return np.where(seen & (value >= self.threshold), value, 0.0)
 
@@ -127,9 +167,10 @@ class Hits:
     background: float = 0.1
     """b: expected hits per reading in clean air; above 0."""
 
-    def measure(self, mean: ArrayLike, rng: Draws) -> Array:
-        """Draw a reading for each mean concentration, g/m³; same shape."""
-        return np.asarray(rng.poisson(self.efficiency * np.asarray(mean, np.float64) + self.background), np.float64)
+    def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None) -> Array:
+        """Draw a reading for each mean concentration, g/m³; same shape. `concentration`: the gas that is there, if it was drawn elsewhere."""
+        there = np.asarray(mean if concentration is None else concentration, np.float64)
+        return np.asarray(rng.poisson(self.efficiency * there + self.background), np.float64)
 
     def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
         """log P(k; e m + b)."""
@@ -182,9 +223,11 @@ def parse(text: str) -> Sensor:
     except (TypeError, ValueError):
         raise ValueError(f"{text!r} is not allowed; wanted {name} or {name}:{','.join(names)}") from None
     for field, value in zip(names, astuple(sensor), strict=True):
-        may_be_zero = field in ("missed", "sensor_noise")
-        if not (math.isfinite(value) and value >= 0 and (may_be_zero or value > 0) and (field != "missed" or value < 1)):
-            wanted = "a number from 0 to below 1" if field == "missed" else "a number from 0" if may_be_zero else "a number above 0"
+        may_be_zero = field in ("missed", "sensor_noise", "cv")
+        sound = math.isfinite(value) and value >= 0 and (may_be_zero or value > 0)
+        if not sound or (field == "missed" and value >= 1) or (field == "cv" and value > GREATEST_CV):
+            limited = {"missed": "a number from 0 to below 1", "cv": f"a number from 0 to {GREATEST_CV:g}"}
+            wanted = limited.get(field, "a number from 0" if may_be_zero else "a number above 0")
             raise ValueError(f"{text!r} is not allowed; {field} is {value:g}, wanted {wanted}")
     return sensor
 
