@@ -29,11 +29,13 @@ def _add_policy_arguments(parser: argparse.ArgumentParser, of: str) -> None:
 
 
 def _add_rollout_arguments(parser: argparse.ArgumentParser) -> None:
+    from agent.trials.evaluate import add_world_argument
     from estimator.options import add_sensor_argument
 
     _add_policy_arguments(parser, "mission")
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
+    add_world_argument(parser)
     cli.add_output_arguments(parser)
 
 
@@ -84,7 +86,9 @@ def _rollout(args: argparse.Namespace) -> None:
     from link.terminal import tell
     from plume.outcome import outcome_json, outcome_text
 
-    result, trace = rollout(args.seed, args.policy, args.particles, args.threshold, args.budget, cli.reach_given(args), **args.knowledge)
+    result, trace = rollout(
+        args.seed, args.policy, args.particles, args.threshold, args.budget, cli.reach_given(args), world=args.world, **args.knowledge
+    )
     tell(outcome_text(result), sys.stderr if args.json else sys.stdout)
     if args.json:
         print(outcome_json(result, trace if args.trace else None))

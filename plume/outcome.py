@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from plume.scenario import SUCCESS_RADIUS_M, Scenario
+from plume.worlds import AS_MODELLED
 
 
 class TracePoint(msgspec.Struct, frozen=True):
@@ -32,6 +33,8 @@ class Outcome(msgspec.Struct, frozen=True):
     estimate: tuple[float, float]
     source: tuple[float, float]
     scenario: Scenario
+    """The truth; in most worlds it is not what the estimator was told."""
+    world: str
     error_m: float
     spread_m: float
     steps: int
@@ -40,8 +43,10 @@ class Outcome(msgspec.Struct, frozen=True):
     """Compute time of estimator and agent, summed over the mission."""
 
 
-def outcome(seed: int, policy: str, scenario: Scenario, trace: Sequence[TracePoint], ceased: bool, search_time_s: float) -> Outcome:
-    """Judge a mission by its trace: the first point is the reading before any move."""
+def outcome(
+    seed: int, policy: str, scenario: Scenario, trace: Sequence[TracePoint], ceased: bool, search_time_s: float, world: str = AS_MODELLED
+) -> Outcome:
+    """Judge a mission by its true scenario and its trace, whose first point is the reading before any move."""
     last = trace[-1]
     error_m = math.dist(last.mean, scenario.source)
     return Outcome(
@@ -52,6 +57,7 @@ def outcome(seed: int, policy: str, scenario: Scenario, trace: Sequence[TracePoi
         estimate=last.mean,
         source=scenario.source,
         scenario=scenario,
+        world=world,
         error_m=error_m,
         spread_m=last.spread,
         steps=len(trace) - 1,

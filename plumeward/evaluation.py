@@ -8,6 +8,7 @@ from agent.policies import DEFAULT
 from agent.trials.evaluate import FIRST_TEST_SEED, named
 from agent.trials.sweep import Sweep, fly, on_cores, ordered
 from plume.scenario import BUDGET_STEPS
+from plume.worlds import AS_MODELLED, check
 
 
 def evaluate(
@@ -19,6 +20,7 @@ def evaluate(
     threshold_m: float = 0.5,
     budget: int = BUDGET_STEPS,
     workers: int = 1,
+    world: str | Sequence[str] = AS_MODELLED,
     **knowledge: Any,
 ) -> dict[str, Any]:
     """Fly the same missions with each policy and return the figures of each.
@@ -31,15 +33,17 @@ def evaluate(
         threshold_m: The search stops when the spread of the belief is below it, m.
         budget: Moves after which a mission is given up.
         workers: Processes that fly. A script that asks for more than one needs `if __name__ == "__main__":`.
+        world: One name that `plumeward list worlds` shows, or several of them.
         knowledge: Further fields of `plumeward.Config`, such as `sensor`.
 
     Returns:
-        A dict with an entry for each policy, as `plumeward evaluate --json` prints it. `ceased`, `located` and `false_stop` are shares
-        from 0 to 1, `mtd_m` is the mean distance travelled (m), `search_time_s` the compute time of a search (s), `nees_mean` is 2 for
-        an honest posterior. `located_interval` and the like are their 95% intervals, `[low, high]`.
+        A dict with an entry for each policy, as `plumeward evaluate --json` prints it; of several worlds each has its own, such as
+        `"homing world=wind-30"`. `ceased`, `located` and `false_stop` are shares from 0 to 1, `mtd_m` is the mean distance travelled (m),
+        `search_time_s` the compute time of a search (s), `nees_mean` is 2 for an honest posterior. `located_interval` and the like are
+        their 95% intervals, `[low, high]`.
 
     Raises:
-        ValueError: A policy is not known, or a number is out of range.
+        ValueError: A policy or a world is not known, or a number is out of range.
 
     Example:
         ```python
@@ -47,10 +51,14 @@ def evaluate(
         figures["homing"]["located"], figures["homing"]["located_interval"]
         ```
     """
-    names = [policies] if isinstance(policies, str) else list(dict.fromkeys(policies))
-    if not names or scenarios < 1 or workers < 1:
-        raise ValueError("wanted one policy, one scenario and one worker at least")
-    sweep = Sweep(names, range(first_seed, first_seed + scenarios), (particles,), (threshold_m,), budget, knowledge=knowledge)
+    names, worlds = ([it] if isinstance(it, str) else list(dict.fromkeys(it)) for it in (policies, world))
+    for name in worlds:
+        check(name)
+    if not names or not worlds or scenarios < 1 or workers < 1:
+        raise ValueError("wanted one policy, one world, one scenario and one worker at least")
+    sweep = Sweep(
+        names, range(first_seed, first_seed + scenarios), (particles,), (threshold_m,), budget, knowledge=knowledge, worlds=worlds
+    )
     by_seed = (list(flights) for _, flights in groupby(sweep.flights, key=lambda flight: flight[2]))
     flown = (rows for flights in by_seed for rows in fly(sweep, flights)) if workers == 1 else on_cores(workers)(sweep, by_seed)
     return named(ordered((row for rows in flown for row in rows), sweep))

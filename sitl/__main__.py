@@ -15,6 +15,7 @@ from link.bus.session import DEFAULT_ROUTER
 from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
+from plume.worlds import AS_MODELLED, WORLDS, check
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
 from sitl.script.script import AgentPart, OnBoard, Script, find, load, shipped
 from sitl.script.typed_yaml import Document, FileError
@@ -89,6 +90,11 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
         help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: threshold:0.5,0.3 (default: %(default)s)",
     )  # fmt: skip
     cli.completed(kind, lambda: sensor.KINDS)
+    world = parser.add_argument(
+        "--world", type=cli.checked(check, WORLDS), default=AS_MODELLED, metavar="NAME",
+        help="how the truth differs from what the estimator is told: a name of `plumeward list worlds` (default: %(default)s)",
+    )  # fmt: skip
+    cli.completed(world, lambda: WORLDS)
     parser.add_argument(
         "--home", type=_home, metavar="LAT,LON,ALT,HEADING", help="where home is, which is the south-west corner of the search area"
     )
@@ -111,7 +117,7 @@ OTHERS = {
 }
 """Commands with a module of their own. It is imported only for its command: a part starts fast."""
 FIELDS = {
-    "seed": "seed", "speedup": "speedup", "sensor": "sensor", "silence": "vehicle.silence_s", "policy": "agent.policy",
+    "seed": "seed", "speedup": "speedup", "sensor": "sensor", "world": "world", "silence": "vehicle.silence_s", "policy": "agent.policy",
     "budget": "agent.budget", "headings": "agent.headings", "step": "agent.step_m", "measurements": "agent.measurements",
     "particles": "estimator.particles", "threshold": "estimator.threshold_m", "prior": "estimator.prior",
     "stop_on": "estimator.stop_on",
@@ -227,7 +233,7 @@ def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]
     """Return the words of the command line that the uav has to know, too."""
     words = [args.mission] if args.mission else []
     changed = vars(given)
-    for name in ("seed", "sensor", "silence"):
+    for name in ("seed", "sensor", "world", "silence"):
         if name in changed:
             words += [f"--{name}", str(changed[name])]
     if args.home:
@@ -340,7 +346,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
             log.info(f"its agent: plumeward agent {joining} --sysid {config.sysid}")
         events = [event for event in script.events if isinstance(event, OnBoard)]
         try:
-            uav = Uav(config, script.world(), Clock(script.speedup), inbox, bus, args.out, log, events)
+            uav = Uav(config, script.simulated(), Clock(script.speedup), inbox, bus, args.out, log, events)
         except ValueError as error:
             print(f"error: --out: {error}", file=sys.stderr)
             return cli.BAD_INPUT

@@ -21,6 +21,7 @@ from agent.observation import BOUND, SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS
+from plume.worlds import AS_MODELLED, WORLDS
 
 TRAINING_SEEDS = 900_000
 """Training draws seeds below it. Seeds from it to a million are for validation, those from a million on for testing."""
@@ -52,12 +53,14 @@ class Settings:
     """ζ: AGDC stops when the spread is below it."""
     budget: int = BUDGET_STEPS
     """Moves after which a mission ends unsuccessfully."""
+    world: str = AS_MODELLED
+    """A world of plume/worlds.py: how the truth differs from what the estimator is told."""
 
     def __post_init__(self) -> None:
         """Raise ValueError on a value that is not allowed."""
         if not isinstance(self.continuous, bool | np.bool_):
             raise ValueError(f"continuous {self.continuous!r} is not allowed; wanted True or False")
-        for name, names in (("observation", SCHEMAS), ("reward", REWARDS)):
+        for name, names in (("observation", SCHEMAS), ("reward", REWARDS), ("world", WORLDS)):
             value = getattr(self, name)
             if not isinstance(value, str) or value not in names:
                 raise ValueError(f"{name} {value!r} is not allowed; wanted {' or '.join(names)}")
@@ -88,7 +91,7 @@ class Settings:
 
     def begin(self, seeds: Sequence[int], threads: int = 1) -> Missions:
         """Return new missions of these seeds."""
-        return Missions(seeds, self.observation, self.particles, self.threshold_m, threads)
+        return Missions(seeds, self.observation, self.particles, self.threshold_m, threads, self.world)
 
     def actions(self, given: Any, *count: int) -> NDArray[Any]:
         """Return `count` actions as an array, (B,) or (B, 2); without a count a single one, () or (2,). Raises ActionError."""

@@ -12,6 +12,7 @@ from estimator.filter import Config
 from plume.randomness import Keyed, derived_seed
 from plume.scenario import SUCCESS_RADIUS_M, draw
 from plume.world import World, gas_of
+from plume.worlds import AS_MODELLED
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -20,8 +21,10 @@ Indices = NDArray[np.int64]
 class Missions:
     """Missions with the paper's assumptions: x and y unknown, a Gaussian sensor. All arrays have one row per mission."""
 
-    def __init__(self, seeds: Sequence[int], schema: str, particles: int, threshold_m: float, threads: int = 1) -> None:
-        """Begin the mission of each seed and take its first reading."""
+    def __init__(
+        self, seeds: Sequence[int], schema: str, particles: int, threshold_m: float, threads: int = 1, world: str = AS_MODELLED
+    ) -> None:
+        """Begin the mission of each seed in the world of this name and take its first reading."""
         count = len(seeds)
         self._schema = SCHEMAS[schema]
         self._particles, self._threshold_m = particles, threshold_m
@@ -37,7 +40,8 @@ class Missions:
         self._facts = np.empty((count, len(FACTS)))
         self._sources = np.empty((count, 2))
         self._noise = Keyed()
-        self._worlds = [World(draw(seed), seed) for seed in self.seeds.tolist()]
+        self._world = world
+        self._worlds = [World(draw(seed), seed, name=world) for seed in self.seeds.tolist()]
         self._batch = Batch([self._told(mission) for mission in range(count)], threads)
         self._read(np.arange(count))
 
@@ -45,7 +49,7 @@ class Missions:
         """Replace these missions by missions of other seeds."""
         self.seeds[missions] = seeds
         for mission, seed in zip(missions.tolist(), seeds, strict=True):
-            self._worlds[mission] = World(draw(seed), seed)
+            self._worlds[mission] = World(draw(seed), seed, name=self._world)
             self._batch.begin(mission, self._told(mission))
         self._read(missions)
 
@@ -72,7 +76,7 @@ class Missions:
         world, seed = self._worlds[mission], int(self.seeds[mission])
         scenario = world.scenario
         self.steps[mission], self.distances_m[mission], self.ceased[mission] = 0, 0.0, False
-        self.positions[mission], self._sources[mission] = world.start, scenario.source
+        self.positions[mission], self._sources[mission] = world.start, world.truth.source
         known = (scenario.q, scenario.d, scenario.tau)
         self._facts[mission, observation.WIND_X : observation.LIFETIME + 1] = *world.wind, *known
         return Config(self._particles, self._threshold_m, derived_seed(seed, "estimator"), *known)

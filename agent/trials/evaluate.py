@@ -25,6 +25,7 @@ from link import cli
 from link.terminal import Column, table, tell, width_of
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
+from plume.worlds import AS_MODELLED, WORLDS, check
 
 if TYPE_CHECKING:
     from agent.trials.sweep import Sweep
@@ -43,7 +44,7 @@ SHOWN = {
     "decision_ms": (6, "decision"),
 }
 """Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All are in the JSON."""
-SHARED = {"N": "N = {}", "ζ, m": "ζ = {} m", "missions": "{} missions each"}
+SHARED = {"world": "world {}", "N": "N = {}", "ζ, m": "ζ = {} m", "missions": "{} missions each"}
 """How the line above the table says a setting that all rows share."""
 SHORTEST_NAME = 16
 """A narrow terminal shows at least so many characters of a policy's name."""
@@ -55,6 +56,19 @@ def address(text: str) -> str:
     if text != "auto" and not (host and port.isdecimal() and 0 < int(port) < 65536):
         raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto")
     return text
+
+
+def add_world_argument(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the flag that chooses the world, or with `several` the worlds."""
+    world = cli.checked(check, WORLDS)
+    argument = parser.add_argument(
+        "--world",
+        type=cli.listed(world) if several else world,
+        default=[AS_MODELLED] if several else AS_MODELLED,
+        metavar="NAME,NAME" if several else "NAME",
+        help=f"how the truth differs from what the estimator is told: a name of `plumeward list worlds` (default: {AS_MODELLED})",
+    )
+    cli.completed(argument, lambda: WORLDS)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cli.add_reach_arguments(parser, BUDGET_STEPS)
     cli.add_filter_arguments(parser, several=True)
     add_sensor_argument(parser)
+    add_world_argument(parser, several=True)
     parser.add_argument("--missions", type=Path, metavar="FILE.csv", help="write one row per mission to this file; FILE.csv.gz compresses")
     cli.add_output_guard(parser)
     parser.add_argument(
@@ -96,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
 
     sweep = Sweep(
         args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.threshold, args.budget,
-        cli.reach_given(args), args.knowledge,
+        cli.reach_given(args), args.knowledge, worlds=args.world,
     )  # fmt: skip
     try:
         for name in args.policy:
@@ -163,12 +178,12 @@ def _evaluate(sweep: "Sweep", args: argparse.Namespace) -> int:
 
 
 def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
-    """Return the figures by policy. Where particles or thresholds differ, the key names them too."""
-    groups = [(key, list(group)) for key, group in groupby(rows, key=lambda row: (row.policy, row.particles, row.threshold_m))]
-    single = len({key[1:] for key, _ in groups}) == 1
+    """Return the figures by policy. Where worlds differ, the key names the world too; so it is with particles and thresholds."""
+    groups = [(key, list(group)) for key, group in groupby(rows, key=lambda row: (row.policy, row.world, row.particles, row.threshold_m))]
+    several_worlds, several_filters = len({key[1] for key, _ in groups}) > 1, len({key[2:] for key, _ in groups}) > 1
     return {
-        name if single else f"{name} particles={count} threshold={threshold_m:g}": figures(group)
-        for (name, count, threshold_m), group in groups
+        f"{name}{f' world={world}' * several_worlds}{f' particles={count} threshold={threshold_m:g}' * several_filters}": figures(group)
+        for (name, world, count, threshold_m), group in groups
     }
 
 
@@ -211,13 +226,16 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
     """Print the figures of `named` as a table, for people; `elsewhere` says how to see what a narrow terminal leaves out."""
     said = list(result.values())
     settings = {
+        "world": [row["world"] for row in said],
         "N": [f"{row['particles']:,}" for row in said],
         "ζ, m": [f"{row['threshold_m']:g}" for row in said],
         "missions": [f"{row['missions']:,}" for row in said],
     }
-    shared = [SHARED[name].format(cells[0]) for name, cells in settings.items() if len(set(cells)) == 1]
+    shared = [SHARED[name].format(cells[0]) for name, cells in settings.items() if len(set(cells)) == 1 and cells[0] != AS_MODELLED]
     columns = [
-        Column("policy", [name.split(" particles=")[0] for name in result], left=True, least=SHORTEST_NAME, keeps_end=True),
+        Column(
+            "policy", [name.split(" world=")[0].split(" particles=")[0] for name in result], left=True, least=SHORTEST_NAME, keeps_end=True
+        ),
         *(Column(name, cells) for name, cells in settings.items() if len(set(cells)) > 1),
         *(Column(COLUMNS[key][0], [cell(row, key) for row in said], rank, name, stacks=True) for key, (rank, name) in SHOWN.items()),
     ]

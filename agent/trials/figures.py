@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.sensor import GAUSSIAN, text
+from plume.worlds import AS_MODELLED
 
 Array = NDArray[np.float64]
 RESAMPLES = 1000
@@ -62,12 +63,13 @@ class MissionRow(msgspec.Struct, frozen=True):
     update_ms: float
     """Mean compute time of the estimator for a reading."""
     sensor: str = text(GAUSSIAN)
-    """Older files lack this column and the next three; their rows get these defaults."""
+    """Older files lack this column and the next ones; their rows get these defaults."""
     prior: str | None = None
     """The priors given, in the form of `--prior`, separated by spaces; None where there were none."""
     stop_on: str = "location"
     version: str | None = None
     """Version of Plumeward that flew it; None where the row does not say."""
+    world: str = AS_MODELLED
 
 
 class Interval(msgspec.Struct, frozen=True):
@@ -112,7 +114,7 @@ def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Inte
 
 
 def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
-    """Figures of missions of one policy, one number of particles and one ζ. Those that no ceased mission defines are None."""
+    """Figures of missions of one policy, one world, one number of particles and one ζ. Those that no ceased mission defines are None."""
     ceased = [row for row in rows if row.ceased]
     located = sum(row.located for row in ceased)
 
@@ -135,7 +137,8 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
         "decision_ms": bootstrap(np.array([row.decision_ms for row in rows])),
         "update_ms": bootstrap(np.array([row.update_ms for row in rows])),
     }
-    summary: dict[str, Any] = {"missions": len(rows), "particles": rows[0].particles, "threshold_m": rows[0].threshold_m}
+    first = rows[0]
+    summary: dict[str, Any] = {"missions": len(rows), "particles": first.particles, "threshold_m": first.threshold_m, "world": first.world}
     for name, interval in intervals.items():
         known = not math.isnan(interval.value)
         summary[name] = interval.value if known else None

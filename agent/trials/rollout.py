@@ -15,6 +15,7 @@ from plume.outcome import Outcome, TracePoint, outcome
 from plume.randomness import derived_seed
 from plume.scenario import BUDGET_STEPS, Scenario, draw
 from plume.world import World
+from plume.worlds import AS_MODELLED
 
 ALTITUDE_M = 5.0
 USUAL: Mapping[str, float] = MappingProxyType({})
@@ -44,13 +45,14 @@ class Mission(NamedTuple):
 
 
 def mission(
-    seed: int, policy: str, particles: int, threshold_m: float, budget: int, moves: Mapping[str, float] = USUAL, **knowledge: Any
-) -> Mission:
+    seed: int, policy: str, particles: int, threshold_m: float, budget: int, moves: Mapping[str, float] = USUAL,
+    world: str = AS_MODELLED, **knowledge: Any,
+) -> Mission:  # fmt: skip
     """Prepare the mission of a seed with a policy. `moves`: fields of `Reach`. `knowledge`: other fields of `Config`, like the sensor."""
-    scenario = draw(seed)
-    config = Config(particles, threshold_m, derived_seed(seed, "estimator"), scenario.q, scenario.d, scenario.tau, **knowledge)
-    world = World(scenario, seed, config.sensor)
-    return Mission(scenario, config, _steps(world, config, policy, derived_seed(seed, "agent"), budget, reach(policy, moves)))
+    told = draw(seed)
+    config = Config(particles, threshold_m, derived_seed(seed, "estimator"), told.q, told.d, told.tau, **knowledge)
+    there = World(told, seed, config.sensor, world)
+    return Mission(there.truth, config, _steps(there, config, policy, derived_seed(seed, "agent"), budget, reach(policy, moves)))
 
 
 def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: int, within: Reach) -> Iterator[Step]:
@@ -70,7 +72,7 @@ def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: i
 
 def rollout(
     seed: int, policy: str = DEFAULT, particles: int = 1000, threshold_m: float = 0.5, budget: int = BUDGET_STEPS,
-    moves: Mapping[str, float] = USUAL, **knowledge: Any,
+    moves: Mapping[str, float] = USUAL, world: str = AS_MODELLED, **knowledge: Any,
 ) -> tuple[Outcome, list[TracePoint]]:  # fmt: skip
     """Fly one mission in this process, without a network. The same mission over Zenoh gives the same bits.
 
@@ -81,13 +83,14 @@ def rollout(
         threshold_m: The search stops when the spread of the belief is below it, m.
         budget: Moves after which the mission is given up.
         moves: Of a planner: `headings`, `step` (m) and `measurements`, where its own are not wanted.
+        world: How the truth differs from what the estimator is told: a name that `plumeward list worlds` shows.
         knowledge: Further fields of `plumeward.Config`, such as `sensor` and `priors`.
 
     Returns:
         The outcome, and a trace of one point for each reading, the first of them before any move. Lengths are in metres.
 
     Raises:
-        ValueError: The policy is not known, or cannot be flown so.
+        ValueError: The policy or the world is not known, or cannot be flown so.
 
     Example:
         ```python
@@ -95,10 +98,10 @@ def rollout(
         print(outcome.located, outcome.error_m, len(trace))
         ```
     """
-    flown = mission(seed, policy, particles, threshold_m, budget, moves, **knowledge)
+    flown = mission(seed, policy, particles, threshold_m, budget, moves, world=world, **knowledge)
     trace: list[TracePoint] = []
     search_time_s = 0.0
     for said, _, update_s, decision_s in flown.steps:
         trace.append(TracePoint(said.position, said.gas, said.mean, said.spread))
         search_time_s += update_s + decision_s
-    return outcome(seed, policy, flown.scenario, trace, said.ceased, search_time_s), trace
+    return outcome(seed, policy, flown.scenario, trace, said.ceased, search_time_s, world), trace

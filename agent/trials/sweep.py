@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import astuple, dataclass, field
 from functools import cache, partial
-from itertools import groupby
+from itertools import groupby, product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,6 +26,7 @@ from link.bus.messages import Belief
 from plume import __version__
 from plume.scenario import BUDGET_STEPS, STEP_M, SUCCESS_RADIUS_M
 from plume.sensor import GAUSSIAN, text
+from plume.worlds import AS_MODELLED
 
 PACKAGES = ("plume", "link", "estimator", "agent")
 
@@ -43,25 +44,32 @@ class Sweep:
     """Fields of `Reach` that replace the planner's own."""
     knowledge: dict[str, Any] = field(default_factory=dict)
     """Other fields of `Config`."""
+    worlds: Sequence[str] = (AS_MODELLED,)
 
     @property
     def flights(self) -> Iterator["Flight"]:
         """All flights, seed by seed. One flight serves all thresholds."""
-        return ((policy, particles, seed) for seed in self.seeds for policy in self.policies for particles in self.particles)
+        return (
+            (policy, particles, seed, world)
+            for seed in self.seeds
+            for policy in self.policies
+            for particles in self.particles
+            for world in self.worlds
+        )
 
     @property
     def count(self) -> int:
         """Number of flights."""
-        return len(self.seeds) * len(self.policies) * len(self.particles)
+        return len(self.seeds) * len(self.policies) * len(self.particles) * len(self.worlds)
 
     def __contains__(self, flight: "Flight") -> bool:
         """Whether the sweep includes a flight."""
-        policy, particles, seed = flight
-        return policy in self.policies and particles in self.particles and seed in self.seeds
+        policy, particles, seed, world = flight
+        return policy in self.policies and particles in self.particles and seed in self.seeds and world in self.worlds
 
 
-Flight = tuple[str, int, int]
-"""(policy, particles, seed)."""
+Flight = tuple[str, int, int, str]
+"""(policy, particles, seed, world)."""
 Rows = Annotated[list[MissionRow], msgspec.Meta(min_length=1)]
 """The rows of a flight, one per ζ."""
 Flyer = Callable[[Sweep, Iterable[Sequence[Flight]]], Generator[list[MissionRow], None, None]]
@@ -71,11 +79,12 @@ Flyer = Callable[[Sweep, Iterable[Sequence[Flight]]], Generator[list[MissionRow]
 def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
     """Fly missions of one seed until their spread is below the smallest ζ; returns their rows, one per ζ, each as of the stop at this ζ."""
     missions = [
-        mission(seed, policy, particles, min(sweep.thresholds_m), sweep.budget, sweep.moves, **sweep.knowledge)
-        for policy, particles, seed in flights
+        mission(seed, policy, particles, min(sweep.thresholds_m), sweep.budget, sweep.moves, world=world, **sweep.knowledge)
+        for policy, particles, seed, world in flights
     ]
-    floors = _floors(sweep, missions[0])
-    return [_fly(sweep, flight, ready, floors) for flight, ready in zip(flights, missions, strict=True)]
+    modelled = [ready for flight, ready in zip(flights, missions, strict=True) if flight[3] == AS_MODELLED]
+    floors = _floors(sweep, modelled[0]) if modelled else {}
+    return [_fly(sweep, flight, ready, floors if flight[3] == AS_MODELLED else {}) for flight, ready in zip(flights, missions, strict=True)]
 
 
 def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
@@ -122,7 +131,7 @@ def _row(
     sweep: Sweep, flight: Flight, config: Config, threshold_m: float, ceased: bool, last: Belief, source: tuple[float, float],
     distance_m: float, floor_m: float | None, updates_s: Sequence[float], decisions_s: Sequence[float],
 ) -> MissionRow:  # fmt: skip
-    policy, particles, seed = flight
+    policy, particles, seed, world = flight
     moves, learned = reach(policy, sweep.moves), bundle_path(policy) is not None
     error = np.subtract(last.mean, source)
     error_m = math.dist(last.mean, source)
@@ -153,6 +162,7 @@ def _row(
         update_ms=1e3 * float(np.mean(updates_s)),
         **told(config),
         version=__version__,
+        world=world,
     )
 
 
@@ -189,7 +199,7 @@ def _kept(journal: Path) -> dict[Flight, list[MissionRow]]:
             for line in file:
                 with suppress(msgspec.DecodeError, UnicodeDecodeError):
                     rows = msgspec.json.decode(line, type=Rows)
-                    done[rows[0].policy, rows[0].particles, rows[0].seed] = rows
+                    done[rows[0].policy, rows[0].particles, rows[0].seed, rows[0].world] = rows
     return done
 
 
@@ -225,5 +235,5 @@ def journal_of(sweep: Sweep, folder: Path) -> Path:
 
 def ordered(rows: Iterable[MissionRow], sweep: Sweep) -> list[MissionRow]:
     """Return rows in the order of the request, whichever worker ended first."""
-    rank = {policy: i for i, policy in enumerate(sweep.policies)}
-    return sorted(rows, key=lambda row: (rank[row.policy], row.particles, row.threshold_m, row.seed))
+    rank = {flown: i for i, flown in enumerate(product(sweep.policies, sweep.worlds))}
+    return sorted(rows, key=lambda row: (rank[row.policy, row.world], row.particles, row.threshold_m, row.seed))

@@ -23,6 +23,7 @@ from link.bus.session import Arrival, Bus, LivelinessChange
 from plume import COMPILING, __version__
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.randomness import derived_seed
+from plume.worlds import AS_MODELLED
 from sitl.autopilot.operator import OPERATOR, command
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.joining import await_services
@@ -137,8 +138,8 @@ def start_parts(processes: Processes, mission: Launch, relays: dict[str, Relay])
     recording = None
     if mission.record:
         about = {
-            "mission": script, "seed": script.seed, "policy": script.agent.policy, "budget": script.budget, "scenario": script.release(),
-            "parts": services,
+            "mission": script, "seed": script.seed, "policy": script.agent.policy, "budget": script.budget,
+            "scenario": script.simulated().truth, "parts": services,
         }  # fmt: skip
         about_json = msgspec.json.encode(about).decode()
         recording = processes.start("recorder", "sitl", "record", str(mission.record), *joining("recorder"), "--about", about_json)
@@ -307,7 +308,8 @@ class _Watch:
         if self._last is None:
             if script.about:
                 self._progress.say(script.about)
-            self._progress.say(f"mission: seed {script.seed}, {script.agent.policy}, {pace(script.speedup)}")
+            where = "" if script.world == AS_MODELLED else f"world {script.world}, "
+            self._progress.say(f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}")
             self._progress.say(f"router at {self._endpoint}")
             if self._files and (trouble := self._files.take_place()):
                 self._progress.say(f"warning: {trouble}")
@@ -347,7 +349,8 @@ class _Watch:
             if event.step is not None and event.step > last.step:
                 self._progress.say(f"warning: events[{number}] of step {event.step} did not happen: the search ended at step {last.step}")
         search_time_s = sum(self._compute[service].compute_s for service in ("estimator", "agent") if service in self._compute)
-        result = outcome(script.seed, script.agent.policy, script.release(), points, last.ceased, search_time_s)
+        truth = script.simulated().truth
+        result = outcome(script.seed, script.agent.policy, truth, points, last.ceased, search_time_s, script.world)
         so = {
             "ceased": result.ceased, "not ceased": not result.ceased, "located": result.located, "not located": not result.located,
             "false stop": result.ceased and not result.located, "warned": self._warned, "landed": self._landed,

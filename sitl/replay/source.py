@@ -117,7 +117,7 @@ def _slowest_s(entries: list[Entry]) -> float:
 def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
     """Read an autopilot's log as the flags `chosen` say, for an estimator with the flags `filtering`; raises BadSource."""
     try:
-        world = script.load(chosen["plume"]).world() if "plume" in chosen else None
+        world = script.load(chosen["plume"]).simulated() if "plume" in chosen else None
         flown = flight.read(
             path, system=chosen.get("sysid"), gas=chosen.get("gas", "gas"), wind=chosen.get("wind"), every_s=chosen.get("every", 1.0),
             origin=chosen.get("origin"), area_m=chosen.get("area"), plume=world,
@@ -135,7 +135,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
         for word in (f"--{name.replace('_', '-')}", str(each))
     ]
     estimator = [*words, "--sysid", str(flown.system), "--area", repr(flown.area_m)]
-    truth = world.scenario.source if world else None
+    truth = world.truth.source if world else None
     return Source(path, flown.entries, {}, {"estimator": estimator}, f"uav/{flown.system}", False, truth=truth, notes=tuple(flown.notes))
 
 

@@ -16,6 +16,7 @@ from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario, draw
 from plume.world import World
+from plume.worlds import AS_MODELLED, WORLDS, check
 from sitl.autopilot.config import VehicleConfig
 from sitl.script.typed_yaml import Document, FileError
 
@@ -216,19 +217,22 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     scenario: ScenarioPart = ScenarioPart()
     vehicle: VehiclePart = VehiclePart()
     sensor: Annotated[str, Meta(description="gaussian, threshold or hits, with optional numbers: 'threshold:0.5,0.3'")] = "gaussian"
+    world: Annotated[
+        str, Meta(description="how the truth differs from what the estimator is told", extra_json_schema={"enum": list(WORLDS)})
+    ] = AS_MODELLED
     estimator: EstimatorPart = EstimatorPart()
     agent: AgentPart = AgentPart()
     events: list[OnBoard | Waypoints | Lawnmower | Kill | Cut] = []
     expect: Annotated[Expectation | list[Expectation], Meta(description="what must hold at the end; decides the exit status")] = []
 
     def release(self) -> Scenario:
-        """Return the scenario: the fields given, the others drawn by the seed."""
+        """Return the scenario that the estimator is told: the fields given, the others drawn by the seed."""
         given = {name: value for name, value in msgspec.structs.asdict(self.scenario).items() if value is not None}
         return msgspec.structs.replace(draw(self.seed), **given)
 
-    def world(self) -> World:
-        """Return the simulated world of the mission."""
-        return World(self.release(), self.seed, sensor.parse(self.sensor))
+    def simulated(self) -> World:
+        """Return the simulated world of the mission; it holds the truth."""
+        return World(self.release(), self.seed, sensor.parse(self.sensor), self.world)
 
     def vehicle_config(self, sysid: int) -> VehicleConfig:
         """Return the vehicle's configuration, with `silence_s` converted from real to simulation time.
@@ -300,6 +304,10 @@ def load(mission: str | Path) -> Script:
         sensor.parse(script.sensor)
     except ValueError as error:
         raise document.error(["sensor"], str(error)) from None
+    try:
+        check(script.world)
+    except ValueError as error:
+        raise document.error(["world"], str(error)) from None
     taken: dict[int, int] = {}
     for number, event in enumerate(script.events):
         _check(document, number, event)

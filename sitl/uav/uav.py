@@ -100,6 +100,7 @@ class Uav:
         self._last_reading = b""
         self._last_time_boot_ms = -1
         self._readings = 0
+        self._tried = -1  # number of the newest reading that was tried
         self._codec = Codec(config.sysid, COMPONENT)
         self._resend_s = RESEND_FIRST_S
         self._resend_at = time.monotonic()
@@ -259,7 +260,9 @@ class Uav:
             self._perform(event)
         north, east, down = arrived.position
         self._last_time_boot_ms = max(round(self._vehicle.now_s * 1000), self._last_time_boot_ms + 1)
-        silent = self._sensor.silent(self._vehicle.now_s)
+        lost = self._world.loses(self._readings) and self._tried < self._readings
+        self._tried = self._readings
+        silent = lost or self._sensor.silent(self._vehicle.now_s)
         gas = math.nan if silent else self._sensor.read(self._world.gas((east, north), self._readings))
         reading = pack_reading(self._codec, Reading(self._last_time_boot_ms, (east, north), -down, self._world.wind, gas))
         if silent:
@@ -313,9 +316,9 @@ class Uav:
         self._broadcast(self._protocol.statustext(mavlink.MAV_SEVERITY_INFO, text))
         match event:
             case Wind(u=u, phi=phi):
-                scenario = self._world.scenario
-                turned = {"u": scenario.u if u is None else u, "phi": scenario.phi if phi is None else phi}
-                self._world = World(msgspec.structs.replace(scenario, **turned), self._world.seed, self._world.sensor)
+                world = self._world
+                turned = {"u": world.scenario.u if u is None else u, "phi": world.scenario.phi if phi is None else phi}
+                self._world = World(msgspec.structs.replace(world.scenario, **turned), world.seed, world.sensor, world.name)
             case Dropout() | Stuck() | Spike():
                 self._sensor.begin(event, self._vehicle.now_s)
             case Delay() | Duplicate() | Lose():

@@ -11,6 +11,7 @@ import numpy as np
 from agent.policies import OURS
 from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow, figures
+from plume.worlds import AS_MODELLED
 
 AS_GOOD = 0.01
 """Policies whose ceased shares differ by at most this much are compared by their MTD."""
@@ -92,6 +93,8 @@ def read(folder: Path) -> Results:
     missions: dict[Key, dict[int, MissionRow]] = {}
     for path in sorted(path for path in folder.iterdir() if path.name.endswith((".csv", ".csv.gz"))):
         for row in read_csv(path):
+            if row.world != AS_MODELLED:
+                raise ValueError(f"{path}: missions in the world {row.world!r}; a report takes those of {AS_MODELLED!r} alone")
             same = missions.setdefault((row.policy, Setting(row.particles, row.threshold_m)), {})
             if _way(same.setdefault(row.seed, row)) != _way(next(iter(same.values()))):
                 raise ValueError(f"{path}: {row.policy} was flown with other settings there ({', '.join(WAY)})")
