@@ -34,13 +34,13 @@ class Outcome(msgspec.Struct, frozen=True):
     source: tuple[float, float]
     scenario: Scenario
     """The truth; in most worlds it is not what the estimator was told."""
-    world: str
     error_m: float
     spread_m: float
     steps: int
     distance_m: float
     search_time_s: float
     """Compute time of estimator and agent, summed over the mission."""
+    world: str = AS_MODELLED
 
 
 def outcome(
@@ -57,12 +57,12 @@ def outcome(
         estimate=last.mean,
         source=scenario.source,
         scenario=scenario,
-        world=world,
         error_m=error_m,
         spread_m=last.spread,
         steps=len(trace) - 1,
         distance_m=sum(math.dist(a.position, b.position) for a, b in pairwise(trace)),
         search_time_s=search_time_s,
+        world=world,
     )
 
 

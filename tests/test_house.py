@@ -108,6 +108,7 @@ def test_sitl_and_the_services_do_not_know_each_other() -> None:
 def test_nothing_that_estimates_or_plans_can_be_handed_the_truth(path: Path) -> None:
     if not name_of(path).startswith(JUDGES):
         assert not {name for module, name in imports(path) if module.startswith("plume")} & TRUTH
+        assert not {module for module, _ in imports(path)} & {"plume.world", "plume.worlds"}
 
 
 @pytest.mark.parametrize("path", sorted((*FILES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py"))), ids=name_of)
@@ -152,10 +153,12 @@ def test_the_services_get_neither_the_missions_seed_nor_its_source(monkeypatch: 
         return Out()
 
     monkeypatch.setattr(Processes, "start", start)
-    scenario = draw(123456)
-    mission = Launch(Script(seed=123456), uav_arguments=("--seed", "123456"), record=Path("record.mcap"))
+    script = Script(seed=123456, world="all-at-once")
+    truth = script.simulated().truth
+    mission = Launch(script, uav_arguments=("--seed", "123456", "--world", "all-at-once"), record=Path("record.mcap"))
     start_parts(Processes(queue.SimpleQueue()), mission, {})
-    secrets = {"123456", *map(repr, scenario.source)}
-    assert "123456" in started["uav"]
+    secrets = {"123456", "all-at-once", *map(repr, (*truth.source, truth.q, truth.d, truth.tau, truth.u, truth.phi))}
+    assert {"123456", "all-at-once"} <= set(started["uav"])
+    assert str(draw(123456).q) in started["estimator"]  # what it is told
     for part in ("estimator", "agent"):
         assert not secrets & set(started[part])

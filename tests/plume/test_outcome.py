@@ -35,7 +35,7 @@ def test_the_json_has_the_fields_that_others_rely_on() -> None:
     fields = json.loads(outcome_json(outcome(1, "random", SCENARIO, trace, True, 0.1), trace))
     assert set(fields) == {
         "seed", "policy", "ceased", "located", "estimate", "source", "scenario", "error_m", "spread_m", "steps", "distance_m",
-        "search_time_s", "trace",
+        "search_time_s", "world", "trace",
     }  # fmt: skip
     assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}
     assert set(fields["trace"][0]) == {"position", "reading", "mean", "spread"}

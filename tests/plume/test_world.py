@@ -57,12 +57,6 @@ def test_a_reading_is_what_the_sensor_makes_of_the_concentration_with_the_noise_
             assert World(s, seed, sensor).gas(position, 3) == np.float32(expected)
 
 
-def test_worlds_of_different_sensors_are_not_read_at_once() -> None:
-    worlds = [World(draw(1), 1), World(draw(1), 1, Hits())]
-    with pytest.raises(ValueError, match="worlds that are read together must have the same sensor"):
-        gas_of(worlds, np.zeros((2, 2)), [0, 0], Keyed())
-
-
 def test_streams_of_one_seed_are_uncorrelated() -> None:
     one, other = keyed(1, "sensor").standard_normal(20_000), keyed(1, "move").standard_normal(20_000)
     assert abs(np.corrcoef(one, other)[0, 1]) < 4 / np.sqrt(20_000)

@@ -11,6 +11,7 @@ import pytest
 
 from plume import __version__
 from plume.sensor import KINDS, Sensor, parse
+from plume.worlds import WORLDS
 from plumeward.__main__ import COMMANDS, GROUPS, main
 
 ROOT = Path(__file__).parents[2]
@@ -54,26 +55,35 @@ def test_help_loads_nothing_that_takes_long(tmp_path: Path, command: str) -> Non
     assert ran.stdout.endswith("loaded []\n")
 
 
-def test_missions_policies_and_sensors_are_listed_by_name(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missions_policies_sensors_and_worlds_are_listed_by_name(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     status, everything, _ = said(capsys, monkeypatch, "list")
     assert status == 0
     assert max(map(len, everything.splitlines())) <= 80
-    lists = [said(capsys, monkeypatch, "list", what)[1] for what in ("missions", "policies", "sensors")]
+    lists = [said(capsys, monkeypatch, "list", what)[1] for what in ("missions", "policies", "sensors", "worlds")]
     assert "\n".join(lists) == everything
-    missions, policies, sensors = (dict(re.findall(r"^  (\S+) +(.+)$", text, re.MULTILINE)) for text in lists)
+    missions, policies, sensors, worlds = (dict(re.findall(r"^  (\S+) +(.+)$", text, re.MULTILINE)) for text in lists)
     assert set(missions) == set(MISSIONS)
     for name, about in missions.items():
         assert f"about: {about}" in MISSIONS[name]
     assert {"homing", "infotaxis", "space-aware-infotaxis", "ppo", "dqn", "ddpg"} <= set(policies)
     kinds: list[Sensor] = [parse(text) for text in sensors]  # as --sensor takes them
     assert kinds == [kind() for kind in KINDS.values()]
+    assert list(worlds) == list(WORLDS)
 
 
 WRONG = [
     (["flyy"], "plumeward: error: no command 'flyy'; did you mean 'fly'?"),
     (["juggle"], "plumeward: error: no command 'juggle'; wanted fly, rollout, list, "),
-    (["list", "mission"], "plumeward list: error: what: 'mission' is not allowed; did you mean 'missions'? Wanted missions, policies or "),
+    (["list", "mission"], "plumeward list: error: what: 'mission' is not allowed; did you mean 'missions'? Wanted missions, policies, "),
     (["fly", "--polcy", "homing"], "plumeward fly: error: no flag '--polcy'; did you mean '--policy'?"),
+    (
+        ["fly", "--world", "wind-3"],
+        "plumeward fly: error: --world: no world 'wind-3'; did you mean 'wind-30'? Wanted as-modelled, wind-10, ",
+    ),
+    (["rollout", "--world", "wind"], "plumeward rollout: error: --world: no world 'wind'; did you mean 'wind-"),
+    (["evaluate", "--world", "cv-1,x"], "plumeward evaluate: error: --world: no world 'x'; wanted as-modelled, wind-10, wind-30, "),
     (["fly", "--qqq=3"], "plumeward fly: error: no flag '--qqq'; plumeward fly --help lists them"),
     (["agent", "--polcy", "homing"], "plumeward agent: error: no flag '--polcy'; did you mean '--policy'?"),
     (["estimator", "--particels", "5"], "plumeward estimator: error: no flag '--particels'; did you mean '--particles'?"),

@@ -84,7 +84,9 @@ def test_the_nees_of_a_mission_is_its_error_in_terms_of_what_was_believed(
         z=5.0, sensor="gaussian", unknowns=("x", "y"), means=(1.0, 2.0), stds=(1.0, 1.0), mean=(1.0, 2.0), covariance=covariance,
         spread=1.5, effective_sample_size=10.0, p_value=0.5, ceased=False,
     )  # fmt: skip
-    row = _row(Sweep(("greedy",), range(3)), ("greedy", 100, 1), Config(100), 0.5, True, last, source, 9.0, 3.0, [0.25, 0.75], [0.5])
+    row = _row(
+        Sweep(("greedy",), range(3)), ("greedy", 100, 1, "as-modelled"), Config(100), 0.5, True, last, source, 9.0, 3.0, [0.25, 0.75], [0.5]
+    )
     assert row.nees == pytest.approx(nees)
     assert row.error_m == pytest.approx(math.dist((1.0, 2.0), source))
     assert row.located == (source == (1.0, 2.0))
@@ -92,6 +94,8 @@ def test_the_nees_of_a_mission_is_its_error_in_terms_of_what_was_believed(
 
 
 def test_no_mission_of_a_sweep_ends_before_its_third_reading() -> None:
-    (rows,) = fly(Sweep(("greedy",), range(7, 8), particles=(100,), thresholds_m=(50.0, 100.0), budget=9), [("greedy", 100, 7)])
+    (rows,) = fly(
+        Sweep(("greedy",), range(7, 8), particles=(100,), thresholds_m=(50.0, 100.0), budget=9), [("greedy", 100, 7, "as-modelled")]
+    )
     assert [(row.ceased, row.steps) for row in rows] == [(True, 2), (True, 2)]
     assert rows[0].distance_m == pytest.approx(2.0, abs=1e-5)

@@ -37,7 +37,7 @@ def untimed(rows: list[MissionRow]) -> list[MissionRow]:
 
 @pytest.mark.parametrize("seed", [7, 8, 9])
 def test_one_flight_gives_what_a_rollout_at_each_threshold_gives(seed: int) -> None:
-    (rows,) = fly(SMALL, [("thompson", 200, seed)])
+    (rows,) = fly(SMALL, [("thompson", 200, seed, "as-modelled")])
     for row, threshold_m in zip(rows, SMALL.thresholds_m, strict=True):
         alone, _ = rollout(seed, "thompson", 200, threshold_m, 80)
         assert (row.threshold_m, row.seed, row.particles) == (threshold_m, seed, 200)
@@ -91,7 +91,7 @@ def test_a_journal_that_something_else_wrote_is_flown_anew(tmp_path: Path) -> No
     journal = tmp_path / "journal.jsonl"
     journal.write_bytes(b'[]\n{}\n[{"policy":"greedy"}]\n\xff\xfe\n\0\0\n[[[[\n')
     (rows,) = fly_all(small, journal, on_cores(1))
-    assert untimed(rows) == untimed(fly(small, [("greedy", 100, 7)])[0])
+    assert untimed(rows) == untimed(fly(small, [("greedy", 100, 7, "as-modelled")])[0])
 
 
 def test_a_row_that_an_older_version_kept_is_read(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_another_question_has_another_journal(tmp_path: Path) -> None:
 
 
 def test_figures_are_named_by_policy_and_by_what_else_differs() -> None:
-    two = [("greedy", 100, 7), ("greedy", 100, 8)]
+    two = [("greedy", 100, 7, "as-modelled"), ("greedy", 100, 8, "as-modelled")]
     rows = ordered([row for flight in two for rows in fly(SMALL, [flight]) for row in rows], SMALL)
     assert list(named([row for row in rows if row.threshold_m == 0.9])) == ["greedy"]
     assert list(named(rows)) == [f"greedy particles=100 threshold={threshold_m:g}" for threshold_m in (0.5, 0.9, 2.0)]
@@ -119,7 +119,7 @@ def test_figures_are_named_by_policy_and_by_what_else_differs() -> None:
 
 @pytest.mark.parametrize("name", ["missions.csv", "missions.csv.gz"])
 def test_a_table_of_missions_reads_back_as_it_was_written(tmp_path: Path, name: str) -> None:
-    (rows,) = fly(replace(SMALL, thresholds_m=(0.01, 0.5)), [("greedy", 100, 7)])
+    (rows,) = fly(replace(SMALL, thresholds_m=(0.01, 0.5)), [("greedy", 100, 7, "as-modelled")])
     assert rows[0].floor_m is None  # too small a ζ for it
     write_csv(rows, tmp_path / name)
     text = (gzip.decompress if name.endswith("gz") else bytes)((tmp_path / name).read_bytes()).decode()
@@ -136,7 +136,7 @@ def test_a_table_of_something_else_is_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_rows_carry_the_floor_of_their_scenario_where_it_is_known() -> None:
-    flight = ("greedy", 100, 7)
+    flight = ("greedy", 100, 7, "as-modelled")
     (rows,) = fly(SMALL, [flight])
     assert {row.threshold_m: row.floor_m for row in rows} == floors_m(draw(7), SMALL.thresholds_m)
     for other in (replace(SMALL, moves={"step": 0.5}), replace(SMALL, knowledge={"sensor": Hits()})):
@@ -144,7 +144,7 @@ def test_rows_carry_the_floor_of_their_scenario_where_it_is_known() -> None:
 
 
 def test_rows_say_what_the_estimator_was_told_and_who_flew_them() -> None:
-    flight = ("greedy", 100, 7)
+    flight = ("greedy", 100, 7, "as-modelled")
     (usual,) = fly(SMALL, [flight])[0][:1]
     assert (usual.sensor, usual.prior, usual.stop_on, usual.version) == ("gaussian:0.3,0.2", None, "location", __version__)
     told = {"priors": {"q": Gamma(2, 150), "u": Uniform(1, 4)}, "stop_limits": {"q": 50.0}, "stop_on_location": False, "sensor": Hits()}

@@ -12,7 +12,8 @@ import pytest
 from ruamel.yaml import YAML
 
 from plume.scenario import draw
-from sitl.script.script import load, schema
+from plume.sensor import Hits
+from sitl.script.script import Script, load, schema
 from sitl.script.typed_yaml import FileError
 
 ROOT = Path(__file__).parents[3]
@@ -39,7 +40,7 @@ expect: [located, returned home]
 MISTAKES = {
     ("seed: 7", "seed: seven"): "2: seed: 'seven' is not allowed; wanted a whole number from 0",
     ("seed: 7", "seed: -1"): "2: seed: -1 is not allowed; wanted a whole number from 0",
-    ("seed: 7", "sead: 7"): "2: sead: unknown field; allowed: about, seed, speedup, scenario, vehicle, sensor, estimator, agent, ",
+    ("seed: 7", "sead: 7"): "2: sead: unknown field; allowed: about, seed, speedup, scenario, vehicle, sensor, world, estimator, agent, ",
     ("seed: 7", "seed: 7\nseed: 8"): '3: found duplicate key "seed"',
     ("seed: 7", "seed: [7"): "3: not valid YAML: ",
     ("seed: 7", "speedup: 2000"): "2: speedup: 2000 is not allowed; wanted a number from 0 up to 1000",
@@ -49,6 +50,8 @@ MISTAKES = {
     ("[12, 13]", "12"): "3: scenario.source: 12 is not allowed; wanted (x, y) m, x east, y north, each from 0 to 30",
     ("{phi: 1.5, source: [12, 13]}", "windy"): "3: scenario: 'windy' is not allowed; wanted fields: source, q, u, phi",
     ("threshold:0.5", "treshold:0.5"): "4: sensor: 'treshold:0.5,0.3' is not allowed; wanted gaussian, threshold, hits",
+    ("seed: 7", "world: wind-3"): "2: world: no world 'wind-3'; wanted as-modelled, wind-10, wind-30, ",
+    ("seed: 7", "world: 30"): "2: world: 30 is not allowed; wanted one of as-modelled, wind-10, wind-30, ",
     ("particles: 500", "particles: 5"): "6: estimator.particles: 5 is not allowed; wanted a whole number from 10 up to 1000000",
     ("particles: 500", "particles: 5.5"): "6: estimator.particles: 5.5 is not allowed; wanted a whole number",
     ("{q: 'gamma:2,150'}", "{q: 3}"): "7: estimator.prior.q: 3 is not allowed; wanted text",
@@ -192,6 +195,21 @@ def test_what_the_scenario_leaves_out_is_drawn_by_the_seed(tmp_path: Path) -> No
     release, drawn = load(path).release(), draw(7)
     assert (release.source, release.phi) == ((12.0, 13.0), 1.5)
     assert (release.q, release.u, release.d, release.tau, release.start) == (drawn.q, drawn.u, drawn.d, drawn.tau, drawn.start)
+
+
+def test_a_world_that_is_named_is_simulated_and_the_release_stays_what_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "mission.yaml"
+    path.write_text("world: tau-doubled\nscenario: {tau: 4, phi: 1}\nsensor: hits:5,0.2\n")
+    script = load(path)
+    world = script.simulated()
+    assert (world.name, world.sensor, world.seed) == ("tau-doubled", Hits(5.0, 0.2), 1)
+    assert (script.release().tau, world.truth.tau, world.truth.phi) == (4, 8, 1)
+    assert load_text(tmp_path, "seed: 3\n").simulated().truth == draw(3)
+
+
+def load_text(folder: Path, text: str) -> Script:
+    (folder / "text.yaml").write_text(text)
+    return load(folder / "text.yaml")
 
 
 def test_words_of_yaml_1_1_stay_words(tmp_path: Path) -> None:
