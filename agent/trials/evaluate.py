@@ -48,6 +48,8 @@ SHARED = {"world": "world {}", "N": "N = {}", "ζ, m": "ζ = {} m", "missions": 
 """How the line above the table says a setting that all rows share."""
 SHORTEST_NAME = 16
 """A narrow terminal shows at least so many characters of a policy's name."""
+SHORTEST_WORLD = 8
+"""And of a world's."""
 
 
 def address(text: str) -> str:
@@ -236,7 +238,11 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
         Column(
             "policy", [name.split(" world=")[0].split(" particles=")[0] for name in result], left=True, least=SHORTEST_NAME, keeps_end=True
         ),
-        *(Column(name, cells) for name, cells in settings.items() if len(set(cells)) > 1),
+        *(
+            Column(name, cells, left=name == "world", least=SHORTEST_WORLD if name == "world" else None)
+            for name, cells in settings.items()
+            if len(set(cells)) > 1
+        ),
         *(Column(COLUMNS[key][0], [cell(row, key) for row in said], rank, name, stacks=True) for key, (rank, name) in SHOWN.items()),
     ]
     tell(table(columns, width_of(stream), elsewhere, above=[", ".join([*shared, "[95% interval]"])]), stream)

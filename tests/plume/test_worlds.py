@@ -1,6 +1,8 @@
 """Protects the worlds: each differs from what the estimator is told as its name says and in nothing else, by formulas written anew here."""
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -244,6 +246,13 @@ def test_a_reading_among_others_is_the_reading_alone_to_the_bit_whatever_their_w
     assert gas_of(worlds(), places, steps, Keyed()).tolist() == alone
     assert gas_of(worlds()[::-1], places[::-1], steps[::-1], Keyed()).tolist() == alone[::-1]
     assert all(value == np.float32(value) for value in alone)
+
+
+def test_the_page_on_physics_lists_the_worlds() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "physics.md").read_text()
+    section = page.partition("### Worlds that differ")[2].partition("\n\n| world |")[2].partition("\n\n")[0]
+    named = [name for row in section.splitlines() for name in re.findall(r"`([^`]+)`", row.split("|")[1])]
+    assert named == list(WORLDS)
 
 
 def test_a_name_that_is_none_is_told_with_those_that_are() -> None:

@@ -165,7 +165,18 @@ def test_figures_are_those_of_the_missions_one_by_one() -> None:
     assert plumeward.evaluate("homing", 6, particles=200, budget=60)["homing"]["mtd_m"] == said["homing"]["mtd_m"]
 
 
-@pytest.mark.parametrize("wrong", [{"policies": []}, {"policies": "hommer"}, {"scenarios": 0}, {"workers": 0}])
+def test_policies_are_compared_in_several_worlds() -> None:
+    both = plumeward.evaluate("homing", 4, particles=200, budget=60, world=["as-modelled", "gain-halved"])
+    assert list(both) == ["homing world=as-modelled", "homing world=gain-halved"]
+    for world in ("as-modelled", "gain-halved"):
+        alone = plumeward.evaluate("homing", 4, particles=200, budget=60, world=world)
+        assert list(alone) == ["homing"]
+        assert alone["homing"]["error_mean_m"] == both[f"homing world={world}"]["error_mean_m"]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"policies": []}, {"policies": "hommer"}, {"scenarios": 0}, {"workers": 0}, {"world": []}, {"world": "windy"}]
+)
 def test_what_cannot_be_evaluated_is_a_value_error(wrong: dict) -> None:
     with pytest.raises(ValueError, match=r"wanted|Wanted"):
         plumeward.evaluate(**{"scenarios": 1, **wrong})

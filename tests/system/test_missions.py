@@ -6,6 +6,7 @@ from collections import Counter
 from itertools import pairwise
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -16,6 +17,7 @@ from link.record.reader import read
 from plume.randomness import keyed
 from plume.scenario import draw
 from plume.sensor import GAUSSIAN
+from plume.world import World
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 UNDISTURBED = ("bad-radio", "crashing-services", "link-cut", "operator-pause", "router-restart", "sensor-dropout")
@@ -132,6 +134,36 @@ def test_a_silent_sensor_says_nan_each_second_and_the_reading_comes_after_it(sta
     assert [math.isnan(reading.gas) for _, reading in readings] == [False, True, True, True, False, False]
     assert [after - before for before, after in pairwise(time for time, _ in readings[1:5])] == [1000, 1000, 1000]
     assert len({reading.position for _, reading in readings[1:5]}) == 1
+
+
+def test_a_lost_reading_has_no_value_and_is_taken_again_a_second_later(start, tmp_path: Path) -> None:
+    path = written(tmp_path, "seed: 9\nworld: readings-lost\nagent: {policy: random, budget: 12}\n")
+    _, result, _ = flown(start, tmp_path, path)
+    assert result["world"] == "readings-lost"
+    readings = [reading for _, reading in sorted({reading.time_boot_ms: reading for reading in recorded_readings(tmp_path)}.items())]
+    lost = [step for step in range(1, 13) if keyed(9, "lost reading", step).random() < 0.2]
+    assert lost
+    expected = [missing for step in range(13) for missing in ([True, False] if step in lost else [False])]
+    assert [math.isnan(reading.gas) for reading in readings] == expected
+    for before, after in pairwise(readings):
+        if math.isnan(before.gas):
+            assert (after.time_boot_ms - before.time_boot_ms, after.position) == (1000, before.position)
+    assert [point["reading"] for point in result["trace"]] == [point.reading for point in rollout(9, "random", budget=12)[1]]
+
+
+def test_the_wind_of_a_script_is_the_measured_one_and_the_true_one_stays_as_wrong(start, tmp_path: Path) -> None:
+    path = written(
+        tmp_path, "seed: 9\nworld: speed-high\nagent: {policy: random, budget: 4}\nevents: [{step: 2, do: wind, u: 3, phi: 1.0}]\n"
+    )
+    _, result, _ = flown(start, tmp_path, path)
+    told = draw(9)
+    for step, point in enumerate(result["trace"]):
+        changed = told if step < 2 else msgspec.structs.replace(told, u=3.0, phi=1.0)
+        assert point["reading"] == World(msgspec.structs.replace(changed, u=1.4 * changed.u), 9).gas(tuple(point["position"]), step)
+    assert result["scenario"]["u"] == 1.4 * told.u  # as it was at the start
+    measured = [reading.wind for reading in sorted(recorded_readings(tmp_path), key=lambda it: it.time_boot_ms)]
+    assert measured[0] == pytest.approx(told.wind, rel=1e-6)
+    assert measured[-1] == pytest.approx((3 * math.cos(1), 3 * math.sin(1)), rel=1e-6)
 
 
 def test_doubled_readings_are_there_as_often_as_it_says(start, tmp_path: Path) -> None:

@@ -81,6 +81,19 @@ def test_sensors_and_unknowns_reach_every_part(tmp_path: Path, in_process: Calla
     assert over_the_bus(tmp_path, *chosen, "--speedup", "0", "-I", "1")["trace"] == in_process(*chosen)["trace"]
 
 
+@pytest.mark.parametrize("world", ["wind-30", "cv-1-correlated", "readings-lost", "all-at-once"])
+def test_a_mission_in_another_world_is_the_same_over_the_bus(tmp_path: Path, in_process: Callable, world: str) -> None:
+    chosen = ["--seed", "3", "--particles", "300", "--budget", "40", "--world", world]
+    bus, rollout = over_the_bus(tmp_path, *chosen, "--speedup", "0"), in_process(*chosen)
+    del bus["search_time_s"], rollout["search_time_s"]
+    assert bus == rollout
+    assert bus["world"] == world
+    usual = in_process(*chosen[:-1], "as-modelled")
+    assert (bus["trace"] == usual["trace"]) == (world == "readings-lost")
+    (summary,) = (tmp_path / "runs").glob("*.json")
+    assert json.loads(summary.read_text())["mission"]["world"] == world
+
+
 def test_speed_up_changes_nothing_but_the_time_it_takes(tmp_path: Path, in_process: Callable) -> None:
     chosen = ["--seed", "1", "--policy", "infotaxis", "--budget", "12"]
     assert over_the_bus(tmp_path, *chosen, "--speedup", "20")["trace"] == in_process(*chosen)["trace"]  # as all above are at once

@@ -22,6 +22,8 @@ from agent.learn.env import TRAINING_SEEDS, SourceSearch, SourceSearchVector
 from agent.observation import BOUND, SCHEMAS
 from link.bus.messages import Belief, Particles
 from plume.scenario import AREA_M, draw
+from plume.world import World
+from plume.worlds import WORLDS
 
 DISCRETE, CONTINUOUS = IDS = ("plumeward/SourceSearch-v0", "plumeward/SourceSearchContinuous-v0")
 DOCUMENT = Path(__file__).parents[3] / "docs" / "environment.md"
@@ -206,10 +208,13 @@ def test_many_at_once_are_what_gymnasium_makes_of_single_ones(name: str, observa
     assert min(ended.values()) > 2
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("name", "world"),
+    [*((name, "as-modelled") for name in IDS), *((DISCRETE, world) for world in ("wind-30", "cv-1-correlated", "all-at-once"))],
+)
+def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(name: str, world: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """All of it, where the actions are the same: here they alternate between two."""
-    env = make(name)
+    env = make(name, world=world)
     first, second = (np.array([0, 3]) if name == DISCRETE else np.array([[0.0, 1.0], [0.3, -0.2]], np.float32)).copy()
 
     def choose(_policy: str, said: Belief, particles: Particles, *_: Any) -> tuple[float, float]:
@@ -220,8 +225,9 @@ def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(name: str, 
 
     monkeypatch.setattr(agent.trials.rollout, "choose", choose)
     for seed in (0, 1_000_002):
-        steps = list(agent.trials.rollout.mission(seed, "random", QUICK["particles"], QUICK["threshold_m"], 60).steps)
-        assert steps[-1].belief.ceased
+        flown = agent.trials.rollout.mission(seed, "random", QUICK["particles"], QUICK["threshold_m"], 60, world=world)
+        steps = list(flown.steps)
+        assert steps[-1].belief.ceased or world != "as-modelled"
         seen, told = env.reset(seed=seed)
         over = False
         for k, (said, particles, *_) in enumerate(steps):
@@ -229,6 +235,30 @@ def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(name: str, 
             assert (tuple(told["position"]), tuple(told["estimate"]), told["spread_m"]) == (said.position, said.mean, said.spread)
             assert over == said.ceased
             seen, _, over, _, told = env.step(second if k % 3 == 2 else first)
+
+
+@pytest.mark.parametrize("world", ["all-at-once", "source-outside", "stuck-noisy"])
+def test_many_missions_in_a_world_are_the_single_ones_there_and_so_are_those_that_follow(world: str) -> None:
+    many = SourceSearchVector(4, world=world, **QUICK)
+    many.reset(seed=40)
+    singles = [SourceSearch(world=world, **QUICK) for _ in range(4)]
+    for i, single in enumerate(singles):
+        single.reset(seed=40 + i)
+    begun_anew = 0
+    for _ in range(60):
+        seen, rewards, terminated, truncated, infos = many.step(np.zeros(4, int))
+        for i, single in enumerate(singles):
+            alone, reward, over, cut, told = single.step(0)
+            assert (reward, over, cut) == (rewards[i], terminated[i], truncated[i])
+            if over or cut:
+                begun_anew += 1
+                error_m = float(
+                    np.linalg.norm(told["estimate"] - np.array(World(draw(told["seed"]), told["seed"], name=world).truth.source))
+                )
+                assert told["located"] == infos["final_info"]["located"][i] == (over and error_m <= 1.0)
+                alone, _ = single.reset(seed=int(infos["seed"][i]))
+            assert alone.tobytes() == seen[i].tobytes()
+    assert begun_anew > 0 or world == "stuck-noisy"
 
 
 def test_a_reset_of_many_begins_a_seed_and_those_after_it_or_those_that_are_named() -> None:
@@ -294,6 +324,7 @@ def test_gymnasiums_wrappers_of_many_count_missions_right() -> None:
     [
         ({"observation": "pixels"}, "observation 'pixels' is not allowed; wanted paper or polar"),
         ({"reward": "more"}, "reward 'more' is not allowed; wanted paper or cost"),
+        ({"world": "windy"}, f"world 'windy' is not allowed; wanted {' or '.join(WORLDS)}"),
         ({"headings": 1}, "headings 1 is not allowed; wanted a whole number from 2"),
         ({"headings": 7.5}, "headings 7.5 is not allowed; wanted a whole number from 2"),
         ({"particles": 9}, "particles 9 is not allowed; wanted a whole number from 10"),

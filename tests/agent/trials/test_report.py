@@ -55,6 +55,13 @@ def test_missions_flown_in_two_ways_are_not_joined(tmp_path: Path) -> None:
             read(tmp_path)
 
 
+def test_missions_of_another_world_are_refused(tmp_path: Path) -> None:
+    write_csv(FOUR, tmp_path / "four.csv")
+    write_csv([msgspec.structs.replace(flown(1_000_004), policy="homing", world="wind-30")], tmp_path / "one.csv")
+    with pytest.raises(ValueError, match=r"one\.csv: missions in the world 'wind-30'; a report takes those of 'as-modelled' alone$"):
+        read(tmp_path)
+
+
 def test_new_missions_of_a_learned_policy_are_joined_to_those_of_an_older_version(tmp_path: Path) -> None:
     """Which gave it a planner's headings, and did not say which version it was."""
     write_csv([flown(1_000_000, policy="ppo")], tmp_path / "old.csv")

@@ -7,7 +7,10 @@ from itertools import pairwise
 
 import pytest
 
-from agent.trials.rollout import rollout
+from agent.trials.rollout import mission, rollout
+from plume.scenario import draw
+from plume.world import World
+from plume.worlds import WORLDS
 
 
 def test_a_rollout_is_a_function_of_its_seed() -> None:
@@ -16,6 +19,29 @@ def test_a_rollout_is_a_function_of_its_seed() -> None:
     assert trace == again
     assert (first.estimate, first.steps) == (second.estimate, second.steps)
     assert rollout(4, "infotaxis", particles=300)[1] != trace
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_in_every_world_the_estimator_is_told_the_same_and_the_mission_is_judged_by_the_truth(world: str) -> None:
+    usual, ready = (mission(3, "random", 100, 0.5, 5, world=name) for name in ("as-modelled", world))
+    assert ready.config == usual.config
+    for said, modelled in zip(ready.steps, usual.steps, strict=True):
+        assert said.belief.wind == modelled.belief.wind
+        assert (said.belief.rate, said.belief.diffusivity, said.belief.lifetime) == (draw(3).q, draw(3).d, draw(3).tau)
+    result, trace = rollout(3, "random", particles=100, budget=5, world=world)
+    there = World(draw(3), 3, name=world)
+    assert (result.world, result.scenario, result.source) == (world, there.truth, there.truth.source)
+    assert [point.reading for point in trace] == [there.gas(point.position, step) for step, point in enumerate(trace)]
+    assert result.error_m == pytest.approx(math.dist(trace[-1].mean, there.truth.source))
+
+
+def test_where_readings_are_lost_the_values_taken_later_are_the_same() -> None:
+    assert rollout(4, "homing", particles=100, budget=30, world="readings-lost")[1] == rollout(4, "homing", particles=100, budget=30)[1]
+
+
+def test_a_world_that_is_none_is_told_with_those_that_are() -> None:
+    with pytest.raises(ValueError, match="no world 'windy'; wanted as-modelled, "):
+        rollout(1, world="windy")
 
 
 def test_the_budget_counts_moves() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from agent.trials.evaluate import named, read_csv, write_csv
@@ -18,6 +19,7 @@ from estimator.priors import Gamma, Uniform
 from plume import __version__
 from plume.scenario import draw
 from plume.sensor import Hits
+from plume.world import World
 
 RESULTS = Path(__file__).parents[3] / "results"
 SMALL = Sweep(("greedy", "thompson"), range(7, 10), particles=(100, 200), thresholds_m=(0.9, 2.0, 0.5), budget=80)
@@ -96,7 +98,7 @@ def test_a_journal_that_something_else_wrote_is_flown_anew(tmp_path: Path) -> No
 
 def test_a_row_that_an_older_version_kept_is_read(tmp_path: Path) -> None:
     """A journal is only used by the code that wrote it: this is for the one who changes that."""
-    young = ("sensor", "prior", "stop_on", "version")
+    young = ("sensor", "prior", "stop_on", "version", "world")
     old = {name: value for name, value in msgspec.structs.asdict(ROW).items() if name not in young}
     journal = tmp_path / "journal.jsonl"
     journal.write_bytes(msgspec.json.encode([old]) + b"\n")
@@ -117,10 +119,41 @@ def test_figures_are_named_by_policy_and_by_what_else_differs() -> None:
     assert list(named(rows)) == [f"greedy particles=100 threshold={threshold_m:g}" for threshold_m in (0.5, 0.9, 2.0)]
 
 
+def test_several_worlds_are_flown_each_as_alone_and_named_in_the_key(tmp_path: Path) -> None:
+    few = replace(SMALL, thresholds_m=(0.9,), particles=(100,), seeds=range(7, 9), worlds=("wind-30", "as-modelled"))
+    rows = ordered([row for each in fly_all(few, tmp_path / "journal.jsonl", on_cores(1)) for row in each], few)
+    assert [(row.policy, row.world, row.seed) for row in rows] == list(itertools.product(few.policies, few.worlds, few.seeds))
+    assert few.count == 8
+    for row in rows:
+        alone, _ = rollout(row.seed, row.policy, 100, 0.9, 80, world=row.world)
+        assert (row.error_m, row.distance_m, row.source_x) == (alone.error_m, alone.distance_m, alone.source[0])
+        assert (row.floor_m is None) == (row.world != "as-modelled")  # the floor is that of a right model
+    assert {row.floor_m for row in rows if row.world == "as-modelled"} == {floors_m(draw(seed), [0.9])[0.9] for seed in few.seeds}
+    keys = [f"{policy} world={world}" for policy in few.policies for world in few.worlds]
+    assert list(named(rows)) == keys
+    assert [said["world"] for said in named(rows).values()] == [*few.worlds] * 2
+    assert list(named([row for row in rows if row.world == "wind-30"])) == ["greedy", "thompson"]
+    both = [*rows, *(msgspec.structs.replace(row, particles=200) for row in rows)]
+    assert next(iter(named(both))) == "greedy world=wind-30 particles=100 threshold=0.9"
+    # The journal knows one world from another, too.
+    again = fly_all(replace(few, worlds=("wind-30",)), tmp_path / "journal.jsonl", on_cores(1))
+    assert {(row.policy, row.world, row.seed) for each in again for row in each} == set(
+        itertools.product(few.policies, ["wind-30"], few.seeds)
+    )
+
+
+def test_a_mission_is_judged_by_where_the_source_truly_is() -> None:
+    (rows,) = fly(replace(SMALL, worlds=("source-outside",)), [("greedy", 100, 7, "source-outside")])
+    assert {(row.source_x, row.source_y) for row in rows} == {World(draw(7), 7, name="source-outside").truth.source}
+    for row in rows:
+        assert row.error_m == pytest.approx(np.hypot(row.estimate_x - row.source_x, row.estimate_y - row.source_y))
+
+
 @pytest.mark.parametrize("name", ["missions.csv", "missions.csv.gz"])
 def test_a_table_of_missions_reads_back_as_it_was_written(tmp_path: Path, name: str) -> None:
     (rows,) = fly(replace(SMALL, thresholds_m=(0.01, 0.5)), [("greedy", 100, 7, "as-modelled")])
     assert rows[0].floor_m is None  # too small a ζ for it
+    rows = [*rows, msgspec.structs.replace(rows[0], world="cv-1")]
     write_csv(rows, tmp_path / name)
     text = (gzip.decompress if name.endswith("gz") else bytes)((tmp_path / name).read_bytes()).decode()
     assert text.startswith("policy,particles,threshold_m,seed,budget,headings,step_m,measurements,ceased,located,")
@@ -155,7 +188,7 @@ def test_rows_say_what_the_estimator_was_told_and_who_flew_them() -> None:
 
 def test_a_learned_policy_has_neither_headings_nor_measurements_of_a_planner(tmp_path: Path) -> None:
     few = replace(SMALL, policies=("ppo", "greedy"), budget=3)
-    learned, planned = (fly(few, [(policy, 100, 7)])[0][0] for policy in few.policies)
+    learned, planned = (fly(few, [(policy, 100, 7, "as-modelled")])[0][0] for policy in few.policies)
     assert (learned.headings, learned.measurements) == (None, None)
     assert (planned.headings, planned.measurements) == (4, 25)
     write_csv([learned, planned], tmp_path / "rows.csv")
@@ -174,7 +207,9 @@ def test_the_tables_of_older_versions_are_read() -> None:
     planned, learned = ([row for row in rows if (row.policy == "infotaxis") == planner] for planner in (True, False))
     assert {(row.headings, row.measurements) for row in planned} == {(4, 25)}
     assert {(row.headings, row.measurements) for row in learned} == {(None, None)}
-    assert {(row.sensor, row.prior, row.stop_on, row.version) for row in rows} == {("gaussian:0.3,0.2", None, "location", None)}
+    assert {(row.sensor, row.prior, row.stop_on, row.version, row.world) for row in rows} == {
+        ("gaussian:0.3,0.2", None, "location", None, "as-modelled")
+    }
     first = dict(zip(lines[0].split(","), lines[1].split(","), strict=True))
     assert (rows[0].seed, rows[0].steps, rows[0].nees) == (int(first["seed"]), int(first["steps"]), float(first["nees"]))
 
