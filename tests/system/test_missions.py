@@ -161,6 +161,9 @@ def test_the_wind_of_a_script_is_the_measured_one_and_the_true_one_stays_as_wron
         changed = told if step < 2 else msgspec.structs.replace(told, u=3.0, phi=1.0)
         assert point["reading"] == World(msgspec.structs.replace(changed, u=1.4 * changed.u), 9).gas(tuple(point["position"]), step)
     assert result["scenario"]["u"] == 1.4 * told.u  # as it was at the start
+    (record,) = (tmp_path / "runs").glob("*.mcap")
+    about = read(record).about
+    assert (about["mission"]["world"], about["scenario"]["u"]) == ("speed-high", 1.4 * told.u)
     measured = [reading.wind for reading in sorted(recorded_readings(tmp_path), key=lambda it: it.time_boot_ms)]
     assert measured[0] == pytest.approx(told.wind, rel=1e-6)
     assert measured[-1] == pytest.approx((3 * math.cos(1), 3 * math.sin(1)), rel=1e-6)
