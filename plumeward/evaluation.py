@@ -7,6 +7,7 @@ from typing import Any
 from agent.policies import DEFAULT
 from agent.trials.evaluate import FIRST_TEST_SEED, named
 from agent.trials.sweep import Sweep, fly, on_cores, ordered
+from estimator.criterion import USUAL_THRESHOLD_M, chosen
 from plume.scenario import BUDGET_STEPS
 
 
@@ -16,9 +17,11 @@ def evaluate(
     *,
     first_seed: int = FIRST_TEST_SEED,
     particles: int = 1000,
-    threshold_m: float = 0.5,
+    threshold_m: float = USUAL_THRESHOLD_M,
     budget: int = BUDGET_STEPS,
     workers: int = 1,
+    assume: str = "field",
+    stop: str | None = None,
     **knowledge: Any,
 ) -> dict[str, Any]:
     """Fly the same missions with each policy and return the figures of each.
@@ -31,6 +34,9 @@ def evaluate(
         threshold_m: The search stops when the spread of the belief is below it, m.
         budget: Moves after which a mission is given up.
         workers: Processes that fly. A script that asks for more than one needs `if __name__ == "__main__":`.
+        assume: What the estimator takes to be known: `field` or `paper`, where all but the position is known.
+        stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop when at least 99% of the belief is
+            within 1 m of the estimate.
         knowledge: Further fields of `plumeward.Config`, such as `sensor`.
 
     Returns:
@@ -39,7 +45,7 @@ def evaluate(
         an honest posterior. `located_interval` and the like are their 95% intervals, `[low, high]`.
 
     Raises:
-        ValueError: A policy is not known, or a number is out of range.
+        ValueError: A policy is not known, a number is out of range, or the assumption or the criterion is not allowed.
 
     Example:
         ```python
@@ -50,7 +56,9 @@ def evaluate(
     names = [policies] if isinstance(policies, str) else list(dict.fromkeys(policies))
     if not names or scenarios < 1 or workers < 1:
         raise ValueError("wanted one policy, one scenario and one worker at least")
-    sweep = Sweep(names, range(first_seed, first_seed + scenarios), (particles,), (threshold_m,), budget, knowledge=knowledge)
+    criterion = chosen(threshold_m, stop)
+    knowledge = {"assume": assume, "within": criterion.within, **knowledge}
+    sweep = Sweep(names, range(first_seed, first_seed + scenarios), (particles,), (criterion.threshold_m,), budget, knowledge=knowledge)
     by_seed = (list(flights) for _, flights in groupby(sweep.flights, key=lambda flight: flight[2]))
     flown = (rows for flights in by_seed for rows in fly(sweep, flights)) if workers == 1 else on_cores(workers)(sweep, by_seed)
     return named(ordered((row for rows in flown for row in rows), sweep))
