@@ -129,6 +129,6 @@ def stop(ceased: Belief, config: Config) -> Stop:
         estimate=ceased.mean,
         covariance=ceased.covariance,
         spread=ceased.spread,
-        threshold=None if config.within else config.threshold_m,
+        threshold=0.0 if config.within else config.threshold_m,
         stop=config.criterion.text,
     )

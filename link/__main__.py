@@ -119,8 +119,6 @@ def _key_tables() -> str:
 
 
 def _type(schema: dict[str, Any]) -> str:
-    if "anyOf" in schema:
-        return " or ".join(map(_type, schema["anyOf"]))
     if "prefixItems" in schema:
         return "[" + ", ".join(_type(item) for item in schema["prefixItems"]) + "]"
     if "additionalProperties" in schema and schema["type"] == "object":

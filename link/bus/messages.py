@@ -58,9 +58,7 @@ class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     estimate: Annotated[Pair, Meta(description="claimed position of the source, (x, y) m")]
     covariance: Covariance
     spread: Annotated[float, Meta(ge=0, description="square root of the covariance's trace, m")]
-    threshold: Annotated[
-        Annotated[float, Meta(gt=0)] | None, Meta(description="ζ, the spread below which the search stops, m; null with another criterion")
-    ]
+    threshold: Annotated[float, Meta(ge=0, description="ζ, the spread below which the search stops, m; 0 with another criterion")]
     stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread"
 
 

@@ -54,25 +54,26 @@ def test_help_loads_nothing_that_takes_long(tmp_path: Path, command: str) -> Non
     assert ran.stdout.endswith("loaded []\n")
 
 
-def test_missions_policies_and_sensors_are_listed_by_name(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_there_is_to_choose_from_is_listed_by_name(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     status, everything, _ = said(capsys, monkeypatch, "list")
     assert status == 0
     assert max(map(len, everything.splitlines())) <= 80
-    lists = [said(capsys, monkeypatch, "list", what)[1] for what in ("missions", "policies", "sensors")]
+    lists = [said(capsys, monkeypatch, "list", what)[1] for what in ("missions", "policies", "sensors", "assumptions")]
     assert "\n".join(lists) == everything
-    missions, policies, sensors = (dict(re.findall(r"^  (\S+) +(.+)$", text, re.MULTILINE)) for text in lists)
+    missions, policies, sensors, assumptions = (dict(re.findall(r"^  (\S+) +(.+)$", text, re.MULTILINE)) for text in lists)
     assert set(missions) == set(MISSIONS)
     for name, about in missions.items():
         assert f"about: {about}" in MISSIONS[name]
     assert {"homing", "infotaxis", "space-aware-infotaxis", "ppo", "dqn", "ddpg"} <= set(policies)
     kinds: list[Sensor] = [parse(text) for text in sensors]  # as --sensor takes them
     assert kinds == [kind() for kind in KINDS.values()]
+    assert set(assumptions) == {"paper", "field"}
 
 
 WRONG = [
     (["flyy"], "plumeward: error: no command 'flyy'; did you mean 'fly'?"),
     (["juggle"], "plumeward: error: no command 'juggle'; wanted fly, rollout, list, "),
-    (["list", "mission"], "plumeward list: error: what: 'mission' is not allowed; did you mean 'missions'? Wanted missions, policies or "),
+    (["list", "mission"], "plumeward list: error: what: 'mission' is not allowed; did you mean 'missions'? Wanted missions, policies, "),
     (["fly", "--polcy", "homing"], "plumeward fly: error: no flag '--polcy'; did you mean '--policy'?"),
     (["fly", "--qqq=3"], "plumeward fly: error: no flag '--qqq'; plumeward fly --help lists them"),
     (["agent", "--polcy", "homing"], "plumeward agent: error: no flag '--polcy'; did you mean '--policy'?"),
@@ -91,6 +92,22 @@ WRONG = [
     (["fly", "list.yaml"], "error: list.yaml:1: "),
     (["fly", "--sensor", "gausian"], "plumeward fly: error: --sensor: 'gausian' is not allowed; did you mean 'gaussian'? Wanted "),
     (["fly", "--sensor", "hits:0"], "plumeward fly: error: --sensor: 'hits:0' is not allowed; "),
+    (["fly", "--assume", "feild"], "plumeward fly: error: --assume: 'feild' is not allowed; did you mean 'field'? Wanted field or paper"),
+    (["evaluate", "--assume", "all"], "plumeward evaluate: error: --assume: 'all' is not allowed; wanted field or paper"),
+    (["fly", "--stop", "spread:1", "--threshold", "0.5"], "plumeward fly: error: --threshold: not allowed with argument --stop"),
+    (
+        ["rollout", "--stop", "within:1"],
+        "plumeward rollout: error: --stop: 'within:1' is not allowed; wanted spread:Z, metres, or within:R,P, metres and a share",
+    ),
+    (["estimator", "--stop", "within:1,1.5"], "plumeward estimator: error: --stop: 'within:1,1.5' is not allowed; wanted R above 0 up to "),
+    (
+        ["estimator", "--prior", "u=fixed:2", "--prior", "wind-speed=fixed:1"],
+        "plumeward estimator: error: --prior: a prior of wind-speed is ",
+    ),
+    (
+        ["rollout", "--sensor", "hits", "--prior", "noise=fixed:2"],
+        "plumeward rollout: error: --prior: a prior of noise is not allowed with ",
+    ),
     (["fly", "--headings", "5"], "plumeward fly: error: --headings: 5 is not allowed; wanted 4 or 8"),
     (["rollout", "--policy", "hommer"], "plumeward rollout: error: --policy: 'hommer' is not allowed; did you mean 'homing'? Wanted "),
     (["evaluate", "--policy", "homing,gredy"], "plumeward evaluate: error: --policy: 'gredy' is not allowed; did you mean 'greedy'? "),

@@ -34,6 +34,7 @@ def completed(line: str, cwd: Path) -> set[str]:
         ("plumeward fly m", {"mine.yaml"}),
         ("plumeward uav wind", {"wind-shift"}),
         ("plumeward fly --sensor t", {"threshold"}),
+        ("plumeward fly --assume f", {"field"}),
         ("plumeward rollout --policy lo", {"lookahead"}),
         ("plumeward evaluate --policy homing,gr", {"homing,greedy"}),
         ("plumeward agent --policy dd", {"ddpg"}),
