@@ -50,7 +50,7 @@ MISTAKES = {
     ("{phi: 1.5, source: [12, 13]}", "windy"): "3: scenario: 'windy' is not allowed; wanted fields: source, q, u, phi",
     ("threshold:0.5", "treshold:0.5"): "4: sensor: 'treshold:0.5,0.3' is not allowed; wanted gaussian, threshold, hits",
     ("particles: 500", "particles: 5"): "6: estimator.particles: 5 is not allowed; wanted a whole number from 10 up to 1000000",
-    ("particles: 500", "assume: feild"): "6: estimator.assume: 'feild' is not allowed; wanted what is taken to be known, as --assume",
+    ("particles: 500", "assume: feild"): "6: estimator.assume: 'feild' is not allowed; wanted one of field, paper",
     ("particles: 500", "threshold_m: 0.5\n  stop: spread:1"): "5: estimator: wanted at most one of threshold_m and stop",
     ("particles: 500", "threshold_m: 0"): "6: estimator.threshold_m: 0 is not allowed; wanted ",
     ("particles: 500", "particles: 5.5"): "6: estimator.particles: 5.5 is not allowed; wanted a whole number",
