@@ -6,7 +6,7 @@ from estimator.filter import Config
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.parameters import GREATEST_CV
+from plume.parameters import GREATEST_CV, PARAMETERS
 
 
 def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[str, str] | None:
@@ -31,8 +31,8 @@ def greatest_concentration(config: Config) -> float:
 
     It grows with the sensor's gain, and with intermittency, whose gusts exceed the plume's mean.
     """
-    known = {"q": config.rate, "d": config.diffusivity, "gain": 1.0, "cv": getattr(config.sensor, "cv", 0.0)}
-    ranges = {name: _likely_range(config.effective_priors.get(name, Fixed(value))) for name, value in known.items()}
+    known = {name: Fixed(float(config.prior_rows[PARAMETERS.index(name), 1])) for name in ("q", "d", "gain", "cv")}
+    ranges = {name: _likely_range(config.effective_priors.get(name, value)) for name, value in known.items()}
     mean = ranges["q"][1] / (4 * math.pi * ranges["d"][0] * SOURCE_RADIUS_M)
     return mean * ranges["gain"][1] * _greatest_gust(min(ranges["cv"][1], GREATEST_CV))
 

@@ -8,6 +8,7 @@ import numpy as np
 from estimator.filter import Array, Config, Posterior
 from estimator.kernels.checks import uniformity_p_value
 from estimator.kernels.weights import effective_sample_size, moments
+from estimator.priors import Fixed
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles, Stop
 from plume import sensor
@@ -113,11 +114,16 @@ def sure_enough(spread: float, share: float, stds: Mapping[str, float], config: 
 
 
 def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[float, float]:
-    """Return the assumed wind, (u cos φ, u sin φ) m/s: speed and direction of the reading, or their means if they have a prior."""
-    if "u" not in config.priors and "phi" not in config.priors:
+    """Return the assumed wind, (u cos φ, u sin φ) m/s: speed and direction of the reading, or their means if they have a prior.
+
+    Known errors of the measurement are corrected. Unknown ones are not: each particle has its own.
+    """
+    known = {name: prior.value for name, prior in config.priors.items() if isinstance(prior, Fixed)}
+    if not {"u", "phi"} & set(config.priors) and not {"wind-speed", "wind-direction"} & set(known):
         return reading.wind
-    speed = mean["u"] if "u" in config.priors else math.hypot(*reading.wind)
-    direction = mean["phi"] if "phi" in config.priors else math.atan2(reading.wind[1], reading.wind[0])
+    speed = mean["u"] if "u" in config.priors else math.hypot(*reading.wind) * known.get("wind-speed", 1.0)
+    measured = math.atan2(reading.wind[1], reading.wind[0])
+    direction = mean["phi"] if "phi" in config.priors else measured + math.radians(known.get("wind-direction", 0.0))
     return speed * math.cos(direction), speed * math.sin(direction)
 
 

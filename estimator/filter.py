@@ -17,7 +17,7 @@ from link.bus.mavlink import Reading
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import keyed
 from plume.scenario import AREA_M, LIFETIME_S
-from plume.sensor import GAUSSIAN, Sensor, sensor_row
+from plume.sensor import GAUSSIAN, Gaussian, Sensor, sensor_row
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,8 @@ class Config:
     def prior_rows(self) -> Array:
         """(13, 5): the priors as the kernels take them."""
         everywhere = Uniform(0.0, self.area_m)
-        known = {"q": self.rate, "d": self.diffusivity, "tau": self.lifetime, "z": 0.0, **NEUTRAL, "cv": getattr(self.sensor, "cv", 0.0)}
+        cv = self.sensor.cv if isinstance(self.sensor, Gaussian) else 0.0
+        known = {"q": self.rate, "d": self.diffusivity, "tau": self.lifetime, "z": 0.0, **NEUTRAL, "cv": cv}
         return priors.table({"x": everywhere, "y": everywhere, **self.effective_priors}, known, self.area_m)
 
     @cached_property
@@ -101,7 +102,7 @@ class Config:
 
     @property
     def sweeps(self) -> int:
-        """Metropolis sweeps after each resampling. More unknowns need more: fewer proposals are accepted, and each explores less."""
+        """Most Metropolis sweeps after each resampling. More unknowns need more, since fewer proposals are accepted."""
         return 3 * max(len(self.unknown_indices) - 1, 1)
 
     def row(self, reading: Reading) -> Array:

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 SMALLEST = 1e-6
 """Lower bound of a positive parameter under every prior, so that it stays above 0."""
 POSITIVE = ("q", "d", "tau", "wind-speed", "gain", "noise")
-NOT_NEGATIVE = (*POSITIVE, "u", "cv")
+NOT_NEGATIVE = ("q", "u", "d", "tau", "wind-speed", "gain", "noise", "cv")
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 Plain IEEE arithmetic in a fixed order, exp included: results are bit-identical alone, in a batch and on any number of threads.
 
 particles: (D, N), one row per unknown.  unknowns: (D,) indices into `PARAMETERS`.
-priors: (8, 2 or more), one row per parameter: its kind and, if that is KNOWN, its value.
+priors: (13, 2 or more), one row per parameter: its kind and, if that is KNOWN, its value.
 readings: (T, 5 or more) rows of x, y, height (same origin as z), wind_x, wind_y.
 """
 
@@ -16,18 +16,34 @@ from numpy.typing import NDArray
 from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.numerics import exp
-from plume.parameters import MEASURED, PHI, TAU, D, Q, U, X, Y, Z
+from plume.parameters import CV, GAIN, KNOWN, MEASURED, NOISE, PHI, TAU, WIND_DIRECTION, WIND_SPEED, D, Q, U, X, Y, Z
 
 Array = NDArray[np.float64]
 
-DERIVED = 9
-"""Number of rows that `derive` fills: x, y, z, q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ."""
+NOISES, CVS = 9, 10
+"""Rows of `derive` for the noise: the square of its factor, and the gas's intermittency."""
+RADIANS = math.pi / 180
+DERIVED = 11
+"""Number of rows that `derive` fills: x, y, z, gain q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ, noise², cv.
+
+If the wind is measured, u is the factor on its speed and φ the offset of its direction.
+"""
 
 
 @numba.njit(error_model="numpy")
 def is_location_only(unknowns: NDArray[np.int64], priors: Array) -> bool:
     """True if only x and y are unknown and the wind is measured: the paper's case, which has a faster loop."""
-    return len(unknowns) == 2 and unknowns[0] == X and unknowns[1] == Y and priors[U, 0] == MEASURED and priors[PHI, 0] == MEASURED
+    exact = priors[WIND_DIRECTION, 1] == 0 and priors[WIND_SPEED, 1] == 1 and priors[GAIN, 1] == 1
+    place = len(unknowns) == 2 and unknowns[0] == X and unknowns[1] == Y
+    only: bool = place and exact and is_plain(priors) and priors[U, 0] == MEASURED and priors[PHI, 0] == MEASURED
+    return only
+
+
+@numba.njit(error_model="numpy")
+def is_plain(priors: Array) -> bool:
+    """True if the sensor's noise is known and the gas is steady."""
+    plain: bool = priors[NOISE, 0] == KNOWN and priors[NOISE, 1] == 1 and priors[CV, 0] == KNOWN and priors[CV, 1] == 0
+    return plain
 
 
 @numba.njit(error_model="numpy")
@@ -51,37 +67,44 @@ def location_means(particles: Array, count: int, reading: Array, priors: Array, 
 @numba.njit(error_model="numpy")
 def derive(particles: Array, count: int, unknowns: NDArray[np.int64], priors: Array, derived: Array) -> None:
     """Fill `derived` (DERIVED, count) from particles (D, count) and the known parameters."""
-    values = np.empty(8)
-    for parameter in range(8):  # assigning the whole row takes five times as long to compile
+    values = np.empty(len(priors))
+    for parameter in range(len(priors)):  # assigning the whole row takes five times as long to compile
         values[parameter] = priors[parameter, 1]
+    speed_measured, direction_measured = priors[U, 0] == MEASURED, priors[PHI, 0] == MEASURED
     for i in range(count):
         for row in range(len(unknowns)):
             values[unknowns[row]] = particles[row, i]
+        angle = values[WIND_DIRECTION] * RADIANS if direction_measured else values[PHI]
         derived[0, i] = values[X]
         derived[1, i] = values[Y]
         derived[2, i] = values[Z]
-        derived[3, i] = values[Q] / (4 * math.pi * values[D])
+        derived[3, i] = values[GAIN] * values[Q] / (4 * math.pi * values[D])
         derived[4, i] = 0.5 / values[D]
         derived[5, i] = 1 / (values[D] * values[TAU])
-        derived[6, i] = values[U]
-        derived[7, i] = math.cos(values[PHI])
-        derived[8, i] = math.sin(values[PHI])
+        derived[6, i] = values[WIND_SPEED] if speed_measured else values[U]
+        derived[7, i] = math.cos(angle)
+        derived[8, i] = math.sin(angle)
+        derived[NOISES, i] = values[NOISE] * values[NOISE]
+        derived[CVS, i] = values[CV]
 
 
 @numba.njit(error_model="numpy")
 def derived_means(derived: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
-    """Fill `means` (count,) with the concentration at the reading's place, g/m³, for each column of `derived`.
+    """Fill `means` (count,) with the concentration at the reading's place, times the gain, g/m³, for each column of `derived`.
 
-    A measured wind is taken from the reading.
+    A measured wind is taken from the reading, with each column's error.
     """
     x, y, height = reading[0], reading[1], reading[2]
-    speed_measured, direction_measured = priors[U, 0] == MEASURED, priors[PHI, 0] == MEASURED
     speed = math.sqrt(reading[3] * reading[3] + reading[4] * reading[4])
     cosine, sine = (reading[3] / speed, reading[4] / speed) if speed > 0 else (1.0, 0.0)
+    if priors[U, 0] != MEASURED:
+        speed = 1.0
+    if priors[PHI, 0] != MEASURED:
+        cosine, sine = 1.0, 0.0
     for i in range(count):
-        u = speed if speed_measured else derived[6, i]
-        c = cosine if direction_measured else derived[7, i]
-        s = sine if direction_measured else derived[8, i]
+        u = speed * derived[6, i]
+        c = cosine * derived[7, i] - sine * derived[8, i]
+        s = sine * derived[7, i] + cosine * derived[8, i]
         dx = x - derived[0, i]
         dy = y - derived[1, i]
         dz = height - derived[2, i]

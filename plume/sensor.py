@@ -31,23 +31,25 @@ def fluctuating(mean: Array, cv: float, rng: Draws) -> Array:
 def _gamma_and_normal(reading: Array, mean: Array, std: Array, cv: float) -> Array:
     """Log-density of c + v at each reading: c is gamma with this mean and coefficient of variation, v ~ N(0, std²).
 
-    The integral runs over log c and, where a shape below 1 piles the gas up at 0, is first integrated by parts.
+    A numerical integral over c. It is taken by parts, since for a shape below 1 the gas piles up at 0.
     """
     reading, mean, std = np.broadcast_arrays(reading, mean, std)
     shape, scale = 1 / cv**2, np.maximum(mean, 1e-12 * std) * cv**2
-    # c^(k−1) e^(−c/θ − (z−c)²/2σ²) = d(c^k)/k · g(c), so the integral is that of −c^k g'(c)/k, with −g' = g · (1/θ − (z − c)/σ²).
-    highest = np.log(np.maximum(np.maximum(reading, 0) + 12 * std, scale * (shape + 1) * 1e-3)) + 0.1
-    grid = np.linspace(0.0, 1.0, 6001)
-    low = np.minimum(np.log(scale * (shape + 1)), highest) - 45 / (shape + 1) - 3
-    log_c = low[..., None] + (highest - low)[..., None] * grid
-    c = np.exp(log_c)
+    peak = (shape + 1) * scale
+    spread = 40 * np.sqrt(shape + 1) * scale
+    far = np.linspace(-45 / (shape + 1) - 3, 0.0, 2001)  # of log c
+    near = np.linspace(-12.0, 12.0, 2001)  # of standard deviations around the reading, and of shares of the gamma's spread
+    ends = np.maximum(peak + spread, reading + 12 * std)
+    nodes = [ends[..., None] * np.exp(far), np.maximum(reading[..., None] + std[..., None] * near, 0.0)]
+    c = np.sort(np.concatenate([*nodes, np.maximum(peak[..., None] + spread[..., None] / 12 * near, 0.0)], axis=-1), axis=-1)
     gap = (reading[..., None] - c) / std[..., None]
-    exponent = (shape + 1) * log_c - c / scale[..., None] - 0.5 * gap * gap
+    exponent = shape * np.log(np.maximum(c, 1e-300)) - c / scale[..., None] - 0.5 * gap * gap
     top = exponent.max(axis=-1)
+    # c^(k−1) = (c^k)'/k, so the integral is that of c^k / k times the negative derivative of the rest.
     slope = 1 / scale[..., None] - gap / std[..., None]
-    total = (slope * np.exp(exponent - top[..., None])).sum(axis=-1) * (highest - low) * (grid[1] - grid[0])
+    total = np.trapezoid(slope * np.exp(exponent - top[..., None]), c, axis=-1)
     constant = math.log(shape) + math.lgamma(shape) + shape * np.log(scale) + np.log(std) + 0.5 * np.log(2 * np.pi)
-    return np.asarray(np.log(total) + top - constant)
+    return np.asarray(np.log(np.maximum(total, 1e-300)) + top - constant)
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class Gaussian:
     environment_noise: float = 0.2
     """β: standard deviation in clean air, g/m³; above 0."""
     cv: float = 0.0
-    """Intermittency of the gas: coefficient of variation of the concentration around the plume's mean, up to GREATEST_CV; 0 is steady gas.
+    """Intermittency: coefficient of variation of the concentration around the plume's mean, up to GREATEST_CV; 0 is steady gas.
 
     The concentration is then gamma-distributed with shape k = 1/cv² and scale m/k, independent from reading to reading, and z = c + v."""
 
@@ -68,12 +70,14 @@ class Gaussian:
         return np.sqrt(np.square(self.sensor_noise * np.asarray(mean, np.float64)) + self.environment_noise**2)
 
     def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None) -> Array:
-        """Draw a reading for each mean concentration, g/m³; same shape. `concentration`: the gas that is there, if it was drawn elsewhere."""
+        """Draw a reading for each mean concentration, g/m³; same shape.
+
+        concentration: the gas that is there, g/m³, if it was drawn elsewhere.
+        """
         mean = np.asarray(mean, np.float64)
         noise = self.noise_std(mean) * rng.standard_normal(mean.shape)
-        if concentration is None:
-            concentration = fluctuating(mean, self.cv, rng)
-        return np.asarray(concentration + noise)
+        there = fluctuating(mean, self.cv, rng) if concentration is None else np.asarray(concentration, np.float64)
+        return np.asarray(there + noise)
 
     def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
         """log N(z; m, σ(m)²) with its normaliser, which differs between hypotheses because σ depends on m.
@@ -122,7 +126,10 @@ class Threshold:
         return Gaussian(self.sensor_noise, self.environment_noise)
 
     def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None) -> Array:
-        """Draw a reading for each mean concentration, g/m³; same shape. `concentration`: the gas that is there, if it was drawn elsewhere."""
+        """Draw a reading for each mean concentration, g/m³; same shape.
+
+        concentration: the gas that is there, g/m³, if it was drawn elsewhere.
+        """
         value = self._analog().measure(mean, rng, concentration)
         seen = rng.random(value.shape) >= self.missed
         return np.where(seen & (value >= self.threshold), value, 0.0)
@@ -168,7 +175,10 @@ class Hits:
     """b: expected hits per reading in clean air; above 0."""
 
     def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None) -> Array:
-        """Draw a reading for each mean concentration, g/m³; same shape. `concentration`: the gas that is there, if it was drawn elsewhere."""
+        """Draw a reading for each mean concentration, g/m³; same shape.
+
+        concentration: the gas that is there, g/m³, if it was drawn elsewhere.
+        """
         there = np.asarray(mean if concentration is None else concentration, np.float64)
         return np.asarray(rng.poisson(self.efficiency * there + self.background), np.float64)
 

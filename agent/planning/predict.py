@@ -10,7 +10,7 @@ from agent.planning import kernels
 from link.bus.messages import Belief, Particles
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.kernels import mean_concentrations
-from plume.parameters import KNOWN, MEASURED, PARAMETERS
+from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.sensor import parse, sensor_row
 
 Array = NDArray[np.float64]
@@ -70,9 +70,10 @@ def cloud(belief: Belief, particles: Particles) -> Cloud:
 def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
     """Mean concentration (A, N), g/m³, at places (A, 2) m at flight height under each particle."""
     names = ("x", "y", *(name for name in belief.unknowns if name not in ("x", "y")))
-    priors = np.zeros((8, 5))
+    known = {"z": belief.z, "q": belief.rate, "d": belief.diffusivity, "tau": belief.lifetime, **NEUTRAL}
+    priors = np.zeros((len(PARAMETERS), 5))
     priors[:, 0] = KNOWN
-    priors[:, 1] = 0.0, 0.0, belief.z, belief.rate, 0.0, 0.0, belief.diffusivity, belief.lifetime
+    priors[:, 1] = [known.get(name, 0.0) for name in PARAMETERS]
     for name in ("u", "phi"):
         if name not in names:
             priors[PARAMETERS.index(name), 0] = MEASURED

@@ -6,23 +6,25 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.kernels.densities import normal_cdf
+from estimator.kernels.densities import is_intermittent, normal_cdf
 from plume.compiled import kernel
+from plume.intermittency import distribution
+from plume.kernels import CVS, NOISES
 from plume.numerics import exp
 from plume.sensor import GAUSSIAN_KIND, HITS_KIND
 
 Array = NDArray[np.float64]
 
-CHECK_PARTICLES = 1000
-"""About this many particles, evenly spaced, are used for the predictive rank of a reading."""
+CHECK_PARTICLES, CHECK_INTERMITTENT = 1000, 250
+"""About so many particles, evenly spaced, are used for the predictive rank of a reading; fewer in intermittent gas, where each is dear."""
 
 
 @numba.njit(error_model="numpy")
-def _gaussian_tails(means: Array, gas: float, slope: float, floor: float, result: Array) -> None:
-    """Fill `result` with P(Z ≤ gas) for each mean, accurate to 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
+def _gaussian_tails(means: Array, noises: Array, gas: float, slope: float, floor: float, result: Array) -> None:
+    """Fill `result` with P(Z ≤ gas) for each mean and squared noise factor, accurate to 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
     for i in range(len(means)):
         residual = gas - means[i]
-        half_square = 0.5 * residual * residual / (slope * means[i] * means[i] + floor)
+        half_square = 0.5 * residual * residual / (noises[i] * (slope * means[i] * means[i] + floor))
         t = 1 / (1 + 0.3275911 * math.sqrt(half_square))
         p = t * 1.061405429 - 1.453152027
         p = p * t + 1.421413741
@@ -49,32 +51,38 @@ def _hits_cdf(count: float, expected: float) -> float:
 
 
 @numba.njit(error_model="numpy")
-def predictive_rank(means: Array, weights: Array, gas: float, sensor: Array, chance: float) -> float:
+def predictive_rank(means: Array, derived: Array, weights: Array, gas: float, priors: Array, sensor: Array, chance: float) -> float:
     """Return the rank of a reading in its predictive distribution: uniform in (0, 1) if the model is right (Dawid 1984).
 
-    means, weights: (N,) of the particles before the reading.  chance: a uniform draw in (0, 1) that breaks ties of discrete readings.
+    means, weights: (N,) of the particles before the reading.  derived: their columns of `plume.kernels.derive`, or empty.
+    chance: a uniform draw in (0, 1) that breaks ties of discrete readings.
     """
-    count = len(means)
-    share, total = 0.0, 0.0
-    if sensor[0] == GAUSSIAN_KIND:
-        tails = np.empty(count)
-        _gaussian_tails(means, gas, sensor[1] * sensor[1], sensor[2] * sensor[2], tails)
+    gaussian = sensor[0] == GAUSSIAN_KIND
+    intermittent = gaussian and is_intermittent(priors)
+    stride = max(len(means) // (CHECK_INTERMITTENT if intermittent else CHECK_PARTICLES), 1)
+    few, shares = means[::stride].copy(), weights[::stride].copy()
+    count = len(few)
+    noises, tails = np.ones(count), np.empty(count)
+    if len(derived):
         for i in range(count):
-            share += weights[i] * tails[i]
-            total += weights[i]
-        return share / total
+            noises[i] = derived[NOISES, i * stride]
+    if gaussian and not intermittent:
+        _gaussian_tails(few, noises, gas, sensor[1] * sensor[1], sensor[2] * sensor[2], tails)
+    share, total = 0.0, 0.0
     for i in range(count):
-        if sensor[0] == HITS_KIND:
-            expected = sensor[1] * means[i] + sensor[2]
+        variance = noises[i] * ((sensor[1] * few[i]) ** 2 + sensor[2] * sensor[2])
+        if intermittent:
+            tails[i] = distribution(gas, few[i], variance, derived[CVS, i * stride])
+        elif sensor[0] == HITS_KIND:
+            expected = sensor[1] * few[i] + sensor[2]
             below = _hits_cdf(gas - 1, expected)
-            tail = below + chance * (_hits_cdf(gas, expected) - below)
-        else:
-            std = math.sqrt((sensor[1] * means[i]) ** 2 + sensor[2] * sensor[2])
-            tail = sensor[4] + (1 - sensor[4]) * normal_cdf((max(gas, sensor[3]) - means[i]) / std)
+            tails[i] = below + chance * (_hits_cdf(gas, expected) - below)
+        elif not gaussian:
+            tails[i] = sensor[4] + (1 - sensor[4]) * normal_cdf((max(gas, sensor[3]) - few[i]) / math.sqrt(variance))
             if gas == 0.0:
-                tail *= chance
-        share += weights[i] * tail
-        total += weights[i]
+                tails[i] *= chance
+        share += shares[i] * tails[i]
+        total += shares[i]
     return share / total
 
 

@@ -1,16 +1,15 @@
 """Assimilates one reading: reweight; if the weights degenerate, resample and move."""
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.kernels.checks import CHECK_PARTICLES, predictive_rank
-from estimator.kernels.densities import log_densities_of
+from estimator.kernels.checks import predictive_rank
+from estimator.kernels.densities import reading_densities
 from estimator.kernels.draws import key_of, uniform
-from estimator.kernels.moves import metropolis
+from estimator.kernels.moves import resample_move
 from estimator.kernels.weights import systematic, tempered_share
 from plume.compiled import kernel
-from plume.kernels import DERIVED, derive, derived_means, is_location_only, location_means
+from plume.kernels import DERIVED, derive, is_location_only
 
 Array = NDArray[np.float64]
 
@@ -18,14 +17,6 @@ RESAMPLE_BELOW = 0.5
 """Resample if the effective sample size falls below this share of N."""
 MAX_STAGES = 40
 """Most tempered stages per reading. The rest of its likelihood is dropped, so that no admitted reading collapses the cloud to a point."""
-
-
-@numba.njit(error_model="numpy")
-def _inherit(values: Array, ancestors: NDArray[np.int64]) -> None:
-    """Give each particle its ancestor's value. A loop, because `values[:] = values[ancestors]` takes two seconds to compile."""
-    before = values.copy()
-    for i in range(len(ancestors)):
-        values[i] = before[ancestors[i]]
 
 
 @kernel(
@@ -50,26 +41,21 @@ def update(
     Reweight; if the weights degenerate, resample and move (Gordon 1993; Chopin 2002). A reading that would reduce the effective sample
     size too much is taken in tempered stages (Del Moral 2006).  weights: (N,) exp(log_weights), scaled so that the greatest is 1.
     """
-    rows, count = particles.shape
+    count = particles.shape[1]
     step = len(readings) - 1
     reading = readings[step]
-    only_location = is_location_only(unknowns, priors)
-    derived = np.empty((0 if only_location else DERIVED, count))
+    derived = np.empty((0 if is_location_only(unknowns, priors) else DERIVED, count))
     means, densities = np.empty(count), np.empty(count)
     rank = 0.5
     exponent = 0.0
     stage = 0
     while True:
-        if only_location:
-            location_means(particles, count, reading, priors, means)
-        else:
+        if len(derived):
             derive(particles, count, unknowns, priors, derived)
-            derived_means(derived, count, reading, priors, means)
-        log_densities_of(means, count, reading[5], sensor, densities)
+        reading_densities(particles, derived, count, reading, priors, sensor, means, densities)
         if stage == 0:
-            stride = max(count // CHECK_PARTICLES, 1)
             chance = uniform(key_of(seed, step, 0, 1000), 0)
-            rank = predictive_rank(means[::stride].copy(), weights[::stride].copy(), reading[5], sensor, chance)
+            rank = predictive_rank(means, derived, weights, reading[5], priors, sensor, chance)
         left = 1.0 - exponent
         share, size = tempered_share(log_weights, densities, left, weights)
         exponent = 1.0 if share >= left else exponent + share
@@ -79,12 +65,11 @@ def update(
             log_targets[i] += share * densities[i]
         if size < RESAMPLE_BELOW * count:
             ancestors = systematic(weights, uniform(key_of(seed, step, stage, 0), 0))
-            for row in range(rows):
-                _inherit(particles[row], ancestors)
-            _inherit(log_targets, ancestors)
+            resample_move(
+                particles, log_targets, ancestors, sweeps, readings, unknowns, priors, sensor, seed, step, stage
+            )  # fmt: skip
             log_weights[:] = 0.0
             weights[:] = 1.0
-            metropolis(particles, log_targets, readings, unknowns, priors, sensor, seed, step, stage, sweeps)
             stage += 1
         if exponent == 1.0 or stage == MAX_STAGES:
             return rank
@@ -114,5 +99,6 @@ def update_missions(
     for b in missions:
         count = counts[b]
         ranks[b, count - 1] = update(
-            particles[b], log_weights[b], weights[b], log_targets[b], readings[b, :count], unknowns, priors[b], sensors[b], seeds[b], sweeps
-        )
+            particles[b], log_weights[b], weights[b], log_targets[b], readings[b, :count], unknowns, priors[b], sensors[b], seeds[b],
+            sweeps,
+        )  # fmt: skip

@@ -26,7 +26,7 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gas: Annotated[float, Meta(description="the gas reading, in the sensor's unit: g/m³, or a count of hits")]
     wind: Annotated[
         Pair,
-        Meta(description="(u cos φ, u sin φ) m/s, points to where the wind comes from; as measured, or its mean where u or φ has a prior"),
+        Meta(description="(u cos φ, u sin φ) m/s, points to where the wind comes from; as measured, or its mean if u or φ has a prior"),
     ]
     sensor: Annotated[str, Meta(description="assumed sensor, in the form of --sensor")]
     rate: Annotated[float, Meta(gt=0, description="assumed release rate q, or its mean if unknown, g/s")]
