@@ -162,8 +162,8 @@ def _told(missions: Missions) -> dict[str, Any]:
 class SourceSearch(gymnasium.Env[Observation, Any]):
     """One mission at a time; the keyword arguments are those of `Settings`.
 
-    `reset(seed=s)` begins the mission of seed s, the same that `plumeward rollout --seed s --assume paper` flies. Resets without a seed begin missions
-    drawn by that seed. AGDC's stop *terminates* an episode, right or wrong; a spent budget *truncates* it.
+    `reset(seed=s)` begins the mission of seed s, the same that `plumeward rollout --seed s --assume paper` flies. Resets without a seed
+    begin missions drawn by that seed. AGDC's stop *terminates* an episode, right or wrong; a spent budget *truncates* it.
 
     Example:
         ```python
