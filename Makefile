@@ -82,10 +82,10 @@ train: setup
 
 results: setup
 	mkdir -p results
-	$(BIN)/python -m agent evaluate --policy $(POLICIES) --particles 100,500,1000,2000,4000 --missions results/particles.csv.gz --force $(FLAGS)
-	$(BIN)/python -m agent evaluate --policy $(POLICIES) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/thresholds.csv.gz --force $(FLAGS)
-	$(BIN)/python -m agent evaluate --policy $(LEARNED) --particles 100,500,1000,2000,4000 --missions results/learned-particles.csv.gz --force $(FLAGS)
-	$(BIN)/python -m agent evaluate --policy $(LEARNED) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/learned-thresholds.csv.gz --force $(FLAGS)
+	$(BIN)/python -m agent evaluate --assume paper --policy $(POLICIES) --particles 100,500,1000,2000,4000 --missions results/particles.csv.gz --force $(FLAGS)
+	$(BIN)/python -m agent evaluate --assume paper --policy $(POLICIES) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/thresholds.csv.gz --force $(FLAGS)
+	$(BIN)/python -m agent evaluate --assume paper --policy $(LEARNED) --particles 100,500,1000,2000,4000 --missions results/learned-particles.csv.gz --force $(FLAGS)
+	$(BIN)/python -m agent evaluate --assume paper --policy $(LEARNED) --threshold 0.1,0.2,0.3,0.4,0.5,0.6,0.7,0.8,0.9 --missions results/learned-thresholds.csv.gz --force $(FLAGS)
 
 report: setup
 	$(BIN)/python -m agent report --force $(FLAGS)

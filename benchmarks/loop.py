@@ -27,7 +27,7 @@ RING_ROUNDS = 2000
 def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
     """Fly one mission; returns the milliseconds of each step, by part."""
     processes = Processes(Inbox())
-    script = Script().changed({"seed": seed, "agent.policy": policy, "estimator.particles": particles})
+    script = Script().changed({"seed": seed, "agent.policy": policy, "estimator.particles": particles, "estimator.assume": "paper"})
     read_at: list[tuple[int, float]] = []
     compute: dict[str, dict[int, float]] = defaultdict(dict)
     try:
@@ -111,7 +111,7 @@ def main() -> None:
         for seed in seeds:
             steps += fly(seed, policy, args.particles)
             began = time.perf_counter()
-            result, _ = rollout(seed, policy, args.particles)
+            result, _ = rollout(seed, policy, args.particles, assume="paper")
             in_process.append((result.steps, 1000 * (time.perf_counter() - began)))
             print(f"{policy} seed {seed} flown", file=sys.stderr)
         alone = sum(ms for _, ms in in_process) / sum(count for count, _ in in_process)

@@ -147,7 +147,8 @@ def fly(world: str, name: str, seed: int, particles: int = PARTICLES, budget: in
     last = flown[-1].belief
     trace = [TracePoint(step.belief.position, step.belief.gas, step.belief.mean, step.belief.spread) for step in flown]
     updates_s, decisions_s = [step.update_s for step in flown if step.update_s], [step.decision_s for step in flown[1:]]
-    result = outcome(seed, name, mismatch.scenario(seed), trace, last.ceased, sum(updates_s) + sum(decisions_s))
+    search_time_s = sum(updates_s) + sum(decisions_s)
+    result = outcome(seed, name, mismatch.scenario(seed), trace, last.ceased, search_time_s, last.assume, last.stop)
     error = np.subtract(result.estimate, result.source)
     xx, xy, yy = last.covariance
     return MissionRow(

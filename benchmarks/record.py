@@ -32,7 +32,7 @@ MISSION = """\
 seed: {seed}
 speedup: 0
 agent: {{policy: {policy}, budget: 100000}}
-estimator: {{threshold_m: 1.0e-9}}
+estimator: {{assume: paper, threshold_m: 1.0e-9}}
 vehicle: {{endurance_s: 1.0e+6}}
 """
 """A mission that never ends by itself."""

@@ -2,7 +2,7 @@
 
 import math
 
-from estimator.options import add_sensor_argument, knowledge
+from estimator.options import add_sensor_argument, knowledge, thresholds_m
 from link import cli
 from link.bus.session import Bus
 from plume.randomness import MAX_SEED
@@ -27,14 +27,14 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
     parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="the vehicle's MAVLink system id (default: %(default)s)")
     args = parser.parse_args(arguments)
     try:
-        known = knowledge(args, args.area)
+        known, (threshold_m,) = knowledge(args, args.area), thresholds_m(args)
     except ValueError as error:
         parser.error(str(error))
 
     from estimator.filter import Config  # loads or compiles the kernels, so only for a good command line
     from estimator.service import run
 
-    config = Config(args.particles, args.threshold, args.seed, args.rate, args.diffusivity, args.lifetime, args.area, **known)
+    config = Config(args.particles, threshold_m, args.seed, args.rate, args.diffusivity, args.lifetime, args.area, **known)
     with Bus("estimator", args.connect, args.namespace, log_level=args.log_level) as bus:
         run(bus, config, args.sysid)
 

@@ -3,9 +3,10 @@
 import math
 
 from estimator.filter import Config
-from estimator.priors import Fixed, Gamma, Normal, Prior, Uniform
+from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.parameters import GREATEST_CV, PARAMETERS
 
 
 def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[str, str] | None:
@@ -26,11 +27,19 @@ def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[s
 
 
 def greatest_concentration(config: Config) -> float:
-    """Return the concentration at the surface of the strongest source that the priors allow, g/m³."""
-    known: dict[str, Prior] = {"q": Fixed(config.rate), "d": Fixed(config.diffusivity)}
-    _, rate = _likely_range({**known, **config.priors}["q"])
-    diffusivity, _ = _likely_range({**known, **config.priors}["d"])
-    return rate / (4 * math.pi * diffusivity * SOURCE_RADIUS_M)
+    """Return the greatest concentration that the sensor may report, g/m³: at the surface of the strongest source that the priors allow.
+
+    It grows with the sensor's gain, and with intermittency, whose gusts exceed the plume's mean.
+    """
+    known = {name: Fixed(float(config.prior_rows[PARAMETERS.index(name), 1])) for name in ("q", "d", "gain", "cv")}
+    ranges = {name: _likely_range(config.effective_priors.get(name, value)) for name, value in known.items()}
+    mean = ranges["q"][1] / (4 * math.pi * ranges["d"][0] * SOURCE_RADIUS_M)
+    return mean * ranges["gain"][1] * _greatest_gust(min(ranges["cv"][1], GREATEST_CV))
+
+
+def _greatest_gust(cv: float) -> float:
+    """Return an upper end of gamma-distributed gas with mean 1 and this coefficient of variation: it stays below with 1 − 10⁻⁶."""
+    return _likely_range(Gamma(1 / cv**2, cv**2))[1] if cv > 0 else 1.0
 
 
 def _likely_range(prior: Prior) -> tuple[float, float]:
@@ -45,3 +54,5 @@ def _likely_range(prior: Prior) -> tuple[float, float]:
             return max(mean - 6 * std, smallest), mean + 6 * std
         case Gamma(shape, scale):
             return smallest, scale * (shape + 6 * math.sqrt(shape) + 20)
+        case LogNormal(median, sigma):
+            return median * math.exp(-4.9 * sigma), median * math.exp(4.9 * sigma)

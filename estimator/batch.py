@@ -1,12 +1,13 @@
 """Posteriors of many missions at once, by the same kernel as for one: mission i is bit-identical to mission i run alone."""
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.belief import fit, may_claim
+from estimator.belief import fit, may_claim, share_within, sure_enough
 from estimator.filter import Config, Posterior, prior
 from estimator.kernels.update import update_missions
 from estimator.kernels.weights import moments_of_missions
@@ -89,11 +90,24 @@ class Batch:
         portion = min(MISSIONS_PER_TASK, -(-len(missions) // self._threads))
         list(self._pool.map(task, np.split(missions, range(portion, len(missions), portion))))
 
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """Names of the unknowns, in the order of the particles' rows."""
+        return self._configs[0].unknowns
+
     def may_claim(self, mission: int) -> bool:
         """True if the mission may claim a find, as by `estimator.belief.may_claim`."""
         count = self.counts[mission]
         p_value = fit(self._readings[mission, :count], self._ranks[mission, :count], self._configs[mission])
         return may_claim(p_value, int(count))
+
+    def has_ceased(self, mission: int) -> bool:
+        """Whether the mission's belief has ceased, as by `estimator.belief.belief`."""
+        config, covariance = self._configs[mission], self.covariances[mission]
+        (xx, _), (_, yy) = covariance[:2, :2].tolist()
+        share = share_within(self.particles[mission], self.weights[mission], self.means[mission], config)
+        stds = dict(zip(config.unknowns, np.sqrt(covariance.diagonal()).tolist(), strict=True)) if config.stop_limits else {}
+        return sure_enough(math.sqrt(xx + yy), share, stds, config, config.threshold_m) and self.may_claim(mission)
 
     def posterior(self, mission: int) -> Posterior:
         """Return a copy of one mission's posterior."""

@@ -8,6 +8,7 @@ import numpy as np
 from estimator.filter import Array, Config, Posterior
 from estimator.kernels.checks import uniformity_p_value
 from estimator.kernels.weights import effective_sample_size, moments
+from estimator.priors import Fixed
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles, Stop
 from plume import sensor
@@ -43,6 +44,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     )
     (xx, xy), (_, yy) = covariance[:2, :2].tolist()
     spread = math.sqrt(xx + yy)
+    share = share_within(posterior.particles, posterior.weights, unknown_means, config)
     p_value = fit(posterior.readings, posterior.ranks, config)
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
@@ -64,7 +66,9 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         spread=spread,
         effective_sample_size=effective_sample_size(posterior.weights),
         p_value=p_value,
-        ceased=may_claim(p_value, len(posterior.readings)) and sure_enough(spread, std, config, config.threshold_m),
+        ceased=may_claim(p_value, len(posterior.readings)) and sure_enough(spread, share, std, config, config.threshold_m),
+        assume=config.assume,
+        stop=config.criterion.text,
     )
     weights = posterior.weights / posterior.weights.sum()
     return summary, np.vstack([posterior.particles, weights]).T.astype(np.float32)
@@ -86,18 +90,40 @@ def may_claim(p_value: float, readings: int) -> bool:
     return readings >= STUCK and p_value >= INCOMPATIBLE
 
 
-def sure_enough(spread: float, stds: Mapping[str, float], config: Config, threshold_m: float) -> bool:
-    """True if the stop criterion is met: spread below `threshold_m`, if required, and standard deviations below their limits."""
-    located = spread < threshold_m or not config.stop_on_location
-    return located and all(stds[name] < limit for name, limit in config.stop_limits.items())
+def share_within(particles: Array, weights: Array, means: Array, config: Config) -> float:
+    """Return the share of the belief's weight within the radius of `config.within` of the estimate; NaN if no radius is asked for.
+
+    particles: (D, N), weights: (N,), which need not be normalised, means: (D,). A known x or y is the estimate's own.
+    """
+    if config.within is None:
+        return math.nan
+    squares = np.zeros(len(weights))
+    for row, mean, name in zip(particles, means, config.unknowns, strict=True):
+        if name in ("x", "y"):
+            squares += np.square(row - mean)
+    return float(weights[squares <= config.within[0] ** 2].sum() / weights.sum())
+
+
+def sure_enough(spread: float, share: float, stds: Mapping[str, float], config: Config, threshold_m: float) -> bool:
+    """True if the stop criterion is met: the location is known, if required, and standard deviations are below their limits.
+
+    The location is known if the spread is below `threshold_m`, or, with `config.within`, if `share` (of `share_within`) is large enough.
+    """
+    located = spread < threshold_m if config.within is None else share >= config.within[1]
+    return (located or not config.stop_on_location) and all(stds[name] < limit for name, limit in config.stop_limits.items())
 
 
 def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[float, float]:
-    """Return the assumed wind, (u cos φ, u sin φ) m/s: speed and direction of the reading, or their means if they have a prior."""
-    if "u" not in config.priors and "phi" not in config.priors:
+    """Return the assumed wind, (u cos φ, u sin φ) m/s: speed and direction of the reading, or their means if they have a prior.
+
+    Known errors of the measurement are corrected. Unknown ones are not: each particle has its own.
+    """
+    known = {name: prior.value for name, prior in config.priors.items() if isinstance(prior, Fixed)}
+    if not {"u", "phi"} & set(config.priors) and not {"wind-speed", "wind-direction"} & set(known):
         return reading.wind
-    speed = mean["u"] if "u" in config.priors else math.hypot(*reading.wind)
-    direction = mean["phi"] if "phi" in config.priors else math.atan2(reading.wind[1], reading.wind[0])
+    speed = mean["u"] if "u" in config.priors else math.hypot(*reading.wind) * known.get("wind-speed", 1.0)
+    measured = math.atan2(reading.wind[1], reading.wind[0])
+    direction = mean["phi"] if "phi" in config.priors else measured + math.radians(known.get("wind-direction", 0.0))
     return speed * math.cos(direction), speed * math.sin(direction)
 
 
@@ -109,5 +135,6 @@ def stop(ceased: Belief, config: Config) -> Stop:
         estimate=ceased.mean,
         covariance=ceased.covariance,
         spread=ceased.spread,
-        threshold=config.threshold_m,
+        threshold=0.0 if config.within else config.threshold_m,
+        stop=config.criterion.text,
     )

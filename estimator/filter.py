@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator import priors
+from estimator.assumptions import effective_priors
+from estimator.criterion import Criterion
 from estimator.kernels.densities import log_priors
 from estimator.kernels.update import update
 from estimator.priors import Prior, Uniform
@@ -42,16 +44,21 @@ class Config:
     area_m: float = AREA_M
     """Side of the square search area, m."""
     priors: Mapping[str, Prior] = field(default_factory=dict)
-    """Priors by name of `PARAMETERS`; x and y are uniform over the area by default. Without a prior, the source's height z is the
-    flight height, and wind speed u and direction φ are those measured. With a prior, the measured value is ignored."""
+    """Priors by name of `PARAMETERS`, which replace those of `assume` one by one. x and y are uniform over the area by default. Without a
+    prior, the source's height z is the flight height, and wind speed u and direction φ are those measured. With a prior, the measured
+    value is ignored."""
     sensor: Sensor = GAUSSIAN
     stop_on_location: bool = True
-    """True if a stop requires the spread to be below ζ."""
+    """True if a stop requires the location to be known: the spread below ζ, or `within`."""
     stop_limits: Mapping[str, float] = field(default_factory=dict)
     """Limits by name of unknown: a stop requires its standard deviation to be below."""
+    assume: str = "paper"
+    """What is taken to be known: a name of `estimator.assumptions.ASSUMPTIONS`."""
+    within: tuple[float, float] | None = None
+    """(R, P): the search stops when at least the share P of the belief lies within R metres of the estimate, whatever ζ."""
 
     def __post_init__(self) -> None:
-        """Refuse bad priors and limits."""
+        """Refuse bad assumptions, priors and limits."""
         if not len(self.unknown_indices):
             raise ValueError("nothing is unknown: at least one parameter needs a prior that is not fixed")
         for name in self.stop_limits:
@@ -61,12 +68,22 @@ class Config:
             raise ValueError("a stop needs a criterion: the location or a limit")
 
     @cached_property
+    def effective_priors(self) -> Mapping[str, Prior]:
+        """Priors by name: those of the assumption, each replaced by the one in `priors`. Uniform ones of x and y are not among them."""
+        return effective_priors(self.assume, self.priors, self.rate, self.lifetime, self.sensor)
+
+    @property
+    def criterion(self) -> Criterion:
+        """What a stop requires of the location."""
+        return Criterion(self.threshold_m, self.within)
+
+    @cached_property
     def prior_rows(self) -> Array:
         """(13, 5): the priors as the kernels take them."""
         everywhere = Uniform(0.0, self.area_m)
         cv = self.sensor.cv if isinstance(self.sensor, Gaussian) else 0.0
         known = {"q": self.rate, "d": self.diffusivity, "tau": self.lifetime, "z": 0.0, **NEUTRAL, "cv": cv}
-        return priors.table({"x": everywhere, "y": everywhere, **self.priors}, known, self.area_m)
+        return priors.table({"x": everywhere, "y": everywhere, **self.effective_priors}, known, self.area_m)
 
     @cached_property
     def unknown_indices(self) -> NDArray[np.int64]:

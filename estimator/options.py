@@ -4,10 +4,11 @@ import argparse
 import math
 from typing import Any
 
+from estimator import criterion
+from estimator.assumptions import effective_priors, unknowns
 from estimator.priors import Fixed, Prior, parse, support
 from link import cli
 from plume import sensor
-from plume.parameters import PARAMETERS
 from plume.scenario import AREA_M
 
 
@@ -20,11 +21,26 @@ def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
     cli.completed(kind, lambda: sensor.KINDS)
 
 
+def thresholds_m(args: argparse.Namespace) -> list[float]:
+    """Return the ζ of --threshold, of which there may be several, or of --stop, m. Raises ValueError with what is allowed."""
+    if args.stop is not None:
+        return [_criterion(args).threshold_m]
+    return args.threshold if isinstance(args.threshold, list) else [args.threshold]
+
+
+def _criterion(args: argparse.Namespace) -> criterion.Criterion:
+    try:
+        return criterion.Criterion() if args.stop is None else criterion.parse(args.stop)
+    except ValueError as error:
+        raise ValueError(f"--stop: {error}") from None
+
+
 def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any]:
-    """Return the fields of `Config` that --prior, --stop-on and --sensor set, for an area of side `area_m`.
+    """Return the fields of `Config` that --assume, --prior, --stop, --stop-on and --sensor set, for an area of side `area_m`.
 
     Raises ValueError with what is allowed.
     """
+    assumed = sensor.parse(args.sensor)
     priors: dict[str, Prior] = {}
     for text in args.prior:
         try:
@@ -34,7 +50,10 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
         except ValueError as error:
             raise ValueError(f"--prior: {error}") from None
         priors[name] = prior
-    unknown = {"x", "y", *priors} - {name for name, prior in priors.items() if isinstance(prior, Fixed)}
+    try:
+        unknown = unknowns(effective_priors(args.assume, priors, 1.0, 1.0, assumed))
+    except ValueError as error:
+        raise ValueError(f"--prior: {error}") from None
     if not unknown:
         raise ValueError("--prior: nothing is unknown; at least one parameter needs a prior that is not fixed")
     limits: dict[str, float] = {}
@@ -47,9 +66,12 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
         except ValueError:
             limits[name] = math.nan
         if name not in unknown or not 0 < limits[name] < math.inf:
-            wanted = ", ".join(name for name in PARAMETERS if name in unknown)
+            wanted = ", ".join(unknown)
             raise ValueError(
                 f"--stop-on: {args.stop_on!r} is not allowed; wanted `location` and NAME=STD above 0, between commas; unknown are {wanted}"
             )
     location = "location" in args.stop_on.split(",")
-    return {"priors": priors, "stop_limits": limits, "stop_on_location": location, "sensor": sensor.parse(args.sensor)}
+    within = _criterion(args).within
+    return {
+        "priors": priors, "stop_limits": limits, "stop_on_location": location, "sensor": assumed, "assume": args.assume, "within": within,
+    }  # fmt: skip

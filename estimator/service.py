@@ -59,11 +59,13 @@ def _judge(bus: Bus, p_value: float) -> None:
 
 def _readings(bus: Bus, config: Config, system: int) -> Iterator[Reading]:
     bus.subscribe(READING)
-    bus.tally.about = f"{config.particles} particles over {' '.join(config.unknowns)}, stop below {config.threshold_m:g} m"
+    bus.tally.about = f"{config.particles} particles, assume {config.assume}, stop {config.criterion.text}"
     bus.publish_health()
+    steady = config.assume == "field" and "cv" not in config.effective_priors
     bus.log.info(
-        f"ready: {bus.tally.about}; assuming q {config.rate:g} g/s, d {config.diffusivity:g} m²/s, tau {config.lifetime:g} s; "
-        f"sensor {text(config.sensor)}"
+        f"ready: {bus.tally.about}; unknown {' '.join(config.unknowns)}; "
+        f"told q {config.rate:g} g/s, d {config.diffusivity:g} m²/s, tau {config.lifetime:g} s; "
+        f"sensor {text(config.sensor)}{', for which intermittency of the gas is not modelled' if steady else ''}"
     )
     while True:
         arrival: Arrival = bus.receive()

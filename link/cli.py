@@ -28,6 +28,8 @@ FAILED = 1
 LAUNCHER = "PLUMEWARD_LAUNCHER"
 """The environment variable by which a launcher tells its parts its process id: they end with it, however it ends."""
 PR_SET_PDEATHSIG = 1
+ASSUMPTIONS = ("field", "paper")
+"""Names of what an estimator may take to be known; `estimator.assumptions` has what they mean."""
 COMPLETING = "_ARGCOMPLETE"
 """The environment variable by which a shell asks for completions."""
 
@@ -179,20 +181,42 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
         metavar="N",
         help=f"particles of the filter{more} (default: %(default)s)",
     )
-    parser.add_argument(
+    add_assume_argument(parser, "field")
+    stop = parser.add_mutually_exclusive_group()
+    stop.add_argument(
         "--threshold", type=listed(threshold) if several else threshold, default="0.5", metavar="M",
-        help=f"stop when the spread of the belief is below M metres{more} (default: %(default)s)",
+        help=f"stop when the spread of the belief is below M metres, the short form of --stop spread:M{more} (default: %(default)s)",
     )  # fmt: skip
+    add_stop_argument(stop)
     parser.add_argument(
         "--prior",
         action="append",
         default=[],
         metavar="NAME=KIND:NUMBERS",
-        help="prior of one of x y z q u phi d tau, such as q=gamma:2,150 u=normal:2.5,0.5 tau=uniform:5,15 z=fixed:1.5; may be repeated",
+        help="prior of one of x y z q u phi d tau wind-direction wind-speed gain noise cv, instead of the assumption's, such as "
+        "q=gamma:2,150 u=normal:2.5,0.5 tau=uniform:5,15 z=fixed:1.5; may be repeated",
     )
     parser.add_argument(
         "--stop-on", default="location", metavar="WHAT",
-        help="what must be known to stop: location (--threshold), or also standard deviations, as in location,q=50 (default: %(default)s)",
+        help="what must be known to stop: location (--stop), or also standard deviations, as in location,q=50 (default: %(default)s)",
+    )  # fmt: skip
+
+
+def add_assume_argument(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add the flag that chooses what the estimator takes to be known."""
+    parser.add_argument(
+        "--assume", choices=ASSUMPTIONS, default=default,
+        help="what the estimator takes to be known. paper: all but the position x, y; field: wind, release rate, lifetime, noise and "
+        "intermittency only roughly (default: %(default)s)",
+    )  # fmt: skip
+
+
+def add_stop_argument(parser: argparse._ActionsContainer) -> None:
+    """Add the flag that chooses the stop criterion; None without it."""
+    parser.add_argument(
+        "--stop", metavar="CRITERION",
+        help="spread:Z stops when the spread of the belief is below Z metres, within:R,P when at least the share P of the belief is within "
+        "R metres of the estimate, as in within:1,0.99 (default: spread:0.5)",
     )  # fmt: skip
 
 

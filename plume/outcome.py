@@ -40,12 +40,17 @@ class Outcome(msgspec.Struct, frozen=True):
     distance_m: float
     search_time_s: float
     """Compute time of estimator and agent, summed over the mission."""
+    assume: str
+    """What the estimator took to be known."""
+    stop: str
+    """The stop criterion, in the form of --stop."""
     world: str = AS_MODELLED
 
 
 def outcome(
-    seed: int, policy: str, scenario: Scenario, trace: Sequence[TracePoint], ceased: bool, search_time_s: float, world: str = AS_MODELLED
-) -> Outcome:
+    seed: int, policy: str, scenario: Scenario, trace: Sequence[TracePoint], ceased: bool, search_time_s: float, assume: str, stop: str,
+    world: str = AS_MODELLED,
+) -> Outcome:  # fmt: skip
     """Judge a mission by its true scenario and its trace, whose first point is the reading before any move."""
     last = trace[-1]
     error_m = math.dist(last.mean, scenario.source)
@@ -62,6 +67,8 @@ def outcome(
         steps=len(trace) - 1,
         distance_m=sum(math.dist(a.position, b.position) for a, b in pairwise(trace)),
         search_time_s=search_time_s,
+        assume=assume,
+        stop=stop,
         world=world,
     )
 
@@ -76,11 +83,12 @@ def outcome_json(result: Outcome, trace: Sequence[TracePoint] | None, more: Mapp
 
 
 def outcome_text(result: Outcome) -> str:
-    """Three lines for people, each within 60 characters."""
+    """Four lines for people, each within 60 characters."""
     verdict = ("located" if result.located else "FALSE STOP") if result.ceased else "not ceased"
     (x, y), (source_x, source_y) = result.estimate, result.source
     return (
         f"{verdict} after {result.steps} steps, {result.distance_m:.1f} m\n"
         f"estimate ({x:.2f}, {y:.2f}) ± {result.spread_m:.2f} m\n"
-        f"source   ({source_x:.2f}, {source_y:.2f}), error {result.error_m:.2f} m"
+        f"source   ({source_x:.2f}, {source_y:.2f}), error {result.error_m:.2f} m\n"
+        f"assumed  {result.assume}, stop {result.stop}"
     )

@@ -243,9 +243,10 @@ def parse(text: str) -> Sensor:
 
 
 def text(sensor: Sensor) -> str:
-    """Return the text of a sensor that `parse` reads back."""
+    """Return the text of a sensor that `parse` reads back; without an intermittency of 0."""
     name = next(name for name, kind in KINDS.items() if type(sensor) is kind)
-    return f"{name}:{','.join(map(repr, astuple(sensor)))}"
+    numbers = astuple(sensor)
+    return f"{name}:{','.join(map(repr, numbers[:-1] if isinstance(sensor, Gaussian) and not sensor.cv else numbers))}"
 
 
 def sensor_row(sensor: Sensor) -> Array:

@@ -22,7 +22,7 @@ GROUPS = {
     "Fly a mission": {
         "fly": Command("sitl", "fly one mission, each part a process of its own"),
         "rollout": Command("agent", "fly one mission in this process, without a network"),
-        "list": Command("plumeward", "list the missions, policies, sensors and worlds"),
+        "list": Command("plumeward", "list the missions, policies, sensors, assumptions and worlds"),
     },
     "Look at missions": {
         "status": Command("sitl", "show how the parts of a running mission are doing"),

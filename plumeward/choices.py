@@ -1,4 +1,4 @@
-"""`plumeward list`: the missions, policies, sensors and worlds to choose from, with one line about each."""
+"""`plumeward list`: the missions, policies, sensors, assumptions and worlds to choose from, with one line about each."""
 
 import dataclasses
 import textwrap
@@ -40,6 +40,13 @@ def sensors() -> Iterator[Line]:
         yield f"{name}:{numbers}", f"{SENSORS[name]}; its numbers: {', '.join(field.name for field in fields)}"
 
 
+def assumptions() -> Iterator[Line]:
+    """Yield the assumptions: what the estimator takes to be known."""
+    from estimator.assumptions import ASSUMPTIONS
+
+    yield from ASSUMPTIONS.items()
+
+
 def worlds() -> Iterator[Line]:
     """Yield the worlds."""
     from plume.worlds import WORLDS
@@ -52,6 +59,7 @@ LISTS: dict[str, tuple[str, Callable[[], Iterator[Line]]]] = {
     "missions": ("plumeward fly MISSION", missions),
     "policies": ("--policy NAME", policies),
     "sensors": ("--sensor KIND or KIND:NUMBERS", sensors),
+    "assumptions": ("--assume NAME", assumptions),
     "worlds": ("--world NAME", worlds),
 }
 """Each list: how a command takes its names, and the function that yields its lines."""
@@ -59,7 +67,7 @@ LISTS: dict[str, tuple[str, Callable[[], Iterator[Line]]]] = {
 
 def main(arguments: list[str]) -> int:
     """Print one list, or all of them."""
-    parser = cli.Parser(prog="plumeward list", description="List the missions, policies, sensors and worlds to choose from.")
+    parser = cli.Parser(prog="plumeward list", description="List the missions, policies, sensors, assumptions and worlds to choose from.")
     parser.add_argument("what", nargs="?", choices=tuple(LISTS), help="list only these (default: all)")
     what = parser.parse_args(arguments).what
     for number, name in enumerate([what] if what else LISTS):

@@ -7,6 +7,7 @@ from typing import Any
 from agent.policies import DEFAULT
 from agent.trials.evaluate import FIRST_TEST_SEED, named
 from agent.trials.sweep import Sweep, fly, on_cores, ordered
+from estimator.criterion import USUAL_THRESHOLD_M, chosen
 from plume.scenario import BUDGET_STEPS
 from plume.worlds import AS_MODELLED, check
 
@@ -17,10 +18,12 @@ def evaluate(
     *,
     first_seed: int = FIRST_TEST_SEED,
     particles: int = 1000,
-    threshold_m: float = 0.5,
+    threshold_m: float = USUAL_THRESHOLD_M,
     budget: int = BUDGET_STEPS,
     workers: int = 1,
     world: str | Sequence[str] = AS_MODELLED,
+    assume: str = "field",
+    stop: str | None = None,
     **knowledge: Any,
 ) -> dict[str, Any]:
     """Fly the same missions with each policy and return the figures of each.
@@ -34,6 +37,9 @@ def evaluate(
         budget: Moves after which a mission is given up.
         workers: Processes that fly. A script that asks for more than one needs `if __name__ == "__main__":`.
         world: One name that `plumeward list worlds` shows, or several of them.
+        assume: What the estimator takes to be known: `field` or `paper`, where all but the position is known.
+        stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop when at least 99% of the belief is
+            within 1 m of the estimate.
         knowledge: Further fields of `plumeward.Config`, such as `sensor`.
 
     Returns:
@@ -43,7 +49,7 @@ def evaluate(
         their 95% intervals, `[low, high]`.
 
     Raises:
-        ValueError: A policy or a world is not known, or a number is out of range.
+        ValueError: A policy or a world is not known, a number is out of range, or the assumption or the criterion is not allowed.
 
     Example:
         ```python
@@ -56,9 +62,10 @@ def evaluate(
         check(name)
     if not names or not worlds or scenarios < 1 or workers < 1:
         raise ValueError("wanted one policy, one world, one scenario and one worker at least")
-    sweep = Sweep(
-        names, range(first_seed, first_seed + scenarios), (particles,), (threshold_m,), budget, knowledge=knowledge, worlds=worlds
-    )
+    criterion = chosen(threshold_m, stop)
+    knowledge = {"assume": assume, "within": criterion.within, **knowledge}
+    seeds = range(first_seed, first_seed + scenarios)
+    sweep = Sweep(names, seeds, (particles,), (criterion.threshold_m,), budget, knowledge=knowledge, worlds=worlds)
     by_seed = (list(flights) for _, flights in groupby(sweep.flights, key=lambda flight: flight[2]))
     flown = (rows for flights in by_seed for rows in fly(sweep, flights)) if workers == 1 else on_cores(workers)(sweep, by_seed)
     return named(ordered((row for rows in flown for row in rows), sweep))

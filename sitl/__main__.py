@@ -120,7 +120,7 @@ FIELDS = {
     "seed": "seed", "speedup": "speedup", "sensor": "sensor", "world": "world", "silence": "vehicle.silence_s", "policy": "agent.policy",
     "budget": "agent.budget", "headings": "agent.headings", "step": "agent.step_m", "measurements": "agent.measurements",
     "particles": "estimator.particles", "threshold": "estimator.threshold_m", "prior": "estimator.prior",
-    "stop_on": "estimator.stop_on",
+    "stop_on": "estimator.stop_on", "assume": "estimator.assume", "stop": "estimator.stop",
 }  # fmt: skip
 """The field of a mission script that each flag sets."""
 RECORD_FILE = "FILE.mcap"
@@ -140,6 +140,8 @@ def _script(args: argparse.Namespace, given: argparse.Namespace) -> Script:
     else:
         script, flags = Script(), {**flags, "speedup": args.speedup}
     changes = {field: flags[name] for name, field in FIELDS.items() if name in flags}
+    if {"threshold", "stop"} & set(flags):  # either replaces both
+        changes = {"estimator.threshold_m": None, "estimator.stop": None, **changes}
     if "home" in flags:
         changes |= {f"vehicle.{field}": value for field, value in zip(HOME, given.home, strict=True)}
     script = script.changed(changes)
@@ -341,6 +343,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
             log.info(f"on the bus at {endpoint} as {namespace}; takes off when estimator and agent are there")
             joining = f"--connect {endpoint} --namespace {namespace}"
             chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
+            chosen += "" if script.estimator.assume == "field" else f" --assume {script.estimator.assume}"
             who = "" if config.sysid == 1 else f" --sysid {config.sysid}"
             log.info(f"its estimator: plumeward estimator {joining} --rate {release.q!r} --diffusivity {release.d!r}{chosen}{who}")
             log.info(f"its agent: plumeward agent {joining} --sysid {config.sysid}")

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from agent.learn.missions import Missions
 from agent.observation import BOUND, SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move
+from estimator.assumptions import ASSUMPTIONS
+from estimator.criterion import FORMS, USUAL_THRESHOLD_M, Criterion, chosen
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS
 from plume.worlds import AS_MODELLED, WORLDS
@@ -49,18 +51,22 @@ class Settings:
     reward: str = "cost"
     """`cost`: −0.01 a step and 1 at the stop; `paper`: 0 and 1."""
     particles: int = 500
-    threshold_m: float = 0.5
+    threshold_m: float = USUAL_THRESHOLD_M
     """ζ: AGDC stops when the spread is below it."""
     budget: int = BUDGET_STEPS
     """Moves after which a mission ends unsuccessfully."""
     world: str = AS_MODELLED
     """A world of plume/worlds.py: how the truth differs from what the estimator is told."""
+    assume: str = "paper"
+    """What the estimator takes to be known: a name of `estimator.assumptions.ASSUMPTIONS`. The shipped policies learned with `paper`."""
+    stop: str | None = None
+    """The stop criterion instead of `threshold_m`, in the form of --stop: `within:1,0.99`."""
 
     def __post_init__(self) -> None:
         """Raise ValueError on a value that is not allowed."""
         if not isinstance(self.continuous, bool | np.bool_):
             raise ValueError(f"continuous {self.continuous!r} is not allowed; wanted True or False")
-        for name, names in (("observation", SCHEMAS), ("reward", REWARDS), ("world", WORLDS)):
+        for name, names in (("observation", SCHEMAS), ("reward", REWARDS), ("world", WORLDS), ("assume", ASSUMPTIONS)):
             value = getattr(self, name)
             if not isinstance(value, str) or value not in names:
                 raise ValueError(f"{name} {value!r} is not allowed; wanted {' or '.join(names)}")
@@ -69,6 +75,9 @@ class Settings:
         threshold_m: Any = self.threshold_m
         if isinstance(threshold_m, bool) or not isinstance(threshold_m, int | float | np.number) or not threshold_m > 0:
             raise ValueError(f"threshold_m {threshold_m!r} is not allowed; wanted a number above 0")
+        if not isinstance(self.stop, str | None):
+            raise ValueError(f"stop {self.stop!r} is not allowed; wanted {FORMS}")
+        chosen(float(threshold_m), self.stop)
 
     @classmethod
     def of(cls, given: Mapping[str, Any], *others: str) -> "Settings":
@@ -78,6 +87,11 @@ class Settings:
             if name not in names:  # stable-baselines3 tries a render_mode and does without it on a TypeError
                 raise TypeError(f"argument {name}={value!r} is not allowed; wanted some of {', '.join((*others, *names))}")
         return cls(**given)
+
+    @property
+    def criterion(self) -> Criterion:
+        """When AGDC stops."""
+        return chosen(self.threshold_m, self.stop)
 
     @property
     def move(self) -> Move:
@@ -91,7 +105,7 @@ class Settings:
 
     def begin(self, seeds: Sequence[int], threads: int = 1) -> Missions:
         """Return new missions of these seeds."""
-        return Missions(seeds, self.observation, self.particles, self.threshold_m, threads, self.world)
+        return Missions(seeds, self.observation, self.particles, self.criterion, self.assume, threads, self.world)
 
     def actions(self, given: Any, *count: int) -> NDArray[Any]:
         """Return `count` actions as an array, (B,) or (B, 2); without a count a single one, () or (2,). Raises ActionError."""
@@ -151,8 +165,8 @@ def _told(missions: Missions) -> dict[str, Any]:
 class SourceSearch(gymnasium.Env[Observation, Any]):
     """One mission at a time; the keyword arguments are those of `Settings`.
 
-    `reset(seed=s)` begins the mission of seed s, the same that `plumeward rollout --seed s` flies. Resets without a seed begin missions
-    drawn by that seed. AGDC's stop *terminates* an episode, right or wrong; a spent budget *truncates* it.
+    `reset(seed=s)` begins the mission of seed s, the same that `plumeward rollout --seed s --assume paper` flies. Resets without a seed
+    begin missions drawn by that seed. AGDC's stop *terminates* an episode, right or wrong; a spent budget *truncates* it.
 
     Example:
         ```python

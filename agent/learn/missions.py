@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from agent import observation
 from agent.observation import FACTS, SCHEMAS
 from estimator.batch import Batch
+from estimator.criterion import Criterion
 from estimator.filter import Config
 from plume.randomness import Keyed, derived_seed
 from plume.scenario import SUCCESS_RADIUS_M, draw
@@ -17,17 +18,21 @@ from plume.worlds import AS_MODELLED
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+UNKNOWN_FACTS = {"q": observation.RATE, "d": observation.DIFFUSIVITY, "tau": observation.LIFETIME}
+"""Facts that are means if they are unknown."""
+
 
 class Missions:
-    """Missions with the paper's assumptions: x and y unknown, a Gaussian sensor. All arrays have one row per mission."""
+    """Missions with a Gaussian sensor. All arrays have one row per mission."""
 
     def __init__(
-        self, seeds: Sequence[int], schema: str, particles: int, threshold_m: float, threads: int = 1, world: str = AS_MODELLED
-    ) -> None:
+        self, seeds: Sequence[int], schema: str, particles: int, criterion: Criterion, assume: str = "paper", threads: int = 1,
+        world: str = AS_MODELLED,
+    ) -> None:  # fmt: skip
         """Begin the mission of each seed in the world of this name and take its first reading."""
         count = len(seeds)
         self._schema = SCHEMAS[schema]
-        self._particles, self._threshold_m = particles, threshold_m
+        self._particles, self._criterion, self._assume = particles, criterion, assume
         self.seeds = np.array(seeds, np.int64)
         self.steps = np.zeros(count, np.int64)
         self.positions = np.empty((count, 2))
@@ -63,12 +68,12 @@ class Missions:
     @property
     def estimates(self) -> Array:
         """(B, 2) m."""
-        return self._batch.means
+        return self._batch.means[:, :2]
 
     @property
     def located(self) -> NDArray[np.bool_]:
         """Whether the estimate is within the success radius; for judging only."""
-        errors_m: Array = np.sqrt(np.square(self._batch.means - self._sources).sum(axis=1))
+        errors_m: Array = np.sqrt(np.square(self.estimates - self._sources).sum(axis=1))
         return errors_m <= SUCCESS_RADIUS_M
 
     def _told(self, mission: int) -> Config:
@@ -79,7 +84,8 @@ class Missions:
         self.positions[mission], self._sources[mission] = world.start, world.truth.source
         known = (scenario.q, scenario.d, scenario.tau)
         self._facts[mission, observation.WIND_X : observation.LIFETIME + 1] = *world.wind, *known
-        return Config(self._particles, self._threshold_m, derived_seed(seed, "estimator"), *known)
+        criterion, its_seed = self._criterion, derived_seed(seed, "estimator")
+        return Config(self._particles, criterion.threshold_m, its_seed, *known, assume=self._assume, within=criterion.within)
 
     def _read(self, missions: Indices) -> None:
         """Take a reading in each of these missions; update beliefs, observations and stops."""
@@ -93,13 +99,14 @@ class Missions:
         readings[:, 5] = facts[missions, observation.GAS]
         readings[:, 6] = 1.0
         self._batch.assimilate(readings, missions)
-        covariances = self._batch.covariances[missions]
-        facts[missions, observation.MEAN_X : observation.XX] = self._batch.means[missions]
+        covariances = self._batch.covariances[missions, :2, :2]
+        facts[missions, observation.MEAN_X : observation.XX] = self._batch.means[missions, :2]
+        for row, name in enumerate(self._batch.unknowns):
+            if name in UNKNOWN_FACTS:
+                facts[missions, UNKNOWN_FACTS[name]] = self._batch.means[missions, row]
         facts[missions, observation.XX : observation.WIND_X] = covariances.reshape(-1, 4)[:, [0, 1, 3]]
         self.spreads_m[missions] = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
-        self.ceased[missions] = False
-        for mission in missions[self.spreads_m[missions] < self._threshold_m].tolist():
-            self.ceased[mission] = self._batch.may_claim(mission)
+        self.ceased[missions] = [self._batch.has_ceased(mission) for mission in missions.tolist()]
         totals = self._batch.weights.sum(axis=1)
 
         def see(portion: Indices) -> None:

@@ -44,7 +44,9 @@ SHOWN = {
     "decision_ms": (6, "decision"),
 }
 """Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All are in the JSON."""
-SHARED = {"world": "world {}", "N": "N = {}", "ζ, m": "ζ = {} m", "missions": "{} missions each"}
+SHARED = {
+    "world": "world {}", "N": "N = {}", "ζ, m": "ζ = {} m", "stop": "stop {}", "assume": "assume {}", "missions": "{} missions each",
+}  # fmt: skip
 """How the line above the table says a setting that all rows share."""
 SHORTEST_NAME = 16
 """A narrow terminal shows at least so many characters of a policy's name."""
@@ -112,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
     from agent.trials.sweep import Sweep
 
     sweep = Sweep(
-        args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.threshold, args.budget,
+        args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.thresholds_m, args.budget,
         cli.reach_given(args), args.knowledge, worlds=args.world,
     )  # fmt: skip
     try:
@@ -149,7 +151,7 @@ def _evaluate(sweep: "Sweep", args: argparse.Namespace) -> int:
     rows: list[MissionRow] = []
 
     def kept() -> str:
-        return f"{len(rows) // len(args.threshold)} of {sweep.count} missions are saved. Run the command again: it resumes"
+        return f"{len(rows) // len(args.thresholds_m)} of {sweep.count} missions are saved. Run the command again: it resumes"
 
     try:
         flights = fly_all(sweep, journal, on_cluster if args.ray else on_cores(args.workers))
@@ -184,9 +186,13 @@ def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
     groups = [(key, list(group)) for key, group in groupby(rows, key=lambda row: (row.policy, row.world, row.particles, row.threshold_m))]
     several_worlds, several_filters = len({key[1] for key, _ in groups}) > 1, len({key[2:] for key, _ in groups}) > 1
     return {
-        f"{name}{f' world={world}' * several_worlds}{f' particles={count} threshold={threshold_m:g}' * several_filters}": figures(group)
+        f"{name}{f' world={world}' * several_worlds}{_filtered(count, threshold_m) * several_filters}": figures(group)
         for (name, world, count, threshold_m), group in groups
     }
+
+
+def _filtered(particles: int, threshold_m: float | None) -> str:
+    return f" particles={particles}" + ("" if threshold_m is None else f" threshold={threshold_m:g}")
 
 
 def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
@@ -230,7 +236,8 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
     settings = {
         "world": [row["world"] for row in said],
         "N": [f"{row['particles']:,}" for row in said],
-        "ζ, m": [f"{row['threshold_m']:g}" for row in said],
+        **_stops(said),
+        "assume": [row["assume"] for row in said],
         "missions": [f"{row['missions']:,}" for row in said],
     }
     shared = [SHARED[name].format(cells[0]) for name, cells in settings.items() if len(set(cells)) == 1 and cells[0] != AS_MODELLED]
@@ -246,6 +253,13 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
         *(Column(COLUMNS[key][0], [cell(row, key) for row in said], rank, name, stacks=True) for key, (rank, name) in SHOWN.items()),
     ]
     tell(table(columns, width_of(stream), elsewhere, above=[", ".join([*shared, "[95% interval]"])]), stream)
+
+
+def _stops(said: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
+    """Return the column that tells the stop: ζ, unless a row has another criterion."""
+    if any(row["threshold_m"] is None for row in said):
+        return {"stop": [row["stop"] for row in said]}
+    return {"ζ, m": [f"{row['threshold_m']:g}" for row in said]}
 
 
 def _is_stdout(path: Path) -> bool:

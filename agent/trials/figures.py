@@ -35,7 +35,8 @@ class MissionRow(msgspec.Struct, frozen=True):
 
     policy: str
     particles: int
-    threshold_m: float
+    threshold_m: float | None
+    """ζ; None where the stop is another."""
     seed: int
     budget: int
     headings: int | None
@@ -63,10 +64,14 @@ class MissionRow(msgspec.Struct, frozen=True):
     update_ms: float
     """Mean compute time of the estimator for a reading."""
     sensor: str = text(GAUSSIAN)
-    """Older files lack this column and the next ones; their rows get these defaults."""
+    """Older files lack this column and those below; their rows get these defaults."""
     prior: str | None = None
     """The priors given, in the form of `--prior`, separated by spaces; None where there were none."""
     stop_on: str = "location"
+    assume: str = "paper"
+    """What the estimator took to be known."""
+    stop: str = "spread"
+    """The stop criterion: spread, with `threshold_m`, or another in the form of `--stop`."""
     version: str | None = None
     """Version of Plumeward that flew it; None where the row does not say."""
     world: str = AS_MODELLED
@@ -139,6 +144,8 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
     }
     first = rows[0]
     summary: dict[str, Any] = {"missions": len(rows), "particles": first.particles, "threshold_m": first.threshold_m, "world": first.world}
+    stop = first.stop if first.threshold_m is None else f"spread:{first.threshold_m:g}"
+    summary |= {"assume": first.assume, "stop": stop}
     for name, interval in intervals.items():
         known = not math.isnan(interval.value)
         summary[name] = interval.value if known else None

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from agent.planning.moves import Reach
 from agent.policies import DEFAULT, choose, reach
 from estimator.belief import belief
+from estimator.criterion import USUAL_THRESHOLD_M, chosen
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
@@ -48,7 +49,10 @@ def mission(
     seed: int, policy: str, particles: int, threshold_m: float, budget: int, moves: Mapping[str, float] = USUAL,
     world: str = AS_MODELLED, **knowledge: Any,
 ) -> Mission:  # fmt: skip
-    """Prepare the mission of a seed with a policy. `moves`: fields of `Reach`. `knowledge`: other fields of `Config`, like the sensor."""
+    """Prepare the mission of a seed with a policy, by default with the paper's assumption.
+
+    `moves`: fields of `Reach`. `knowledge`: other fields of `Config`, like the sensor.
+    """
     told = draw(seed)
     config = Config(particles, threshold_m, derived_seed(seed, "estimator"), told.q, told.d, told.tau, **knowledge)
     there = World(told, seed, config.sensor, world)
@@ -71,8 +75,8 @@ def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: i
 
 
 def rollout(
-    seed: int, policy: str = DEFAULT, particles: int = 1000, threshold_m: float = 0.5, budget: int = BUDGET_STEPS,
-    moves: Mapping[str, float] = USUAL, world: str = AS_MODELLED, **knowledge: Any,
+    seed: int, policy: str = DEFAULT, particles: int = 1000, threshold_m: float = USUAL_THRESHOLD_M, budget: int = BUDGET_STEPS,
+    moves: Mapping[str, float] = USUAL, *, world: str = AS_MODELLED, assume: str = "field", stop: str | None = None, **knowledge: Any,
 ) -> tuple[Outcome, list[TracePoint]]:  # fmt: skip
     """Fly one mission in this process, without a network. The same mission over Zenoh gives the same bits.
 
@@ -84,13 +88,16 @@ def rollout(
         budget: Moves after which the mission is given up.
         moves: Of a planner: `headings`, `step` (m) and `measurements`, where its own are not wanted.
         world: How the truth differs from what the estimator is told: a name that `plumeward list worlds` shows.
+        assume: What the estimator takes to be known: `field` or `paper`, where all but the position is known.
+        stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop when at least 99% of the belief is
+            within 1 m of the estimate.
         knowledge: Further fields of `plumeward.Config`, such as `sensor` and `priors`.
 
     Returns:
         The outcome, and a trace of one point for each reading, the first of them before any move. Lengths are in metres.
 
     Raises:
-        ValueError: The policy or the world is not known, or cannot be flown so.
+        ValueError: The policy or the world is not known, or cannot be flown so; or the assumption or the criterion is not allowed.
 
     Example:
         ```python
@@ -98,10 +105,12 @@ def rollout(
         print(outcome.located, outcome.error_m, len(trace))
         ```
     """
-    flown = mission(seed, policy, particles, threshold_m, budget, moves, world=world, **knowledge)
+    criterion = chosen(threshold_m, stop)
+    knowledge = {"assume": assume, "within": criterion.within, **knowledge}
+    flown = mission(seed, policy, particles, criterion.threshold_m, budget, moves, world=world, **knowledge)
     trace: list[TracePoint] = []
     search_time_s = 0.0
     for said, _, update_s, decision_s in flown.steps:
         trace.append(TracePoint(said.position, said.gas, said.mean, said.spread))
         search_time_s += update_s + decision_s
-    return outcome(seed, policy, flown.scenario, trace, said.ceased, search_time_s, world), trace
+    return outcome(seed, policy, flown.scenario, trace, said.ceased, search_time_s, said.assume, said.stop, world), trace

@@ -43,7 +43,7 @@ class Sweep:
     moves: dict[str, float] = field(default_factory=dict)
     """Fields of `Reach` that replace the planner's own."""
     knowledge: dict[str, Any] = field(default_factory=dict)
-    """Other fields of `Config`."""
+    """Other fields of `Config`. With `within` there is one stop, whatever the one threshold."""
     worlds: Sequence[str] = (AS_MODELLED,)
 
     @property
@@ -90,7 +90,9 @@ def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
 def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
     """The information floor of a mission at each ζ, m, where docs/floor.md defines it."""
     config = ready.config
-    if config.sensor != GAUSSIAN or config.priors or config.stop_limits or sweep.moves.get("step", STEP_M) != STEP_M:
+    if config.sensor != GAUSSIAN or config.effective_priors or config.stop_limits or config.within:
+        return {}
+    if sweep.moves.get("step", STEP_M) != STEP_M:
         return {}
     floors = floors_m(ready.scenario, [threshold_m for threshold_m in sweep.thresholds_m if threshold_m >= LEAST_THRESHOLD_M])
     return {threshold_m: floor_m for threshold_m, floor_m in floors.items() if math.isfinite(floor_m)}
@@ -123,8 +125,10 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
 
 
 def _ceased(said: Belief, config: Config, threshold_m: float) -> bool:
+    if config.within:
+        return said.ceased
     stds = dict(zip(said.unknowns, said.stds, strict=True))
-    return may_claim(said.p_value, said.step + 1) and sure_enough(said.spread, stds, config, threshold_m)
+    return may_claim(said.p_value, said.step + 1) and sure_enough(said.spread, math.nan, stds, config, threshold_m)
 
 
 def _row(
@@ -139,7 +143,7 @@ def _row(
     return MissionRow(
         policy=policy,
         particles=particles,
-        threshold_m=threshold_m,
+        threshold_m=None if config.within else threshold_m,
         seed=seed,
         budget=sweep.budget,
         headings=None if learned else moves.headings,
@@ -167,11 +171,13 @@ def _row(
 
 
 def told(config: Config) -> dict[str, Any]:
-    """Return the columns `sensor`, `prior` and `stop_on` of a row, in the form of the flags."""
+    """Return the columns of a row that say what was told, assumed and waited for, in the form of the flags."""
     names = {kind: name for name, kind in KINDS.items()}
     priors = [f"{name}={names[type(prior)]}:{','.join(map(repr, astuple(prior)))}" for name, prior in config.priors.items()]
     stop_on = ["location"] * config.stop_on_location + [f"{name}={limit!r}" for name, limit in config.stop_limits.items()]
-    return {"sensor": text(config.sensor), "prior": " ".join(priors) or None, "stop_on": ",".join(stop_on)}
+    stop = config.criterion.text if config.within else "spread"
+    said = {"sensor": text(config.sensor), "prior": " ".join(priors) or None, "stop_on": ",".join(stop_on)}
+    return {**said, "assume": config.assume, "stop": stop}
 
 
 def fly_all(sweep: Sweep, journal: Path, fly_tasks: Flyer) -> Generator[list[MissionRow], None, None]:

@@ -24,13 +24,19 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     position: Annotated[Pair, Meta(description="where the reading was taken: (x, y) m, x east, y north, from home")]
     altitude_m: Annotated[float, Meta(description="height above home at which the reading was taken, m")]
     gas: Annotated[float, Meta(description="the gas reading, in the sensor's unit: g/m³, or a count of hits")]
-    wind: Annotated[Pair, Meta(description="(u cos φ, u sin φ) m/s, points to where the wind comes from; measured, or its mean if unknown")]
+    wind: Annotated[
+        Pair,
+        Meta(description="(u cos φ, u sin φ) m/s, points to where the wind comes from; as measured, or its mean if u or φ has a prior"),
+    ]
     sensor: Annotated[str, Meta(description="assumed sensor, in the form of --sensor")]
     rate: Annotated[float, Meta(gt=0, description="assumed release rate q, or its mean if unknown, g/s")]
     diffusivity: Annotated[float, Meta(gt=0, description="assumed diffusivity d, or its mean if unknown, m²/s")]
     lifetime: Annotated[float, Meta(gt=0, description="assumed lifetime τ of the gas, or its mean if unknown, s")]
     z: Annotated[float, Meta(description="assumed height of the source above home, or its mean if unknown, m")]
-    unknowns: Annotated[tuple[str, ...], Meta(description="names of the particle array's columns, of x y z q u phi d tau")]
+    unknowns: Annotated[
+        tuple[str, ...],
+        Meta(description="names of the particle array's columns, of x y z q u phi d tau wind-direction wind-speed gain noise cv"),
+    ]
     means: Annotated[tuple[float, ...], Meta(description="mean of each unknown")]
     stds: Annotated[tuple[float, ...], Meta(description="standard deviation of each unknown")]
     mean: Annotated[Pair, Meta(description="the estimate of the source's position, m")]
@@ -39,6 +45,9 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     effective_sample_size: Annotated[float, Meta(gt=0, description="1/Σw² of the particles")]
     p_value: Annotated[float, Meta(ge=0, le=1, description="p-value of the recent readings under the model: near 0 if they do not fit it")]
     ceased: Annotated[bool, Meta(description="true if the stop criterion is met and the readings fit the model: the search is over")]
+    assume: Annotated[str, Meta(description="what is taken to be known, in the form of --assume")] = "paper"
+    """Older records lack this field and the next; their beliefs get these defaults."""
+    stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread"
 
 
 class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -49,7 +58,8 @@ class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     estimate: Annotated[Pair, Meta(description="claimed position of the source, (x, y) m")]
     covariance: Covariance
     spread: Annotated[float, Meta(ge=0, description="square root of the covariance's trace, m")]
-    threshold: Annotated[float, Meta(gt=0, description="ζ, the spread below which the search stops, m")]
+    threshold: Annotated[float, Meta(ge=0, description="ζ, the spread below which the search stops, m; 0 with another criterion")]
+    stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread"
 
 
 class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

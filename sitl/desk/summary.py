@@ -206,13 +206,16 @@ def _outcome(about: dict[str, Any], beliefs: dict[int, Any]) -> tuple[dict[str, 
         return {"ceased": None}, ["no belief: there was no search"]
     last = beliefs[max(beliefs)]
     estimate = f"estimate ({last.mean[0]:.2f}, {last.mean[1]:.2f}) ± {last.spread:.2f} m"
-    plain = {"ceased": last.ceased, "estimate": last.mean, "spread_m": last.spread, "steps": last.step}
+    plain = {
+        "ceased": last.ceased, "estimate": last.mean, "spread_m": last.spread, "steps": last.step, "assume": last.assume, "stop": last.stop,
+    }  # fmt: skip
     try:
         scenario = msgspec.convert(about["scenario"], Scenario)
     except (KeyError, msgspec.ValidationError):
-        return plain, [f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps", estimate]
+        assumed = f"assumed  {last.assume}, stop {last.stop}"
+        return plain, [f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps", estimate, assumed]
     trace = [TracePoint(belief.position, belief.gas, belief.mean, belief.spread) for belief in beliefs.values()]
-    result = outcome(0, "", scenario, trace, last.ceased, 0.0)  # seed, policy and search time are not shown here
+    result = outcome(0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop)  # seed, policy and search time are not shown here
     told = {**plain, "located": result.located, "error_m": result.error_m, "distance_m": result.distance_m, "source": result.source}
     return told, outcome_text(result).splitlines()
 

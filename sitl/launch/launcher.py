@@ -152,11 +152,12 @@ def start_parts(processes: Processes, mission: Launch, relays: dict[str, Relay])
 
 
 def estimator_arguments(mission: Launch) -> list[str]:
-    """Return the estimator's flags: what the paper's estimator knows, and a seed of its own. The mission's seed would reveal the source."""
+    """Return the estimator's flags: what it is told and assumes, and a seed of its own. The mission's seed would reveal the source."""
     script, told = mission.script, mission.script.estimator
     release = script.release()
     flags = {
-        "--particles": told.particles, "--threshold": told.threshold_m, "--sensor": script.sensor, "--stop-on": told.stop_on,
+        "--particles": told.particles, "--assume": told.assume, "--stop": told.criterion, "--sensor": script.sensor,
+        "--stop-on": told.stop_on,
         "--rate": told.rate or release.q, "--diffusivity": told.diffusivity or release.d, "--lifetime": told.lifetime or release.tau,
         "--seed": derived_seed(script.seed, "estimator"), "--sysid": mission.instance + 1,
     }  # fmt: skip
@@ -349,8 +350,8 @@ class _Watch:
             if event.step is not None and event.step > last.step:
                 self._progress.say(f"warning: events[{number}] of step {event.step} did not happen: the search ended at step {last.step}")
         search_time_s = sum(self._compute[service].compute_s for service in ("estimator", "agent") if service in self._compute)
-        truth = script.simulated().truth
-        result = outcome(script.seed, script.agent.policy, truth, points, last.ceased, search_time_s, script.world)
+        said = last.ceased, search_time_s, last.assume, last.stop, script.world
+        result = outcome(script.seed, script.agent.policy, script.simulated().truth, points, *said)
         so = {
             "ceased": result.ceased, "not ceased": not result.ceased, "located": result.located, "not located": not result.located,
             "false stop": result.ceased and not result.located, "warned": self._warned, "landed": self._landed,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume")
 """Flags for reading an autopilot's log."""
-FILTER_FLAGS = ("particles", "threshold", "prior", "stop_on", "rate", "diffusivity", "lifetime", "sensor", "seed")
+FILTER_FLAGS = ("particles", "assume", "threshold", "stop", "prior", "stop_on", "rate", "diffusivity", "lifetime", "sensor", "seed")
 """Flags passed on to the estimator."""
 
 
@@ -96,7 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--area", type=positive, metavar="M", help="tlog: side of the search area (default: around the flight)")
     parser.add_argument("--plume", metavar="MISSION", help="tlog: simulate the gas along the path with this mission's plume")
     cli.add_filter_arguments(parser)
-    for name in ("particles", "threshold", "stop_on"):
+    for name in ("particles", "assume", "threshold", "stop_on"):
         parser.set_defaults(**{name: _Unset(parser.get_default(name))})
     parser.add_argument("--rate", type=positive, metavar="Q", help="release rate q (default: the plume's, or 300 g/s)")
     parser.add_argument("--diffusivity", type=positive, metavar="D", help="diffusivity d (default: the plume's, or 4.5 m²/s)")

@@ -22,6 +22,8 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "belief": (*Belief.__struct_fields__, PARTICLES),
     "waypoint": tuple(WAYPOINT.fieldnames),
 }
+YOUNG = ("assume", "stop")
+"""Fields that older records lack; then they are not compared."""
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}
 """Fields shown of a message that only one side has."""
 
@@ -141,7 +143,7 @@ def difference(was: Answer | None, now: Answer | None, rules: Rules = EXACTLY, s
     if was is None or now is None:
         return Difference(*where, "", _headline(was), _headline(now))
     for name in dict.fromkeys((*was.fields, *now.fields)):
-        if f"{one.kind}.{name}" in rules.ignored:
+        if f"{one.kind}.{name}" in rules.ignored or (name in YOUNG and name not in was.fields):
             continue
         if found := _first(name, was.fields.get(name), now.fields.get(name), rules.tolerance):
             return Difference(*where, *found)

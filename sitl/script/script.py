@@ -70,12 +70,26 @@ class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """The particle filter, what it knows beforehand, and when it may stop."""
 
     particles: Annotated[int, Meta(ge=10, le=1_000_000)] = 1000
-    threshold_m: Annotated[float, Meta(gt=0, le=100)] = 0.5
+    assume: Annotated[Literal["field", "paper"], Meta(description="what is taken to be known, as --assume")] = "field"
+    threshold_m: Annotated[
+        Annotated[float, Meta(gt=0, le=100)] | None, Meta(description="spread of a stop, a number above 0 up to 100, m: short for stop")
+    ] = None
+    stop: Annotated[str | None, Meta(description="the stop criterion, in the format of --stop; default: spread:0.5")] = None
     prior: Annotated[dict[str, str], Meta(description="priors by name, in the format of --prior: {q: 'gamma:2,150'}")] = {}
     stop_on: Annotated[str, Meta(description="what must be known before a stop, in the format of --stop-on")] = "location"
     rate: Annotated[Positive | None, Meta(description="release rate assumed by the estimator, g/s; default: the scenario's")] = None
     diffusivity: Annotated[Positive | None, Meta(description="diffusivity assumed by the estimator, m²/s; default: the scenario's")] = None
     lifetime: Annotated[Positive | None, Meta(description="lifetime assumed by the estimator, s; default: the scenario's")] = None
+
+    def __post_init__(self) -> None:
+        """Require at most one of threshold_m and stop."""
+        if self.threshold_m is not None and self.stop is not None:
+            raise ValueError("wanted at most one of threshold_m and stop")
+
+    @property
+    def criterion(self) -> str:
+        """The stop criterion, in the format of --stop."""
+        return self.stop or f"spread:{self.threshold_m or 0.5!r}"
 
 
 class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -6,9 +6,9 @@ import pytest
 
 from estimator.admission import greatest_concentration, refusal
 from estimator.filter import Config
-from estimator.priors import Fixed, Gamma, Normal, Prior, Uniform
+from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
-from plume.sensor import Hits, Threshold
+from plume.sensor import Gaussian, Hits, Threshold
 
 GOOD = Reading(2000, (3.0, 4.0), 5.0, (1.0, 0.5), 0.5)
 
@@ -71,6 +71,43 @@ def test_the_greatest_concentration_is_that_at_the_surface_of_the_strongest_sour
 )
 def test_the_greatest_concentration_worked_by_hand(priors: dict[str, Prior], greatest: float) -> None:
     assert greatest_concentration(Config(priors=priors)) == pytest.approx(greatest, rel=1e-12)
+
+
+SURFACE = 300 / (4 * math.pi * 4.5 * 0.1)
+"""Concentration at the surface of a source of 300 g/s, g/m³."""
+
+
+@pytest.mark.parametrize(
+    ("priors", "at_least", "at_most"),
+    [
+        # A standard normal exceeds 4.753 with probability 10⁻⁶; the bound may be a little wider.
+        ({"q": LogNormal(300.0, 0.7)}, math.exp(4.753 * 0.7), math.exp(5.2 * 0.7)),
+        ({"gain": LogNormal(1.0, 0.5)}, math.exp(4.753 * 0.5), math.exp(5.2 * 0.5)),
+        ({"gain": Fixed(2.0)}, 2.0, 2.0),
+        # With cv = 1 the gas is exponential: it exceeds 13.8 times its mean with probability 10⁻⁶.
+        ({"cv": Fixed(1.0)}, 13.8, 30.0),
+        ({"cv": Fixed(0.0)}, 1.0, 1.0),
+        # With cv = √½, gamma with shape 2 and mean 1: (1 + 2 b) e^(−2 b) is 10⁻⁶ at b = 8.35.
+        ({"cv": Fixed(math.sqrt(0.5))}, 8.3, 20.0),
+    ],
+    ids=str,
+)
+def test_the_greatest_reading_grows_with_gain_rate_and_gusts(priors: dict[str, Prior], at_least: float, at_most: float) -> None:
+    ratio = greatest_concentration(Config(priors=priors)) / SURFACE
+    assert at_least * (1 - 1e-9) <= ratio <= at_most * (1 + 1e-9)
+
+
+def test_gusts_of_an_unknown_intermittency_are_those_of_the_strongest_that_the_sensor_model_covers() -> None:
+    for prior in (Normal(0.0, 0.8), Uniform(0.0, 3.0), Normal(0.0, 5.0)):
+        assert greatest_concentration(Config(priors={"cv": prior})) == greatest_concentration(Config(priors={"cv": Fixed(3.0)}))
+    assert greatest_concentration(Config(sensor=Gaussian(cv=0.5))) == greatest_concentration(Config(priors={"cv": Fixed(0.5)}))
+
+
+def test_a_gust_in_the_field_is_no_absurd_reading() -> None:
+    gust = GOOD._replace(gas=2000.0)
+    assert refusal(gust, None, Config()) is not None
+    assert refusal(gust, None, Config(assume="field")) is None
+    assert refusal(GOOD._replace(gas=1e9), None, Config(assume="field")) is not None
 
 
 def test_a_strong_reading_is_taken_where_a_prior_allows_for_it() -> None:

@@ -17,7 +17,7 @@ from sitl.replay import verify
 
 FOLDER = Path(__file__).parent
 SENSORS = ("gaussian", "threshold", "hits")
-FLAGS = ("--seed", "26", "--particles", "100", "--budget", "45", "--speedup", "0")
+FLAGS = ("--seed", "26", "--particles", "100", "--budget", "45", "--speedup", "0", "--assume", "paper")
 """A small mission in which nearly all policies cease; the others use up their budget."""
 GOLDEN: Mapping[str, tuple[str, ...]] = {
     f"{policy}-{sensor}": ("--policy", policy, "--sensor", sensor, *FLAGS) for policy in OURS for sensor in SENSORS

@@ -140,7 +140,7 @@ def test_two_readings_give_the_posterior_that_a_grid_gives() -> None:
 
 def test_readings_of_ones_own_give_the_beliefs_of_a_mission() -> None:
     scenario = plumeward.draw(5)
-    _, trace = plumeward.rollout(5, particles=300, budget=12)
+    _, trace = plumeward.rollout(5, particles=300, budget=12, assume="paper")
     config = plumeward.Config(300, seed=derived_seed(5, "estimator"), rate=scenario.q, diffusivity=scenario.d)
     posterior = plumeward.prior(config)
     for step, point in enumerate(trace):

@@ -55,15 +55,14 @@ def test_help_loads_nothing_that_takes_long(tmp_path: Path, command: str) -> Non
     assert ran.stdout.endswith("loaded []\n")
 
 
-def test_missions_policies_sensors_and_worlds_are_listed_by_name(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_there_is_to_choose_from_is_listed_by_name(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     status, everything, _ = said(capsys, monkeypatch, "list")
     assert status == 0
     assert max(map(len, everything.splitlines())) <= 80
-    lists = [said(capsys, monkeypatch, "list", what)[1] for what in ("missions", "policies", "sensors", "worlds")]
+    kinds = ("missions", "policies", "sensors", "assumptions", "worlds")
+    lists = [said(capsys, monkeypatch, "list", what)[1] for what in kinds]
     assert "\n".join(lists) == everything
-    missions, policies, sensors, worlds = (dict(re.findall(r"^  (\S+) +(.+)$", text, re.MULTILINE)) for text in lists)
+    missions, policies, sensors, assumptions, worlds = (dict(re.findall(r"^  (\S+) +(.+)$", text, re.MULTILINE)) for text in lists)
     assert set(missions) == set(MISSIONS)
     for name, about in missions.items():
         assert f"about: {about}" in MISSIONS[name]
@@ -71,6 +70,7 @@ def test_missions_policies_sensors_and_worlds_are_listed_by_name(
     kinds: list[Sensor] = [parse(text) for text in sensors]  # as --sensor takes them
     assert kinds == [kind() for kind in KINDS.values()]
     assert list(worlds) == list(WORLDS)
+    assert set(assumptions) == {"paper", "field"}
 
 
 WRONG = [
@@ -101,6 +101,22 @@ WRONG = [
     (["fly", "list.yaml"], "error: list.yaml:1: "),
     (["fly", "--sensor", "gausian"], "plumeward fly: error: --sensor: 'gausian' is not allowed; did you mean 'gaussian'? Wanted "),
     (["fly", "--sensor", "hits:0"], "plumeward fly: error: --sensor: 'hits:0' is not allowed; "),
+    (["fly", "--assume", "feild"], "plumeward fly: error: --assume: 'feild' is not allowed; did you mean 'field'? Wanted field or paper"),
+    (["evaluate", "--assume", "all"], "plumeward evaluate: error: --assume: 'all' is not allowed; wanted field or paper"),
+    (["fly", "--stop", "spread:1", "--threshold", "0.5"], "plumeward fly: error: --threshold: not allowed with argument --stop"),
+    (
+        ["rollout", "--stop", "within:1"],
+        "plumeward rollout: error: --stop: 'within:1' is not allowed; wanted spread:Z, metres, or within:R,P, metres and a share",
+    ),
+    (["estimator", "--stop", "within:1,1.5"], "plumeward estimator: error: --stop: 'within:1,1.5' is not allowed; wanted R above 0 up to "),
+    (
+        ["estimator", "--prior", "u=fixed:2", "--prior", "wind-speed=fixed:1"],
+        "plumeward estimator: error: --prior: a prior of wind-speed is ",
+    ),
+    (
+        ["rollout", "--sensor", "hits", "--prior", "noise=fixed:2"],
+        "plumeward rollout: error: --prior: a prior of noise is not allowed with ",
+    ),
     (["fly", "--headings", "5"], "plumeward fly: error: --headings: 5 is not allowed; wanted 4 or 8"),
     (["rollout", "--policy", "hommer"], "plumeward rollout: error: --policy: 'hommer' is not allowed; did you mean 'homing'? Wanted "),
     (["evaluate", "--policy", "homing,gredy"], "plumeward evaluate: error: --policy: 'gredy' is not allowed; did you mean 'greedy'? "),

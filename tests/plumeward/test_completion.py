@@ -37,6 +37,7 @@ def completed(line: str, cwd: Path) -> set[str]:
         ("plumeward uav --world tau-h", {"tau-halved"}),
         ("plumeward rollout --world wind", {"wind-10", "wind-30"}),
         ("plumeward evaluate --world cv-1,so", {"cv-1,source-outside"}),
+        ("plumeward fly --assume f", {"field"}),
         ("plumeward rollout --policy lo", {"lookahead"}),
         ("plumeward evaluate --policy homing,gr", {"homing,greedy"}),
         ("plumeward agent --policy dd", {"ddpg"}),

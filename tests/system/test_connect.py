@@ -110,8 +110,9 @@ def test_a_second_vehicle_in_the_same_namespace_is_refused(start, router: str, m
         (["missions/link-cut.yaml"], "--connect: events[0], cut, cannot happen: it needs parts that this command starts"),
         (
             ["missions/unknown-rate.yaml"],
-            "--connect: estimator.particles cannot be chosen: the estimator runs elsewhere, with its own flags",
+            "--connect: estimator.assume cannot be chosen: the estimator runs elsewhere, with its own flags",
         ),
+        (["--stop", "within:1,0.9"], "--connect: estimator.stop cannot be chosen: the estimator runs elsewhere, with its own flags"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

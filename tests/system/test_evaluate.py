@@ -160,7 +160,7 @@ def test_a_table_that_cannot_be_written_loses_nothing(start, tmp_path: Path) -> 
         (("--headings", "5"), "--headings: 5 is not allowed; wanted 4 or 8"),
         (("--missions", "/tmp"), "--missions: '/tmp' is a folder; wanted a file"),
         (("--missions", "nowhere/missions.csv"), "--missions: no such folder: 'nowhere'"),
-        (("--stop-on", "q=3"), "--stop-on: 'q=3' is not allowed"),
+        (("--assume", "paper", "--stop-on", "q=3"), "--stop-on: 'q=3' is not allowed"),
     ],
 )
 def test_bad_input_is_one_line_that_says_what_is_allowed(

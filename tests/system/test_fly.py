@@ -68,8 +68,8 @@ def test_a_spent_budget_is_an_outcome_not_a_failure(start, tmp_path: Path) -> No
 def test_results_go_to_stdout_unless_json_does_and_no_line_wraps_at_60_columns(start, tmp_path: Path, flags: tuple[str, ...]) -> None:
     mission = start("sitl", "fly", "--policy", "random", "--budget", "12", "--speedup", "0", *flags, cwd=tmp_path)
     assert mission.ended() == 0
-    results, progress = (mission.err[-5:], mission.err[:-5]) if flags else (mission.out, mission.err)
-    assert [line.split()[0] for line in results] == ["not", "estimate", "source", "summary", "record"]
+    results, progress = (mission.err[-6:], mission.err[:-6]) if flags else (mission.out, mission.err)
+    assert [line.split()[0] for line in results] == ["not", "estimate", "source", "assumed", "summary", "record"]
     assert [line.split()[0] for line in progress if line.startswith(("mission", "router", "step"))] == [
         "mission:",
         "router",

@@ -27,14 +27,15 @@ def steps(recording: Recording) -> list[int]:
 
 
 def test_a_mission_is_recorded_from_its_first_to_its_last_message(start, tmp_path: Path) -> None:
-    mission = start("sitl", "fly", "--seed", "3", "--policy", "homing", "--speedup", "0", "--json", cwd=tmp_path)
+    mission = start("sitl", "fly", "--seed", "3", "--policy", "homing", "--assume", "paper", "--speedup", "0", "--json", cwd=tmp_path)
     assert mission.ended() == 0
     result, recording = json.loads(mission.out[-1]), mission_record(tmp_path)
-    trace = rollout(3, "homing")[1]
+    trace = rollout(3, "homing", assume="paper")[1]
     assert recording.complete
     beliefs = [json.loads(entry.payload) for entry in recording.entries if entry.key == "belief"]
     told = {said["step"]: (said["mean"], said["spread"]) for said in beliefs}
     assert [told[step] for step in sorted(told)] == [(list(point.mean), point.spread) for point in trace]
+    assert {(said["assume"], said["stop"]) for said in beliefs} == {("paper", "spread:0.5")}
     assert all(len(entry.attachment) == 12 * 1000 for entry in recording.entries if entry.key == "belief")
     keys = {"reading", "mavlink/out", "mavlink/in", "belief", "agdc/stop", "health/uav", "health/estimator", "health/agent"}
     assert keys <= {entry.key for entry in recording.entries}

@@ -30,6 +30,7 @@ SCENARIO = draw(SEED)
 ESTIMATOR = (
     "--rate", repr(SCENARIO.q), "--diffusivity", repr(SCENARIO.d), "--lifetime", repr(SCENARIO.tau),
     "--seed", str(derived_seed(SEED, "estimator")),
+    "--assume", "paper",
 )  # fmt: skip
 AGENT = ("--policy", "infotaxis", "--seed", str(derived_seed(SEED, "agent")))
 
@@ -37,7 +38,7 @@ AGENT = ("--policy", "infotaxis", "--seed", str(derived_seed(SEED, "agent")))
 @pytest.fixture(scope="module")
 def undisturbed() -> list[tuple[tuple[float, float], float, tuple[float, float], float]]:
     """The beliefs of the same mission in-process."""
-    return [(point.position, point.reading, point.mean, point.spread) for point in rollout(SEED, "infotaxis")[1]]
+    return [(point.position, point.reading, point.mean, point.spread) for point in rollout(SEED, "infotaxis", assume="paper")[1]]
 
 
 def point_of(said: dict) -> tuple:

@@ -31,7 +31,7 @@ class TestEstimator:
 
     @pytest.fixture
     def estimator(self, start, router: str, stranger: Stranger, wait_until: Callable):
-        part = start("estimator", "--connect", router, "--particles", "200", "--threshold", "4")
+        part = start("estimator", "--connect", router, "--assume", "paper", "--particles", "200", "--threshold", "4")
         wait_until(lambda: part.says("ready"))
         return part
 

@@ -28,6 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("algorithm", choices=PRESETS["tuned"], help="learning algorithm: %(choices)s")
     parser.add_argument("--preset", choices=PRESETS, default="tuned", help="recipe: our best one, or the paper's (default: %(default)s)")
     parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="the same seed gives the same policy (default: %(default)s)")
+    cli.add_assume_argument(parser, "paper")
+    cli.add_stop_argument(parser)
     parser.add_argument("--steps", type=cli.whole(1, 10**12), metavar="N", help="moves to train on (default: the recipe's)")
     parser.add_argument(
         "--out", type=Path, metavar="FOLDER", help=f"folder for checkpoints, curve and bundle (default: {KEPT_IN}/ALGORITHM-PRESET-SEED)"
@@ -54,6 +56,11 @@ def run(args: argparse.Namespace) -> int:
     if args.steps is not None:
         at_a_time = recipe.moves_at_a_time
         recipe = msgspec.structs.replace(recipe, steps=-(-args.steps // at_a_time) * at_a_time)
+    try:
+        recipe = _with_stop(recipe, args.assume, args.stop)
+    except ValueError as error:
+        print(f"error: --{error}", file=sys.stderr)
+        return cli.BAD_INPUT
     folder: Path = args.out or KEPT_IN / f"{args.algorithm}-{args.preset}-{args.seed}"
     bundle = folder / f"{args.algorithm}.zip"
     try:
@@ -80,6 +87,18 @@ def run(args: argparse.Namespace) -> int:
             raise
     tell(f"fly it with\n  plumeward fly --policy {bundle}", sys.stdout)
     return 0
+
+
+def _with_stop(recipe: Recipe, assume: str, stop: str | None) -> Recipe:
+    """Return the recipe with another assumption or stop criterion, or unchanged. Raises ValueError."""
+    changes = {name: value for name, value in (("assume", assume), ("stop", stop)) if value not in ("paper", None)}
+    if not changes:
+        return recipe
+    from agent.learn.env import Settings  # here, because it loads the kernels
+
+    env = {**recipe.env, **changes}
+    Settings(**env)
+    return msgspec.structs.replace(recipe, env=env)
 
 
 def _tell_of_steps(asked: int | None, recipe: Recipe) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 
 from agent.bundle import read, write
+from agent.learn.env import Settings
 from agent.trials.evaluate import FIRST_TEST_SEED, named, print_table
 from agent.trials.progress import with_bar
 from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
@@ -17,12 +18,17 @@ from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
     """Fly `scenarios` test missions with each number of particles and print the figures. A bundle that has figures keeps them.
 
+    The estimator assumes what it assumed in training, and stops by the same `stop` if the recipe has one, else by the usual spread.
+
     A journal beside the bundle keeps each flight until all have ended, so an interrupted call can resume.
     """
     page, graph = read(bundle)
     if page.evaluation:
         return
-    sweep = Sweep([str(bundle)], range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios), particles)
+    settings = Settings(**page.training["env"])
+    thresholds_m = (settings.criterion.threshold_m if settings.stop else Settings.threshold_m,)
+    knowledge = {"assume": settings.assume, "within": settings.criterion.within}
+    sweep = Sweep([str(bundle)], range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios), particles, thresholds_m, knowledge=knowledge)
     journal = journal_of(sweep, bundle.parent)
     workers = os.cpu_count() or 1
     flights = fly_all(sweep, journal, on_cores(workers))

@@ -115,31 +115,32 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
     yield (
         "particles",
         "Figures by number of particles",
-        f"ζ = {results.threshold_m:g} m; {results.behind(keys)}. {curves}",
+        f"ζ = {results.threshold_m:g} m, assume {results.assume}; {results.behind(keys)}. {curves}",
         drawing.against_particles(results),
     )
     keys = [key for key in results.rows if key[1].particles == results.particles]
     yield (
         "thresholds",
         "Figures by threshold ζ",
-        f"N = {results.particles:,}; {results.behind(keys)}. {curves}",
+        f"N = {results.particles:,}, assume {results.assume}; {results.behind(keys)}. {curves}",
         drawing.against_thresholds(results),
     )
     setting = results.nearest(USUAL)
-    set_to = f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, {BUDGET_STEPS} steps at most"
-    flags = f"--particles {setting.particles} --threshold {setting.threshold_m:g}"
+    set_to = f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, assume {results.assume}, {BUDGET_STEPS} steps at most"
+    flags = f"--particles {setting.particles} --threshold {setting.threshold_m:g} --assume {results.assume}"
     tell(f"flying {len(OURS)} policies on one scenario")
     yield (
         "trajectories",
         "All policies on one scenario",
         f"Seed {TELLING_SEED}, chosen because policies differ in it; {set_to}. One mission per policy, flown by `plumeward report`. To fly"
         f" one of them: `plumeward rollout --seed {TELLING_SEED} --policy infotaxis {flags}`.",
-        drawing.trajectories([rollout(TELLING_SEED, policy, *setting) for policy in OURS]),
+        drawing.trajectories([rollout(TELLING_SEED, policy, *setting, assume=results.assume) for policy in OURS]),
     )
     best = results.best(setting, OURS)
     policy = best or OURS[0]
     tell(f"flying {flights} missions of {policy}")
-    flown = [rollout(seed, policy, *setting) for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + flights)]
+    seeds = range(FIRST_TEST_SEED, FIRST_TEST_SEED + flights)
+    flown = [rollout(seed, policy, *setting, assume=results.assume) for seed in seeds]
     ceased, located = (sum(it) for it in zip(*((result.ceased, result.located) for result, _ in flown), strict=True))
     missions = (
         f"{flights} missions of {policy}, seeds {FIRST_TEST_SEED} to {FIRST_TEST_SEED + flights - 1}, {set_to}: {ceased} ceased, {located}"

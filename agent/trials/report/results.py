@@ -40,6 +40,8 @@ class Results:
     rows: Mapping[Key, list[MissionRow]]
     figures: Mapping[Key, dict[str, Any]]
     """The result of `agent.trials.figures.figures` for the rows."""
+    assume: str = "paper"
+    """What the estimator took to be known in all of them."""
 
     @property
     def policies(self) -> list[str]:
@@ -91,10 +93,17 @@ def read(folder: Path) -> Results:
     if not folder.is_dir():
         raise ValueError(f"no such folder: {str(folder)!r}; `plumeward evaluate --missions FILE.csv` writes results")
     missions: dict[Key, dict[int, MissionRow]] = {}
+    assumed: dict[str, Path] = {}
     for path in sorted(path for path in folder.iterdir() if path.name.endswith((".csv", ".csv.gz"))):
         for row in read_csv(path):
             if row.world != AS_MODELLED:
                 raise ValueError(f"{path}: missions in the world {row.world!r}; a report takes those of {AS_MODELLED!r} alone")
+            if row.threshold_m is None:
+                raise ValueError(f"{path}: {row.policy} was flown with --stop {row.stop}; a report compares missions of --stop spread:Z")
+            assumed.setdefault(row.assume, path)
+            if len(assumed) > 1:
+                one, other = (f"{name} in {file.name}" for name, file in assumed.items())
+                raise ValueError(f"{str(folder)!r} holds missions of both assumptions, {one} and {other}; wanted a folder for each")
             same = missions.setdefault((row.policy, Setting(row.particles, row.threshold_m)), {})
             if _way(same.setdefault(row.seed, row)) != _way(next(iter(same.values()))):
                 raise ValueError(f"{path}: {row.policy} was flown with other settings there ({', '.join(WAY)})")
@@ -103,7 +112,7 @@ def read(folder: Path) -> Results:
     rank = {policy: i for i, policy in enumerate(OURS)}
     order = sorted(missions, key=lambda key: (rank.get(key[0], len(rank)), key))
     rows = {key: [missions[key][seed] for seed in sorted(missions[key])] for key in order}
-    return Results(rows, {key: figures(of) for key, of in rows.items()})
+    return Results(rows, {key: figures(of) for key, of in rows.items()}, *assumed)
 
 
 def _way(row: MissionRow) -> tuple[object, ...]:

@@ -33,8 +33,8 @@ def tables(results: Results) -> list[Table]:
     by_threshold = [key for key in results.rows if key[1].particles == results.particles]
     return [
         against_paper(results),
-        ours(results, by_particles, f"Our figures at ζ = {results.threshold_m:g} m"),
-        ours(results, by_threshold, f"Our figures at N = {results.particles:,}, by ζ"),
+        ours(results, by_particles, f"Our figures at ζ = {results.threshold_m:g} m, assume {results.assume}"),
+        ours(results, by_threshold, f"Our figures at N = {results.particles:,}, by ζ, assume {results.assume}"),
     ]
 
 

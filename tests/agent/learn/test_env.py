@@ -141,6 +141,8 @@ def test_a_stop_at_the_last_step_of_the_budget_terminates_and_does_not_truncate(
 def test_the_budget_is_300_moves_and_zeta_half_a_metre_as_elsewhere() -> None:
     settings = SourceSearch().settings
     assert (settings.budget, settings.threshold_m, settings.particles) == (300, 0.5, 500)
+    assert (settings.assume, settings.criterion.text) == ("paper", "spread:0.5")
+    assert SourceSearch(stop="within:2,0.9").settings.criterion.text == "within:2,0.9"
 
 
 def test_infos_tell_of_the_mission() -> None:
@@ -334,6 +336,10 @@ def test_gymnasiums_wrappers_of_many_count_missions_right() -> None:
         ({"threshold_m": float("nan")}, "threshold_m nan is not allowed; wanted a number above 0"),
         ({"threshold_m": "0.5"}, "threshold_m '0.5' is not allowed; wanted a number above 0"),
         ({"threshold_m": True}, "threshold_m True is not allowed; wanted a number above 0"),
+        ({"assume": "feild"}, "assume 'feild' is not allowed; wanted paper or field"),
+        ({"stop": "within:1"}, "stop 'within:1' is not allowed; wanted spread:Z, metres, or within:R,P, metres and a share"),
+        ({"stop": 0.5}, "stop 0.5 is not allowed; wanted spread:Z, metres, or within:R,P, metres and a share"),
+        ({"stop": "spread:1", "threshold_m": 0.3}, "stop 'spread:1' is not allowed with threshold_m 0.3; wanted one of them"),
         ({"observation": ["polar"]}, "observation ['polar'] is not allowed; wanted paper or polar"),
         ({"budget": True}, "budget True is not allowed; wanted a whole number from 1"),
         ({"budget": None}, "budget None is not allowed; wanted a whole number from 1"),
@@ -354,7 +360,7 @@ def test_there_is_no_batch_of_none_and_no_work_without_a_thread(name: str, value
 
 
 def test_an_argument_that_there_is_not_is_named_with_those_that_there_are() -> None:
-    names = "continuous, headings, observation, reward, particles, threshold_m, budget"
+    names = "continuous, headings, observation, reward, particles, threshold_m, budget, assume, stop"
     said = "argument foo='bar' is not allowed; wanted some of "
     for make_one in (SourceSearch, lambda **named: gymnasium.make(DISCRETE, **named)):
         with pytest.raises(TypeError, match=f"^{re.escape(said + names)}"):

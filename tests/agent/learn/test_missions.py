@@ -1,16 +1,18 @@
 """Protects one arithmetic for one and for many: a mission among others is, to the bit, the one that the scalar pieces fly alone."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 
 import plume.world
 from agent.learn.missions import Missions
-from agent.observation import FACTS, GAS, SCHEMAS, X
+from agent.observation import DIFFUSIVITY, FACTS, GAS, LIFETIME, RATE, SCHEMAS, X
 from agent.planning.moves import Headings
 from agent.trials.rollout import ALTITUDE_M, mission
 from estimator.belief import belief
+from estimator.criterion import Criterion
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading
 from plume.randomness import derived_seed, keyed
@@ -19,7 +21,7 @@ from plume.sensor import Gaussian
 from plume.world import World
 
 PARTICLES, THRESHOLD_M = 200, 0.7
-SEEDS, OTHERS = (0, 1, 2, 3, 11, 15, 1_000_003, 899_999, 147), (40, 41)
+SEEDS, OTHERS = (0, 1, 2, 3, 11, 15, 1_000_003, 899_999, 149), (40, 41)
 STEPS = 75
 """More than the 64 readings that there is room for at first."""
 BEGUN_ANEW = 30
@@ -35,11 +37,11 @@ def action_of(seed: int, step: int) -> int:
 class Alone:
     """The mission of a seed, from the scalar pieces."""
 
-    def __init__(self, seed: int, schema: str, particles: int = PARTICLES) -> None:
+    def __init__(self, seed: int, schema: str, particles: int = PARTICLES, **changes: Any) -> None:
         self.seed, self.schema, self.step, self.distance_m = seed, SCHEMAS[schema], 0, 0.0
         self.scenario = draw(seed)
         known = self.scenario.q, self.scenario.d, self.scenario.tau
-        self.config = Config(particles, THRESHOLD_M, derived_seed(seed, "estimator"), *known)
+        self.config = Config(particles, THRESHOLD_M, derived_seed(seed, "estimator"), *known, **changes)
         self.world = World(self.scenario, seed)
         self.posterior, self.position = prior(self.config), self.world.start
         self.read()
@@ -91,7 +93,7 @@ def fly(missions: Missions) -> None:
 
 def together(seeds: Sequence[int], schema: str, threads: int = 1) -> dict[int, list[list[bytes | bool | int]]]:
     """What is told of each mission, step after step; `OTHERS` come in the first places after a while, where there are two."""
-    missions = Missions(seeds, schema, PARTICLES, THRESHOLD_M, threads)
+    missions = Missions(seeds, schema, PARTICLES, Criterion(THRESHOLD_M), threads=threads)
     trace: dict[int, list[list[bytes | bool | int]]] = {seed: [] for seed in (*seeds, *OTHERS)}
     for step in range(STEPS + 1):
         if step:
@@ -133,7 +135,7 @@ def test_a_mission_among_others_is_the_mission_alone_to_the_bit(alone: tuple, se
 
 @pytest.mark.parametrize("particles", [10, 77, 9001])
 def test_with_few_and_many_particles_too(particles: int) -> None:
-    missions = Missions(SEEDS[:3], "polar", particles, THRESHOLD_M)
+    missions = Missions(SEEDS[:3], "polar", particles, Criterion(THRESHOLD_M))
     singles = [Alone(seed, "polar", particles) for seed in SEEDS[:3]]
     for _ in range(12):
         assert [told(missions, i) for i in range(3)] == [single.told() for single in singles]
@@ -142,8 +144,26 @@ def test_with_few_and_many_particles_too(particles: int) -> None:
             single.move()
 
 
+@pytest.mark.parametrize("schema", SCHEMAS)
+@pytest.mark.parametrize(("assume", "within"), [("paper", (1.5, 0.9)), ("field", None), ("field", (4.0, 0.8))])
+def test_with_another_assumption_or_criterion_too(schema: str, assume: str, within: tuple[float, float] | None) -> None:
+    missions = Missions(SEEDS[:4], schema, 120, Criterion(THRESHOLD_M, within), assume, threads=2)
+    singles = [Alone(seed, schema, 120, assume=assume, within=within) for seed in SEEDS[:4]]
+    ceased = set()
+    for _ in range(40):
+        assert [told(missions, i) for i in range(4)] == [single.told() for single in singles]
+        ceased |= {bool(said) for said in missions.ceased}
+        fly(missions)
+        for single in singles:
+            single.move()
+    if within and schema == "polar":  # in its frame the actions lead to the estimate
+        assert ceased == {True, False}
+    for fact, name in ((RATE, "rate"), (LIFETIME, "lifetime"), (DIFFUSIVITY, "diffusivity")):
+        assert missions._facts[:, fact].tolist() == [getattr(single.belief, name) for single in singles]
+
+
 def test_the_way_flown_is_summed_and_begins_anew_with_another_mission() -> None:
-    missions = Missions(SEEDS[:3], "paper", 50, THRESHOLD_M)
+    missions = Missions(SEEDS[:3], "paper", 50, Criterion(THRESHOLD_M))
     singles = [Alone(seed, "paper", 50) for seed in SEEDS[:3]]
     for _ in range(10):
         fly(missions)
@@ -168,7 +188,7 @@ def test_who_changes_the_worlds_physics_changes_it_for_rollouts_and_training_ali
     """In one place: there is no second copy that goes on as before."""
 
     def first_readings() -> tuple[list[float], list[float]]:
-        missions = Missions(SEEDS, "paper", 50, THRESHOLD_M)
+        missions = Missions(SEEDS, "paper", 50, Criterion(THRESHOLD_M))
         flown = [next(mission(seed, "random", 50, THRESHOLD_M, 1).steps).belief.gas for seed in SEEDS]
         return missions._facts[:, GAS].tolist(), flown
 

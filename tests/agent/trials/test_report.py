@@ -89,6 +89,22 @@ def test_a_row_says_what_is_counted_by_hand(tmp_path: Path) -> None:
     assert by_threshold.rows == by_particles.rows  # there is but one setting
 
 
+def test_a_table_says_the_assumption_and_compares_one_assumption_and_one_kind_of_stop(tmp_path: Path) -> None:
+    field = [msgspec.structs.replace(row, assume="field") for row in FOUR]
+    results = results_of(tmp_path, field)
+    assert results.assume == "field"
+    assert [it.title for it in tables(results)[1:]] == [
+        "Our figures at ζ = 0.5 m, assume field", "Our figures at N = 100, by ζ, assume field",
+    ]  # fmt: skip
+    write_csv(FOUR, tmp_path / "paper.csv")
+    with pytest.raises(ValueError, match=r"both assumptions, paper in paper\.csv and field in rows\.csv; wanted a folder"):
+        read(tmp_path)
+    (tmp_path / "paper.csv").unlink()
+    write_csv([msgspec.structs.replace(FOUR[0], threshold_m=None, stop="within:1,0.99")], tmp_path / "within.csv")
+    with pytest.raises(ValueError, match=r"within\.csv: greedy was flown with --stop within:1,0\.99; a report compares"):
+        read(tmp_path)
+
+
 def test_a_mission_in_two_files_counts_once(tmp_path: Path) -> None:
     write_csv(FOUR[:3], tmp_path / "a.csv")
     write_csv(FOUR[2:], tmp_path / "b.csv.gz")
@@ -126,7 +142,9 @@ def test_a_mission_that_has_ended_stays_in_the_median_with_its_last_distance() -
 
     def flight(*places: float) -> drawing.Flight:
         trace = [TracePoint((x, 10.0), 0.0, (10.0, 10.0), 1.0) for x in places]
-        return Outcome(0, "greedy", True, True, (10.0, 10.0), (10.0, 10.0), scenario, 0.0, 0.1, len(trace) - 1, 1.0, 1.0), trace
+        return Outcome(
+            0, "greedy", True, True, (10.0, 10.0), (10.0, 10.0), scenario, 0.0, 0.1, len(trace) - 1, 1.0, 1.0, "paper", "spread:0.5"
+        ), trace
 
     panel, *_, flying = drawing.distances([flight(0.0, 8.0), flight(4.0, 5.0, 6.0, 7.0), flight(4.0, 6.0, 9.0)]).axes
     (median,) = (line for line in panel.lines if line.get_label() == "median")

@@ -5,9 +5,11 @@ import subprocess
 import sys
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from agent.trials.rollout import mission, rollout
+from plume.outcome import outcome_text
 from plume.scenario import draw
 from plume.world import World
 from plume.worlds import WORLDS
@@ -50,6 +52,36 @@ def test_the_budget_counts_moves() -> None:
     assert (result.steps, len(trace)) == (7, 8)
 
 
+def test_the_outcome_says_what_was_assumed_and_when_it_stops() -> None:
+    brief = {"policy": "random", "particles": 50, "budget": 1}
+    for given, said in (({}, ("field", "spread:0.5")), ({"assume": "paper", "stop": "within:1,0.99"}, ("paper", "within:1,0.99"))):
+        result, _ = rollout(1, **brief, **given)
+        assert (result.assume, result.stop) == said
+        assert outcome_text(result).endswith(f"\nassumed  {said[0]}, stop {said[1]}")
+    with pytest.raises(ValueError, match="wanted paper or field"):
+        rollout(1, **brief, assume="feild")
+    with pytest.raises(ValueError, match=r"stop 'spread:1' is not allowed with threshold_m 0\.3"):
+        rollout(1, **brief, threshold_m=0.3, stop="spread:1")
+
+
+def test_a_spread_is_the_same_stop_in_its_short_and_its_long_form() -> None:
+    short, long = rollout(3, "greedy", 100, 2.0, assume="paper"), rollout(3, "greedy", 100, stop="spread:2", assume="paper")
+    assert short[1] == long[1]
+    assert short[0].ceased
+
+
+def test_a_stop_within_a_radius_comes_when_enough_particles_are_there() -> None:
+    """Counted here from the particles as they are published."""
+    steps = list(mission(8, "greedy", 300, 0.5, 80, within=(2.0, 0.9)).steps)
+    shares = []
+    for said, particles, *_ in steps:
+        away = np.hypot(*(particles[:, :2].astype(float) - said.mean).T)
+        shares.append(particles[away <= 2.0, 2].sum(dtype=float))
+        assert said.ceased == (shares[-1] >= 0.9 and said.step >= 2)
+    assert steps[-1].belief.ceased
+    assert min(shares) < 0.5
+
+
 def test_every_move_is_a_metre_inside_the_area() -> None:
     _, trace = rollout(5, "random", particles=100)
     for a, b in pairwise(trace):
@@ -59,7 +91,7 @@ def test_every_move_is_a_metre_inside_the_area() -> None:
 
 
 def test_infotaxis_finds_the_source_and_its_stop_can_be_believed() -> None:
-    results = [rollout(seed, "infotaxis", particles=1000)[0] for seed in range(1_000_000, 1_000_060)]
+    results = [rollout(seed, "infotaxis", particles=1000, assume="paper")[0] for seed in range(1_000_000, 1_000_060)]
     assert all(result.ceased for result in results)
     # An honest stop is located in about 98% of missions; fewer than 54 of 60 would come by chance once in 2,000 such tests.
     assert sum(result.located for result in results) >= 54

@@ -41,7 +41,7 @@ def untimed(rows: list[MissionRow]) -> list[MissionRow]:
 def test_one_flight_gives_what_a_rollout_at_each_threshold_gives(seed: int) -> None:
     (rows,) = fly(SMALL, [("thompson", 200, seed, "as-modelled")])
     for row, threshold_m in zip(rows, SMALL.thresholds_m, strict=True):
-        alone, _ = rollout(seed, "thompson", 200, threshold_m, 80)
+        alone, _ = rollout(seed, "thompson", 200, threshold_m, 80, assume="paper")
         assert (row.threshold_m, row.seed, row.particles) == (threshold_m, seed, 200)
         assert (row.ceased, row.located, row.steps, row.distance_m) == (alone.ceased, alone.located, alone.steps, alone.distance_m)
         assert (row.error_m, row.spread_m) == (alone.error_m, alone.spread_m)
@@ -98,7 +98,7 @@ def test_a_journal_that_something_else_wrote_is_flown_anew(tmp_path: Path) -> No
 
 def test_a_row_that_an_older_version_kept_is_read(tmp_path: Path) -> None:
     """A journal is only used by the code that wrote it: this is for the one who changes that."""
-    young = ("sensor", "prior", "stop_on", "version", "world")
+    young = ("sensor", "prior", "stop_on", "assume", "stop", "version", "world")
     old = {name: value for name, value in msgspec.structs.asdict(ROW).items() if name not in young}
     journal = tmp_path / "journal.jsonl"
     journal.write_bytes(msgspec.json.encode([old]) + b"\n")
@@ -186,6 +186,33 @@ def test_rows_say_what_the_estimator_was_told_and_who_flew_them() -> None:
     assert other.sensor == "hits:3.0,0.1"
 
 
+def test_rows_say_the_assumption_and_the_stop(tmp_path: Path) -> None:
+    flight = ("greedy", 100, 7)
+    usual = fly(SMALL, [flight])[0][0]
+    assert (usual.assume, usual.stop, usual.threshold_m) == ("paper", "spread", 0.9)
+    within = replace(SMALL, thresholds_m=(0.5,), knowledge={"assume": "field", "within": (2.0, 0.9)}, budget=3)
+    ((row,),) = fly(within, [flight])
+    assert (row.assume, row.stop, row.threshold_m, row.floor_m) == ("field", "within:2,0.9", None, None)
+    write_csv([row, usual], tmp_path / "rows.csv")
+    assert [(read.assume, read.stop, read.threshold_m) for read in read_csv(tmp_path / "rows.csv")] == [
+        ("field", "within:2,0.9", None), ("paper", "spread", 0.9),
+    ]  # fmt: skip
+    (figures,) = named([row]).values()
+    assert (figures["assume"], figures["stop"], figures["threshold_m"]) == ("field", "within:2,0.9", None)
+    (figures,) = named([usual]).values()
+    assert (figures["assume"], figures["stop"], figures["threshold_m"]) == ("paper", "spread:0.9", 0.9)
+    assert list(named([row, msgspec.structs.replace(row, particles=50)])) == ["greedy particles=100", "greedy particles=50"]
+
+
+def test_a_sweep_stops_within_a_radius_where_a_rollout_does() -> None:
+    within = replace(SMALL, thresholds_m=(0.5,), knowledge={"within": (2.0, 0.9)})
+    ((row,),) = fly(within, [("greedy", 100, 8)])
+    alone, _ = rollout(8, "greedy", 100, budget=80, assume="paper", stop="within:2,0.9")
+    assert (row.ceased, row.located, row.steps, row.distance_m) == (alone.ceased, alone.located, alone.steps, alone.distance_m)
+    assert row.ceased
+    assert row.steps < 80
+
+
 def test_a_learned_policy_has_neither_headings_nor_measurements_of_a_planner(tmp_path: Path) -> None:
     few = replace(SMALL, policies=("ppo", "greedy"), budget=3)
     learned, planned = (fly(few, [(policy, 100, 7, "as-modelled")])[0][0] for policy in few.policies)
@@ -207,6 +234,7 @@ def test_the_tables_of_older_versions_are_read() -> None:
     planned, learned = ([row for row in rows if (row.policy == "infotaxis") == planner] for planner in (True, False))
     assert {(row.headings, row.measurements) for row in planned} == {(4, 25)}
     assert {(row.headings, row.measurements) for row in learned} == {(None, None)}
+    assert {(row.assume, row.stop) for row in rows} == {("paper", "spread")}
     assert {(row.sensor, row.prior, row.stop_on, row.version, row.world) for row in rows} == {
         ("gaussian:0.3,0.2", None, "location", None, "as-modelled")
     }

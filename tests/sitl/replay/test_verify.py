@@ -55,6 +55,13 @@ def test_the_first_field_that_differs_is_named_with_both_values() -> None:
     assert text([belief(), waypoint()], [belief(), waypoint(north=4.1)]) == "waypoint at 12.35 s (step 7): x was 4.0, is 4.1"
 
 
+def test_an_older_record_says_nothing_of_the_assumption_and_the_stop() -> None:
+    now = [belief(assume="paper", stop="spread:0.5"), stop(stop="spread:0.5")]
+    assert text([belief(), stop()], now) is None
+    assert text([belief(assume="field")], now[:1]) == "belief at 12.35 s (step 7): assume was field, is paper"
+    assert text([belief(stop="spread:0.6")], now[:1]) == "belief at 12.35 s (step 7): stop was spread:0.6, is spread:0.5"
+
+
 def test_one_bit_is_a_difference() -> None:
     next_double, next_float = (
         math.nextafter(2.25, 3),

@@ -1,0 +1,82 @@
+"""Named assumptions: what the estimator takes to be known of a release and of what measures it, and the priors of the rest."""
+
+from collections.abc import Mapping
+
+from estimator.priors import Fixed, LogNormal, Normal, Prior
+from plume.parameters import PARAMETERS
+from plume.sensor import Gaussian, Hits, Sensor
+
+ASSUMPTIONS: Mapping[str, str] = {
+    "paper": "all but the source's position x, y is known",
+    "field": "wind, release rate, lifetime, noise and the gas's intermittency are known roughly; each has a prior",
+}
+"""The assumptions, and one line about each."""
+
+WIND_DIRECTION_STD_DEG = 20.0
+"""A compass and an anemometer on a drone are each wrong by several degrees, and the wind aloft or at the source differs from that at the
+drone. Two thirds of missions within 20° covers that."""
+WIND_SPEED_SIGMA = 0.4
+"""Two thirds of missions within a factor of 1.5: rotors disturb an anemometer on board, and a station is at another height."""
+RATE_SIGMA = 0.7
+"""Two thirds within a factor of 2: leak rates are estimated by their order of magnitude, from a hole and a pressure."""
+LIFETIME_SIGMA = 0.6
+"""Two thirds within a factor of 1.8: how fast gas rises, deposits or reacts is tabulated for other weather."""
+NOISE_SIGMA = 0.5
+"""Two thirds within a factor of 1.6: sensors age, and data sheets quote noise in still, dry air."""
+CV_STD = 0.8
+"""Half-normal: a plume measured in the open fluctuates by about its mean within seconds, less where a sensor averages; steady gas stays the
+most likely value."""
+
+REPLACED = {"u": "wind-speed", "phi": "wind-direction"}
+"""Absolute priors of the wind: the measured value is then ignored, so an error of its measurement means nothing."""
+
+
+def effective_priors(assume: str, given: Mapping[str, Prior], rate: float, lifetime: float, sensor: Sensor) -> dict[str, Prior]:
+    """Return the priors of an assumption, each replaced by the one given under its name, by name of `PARAMETERS`.
+
+    `rate` (g/s) and `lifetime` (s) are what the estimator is told. A given prior of u or phi also removes the assumption's prior of the
+    measured wind speed or direction. Intermittency is modelled for the Gaussian sensor only, and noise has a factor for all but hits,
+    whose noise is Poisson's.
+
+    Raises:
+        ValueError: There is no such assumption or parameter, or two given priors exclude each other, or one means nothing for the sensor.
+    """
+    if assume not in ASSUMPTIONS:
+        raise ValueError(f"assume {assume!r} is not allowed; wanted {' or '.join(ASSUMPTIONS)}")
+    _check(given, sensor)
+    priors: dict[str, Prior] = {}
+    if assume == "field":
+        priors = {
+            "q": LogNormal(rate, RATE_SIGMA),
+            "tau": LogNormal(lifetime, LIFETIME_SIGMA),
+            "wind-direction": Normal(0.0, WIND_DIRECTION_STD_DEG),
+            "wind-speed": LogNormal(1.0, WIND_SPEED_SIGMA),
+        }
+        if not isinstance(sensor, Hits):
+            priors["noise"] = LogNormal(1.0, NOISE_SIGMA)
+        if isinstance(sensor, Gaussian):
+            priors["cv"] = Normal(0.0, CV_STD)
+    for absolute, relative in REPLACED.items():
+        if absolute in given:
+            priors.pop(relative, None)
+    return priors | dict(given)
+
+
+def _check(given: Mapping[str, Prior], sensor: Sensor) -> None:
+    for name in given:
+        if name not in PARAMETERS:
+            raise ValueError(f"a prior of {name!r} is not allowed; wanted {', '.join(PARAMETERS)}")
+    for absolute, relative in REPLACED.items():
+        if absolute in given and relative in given:
+            raise ValueError(
+                f"a prior of {relative} is not allowed with one of {absolute}, which ignores the measured value; wanted one of them"
+            )
+    if "noise" in given and isinstance(sensor, Hits):
+        raise ValueError("a prior of noise is not allowed with the hits sensor, whose noise is Poisson's; wanted gaussian or threshold")
+    if "cv" in given and not isinstance(sensor, Gaussian):
+        raise ValueError("a prior of cv is not allowed with this sensor, for which intermittency is not modelled; wanted gaussian")
+
+
+def unknowns(priors: Mapping[str, Prior]) -> tuple[str, ...]:
+    """Return the names of the unknowns under these priors, in the order of `PARAMETERS`: x, y and all with a prior that is not fixed."""
+    return tuple(name for name in PARAMETERS if not isinstance(priors.get(name), Fixed) and (name in ("x", "y") or name in priors))
