@@ -13,19 +13,21 @@ ASSUMPTIONS: Mapping[str, str] = {
 """The assumptions, and one line about each."""
 
 WIND_DIRECTION_STD_DEG = 20.0
-"""A compass and an anemometer on a drone are each wrong by several degrees, and the wind aloft or at the source differs from that at the
+"""A compass and an anemometer on a drone are each wrong by several degrees, and the wind that carries the gas differs from that at the
 drone. Two thirds of missions within 20° covers that."""
-WIND_SPEED_SIGMA = 0.4
-"""Two thirds of missions within a factor of 1.5: rotors disturb an anemometer on board, and a station is at another height."""
+WIND_SPEED_SIGMA = 0.5
+"""Two thirds of missions within a factor of 1.65. Rotors disturb an anemometer on board, and a station is at another height: 0.3. Only
+speed by diffusivity shapes the plume, so the factor stands for a wrong diffusivity, too: 0.4. Both add in quadrature."""
 RATE_SIGMA = 0.7
-"""Two thirds within a factor of 2: leak rates are estimated by their order of magnitude, from a hole and a pressure."""
-LIFETIME_SIGMA = 0.6
-"""Two thirds within a factor of 1.8: how fast gas rises, deposits or reacts is tabulated for other weather."""
+"""Two thirds within a factor of 2: leak rates are estimated by their order of magnitude, from a hole and a pressure. A wrong gain of the
+sensor is the same as a wrong rate, so this covers it."""
+LIFETIME_SIGMA = 0.7
+"""Two thirds within a factor of 2: how fast gas rises, deposits or reacts is tabulated for other weather."""
 NOISE_SIGMA = 0.5
-"""Two thirds within a factor of 1.6: sensors age, and data sheets quote noise in still, dry air."""
-CV_STD = 0.8
-"""Half-normal: a plume measured in the open fluctuates by about its mean within seconds, less where a sensor averages; steady gas stays the
-most likely value."""
+"""Two thirds within a factor of 1.65: sensors age, and data sheets quote noise in still, dry air."""
+CV_STD = 1.2
+"""Half-normal: open plumes have been measured with fluctuations of half to twice their mean, less where a sensor averages; steady gas stays
+the most likely value."""
 
 REPLACED = {"u": "wind-speed", "phi": "wind-direction"}
 """Absolute priors of the wind: the measured value is then ignored, so an error of its measurement means nothing."""

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.belief import fit, may_claim, share_within, sure_enough
+from estimator.belief import evidence, fit, may_claim, share_within, sure_enough
 from estimator.filter import Config, Posterior, prior
 from estimator.kernels.update import update_missions
 from estimator.kernels.weights import moments_of_missions
@@ -97,9 +97,11 @@ class Batch:
 
     def may_claim(self, mission: int) -> bool:
         """True if the mission may claim a find, as by `estimator.belief.may_claim`."""
-        count = self.counts[mission]
-        p_value = fit(self._readings[mission, :count], self._ranks[mission, :count], self._configs[mission])
-        return may_claim(p_value, int(count))
+        count, config = self.counts[mission], self._configs[mission]
+        readings = self._readings[mission, :count]
+        p_value = fit(readings, self._ranks[mission, :count], config)
+        better = evidence(self.particles[mission], self.weights[mission], self._log_targets[mission], readings, config)
+        return may_claim(p_value, better, int(count))
 
     def has_ceased(self, mission: int) -> bool:
         """Whether the mission's belief has ceased, as by `estimator.belief.belief`."""

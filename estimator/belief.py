@@ -7,6 +7,7 @@ import numpy as np
 
 from estimator.filter import Array, Config, Posterior
 from estimator.kernels.checks import uniformity_p_value
+from estimator.kernels.densities import log_priors
 from estimator.kernels.weights import effective_sample_size, moments
 from estimator.priors import Fixed
 from link.bus.mavlink import Reading
@@ -20,6 +21,8 @@ FEWEST = 8
 """With fewer readings the test has no power: the p-value is 1."""
 INCOMPATIBLE = 1e-4
 """Below this p-value the readings do not fit the model: there is no stop."""
+CLEAR = 5.0
+"""A stop is declared only if the plume explains the readings by so many nats better than a sensor that shows one value plus noise."""
 STUCK = 3
 """This many bit-identical readings in a row mean that a noisy sensor is stuck. There is no stop before this many readings."""
 
@@ -46,6 +49,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     spread = math.sqrt(xx + yy)
     share = share_within(posterior.particles, posterior.weights, unknown_means, config)
     p_value = fit(posterior.readings, posterior.ranks, config)
+    better = evidence(posterior.particles, posterior.weights, posterior.log_targets, posterior.readings, config)
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
         step=len(posterior.readings) - 1,
@@ -66,7 +70,8 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         spread=spread,
         effective_sample_size=effective_sample_size(posterior.weights),
         p_value=p_value,
-        ceased=may_claim(p_value, len(posterior.readings)) and sure_enough(spread, share, std, config, config.threshold_m),
+        evidence=better,
+        ceased=may_claim(p_value, better, len(posterior.readings)) and sure_enough(spread, share, std, config, config.threshold_m),
         assume=config.assume,
         stop=config.criterion.text,
     )
@@ -85,9 +90,20 @@ def fit(readings: Array, ranks: Array, config: Config) -> float:
     return 1.0 if len(ranks) < FEWEST else float(uniformity_p_value(ranks[-RECENT:]))
 
 
-def may_claim(p_value: float, readings: int) -> bool:
-    """True if a find may be claimed: there are enough readings to detect a stuck sensor, and they fit the model."""
-    return readings >= STUCK and p_value >= INCOMPATIBLE
+def evidence(particles: Array, weights: Array, log_targets: Array, readings: Array, config: Config) -> float:
+    """Return by how many nats the belief explains the readings better than a sensor that shows one value plus noise.
+
+    The mean log-likelihood of all readings under the belief, less the greatest that any such sensor gives them. A sensor that hums at one
+    value fits a distant source with a wide plume, so the model check is silent; but then this is near 0 or below.
+    Arguments as in `Posterior`.
+    """
+    log_likelihoods = log_targets - log_priors(particles, config.unknown_indices, config.prior_rows)
+    return float(weights @ log_likelihoods / weights.sum()) - config.sensor.of_one_value(readings[:, 5])
+
+
+def may_claim(p_value: float, better: float, readings: int) -> bool:
+    """True if a find may be claimed: there are enough readings, they fit the model (`fit`), and they need a plume (`evidence`)."""
+    return readings >= STUCK and p_value >= INCOMPATIBLE and better >= CLEAR
 
 
 def share_within(particles: Array, weights: Array, means: Array, config: Config) -> float:

@@ -4,11 +4,11 @@ import time
 from collections.abc import Iterator
 
 from estimator.admission import refusal
-from estimator.belief import INCOMPATIBLE, RECENT, belief, stop
+from estimator.belief import CLEAR, INCOMPATIBLE, RECENT, belief, stop
 from estimator.filter import Config, assimilate, prior
 from link.bus.keys import BELIEF, READING, STOP
 from link.bus.mavlink import BadFrame, Reading, unpack_reading
-from link.bus.messages import pack_particles
+from link.bus.messages import Belief, pack_particles
 from link.bus.session import Arrival, Bus
 from link.bus.tally import REPEATED
 from plume.sensor import text
@@ -34,7 +34,7 @@ def run(bus: Bus, config: Config, system: int) -> None:
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(summary.step)
             latest = reading
-            _judge(bus, summary.p_value)
+            _judge(bus, summary, config)
             if summary.ceased and not stopped:
                 bus.publish(STOP, stop(summary, config))
                 bus.log.info(f"ceased at step {summary.step}: ({summary.mean[0]:.2f}, {summary.mean[1]:.2f}) ± {summary.spread:.2f} m")
@@ -45,16 +45,21 @@ def run(bus: Bus, config: Config, system: int) -> None:
         bus.answered()
 
 
-def _judge(bus: Bus, p_value: float) -> None:
-    """Warn while the readings do not fit the model: once in the log, and in health as long as it lasts."""
-    if p_value >= INCOMPATIBLE:
+def _judge(bus: Bus, said: Belief, config: Config) -> None:
+    """Warn while no stop would be honest: once in the log, and in health as long as it lasts."""
+    narrow_m = config.within[0] if config.within else config.threshold_m
+    if said.p_value < INCOMPATIBLE:
+        reason = f"the readings do not fit the model (p = {said.p_value:.1g} over the last {RECENT})"
+        question = "is the sensor stuck, is the model right?"
+    elif said.spread < narrow_m and said.evidence < CLEAR:
+        reason = "one value plus noise explains the readings as well as a plume does"
+        question = "does the sensor hum?"
+    else:
         bus.tally.warnings = ()
         return
     if not bus.tally.warnings:
-        bus.log.warning(
-            f"the readings do not fit the model (p = {p_value:.1g} over the last {RECENT}): is the sensor stuck, is the model right?"
-        )
-    bus.tally.warnings = (f"the last {RECENT} readings do not fit the model: p = {p_value:.1g}",)
+        bus.log.warning(f"{reason}: {question}")
+    bus.tally.warnings = (reason,)
 
 
 def _readings(bus: Bus, config: Config, system: int) -> Iterator[Reading]:

@@ -19,6 +19,14 @@ _erf = np.vectorize(math.erf, otypes=[np.float64])
 _log_gamma = np.vectorize(math.lgamma, otypes=[np.float64])
 
 
+def _of_one_value(readings: Array) -> float:
+    """Greatest log-likelihood of readings (T,) that are one value plus normal noise, whatever the value and the noise."""
+    if len(readings) == 0:
+        return 0.0
+    std = max(float(readings.std()), 1e-3)
+    return -len(readings) * (math.log(std) + 0.5 * math.log(2 * math.pi * math.e))
+
+
 def _normal_cdf(value: ArrayLike) -> Array:
     return np.asarray(0.5 * (1.0 + _erf(np.asarray(value) / math.sqrt(2.0))))
 
@@ -94,6 +102,10 @@ class Gaussian:
         """Entropy of a reading at each mean concentration, nats."""
         return np.asarray(np.log(self.noise_std(mean)) + 0.5 * np.log(2 * np.pi * np.e))
 
+    def of_one_value(self, readings: Array) -> float:
+        """Greatest log-likelihood of readings (T,) by a sensor that shows one value plus noise, wherever it is."""
+        return _of_one_value(readings)
+
     def is_noisy(self, _reading: float) -> bool:
         """True if noise makes two bit-identical readings of this value in a row practically impossible."""
         return True
@@ -152,6 +164,12 @@ class Threshold:
         heard = above * (math.log1p(-self.missed) - np.log(std) - 0.5 * np.log(2 * np.pi)) - 0.5 * (standard * density + above)
         return np.asarray(-silent * np.log(np.maximum(silent, 1e-300)) - (1 - self.missed) * heard)
 
+    def of_one_value(self, readings: Array) -> float:
+        """Greatest log-likelihood of readings (T,) by a sensor that shows 0 with one probability, and else one value plus noise."""
+        heard = readings[readings != 0]
+        counts = np.array([len(heard), len(readings) - len(heard)])
+        return float(np.sum(counts * np.log(np.maximum(counts, 1) / len(readings)))) + _of_one_value(heard)
+
     def is_noisy(self, reading: float) -> bool:
         """True if noise makes two bit-identical readings of this value in a row practically impossible."""
         return reading != 0.0
@@ -201,6 +219,11 @@ class Hits:
             log_factorial += math.log(count)
             summed = summed + probability * log_factorial
         return np.where(expected > MANY, series, summed)
+
+    def of_one_value(self, readings: Array) -> float:
+        """Greatest log-likelihood of counts (T,) that have one mean, wherever they are counted."""
+        mean = max(float(readings.mean()), 1e-300)
+        return float(np.sum(readings * math.log(mean) - mean - _log_gamma(readings + 1.0)))
 
     def is_noisy(self, _reading: float) -> bool:
         """True if noise makes two bit-identical readings of this value in a row practically impossible."""

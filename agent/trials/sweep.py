@@ -128,7 +128,7 @@ def _ceased(said: Belief, config: Config, threshold_m: float) -> bool:
     if config.within:
         return said.ceased
     stds = dict(zip(said.unknowns, said.stds, strict=True))
-    return may_claim(said.p_value, said.step + 1) and sure_enough(said.spread, math.nan, stds, config, threshold_m)
+    return may_claim(said.p_value, said.evidence, said.step + 1) and sure_enough(said.spread, math.nan, stds, config, threshold_m)
 
 
 def _row(

@@ -46,8 +46,11 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     p_value: Annotated[float, Meta(ge=0, le=1, description="p-value of the recent readings under the model: near 0 if they do not fit it")]
     ceased: Annotated[bool, Meta(description="true if the stop criterion is met and the readings fit the model: the search is over")]
     assume: Annotated[str, Meta(description="what is taken to be known, in the form of --assume")] = "paper"
-    """Older records lack this field and the next; their beliefs get these defaults."""
+    """Older records lack this field and the next ones; their beliefs get these defaults."""
     stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread"
+    evidence: Annotated[
+        float, Meta(description="nats by which the readings are explained better than by a sensor that shows one value plus noise")
+    ] = 0.0
 
 
 class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

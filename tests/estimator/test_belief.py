@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from estimator.batch import Batch
-from estimator.belief import belief, may_claim, stop
+from estimator.belief import CLEAR, belief, may_claim, stop
 from estimator.filter import Config, Posterior, assimilate, prior
-from estimator.priors import Fixed, Normal, Prior, Uniform
+from estimator.priors import Fixed, LogNormal, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.sensor import Hits, Threshold
 
@@ -16,10 +16,10 @@ READING = Reading(77, (1.0, 2.0), 5.0, (1.0, 0.0), 0.5)
 
 
 def posterior_of(particles: list[list[float]], weights: list[float], ranks: list[float] | None = None) -> Posterior:
-    """A posterior after three readings."""
+    """A posterior after three readings, which its particles explain far better than one value does."""
     w, readings = np.array(weights), np.zeros((3, 7))
     readings[:, 5] = 0.5, 0.25, 0.125
-    return Posterior(np.array(particles), np.log(w), w / w.max(), np.zeros(len(w)), readings, np.array(ranks or [0.5]))
+    return Posterior(np.array(particles), np.log(w), w / w.max(), np.full(len(w), 50.0), readings, np.array(ranks or [0.5]))
 
 
 TWO = posterior_of([[1.0, 3.0], [2.0, 2.0]], [0.75, 0.25])
@@ -133,24 +133,54 @@ def test_nothing_is_claimed_before_as_many_readings_as_would_show_a_stuck_sensor
     assert not summary.ceased
 
 
-def test_the_third_reading_is_the_first_that_may_end_a_search() -> None:
-    """In one mission, and in a batch; only the number of readings prevents the claim."""
-    config = Config(particles=100, threshold_m=100.0)
+def test_a_batch_judges_as_a_single_mission_does() -> None:
+    """One value plus noise explains two readings well, but not three that differ as much as these."""
+    config = Config(particles=1000, threshold_m=100.0)
     posterior, batch = prior(config), Batch([config])
     said = []
-    for step, gas in enumerate((0.25, -0.125, 0.5, 0.0)):
-        reading = Reading(step, (1.0 + step, 2.0), 5.0, (1.0, 0.0), gas)
+    for step, (place, gas) in enumerate((((3.0, 3.0), 0.0), ((8.0, 8.0), 5.0), ((9.0, 9.0), 30.0), ((20.0, 20.0), 0.1))):
+        reading = Reading(step, place, 5.0, (1.0, 0.0), gas)
         posterior = assimilate(posterior, reading, config)
         batch.assimilate(config.row(reading)[None])
         summary, _ = belief(posterior, reading, config)
         assert summary.p_value == 1.0
-        said.append((summary.step, summary.ceased, batch.may_claim(0)))
-    assert said == [(0, False, False), (1, False, False), (2, True, True), (3, True, True)]
+        assert summary.ceased == batch.may_claim(0) == batch.has_ceased(0)
+        said.append(summary.evidence >= CLEAR)
+    assert said == [False, False, True, True]
 
 
-def test_what_may_be_claimed_hangs_on_both_the_number_of_readings_and_their_fit() -> None:
-    assert [may_claim(1.0, readings) for readings in (1, 2, 3, 4)] == [False, False, True, True]
-    assert [may_claim(p_value, 50) for p_value in (0.0, 0.99e-4, 1e-4, 1.01e-4)] == [False, False, True, True]
+def test_what_may_be_claimed_hangs_on_the_number_of_readings_their_fit_and_what_else_could_explain_them() -> None:
+    assert [may_claim(1.0, 50.0, readings) for readings in (1, 2, 3, 4)] == [False, False, True, True]
+    assert [may_claim(p_value, 50.0, 50) for p_value in (0.0, 0.99e-4, 1e-4, 1.01e-4)] == [False, False, True, True]
+    assert [may_claim(1.0, better, 50) for better in (-3.0, 4.99, 5.0)] == [False, False, True]
+
+
+def test_evidence_is_the_mean_log_likelihood_less_that_of_the_best_single_value() -> None:
+    # Under the normal distribution with their own mean, 7/24, and variance, 7/288: three readings have -3/2 (log 2π·7/288 + 1).
+    one_value = -1.5 * (math.log(2 * math.pi * 7 / 288) + 1)
+    uneven = Posterior(TWO.particles, TWO.log_weights, TWO.weights, np.array([8.0, 4.0]), TWO.readings, TWO.ranks)
+    summary, _ = belief(uneven, READING, Config())
+    assert summary.evidence == pytest.approx(0.75 * 8.0 + 0.25 * 4.0 - one_value)
+    # A log-normal prior of q is no likelihood: log N(log 100; log 300, 1) without its constant is taken off.
+    known = {"x": Fixed(1.0), "y": Fixed(2.0), "q": LogNormal(300.0, 1.0)}
+    alone = Posterior(np.array([[100.0]]), np.zeros(1), np.ones(1), np.array([8.0]), TWO.readings, TWO.ranks)
+    summary, _ = belief(alone, READING, Config(priors=known))
+    assert summary.evidence == pytest.approx(8.0 + 0.5 * math.log(3) ** 2 - one_value)
+
+
+@pytest.mark.parametrize("assume", ["paper", "field"])
+def test_a_sensor_that_hums_at_one_value_is_never_believed(assume: str) -> None:
+    """A narrow belief far from any source: 60 readings of 1 g/m³ with noise of 0.2, along a lawnmower's rows."""
+    rng = np.random.default_rng(8)
+    config = Config(particles=300, threshold_m=100.0, assume=assume)
+    posterior = prior(config)
+    for step in range(60):
+        place = (2.0 + 2 * (step % 12), 3.0 + 5 * (step // 12))
+        reading = Reading(step, place, 5.0, (1.0, 0.5), float(rng.normal(1.0, 0.2)))
+        posterior = assimilate(posterior, reading, config)
+        summary, _ = belief(posterior, reading, config)
+        assert not summary.ceased
+    assert summary.spread < 100.0
 
 
 def test_a_spread_that_is_the_threshold_is_no_stop() -> None:
