@@ -77,8 +77,8 @@ def test_results_go_to_stdout_unless_json_does_and_no_line_wraps_at_60_columns(s
         "step",
     ]
     assert max(len(line.rstrip("\n")) for line in (*results, *progress)) <= 60
-    assert len(mission.out) == (1 if flags else 5)
-    assert all(Path(tmp_path, line.split()[1]).is_file() for line in results[3:])
+    assert len(mission.out) == (1 if flags else 6)
+    assert all(Path(tmp_path, line.split()[1]).is_file() for line in results[4:])
 
 
 @pytest.mark.parametrize("part", PARTS)
