@@ -90,6 +90,13 @@ def reading_densities(
 
 
 @numba.njit(error_model="numpy")
+def is_a_normal_density(gas: float, sensor: Array) -> bool:
+    """True if the likelihood of this gas value is a density, which noise widens and so lowers; false if it is a probability."""
+    normal: bool = sensor[0] != HITS_KIND and (sensor[0] != THRESHOLD_KIND or gas != 0.0)
+    return normal
+
+
+@numba.njit(error_model="numpy")
 def greatest_log_density(gas: float, sensor: Array, priors: Array) -> float:
     """Return an upper bound of the log-likelihood of this gas value, whatever the mean, for a noise factor of 1.
 

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.kernels.densities import greatest_log_density, log_prior, reading_densities
+from estimator.kernels.densities import greatest_log_density, is_a_normal_density, log_prior, reading_densities
 from estimator.kernels.draws import key_of, uniform, word_at
 from estimator.kernels.weights import dot
 from plume.compiled import kernel
@@ -35,6 +35,16 @@ def _reflected(value: float, low: float, high: float) -> float:
         value = 2 * low - value
     elif value > high:
         value = 2 * high - value
+    return value
+
+
+@numba.njit(error_model="numpy")
+def _reflected_logarithm(value: float, low: float, high: float) -> float:
+    """Do the same in the logarithm."""
+    if value < low:
+        value = low / value * low
+    elif value > high:
+        value = high / value * high
     return value
 
 
@@ -83,7 +93,7 @@ def _propose(
             proposals[row, i] = scales[i] * (pool[row, ones[i]] - pool[row, others[i]]) + noise * stds[row]
         if priors[unknowns[row], 0] == LOGNORMAL:
             for i in range(count):
-                proposals[row, i] = particles[row, i] * exp(proposals[row, i])
+                proposals[row, i] = _reflected_logarithm(particles[row, i] * exp(proposals[row, i]), low, high)
         else:
             for i in range(count):
                 proposals[row, i] += particles[row, i]
@@ -139,7 +149,7 @@ def _judge(
 ) -> int:
     """Add the log-likelihood of all readings to the targets of the first `alive` proposals; returns how many are accepted, now in front.
 
-    bounds: (2, T) the greatest log-likelihood of all readings before each, and the sum of their shares.
+    bounds: (2, T) the greatest log-likelihood of all readings before each, and the sum of the shares of those that have noise.
     Readings are evaluated newest first, since the newest is the most likely to reject. A proposal is given up early if it cannot reach
     `needed` even with the best possible likelihood of the remaining readings. This changes no decision.
     """
@@ -202,6 +212,7 @@ def resample_move(
     rows, count = particles.shape
     last = len(readings) - 1
     only_location = is_location_only(unknowns, priors)
+    only_place = rows == 2 and unknowns[0] == X and unknowns[1] == Y
     pool, stds, before = np.empty((rows, count)), np.empty(rows), log_targets.copy()
     for i in range(count):
         log_targets[i] = before[ancestors[i]]
@@ -219,7 +230,7 @@ def resample_move(
     for t in range(last):
         share = readings[t, 6]
         bounds[0, t + 1] = bounds[0, t] + share * greatest_log_density(readings[t, 5], sensor, priors)
-        bounds[1, t + 1] = bounds[1, t] + share
+        bounds[1, t + 1] = bounds[1, t] + share * is_a_normal_density(readings[t, 5], sensor)
     proposals, needed = np.empty((rows, count)), np.empty(count)
     few, derived, scratch = np.empty((rows, BLOCK)), np.empty((0 if only_location else DERIVED, BLOCK)), np.zeros((3, BLOCK))
     owners, targets, thresholds = np.empty(BLOCK, np.int64), np.empty(BLOCK), np.empty(BLOCK)
@@ -229,10 +240,10 @@ def resample_move(
         for i in range(count):
             needed[i] = log_targets[i] + log(uniform(key, i))
         key = key_of(seed, step, stage, 2 * sweep + 1)
-        if only_location and sweep == 0:
+        if only_place and sweep == 0:
             _propose_place(particles, priors, key, proposals, needed)
         else:
-            block = EVERYTHING if rows <= 3 else sweep % 3
+            block = sweep % 3 if rows > 3 and unknowns[0] <= Y else EVERYTHING
             _propose(particles, pool, stds, unknowns, priors, block, key, proposals, needed)
         for first in range(0, count, BLOCK):
             size = min(BLOCK, count - first)
