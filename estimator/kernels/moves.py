@@ -24,28 +24,8 @@ TINY = 1e-12
 """A variance that keeps a collapsed cloud's covariance regular, m²."""
 BLOCK = 256
 """Proposals that are judged together: their arrays stay in the processor's first-level cache."""
-ENOUGH = 0.5
-"""Accepted moves for each particle after which further sweeps would hardly change the cloud."""
-
-
-@numba.njit(error_model="numpy")
-def _reflected(value: float, low: float, high: float) -> float:
-    """Return a value outside the support reflected at its ends. Reflection keeps proposals symmetric."""
-    if value < low:
-        value = 2 * low - value
-    elif value > high:
-        value = 2 * high - value
-    return value
-
-
-@numba.njit(error_model="numpy")
-def _reflected_logarithm(value: float, low: float, high: float) -> float:
-    """Do the same in the logarithm."""
-    if value < low:
-        value = low / value * low
-    elif value > high:
-        value = high / value * high
-    return value
+ENOUGH, ENOUGH_OF_MORE = 0.5, 2.0
+"""Accepted moves for each particle after which further sweeps would hardly change the cloud: of the place alone, and of more unknowns."""
 
 
 @numba.njit(error_model="numpy")
@@ -63,8 +43,8 @@ def _propose(
     """Fill `proposals` (D, M) with a step for each particle (D, M) (differential evolution, ter Braak 2006).
 
     A step is a scaled difference of two members of the pool (D, N) plus a little uniform noise. Such steps follow curved and multimodal
-    posteriors. Log-normal unknowns step in their logarithm, in which the pool holds them. If a proposal leaves the prior's support even
-    after reflection, its `needed` becomes infinite, so that it is rejected.
+    posteriors. Log-normal unknowns step in their logarithm, in which the pool holds them. If a proposal leaves the prior's support,
+    its `needed` becomes infinite, so that it is rejected. (Reflection at the ends would make correlated steps asymmetric.)
     """
     rows, count = particles.shape
     moved = 0
@@ -93,15 +73,13 @@ def _propose(
             proposals[row, i] = scales[i] * (pool[row, ones[i]] - pool[row, others[i]]) + noise * stds[row]
         if priors[unknowns[row], 0] == LOGNORMAL:
             for i in range(count):
-                proposals[row, i] = _reflected_logarithm(particles[row, i] * exp(proposals[row, i]), low, high)
+                proposals[row, i] = particles[row, i] * exp(proposals[row, i])
         else:
             for i in range(count):
                 proposals[row, i] += particles[row, i]
             if unknowns[row] == PHI and high - low == 2 * math.pi:
                 for i in range(count):
                     proposals[row, i] = low + (proposals[row, i] - low) % (2 * math.pi)
-            for i in range(count):
-                proposals[row, i] = _reflected(proposals[row, i], low, high)
         for i in range(count):
             inside = low <= proposals[row, i] <= high
             needed[i] = needed[i] if inside else np.inf
@@ -234,7 +212,7 @@ def resample_move(
     proposals, needed = np.empty((rows, count)), np.empty(count)
     few, derived, scratch = np.empty((rows, BLOCK)), np.empty((0 if only_location else DERIVED, BLOCK)), np.zeros((3, BLOCK))
     owners, targets, thresholds = np.empty(BLOCK, np.int64), np.empty(BLOCK), np.empty(BLOCK)
-    accepted = 0
+    accepted, enough = 0, ENOUGH if only_place else ENOUGH_OF_MORE
     for sweep in range(sweeps):
         key = key_of(seed, step, stage, 2 * sweep + 2)
         for i in range(count):
@@ -262,6 +240,6 @@ def resample_move(
                     particles[row, owners[j]] = few[row, j]
                 log_targets[owners[j]] = targets[j]
             accepted += size
-        if accepted >= ENOUGH * count:
+        if accepted >= enough * count:
             break
     return accepted
