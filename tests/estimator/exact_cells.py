@@ -6,7 +6,7 @@ the same mass, mean and variance, so that a reading's density is a sum of normal
 
 import math
 from collections.abc import Callable
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,7 @@ def intermittent_log_density(gas: float, mean: Array, cv: Array) -> Array:
     return np.asarray(inner + s * (s - 1) / 6 * ((s + 1) * beyond - (s - 2) * before))
 
 
+@lru_cache(4096)
 def _log_densities(gas: float, cv: float) -> Array:
     """Log-density of a reading at the means of LOG_MEANS."""
     mass, at, spread = gas_cells(cv)

@@ -177,8 +177,8 @@ def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: S
 
 def test_correlated_unknowns_stay_posterior_at_the_ends_of_their_support() -> None:
     """Readings tell q · gain alone, and both ends of that curve are cut off: reflected steps would not be symmetric there."""
-    config = Config(diffusivity=4.2, priors={"x": Fixed(13.0), "y": Fixed(13.0), "q": Uniform(100.0, 400.0), "gain": Uniform(0.5, 1.2)})
-    q, gain = np.meshgrid(100 + (np.arange(600) + 0.5) / 2, 0.5 + (np.arange(700) + 0.5) / 1000, indexing="ij")
+    config = Config(diffusivity=4.2, priors={"x": Fixed(13.0), "y": Fixed(13.0), "q": Uniform(300.0, 1200.0), "gain": Uniform(0.5, 1.5)})
+    q, gain = np.meshgrid(300 + (np.arange(900) + 0.5), 0.5 + (np.arange(1000) + 0.5) / 1000, indexing="ij")
     grid = np.stack([q.ravel(), gain.ravel()])
     log_density = np.zeros(grid.shape[1])
     readings = np.tile(READINGS, (20, 1))
@@ -188,7 +188,7 @@ def test_correlated_unknowns_stay_posterior_at_the_ends_of_their_support() -> No
     probability = np.exp(log_density - log_density.max())
     probability /= probability.sum()
     rng, count = np.random.default_rng(4), 40_000
-    start = grid[:, rng.choice(grid.shape[1], count, p=probability)] + rng.uniform(-1, 1, (2, count)) * [[0.25], [0.0005]]
+    start = grid[:, rng.choice(grid.shape[1], count, p=probability)] + rng.uniform(-1, 1, (2, count)) * [[0.5], [0.0005]]
     particles, accepted = moved(start, config, readings, 6, 15)
     assert accepted > 5 * count
     mean = grid @ probability
