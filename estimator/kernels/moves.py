@@ -6,12 +6,20 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.kernels.densities import greatest_log_density, is_a_normal_density, log_prior, reading_densities
+from estimator.kernels.densities import (
+    FUSED,
+    add_place_densities,
+    greatest_log_density,
+    is_a_normal_density,
+    is_fused,
+    log_prior,
+    reading_densities,
+)  # fmt: skip
 from estimator.kernels.draws import key_of, uniform, word_at
 from estimator.kernels.weights import dot
 from plume.compiled import kernel
 from plume.kernels import DERIVED, NOISES, derive, is_location_only, is_plain
-from plume.numerics import exp, log, total_of
+from plume.numerics import direction, exp, log, total_of
 from plume.parameters import LOGNORMAL, PHI, X, Y
 
 Array = NDArray[np.float64]
@@ -99,14 +107,17 @@ def _propose_place(states: Array, priors: Array, key: np.uint64, proposals: Arra
     a = math.sqrt(max(xx, TINY))
     b = xy / a
     c = math.sqrt(max(yy - b * b, 1e-6 * yy + TINY))
+    inverse_a, inverse_c = 1 / a, 1 / c
     for i in range(count):
         square = FREEDOM * (1 / math.sqrt(uniform(key, 2 * i)) - 1)  # of the radius, by inversion
-        radius, angle = math.sqrt(square), 2 * math.pi * uniform(key, 2 * i + 1)
-        one, two = radius * math.cos(angle), radius * math.sin(angle)
-        proposals[0, i], proposals[1, i] = mean_x + a * one, mean_y + b * one + c * two
-        one = dx[i] / a
-        two = (dy[i] - b * one) / c
-        needed[i] += 0.5 * (FREEDOM + 2) * (log(1 + (one * one + two * two) / FREEDOM) - log(1 + square / FREEDOM))
+        radius = math.sqrt(square)
+        cosine, sine = direction(uniform(key, 2 * i + 1))
+        proposals[0, i] = mean_x + a * radius * cosine
+        proposals[1, i] = mean_y + radius * (b * cosine + c * sine)
+        one = dx[i] * inverse_a
+        two = (dy[i] - b * one) * inverse_c
+        needed[i] += 0.5 * (FREEDOM + 2) * log((FREEDOM + one * one + two * two) / (FREEDOM + square))
+    for i in range(count):
         inside = priors[X, 3] <= proposals[0, i] <= priors[X, 4] and priors[Y, 3] <= proposals[1, i] <= priors[Y, 4]
         needed[i] = needed[i] if inside else np.inf
 
@@ -124,6 +135,7 @@ def _judge(
     priors: Array,
     sensor: Array,
     scratch: Array,
+    fused: bool,
 ) -> int:
     """Add the log-likelihood of all readings to the targets of the first `alive` proposals; returns how many are accepted, now in front.
 
@@ -135,15 +147,23 @@ def _judge(
     last = len(readings) - 1
     plain = is_plain(priors)
     means, densities, log_noises = scratch[0], scratch[1], scratch[2]
-    next_check = 0
-    for back in range(last + 1):
+    back = next_check = 0
+    while back <= last:
         t = last - back
-        reading_densities(proposals, derived, alive, readings[t], priors, sensor, means, densities)
         share = readings[t, 6]
-        for j in range(alive):
-            targets[j] += share * densities[j]
-        if back == next_check or t == 0:
-            next_check = 2 * back + 1
+        if fused and share == 1.0:
+            newest = t
+            while t > 0 and last - t < next_check and newest - t + 1 < FUSED and readings[t - 1, 6] == 1.0:
+                t -= 1
+            back = last - t
+            add_place_densities(proposals, alive, readings, t, newest, priors, sensor, scratch[3:], targets)
+        else:
+            reading_densities(proposals, derived, alive, readings[t], priors, sensor, means, densities)
+            for j in range(alive):
+                targets[j] += share * densities[j]
+        back += 1
+        if back > next_check or t == 0:
+            next_check = 2 * back - 1
             if not plain:
                 for j in range(alive):
                     log_noises[j] = log(derived[NOISES, j])
@@ -190,6 +210,7 @@ def resample_move(
     rows, count = particles.shape
     last = len(readings) - 1
     only_location = is_location_only(unknowns, priors)
+    fused = is_fused(unknowns, readings, priors, sensor)
     only_place = rows == 2 and unknowns[0] == X and unknowns[1] == Y
     pool, stds, before = np.empty((rows, count)), np.empty(rows), log_targets.copy()
     for i in range(count):
@@ -210,7 +231,7 @@ def resample_move(
         bounds[0, t + 1] = bounds[0, t] + share * greatest_log_density(readings[t, 5], sensor, priors)
         bounds[1, t + 1] = bounds[1, t] + share * is_a_normal_density(readings[t, 5], sensor)
     proposals, needed = np.empty((rows, count)), np.empty(count)
-    few, derived, scratch = np.empty((rows, BLOCK)), np.empty((0 if only_location else DERIVED, BLOCK)), np.zeros((3, BLOCK))
+    few, derived, scratch = np.empty((rows, BLOCK)), np.empty((0 if only_location else DERIVED, BLOCK)), np.zeros((6, BLOCK))
     owners, targets, thresholds = np.empty(BLOCK, np.int64), np.empty(BLOCK), np.empty(BLOCK)
     accepted, enough = 0, ENOUGH if only_place else ENOUGH_OF_MORE
     for sweep in range(sweeps):
@@ -234,7 +255,7 @@ def resample_move(
                 targets[j] = log_prior(few, j, unknowns, priors)
             if not only_location:
                 derive(few, size, unknowns, priors, derived)
-            size = _judge(few, derived, targets, thresholds, owners, size, readings, bounds, priors, sensor, scratch)
+            size = _judge(few, derived, targets, thresholds, owners, size, readings, bounds, priors, sensor, scratch, fused)
             for j in range(size):
                 for row in range(rows):
                     particles[row, owners[j]] = few[row, j]
