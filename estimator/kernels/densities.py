@@ -99,7 +99,7 @@ def is_fused(unknowns: NDArray[np.int64], readings: Array, priors: Array, sensor
     if sensor[0] != GAUSSIAN_KIND or not is_location_only(unknowns, priors):
         return False
     scale = priors[Q, 1] / (4 * math.pi * priors[D, 1])
-    sound = sensor[2] > 1e-12 and (1 + sensor[1] + sensor[2]) * (1 + scale) < 1e10
+    sound: bool = sensor[2] > 1e-12 and (1 + sensor[1] + sensor[2]) * (1 + scale) < 1e10
     for t in range(len(readings)):
         sound = sound and abs(readings[t, 5]) < 1e10
     return sound

@@ -146,7 +146,8 @@ def _judge(
     rows = len(proposals)
     last = len(readings) - 1
     plain = is_plain(priors)
-    means, densities, log_noises = scratch[0], scratch[1], scratch[2]
+    means, densities, log_noises, possible = scratch[0], scratch[1], scratch[2], scratch[3]
+    keepers = np.empty(alive, np.int64)
     back = next_check = 0
     while back <= last:
         t = last - back
@@ -167,18 +168,20 @@ def _judge(
             if not plain:
                 for j in range(alive):
                     log_noises[j] = log(derived[NOISES, j])
+            for j in range(alive):
+                possible[j] = targets[j] + bounds[0, t] - 0.5 * bounds[1, t] * log_noises[j] - needed[j]
             kept = 0
             for j in range(alive):
-                possible = targets[j] + bounds[0, t] - 0.5 * bounds[1, t] * log_noises[j]
-                reached = possible >= needed[j]
-                for row in range(rows):
-                    proposals[row, kept] = proposals[row, j]
-                for row in range(len(derived)):
-                    derived[row, kept] = derived[row, j]
-                owners[kept] = owners[j]
-                targets[kept] = targets[j]
-                needed[kept] = needed[j]
-                kept += reached
+                keepers[kept] = j
+                kept += possible[j] >= 0
+            for row in range(rows):
+                for j in range(kept):
+                    proposals[row, j] = proposals[row, keepers[j]]
+            for row in range(len(derived)):
+                for j in range(kept):
+                    derived[row, j] = derived[row, keepers[j]]
+            for j in range(kept):
+                owners[j], targets[j], needed[j] = owners[keepers[j]], targets[keepers[j]], needed[keepers[j]]
             alive = kept
             if alive == 0:
                 break
