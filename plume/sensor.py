@@ -75,7 +75,7 @@ class Gaussian:
         concentration: the gas that is there, g/m³, if it was drawn elsewhere.  noise: factor on the sensor's noise.
         """
         mean = np.asarray(mean, np.float64)
-        error = noise * self.noise_std(mean) * rng.standard_normal(mean.shape)
+        error = np.asarray(noise) * self.noise_std(mean) * rng.standard_normal(mean.shape)
         there = fluctuating(mean, self.cv, rng) if concentration is None else np.asarray(concentration, np.float64)
         return np.asarray(there + error)
 
@@ -95,7 +95,7 @@ class Gaussian:
 
         cv: intermittency; with it, the entropy of the normal distribution with the same variance, which is an upper bound.
         """
-        std = noise * self.noise_std(mean)
+        std = np.asarray(noise) * self.noise_std(mean)
         if np.any(cv):
             std = np.hypot(std, np.asarray(cv) * np.asarray(mean, np.float64))
         return np.asarray(np.log(std) + 0.5 * np.log(2 * np.pi * np.e))
@@ -152,7 +152,7 @@ class Threshold:
 
         noise: factor on the sensor's noise. Intermittency is not modelled.
         """
-        std = noise * self._analog().noise_std(mean)
+        std = np.asarray(noise) * self._analog().noise_std(mean)
         standard = (self.threshold - np.asarray(mean)) / std
         above = 1 - _normal_cdf(standard)
         silent = 1 - (1 - self.missed) * above

@@ -31,8 +31,8 @@ def _variance(mean: float, noise: float, cv: float, sensor: Array) -> float:
 def _exponents(means: Array, noises: Array, sensor: Array, quadratic: Array, linear: Array, constant: Array) -> None:
     """Fill the coefficients of the log-likelihood of a reading z under each particle: quadratic · z² + linear · z + constant.
 
-    A reading in intermittent gas is taken to be normal, with its true mean and variance: the exact density is no quadratic and takes 30 times
-    as long (docs/planners.md compares them). For hits, the term −log z! is left out.
+    A reading in intermittent gas is taken to be normal, with its true mean and variance: the exact density is no quadratic and takes
+    far longer (docs/planners.md compares them). For hits, the term −log z! is left out.
     """
     offset = HALF_LOG_2PI - math.log1p(-sensor[4])
     for i in range(len(means)):
