@@ -125,7 +125,7 @@ def test_several_worlds_are_flown_each_as_alone_and_named_in_the_key(tmp_path: P
     assert [(row.policy, row.world, row.seed) for row in rows] == list(itertools.product(few.policies, few.worlds, few.seeds))
     assert few.count == 8
     for row in rows:
-        alone, _ = rollout(row.seed, row.policy, 100, 0.9, 80, world=row.world)
+        alone, _ = rollout(row.seed, row.policy, 100, 0.9, 80, world=row.world, assume="paper")
         assert (row.error_m, row.distance_m, row.source_x) == (alone.error_m, alone.distance_m, alone.source[0])
         assert (row.floor_m is None) == (row.world != "as-modelled")  # the floor is that of a right model
     assert {row.floor_m for row in rows if row.world == "as-modelled"} == {floors_m(draw(seed), [0.9])[0.9] for seed in few.seeds}
@@ -187,7 +187,7 @@ def test_rows_say_what_the_estimator_was_told_and_who_flew_them() -> None:
 
 
 def test_rows_say_the_assumption_and_the_stop(tmp_path: Path) -> None:
-    flight = ("greedy", 100, 7)
+    flight = ("greedy", 100, 7, "as-modelled")
     usual = fly(SMALL, [flight])[0][0]
     assert (usual.assume, usual.stop, usual.threshold_m) == ("paper", "spread", 0.9)
     within = replace(SMALL, thresholds_m=(0.5,), knowledge={"assume": "field", "within": (2.0, 0.9)}, budget=3)
@@ -206,7 +206,7 @@ def test_rows_say_the_assumption_and_the_stop(tmp_path: Path) -> None:
 
 def test_a_sweep_stops_within_a_radius_where_a_rollout_does() -> None:
     within = replace(SMALL, thresholds_m=(0.5,), knowledge={"within": (2.0, 0.9)})
-    ((row,),) = fly(within, [("greedy", 100, 8)])
+    ((row,),) = fly(within, [("greedy", 100, 8, "as-modelled")])
     alone, _ = rollout(8, "greedy", 100, budget=80, assume="paper", stop="within:2,0.9")
     assert (row.ceased, row.located, row.steps, row.distance_m) == (alone.ceased, alone.located, alone.steps, alone.distance_m)
     assert row.ceased
