@@ -1,12 +1,14 @@
 """Admission: decides which readings reach the filter, and gives the reason for each refusal."""
 
 import math
+from dataclasses import replace
 
 from estimator.filter import Config
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.parameters import GREATEST_CV, PARAMETERS
+from plume.sensor import Hits, Sensor
 
 
 def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[str, str] | None:
@@ -14,7 +16,7 @@ def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[s
     if not all(0.0 <= value <= config.area_m for value in reading.position):
         area = f"[0, {config.area_m:g}] x [0, {config.area_m:g}] m"
         return "outside", f"position {reading.position} is outside the area {area}"
-    absurd = config.sensor.refusal(reading.gas, greatest_concentration(config))
+    absurd = _noisiest(config).refusal(reading.gas, greatest_concentration(config))
     if absurd:
         return "absurd", absurd
     if latest is None or reading.time_boot_ms > latest.time_boot_ms:
@@ -31,10 +33,22 @@ def greatest_concentration(config: Config) -> float:
 
     It grows with the sensor's gain, and with intermittency, whose gusts exceed the plume's mean.
     """
-    known = {name: Fixed(float(config.prior_rows[PARAMETERS.index(name), 1])) for name in ("q", "d", "gain", "cv")}
-    ranges = {name: _likely_range(config.effective_priors.get(name, value)) for name, value in known.items()}
-    mean = ranges["q"][1] / (4 * math.pi * ranges["d"][0] * SOURCE_RADIUS_M)
-    return mean * ranges["gain"][1] * _greatest_gust(min(ranges["cv"][1], GREATEST_CV))
+    mean = _likely(config, "q")[1] / (4 * math.pi * _likely(config, "d")[0] * SOURCE_RADIUS_M)
+    return mean * _likely(config, "gain")[1] * _greatest_gust(min(_likely(config, "cv")[1], GREATEST_CV))
+
+
+def _noisiest(config: Config) -> Sensor:
+    """Return the sensor with the greatest noise that the prior of its factor allows. That of hits is Poisson's and has no factor."""
+    if isinstance(config.sensor, Hits):
+        return config.sensor
+    factor, sensor = _likely(config, "noise")[1], config.sensor
+    return replace(sensor, sensor_noise=factor * sensor.sensor_noise, environment_noise=factor * sensor.environment_noise)
+
+
+def _likely(config: Config, name: str) -> tuple[float, float]:
+    """Return `_likely_range` of a positive parameter, known or unknown."""
+    known = Fixed(float(config.prior_rows[PARAMETERS.index(name), 1]))
+    return _likely_range(config.effective_priors.get(name, known))
 
 
 def _greatest_gust(cv: float) -> float:

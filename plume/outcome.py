@@ -86,10 +86,14 @@ def outcome_text(result: Outcome) -> str:
     """Four lines for people, each within 60 characters."""
     verdict = ("located" if result.located else "FALSE STOP") if result.ceased else "not ceased"
     (x, y), (source_x, source_y) = result.estimate, result.source
-    world = "" if result.world == AS_MODELLED else f", world {result.world}"
     return (
         f"{verdict} after {result.steps} steps, {result.distance_m:.1f} m\n"
         f"estimate ({x:.2f}, {y:.2f}) ± {result.spread_m:.2f} m\n"
         f"source   ({source_x:.2f}, {source_y:.2f}), error {result.error_m:.2f} m\n"
-        f"assumed  {result.assume}, stop {result.stop}{world}"
+        f"{assumed_text(result.assume, result.stop, result.world)}"
     )
+
+
+def assumed_text(assume: str, stop: str, world: str) -> str:
+    """One line for people: what the estimator took to be known, when it stops, and the world if that is not the one it was told of."""
+    return f"assumed  {assume}, stop {stop}" + ("" if world == AS_MODELLED else f", world {world}")

@@ -199,23 +199,27 @@ def _outcome(about: dict[str, Any], beliefs: dict[int, Any]) -> tuple[dict[str, 
     """Return the outcome as fields and lines; compared with the true source if the log has it."""
     import msgspec
 
-    from plume.outcome import TracePoint, outcome, outcome_text
+    from plume.outcome import TracePoint, assumed_text, outcome, outcome_text
     from plume.scenario import Scenario
+    from plume.worlds import AS_MODELLED
 
     if not beliefs:
         return {"ceased": None}, ["no belief: there was no search"]
     last = beliefs[max(beliefs)]
     estimate = f"estimate ({last.mean[0]:.2f}, {last.mean[1]:.2f}) ± {last.spread:.2f} m"
+    world = _object(about, "mission").get("world")
+    world = world if isinstance(world, str) else AS_MODELLED  # records of other versions may lack it
     plain = {
         "ceased": last.ceased, "estimate": last.mean, "spread_m": last.spread, "steps": last.step, "assume": last.assume, "stop": last.stop,
+        "world": world,
     }  # fmt: skip
     try:
         scenario = msgspec.convert(about["scenario"], Scenario)
     except (KeyError, msgspec.ValidationError):
-        assumed = f"assumed  {last.assume}, stop {last.stop}"
-        return plain, [f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps", estimate, assumed]
+        verdict = f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps"
+        return plain, [verdict, estimate, assumed_text(last.assume, last.stop, world)]
     trace = [TracePoint(belief.position, belief.gas, belief.mean, belief.spread) for belief in beliefs.values()]
-    result = outcome(0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop)  # seed, policy and search time are not shown here
+    result = outcome(0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world)  # no seed, policy, search time
     told = {**plain, "located": result.located, "error_m": result.error_m, "distance_m": result.distance_m, "source": result.source}
     return told, outcome_text(result).splitlines()
 

@@ -147,6 +147,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _text(result: "Replayed", source: "Source", rules: "Rules | None", took_s: float) -> str:
     """Return, for people, what the services said and whether it equals the recording."""
+    from plume.outcome import assumed_text
+
     last = result.last
     outcome = "no belief received"
     if last is not None:
@@ -155,6 +157,7 @@ def _text(result: "Replayed", source: "Source", rules: "Rules | None", took_s: f
         outcome = f"{last.step + 1} readings, {ceased}\nestimate ({x:.2f}, {y:.2f}) ± {last.spread:.2f} m"
         if source.truth:
             outcome += f"\nsource   ({source.truth[0]:.2f}, {source.truth[1]:.2f}), error {math.dist(last.mean, source.truth):.2f} m"
+        outcome += f"\n{assumed_text(last.assume, last.stop, source.world)}"
     replayed = f"replayed in {took_s:.1f} s: {outcome}"
     if rules is None:
         return replayed
@@ -176,6 +179,9 @@ def _json(result: "Replayed", source: "Source", rules: "Rules | None") -> str:
         "ceased": result.ceased_at is not None,
         "estimate": last.mean if last else None,
         "spread_m": last.spread if last else None,
+        "assume": last.assume if last else None,
+        "stop": last.stop if last else None,
+        "world": source.world,
         "error_m": math.dist(last.mean, source.truth) if last and source.truth else None,
     }
     return msgspec.json.encode(fields).decode()

@@ -13,6 +13,7 @@ from link.bus.mavlink import BadFrame, unpack_reading
 from link.record.reader import RecordError, is_record, read
 from link.record.record import Entry
 from plume import sensor
+from plume.worlds import AS_MODELLED
 from sitl.replay import verify
 from sitl.replay.verify import Answer, Rules
 from sitl.script import script
@@ -54,12 +55,18 @@ class Source(NamedTuple):
     """The agent's step budget."""
     truth: tuple[float, float] | None = None
     """True location of the source, m; None if unknown."""
+    world: str = AS_MODELLED
+    """How the truth differs from what the estimator was told; as modelled if unknown."""
     notes: tuple[str, ...] = ()
     """Remarks on the log, one line each."""
 
 
 class _Release(msgspec.Struct, frozen=True):
     source: tuple[float, float] | None = None
+
+
+class _Mission(msgspec.Struct, frozen=True):
+    world: str = AS_MODELLED
 
 
 class _About(msgspec.Struct, frozen=True):
@@ -69,6 +76,7 @@ class _About(msgspec.Struct, frozen=True):
     namespace: str = "uav/1"
     budget: int | None = None
     scenario: _Release = _Release()
+    mission: _Mission = _Mission()
 
 
 def recording(path: Path) -> Source:
@@ -99,6 +107,7 @@ def recording(path: Path) -> Source:
         slowest_s=_slowest_s(log.entries),
         budget=math.inf if told.budget is None else told.budget,
         truth=told.scenario.source,
+        world=told.mission.world,
         notes=notes,
     )
 
@@ -141,7 +150,10 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
     ]
     estimator = [*words, "--sysid", str(flown.system), "--area", repr(flown.area_m)]
     truth = world.truth.source if world else None
-    return Source(path, flown.entries, {}, {"estimator": estimator}, f"uav/{flown.system}", False, truth=truth, notes=tuple(flown.notes))
+    return Source(
+        path, flown.entries, {}, {"estimator": estimator}, f"uav/{flown.system}", False, truth=truth,
+        world=world.name if world else AS_MODELLED, notes=tuple(flown.notes),
+    )  # fmt: skip
 
 
 def find(args: argparse.Namespace, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> tuple[Source, Rules | None]:

@@ -8,7 +8,7 @@ from estimator.admission import greatest_concentration, refusal
 from estimator.filter import Config
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
-from plume.sensor import Gaussian, Hits, Threshold
+from plume.sensor import Gaussian, Hits, Sensor, Threshold
 
 GOOD = Reading(2000, (3.0, 4.0), 5.0, (1.0, 0.5), 0.5)
 
@@ -115,6 +115,26 @@ def test_a_strong_reading_is_taken_where_a_prior_allows_for_it() -> None:
     wide, known = Config(priors={"q": Normal(300.0, 50.0)}), Config()
     for gas, refused_by in ((212.0, []), (213.0, [known]), (424.0, [known]), (425.0, [known, wide])):
         assert [config for config in (known, wide) if refusal(GOOD._replace(gas=gas), None, config)] == refused_by
+
+
+@pytest.mark.parametrize(
+    ("prior", "factors"),
+    [
+        (Fixed(100.0), (100.0, 100.0)),
+        (Fixed(0.5), (0.5, 0.5)),
+        (Uniform(0.5, 4.0), (4.0, 4.0)),
+        # A standard normal exceeds 4.753 with probability 10⁻⁶; the bound may be a little wider.
+        (LogNormal(1.0, 0.5), (math.exp(4.753 * 0.5), math.exp(5.2 * 0.5))),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("sensor", [Gaussian(0.3, 0.2), Threshold(0.5, 0.3, 0.3, 0.2)], ids=["gaussian", "threshold"])
+def test_what_is_absurd_grows_with_the_noise_that_its_prior_allows(prior: Prior, factors: tuple[float, float], sensor: Sensor) -> None:
+    # 10 standard deviations of factor · √((0.3 · 53.05)² + 0.2²) beyond the concentration at the surface.
+    config = Config(sensor=sensor, priors={"noise": prior})
+    taken, refused = (SURFACE + 10 * factor * math.hypot(0.3 * SURFACE, 0.2) for factor in factors)
+    assert refusal(GOOD._replace(gas=taken * (1 - 1e-6)), None, config) is None
+    assert refusal(GOOD._replace(gas=refused * (1 + 1e-6)), None, config) is not None
 
 
 def test_the_edge_of_the_area_is_inside() -> None:

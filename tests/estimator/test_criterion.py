@@ -1,5 +1,7 @@
 """Protects the stop criterion: its text form, and what within:R,P asks of a belief, one alone and in a batch."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,9 @@ from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.priors import Fixed, Uniform
 from link.bus.mavlink import Reading
 from plume.randomness import keyed
+from plume.scenario import Scenario
+from plume.sensor import GAUSSIAN
+from plume.world import World
 
 READING = Reading(77, (1.0, 2.0), 5.0, (1.0, 0.0), 0.5)
 
@@ -103,12 +108,15 @@ def test_a_batch_ceases_at_the_same_readings_as_its_missions_alone(monkeypatch: 
     """With both criteria, and missions of different seeds; the shares differ in few places, so any difference would show."""
     monkeypatch.setattr("estimator.belief.CLEAR", -np.inf)  # no plume is needed, so that the criterion alone decides
     rng = keyed(5, "places")
+    release = Scenario((10.0, 10.0), q=300.0, u=0.7, phi=math.pi / 4, d=4.5, tau=10.0, start=(0.0, 0.0))
+    world = World(release, 1, GAUSSIAN)
     for criterion in ({"within": (3.0, 0.8)}, {"threshold_m": 3.0}, {"within": (3.0, 0.7), "stop_limits": {"x": 1.5}}):
         configs = [Config(particles=60, seed=seed, **criterion) for seed in range(6)]
         batch, alone = Batch(configs), [prior(config) for config in configs]
         ceased = []
         for step in range(12):
-            readings = [Reading(step, (8 + 4 * rng.random(), 8 + 4 * rng.random()), 5.0, (0.5, 0.5), 3 * rng.random()) for _ in configs]
+            places = [(8 + 4 * rng.random(), 8 + 4 * rng.random()) for _ in configs]
+            readings = [Reading(step, place, 5.0, world.wind, world.gas(place, step)) for place in places]
             batch.assimilate(np.array([config.row(reading) for config, reading in zip(configs, readings, strict=True)]))
             alone = [assimilate(*each) for each in zip(alone, readings, configs, strict=True)]
             said = [belief(*each)[0].ceased for each in zip(alone, readings, configs, strict=True)]

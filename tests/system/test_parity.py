@@ -49,7 +49,7 @@ def test_a_mission_over_the_bus_equals_the_one_in_process(tmp_path: Path, in_pro
 
 @pytest.mark.parametrize("policy", [policy for policy in OURS if policy not in ("infotaxis", "random")])
 def test_every_policy_flies_the_same_over_the_bus(tmp_path: Path, in_process: Callable, policy: str) -> None:
-    chosen = ["--seed", "7", "--policy", policy, "--particles", "300", "--budget", "40"]
+    chosen = ["--seed", "7", "--policy", policy, "--particles", "300", "--budget", "40", "--assume", "paper"]
     assert over_the_bus(tmp_path, *chosen, "--speedup", "0")["trace"] == in_process(*chosen)["trace"]
 
 
@@ -79,6 +79,17 @@ def test_options_reach_every_part(tmp_path: Path) -> None:
 def test_sensors_and_unknowns_reach_every_part(tmp_path: Path, in_process: Callable, knowledge: list[str]) -> None:
     chosen = ["--seed", "5", "--particles", "300", "--budget", "60", *knowledge]
     assert over_the_bus(tmp_path, *chosen, "--speedup", "0", "-I", "1")["trace"] == in_process(*chosen)["trace"]
+
+
+@pytest.mark.parametrize("policy", ["homing", "ppo"])
+def test_with_little_known_it_flies_the_same_over_the_bus(tmp_path: Path, in_process: Callable, policy: str) -> None:
+    chosen = ["--seed", "7", "--policy", policy, "--particles", "300", "--budget", "25", "--assume", "field", "--stop", "within:1,0.9"]
+    bus, rollout = over_the_bus(tmp_path, *chosen, "--speedup", "0"), in_process(*chosen)
+    del bus["search_time_s"], rollout["search_time_s"]
+    assert bus == rollout
+    assert (bus["assume"], bus["stop"]) == ("field", "within:1,0.9")
+    told = [*chosen[:-3], "paper", *chosen[-2:]]
+    assert in_process(*told)["trace"] != bus["trace"]  # the assumption reached both
 
 
 @pytest.mark.parametrize("world", ["wind-30", "cv-1-correlated", "readings-lost", "all-at-once"])

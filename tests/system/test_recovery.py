@@ -35,22 +35,31 @@ ESTIMATOR = (
 AGENT = ("--policy", "infotaxis", "--seed", str(derived_seed(SEED, "agent")))
 
 
-@pytest.fixture(scope="module")
-def undisturbed() -> list[tuple[tuple[float, float], float, tuple[float, float], float]]:
+@cache
+def in_process(assume: str) -> list[tuple[tuple[float, float], float, tuple[float, float], float]]:
     """The beliefs of the same mission in-process."""
-    return [(point.position, point.reading, point.mean, point.spread) for point in rollout(SEED, "infotaxis", assume="paper")[1]]
+    return [(point.position, point.reading, point.mean, point.spread) for point in rollout(SEED, "infotaxis", assume=assume)[1]]
+
+
+@pytest.fixture
+def undisturbed() -> list[tuple[tuple[float, float], float, tuple[float, float], float]]:
+    """With the paper's assumption."""
+    return in_process("paper")
 
 
 def point_of(said: dict) -> tuple:
     return tuple(said["position"]), said["gas"], tuple(said["mean"]), said["spread"]
 
 
-@pytest.mark.parametrize("victim", ["estimator", "agent"])
-@pytest.mark.parametrize("kill_at", [0, 9])
-def test_a_killed_service_resumes_with_the_same_belief(start, router: str, undisturbed: list, victim: str, kill_at: int) -> None:
+@pytest.mark.parametrize(
+    ("victim", "kill_at", "assume"),
+    [(victim, kill_at, "paper") for victim in ("estimator", "agent") for kill_at in (0, 9)] + [("estimator", 9, "field")],
+)
+def test_a_killed_service_resumes_with_the_same_belief(start, router: str, victim: str, kill_at: int, assume: str) -> None:
     with Stranger(router) as viewer:
         beliefs, stops = viewer.subscribe("belief"), viewer.subscribe("agdc/stop")
-        commands = {"estimator": ("estimator", "-e", router, *ESTIMATOR), "agent": ("agent", "-e", router, *AGENT)}
+        estimator = ("estimator", "-e", router, *ESTIMATOR, "--assume", assume)
+        commands = {"estimator": estimator, "agent": ("agent", "-e", router, *AGENT)}
         running = {name: start(*command) for name, command in commands.items()}
         start("sitl", "uav", "-e", router, "--seed", str(SEED), "--speedup", "20")
         seen: dict[int, tuple] = {}
@@ -61,7 +70,7 @@ def test_a_killed_service_resumes_with_the_same_belief(start, router: str, undis
             if victim in running and said["step"] == kill_at:
                 running.pop(victim).kill()
                 start(*commands[victim])
-        assert [seen[step] for step in range(len(seen))] == undisturbed
+        assert [seen[step] for step in range(len(seen))] == in_process(assume)
         assert json.loads(stops.get(timeout=60).payload.to_bytes())["estimate"] == said["mean"]
 
 

@@ -146,12 +146,13 @@ class TestVerify:
         assert beliefs[-1]["ceased"]
         assert len(stops) == 1
         steps = len(beliefs) - 1
-        assert replay.err[-1] == f"verified: {steps + 1} beliefs, 1 stop, {steps} waypoints\n"
+        assert replay.err[-2:] == ["assumed  paper, stop spread:0.5\n", f"verified: {steps + 1} beliefs, 1 stop, {steps} waypoints\n"]
         source = read(log).about["scenario"]["source"]
         assert json.loads(replay.out[-1]) == {
             "verified": True, "beliefs": steps + 1, "stops": 1, "waypoints": steps, "difference": None, "ceased": True,
             "estimate": stops[0]["estimate"], "spread_m": stops[0]["spread"],
             "error_m": pytest.approx(math.dist(stops[0]["estimate"], source), rel=1e-12),
+            "assume": "paper", "stop": "spread:0.5", "world": "as-modelled",
         }  # fmt: skip
 
     def test_a_changed_field_of_a_belief_is_named_with_both_values(self, verify: Verify, log: Path, tmp_path: Path) -> None:

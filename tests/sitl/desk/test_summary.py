@@ -25,10 +25,10 @@ def reading(step: int) -> bytes:
     return pack_reading(Codec(1, 1), Reading(1000 * (step + 1), (3.0 + step, 4.0), 5.0, (2.0, -1.0), 0.5 * step))
 
 
-def belief(step: int, ceased: bool = False) -> bytes:
+def belief(step: int, ceased: bool = False, **more: str) -> bytes:
     said = Belief(
         1000 * (step + 1), step, (3.0 + step, 4.0), 5.0, 0.5 * step, (2.0, -1.0), "gaussian:0.3,0.2", 300.0, 4.5, 10.0, 0.0, ("x", "y"),
-        (14.0, 12.0), (0.3, 0.2), (14.0, 12.0), (0.09, 0.0, 0.04), 0.36, 500.0, 0.5, ceased,
+        (14.0, 12.0), (0.3, 0.2), (14.0, 12.0), (0.09, 0.0, 0.04), 0.36, 500.0, 0.5, ceased, **more,
     )  # fmt: skip
     return msgspec.json.encode(said)
 
@@ -103,6 +103,23 @@ def test_the_outcome_is_judged_by_the_source_that_the_log_tells(log: Path, capsy
     text = said(capsys, log)
     assert "a test, homing, seed 7" in text
     assert "source   (14.00, 12.50), error 0.50 m" in text
+
+
+def test_the_outcome_says_what_was_assumed_and_in_which_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    messages = [(0.0, 1.0, "belief", belief(0, assume="field", stop="within:1,0.99"))]
+    told = "assumed  field, stop within:1,0.99"
+    for about, line in (
+        (ABOUT, told),
+        (ABOUT | {"mission": {"world": "as-modelled"}}, told),
+        (ABOUT | {"mission": {"world": "wind-30"}}, f"{told}, world wind-30"),
+        ({"mission": {"world": "wind-30"}}, f"{told}, world wind-30"),  # the truth is not known
+        (ABOUT | {"mission": {"world": 5}}, told),
+    ):
+        assert said(capsys, record(tmp_path / "run.mcap", messages, about)).splitlines()[-1] == line
+    fields = json.loads(
+        said(capsys, record(tmp_path / "run.mcap", messages, {"mission": {"world": "wind-30"}}), json=True).splitlines()[-1]
+    )
+    assert (fields["assume"], fields["stop"], fields["world"]) == ("field", "within:1,0.99", "wind-30")
 
 
 def test_a_key_as_csv_has_a_column_for_each_number(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
