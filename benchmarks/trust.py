@@ -68,8 +68,8 @@ def fly(flown: Cell, seeds: range, workers: int) -> tuple[list[MissionRow], Path
     sweep = Sweep((name,), seeds, (PARTICLES,), STOPS, BUDGET, knowledge={"assume": assume}, worlds=(world,))
     journal = journal_of(sweep, KEPT_IN)
     rows: list[MissionRow] = []
-    what = ", ".join(flown)
-    with closing(with_bar(fly_all(sweep, journal, on_cores(workers)), sweep.count, what, f"{what}: starting")) as flights:
+    what = f"missions of {', '.join(flown)}"
+    with closing(with_bar(fly_all(sweep, journal, on_cores(workers)), sweep.count, what, "starting")) as flights:
         for each in flights:
             rows += each
     return ordered(rows, sweep), journal

@@ -1,4 +1,4 @@
-"""Protects the page on trust: its tables say what is counted by hand, its prose stays, and an interrupted run flies only what is missing."""
+"""Protects the page on trust: tables say what is counted by hand, prose stays, a resumed run flies only what is missing."""
 
 import csv
 import os
@@ -106,9 +106,8 @@ def test_what_is_flown_again_takes_its_old_place_and_leaves_the_rest(tmp_path: P
 def test_the_long_table_has_a_line_for_each_assumption_policy_world_and_stop(tmp_path: Path) -> None:
     write_figures(said(rows_of("wind-10")), tmp_path / "figures.csv")
     lines = list(csv.DictReader((tmp_path / "figures.csv").read_text().splitlines()))
-    assert [(it["assume"], it["policy"], it["world"], it["stop"]) for it in lines] == [
-        ("field", "homing", "wind-10", it) for it in CRITERIA
-    ]
+    keys = [tuple(line[name] for name in ("assume", "policy", "world", "stop")) for line in lines]
+    assert keys == [("field", "homing", "wind-10", stop) for stop in CRITERIA]
     assert (lines[0]["missions"], lines[0]["ceased"], lines[0]["mtd_m"]) == ("4", "0.75", "40")
     assert (lines[0]["false_stop"], lines[0]["false_stop_warned"]) == ("0.333333", "1")
 
@@ -150,5 +149,5 @@ def test_what_it_does_not_know_it_says_in_one_line(flag: str, tmp_path: Path) ->
     [line] = refused.stderr.splitlines()
     assert flag in line
     assert "'nonsense'" in line
-    assert "wanted " in line
+    assert "wanted " in line.lower()
     assert not list(tmp_path.iterdir())
