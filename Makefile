@@ -10,7 +10,7 @@ LEARNED := infotaxis,ppo,dqn,ddpg
 # More flags for what a target runs, such as: make results FLAGS='--scenarios 20'
 FLAGS ?=
 
-.PHONY: setup mission test lint docs site bench bench-filter bench-planners bench-env train results report calibration mismatch golden clean
+.PHONY: setup mission test lint docs site bench bench-filter bench-planners bench-env train results report mismatch golden clean
 
 # Left behind by an install that did not finish. Then .venv is made anew: pip may take a half-written package for a whole one.
 UNFINISHED := .venv/.unfinished
@@ -91,11 +91,9 @@ report: setup
 	$(BIN)/python -m agent report --force $(FLAGS)
 	cp report/results.md report/particles.png report/trajectories.png docs/
 
+# Takes hours; if interrupted, run the command again: it resumes.
 mismatch: setup
-	$(BIN)/python -m benchmarks.mismatch --missions 300 --resume $(FLAGS)
-
-calibration: setup
-	$(BIN)/python benchmarks/calibration.py $(FLAGS)
+	$(BIN)/python -m benchmarks.trust --resume $(FLAGS)
 
 # After an intended change of behaviour: shows which golden missions differ, and records them again.
 golden: setup

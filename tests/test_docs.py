@@ -52,15 +52,14 @@ INSTEAD = {
     "make bench-planners": "python -c 'from benchmarks import planners as b; b.SIZES, b.MISSIONS, b.REPEATS = (100,), 1, 1; b.main()'",
     "make train": "make train LEARNERS=ddpg FLAGS='--steps 1 --scenarios 0'",
     "make results": "make results POLICIES=greedy LEARNED=ppo FLAGS='--scenarios 2'",
-    "make mismatch": "make mismatch FLAGS='--missions 1 --policy greedy --only as-modelled'",
-    "make calibration": "make calibration FLAGS='--missions 2 --only stop'",
+    "make mismatch": "make mismatch FLAGS='--missions 1 --policy homing --assume paper --world as-modelled'",
     "make golden": "python -c 'from tests.golden import __main__ as g; g.GOLDEN = {k: g.GOLDEN[k] for k in [\"greedy-hits\"]}; g.main()'",
-    "python benchmarks/calibration.py": "python benchmarks/calibration.py --missions 2 --only sensors",
     "python benchmarks/floor.py": "python benchmarks/floor.py --missions 2 --threshold 0.9",
     "python benchmarks/floor.py --fly": "python benchmarks/floor.py --missions 2 --threshold 0.9 --fly",
     "python benchmarks/floor.py --missions 200 --threshold 0.1 0.3 0.5 0.9 --convergence":
         "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
-    "python -m benchmarks.mismatch": "python -m benchmarks.mismatch --missions 1 --policy greedy --only wind-30",
+    "python -m benchmarks.trust --world wind-30 --policy homing":
+        "python -m benchmarks.trust --world wind-30 --policy homing --assume paper --missions 1",
     "python -m benchmarks.record": "python -m benchmarks.record --comparisons 1 --stretch 10",
     "plumeward report":
         "mkdir few && plumeward evaluate --scenarios 2 --missions few/rows.csv && plumeward report --results few --out few",

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from estimator.criterion import Criterion
 from plume.sensor import GAUSSIAN, text
 from plume.worlds import AS_MODELLED
 
@@ -77,6 +78,11 @@ class MissionRow(msgspec.Struct, frozen=True):
     world: str = AS_MODELLED
     warned: bool = False
     """Whether the estimator warned, at any reading up to this end, that a stop would not be honest; False in older files."""
+
+    @property
+    def criterion(self) -> str:
+        """The stop criterion in the form of --stop."""
+        return self.stop if self.threshold_m is None else Criterion(self.threshold_m).text
 
 
 class Interval(msgspec.Struct, frozen=True):
@@ -150,8 +156,7 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
     }
     first = rows[0]
     summary: dict[str, Any] = {"missions": len(rows), "particles": first.particles, "threshold_m": first.threshold_m, "world": first.world}
-    stop = first.stop if first.threshold_m is None else f"spread:{first.threshold_m:g}"
-    summary |= {"assume": first.assume, "stop": stop}
+    summary |= {"assume": first.assume, "stop": first.criterion}
     for name, interval in intervals.items():
         known = not math.isnan(interval.value)
         summary[name] = interval.value if known else None

@@ -250,9 +250,4 @@ def ordered(rows: Iterable[MissionRow], sweep: Sweep) -> list[MissionRow]:
     rank = {flown: i for i, flown in enumerate(product(sweep.policies, sweep.worlds))}
     stops = sorted(sweep.stops, key=lambda stop: (stop.within or (), stop.threshold_m))
     place = {stop.text: i for i, stop in enumerate(stops)}
-
-    def key(row: MissionRow) -> tuple[int, int, int, int]:
-        stop = row.stop if row.threshold_m is None else Criterion(row.threshold_m).text
-        return rank[row.policy, row.world], row.particles, place[stop], row.seed
-
-    return sorted(rows, key=key)
+    return sorted(rows, key=lambda row: (rank[row.policy, row.world], row.particles, place[row.criterion], row.seed))

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from benchmarks.calibration import harsh
 from estimator.belief import belief
 from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.kernels.densities import log_likelihoods
 from estimator.kernels.weights import effective_sample_size, moments
 from link.bus.mavlink import Reading
-from plume.scenario import Scenario, draw
+from plume.randomness import keyed
+from plume.scenario import AREA_M, Scenario, draw
 from plume.world import World
 from tests.estimator.exact import GridPosterior
 
@@ -47,8 +47,20 @@ def test_a_reading_that_would_crush_the_weights_is_taken_in_stages() -> None:
     assert math.dist(summary.mean, exact.mean) < 0.2 * exact.spread
 
 
+def harsh(seed: int) -> tuple[Scenario, list[tuple[float, float]]]:
+    """A scenario from a wider distribution than Table 1, and a straight path to its source from nearby or far away."""
+    rng = keyed(seed, "harsh")
+    x, y = rng.uniform(0, AREA_M, 2).tolist()
+    q, d = np.exp(rng.uniform(np.log([50, 0.2]), np.log([5000, 8]))).tolist()
+    u, phi, tau = rng.uniform([0, 0, 2], [6, 2 * math.pi, 30]).tolist()
+    bearing, distance = rng.uniform(0, 2 * math.pi), rng.choice([0.0, 0.3, 2.0, AREA_M])
+    begin = np.clip([x + distance * math.cos(bearing), y + distance * math.sin(bearing)], 0, AREA_M)
+    path = np.concatenate([np.linspace(begin, (x, y), 2 + int(math.dist(begin, (x, y)))), np.full((5, 2), (x, y))])
+    places = [(a, b) for a, b in path.astype(np.float32).astype(float).clip(0, AREA_M).tolist()]
+    return Scenario(source=(x, y), q=q, u=u, phi=phi, d=d, tau=tau, start=places[0]), places
+
+
 def test_harsh_missions_leave_a_sound_posterior() -> None:
-    """A sample of the 10,000 missions that docs/calibration.md reports."""
     worst = []
     for seed in range(150):
         s, path = harsh(seed)
