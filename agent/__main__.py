@@ -68,9 +68,9 @@ def _parse(prog: str, arguments: list[str]) -> argparse.Namespace:
     chosen = commands.choices[args.command] if args.command else parser
     try:
         if args.command in ("rollout", "evaluate"):
-            from estimator.options import knowledge, thresholds_m
+            from estimator.options import criteria, knowledge
 
-            args.knowledge, args.thresholds_m = knowledge(args), thresholds_m(args)
+            args.knowledge, args.stops = knowledge(args), criteria(args)
         if args.command is None:
             args.reach = reach(args.policy, cli.reach_given(args), args.area)
             args.scripted = {step: point for text in args.waypoints for step, point in waypoints(text, args.reach).items()}
@@ -86,10 +86,11 @@ def _rollout(args: argparse.Namespace) -> None:
     from link.terminal import tell
     from plume.outcome import outcome_json, outcome_text
 
-    (threshold_m,) = args.thresholds_m
+    (stop,) = args.stops
     result, trace = rollout(
-        args.seed, args.policy, args.particles, threshold_m, args.budget, cli.reach_given(args), world=args.world, **args.knowledge
-    )
+        args.seed, args.policy, args.particles, stop.threshold_m, args.budget, cli.reach_given(args), world=args.world,
+        within=stop.within, **args.knowledge,
+    )  # fmt: skip
     tell(outcome_text(result), sys.stderr if args.json else sys.stdout)
     if args.json:
         print(outcome_json(result, trace if args.trace else None))

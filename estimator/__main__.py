@@ -2,7 +2,7 @@
 
 import math
 
-from estimator.options import add_sensor_argument, knowledge, thresholds_m
+from estimator.options import add_sensor_argument, criteria, knowledge
 from link import cli
 from link.bus.session import Bus
 from plume.randomness import MAX_SEED
@@ -27,14 +27,15 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
     parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="the vehicle's MAVLink system id (default: %(default)s)")
     args = parser.parse_args(arguments)
     try:
-        known, (threshold_m,) = knowledge(args, args.area), thresholds_m(args)
+        known, (stop,) = knowledge(args, args.area), criteria(args)
     except ValueError as error:
         parser.error(str(error))
 
     from estimator.filter import Config  # loads or compiles the kernels, so only for a good command line
     from estimator.service import run
 
-    config = Config(args.particles, threshold_m, args.seed, args.rate, args.diffusivity, args.lifetime, args.area, **known)
+    told = (args.seed, args.rate, args.diffusivity, args.lifetime, args.area)
+    config = Config(args.particles, stop.threshold_m, *told, within=stop.within, **known)
     with Bus("estimator", args.connect, args.namespace, log_level=args.log_level) as bus:
         run(bus, config, args.sysid)
 

@@ -109,7 +109,7 @@ class Batch:
         (xx, _), (_, yy) = covariance[:2, :2].tolist()
         share = share_within(self.particles[mission], self.weights[mission], self.means[mission], config)
         stds = dict(zip(config.unknowns, np.sqrt(covariance.diagonal()).tolist(), strict=True)) if config.stop_limits else {}
-        return sure_enough(math.sqrt(xx + yy), share, stds, config, config.threshold_m) and self.may_claim(mission)
+        return sure_enough(math.sqrt(xx + yy), share, stds, config) and self.may_claim(mission)
 
     def posterior(self, mission: int) -> Posterior:
         """Return a copy of one mission's posterior."""

@@ -71,7 +71,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         effective_sample_size=effective_sample_size(posterior.weights),
         p_value=p_value,
         evidence=better,
-        ceased=may_claim(p_value, better, len(posterior.readings)) and sure_enough(spread, share, std, config, config.threshold_m),
+        ceased=may_claim(p_value, better, len(posterior.readings)) and sure_enough(spread, share, std, config),
         assume=config.assume,
         stop=config.criterion.text,
     )
@@ -106,6 +106,27 @@ def may_claim(p_value: float, better: float, readings: int) -> bool:
     return readings >= STUCK and p_value >= INCOMPATIBLE and better >= CLEAR
 
 
+def met(posterior: Posterior, said: Belief, config: Config) -> bool:
+    """True if the belief `said` of this posterior ceases with the criterion of `config`, whichever one `said` was made with."""
+    share = share_within(posterior.particles, posterior.weights, np.array(said.means), config)
+    stds = dict(zip(said.unknowns, said.stds, strict=True))
+    return may_claim(said.p_value, said.evidence, said.step + 1) and sure_enough(said.spread, share, stds, config)
+
+
+def warning(said: Belief, config: Config) -> tuple[str, str] | None:
+    """Return why a stop would not be honest now, and the question that it raises; None if there is no warning.
+
+    A belief that is not narrow yet gives no warning for want of evidence: most searches begin so.
+    """
+    narrow_m = config.within[0] if config.within else config.threshold_m
+    if said.p_value < INCOMPATIBLE:
+        reason = f"the readings do not fit the model (p = {said.p_value:.1g} over the last {RECENT})"
+        return reason, "is the sensor stuck, is the model right?"
+    if said.spread < narrow_m and said.evidence < CLEAR:
+        return "one value plus noise explains the readings as well as a plume does", "does the sensor hum?"
+    return None
+
+
 def share_within(particles: Array, weights: Array, means: Array, config: Config) -> float:
     """Return the share of the belief's weight within the radius of `config.within` of the estimate; NaN if no radius is asked for.
 
@@ -120,12 +141,12 @@ def share_within(particles: Array, weights: Array, means: Array, config: Config)
     return float(weights[squares <= config.within[0] ** 2].sum() / weights.sum())
 
 
-def sure_enough(spread: float, share: float, stds: Mapping[str, float], config: Config, threshold_m: float) -> bool:
+def sure_enough(spread: float, share: float, stds: Mapping[str, float], config: Config) -> bool:
     """True if the stop criterion is met: the location is known, if required, and standard deviations are below their limits.
 
-    The location is known if the spread is below `threshold_m`, or, with `config.within`, if `share` (of `share_within`) is large enough.
+    The location is known if the spread is below ζ, or, with `config.within`, if `share` (of `share_within`) is large enough.
     """
-    located = spread < threshold_m if config.within is None else share >= config.within[1]
+    located = spread < config.threshold_m if config.within is None else share >= config.within[1]
     return (located or not config.stop_on_location) and all(stds[name] < limit for name, limit in config.stop_limits.items())
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from estimator import criterion
 from estimator.assumptions import effective_priors, unknowns
+from estimator.criterion import Criterion
 from estimator.priors import Fixed, Prior, parse, support
 from link import cli
 from plume import sensor
@@ -21,22 +22,18 @@ def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
     cli.completed(kind, lambda: sensor.KINDS)
 
 
-def thresholds_m(args: argparse.Namespace) -> list[float]:
-    """Return the ζ of --threshold, of which there may be several, or of --stop, m. Raises ValueError with what is allowed."""
-    if args.stop is not None:
-        return [_criterion(args).threshold_m]
-    return args.threshold if isinstance(args.threshold, list) else [args.threshold]
-
-
-def _criterion(args: argparse.Namespace) -> criterion.Criterion:
+def criteria(args: argparse.Namespace) -> list[Criterion]:
+    """Return the stop criteria of --threshold or --stop, several where a command takes several. Raises ValueError with what is allowed."""
+    if args.stop is None:
+        return [Criterion(threshold_m) for threshold_m in (args.threshold if isinstance(args.threshold, list) else [args.threshold])]
     try:
-        return criterion.Criterion() if args.stop is None else criterion.parse(args.stop)
+        return list(dict.fromkeys(criterion.parse(text) for text in ([args.stop] if isinstance(args.stop, str) else args.stop)))
     except ValueError as error:
         raise ValueError(f"--stop: {error}") from None
 
 
 def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any]:
-    """Return the fields of `Config` that --assume, --prior, --stop, --stop-on and --sensor set, for an area of side `area_m`.
+    """Return the fields of `Config` that --assume, --prior, --stop-on and --sensor set, for an area of side `area_m`.
 
     Raises ValueError with what is allowed.
     """
@@ -71,7 +68,4 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
                 f"--stop-on: {args.stop_on!r} is not allowed; wanted `location` and NAME=STD above 0, between commas; unknown are {wanted}"
             )
     location = "location" in args.stop_on.split(",")
-    within = _criterion(args).within
-    return {
-        "priors": priors, "stop_limits": limits, "stop_on_location": location, "sensor": assumed, "assume": args.assume, "within": within,
-    }  # fmt: skip
+    return {"priors": priors, "stop_limits": limits, "stop_on_location": location, "sensor": assumed, "assume": args.assume}

@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator
 
 from estimator.admission import refusal
-from estimator.belief import CLEAR, INCOMPATIBLE, RECENT, belief, stop
+from estimator.belief import belief, stop, warning
 from estimator.filter import Config, assimilate, prior
 from link.bus.keys import BELIEF, READING, STOP
 from link.bus.mavlink import BadFrame, Reading, unpack_reading
@@ -47,16 +47,11 @@ def run(bus: Bus, config: Config, system: int) -> None:
 
 def _judge(bus: Bus, said: Belief, config: Config) -> None:
     """Warn while no stop would be honest: once in the log, and in health as long as it lasts."""
-    narrow_m = config.within[0] if config.within else config.threshold_m
-    if said.p_value < INCOMPATIBLE:
-        reason = f"the readings do not fit the model (p = {said.p_value:.1g} over the last {RECENT})"
-        question = "is the sensor stuck, is the model right?"
-    elif said.spread < narrow_m and said.evidence < CLEAR:
-        reason = "one value plus noise explains the readings as well as a plume does"
-        question = "does the sensor hum?"
-    else:
+    found = warning(said, config)
+    if found is None:
         bus.tally.warnings = ()
         return
+    reason, question = found
     if not bus.tally.warnings:
         bus.log.warning(f"{reason}: {question}")
     bus.tally.warnings = (reason,)

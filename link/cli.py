@@ -187,7 +187,7 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
         "--threshold", type=listed(threshold) if several else threshold, default="0.5", metavar="M",
         help=f"stop when the spread of the belief is below M metres, the short form of --stop spread:M{more} (default: %(default)s)",
     )  # fmt: skip
-    add_stop_argument(stop)
+    add_stop_argument(stop, several=several)
     parser.add_argument(
         "--prior",
         action="append",
@@ -211,12 +211,12 @@ def add_assume_argument(parser: argparse.ArgumentParser, default: str) -> None:
     )  # fmt: skip
 
 
-def add_stop_argument(parser: argparse._ActionsContainer) -> None:
-    """Add the flag that chooses the stop criterion; None without it."""
+def add_stop_argument(parser: argparse._ActionsContainer, *, several: bool = False) -> None:
+    """Add the flag that chooses the stop criterion, or with `several` a list of them; None without it."""
     parser.add_argument(
-        "--stop", metavar="CRITERION",
+        "--stop", metavar="CRITERION", action="append" if several else "store",
         help="spread:Z stops when the spread of the belief is below Z metres, within:R,P when at least the share P of the belief is within "
-        "R metres of the estimate, as in within:1,0.99 (default: spread:0.5)",
+        f"R metres of the estimate, as in within:1,0.99{'; may be repeated' if several else ''} (default: spread:0.5)",
     )  # fmt: skip
 
 

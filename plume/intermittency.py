@@ -2,7 +2,8 @@
 
 With t = z/σ, μ = m/σ, shape k = 1/cv² the density of z is φ(t) (k/μ)^k / Γ(k) · ∫ c^(k−1) exp(−w c − c²/2) dc / σ, w = k/μ − t.
 Laplace's method, with the integral taken over log c, gives it up to a factor that hardly varies. That factor depends on k and w alone.
-Its logarithm is kept in a table over cv and v = c*²/(1 + k + c*²), c* the integrand's mode: the log-density is right to 0.003.
+Its logarithm is kept in a table over cv and v = c*²/(1 + k + c*²), c* the integrand's mode: the log-density is right to 0.005,
+and to 0.0003 up to a cv of 1.2.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""exp, log, fused multiply-add and sum for compiled loops: plain IEEE arithmetic, bit-identical on every machine, vectorisable."""
+"""exp, log, cos and sin, fused multiply-add, sum: plain IEEE arithmetic, bit-identical on every machine, vectorisable."""
 
 from typing import Any
 
@@ -13,6 +13,7 @@ LN2_HIGH = 6.93147180369123816490e-01
 LN2_LOW = 1.90821492927058770002e-10
 ROUNDER = 6755399441055744.0  # 1.5 · 2^52: adding it leaves the nearest whole number in the low bits
 ROUNDER_BITS = 0x4338000000000000
+SQRT_HALF = 0.7071067811865476
 SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
 
 
@@ -77,6 +78,32 @@ def log(x: float) -> float:
     p = fma(p, z, 2 / 3)
     result: float = float(exponent) * LN2_HIGH + (s * fma(p, z, 2.0) + float(exponent) * LN2_LOW)
     return result
+
+
+@numba.njit(error_model="numpy")
+def direction(turns: float) -> tuple[float, float]:
+    """(cos, sin) of 2π · turns, turns in [0, 1): the quarter is split off, the rest is a series within ±π/4."""
+    quarter = float(int(4 * turns))
+    x = (4 * turns - quarter - 0.5) * (np.pi / 2)
+    z = x * x
+    c = fma(z, 1 / 20922789888000, -1 / 87178291200)
+    c = fma(c, z, 1 / 479001600)
+    c = fma(c, z, -1 / 3628800)
+    c = fma(c, z, 1 / 40320)
+    c = fma(c, z, -1 / 720)
+    c = fma(c, z, 1 / 24)
+    c = fma(c, z, -0.5)
+    c = fma(c, z, 1.0)
+    s = fma(z, -1 / 1307674368000, 1 / 6227020800)
+    s = fma(s, z, -1 / 39916800)
+    s = fma(s, z, 1 / 362880)
+    s = fma(s, z, -1 / 5040)
+    s = fma(s, z, 1 / 120)
+    s = fma(s, z, -1 / 6)
+    s = fma(s, z, 1.0) * x
+    a, b = (c - s) * SQRT_HALF, (c + s) * SQRT_HALF  # turned by π/4: the middle of the first quarter
+    one, two = (a, b) if quarter == 0.0 or quarter == 2.0 else (-b, a)
+    return (one, two) if quarter < 2.0 else (-one, -two)
 
 
 @numba.njit(error_model="numpy")

@@ -77,15 +77,15 @@ class Gaussian:
         """σ(m), g/m³."""
         return np.sqrt(np.square(self.sensor_noise * np.asarray(mean, np.float64)) + self.environment_noise**2)
 
-    def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None) -> Array:
+    def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None, noise: ArrayLike = 1.0) -> Array:
         """Draw a reading for each mean concentration, g/m³; same shape.
 
-        concentration: the gas that is there, g/m³, if it was drawn elsewhere.
+        concentration: the gas that is there, g/m³, if it was drawn elsewhere.  noise: factor on the sensor's noise.
         """
         mean = np.asarray(mean, np.float64)
-        noise = self.noise_std(mean) * rng.standard_normal(mean.shape)
+        error = np.asarray(noise) * self.noise_std(mean) * rng.standard_normal(mean.shape)
         there = fluctuating(mean, self.cv, rng) if concentration is None else np.asarray(concentration, np.float64)
-        return np.asarray(there + noise)
+        return np.asarray(there + error)
 
     def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
         """log N(z; m, σ(m)²) with its normaliser, which differs between hypotheses because σ depends on m.
@@ -98,9 +98,15 @@ class Gaussian:
         residual = np.asarray(reading, np.float64) - np.asarray(mean, np.float64)
         return np.asarray(-0.5 * np.square(residual / std) - np.log(std) - 0.5 * np.log(2 * np.pi))
 
-    def entropy(self, mean: ArrayLike) -> Array:
-        """Entropy of a reading at each mean concentration, nats."""
-        return np.asarray(np.log(self.noise_std(mean)) + 0.5 * np.log(2 * np.pi * np.e))
+    def entropy(self, mean: ArrayLike, noise: ArrayLike = 1.0, cv: ArrayLike = 0.0) -> Array:
+        """Entropy of a reading at each mean concentration, nats. noise: factor on the sensor's noise.
+
+        cv: intermittency; with it, the entropy of the normal distribution with the same variance, which is an upper bound.
+        """
+        std = np.asarray(noise) * self.noise_std(mean)
+        if np.any(cv):
+            std = np.hypot(std, np.asarray(cv) * np.asarray(mean, np.float64))
+        return np.asarray(np.log(std) + 0.5 * np.log(2 * np.pi * np.e))
 
     def of_one_value(self, readings: Array) -> float:
         """Greatest log-likelihood of readings (T,) by a sensor that shows one value plus noise, wherever it is."""
@@ -137,12 +143,12 @@ class Threshold:
     def _analog(self) -> Gaussian:
         return Gaussian(self.sensor_noise, self.environment_noise)
 
-    def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None) -> Array:
+    def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None, noise: ArrayLike = 1.0) -> Array:
         """Draw a reading for each mean concentration, g/m³; same shape.
 
-        concentration: the gas that is there, g/m³, if it was drawn elsewhere.
+        concentration: the gas that is there, g/m³, if it was drawn elsewhere.  noise: factor on the sensor's noise.
         """
-        value = self._analog().measure(mean, rng, concentration)
+        value = self._analog().measure(mean, rng, concentration, noise)
         seen = rng.random(value.shape) >= self.missed
         return np.where(seen & (value >= self.threshold), value, 0.0)
 
@@ -153,9 +159,12 @@ class Threshold:
         heard = math.log1p(-self.missed) + self._analog().log_likelihood(reading, mean)
         return np.where(np.asarray(reading) == 0.0, silent, heard)
 
-    def entropy(self, mean: ArrayLike) -> Array:
-        """Entropy of a reading at each mean concentration, nats: the probability of 0 together with the density above the threshold."""
-        std = self._analog().noise_std(mean)
+    def entropy(self, mean: ArrayLike, noise: ArrayLike = 1.0, _cv: ArrayLike = 0.0) -> Array:
+        """Entropy of a reading at each mean concentration, nats: the probability of 0 together with the density above the threshold.
+
+        noise: factor on the sensor's noise. Intermittency is not modelled.
+        """
+        std = np.asarray(noise) * self._analog().noise_std(mean)
         standard = (self.threshold - np.asarray(mean)) / std
         above = 1 - _normal_cdf(standard)
         silent = 1 - (1 - self.missed) * above
@@ -192,10 +201,10 @@ class Hits:
     background: float = 0.1
     """b: expected hits per reading in clean air; above 0."""
 
-    def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None) -> Array:
+    def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None, _noise: ArrayLike = 1.0) -> Array:
         """Draw a reading for each mean concentration, g/m³; same shape.
 
-        concentration: the gas that is there, g/m³, if it was drawn elsewhere.
+        concentration: the gas that is there, g/m³, if it was drawn elsewhere.  A count has no noise of its own to scale.
         """
         there = np.asarray(mean if concentration is None else concentration, np.float64)
         return np.asarray(rng.poisson(self.efficiency * there + self.background), np.float64)
@@ -206,7 +215,7 @@ class Hits:
         count = np.asarray(reading, np.float64)
         return np.asarray(count * np.log(expected) - expected - _log_gamma(count + 1.0))
 
-    def entropy(self, mean: ArrayLike) -> Array:
+    def entropy(self, mean: ArrayLike, _noise: ArrayLike = 1.0, _cv: ArrayLike = 0.0) -> Array:
         """Entropy of a count at each mean concentration, nats: a sum up to MANY expected hits, else the asymptotic series (to 1e-5)."""
         expected = self.efficiency * np.asarray(mean, np.float64) + self.background
         many = np.maximum(expected, MANY)

@@ -62,10 +62,9 @@ def evaluate(
         check(name)
     if not names or not worlds or scenarios < 1 or workers < 1:
         raise ValueError("wanted one policy, one world, one scenario and one worker at least")
-    criterion = chosen(threshold_m, stop)
-    knowledge = {"assume": assume, "within": criterion.within, **knowledge}
+    knowledge = {"assume": assume, **knowledge}
     seeds = range(first_seed, first_seed + scenarios)
-    sweep = Sweep(names, seeds, (particles,), (criterion.threshold_m,), budget, knowledge=knowledge, worlds=worlds)
+    sweep = Sweep(names, seeds, (particles,), (chosen(threshold_m, stop),), budget, knowledge=knowledge, worlds=worlds)
     by_seed = (list(flights) for _, flights in groupby(sweep.flights, key=lambda flight: flight[2]))
     flown = (rows for flights in by_seed for rows in fly(sweep, flights)) if workers == 1 else on_cores(workers)(sweep, by_seed)
     return named(ordered((row for rows in flown for row in rows), sweep))

@@ -13,17 +13,29 @@ AHEAD = 2.0
 """Distance of the hypothetical readings, steps: a reading one step ahead hardly changes the belief."""
 WEIGHT = 4.0
 """c: metres of flight that a metre of spread is expected to cost."""
+PROGRESS = 0.75
+"""Metres by which the expected flight must shorten for each metre flown; otherwise the middle of the belief is a dead end."""
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The move with the least E‖p − s‖ + c · E[spread after a reading at p], p two steps ahead; the spread is `entropy_spread`.
+    """The move with the least D(p) + c · E[spread after a reading at p], p two steps ahead; the spread S is `entropy_spread`.
 
-    The first term is taken over the current belief: by the law of total expectation, a reading does not change it on average.
+    D(p) is E‖p − s‖, over the current belief: by the law of total expectation, a reading does not change it on average. Where no move
+    lessens the score by PROGRESS a metre, D(p) is −S log E exp(−‖p − s‖/S) instead: the distance to the nearest part of the belief,
+    and S more for each factor e by which that part is improbable.
     """
     moves = reach.moves(belief.position)
     places = np.clip(belief.position + AHEAD * (moves - belief.position), 0.0, reach.area_m)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
-    distances = np.linalg.norm(places[:, :, None] - hypotheses.places, axis=1) @ hypotheses.weights
+    distances = np.linalg.norm(places[:, :, None] - hypotheses.places, axis=1)  # (A, N)
     gains = imagine(belief, hypotheses, places, reach.measurements, rng).gains
-    spreads = entropy_spread(hypotheses, belief.spread) * np.exp(-gains / 2).mean(axis=1)
-    return int(np.argmin(distances + WEIGHT * spreads))
+    spread = entropy_spread(hypotheses, belief.spread)
+    spreads = spread * np.exp(-gains / 2).mean(axis=1)
+    scores = distances @ hypotheses.weights + WEIGHT * spreads
+    here = np.linalg.norm(np.array(belief.position)[:, None] - hypotheses.places, axis=0) @ hypotheses.weights + WEIGHT * spread
+    flown = np.linalg.norm(places - belief.position, axis=1)
+    if np.all(scores > here - PROGRESS * flown):
+        nearest = distances.min(axis=1, where=hypotheses.weights > 0, initial=np.inf)
+        shares = np.exp(np.minimum(nearest[:, None] - distances, 0.0) / spread) @ hypotheses.weights  # of e^(nearest/S), against underflow
+        scores = nearest - spread * np.log(shares) + WEIGHT * spreads
+    return int(np.argmin(scores))

@@ -21,10 +21,18 @@ BLOCK = 1024
 
 
 @numba.njit(error_model="numpy")
-def _exponents(means: Array, sensor: Array, quadratic: Array, linear: Array, constant: Array) -> None:
+def _variance(mean: float, noise: float, cv: float, sensor: Array) -> float:
+    """Variance of a reading: the sensor's noise, times the squared factor `noise`, and the gas's own with this intermittency."""
+    result: float = noise * noise * (sensor[1] * sensor[1] * mean * mean + sensor[2] * sensor[2]) + cv * cv * mean * mean
+    return result
+
+
+@numba.njit(error_model="numpy")
+def _exponents(means: Array, noises: Array, sensor: Array, quadratic: Array, linear: Array, constant: Array) -> None:
     """Fill the coefficients of the log-likelihood of a reading z under each particle: quadratic · z² + linear · z + constant.
 
-    For hits, the term −log z! is left out.
+    A reading in intermittent gas is taken to be normal, with its true mean and variance: the exact density is no quadratic and takes
+    far longer (docs/planners.md compares them). For hits, the term −log z! is left out.
     """
     offset = HALF_LOG_2PI - math.log1p(-sensor[4])
     for i in range(len(means)):
@@ -34,7 +42,7 @@ def _exponents(means: Array, sensor: Array, quadratic: Array, linear: Array, con
             linear[i] = log(expected)
             constant[i] = -expected
         else:
-            variance = sensor[1] * sensor[1] * means[i] * means[i] + sensor[2] * sensor[2]
+            variance = _variance(means[i], noises[0, i], noises[1, i], sensor)
             inverse = 1 / variance
             quadratic[i] = -0.5 * inverse
             linear[i] = means[i] * inverse
@@ -42,10 +50,10 @@ def _exponents(means: Array, sensor: Array, quadratic: Array, linear: Array, con
 
 
 @numba.njit(error_model="numpy")
-def _silence(means: Array, sensor: Array, constant: Array) -> None:
+def _silence(means: Array, noises: Array, sensor: Array, constant: Array) -> None:
     """Fill `constant` with the log-probability that a threshold sensor reads 0, under each particle."""
     for i in range(len(means)):
-        std = math.sqrt(sensor[1] * sensor[1] * means[i] * means[i] + sensor[2] * sensor[2])
+        std = math.sqrt(_variance(means[i], noises[0, i], noises[1, i], sensor))
         below = 0.5 * math.erfc((means[i] - sensor[3]) / std * math.sqrt(0.5))
         constant[i] = math.log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
 
@@ -87,17 +95,18 @@ def _reweight(
 
 @kernel(
     "Tuple((float64[:, :, ::1], float64[:, :, ::1], float64[:, :, :, ::1]))(float64[:, :, ::1], float64[::1], float64[:, :, :, ::1], "
-    "int64[::1], float64[:, :, ::1], float64[::1])",
+    "int64[::1], float64[:, :, ::1], float64[::1], float64[:, ::1])",
     nogil=True,
 )
 def imagine(
-    means: Array, weights: Array, values: Array, imagined: NDArray[np.int64], readings: Array, sensor: Array
+    means: Array, weights: Array, values: Array, imagined: NDArray[np.int64], readings: Array, sensor: Array, noises: Array
 ) -> tuple[Array, Array, Array]:
     """Reweight a belief by hypothetical readings along A paths of L places.
 
     means: (A, L, N) concentration at each place under each particle, g/m³.  weights: (N,), sum one.
     values: (A, L, F, N) values of each particle at each place, or (1, 1, F, N) if they are the same at all places.
     imagined: (K,) the particles from which the readings were drawn.  readings: (A, L, K).  sensor: (5,) as of `plume.sensor.sensor_row`.
+    noises: (2, N) each particle's factor on the sensor's noise, and its intermittency (cv) of the gas.
 
     Results at a place include all readings on the path up to it. Returns the log predictive density of these readings (A, L, K);
     their expected log-likelihood (A, L, K) and the expectation of each value (A, L, K, F), both under the belief after them.
@@ -113,9 +122,9 @@ def imagine(
     for a in range(paths):
         for step in range(length):
             seen = values[min(a, len(values) - 1), min(step, values.shape[1] - 1)]
-            _exponents(means[a, step], sensor, quadratic, linear, constant)
+            _exponents(means[a, step], noises, sensor, quadratic, linear, constant)
             if sensor[0] == THRESHOLD_KIND:
-                _silence(means[a, step], sensor, silent)
+                _silence(means[a, step], noises, sensor, silent)
             for k in range(number):
                 z = readings[a, step, k]
                 if sensor[0] == THRESHOLD_KIND and z == 0.0:

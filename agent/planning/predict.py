@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from agent.planning import kernels
 from link.bus.messages import Belief, Particles
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.intermittency import SMALLEST_CV
 from plume.kernels import mean_concentrations
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
-from plume.sensor import parse, sensor_row
+from plume.sensor import Gaussian, Sensor, parse, sensor_row
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,8 @@ class Imagined:
     """(A, K, F): expectations of the given values under the belief after each reading."""
     means: Array
     """(A, N): concentration at each place under each particle, g/m³."""
+    noises: Array
+    """(2, N): each particle's factor on the sensor's noise, and its intermittency (cv) of the gas."""
 
     @property
     def gains(self) -> Array:
@@ -67,9 +70,24 @@ def cloud(belief: Belief, particles: Particles) -> Cloud:
     return Cloud(np.vstack([x, y, *columns.values()]), weights / weights.sum())
 
 
+def _names(belief: Belief) -> tuple[str, ...]:
+    """Names of the rows of a belief's `Cloud`."""
+    return ("x", "y", *(name for name in belief.unknowns if name not in ("x", "y")))
+
+
+def _noises(belief: Belief, hypotheses: Cloud) -> Array:
+    """Return each particle's factor on the sensor's noise, and its intermittency (cv) of the gas: (2, N)."""
+    rows = dict(zip(_names(belief), hypotheses.values, strict=True))
+    sensor = parse(belief.sensor)
+    result = np.empty((2, len(hypotheses.weights)))
+    result[0] = rows.get("noise", NEUTRAL["noise"])
+    result[1] = rows.get("cv", sensor.cv if isinstance(sensor, Gaussian) else 0.0)
+    return result
+
+
 def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
     """Mean concentration (A, N), g/m³, at places (A, 2) m at flight height under each particle."""
-    names = ("x", "y", *(name for name in belief.unknowns if name not in ("x", "y")))
+    names = _names(belief)
     known = {"z": belief.z, "q": belief.rate, "d": belief.diffusivity, "tau": belief.lifetime, **NEUTRAL}
     priors = np.zeros((len(PARAMETERS), 5))
     priors[:, 0] = KNOWN
@@ -96,7 +114,7 @@ def imagine(
     if values is not None:
         values = values[None, None] if values.ndim == 2 else values[:, None]
     along = imagine_along(belief, hypotheses, places[:, None], number, rng, values)
-    return Imagined(along.log_predictive[:, 0], along.log_likelihood[:, 0], along.expectations[:, 0], along.means[:, 0])
+    return Imagined(along.log_predictive[:, 0], along.log_likelihood[:, 0], along.expectations[:, 0], along.means[:, 0], along.noises)
 
 
 def imagine_along(
@@ -105,6 +123,7 @@ def imagine_along(
     """Do the same along paths (A, L, 2) m: results (A, L, K) at a place include the path's readings before it. values: (A, L, F, N)."""
     sensor = parse(belief.sensor)
     means = concentrations(belief, hypotheses, paths.reshape(-1, 2)).reshape(*paths.shape[:2], -1)
+    noises = _noises(belief, hypotheses)
     cumulative = np.cumsum(hypotheses.weights)
     strata = (np.arange(number) + rng.random()) / number * cumulative[-1]
     drawn = np.minimum(np.searchsorted(cumulative, strata, side="right"), len(cumulative) - 1)
@@ -114,10 +133,21 @@ def imagine_along(
         bits.state = begin
         generator = np.random.Generator(bits)
         for row, of_place in zip(along, of_path, strict=True):
-            of_place[:] = sensor.measure(row[drawn], generator)
+            of_place[:] = _readings(sensor, row[drawn], noises[:, drawn], generator)
     if values is None:
         values = np.empty((1, 1, 0, len(cumulative)))
-    return Imagined(*kernels.imagine(means, hypotheses.weights, np.ascontiguousarray(values), drawn, readings, sensor_row(sensor)), means)
+    said = kernels.imagine(means, hypotheses.weights, np.ascontiguousarray(values), drawn, readings, sensor_row(sensor), noises)
+    return Imagined(*said, means, noises)
+
+
+def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Generator) -> Array:
+    """Draw a reading (K,) for each mean (K,), with each one's factor on the sensor's noise and intermittency of the gas, (2, K)."""
+    factors, cvs = noises
+    gas = None
+    if cvs.any():
+        shapes = 1 / np.square(np.maximum(cvs, SMALLEST_CV))
+        gas = means * rng.standard_gamma(shapes) / shapes
+    return sensor.measure(means, rng, gas, factors)
 
 
 def entropy_spread(hypotheses: Cloud, spread: float) -> float:

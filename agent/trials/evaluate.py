@@ -5,6 +5,7 @@ import csv
 import gzip
 import json
 import os
+import re
 import sys
 import zlib
 from collections.abc import Sequence
@@ -48,6 +49,8 @@ SHARED = {
     "world": "world {}", "N": "N = {}", "ζ, m": "ζ = {} m", "stop": "stop {}", "assume": "assume {}", "missions": "{} missions each",
 }  # fmt: skip
 """How the line above the table says a setting that all rows share."""
+SETTINGS = re.compile(" (?:world|particles|stop)=")
+"""Where the settings in a key of `named` begin."""
 SHORTEST_NAME = 16
 """A narrow terminal shows at least so many characters of a policy's name."""
 SHORTEST_WORLD = 8
@@ -114,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
     from agent.trials.sweep import Sweep
 
     sweep = Sweep(
-        args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.thresholds_m, args.budget,
+        args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.stops, args.budget,
         cli.reach_given(args), args.knowledge, worlds=args.world,
     )  # fmt: skip
     try:
@@ -151,7 +154,7 @@ def _evaluate(sweep: "Sweep", args: argparse.Namespace) -> int:
     rows: list[MissionRow] = []
 
     def kept() -> str:
-        return f"{len(rows) // len(args.thresholds_m)} of {sweep.count} missions are saved. Run the command again: it resumes"
+        return f"{len(rows) // len(sweep.stops)} of {sweep.count} missions are saved. Run the command again: it resumes"
 
     try:
         flights = fly_all(sweep, journal, on_cluster if args.ray else on_cores(args.workers))
@@ -182,17 +185,19 @@ def _evaluate(sweep: "Sweep", args: argparse.Namespace) -> int:
 
 
 def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
-    """Return the figures by policy. Where worlds differ, the key names the world too; so it is with particles and thresholds."""
-    groups = [(key, list(group)) for key, group in groupby(rows, key=lambda row: (row.policy, row.world, row.particles, row.threshold_m))]
-    several_worlds, several_filters = len({key[1] for key, _ in groups}) > 1, len({key[2:] for key, _ in groups}) > 1
-    return {
-        f"{name}{f' world={world}' * several_worlds}{_filtered(count, threshold_m) * several_filters}": figures(group)
-        for (name, world, count, threshold_m), group in groups
-    }
+    """Return the figures by policy. Where worlds differ, the key names the world too; so it is with particles, thresholds and stops."""
+    groups = groupby(rows, key=lambda row: (row.policy, row.world, row.particles, row.threshold_m, row.stop))
+    told = [(key[0], figures(list(group))) for key, group in groups]
+    several_worlds, several_counts, several_stops = (len({said[key] for _, said in told}) > 1 for key in ("world", "particles", "stop"))
+    spreads = all(said["threshold_m"] is not None for _, said in told)
 
+    def key(policy: str, said: dict[str, Any]) -> str:
+        name = policy + f" world={said['world']}" * several_worlds
+        if spreads and (several_counts or several_stops):
+            return f"{name} particles={said['particles']} threshold={said['threshold_m']:g}"
+        return name + f" particles={said['particles']}" * several_counts + f" stop={said['stop']}" * several_stops
 
-def _filtered(particles: int, threshold_m: float | None) -> str:
-    return f" particles={particles}" + ("" if threshold_m is None else f" threshold={threshold_m:g}")
+    return {key(policy, said): said for policy, said in told}
 
 
 def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
@@ -242,9 +247,7 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
     }
     shared = [SHARED[name].format(cells[0]) for name, cells in settings.items() if len(set(cells)) == 1 and cells[0] != AS_MODELLED]
     columns = [
-        Column(
-            "policy", [name.split(" world=")[0].split(" particles=")[0] for name in result], left=True, least=SHORTEST_NAME, keeps_end=True
-        ),
+        Column("policy", [SETTINGS.split(name)[0] for name in result], left=True, least=SHORTEST_NAME, keeps_end=True),
         *(
             Column(name, cells, left=name == "world", least=SHORTEST_WORLD if name == "world" else None)
             for name, cells in settings.items()

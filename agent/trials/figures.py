@@ -75,6 +75,8 @@ class MissionRow(msgspec.Struct, frozen=True):
     version: str | None = None
     """Version of Plumeward that flew it; None where the row does not say."""
     world: str = AS_MODELLED
+    warned: bool = False
+    """Whether the estimator warned, at any reading up to this end, that a stop would not be honest; False in older files."""
 
 
 class Interval(msgspec.Struct, frozen=True):
@@ -119,9 +121,12 @@ def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Inte
 
 
 def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
-    """Figures of missions of one policy, one world, one number of particles and one ζ. Those that no ceased mission defines are None."""
+    """Figures of missions of one policy, one world, one number of particles and one stop criterion.
+
+    `false_stop_warned` is the share of false stops that a warning preceded. Figures that no such mission defines are None.
+    """
     ceased = [row for row in rows if row.ceased]
-    located = sum(row.located for row in ceased)
+    wrong = [row for row in ceased if not row.located]
 
     def mean_of(name: str) -> Interval:
         return bootstrap(np.array([getattr(row, name) for row in ceased]))
@@ -131,8 +136,9 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
 
     intervals = {
         "ceased": wilson(len(ceased), len(rows)),
-        "located": wilson(located, len(rows)),
-        "false_stop": wilson(len(ceased) - located, len(ceased)),
+        "located": wilson(len(ceased) - len(wrong), len(rows)),
+        "false_stop": wilson(len(wrong), len(ceased)),
+        "false_stop_warned": wilson(sum(row.warned for row in wrong), len(wrong)),
         "mtd_m": mean_of("distance_m"),
         "floor_m": bootstrap(both[:, 1]),
         "mtd_floors": bootstrap(both, lambda pairs: pairs[..., 0].mean(axis=1) / pairs[..., 1].mean(axis=1)),

@@ -9,7 +9,7 @@ from agent.planning.moves import Reach
 from agent.policies import DEFAULT, choose, reach
 from estimator.belief import belief
 from estimator.criterion import USUAL_THRESHOLD_M, chosen
-from estimator.filter import Config, assimilate, prior
+from estimator.filter import Config, Posterior, assimilate, prior
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles
 from plume.outcome import Outcome, TracePoint, outcome
@@ -28,6 +28,8 @@ class Step(NamedTuple):
 
     belief: Belief
     particles: Particles
+    posterior: Posterior
+    """What both were made from."""
     update_s: float
     """Compute time of the estimator for this reading."""
     decision_s: float
@@ -42,32 +44,33 @@ class Mission(NamedTuple):
     config: Config
     """What the estimator knows."""
     steps: Iterator[Step]
-    """Computed when asked for, until the search ceases or the budget is spent."""
+    """Computed when asked for, until the search ceases, if it ends there, or the budget is spent."""
 
 
 def mission(
     seed: int, policy: str, particles: int, threshold_m: float, budget: int, moves: Mapping[str, float] = USUAL,
-    world: str = AS_MODELLED, **knowledge: Any,
+    world: str = AS_MODELLED, ends: bool = True, **knowledge: Any,
 ) -> Mission:  # fmt: skip
     """Prepare the mission of a seed with a policy, by default with the paper's assumption.
 
-    `moves`: fields of `Reach`. `knowledge`: other fields of `Config`, like the sensor.
+    `moves`: fields of `Reach`. `ends`: whether the stop ends it. `knowledge`: other fields of `Config`, like the sensor.
     """
     told = draw(seed)
     config = Config(particles, threshold_m, derived_seed(seed, "estimator"), told.q, told.d, told.tau, **knowledge)
     there = World(told, seed, config.sensor, world)
-    return Mission(there.truth, config, _steps(there, config, policy, derived_seed(seed, "agent"), budget, reach(policy, moves)))
+    steps = _steps(there, config, policy, derived_seed(seed, "agent"), budget, reach(policy, moves), ends)
+    return Mission(there.truth, config, steps)
 
 
-def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: int, within: Reach) -> Iterator[Step]:
+def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: int, within: Reach, ends: bool) -> Iterator[Step]:
     posterior, position, decision_s = prior(config), world.start, 0.0
     for step in range(budget + 1):
         reading = Reading(step, position, ALTITUDE_M, world.wind, world.gas(position, step))
         began = time.perf_counter()
         posterior = assimilate(posterior, reading, config)
         summary, cloud = belief(posterior, reading, config)
-        yield Step(summary, cloud, time.perf_counter() - began, decision_s)
-        if summary.ceased or step == budget:
+        yield Step(summary, cloud, posterior, time.perf_counter() - began, decision_s)
+        if (ends and summary.ceased) or step == budget:
             return
         began = time.perf_counter()
         position = choose(policy, summary, cloud, agent_seed, within)
@@ -110,7 +113,8 @@ def rollout(
     flown = mission(seed, policy, particles, criterion.threshold_m, budget, moves, world=world, **knowledge)
     trace: list[TracePoint] = []
     search_time_s = 0.0
-    for said, _, update_s, decision_s in flown.steps:
+    for step in flown.steps:
+        said = step.belief
         trace.append(TracePoint(said.position, said.gas, said.mean, said.spread))
-        search_time_s += update_s + decision_s
+        search_time_s += step.update_s + step.decision_s
     return outcome(seed, policy, flown.scenario, trace, said.ceased, search_time_s, said.assume, said.stop, world), trace

@@ -1,10 +1,10 @@
-"""Sweeps: missions of policies over seeds, particles and thresholds, on all cores. A journal keeps each flight, so a sweep can resume."""
+"""Sweeps: missions of policies over seeds, particles and stop criteria, on all cores. A journal keeps each flight, to resume."""
 
 import hashlib
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from functools import cache, partial
 from itertools import groupby, product
 from pathlib import Path
@@ -19,7 +19,8 @@ from agent.trials.figures import MissionRow
 from agent.trials.floor import LEAST_THRESHOLD_M, floors_m
 from agent.trials.rollout import Mission, mission
 from agent.trials.workers import as_flown
-from estimator.belief import may_claim, sure_enough
+from estimator.belief import met, warning
+from estimator.criterion import Criterion
 from estimator.filter import Config
 from estimator.priors import KINDS
 from link.bus.messages import Belief
@@ -38,17 +39,18 @@ class Sweep:
     policies: Sequence[str]
     seeds: range
     particles: Sequence[int] = (1000,)
-    thresholds_m: Sequence[float] = (0.5,)
+    stops: Sequence[Criterion] = (Criterion(),)
+    """Each once. One flight serves all of them."""
     budget: int = BUDGET_STEPS
     moves: dict[str, float] = field(default_factory=dict)
     """Fields of `Reach` that replace the planner's own."""
     knowledge: dict[str, Any] = field(default_factory=dict)
-    """Other fields of `Config`. With `within` there is one stop, whatever the one threshold."""
+    """Other fields of `Config`."""
     worlds: Sequence[str] = (AS_MODELLED,)
 
     @property
     def flights(self) -> Iterator["Flight"]:
-        """All flights, seed by seed. One flight serves all thresholds."""
+        """All flights, seed by seed. One flight serves all stop criteria."""
         return (
             (policy, particles, seed, world)
             for seed in self.seeds
@@ -71,17 +73,21 @@ class Sweep:
 Flight = tuple[str, int, int, str]
 """(policy, particles, seed, world)."""
 Rows = Annotated[list[MissionRow], msgspec.Meta(min_length=1)]
-"""The rows of a flight, one per ζ."""
+"""The rows of a flight, one per stop criterion."""
 Flyer = Callable[[Sweep, Iterable[Sequence[Flight]]], Generator[list[MissionRow], None, None]]
 """(sweep, flights by seed) -> the rows of each flight, in any order."""
 
 
 def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
-    """Fly missions of one seed until their spread is below the smallest ζ; returns their rows, one per ζ, each as of the stop at this ζ."""
+    """Fly missions of one seed until all stop criteria have been met; returns their rows, one per criterion, each as of its own stop."""
+    first = sweep.stops[0]
     missions = [
-        mission(seed, policy, particles, min(sweep.thresholds_m), sweep.budget, sweep.moves, world=world, **sweep.knowledge)
+        mission(
+            seed, policy, particles, first.threshold_m, sweep.budget, sweep.moves, world=world, ends=False, within=first.within,
+            **sweep.knowledge,
+        )
         for policy, particles, seed, world in flights
-    ]
+    ]  # fmt: skip
     modelled = [ready for flight, ready in zip(flights, missions, strict=True) if flight[3] == AS_MODELLED]
     floors = _floors(sweep, modelled[0]) if modelled else {}
     return [_fly(sweep, flight, ready, floors if flight[3] == AS_MODELLED else {}) for flight, ready in zip(flights, missions, strict=True)]
@@ -90,49 +96,48 @@ def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
 def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
     """The information floor of a mission at each ζ, m, where docs/floor.md defines it."""
     config = ready.config
-    if config.sensor != GAUSSIAN or config.effective_priors or config.stop_limits or config.within:
+    if config.sensor != GAUSSIAN or config.effective_priors or config.stop_limits:
         return {}
     if sweep.moves.get("step", STEP_M) != STEP_M:
         return {}
-    floors = floors_m(ready.scenario, [threshold_m for threshold_m in sweep.thresholds_m if threshold_m >= LEAST_THRESHOLD_M])
+    thresholds_m = [stop.threshold_m for stop in sweep.stops if not stop.within]
+    floors = floors_m(ready.scenario, [threshold_m for threshold_m in thresholds_m if threshold_m >= LEAST_THRESHOLD_M])
     return {threshold_m: floor_m for threshold_m, floor_m in floors.items() if math.isfinite(floor_m)}
 
 
 def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float]) -> list[MissionRow]:
     scenario, config, steps = ready
-    waiting = sorted(sweep.thresholds_m, reverse=True)
-    rows: dict[float, MissionRow] = {}
+    waiting = {stop: replace(config, threshold_m=stop.threshold_m, within=stop.within) for stop in sweep.stops}
+    rows: dict[Criterion, MissionRow] = {}
+    warned: set[Criterion] = set()
     updates_s: list[float] = []
     decisions_s: list[float] = []
     distance_m = 0.0
     position = scenario.start
 
-    def row(threshold_m: float, ceased: bool) -> MissionRow:
-        floor_m = floors.get(threshold_m)
-        return _row(sweep, flight, config, threshold_m, ceased, said, scenario.source, distance_m, floor_m, updates_s, decisions_s)
+    def row(stop: Criterion, ceased: bool) -> MissionRow:
+        told, floor_m = waiting[stop], None if stop.within else floors.get(stop.threshold_m)
+        return _row(sweep, flight, told, ceased, stop in warned, said, scenario.source, distance_m, floor_m, updates_s, decisions_s)
 
-    for said, _, update_s, decision_s in steps:
-        updates_s.append(update_s)
+    for step in steps:
+        said = step.belief
+        updates_s.append(step.update_s)
         if said.step:
-            decisions_s.append(decision_s)
+            decisions_s.append(step.decision_s)
             distance_m += math.dist(position, said.position)
         position = said.position
-        while waiting and _ceased(said, config, waiting[0]):
-            threshold_m = waiting.pop(0)
-            rows[threshold_m] = row(threshold_m, True)
-    rows |= {threshold_m: row(threshold_m, False) for threshold_m in waiting}
-    return [rows[threshold_m] for threshold_m in sweep.thresholds_m]
-
-
-def _ceased(said: Belief, config: Config, threshold_m: float) -> bool:
-    if config.within:
-        return said.ceased
-    stds = dict(zip(said.unknowns, said.stds, strict=True))
-    return may_claim(said.p_value, said.evidence, said.step + 1) and sure_enough(said.spread, math.nan, stds, config, threshold_m)
+        warned |= {stop for stop, told in waiting.items() if warning(said, told)}
+        for stop in [stop for stop, told in waiting.items() if met(step.posterior, said, told)]:
+            rows[stop] = row(stop, True)
+            del waiting[stop]
+        if not waiting:
+            break
+    rows |= {stop: row(stop, False) for stop in waiting}
+    return [rows[stop] for stop in sweep.stops]
 
 
 def _row(
-    sweep: Sweep, flight: Flight, config: Config, threshold_m: float, ceased: bool, last: Belief, source: tuple[float, float],
+    sweep: Sweep, flight: Flight, config: Config, ceased: bool, warned: bool, last: Belief, source: tuple[float, float],
     distance_m: float, floor_m: float | None, updates_s: Sequence[float], decisions_s: Sequence[float],
 ) -> MissionRow:  # fmt: skip
     policy, particles, seed, world = flight
@@ -143,7 +148,7 @@ def _row(
     return MissionRow(
         policy=policy,
         particles=particles,
-        threshold_m=None if config.within else threshold_m,
+        threshold_m=None if config.within else config.threshold_m,
         seed=seed,
         budget=sweep.budget,
         headings=None if learned else moves.headings,
@@ -167,6 +172,7 @@ def _row(
         **told(config),
         version=__version__,
         world=world,
+        warned=warned,
     )
 
 
@@ -234,12 +240,19 @@ def code() -> str:
 def journal_of(sweep: Sweep, folder: Path) -> Path:
     """Return the journal of a sweep. Other settings or other code have another journal."""
     bundles = [hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest() for name in sweep.policies if (path := bundle_path(name))]
-    question = (code(), bundles, sweep.thresholds_m, sweep.budget, sorted(sweep.moves.items()), sorted(sweep.knowledge.items()))
+    question = (code(), bundles, sweep.stops, sweep.budget, sorted(sweep.moves.items()), sorted(sweep.knowledge.items()))
     digest = hashlib.blake2b(repr(question).encode(), digest_size=8)
     return folder / f"evaluate-{digest.hexdigest()}.jsonl"
 
 
 def ordered(rows: Iterable[MissionRow], sweep: Sweep) -> list[MissionRow]:
-    """Return rows in the order of the request, whichever worker ended first."""
+    """Return rows by policy and world, as requested, then by particles, stop criterion and seed, whichever worker ended first."""
     rank = {flown: i for i, flown in enumerate(product(sweep.policies, sweep.worlds))}
-    return sorted(rows, key=lambda row: (rank[row.policy, row.world], row.particles, row.threshold_m, row.seed))
+    stops = sorted(sweep.stops, key=lambda stop: (stop.within or (), stop.threshold_m))
+    place = {stop.text: i for i, stop in enumerate(stops)}
+
+    def key(row: MissionRow) -> tuple[int, int, int, int]:
+        stop = row.stop if row.threshold_m is None else Criterion(row.threshold_m).text
+        return rank[row.policy, row.world], row.particles, place[stop], row.seed
+
+    return sorted(rows, key=key)

@@ -7,13 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.compiled import kernel
+from plume.dispersion import SOURCE_RADIUS_M
 from plume.intermittency import HALF_LOG_2PI, log_density
 from plume.kernels import CVS, DERIVED, NOISES, derive, derived_means, is_location_only, is_plain, location_means
-from plume.numerics import log
-from plume.parameters import CV, GAMMA, KNOWN, LOGNORMAL, NORMAL
-from plume.sensor import HITS_KIND, THRESHOLD_KIND
+from plume.numerics import exp, log
+from plume.parameters import CV, GAMMA, KNOWN, LOGNORMAL, NORMAL, TAU, D, Q, Z
+from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 
 Array = NDArray[np.float64]
+
+FUSED = 8
+"""Readings whose densities are added together: products of so many variances neither overflow nor vanish."""
 
 
 @numba.njit(error_model="numpy")
@@ -87,6 +91,63 @@ def reading_densities(
         log_densities_of(means, count, reading[5], sensor, result)
     else:
         noisy_log_densities_of(means, count, reading[5], sensor, derived, is_intermittent(priors), result)
+
+
+@numba.njit(error_model="numpy")
+def is_fused(unknowns: NDArray[np.int64], readings: Array, priors: Array, sensor: Array) -> bool:
+    """True if `add_place_densities` applies: the paper's case with a Gaussian sensor, and numbers whose products stay in range."""
+    if sensor[0] != GAUSSIAN_KIND or not is_location_only(unknowns, priors):
+        return False
+    scale = priors[Q, 1] / (4 * math.pi * priors[D, 1])
+    sound: bool = sensor[2] > 1e-12 and (1 + sensor[1] + sensor[2]) * (1 + scale) < 1e10
+    for t in range(len(readings)):
+        sound = sound and abs(readings[t, 5]) < 1e10
+    return sound
+
+
+@numba.njit(error_model="numpy")
+def add_place_densities(
+    places: Array, count: int, readings: Array, first: int, last: int, priors: Array, sensor: Array, scratch: Array, targets: Array
+) -> None:
+    """Add the log-likelihoods of readings `first` to `last`, at most FUSED, to the targets of sources at places (2, count).
+
+    The same as `reading_densities` in the paper's case, with one division and one logarithm for all of them: of each reading, the square
+    of the residual and the variance, both times the squared distance, are sums of products; fractions are brought to one denominator.
+    scratch: (3 or more, count or more).  All shares are 1.
+    """
+    diffusivity = priors[D, 1]
+    scale = priors[Q, 1] / (4 * math.pi * diffusivity)
+    slope, floor = sensor[1] * sensor[1] * scale * scale, sensor[2] * sensor[2]
+    least = SOURCE_RADIUS_M * SOURCE_RADIUS_M
+    numerators, variances, squares = scratch[0], scratch[1], scratch[2]
+    for j in range(count):
+        numerators[j], variances[j], squares[j] = 0.0, 1.0, 1.0
+    for t in range(last, first - 1, -1):
+        drift_x, drift_y = readings[t, 3] / (2 * diffusivity), readings[t, 4] / (2 * diffusivity)
+        inverse_length = math.sqrt(1 / (diffusivity * priors[TAU, 1]) + drift_x * drift_x + drift_y * drift_y)
+        x, y, dz, gas = readings[t, 0], readings[t, 1], readings[t, 2] - priors[Z, 1], readings[t, 5]
+        dz_squared = dz * dz
+        for j in range(count):
+            dx = x - places[0, j]
+            dy = y - places[1, j]
+            square = max(dx * dx + dy * dy + dz_squared, least)
+            distance = math.sqrt(square)
+            decay = exp(-distance * inverse_length - (dx * drift_x + dy * drift_y))
+            residual = gas * distance - scale * decay
+            variance = slope * decay * decay + floor * square
+            numerators[j] = numerators[j] * variance + residual * residual * variances[j]
+            variances[j] *= variance
+            squares[j] *= square
+    constant = HALF_LOG_2PI * (last - first + 1)
+    for j in range(count):
+        targets[j] -= 0.5 * (numerators[j] / variances[j] + log(variances[j] / squares[j])) + constant
+
+
+@numba.njit(error_model="numpy")
+def is_a_normal_density(gas: float, sensor: Array) -> bool:
+    """True if the likelihood of this gas value is a density, which noise widens and so lowers; false if it is a probability."""
+    normal: bool = sensor[0] != HITS_KIND and (sensor[0] != THRESHOLD_KIND or gas != 0.0)
+    return normal
 
 
 @numba.njit(error_model="numpy")

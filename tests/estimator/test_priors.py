@@ -6,11 +6,17 @@ import numpy as np
 import pytest
 
 from estimator.filter import Config, prior
-from estimator.priors import Fixed, Gamma, Normal, Prior, Uniform, parse, text
+from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform, parse, text
 
 EIGHT: dict[str, Prior] = {
     "z": Uniform(0.0, 5.0), "q": Gamma(2.0, 150.0), "u": Normal(2.5, 0.5), "phi": Normal(1.0, 0.2), "d": Uniform(1.0, 8.0),
     "tau": Uniform(5.0, 20.0),
+}  # fmt: skip
+
+
+FIELD: dict[str, Prior] = {
+    "wind-direction": Normal(0.0, 20.0), "wind-speed": LogNormal(1.0, 0.5), "gain": LogNormal(2.0, 0.3), "noise": LogNormal(1.0, 0.4),
+    "cv": Normal(0.0, 1.2),
 }  # fmt: skip
 
 
@@ -43,6 +49,37 @@ def test_all_eight_are_drawn_from_their_priors() -> None:
     assert np.abs(correlations).max() < 4 / 200
 
 
+def test_what_a_measurement_gets_wrong_is_drawn_from_its_priors() -> None:
+    values = drawn(Config(particles=40_000, priors=FIELD))
+    assert tuple(values) == ("x", "y", "wind-direction", "wind-speed", "gain", "noise", "cv")
+    assert values["wind-direction"].std() == pytest.approx(20.0, abs=4 * 20 / math.sqrt(2 * 40_000))
+    for name, median, sigma in (("wind-speed", 1.0, 0.5), ("gain", 2.0, 0.3), ("noise", 1.0, 0.4)):
+        logarithms = np.log(values[name] / median)
+        # 4 standard errors: σ/√n of the mean, σ/√(2n) of the standard deviation; half lie below the median: ½/√n.
+        assert logarithms.mean() == pytest.approx(0.0, abs=4 * sigma / 200)
+        assert logarithms.std() == pytest.approx(sigma, abs=4 * sigma / math.sqrt(2 * 40_000))
+        assert np.mean(values[name] < median) == pytest.approx(0.5, abs=4 * 0.5 / 200)
+        # The mean is that of a log-normal variable, median · exp(σ²/2), not the median.
+        assert values[name].mean() == pytest.approx(median * math.exp(sigma**2 / 2), rel=4 * 0.6 / 200)
+    # Half-normal, cut off at 3, which is 2.5 standard deviations: mean 1.2 √(2/π) (1 − exp(−3.125))/(2 Φ(2.5) − 1) = 0.92690
+    assert 0 <= values["cv"].min() < values["cv"].max() <= 3.0
+    assert values["cv"].mean() == pytest.approx(0.92690, abs=4 * 0.7 / 200)
+
+
+def test_a_log_normal_intermittency_is_cut_off_too() -> None:
+    values = drawn(Config(particles=4000, priors={"cv": LogNormal(1.0, 1.0)}))
+    assert 0 < values["cv"].min() < values["cv"].max() <= 3.0
+    # ln cv is N(0, 1) below ln 3 = 1.0986: mean −φ(1.0986)/Φ(1.0986) = −0.218185/0.864031 = −0.252520
+    assert np.log(values["cv"]).mean() == pytest.approx(-0.252520, abs=4 * 0.85 / math.sqrt(4000))
+
+
+def test_the_kernels_table_holds_the_logarithm_of_a_log_normals_median() -> None:
+    rows = Config(priors={"q": LogNormal(300.0, 0.7)}).prior_rows
+    # 300 exp(±8 · 0.7) = 300 · 270.4264 and its inverse
+    assert rows[3].tolist() == pytest.approx([5.0, math.log(300.0), 0.7, 300 / 270.4264, 300 * 270.4264], rel=1e-6)
+    assert rows[8:, :2].tolist() == [[0, 0], [0, 1], [0, 1], [0, 1], [0, 0]]  # a faultless anemometer and sensor, steady gas
+
+
 def test_a_prior_is_cut_off_where_the_parameter_makes_no_sense() -> None:
     values = drawn(Config(particles=4000, priors={"u": Normal(0.2, 1.0), "d": Normal(0.5, 1.0), "x": Normal(1.0, 5.0)}))
     assert values["u"].min() >= 0
@@ -58,9 +95,10 @@ def test_what_is_fixed_is_known() -> None:
     assert config.prior_rows[3, 1] == 250.0
 
 
-@pytest.mark.parametrize("prior", [Uniform(0.0, 1 / 3), Normal(2.0, 0.1), Gamma(2.0, 150.0), Fixed(3.0)])
+@pytest.mark.parametrize("prior", [Uniform(0.0, 1 / 3), Normal(2.0, 0.1), Gamma(2.0, 150.0), LogNormal(3.0, 1 / 3), Fixed(3.0)])
 def test_a_priors_text_reads_back_as_the_prior(prior: Prior) -> None:
-    assert parse(text("q", prior)) == ("q", prior)
+    for name in ("q", "wind-speed", "gain", "noise"):
+        assert parse(text(name, prior)) == (name, prior)
 
 
 @pytest.mark.parametrize(
@@ -76,6 +114,13 @@ def test_a_priors_text_reads_back_as_the_prior(prior: Prior) -> None:
         ("phi=gamma:1,1", "NAME of q, u, d, tau"),
         ("d=fixed:0", "VALUE above 0"),
         ("q=normal:nan,1", "wanted"),
+        ("q=lognormal:1", "wanted q=lognormal:MEDIAN,SIGMA"),
+        ("q=lognormal:0,1", "MEDIAN and SIGMA above 0"),
+        ("q=lognormal:1,0", "MEDIAN and SIGMA above 0"),
+        ("wind-direction=lognormal:1,1", "NAME of q, u, d, tau, wind-speed, gain, noise, cv"),
+        ("noise=fixed:0", "VALUE above 0 for q, d, tau, wind-speed, gain, noise"),
+        ("cv=fixed:3.1", "VALUE from 0 to 3 for cv"),
+        ("direction=fixed:1", "NAME of x, y, z, q, u, phi, d, tau, wind-direction, wind-speed, gain, noise, cv"),
     ],
 )
 def test_a_bad_prior_is_named_with_what_is_allowed(bad: str, reason: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.kernels.densities import log_likelihoods
-from estimator.kernels.moves import metropolis
+from estimator.kernels.moves import resample_move
 from estimator.priors import Fixed, Gamma, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.dispersion import concentration
@@ -86,7 +86,9 @@ def test_a_direction_is_moved_across_the_seam_of_its_circle(low: float, truth: f
     for start in (low + 0.2, low + TURN - 0.2):
         particles = np.random.default_rng(1).uniform(start - 0.2, start + 0.2, (1, 4000))
         targets = sum(log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, row) for row in rows)
-        metropolis(particles, targets, rows, config.unknown_indices, config.prior_rows, config.sensor_row, 5, 5, 0, 60)
+        model = (rows, config.unknown_indices, config.prior_rows, config.sensor_row)
+        for stage in range(60):
+            resample_move(particles, targets, np.arange(4000), 3, *model, 5, 5, stage)
         assert low <= particles.min() <= particles.max() <= low + TURN
         # Steps depend on the population, so the chains are not quite independent: twice the 4 standard errors.
         assert np.mean(particles < low + math.pi) == pytest.approx(other, abs=8 * 0.5 / math.sqrt(4000))
@@ -218,10 +220,10 @@ def test_weights_before_any_move_are_the_likelihoods() -> None:
     assert posterior.weights == pytest.approx(np.exp(posterior.log_weights - posterior.log_weights.max()), rel=1e-12)
 
 
-@pytest.mark.parametrize(("priors", "gas"), [({}, 1e9), ({"q": Gamma(2.0, 150.0)}, 1e4), ({"q": Gamma(2.0, 150.0)}, -1e6)], ids=str)
-def test_an_absurd_reading_is_taken_in_part_for_good(priors: dict[str, Prior], gas: float) -> None:
+@pytest.mark.parametrize("gas", [1e4, -1e6])
+def test_an_absurd_reading_is_taken_in_part_for_good(gas: float) -> None:
     """The part of a reading that is left after forty stages is never assimilated: later moves use the same share."""
-    config = Config(particles=500, seed=4, rate=Q, diffusivity=D, lifetime=TAU, priors=priors)
+    config = Config(particles=500, seed=4, rate=Q, diffusivity=D, lifetime=TAU, priors={"q": Gamma(2.0, 150.0)})
     posterior = flight(config, {12: gas})
     shares = posterior.readings[:, 6]
     assert 0 < shares[12] < 0.1

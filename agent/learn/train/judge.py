@@ -13,6 +13,7 @@ from agent.learn.env import Settings
 from agent.trials.evaluate import FIRST_TEST_SEED, named, print_table
 from agent.trials.progress import with_bar
 from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
+from estimator.criterion import Criterion
 
 
 def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
@@ -26,9 +27,9 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
     if page.evaluation:
         return
     settings = Settings(**page.training["env"])
-    thresholds_m = (settings.criterion.threshold_m if settings.stop else Settings.threshold_m,)
-    knowledge = {"assume": settings.assume, "within": settings.criterion.within}
-    sweep = Sweep([str(bundle)], range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios), particles, thresholds_m, knowledge=knowledge)
+    stop = settings.criterion if settings.stop else Criterion(Settings.threshold_m)
+    seeds = range(FIRST_TEST_SEED, FIRST_TEST_SEED + scenarios)
+    sweep = Sweep([str(bundle)], seeds, particles, (stop,), knowledge={"assume": settings.assume})
     journal = journal_of(sweep, bundle.parent)
     workers = os.cpu_count() or 1
     flights = fly_all(sweep, journal, on_cores(workers))

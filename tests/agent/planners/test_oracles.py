@@ -36,6 +36,7 @@ class World:
         self.particles = np.column_stack([x, y, rate, weights])
         self.x, self.y, self.rate, self.weights = self.particles.T.astype(float)
         self.weights = self.weights / self.weights.sum()
+        self.dead_ends = 0
         self.sensor, self.here = sensor, (float(np.float32(here[0])), float(np.float32(here[1])))
         self.mean = (float(self.weights @ self.x), float(self.weights @ self.y))
         self.spread = math.sqrt(self.weights @ ((self.x - self.mean[0]) ** 2 + (self.y - self.mean[1]) ** 2))
@@ -205,14 +206,24 @@ def thompson(w: World) -> list[float]:
 
 
 def homing(w: World) -> list[float]:
-    """E‖p − s‖ + 4 E[spread], two steps ahead; entropy falls by the information I, the spread by exp(−I/2)."""
+    """E‖p − s‖ + 4 E[spread], two steps ahead; entropy falls by the information I, the spread by exp(−I/2).
+
+    If that falls by less than 0.75 a metre everywhere, −S log E exp(−‖p − s‖/S) + 4 E[spread].
+    """
     w.thin(500)
-    places = w.ahead(2.0)
+    places, now = w.ahead(2.0), w.entropy_spread()
     spreads = [
-        w.entropy_spread() * np.mean([math.exp(-w.information(weights) / 2) for weights in of_place])
+        now * np.mean([math.exp(-w.information(weights) / 2) for weights in of_place])
         for (of_place,) in w.after([[place] for place in places])
     ]
-    return [-(w.weights @ w.distances(place) + 4.0 * spread) for place, spread in zip(places, spreads, strict=True)]
+    costs = [w.weights @ w.distances(place) + 4.0 * spread for place, spread in zip(places, spreads, strict=True)]
+    here = w.weights @ w.distances(np.array(w.here)) + 4.0 * now
+    if any(here - cost >= 0.75 * math.dist(place, w.here) for place, cost in zip(places, costs, strict=True)):
+        return [-cost for cost in costs]
+    w.dead_ends += 1
+    return [
+        now * math.log(w.weights @ np.exp(-w.distances(place) / now)) - 4.0 * spread for place, spread in zip(places, spreads, strict=True)
+    ]
 
 
 def lookahead(w: World) -> list[float]:
@@ -245,7 +256,7 @@ def test_every_planner_has_an_oracle_but_the_one_that_has_no_formula() -> None:
 @pytest.mark.parametrize("sensor", [GAUSSIAN, Threshold(1.0, 0.2), Hits(0.5, 0.3)], ids=text)
 @pytest.mark.parametrize("name", ORACLES)
 def test_a_planner_chooses_what_its_formula_finds_best(name: str, sensor: Sensor) -> None:
-    chosen, margins = set(), []
+    chosen, margins, dead_ends = set(), [], 0
     for seed in range({"entrotaxis": 8, "lookahead": 80}.get(name, 40)):
         world = World(seed, sensor, name, headings=8 if seed % 2 else 4)
         scores = ORACLES[name](world)
@@ -253,8 +264,10 @@ def test_a_planner_chooses_what_its_formula_finds_best(name: str, sensor: Sensor
         assert scores[world.chosen] == pytest.approx(max(scores), rel=1e-9, abs=1e-9), seed
         chosen.add(world.chosen)
         margins.append(np.diff(np.sort(scores)[-2:])[0])
+        dead_ends += world.dead_ends
     assert len(chosen) > 2
     assert np.median(margins) > 1e-4  # the best move is clearly better than the second
+    assert name != "homing" or 5 <= dead_ends <= 35  # both of homing's formulas are tried
 
 
 @pytest.mark.parametrize("name", ["homing", "lookahead"])

@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from agent.trials.figures import Interval, MissionRow, bootstrap, figures, wilson
 from agent.trials.sweep import Sweep, _row, fly
+from estimator.criterion import Criterion
 from estimator.filter import Config
 from link.bus.messages import Belief
 
@@ -39,6 +40,16 @@ def test_without_floors_there_is_no_multiple() -> None:
     said = figures([replace(flown(0, True, 0.5, 30.0), floor_m=None)])
     assert said["floor_m"] is said["mtd_floors"] is said["mtd_floors_interval"] is None
     assert said["mtd_m"] == 30.0
+
+
+def test_the_share_of_false_stops_that_a_warning_preceded_is_of_those_alone() -> None:
+    rows = [flown(0, True, 0.5, 30.0), flown(1, True, 1.5, 50.0), flown(2, True, 3.0, 40.0), flown(3, False, 9.0, 300.0)]
+    assert figures(rows[:1])["false_stop_warned"] is figures(rows[:1])["false_stop_warned_interval"] is None
+    assert figures(rows)["false_stop_warned"] == 0.0
+    warned = [replace(row, warned=row.seed != 2) for row in rows]  # a good stop, a false one and a mission without a stop
+    said = figures(warned)
+    assert said["false_stop_warned"] == 0.5
+    assert said["false_stop_warned_interval"] == pytest.approx([0.0945, 0.9055], abs=1e-4)  # 1 of 2: ½ ± ½ √(z²/(2 + z²)), z = 1.96
 
 
 def test_figures_of_no_find_are_none_not_nan() -> None:
@@ -84,9 +95,8 @@ def test_the_nees_of_a_mission_is_its_error_in_terms_of_what_was_believed(
         z=5.0, sensor="gaussian", unknowns=("x", "y"), means=(1.0, 2.0), stds=(1.0, 1.0), mean=(1.0, 2.0), covariance=covariance,
         spread=1.5, effective_sample_size=10.0, p_value=0.5, ceased=False,
     )  # fmt: skip
-    row = _row(
-        Sweep(("greedy",), range(3)), ("greedy", 100, 1, "as-modelled"), Config(100), 0.5, True, last, source, 9.0, 3.0, [0.25, 0.75], [0.5]
-    )
+    sweep, flight = Sweep(("greedy",), range(3)), ("greedy", 100, 1, "as-modelled")
+    row = _row(sweep, flight, Config(100), True, False, last, source, 9.0, 3.0, [0.25, 0.75], [0.5])
     assert row.nees == pytest.approx(nees)
     assert row.error_m == pytest.approx(math.dist((1.0, 2.0), source))
     assert row.located == (source == (1.0, 2.0))
@@ -94,9 +104,8 @@ def test_the_nees_of_a_mission_is_its_error_in_terms_of_what_was_believed(
 
 
 def test_no_mission_of_a_sweep_ends_before_its_third_reading(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("estimator.belief.CLEAR", -math.inf)  # however little the readings tell
-    (rows,) = fly(
-        Sweep(("greedy",), range(7, 8), particles=(100,), thresholds_m=(50.0, 100.0), budget=9), [("greedy", 100, 7, "as-modelled")]
-    )
+    monkeypatch.setattr("estimator.belief.CLEAR", -math.inf)  # so that only the number of readings counts
+    stops = (Criterion(50.0), Criterion(100.0))
+    (rows,) = fly(Sweep(("greedy",), range(7, 8), particles=(100,), stops=stops, budget=9), [("greedy", 100, 7, "as-modelled")])
     assert [(row.ceased, row.steps) for row in rows] == [(True, 2), (True, 2)]
     assert rows[0].distance_m == pytest.approx(2.0, abs=1e-5)

@@ -2,6 +2,7 @@
 
 import gzip
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +11,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from agent.trials import sweep
 from agent.trials.evaluate import named, read_csv, write_csv
 from agent.trials.figures import MissionRow
 from agent.trials.floor import floors_m
-from agent.trials.rollout import rollout
+from agent.trials.rollout import mission, rollout
 from agent.trials.sweep import Flight, Sweep, fly, fly_all, journal_of, on_cores, ordered
+from estimator.criterion import Criterion
 from estimator.priors import Gamma, Uniform
 from plume import __version__
 from plume.scenario import draw
@@ -22,7 +25,7 @@ from plume.sensor import Hits
 from plume.world import World
 
 RESULTS = Path(__file__).parents[3] / "results"
-SMALL = Sweep(("greedy", "thompson"), range(7, 10), particles=(100, 200), thresholds_m=(0.9, 2.0, 0.5), budget=80)
+SMALL = Sweep(("greedy", "thompson"), range(7, 10), particles=(100, 200), stops=(Criterion(0.9), Criterion(2.0), Criterion(0.5)), budget=80)
 
 
 ROW = MissionRow(
@@ -40,7 +43,7 @@ def untimed(rows: list[MissionRow]) -> list[MissionRow]:
 @pytest.mark.parametrize("seed", [7, 8, 9])
 def test_one_flight_gives_what_a_rollout_at_each_threshold_gives(seed: int) -> None:
     (rows,) = fly(SMALL, [("thompson", 200, seed, "as-modelled")])
-    for row, threshold_m in zip(rows, SMALL.thresholds_m, strict=True):
+    for row, (threshold_m, _) in zip(rows, SMALL.stops, strict=True):
         alone, _ = rollout(seed, "thompson", 200, threshold_m, 80, assume="paper")
         assert (row.threshold_m, row.seed, row.particles) == (threshold_m, seed, 200)
         assert (row.ceased, row.located, row.steps, row.distance_m) == (alone.ceased, alone.located, alone.steps, alone.distance_m)
@@ -61,7 +64,7 @@ def test_the_number_of_workers_does_not_show(tmp_path: Path) -> None:
 
 
 def test_a_sweep_that_was_cut_off_goes_on_where_it_was(tmp_path: Path) -> None:
-    whole = Sweep(("greedy",), range(7, 11), particles=(100,), thresholds_m=(0.9, 2.0), budget=40)
+    whole = Sweep(("greedy",), range(7, 11), particles=(100,), stops=(Criterion(0.9), Criterion(2.0)), budget=40)
     journal = tmp_path / "deep" / "journal.jsonl"
     sweep = fly_all(whole, journal, on_cores(1))
     first = [next(sweep), next(sweep)]
@@ -98,7 +101,7 @@ def test_a_journal_that_something_else_wrote_is_flown_anew(tmp_path: Path) -> No
 
 def test_a_row_that_an_older_version_kept_is_read(tmp_path: Path) -> None:
     """A journal is only used by the code that wrote it: this is for the one who changes that."""
-    young = ("sensor", "prior", "stop_on", "assume", "stop", "version", "world")
+    young = ("sensor", "prior", "stop_on", "assume", "stop", "version", "world", "warned")
     old = {name: value for name, value in msgspec.structs.asdict(ROW).items() if name not in young}
     journal = tmp_path / "journal.jsonl"
     journal.write_bytes(msgspec.json.encode([old]) + b"\n")
@@ -107,7 +110,7 @@ def test_a_row_that_an_older_version_kept_is_read(tmp_path: Path) -> None:
 
 
 def test_another_question_has_another_journal(tmp_path: Path) -> None:
-    others = [replace(SMALL, budget=81), replace(SMALL, thresholds_m=(0.9,)), replace(SMALL, knowledge={"stop_on_location": False})]
+    others = [replace(SMALL, budget=81), replace(SMALL, stops=(Criterion(0.9),)), replace(SMALL, knowledge={"stop_on_location": False})]
     assert len({journal_of(sweep, tmp_path) for sweep in [SMALL, *others]}) == 4
     assert journal_of(replace(SMALL, seeds=range(7, 100)), tmp_path) == journal_of(SMALL, tmp_path)  # more of the same goes on
 
@@ -120,7 +123,7 @@ def test_figures_are_named_by_policy_and_by_what_else_differs() -> None:
 
 
 def test_several_worlds_are_flown_each_as_alone_and_named_in_the_key(tmp_path: Path) -> None:
-    few = replace(SMALL, thresholds_m=(0.9,), particles=(100,), seeds=range(7, 9), worlds=("wind-30", "as-modelled"))
+    few = replace(SMALL, stops=(Criterion(0.9),), particles=(100,), seeds=range(7, 9), worlds=("wind-30", "as-modelled"))
     rows = ordered([row for each in fly_all(few, tmp_path / "journal.jsonl", on_cores(1)) for row in each], few)
     assert [(row.policy, row.world, row.seed) for row in rows] == list(itertools.product(few.policies, few.worlds, few.seeds))
     assert few.count == 8
@@ -151,7 +154,7 @@ def test_a_mission_is_judged_by_where_the_source_truly_is() -> None:
 
 @pytest.mark.parametrize("name", ["missions.csv", "missions.csv.gz"])
 def test_a_table_of_missions_reads_back_as_it_was_written(tmp_path: Path, name: str) -> None:
-    (rows,) = fly(replace(SMALL, thresholds_m=(0.01, 0.5)), [("greedy", 100, 7, "as-modelled")])
+    (rows,) = fly(replace(SMALL, stops=(Criterion(0.01), Criterion(0.5))), [("greedy", 100, 7, "as-modelled")])
     assert rows[0].floor_m is None  # too small a ζ for it
     rows = [*rows, msgspec.structs.replace(rows[0], world="cv-1")]
     write_csv(rows, tmp_path / name)
@@ -171,7 +174,7 @@ def test_a_table_of_something_else_is_refused_by_name(tmp_path: Path) -> None:
 def test_rows_carry_the_floor_of_their_scenario_where_it_is_known() -> None:
     flight = ("greedy", 100, 7, "as-modelled")
     (rows,) = fly(SMALL, [flight])
-    assert {row.threshold_m: row.floor_m for row in rows} == floors_m(draw(7), SMALL.thresholds_m)
+    assert {row.threshold_m: row.floor_m for row in rows} == floors_m(draw(7), [0.9, 2.0, 0.5])
     for other in (replace(SMALL, moves={"step": 0.5}), replace(SMALL, knowledge={"sensor": Hits()})):
         assert {row.floor_m for row in fly(other, [flight])[0]} == {None}
 
@@ -190,7 +193,7 @@ def test_rows_say_the_assumption_and_the_stop(tmp_path: Path) -> None:
     flight = ("greedy", 100, 7, "as-modelled")
     usual = fly(SMALL, [flight])[0][0]
     assert (usual.assume, usual.stop, usual.threshold_m) == ("paper", "spread", 0.9)
-    within = replace(SMALL, thresholds_m=(0.5,), knowledge={"assume": "field", "within": (2.0, 0.9)}, budget=3)
+    within = replace(SMALL, stops=(Criterion(within=(2.0, 0.9)),), knowledge={"assume": "field"}, budget=3)
     ((row,),) = fly(within, [flight])
     assert (row.assume, row.stop, row.threshold_m, row.floor_m) == ("field", "within:2,0.9", None, None)
     write_csv([row, usual], tmp_path / "rows.csv")
@@ -205,12 +208,55 @@ def test_rows_say_the_assumption_and_the_stop(tmp_path: Path) -> None:
 
 
 def test_a_sweep_stops_within_a_radius_where_a_rollout_does() -> None:
-    within = replace(SMALL, thresholds_m=(0.5,), knowledge={"within": (2.0, 0.9)})
+    within = replace(SMALL, stops=(Criterion(within=(2.0, 0.9)),))
     ((row,),) = fly(within, [("greedy", 100, 8, "as-modelled")])
     alone, _ = rollout(8, "greedy", 100, budget=80, assume="paper", stop="within:2,0.9")
     assert (row.ceased, row.located, row.steps, row.distance_m) == (alone.ceased, alone.located, alone.steps, alone.distance_m)
     assert row.ceased
     assert row.steps < 80
+
+
+SEVERAL = (Criterion(within=(1.0, 0.99)), Criterion(0.5), Criterion(within=(1.0, 0.95)), Criterion(2.0), Criterion(within=(4.0, 0.5)))
+
+
+@pytest.mark.parametrize("knowledge", [{}, {"assume": "field", "stop_limits": {"q": 400.0}}], ids=["paper", "field"])
+@pytest.mark.parametrize(("policy", "seed", "world"), [("homing", 8, "as-modelled"), ("ppo", 9, "noise-doubled"), ("greedy", 7, "stuck")])
+def test_one_flight_serves_several_criteria_each_as_if_it_was_alone(policy: str, seed: int, world: str, knowledge: dict) -> None:
+    flight = (policy, 150, seed, world)
+    (rows,) = fly(Sweep((policy,), range(seed, seed + 1), (150,), SEVERAL, 70, knowledge=knowledge, worlds=(world,)), [flight])
+    assert [Criterion(row.threshold_m).text if row.threshold_m else row.stop for row in rows] == [stop.text for stop in SEVERAL]
+    for row, stop in zip(rows, SEVERAL, strict=True):
+        ready = mission(seed, policy, 150, stop.threshold_m, 70, world=world, within=stop.within, **knowledge)
+        beliefs = [step.belief for step in ready.steps]  # of a mission that its own criterion ends
+        last = beliefs[-1]
+        assert (row.ceased, row.steps, row.spread_m) == (last.ceased, last.step, last.spread)
+        assert (row.estimate_x, row.estimate_y) == last.mean
+        assert row.distance_m == sum(math.dist(*pair) for pair in itertools.pairwise(it.position for it in beliefs))
+        near_m = stop.within[0] if stop.within else stop.threshold_m
+        assert row.warned == any(it.p_value < 1e-4 or (it.spread < near_m and it.evidence < 5) for it in beliefs)
+    if world == "stuck":
+        assert {(row.ceased, row.warned) for row in rows} == {(False, True)}
+
+
+def test_a_flight_ends_when_all_criteria_have_been_met(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    told = sweep.warning
+    monkeypatch.setattr(sweep, "warning", lambda said, config: seen.append(said.step) or told(said, config))
+    (rows,) = fly(replace(SMALL, stops=SEVERAL, budget=300), [("homing", 200, 8, "as-modelled")])
+    assert all(row.ceased for row in rows)
+    assert max(seen) == max(row.steps for row in rows) < 300
+
+
+def test_figures_are_named_by_the_stop_where_stops_differ() -> None:
+    small = replace(SMALL, stops=SEVERAL, budget=3)
+    rows = ordered([row for seed in (8, 7) for row in fly(small, [("greedy", 100, seed, "as-modelled")])[0]], small)
+    assert [row.seed for row in rows] == [7, 8] * 5
+    stops = ("spread:0.5", "spread:2", "within:1,0.95", "within:1,0.99", "within:4,0.5")
+    assert list(named(rows)) == [f"greedy stop={stop}" for stop in stops]
+    assert [said["stop"] for said in named(rows).values()] == list(stops)
+    assert list(named([row for row in rows if row.threshold_m is None and row.stop == "within:1,0.95"])) == ["greedy"]
+    both = [msgspec.structs.replace(row, particles=count) for count in (50, 100) for row in rows if row.stop == "within:4,0.5"]
+    assert list(named(both)) == ["greedy particles=50", "greedy particles=100"]
 
 
 def test_a_learned_policy_has_neither_headings_nor_measurements_of_a_planner(tmp_path: Path) -> None:
