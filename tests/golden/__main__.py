@@ -19,7 +19,9 @@ FOLDER = Path(__file__).parent
 SENSORS = ("gaussian", "threshold", "hits")
 FLAGS = ("--seed", "26", "--particles", "100", "--budget", "45", "--speedup", "0")
 """A small mission in which nearly all policies cease; the others use up their budget."""
-PAPER = {f"{policy}-{sensor}": ("--policy", policy, "--sensor", sensor, "--assume", "paper", *FLAGS) for policy in OURS for sensor in SENSORS}
+PAPER = {
+    f"{policy}-{sensor}": ("--policy", policy, "--sensor", sensor, "--assume", "paper", *FLAGS) for policy in OURS for sensor in SENSORS
+}
 """Every policy with every sensor."""
 FIELD = {
     f"{policy}-{sensor}-field": ("--policy", policy, "--sensor", sensor, "--assume", "field", *FLAGS)
