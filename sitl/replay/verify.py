@@ -22,7 +22,7 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "belief": (*Belief.__struct_fields__, PARTICLES),
     "waypoint": tuple(WAYPOINT.fieldnames),
 }
-YOUNG = ("assume", "stop")
+YOUNG = ("assume", "stop", "evidence")
 """Fields that older records lack; then they are not compared."""
 HEADLINE = {"stop": ("estimate",), "belief": ("mean",), "waypoint": ("x", "y")}
 """Fields shown of a message that only one side has."""

@@ -458,6 +458,26 @@ def test_steps_that_cannot_be_learned_from_alone_are_rounded_up_and_that_is_said
     assert rate == pytest.approx(1e-4)
 
 
+def test_a_policy_may_be_trained_with_little_known_and_another_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recipe = tiny("dqn")
+    usual = msgspec.structs.replace(recipe, env={name: value for name, value in recipe.env.items() if name != "threshold_m"})
+    monkeypatch.setitem(TUNED, "dqn", usual)
+    graphs = {}
+    for assume, more in (("paper", {}), ("field", {"assume": "field"})):
+        few = ("--steps", "44", "--scenarios", "0", "--threads", "1", "--out", str(tmp_path / assume))
+        status, _, err = told(capsys, monkeypatch, "train", "dqn", "--assume", assume, "--stop", "within:2,0.9", *few)
+        assert status == 0, err
+        page, graphs[assume] = read(tmp_path / assume / "dqn.zip")
+        assert page.training["env"] == usual.env | more | {"stop": "within:2,0.9"}
+    assert graphs["paper"] != graphs["field"]  # other beliefs, other lessons
+    status, out, err = told(capsys, monkeypatch, "train", "dqn", "--stop", "within:2", "--out", str(tmp_path / "none"))
+    assert (status, out) == (2, "")
+    assert "'within:2' is not allowed; wanted spread:Z, metres, or within:R,P, metres and a share" in err
+    assert not (tmp_path / "none").exists()
+
+
 def test_steps_from_which_nothing_is_learned_are_said_to_be_too_few(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

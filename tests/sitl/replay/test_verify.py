@@ -56,7 +56,7 @@ def test_the_first_field_that_differs_is_named_with_both_values() -> None:
 
 
 def test_an_older_record_says_nothing_of_the_assumption_and_the_stop() -> None:
-    now = [belief(assume="paper", stop="spread:0.5"), stop(stop="spread:0.5")]
+    now = [belief(assume="paper", stop="spread:0.5", evidence=9.0), stop(stop="spread:0.5")]
     assert text([belief(), stop()], now) is None
     assert text([belief(assume="field")], now[:1]) == "belief at 12.35 s (step 7): assume was field, is paper"
     assert text([belief(stop="spread:0.6")], now[:1]) == "belief at 12.35 s (step 7): stop was spread:0.6, is spread:0.5"
