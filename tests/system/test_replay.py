@@ -217,7 +217,7 @@ class TestVerify:
         ("part", "flag", "value", "kinds"),
         [
             ("estimator", "--seed", "5", ("belief at ",)),
-            ("estimator", "--threshold", "2.0", ("stop at ", "belief at ")),  # both of one reading, in either order
+            ("estimator", "--stop", "spread:2.0", ("stop at ", "belief at ")),  # both of one reading, in either order
             ("agent", "--seed", "5", ("waypoint at ",)),
         ],
     )
