@@ -46,13 +46,14 @@ def run(bus: Bus, config: Config, system: int) -> None:
 
 
 def _judge(bus: Bus, said: Belief, config: Config) -> None:
-    """Warn while no stop would be honest: once in the log, and in health as long as it lasts."""
+    """Warn while no stop would be honest: once for each reason in the log, and in health as long as it lasts."""
     found = warning(said, config)
     if found is None:
         bus.tally.warnings = ()
         return
     reason, question = found
-    if not bus.tally.warnings:
+    before = "".join(bus.tally.warnings)
+    if before.partition(" (")[0] != reason.partition(" (")[0]:
         bus.log.warning(f"{reason}: {question}")
     bus.tally.warnings = (reason,)
 

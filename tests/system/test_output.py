@@ -82,7 +82,7 @@ def test_results_go_to_stdout_and_with_json_only_the_json(tmp_path: Path) -> Non
 def test_a_file_holds_the_whole_table_and_the_progress_is_not_in_it(tmp_path: Path) -> None:
     done = ended(*EVALUATE, "--threshold", "0.5,2", cwd=tmp_path, stdout=subprocess.PIPE)
     caption, heads, *rows = done.stdout.splitlines()
-    assert caption == "N = 100, 2 missions each, [95% interval]"
+    assert caption == "N = 100, assume field, 2 missions each, [95% interval]"
     for head in ("policy", "ζ, m", "ceased, %", "located, %", "false stop, %", "MTD, m", "MTD, floors", "ST, s", "decision, ms"):
         assert head in heads
     assert [row.split()[:2] for row in rows] == [[name, each] for name in ("greedy", "space-aware-infotaxis") for each in ("0.5", "2")]
