@@ -106,7 +106,10 @@ class Missions:
                 facts[missions, UNKNOWN_FACTS[name]] = self._batch.means[missions, row]
         facts[missions, observation.XX : observation.WIND_X] = covariances.reshape(-1, 4)[:, [0, 1, 3]]
         self.spreads_m[missions] = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
-        self.ceased[missions] = [self._batch.has_ceased(mission) for mission in missions.tolist()]
+        self.ceased[missions] = False
+        narrow = self.spreads_m[missions] < self._criterion.threshold_m
+        for mission in missions[narrow | bool(self._criterion.within)].tolist():
+            self.ceased[mission] = self._batch.has_ceased(mission)
         totals = self._batch.weights.sum(axis=1)
 
         def see(portion: Indices) -> None:
