@@ -1,5 +1,5 @@
 """The physics that all parts share: dispersion, sensors, scenarios, the world that one mission flies in. Imports: nothing of ours."""
 
 __version__ = "0.1.0"
-COMPILING = "compiling kernels, once, about 10 s"
+COMPILING = "compiling kernels, once, about 15 s"
 """What a process says on stderr before it compiles its first kernel."""
