@@ -4,7 +4,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-PACKAGES = ("plume", "link", "sitl", "estimator", "agent")
+PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent")
 """The packages beside `plumeward` itself."""
 ROOT = Path(__file__).parents[1]
 

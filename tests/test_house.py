@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("plume", "link", "sitl", "estimator", "agent", "plumeward")
+PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent", "plumeward")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TRUTH = {"draw", "Scenario", "World"}
 JUDGES = ("agent.trials", "agent.learn")
@@ -93,7 +93,7 @@ def test_the_architecture_page_lists_the_rooms_from_the_ground_up() -> None:
 
 @pytest.mark.parametrize("page", sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]), ids=name_of)
 def test_a_file_that_a_page_names_is_there(page: Path) -> None:
-    named = re.findall(r"`((?:plume|link|sitl|estimator|agent|tests|benchmarks|docs|missions)/[\w./-]*)`", page.read_text())
+    named = re.findall(r"`((?:plume|link|scene|sitl|estimator|agent|tests|benchmarks|docs|missions)/[\w./-]*)`", page.read_text())
     assert [name for name in named if "NAME" not in name and not (ROOT / name).exists()] == []
 
 

@@ -29,7 +29,7 @@ from plume.scenario import BUDGET_STEPS, STEP_M, SUCCESS_RADIUS_M
 from plume.sensor import GAUSSIAN, text
 from plume.worlds import AS_MODELLED
 
-PACKAGES = ("plume", "link", "estimator", "agent")
+PACKAGES = ("plume", "link", "scene", "estimator", "agent")
 
 
 @dataclass(frozen=True)

@@ -18,14 +18,12 @@ from link.bus.keys import HEALTH
 from link.bus.messages import Health
 from link.bus.session import Arrival, Bus, LivelinessChange, NoRouter
 from link.terminal import Column, table, tell, width_of
+from scene.follow.parts import MISSING, OK, REFUSING, STALE, STALE_S, STARTING, verdict
 
 PARTS = ("uav", "estimator", "agent")
-STALE_S = 5.0
-"""Each part publishes its health every second. After this long without, it hangs or its link is cut."""
 WATCH_EVERY_S = 1.0
 SHORTEST_STATE = 20
 """Characters of a part's state that a narrow terminal shows at least."""
-OK, MISSING, STARTING, STALE, REFUSING = "ok", "missing", "starting", "stale", "refusing"
 COLOURS = {OK: "green", MISSING: "red", STARTING: "yellow", STALE: "red", REFUSING: "yellow"}
 
 
@@ -78,13 +76,7 @@ class Board:
     def verdict(self, name: str, now_s: float) -> str:
         """Return the verdict on a part: ok, missing, starting, stale or refusing."""
         part = self._parts[name]
-        if not part.alive:
-            return MISSING
-        if part.health is None:
-            return STARTING
-        if now_s - max(part.spoke_s, part.known_since_s) >= STALE_S:
-            return STALE
-        return REFUSING if part.health.refused_lately else OK
+        return verdict(part.alive, part.health, now_s - max(part.spoke_s, part.known_since_s))
 
     def settled(self, now_s: float) -> bool:
         """Whether waiting longer is pointless: every part alive has spoken or had the time to."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-PACKAGES = ("plume", "link", "sitl", "estimator", "agent", "plumeward")
+PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent", "plumeward")
 COMMAND = str(Path(sys.executable).parent / "plumeward")
 BRIEF = ("--budget", "2", "--speedup", "0", "--json")
 PLAIN = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}

@@ -25,7 +25,7 @@ from plume.outcome import outcome_json
 pytestmark = pytest.mark.timeout(600)  # environments are created and filled, and kernels compiled in them
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("plume", "link", "sitl", "estimator", "agent", "plumeward")
+PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent", "plumeward")
 CONSTRAINTS = ROOT / "constraints.txt"
 OWN = f"{sys.version_info.major}.{sys.version_info.minor}"
 VERSIONS = ("3.11", "3.12", "3.13")

@@ -1,0 +1,264 @@
+"""The history of a mission: what was said so far, and the scene at any moment of it."""
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from typing import Generic, NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING, STOP
+from link.bus.mavlink import BadFrame, unpack_reading
+from link.bus.messages import Belief, Health, Stop, unpack_particles
+from link.record.record import HEALTH_PREFIX
+from plume.scenario import SUCCESS_RADIUS_M
+from scene.follow.parts import restarted, verdict
+from scene.follow.telemetry import HEARTBEAT, LOCAL, SETPOINT, SHOWN, TEXT, Texts, frames, seen, waypoint
+from scene.scene import INFO, WARNING, Backdrop, Craft, Ending, Floats, Happening, Measurement, Place, Scatter, Scene, Service
+from scene.scene import STOP as STOPPED
+
+TRACK_STEP_M = 0.1
+"""The track gets a point when the vehicle has moved so far."""
+LONGEST = 300
+"""Characters of a text that are kept: it may quote a stranger."""
+
+T = TypeVar("T")
+
+
+class Timed(Generic[T]):
+    """Values in order of time; a time before the last one counts as the last one."""
+
+    def __init__(self, whole: bool = True) -> None:
+        """Keep all values, or only the newest."""
+        self.times_s: list[float] = []
+        self.values: list[T] = []
+        self._whole = whole
+
+    def add(self, time_s: float, value: T) -> None:
+        """Add the newest."""
+        time_s = max(time_s, self.times_s[-1]) if self.times_s else time_s
+        if not self._whole:
+            self.times_s.clear()
+            self.values.clear()
+        self.times_s.append(time_s)
+        self.values.append(value)
+
+    def count(self, time_s: float) -> int:
+        """Number of values until a time, it included."""
+        return len(self.values) if time_s == math.inf else bisect_right(self.times_s, time_s)
+
+    def until(self, time_s: float) -> list[T]:
+        """All values until a time."""
+        return self.values[: self.count(time_s)]
+
+    def at(self, time_s: float) -> T | None:
+        """The newest value at a time."""
+        count = self.count(time_s)
+        return self.values[count - 1] if count else None
+
+
+class _Sign(NamedTuple):
+    """A sign of life of a part, or of its end."""
+
+    wall_s: float
+    alive: bool
+    health: Health | None
+
+
+class _Packed(NamedTuple):
+    """Particles as they came."""
+
+    payload: bytes
+    unknowns: tuple[str, ...]
+    estimate: Place
+
+
+class History:
+    """What was said on the bus of one vehicle. A message that breaks the contract is left out: the services count and refuse it."""
+
+    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, whole: bool = True) -> None:
+        """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the newest ones."""
+        self.backdrop = backdrop
+        self.time_s = 0.0
+        """Simulation time of the newest message."""
+        self.wall_s = 0.0
+        self._budget = budget
+        self._crafts: Timed[Craft] = Timed(whole)
+        self._scatters: Timed[_Packed] = Timed(whole)
+        self._winds: Timed[tuple[float, float]] = Timed(whole)
+        self._waypoints: Timed[Place] = Timed(whole)
+        self._walls: Timed[float] = Timed(whole)
+        self._track: Timed[Place] = Timed()
+        self.measurements: Timed[Measurement] = Timed()
+        self.happenings: Timed[Happening] = Timed()
+        self._endings: Timed[Ending] = Timed()
+        self._signs: dict[str, Timed[_Sign]] = {}
+        self._whole = whole
+        self._texts = Texts()
+        self._stop = self._assume = ""
+
+    # ---- taking ----
+
+    def take(self, key: str, payload: bytes, attachment: bytes, time_s: float, wall_s: float) -> bool:
+        """Take a message, published at a simulation time and at a time by the clock, s. Returns whether it changes the scene."""
+        self.time_s, self.wall_s = max(self.time_s, time_s), max(self.wall_s, wall_s)
+        self._walls.add(time_s, wall_s)
+        with suppress(BadFrame, msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError):
+            if key == MAVLINK_OUT.name:
+                return self._take_telemetry(payload, time_s)
+            if key == BELIEF.name:
+                return self._take_belief(msgspec.json.decode(payload, type=Belief), attachment, time_s)
+            if key == STOP.name:
+                return self._take_stop(msgspec.json.decode(payload, type=Stop), time_s)
+            if key.startswith(HEALTH_PREFIX):
+                return self._take_health(msgspec.json.decode(payload, type=Health), time_s, wall_s)
+            if key == READING.name:
+                self._winds.add(time_s, unpack_reading(payload).wind)
+                return True
+            if key == MAVLINK_IN.name:
+                places = [place for _, fields in frames(payload, {SETPOINT}) if (place := waypoint(fields))]
+                for place in places:
+                    self._waypoints.add(time_s, place)
+                return bool(places)
+        return False
+
+    def lives(self, service: str, alive: bool, wall_s: float) -> None:
+        """Take that a part appeared on the bus or is gone."""
+        self.wall_s = max(self.wall_s, wall_s)
+        known = self._sign(service)
+        if known is None or known.alive != alive:
+            self._signed(service, _Sign(wall_s, alive, None if alive or known is None else known.health), self.time_s)
+            self._happened(self.time_s, INFO if alive else WARNING, service, "joined" if alive else "is gone")
+
+    def _take_telemetry(self, payload: bytes, time_s: float) -> bool:
+        changed = False
+        before = self._crafts.at(math.inf) or Craft(time_s, (math.nan, math.nan))
+        craft = before
+        for message_id, fields in frames(payload, SHOWN):
+            changed = True
+            if message_id == TEXT:
+                if said := self._texts.said(fields):
+                    self._happened(time_s, said[0], "uav", said[1])
+                continue
+            craft = seen(craft, message_id, fields, time_s)
+            if message_id == LOCAL:
+                last = self._track.at(math.inf)
+                if last is None or math.dist(last, craft.position) >= TRACK_STEP_M:
+                    self._track.add(time_s, craft.position)
+            if message_id == HEARTBEAT:
+                if craft.mode != before.mode:
+                    self._happened(time_s, INFO, "uav", f"mode {craft.mode}")
+                if craft.armed != before.armed and (craft.armed or before.armed):
+                    self._happened(time_s, INFO, "uav", "armed" if craft.armed else "disarmed")
+        if craft is not before:
+            self._crafts.add(time_s, craft)
+        return changed
+
+    def _take_belief(self, said: Belief, attachment: bytes, time_s: float) -> bool:
+        last = self.measurements.at(math.inf)
+        if last is not None and said.step <= last.step:
+            return False  # repeated
+        measurement = Measurement(said.step, time_s, said.position, said.gas, said.spread, said.mean, said.covariance, said.ceased)
+        self.measurements.add(time_s, measurement)
+        self._stop, self._assume = said.stop, said.assume
+        if attachment:
+            self._scatters.add(time_s, _Packed(attachment, said.unknowns, said.mean))
+        if not said.ceased and self._budget is not None and said.step >= self._budget:
+            words = f"not ceased after {said.step} steps; estimate ({said.mean[0]:.2f}, {said.mean[1]:.2f}) ± {said.spread:.2f} m"
+            self._endings.add(time_s, Ending("not ceased", words))
+            self._happened(time_s, WARNING, "estimator", "the budget is spent and the source not found")
+        return True
+
+    def _take_stop(self, said: Stop, time_s: float) -> bool:
+        if self._endings.values:
+            return False  # repeated
+        words = f"source found at ({said.estimate[0]:.2f}, {said.estimate[1]:.2f}) ± {said.spread:.2f} m after {said.step} steps"
+        self._happened(time_s, STOPPED, "estimator", words)
+        self._endings.add(time_s, self._judged(said, words))
+        return True
+
+    def _judged(self, said: Stop, words: str) -> Ending:
+        """Return how a stopped search ended; only a simulation can tell whether the stop is right."""
+        if self.backdrop.release is None:
+            return Ending("ceased", words)
+        error_m = math.dist(said.estimate, self.backdrop.release.source)
+        return Ending("located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP", f"{words}; error {error_m:.2f} m")
+
+    def _take_health(self, said: Health, time_s: float, wall_s: float) -> bool:
+        known = self._sign(said.service)
+        before = known.health if known else None
+        if before == said:
+            return False  # repeated to a late joiner
+        if restarted(before, said):
+            self._happened(time_s, WARNING, said.service, "was restarted")
+        for words in said.warnings:
+            if before is None or words not in before.warnings:
+                self._happened(time_s, WARNING, said.service, words)
+        if said.last_error and said.last_error not in (before.last_error if before else "", *said.warnings):
+            self._happened(time_s, WARNING, said.service, said.last_error)
+        if before and said.service == "uav" and said.state != before.state:
+            self._happened(time_s, INFO, "uav", said.state)
+        self._signed(said.service, _Sign(wall_s, True, said), time_s)
+        return True
+
+    def _sign(self, service: str) -> _Sign | None:
+        return self._signs[service].at(math.inf) if service in self._signs else None
+
+    def _signed(self, service: str, sign: _Sign, time_s: float) -> None:
+        self._signs.setdefault(service, Timed(self._whole)).add(time_s, sign)
+
+    def _happened(self, time_s: float, level: str, who: str, text: str) -> None:
+        self.happenings.add(time_s, Happening(time_s, level, who, text[:LONGEST]))
+
+    # ---- looking ----
+
+    def at(self, time_s: float = math.inf, wall_s: float | None = None) -> Scene:
+        """Return the scene at a simulation time, by default the newest. `wall_s` is now by the clock, for judging silent parts."""
+        count = self.measurements.count(time_s)
+        wall = (self._walls.at(time_s) or self.wall_s) if wall_s is None else wall_s
+        packed = self._scatters.at(time_s)
+        return Scene(
+            backdrop=self.backdrop,
+            time_s=min(time_s, self.time_s),
+            craft=self._crafts.at(time_s),
+            track=np.array(self._track.until(time_s), np.float32).reshape(-1, 2),
+            measurements=self.measurements.values[:count],
+            scatter=_scatter(packed) if packed else None,
+            waypoint=self._waypoints.at(time_s),
+            wind=self._winds.at(time_s),
+            stop=self._stop,
+            assume=self._assume,
+            services=tuple(self._services(time_s, wall)),
+            happenings=self.happenings.until(time_s),
+            ending=self._endings.at(time_s),
+        )
+
+    def _services(self, time_s: float, wall_s: float) -> Iterator[Service]:
+        order = ("uav", "estimator", "agent")
+        for name in sorted(self._signs, key=lambda name: (order.index(name) if name in order else len(order), name)):
+            if (sign := self._signs[name].at(time_s)) is None:
+                continue
+            plain = Service(name, verdict(sign.alive, sign.health, wall_s - sign.wall_s))
+            said = sign.health
+            yield (
+                plain
+                if said is None
+                else replace(plain, state=said.state, about=said.about, step=said.step, latency_s=said.latency_s, warnings=said.warnings)
+            )
+
+
+def _scatter(packed: _Packed) -> Scatter | None:
+    """Return the particles in the plane; a known x or y is the estimate's own. None if they are not valid."""
+    try:
+        rows = unpack_particles(packed.payload, len(packed.unknowns))
+    except ValueError:
+        return None
+    columns: list[NDArray[np.float32]] = []
+    for name, known in zip("xy", packed.estimate, strict=True):
+        columns.append(rows[:, packed.unknowns.index(name)] if name in packed.unknowns else np.full(len(rows), known, np.float32))
+    places: Floats = np.ascontiguousarray(np.stack(columns, axis=1))
+    return Scatter(places, rows[:, -1])

@@ -1,0 +1,36 @@
+"""A record of a mission as a history."""
+
+from typing import Any
+
+import msgspec
+
+from link.record.reader import Recording
+from plume.scenario import Scenario
+from scene.follow.history import History
+from scene.scene import Backdrop, Release
+
+
+def release_of(scenario: Scenario) -> Release:
+    """Return what there is to see of the truth."""
+    return Release(scenario.source, scenario.wind, scenario.q, scenario.d, scenario.tau, scenario.height)
+
+
+def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int | None]:
+    """Return the backdrop and the budget, from a run's own description; what it does not tell, or not in this version, is left out."""
+    try:
+        release = release_of(msgspec.convert(about["scenario"], Scenario))
+    except (KeyError, msgspec.ValidationError):
+        release = None
+    policy, seed, budget = about.get("policy"), about.get("seed"), about.get("budget")
+    title = f"{policy}, seed {seed}" if policy is not None else ""
+    name = vehicle or str(about.get("namespace", "vehicle"))
+    return Backdrop(name, title=title, release=release), budget if isinstance(budget, int) else None
+
+
+def history_of(recording: Recording, vehicle: str = "") -> History:
+    """Return all that a record tells."""
+    backdrop, budget = backdrop_of(recording.about, vehicle)
+    history = History(backdrop, budget)
+    for entry in sorted(recording.entries, key=lambda entry: entry.published_ns):
+        history.take(entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9)
+    return history

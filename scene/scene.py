@@ -1,0 +1,177 @@
+"""The scene: what there is to see of one mission at one moment. Metres, seconds; x east, y north, from home; angles in rad."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plume.dispersion import concentration
+from plume.scenario import AREA_M
+
+Place = tuple[float, float]
+"""(x, y) m."""
+Floats = NDArray[np.float32]
+
+INFO, WARNING, ERROR, STOP = "info", "warning", "error", "stop"
+"""Levels of a `Happening`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """The truth of a simulation: where the gas comes from and how it spreads. A real flight has none."""
+
+    source: Place
+    wind: tuple[float, float]
+    """(u cos φ, u sin φ) m/s: points to where the wind comes from."""
+    q: float
+    d: float
+    tau: float
+    height: float = 0.0
+
+    def gas(self, area_m: float, cells: int) -> Floats:
+        """Return the mean gas in the search plane, g/m³: (cells, cells), row 0 in the south, at the cells' centres."""
+        axis = (np.arange(cells) + 0.5) * (area_m / cells)
+        x, y = np.meshgrid(axis, axis)
+        places = np.stack([x, y, np.zeros_like(x)], axis=-1)
+        gas = concentration(places, (*self.source, self.height), self.wind, rate=self.q, diffusivity=self.d, lifetime=self.tau)
+        return gas.astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class Backdrop:
+    """What does not change during a mission."""
+
+    vehicle: str
+    """Its namespace, `uav/1`."""
+    area_m: float = AREA_M
+    """Side of the square search area [0, area_m]²."""
+    title: str = ""
+    """Words for people: the policy, the seed; empty if unknown."""
+    release: Release | None = None
+    """None: a real flight, or a simulation whose truth is not told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Craft:
+    """The vehicle as it reports itself."""
+
+    time_s: float
+    position: Place
+    altitude_m: float = 0.0
+    """Above home."""
+    heading: float = math.nan
+    """Where the nose points, counter-clockwise from +x (east); NaN if unknown."""
+    mode: str = ""
+    """`HOLD`, `OFFBOARD`; empty if unknown."""
+    armed: bool | None = None
+    fix: tuple[float, float, float] | None = None
+    """(latitude, longitude) in degrees, altitude above mean sea level in m; None if unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One reading, and the belief after it."""
+
+    step: int
+    time_s: float
+    position: Place
+    gas: float
+    spread_m: float
+    estimate: Place
+    covariance: tuple[float, float, float]
+    """(xx, xy, yy) m²."""
+    ceased: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """The belief's particles."""
+
+    places: Floats
+    """(N, 2) m."""
+    weights: Floats
+    """(N,), which sum to one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """One service and how it is doing."""
+
+    name: str
+    verdict: str
+    """`ok`, `missing`, `starting`, `stale` or `refusing`, as `plumeward status` says it."""
+    state: str = ""
+    about: str = ""
+    step: int = -1
+    latency_s: float = 0.0
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Happening:
+    """Something that people want to know of: a change of mode, a refusal, a warning, the stop."""
+
+    time_s: float
+    level: str
+    who: str
+    """`uav`, `estimator`, `agent`, or who said it."""
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How the search ended."""
+
+    verdict: str
+    """`located`, `FALSE STOP`, `ceased` where the truth is not known, or `not ceased`."""
+    text: str
+    """A line or more for people."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What there is to see at one moment. Lists hold everything from the beginning until then."""
+
+    backdrop: Backdrop
+    time_s: float = 0.0
+    """Simulation time."""
+    craft: Craft | None = None
+    track: Floats = field(default_factory=lambda: np.empty((0, 2), np.float32))
+    """(K, 2) m: where the vehicle has been."""
+    measurements: Sequence[Measurement] = ()
+    scatter: Scatter | None = None
+    waypoint: Place | None = None
+    wind: tuple[float, float] | None = None
+    """As measured, (u cos φ, u sin φ) m/s: points to where it comes from."""
+    stop: str = ""
+    """The stop criterion, in the form of --stop."""
+    assume: str = ""
+    services: Sequence[Service] = ()
+    happenings: Sequence[Happening] = ()
+    ending: Ending | None = None
+
+    def without_truth(self) -> "Scene":
+        """Return the scene as an operator of a real flight would see it."""
+        return replace(self, backdrop=replace(self.backdrop, release=None))
+
+    @property
+    def threshold_m(self) -> float | None:
+        """ζ of the stop `spread:ζ`; None with another criterion."""
+        kind, _, rest = self.stop.partition(":")
+        try:
+            return float(rest) if kind == "spread" else None
+        except ValueError:
+            return None
+
+
+def ellipse(covariance: tuple[float, float, float], deviations: float = 2.0) -> tuple[float, float, float]:
+    """Return the ellipse of a covariance (xx, xy, yy) m²: half axes, m, longer first, and the longer one's angle, ccw from +x.
+
+    `deviations` standard deviations: with 2, a Gaussian in the plane lies within it with a probability of 86.5%.
+    """
+    xx, xy, yy = covariance
+    middle, half = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
+    longer, shorter = (deviations * math.sqrt(max(middle + sign * half, 0.0)) for sign in (1, -1))
+    return longer, shorter, math.atan2(2 * xy, xx - yy) / 2
