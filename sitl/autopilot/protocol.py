@@ -7,7 +7,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Message
-from sitl.autopilot.geodesy import to_local
+from plume.geodesy import to_local
 from sitl.autopilot.state import ACCEPTED, Mode, Result, denied
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle

@@ -8,8 +8,8 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Message, gas_message, wind_message
+from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.geodesy import to_global
 from sitl.autopilot.motion import GRAVITY_MPS2
 from sitl.autopilot.state import LOW_BATTERY, State
 

@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import all as mavlink
 from link.bus.keys import MAVLINK_OUT, READING
 from link.bus.mavlink import Codec, Reading, pack_reading
 from link.record.record import Entry
+from plume.geodesy import to_global
 from plume.scenario import AREA_M
 from plume.world import World, float32
-from sitl.autopilot.geodesy import to_global
 from sitl.tlog import clock as clocks
 from sitl.tlog import sender, track
 from sitl.tlog.clock import WRAP, Floats, VehicleClock

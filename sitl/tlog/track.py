@@ -8,7 +8,7 @@ import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from link.bus.mavlink import Message
-from sitl.autopilot.geodesy import to_local
+from plume.geodesy import to_local
 from sitl.tlog.clock import Floats, VehicleClock
 from sitl.tlog.sender import GLOBAL, GPS, HEARTBEAT, LOCAL, Autopilot, FlightError, FlightLog
 

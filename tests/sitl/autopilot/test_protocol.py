@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
+from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.geodesy import to_global
 from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.state import Mode
 from sitl.autopilot.telemetry import Snapshot, Telemetry

@@ -15,10 +15,10 @@ from estimator.belief import belief
 from estimator.filter import Config, assimilate, prior
 from link.bus.mavlink import Reading, unpack_reading
 from plume.dispersion import concentration
+from plume.geodesy import to_global
 from plume.scenario import Scenario
 from plume.sensor import GAUSSIAN
 from plume.world import World
-from sitl.autopilot.geodesy import to_global
 from sitl.tlog.flight import Flight, FlightError, parse_gas, read
 from tests.sitl.tlog.logs import (
     BEGAN_US,

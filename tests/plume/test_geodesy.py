@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sitl.autopilot.geodesy import EARTH_RADIUS_M, to_global, to_local
+from plume.geodesy import EARTH_RADIUS_M, to_global, to_local
 
 HOME = (47.397742, 8.545594)
 
