@@ -5,7 +5,7 @@ schema wants them. What the scene knows only in the plane lies at z = 0.
 
 | topic | schema | holds | at |
 |---|---|---|---|
-| `scene/transforms` | FrameTransforms | the vehicle's place and heading: `map` to `vehicle` | at most 10 times a simulated second |
+| `scene/transforms` | FrameTransforms | the vehicle's place and heading: `map` to `vehicle` | 10 times a simulated second at most |
 | `scene/vehicle` | SceneUpdate | the vehicle, an arrow in its own frame | once |
 | `scene/area` | SceneUpdate | the search area | once |
 | `scene/path` | PosesInFrame | where readings were taken | each reading |
@@ -41,13 +41,13 @@ from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from plume.geodesy import to_global
-from scene.scene import ERROR, WARNING, Craft, Happening, Measurement, Release, Scatter, Scene, ellipse
+from scene.scene import ERROR, WARNING, Craft, Happening, Measurement, Place, Release, Scatter, Scene, ellipse
 
 TOPICS = "scene/"
 """All topics begin with it."""
 MAP, VEHICLE, ESTIMATE = "map", "vehicle", "estimate"
-POSE_INTERVAL_S = 0.1
-"""Least simulation time between two poses of the vehicle."""
+POSES_PER_S = 10
+"""Most poses of the vehicle in a second of simulation time."""
 LONGEST_PATH = 1000
 """Most readings of the path: the newest ones."""
 PLUME_CELLS = 60
@@ -87,6 +87,11 @@ def schema_of(kind: Any) -> tuple[str, bytes]:
     return str(kind.DESCRIPTOR.full_name), schema
 
 
+def pose_slot(time_s: float) -> int:
+    """Return the number of the slot that a simulation time lies in: one pose is said of each."""
+    return math.floor(time_s * POSES_PER_S + 1e-6)
+
+
 class SceneEncoder:
     """Encodes the scenes of one vehicle: of each only what has changed since the one before."""
 
@@ -94,8 +99,7 @@ class SceneEncoder:
         """Begin. `prefix` is put before topics and frames, where one connection shows several vehicles."""
         self._prefix = prefix
         self._said: dict[str, bytes] = {}
-        self._posed_s = -math.inf
-        self._craft: Craft | None = None
+        self._slot = -1
         self._origin: tuple[float, float, float] | None = None
         """Latitude and longitude of home, degrees, and its altitude above mean sea level, m."""
         self._release: Release | None = None
@@ -110,17 +114,15 @@ class SceneEncoder:
             *self.encode_pose(scene.craft, stamp_ns),
             *self._readings(scene.measurements, stamp_ns),
             *self._scatter(scene.scatter, stamp_ns),
-            *self._marks("waypoint", [_ball("waypoint", scene.waypoint, 0.5, GREEN)] if scene.waypoint else [], stamp_ns),
+            *self.encode_waypoint(scene.waypoint, stamp_ns),
             *self._happenings(scene.happenings, stamp_ns),
         ]
 
     def encode_pose(self, craft: Craft | None, stamp_ns: int) -> Iterator[Encoded]:
-        """Yield where the vehicle is, unless it has not changed, or was said less than POSE_INTERVAL_S ago."""
-        if craft is None or craft is self._craft or 0.0 <= craft.time_s - self._posed_s < POSE_INTERVAL_S:
+        """Yield where the vehicle is, unless that was said of this slot of time."""
+        if craft is None or (slot := pose_slot(craft.time_s)) == self._slot or not all(map(math.isfinite, craft.position)):
             return
-        if not all(map(math.isfinite, craft.position)):
-            return
-        self._craft, self._posed_s = craft, craft.time_s
+        self._slot = slot
         message = FrameTransforms()
         transform = message.transforms.add(parent_frame_id=self._prefix + MAP, child_frame_id=self._prefix + VEHICLE)
         transform.translation.x, transform.translation.y = craft.position
@@ -133,6 +135,10 @@ class SceneEncoder:
             fix = LocationFix(frame_id=self._prefix + VEHICLE, position_covariance=[0.0] * 9)
             fix.latitude, fix.longitude, fix.altitude = craft.fix
             yield from self._say("fix/vehicle", fix, stamp_ns)
+
+    def encode_waypoint(self, place: Place | None, stamp_ns: int) -> Iterator[Encoded]:
+        """Yield the next waypoint, unless that was said."""
+        yield from self._marks("waypoint", [_ball("waypoint", place, 0.5, GREEN)] if place else [], stamp_ns)
 
     def _once(self, scene: Scene, stamp_ns: int) -> Iterator[Encoded]:
         """Yield what does not change, once."""
@@ -259,7 +265,7 @@ def _colour(color: Any, rgb: tuple[float, float, float], alpha: float = 1.0) -> 
     color.a = alpha
 
 
-def _ball(name: str, place: tuple[float, float], diameter_m: float, rgb: tuple[float, float, float]) -> Any:
+def _ball(name: str, place: Place, diameter_m: float, rgb: tuple[float, float, float]) -> Any:
     entity = SceneEntity(id=name)
     ball = entity.spheres.add()
     ball.pose.position.x, ball.pose.position.y = place

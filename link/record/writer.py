@@ -3,7 +3,7 @@
 import contextlib
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +60,18 @@ class Writer:
         self._count += 1
         if self._mcap.waiting > CHUNK_BYTES:
             self.flush()
+
+    def write_for_viewers(self, topic: str, schema: Callable[[], tuple[str, bytes]], data: bytes, received_ns: int) -> None:
+        """Write a protobuf message that was not on the bus. Readers of records leave it out, if its topic does not begin with a key's name.
+
+        `schema` returns the name of the message's type and its encoded FileDescriptorSet.
+        """
+        channel = self._channels.get((topic, ""))
+        if channel is None:
+            name, described = schema()
+            channel = self._mcap.add_channel(topic, "protobuf", self._mcap.add_schema(name, "protobuf", described))
+            self._channels[topic, ""] = channel
+        self._mcap.add_message(channel, self._count, received_ns, received_ns, data)
 
     def _write_json(self, entry: Entry, received_ns: int) -> None:
         try:

@@ -1,6 +1,7 @@
 """The history of a mission: what was said so far, and the scene at any moment of it."""
 
 import math
+import sys
 from bisect import bisect_right
 from collections.abc import Iterator
 from contextlib import suppress
@@ -25,6 +26,8 @@ TRACK_STEP_M = 0.1
 """The track gets a point when the vehicle has moved so far."""
 RESTART_MS = 1000
 """A vehicle whose own time goes back by more was started again."""
+MOST = 100_000
+"""Most readings, points of the track and happenings that are kept where not all is; then the older half goes."""
 LONGEST = 300
 """Characters of a text that are kept: it may quote a stranger."""
 
@@ -34,20 +37,20 @@ T = TypeVar("T")
 class Timed(Generic[T]):
     """Values in order of time; a time before the last one counts as the last one."""
 
-    def __init__(self, whole: bool = True) -> None:
-        """Keep all values, or only the newest."""
+    def __init__(self, whole: bool = True, most: int = 1) -> None:
+        """Keep all values, or the newest: `most`, and at least half of it."""
         self.times_s: list[float] = []
         self.values: list[T] = []
-        self._whole = whole
+        self._most = sys.maxsize if whole else most
 
     def add(self, time_s: float, value: T) -> None:
         """Add the newest."""
         time_s = max(time_s, self.times_s[-1]) if self.times_s else time_s
-        if not self._whole:
-            self.times_s.clear()
-            self.values.clear()
         self.times_s.append(time_s)
         self.values.append(value)
+        if len(self.values) > self._most:
+            old = len(self.values) - (self._most + 1) // 2
+            del self.times_s[:old], self.values[:old]
 
     def count(self, time_s: float) -> int:
         """Number of values until a time, it included."""
@@ -90,7 +93,7 @@ class History:
         self.wall_s = 0.0
         self._budget = budget
         self._whole = whole
-        self.happenings: Timed[Happening] = Timed()
+        self.happenings: Timed[Happening] = Timed(whole, MOST)
         self._signs: dict[str, Timed[_Sign]] = {}
         self._texts = Texts()
         self._begin()
@@ -104,8 +107,8 @@ class History:
         self._winds: Timed[tuple[float, float]] = Timed(whole)
         self._waypoints: Timed[Place] = Timed(whole)
         self._walls: Timed[float] = Timed(whole)
-        self._track: Timed[Place] = Timed()
-        self.measurements: Timed[Measurement] = Timed()
+        self._track: Timed[Place] = Timed(whole, MOST)
+        self.measurements: Timed[Measurement] = Timed(whole, MOST)
         self._endings: Timed[Ending] = Timed()
         self._stop = self._assume = ""
 
@@ -233,6 +236,16 @@ class History:
         self.happenings.add(time_s, Happening(time_s, level, who, text[:LONGEST]))
 
     # ---- looking ----
+
+    @property
+    def craft(self) -> Craft | None:
+        """The vehicle as it reported itself last."""
+        return self._crafts.at(math.inf)
+
+    @property
+    def waypoint(self) -> Place | None:
+        """The newest waypoint."""
+        return self._waypoints.at(math.inf)
 
     def at(self, time_s: float = math.inf, wall_s: float | None = None) -> Scene:
         """Return the scene at a simulation time, by default the newest. `wall_s` is now by the clock, for judging silent parts."""

@@ -1,6 +1,7 @@
 """`plumeward record`: records all messages on a bus."""
 
 import argparse
+import functools
 import json
 import os
 import platform
@@ -20,6 +21,8 @@ from link.bus.tap import Tap
 from link.record.record import Entry, SimulationClock
 from link.record.writer import Writer
 from plume import __version__
+from scene.foxglove import schema_of
+from sitl.desk.scenes import RecordedScene
 
 BATCH_S = 0.2
 """Interval of batches of messages, s: waking up for each message would cost more than writing it."""
@@ -85,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"recording to {args.file}", flush=True)
         _give_way()
         try:
-            _record(bus, writer, ends)
+            _record(bus, writer, ends, RecordedScene(args.about, args.namespace))
         except OSError as error:
             words = f"record stopped: {error.strerror} ({args.file})"
             bus.log.warning(words)
@@ -114,7 +117,7 @@ def _begin(path: Path, force: bool, about: dict[str, Any]) -> Writer:
         raise
 
 
-def _record(bus: Tap, writer: Writer, ends: list[int]) -> None:
+def _record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> None:
     clock = SimulationClock()
     flush_at = 0.0
     ended = False
@@ -128,6 +131,11 @@ def _record(bus: Tap, writer: Writer, ends: list[int]) -> None:
             simulation_s = clock.time_s(message.name, message.payload, message.published_ns)
             entry = Entry(message.name, message.published_ns, simulation_s, message.payload, message.attachment)
             writer.write(entry, message.received_ns)
+            for topic, kind, data in scene.take(entry, message.received_ns):
+                writer.write_for_viewers(topic, functools.partial(schema_of, kind), data, message.received_ns)
+        if scene.failure and not bus.tally.warnings:
+            bus.log.warning(scene.failure)
+            bus.tally.warnings = (scene.failure,)
         stepped = clock.step != bus.tally.step
         if messages:
             bus.tally.did(clock.step, len(messages))

@@ -1,0 +1,62 @@
+"""What a recorder adds for viewers: the scene, followed while it is recorded."""
+
+import math
+from typing import Any
+
+from link.bus.frames import frame_at
+from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING
+from link.record.record import Entry
+from scene.follow.history import History
+from scene.follow.recorded import backdrop_of
+from scene.follow.telemetry import ATTITUDE, GLOBAL, HEARTBEAT, LOCAL, TEXT
+from scene.foxglove import Encoded, SceneEncoder, pose_slot
+
+
+class RecordedScene:
+    """The scene of a mission that is being recorded. Its memory is bounded, and it follows no more telemetry than it shows."""
+
+    def __init__(self, about: dict[str, Any], namespace: str) -> None:
+        """Begin; `about` is the run's own description, which for a simulation has the truth."""
+        self._history = History(*backdrop_of(about, namespace), whole=False)
+        self._encoder = SceneEncoder()
+        self._slots: dict[int, int] = {}
+        self._happening: object = self  # none is this one: the first message gives a scene
+        self.failure = ""
+        """Why there are no more scenes: messages are recorded in any case."""
+
+    def take(self, entry: Entry, stamp_ns: int) -> list[Encoded]:
+        """Take a message; returns what changed for viewers. `stamp_ns` is the time at which it is recorded. Raises nothing."""
+        if self.failure:
+            return []
+        try:
+            return self._take(entry, stamp_ns)
+        except Exception as error:  # whatever a message did: the record goes on
+            self.failure = f"no more scenes are recorded for viewers: {type(error).__name__}: {error}"
+            return []
+
+    def _take(self, entry: Entry, stamp_ns: int) -> list[Encoded]:
+        news = self._news(entry) if entry.key == MAVLINK_OUT.name else ()
+        if entry.key == READING.name or (entry.key == MAVLINK_OUT.name and not news):
+            return []
+        self._history.take(entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9)
+        happening = self._history.happenings.at(math.inf)
+        if entry.key == BELIEF.name or happening is not self._happening:
+            self._happening = happening
+            return self._encoder.encode(self._history.at(), stamp_ns)
+        if entry.key == MAVLINK_IN.name:
+            return list(self._encoder.encode_waypoint(self._history.waypoint, stamp_ns))
+        return list(self._encoder.encode_pose(self._history.craft, stamp_ns)) if LOCAL in news else []
+
+    def _news(self, entry: Entry) -> set[int]:
+        """Return the telemetry of a payload that is to be followed: of each kind of motion, the first message of a slot of time."""
+        news = set()
+        slot = pose_slot(entry.simulation_s)
+        at = 0
+        while (frame := frame_at(entry.payload, at)) is not None:
+            kind, at = frame.message_id, frame.end
+            if kind in (HEARTBEAT, TEXT):
+                news.add(kind)
+            elif kind in (ATTITUDE, LOCAL, GLOBAL) and self._slots.get(kind) != slot:
+                self._slots[kind] = slot
+                news.add(kind)
+        return news
