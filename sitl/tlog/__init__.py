@@ -1,4 +1,4 @@
 """Reads the telemetry log of any ArduPilot or PX4 vehicle as the readings of a search.
 
-Imports: plume, link.bus, link.record, sitl.autopilot.
+Imports: plume, link.bus, link.record.
 """

@@ -1,0 +1,1 @@
+"""Missions shown live. Imports: scene."""
