@@ -14,6 +14,7 @@ from link.record.reader import read
 from link.record.writer import Writer
 from sitl.desk import recorder
 from sitl.desk.recorder import _record
+from sitl.desk.scenes import RecordedScene
 
 
 def test_a_recorder_that_is_told_to_end_before_it_begins_writes_what_was_said(router: str, tmp_path: Path) -> None:
@@ -22,7 +23,7 @@ def test_a_recorder_that_is_told_to_end_before_it_begins_writes_what_was_said(ro
         tap.settle(30.0)
         estimator.publish(BELIEF, b"said")
         estimator.settle(30.0)
-        _record(tap, Writer(tmp_path / "run.mcap", {}), [signal.SIGTERM])
+        _record(tap, Writer(tmp_path / "run.mcap", {}), [signal.SIGTERM], RecordedScene({}, "uav/1"))
     recording = read(tmp_path / "run.mcap")
     assert recording.complete
     assert [entry.payload for entry in recording.entries] == [b"said"]
