@@ -6,7 +6,8 @@ A record is one MCAP file with every message as published, and a .tlog file besi
 A MAVLink payload is stored unchanged under its key. Decoded copies for viewers lie beside it: each message under a topic such as
 `mavlink/out/ATTITUDE`, a reading under `reading/decoded`. JSON is stored under its key with one more field, `simulation_s`; the
 particles of a belief under `belief/particles`. A message that violates docs/bus.md is stored under `<key>/malformed`, with the reason.
-All parts of one message have the same times and the same sequence number.
+All parts of one message have the same times and the same sequence number. Topics that begin with no key, such as `scene/particles`, are for
+viewers only and are not read back.
 """
 
 import contextlib

@@ -2,10 +2,9 @@
 
 import functools
 import json
-import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +12,15 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.keys import MAVLINK_OUT
 from link.bus.mavlink import Codec, unpack
-from link.bus.messages import Belief, unpack_particles
+from link.bus.messages import unpack_particles
 from link.record.reader import Recording, read
 from link.record.record import Entry
 from link.record.writer import Writer
-from scene.follow.history import MOST, History
+from scene.follow.history import History
 from scene.foxglove import schema_of
 from scene.scene import Backdrop
 from sitl.desk.scenes import RecordedScene
@@ -164,8 +164,6 @@ def test_fast_telemetry_gives_ten_poses_a_second_with_the_newest_place() -> None
 
 
 def _local(time_boot_ms: int, east: float) -> Any:
-    from pymavlink.dialects.v20 import common as mavlink
-
     return mavlink.MAVLink_local_position_ned_message(time_boot_ms, 0.0, east, -5.0, 0.0, 0.0, 0.0)
 
 
@@ -180,9 +178,7 @@ def test_a_days_long_recording_keeps_a_bounded_history(flown: Recording, monkeyp
         counts.append(len(history.at().measurements))
         assert history.at().measurements[-1].step == step
     assert max(counts) == 8
-    assert min(counts[8:]) == 4
-    assert MOST == 100_000
-    assert Belief  # what the payload is
+    assert min(counts[8:]) == 4  # the older half goes
 
 
 # ---- what viewers need ----
