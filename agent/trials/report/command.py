@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from agent.policies import OURS
 from agent.trials.evaluate import FIRST_TEST_SEED
-from agent.trials.files import whole
 from agent.trials.report.page import Picture, page
 from agent.trials.report.results import USUAL, Results, read
 from agent.trials.report.tables import tables
 from link import cli
+from link.files import whole
 from link.terminal import tell
 from plume.scenario import BUDGET_STEPS, SUCCESS_RADIUS_M
 
