@@ -4,7 +4,7 @@ A figure for print shows a whole mission and the beliefs at chosen steps; the sa
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -62,10 +62,11 @@ BELIEFS = ("#56b4e9", "#009e73", "#0072b2", "#cc79a7", "#882255")
 START: dict[str, Any] = {"marker": "o", "markersize": 7, "markerfacecolor": "white", "linestyle": "none", "clip_on": False, "zorder": 5}
 SOURCE: dict[str, Any] = {"marker": "*", "markersize": 14, "color": "black", "markeredgecolor": "white", "linestyle": "none", "zorder": 4}
 ESTIMATE: dict[str, Any] = {"marker": "X", "markersize": 8, "color": "white", "markeredgecolor": INK, "linestyle": "none", "zorder": 5}
+VEHICLE: dict[str, Any] = {"marker": "^", "color": "#d55e00", "markeredgecolor": "white", "markersize": 12, "linestyle": "none"}
 READINGS: dict[str, Any] = {"s": 16, "cmap": PLUME, "norm": LogNorm(*GAS, clip=True), "edgecolors": INK, "linewidths": 0.7}
 
 
-def ticks(axis: Axis, values: Sequence[float], form: str = "{:g}") -> None:
+def ticks(axis: Axis, values: Iterable[float], form: str = "{:g}") -> None:
     """Put ticks at these values and nowhere else."""
     axis.set_major_locator(FixedLocator(sorted(values)))
     axis.set_minor_locator(NullLocator())
@@ -120,7 +121,7 @@ class Drawing:
     """One figure that shows scenes of one mission, one after the other. What does not change is drawn once."""
 
     def __init__(self, scene: Scene, beliefs: int = 1, steps: int = 20) -> None:
-        """Draw what does not change. `beliefs` can be shown at once; the charts begin with room for `steps`."""
+        """Draw what does not change. So many beliefs can be shown at once, 1 to 5; the charts begin with room for `steps`."""
         self._backdrop = scene.backdrop
         self._steps, self._least_gas, self._most_gas = max(steps, 1), -0.5, 10.0
         self._still: Any = None
@@ -138,8 +139,9 @@ class Drawing:
             self._lay_charts(scene)
             self._begin(beliefs)
 
-    def show(self, scene: Scene, beliefs: Sequence[Scene] | None = None, *, vehicle: bool = True) -> "Drawing":
-        """Show a scene, and the newest belief of each of `beliefs`, by default of the scene alone; returns itself."""
+    def show(self, scene: Scene, beliefs: Sequence[Scene] | None = None) -> "Drawing":
+        """Show a scene: with vehicle and belief or, for print, with the newest belief of each of `beliefs`. Returns itself."""
+        vehicle = beliefs is None
         beliefs = [scene] if beliefs is None else beliefs
         with matplotlib.rc_context(STYLE):
             self._make_room(scene)
@@ -148,7 +150,7 @@ class Drawing:
             for cloud, believed in zip_longest(self._clouds, beliefs):
                 cloud.show(believed)
             said = [it.measurements[-1].step for it in beliefs if it.measurements]
-            self._lay_legend([""] if len(beliefs) == 1 and said == [len(scene.measurements) - 1] else [f" at step {step}" for step in said])
+            self._lay_legend([""] if vehicle else [f" at step {step}" for step in said], vehicle)
             title = ": ".join(filter(None, (self._backdrop.title, scene.ending.verdict if scene.ending else "")))
             self._title.set_text(title)
             self._text.set_text(_state(scene))
@@ -218,7 +220,7 @@ class Drawing:
             self._most_gas = self._most_gas if most <= self._most_gas else 2 * most
             self._lay_limits()
 
-    def _lay_legend(self, beliefs: Sequence[str]) -> None:
+    def _lay_legend(self, beliefs: Sequence[str], vehicle: bool) -> None:
         """Lay the legend, with words for each belief shown, unless it is there."""
         if beliefs == self._named:
             return
@@ -229,11 +231,13 @@ class Drawing:
         styles: dict[str, Any] = {"path and readings": path, "start": START | {"color": INK}, "estimate": ESTIMATE}
         if self._backdrop.release:
             styles["true source"] = SOURCE
+        if vehicle:
+            styles["vehicle"] = VEHICLE
         for cloud, words in zip(self._clouds, beliefs, strict=False):
             mark = {"color": cloud.colour, "marker": "o", "markersize": 6, "linewidth": 1.8}
             styles[f"belief{words}: particles, 2 σ"] = mark
         entries = [Line2D([], [], **{"label": label} | style) for label, style in styles.items()]
-        self.figure.legend(handles=entries, loc="lower center", ncols=4 if len(beliefs) > 1 else 5, fontsize=9, columnspacing=1.6)
+        self.figure.legend(handles=entries, loc="lower center", ncols=6 if vehicle else 4, fontsize=9, columnspacing=1.6)
         self._still = None
 
     # ---- what changes ----
@@ -246,7 +250,7 @@ class Drawing:
         self.readings = self.map.scatter([], [], c=[], zorder=3, animated=True, **READINGS)
         (self._start,) = self.map.plot([], [], color=INK, animated=True, **START)
         (self._estimate,) = self.map.plot([], [], animated=True, **ESTIMATE)
-        (self._craft,) = self.map.plot([], [], color="#d55e00", markeredgecolor="white", markersize=13, zorder=6, animated=True)
+        (self._craft,) = self.map.plot([], [], zorder=6, animated=True, **VEHICLE)
         (self.spreads,), (self.gases,) = (chart.plot([], [], marker=".", markersize=4, **line) for chart in (self.spread, self.gas))
         self._arrow = FancyArrowPatch((0, 0), (1, 0), color=INK, linewidth=1.6, arrowstyle="-|>", mutation_scale=13, animated=True)
         self._compass.add_patch(self._arrow)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.dispersion import concentration
-from plume.scenario import AREA_M, SUCCESS_RADIUS_M
+from plume.scenario import AREA_M, SUCCESS_RADIUS_M, Scenario
 
 Place = tuple[float, float]
 """(x, y) m."""
@@ -29,6 +29,11 @@ class Release:
     d: float
     tau: float
     height: float = 0.0
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "Release":
+        """Return what there is to see of a scenario."""
+        return cls(scenario.source, scenario.wind, scenario.q, scenario.d, scenario.tau, scenario.height)
 
     def gas(self, area_m: float, cells: int) -> Floats:
         """Return the mean gas in the search plane, g/m³: (cells, cells), row 0 in the south, at the cells' centres."""

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.learn.missions import Missions
-from plume.scenario import Scenario
 from scene.animation import FRAMES_PER_S
 from scene.scene import Backdrop, Craft, Ending, Measurement, Release, Scene, judged
 
@@ -62,7 +61,7 @@ class Onlooker:
         """Return what there is to see of mission i."""
         taken, world = self._taken[i], missions.worlds[i]
         last = taken[-1]
-        release = _release(world.truth)
+        release = Release.of(world.truth)
         track = np.array([it.position for it in taken], np.float32)
         return Scene(
             backdrop=Backdrop("uav/1", title=f"seed {world.seed}", release=release),
@@ -81,10 +80,6 @@ class Onlooker:
         if last.ceased:
             return judged(last.step, last.estimate, last.spread_m, release)
         return Ending("not ceased", f"the budget of {last.step} steps is spent") if last.step >= self._budget else None
-
-
-def _release(truth: Scenario) -> Release:
-    return Release(truth.source, truth.wind, truth.q, truth.d, truth.tau, truth.height)
 
 
 def _heading(track: NDArray[np.float32]) -> float:

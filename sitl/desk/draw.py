@@ -124,7 +124,7 @@ def _draw(history: "History", beliefs: Sequence["Scene"], path: Path, form: str)
 
     scene = history.at()
     drawing = Drawing(scene, len(beliefs), scene.measurements[-1].step)
-    drawing.show(scene, beliefs, vehicle=False).save(path, form)
+    drawing.show(scene, beliefs).save(path, form)
 
 
 def _frames(history: "History") -> Iterator["Frame"]:
