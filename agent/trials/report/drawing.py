@@ -150,10 +150,11 @@ def trajectories(flights: Sequence[Flight]) -> Figure:
         ax.set_title(f"{result.policy}\n{_verdict(result)}")
         ax.grid(visible=False)
     for i, ax in enumerate(grid.ravel()):
-        ax.set_xlabel("east, m" if i + columns >= len(flights) else "")
-        ax.set_ylabel("" if i % columns else "north, m")
-        ax.tick_params(labelbottom=i + columns >= len(flights))
-        ax.set_axis_on() if i < len(flights) else ax.set_axis_off()
+        lowest = i + columns >= len(flights)
+        ax.set(xlabel="east, m" if lowest else "", ylabel="" if i % columns else "north, m")
+        ax.tick_params(labelbottom=lowest)
+        if i >= len(flights):
+            ax.set_axis_off()
     bar = figure.colorbar(shades, ax=grid, label="mean gas concentration, g/m³", shrink=0.5, aspect=40)
     ticks(bar.ax.yaxis, (0.1, 1, 10, 100))
     styles = {"start": START | {"color": INK}, "path and readings": PATH, "estimate at the end": ESTIMATE, "source": SOURCE}
