@@ -51,11 +51,13 @@ MAP = 0.065, 0.2, 0.39, 0.39 * SIZE_IN[0] / SIZE_IN[1]
 """Left, bottom, width and height of the map, as shares of the figure."""
 DOT = 5.0
 """Area of a particle of mean weight, square points."""
+MANY = 1000
+"""With more particles dots are smaller; with more than a tenth as many readings, curves have no dots."""
 CELLS = 120
 """Cells along a side of the area, for the plume."""
 GAS = (0.1, 100.0)
 """Range of concentrations shown, g/m³; it begins at half the noise in clean air."""
-PLUME = LinearSegmentedColormap.from_list("plume", ["#ffffff", "#fde3b8", "#fac06c", "#ee8f33", "#b9500f"])
+PLUME = LinearSegmentedColormap.from_list("plume", ["#ffffff", "#fde3b8", "#fac06c", "#ee8f33", "#b9500f"]).with_extremes(bad="#ffffff")
 INK = "#222222"
 BELIEFS = ("#56b4e9", "#009e73", "#0072b2", "#cc79a7", "#882255")
 """Colours of the beliefs shown, of Okabe and Ito's palette but for the last."""
@@ -106,7 +108,7 @@ class _Cloud:
         places, sizes = np.empty((0, 2), np.float32), np.empty(0, np.float32)
         if scene and scene.scatter is not None:
             places, weights = scene.scatter.places, scene.scatter.weights
-            sizes = np.minimum(DOT * len(weights) * weights, 20 * DOT)  # a dot's area is its weight
+            sizes = np.minimum(DOT * min(len(weights), MANY) * weights, 20 * DOT)  # a dot's area is its weight
         self.dots.set_offsets(places)
         self.dots.set_sizes(sizes)
         self.ring.set_visible(last is not None)
@@ -273,6 +275,8 @@ class Drawing:
         self.path.set_data(*places.T)
         self.readings.set_offsets(places)
         self.readings.set_array(np.array(gas))
+        for curve in (self.spreads, self.gases):
+            curve.set_marker("." if len(steps) <= MANY // 10 else "")
         self.spreads.set_data(steps, [it.spread_m for it in taken])
         self.gases.set_data(steps, gas)
         self._start.set_data(*places[:1].T)

@@ -128,6 +128,16 @@ def test_a_picture_shows_beliefs_in_colours_of_their_own_and_says_of_which_step(
     assert b"<dc:date>" not in (tmp_path / "one.svg").read_bytes()
 
 
+def test_more_particles_do_not_hide_more_of_the_map(drawing: Drawing) -> None:
+    covered = []
+    for count in (1000, 4000):
+        scatter = Scatter(np.full((count, 2), 5, np.float32), np.full(count, 1 / count, np.float32))
+        drawing.show(replace(scene(), scatter=scatter))
+        (dots,) = (it for it in drawing.map.collections if len(it.get_offsets()) == count)
+        covered.append(dots.get_sizes().sum())
+    assert covered[0] == pytest.approx(covered[1], rel=1e-5)
+
+
 def test_a_scene_without_a_reading_can_be_drawn() -> None:
     empty = Scene(Backdrop("uav/1"))
     assert Drawing(empty).show(empty).pixels().shape == (540, 960, 3)
