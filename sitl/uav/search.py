@@ -138,7 +138,7 @@ class Search:
         before = self._flown()
         if _asks_offboard(message) and self._begun and not self.found and self.state != LANDED:
             if self.leads and self._is_streaming(sender):
-                reason = "Offboard refused: the search leads; HOLD takes control"
+                reason = "Offboard refused: the search leads, HOLD stops it"
                 return self._protocol.refuse(message, not_now(reason))
             if not self.leads and not self._is_streaming(None):
                 return self._give_back(message, sender, t_s, streams)
@@ -160,7 +160,7 @@ class Search:
             return answers
         self._streams[sender] = self._clock()
         if self.leads:
-            return self._protocol.refuse_setpoint(denied("Waypoint refused: the search leads; HOLD takes control", "not leading"), t_s)
+            return self._protocol.refuse_setpoint(denied("Waypoint refused: the search leads, HOLD stops it", "not leading"), t_s)
         return self._protocol.receive(message, t_s, streams)
 
     def _give_back(self, message: Message, sender: Sender, t_s: float, streams: Telemetry | None) -> list[Message]:
