@@ -56,7 +56,8 @@ lint: setup
 docs: setup
 	$(BIN)/python -m link > docs/bus.md
 	$(BIN)/python -m sitl.script > missions/mission.schema.json
-	$(BIN)/python docs/picture.py
+	$(BIN)/python -m sitl fly --speedup 0 --record runs/mission.mcap --force
+	$(BIN)/python -m sitl draw runs/mission.mcap --out docs/mission.svg --force
 
 # Pages for a browser: site/index.html. It needs no network, neither here nor there.
 site: setup

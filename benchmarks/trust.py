@@ -24,12 +24,12 @@ import numpy as np
 from agent.policies import policy
 from agent.trials.evaluate import FIRST_TEST_SEED, KEPT_IN, read_csv, write_csv
 from agent.trials.figures import COLUMNS, UNKNOWN, MissionRow, cell, figures, wilson
-from agent.trials.files import whole
 from agent.trials.progress import with_bar
 from agent.trials.sweep import Sweep, fly_all, journal_of, on_cores, ordered
 from agent.trials.workers import WorkerLost
 from estimator.criterion import Criterion
 from link import cli
+from link.files import whole
 from plume.worlds import AS_MODELLED, WORLDS, check
 
 ROOT = Path(__file__).parents[1]

@@ -1,1 +1,1 @@
-"""The bus in commands: the flags they share, and the page that documents the bus. Imports: link.bus."""
+"""What commands share: flags, tables on a terminal, files written whole; and the page that documents the bus. Imports: link.bus."""

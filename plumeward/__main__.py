@@ -27,6 +27,7 @@ GROUPS = {
     "Look at missions": {
         "status": Command("sitl", "show how the parts of a running mission are doing"),
         "log": Command("sitl", "summarise a log, or print one of its keys as CSV"),
+        "draw": Command("sitl", "draw a log as a picture or an animation"),
         "replay": Command("sitl", "feed a log to the estimator and agent again"),
         "record": Command("sitl", "record everything on a bus until interrupted"),
     },

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.dispersion import concentration
-from plume.scenario import AREA_M
+from plume.scenario import AREA_M, SUCCESS_RADIUS_M, Scenario
 
 Place = tuple[float, float]
 """(x, y) m."""
@@ -29,6 +29,11 @@ class Release:
     d: float
     tau: float
     height: float = 0.0
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> "Release":
+        """Return what there is to see of a scenario."""
+        return cls(scenario.source, scenario.wind, scenario.q, scenario.d, scenario.tau, scenario.height)
 
     def gas(self, area_m: float, cells: int) -> Floats:
         """Return the mean gas in the search plane, g/m³: (cells, cells), row 0 in the south, at the cells' centres."""
@@ -164,6 +169,15 @@ class Scene:
             return float(rest) if kind == "spread" else None
         except ValueError:
             return None
+
+
+def judged(step: int, estimate: Place, spread_m: float, release: Release | None) -> Ending:
+    """Return how a search that was stopped has ended. Only a simulation can tell whether the stop is right."""
+    words = f"source found at ({estimate[0]:.2f}, {estimate[1]:.2f}) ± {spread_m:.2f} m after {step} steps"
+    if release is None:
+        return Ending("ceased", words)
+    error_m = math.dist(estimate, release.source)
+    return Ending("located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP", f"{words}; error {error_m:.2f} m")
 
 
 def ellipse(covariance: tuple[float, float, float], deviations: float = 2.0) -> tuple[float, float, float]:

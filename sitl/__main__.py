@@ -116,6 +116,7 @@ SCRIPTS = (".yaml", ".yml")
 OTHERS = {
     "replay": ("sitl.replay.command", "feed a log to the estimator and agent again"),
     "log": ("sitl.desk.summary", "summarise a log, or print one of its keys as CSV"),
+    "draw": ("sitl.desk.draw", "draw a log as a picture or an animation"),
     "status": ("sitl.desk.status", "show how the parts of a running mission are doing; exit status 1 if something is wrong"),
     "record": ("sitl.desk.recorder", "record everything on a bus until interrupted"),
 }

@@ -1,1 +1,4 @@
-"""Training: many missions in parallel, and the gymnasium environments over them. Imports: plume, estimator, agent, agent.planning."""
+"""Training: many missions in parallel, and the gymnasium environments over them.
+
+Imports: plume, scene, estimator, agent, agent.planning.
+"""

@@ -17,6 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from agent.learn.missions import Missions
+from agent.learn.render import RENDERING, Frame, Onlooker, check
 from agent.observation import BOUND, SCHEMAS, Observation
 from agent.planning.moves import HeadingAndStep, Headings, Move
 from estimator.assumptions import ASSUMPTIONS
@@ -84,7 +85,7 @@ class Settings:
         """Return the settings `given`; `others` names other known arguments. Raises TypeError on an unknown one, or ValueError."""
         names = [field.name for field in fields(cls)]
         for name, value in given.items():
-            if name not in names:  # stable-baselines3 tries a render_mode and does without it on a TypeError
+            if name not in names:
                 raise TypeError(f"argument {name}={value!r} is not allowed; wanted some of {', '.join((*others, *names))}")
         return cls(**given)
 
@@ -106,6 +107,11 @@ class Settings:
     def begin(self, seeds: Sequence[int], threads: int = 1) -> Missions:
         """Return new missions of these seeds."""
         return Missions(seeds, self.observation, self.particles, self.criterion, self.assume, threads, self.world)
+
+    def onlooker(self, render_mode: str | None) -> Onlooker | None:
+        """Return who draws missions; None where nothing is to be drawn. Raises ValueError on another mode than `rgb_array`."""
+        check(render_mode)
+        return Onlooker(self.criterion.text, self.assume, self.budget) if render_mode else None
 
     def actions(self, given: Any, *count: int) -> NDArray[Any]:
         """Return `count` actions as an array, (B,) or (B, 2); without a count a single one, () or (2,). Raises ActionError."""
@@ -163,7 +169,7 @@ def _told(missions: Missions) -> dict[str, Any]:
 
 
 class SourceSearch(gymnasium.Env[Observation, Any]):
-    """One mission at a time; the keyword arguments are those of `Settings`.
+    """One mission at a time; the keyword arguments are those of `Settings`, and `render_mode`: None or "rgb_array".
 
     `reset(seed=s)` begins the mission of seed s, the same that `plumeward rollout --seed s --assume paper` flies. Resets without a seed
     begin missions drawn by that seed. AGDC's stop *terminates* an episode, right or wrong; a spent budget *truncates* it.
@@ -178,11 +184,13 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         ```
     """
 
-    metadata = {"render_modes": []}  # noqa: RUF012
+    metadata = RENDERING
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, render_mode: str | None = None, **settings: Any) -> None:
         """Raises ValueError, or TypeError on an unknown argument; the message says what is allowed."""
-        self.settings = Settings.of(settings)
+        self.settings = Settings.of(settings, "render_mode")
+        self.render_mode = render_mode
+        self._onlooker = self.settings.onlooker(render_mode)
         self.observation_space, self.action_space = self.settings.spaces()
         self._missions: Missions | None = None
 
@@ -191,6 +199,8 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         seed = None if seed is None else _seed(seed)
         super().reset(seed=seed)
         self._missions = self.settings.begin([int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed])
+        if self._onlooker:
+            self._onlooker.look(self._missions)
         return self._missions.observations[0].copy(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -198,7 +208,17 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         if self._missions is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         rewards, terminated, truncated = self.settings.fly(self._missions, self.settings.actions(action)[None])
+        if self._onlooker:
+            self._onlooker.look(self._missions)
         return self._missions.observations[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), self._info()
+
+    def render(self) -> Frame | None:
+        """Return the picture of the mission, (540, 960, 3), with the true plume and source; None without a `render_mode`."""
+        if self._onlooker is None:
+            return None
+        if self._missions is None:
+            raise gymnasium.error.ResetNeeded("call reset before render")
+        return self._onlooker.frame(self._missions, 0)
 
     def _info(self) -> dict[str, Any]:
         assert self._missions is not None
@@ -211,14 +231,16 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     When a mission ends, the next one begins in the same step; `final_obs` and `final_info` are those of the mission that ended.
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, **RENDERING}  # noqa: RUF012
 
-    def __init__(self, num_envs: int = 1, threads: int = 1, **settings: Any) -> None:
+    def __init__(self, num_envs: int = 1, threads: int = 1, render_mode: str | None = None, **settings: Any) -> None:
         """Make `num_envs` missions; `threads` share the compiled part of the work. Raises like `SourceSearch`."""
         for name, value in (("num_envs", num_envs), ("threads", threads)):
             _check_whole(name, value, 1)
         self.num_envs = num_envs
-        self.settings = Settings.of(settings, "num_envs", "threads")
+        self.settings = Settings.of(settings, "num_envs", "threads", "render_mode")
+        self.render_mode = render_mode
+        self._onlooker = self.settings.onlooker(render_mode)
         self.single_observation_space, self.single_action_space = self.settings.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -244,6 +266,8 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             self._missions = self.settings.begin(seeds, self._threads)
         else:
             self._missions.begin(np.arange(self.num_envs), seeds)
+        if self._onlooker:
+            self._onlooker.look(self._missions)
         return self._missions.observations.copy(), _told(self._missions)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
@@ -261,7 +285,17 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 final[i] = missions.observations[i].copy()
             infos = {"final_obs": final, "_final_obs": over, "final_info": _told(missions), "_final_info": over}
             missions.begin(ended, [self._next(i) for i in ended.tolist()])
+        if self._onlooker:
+            self._onlooker.look(missions)
         return missions.observations.copy(), rewards, terminated, truncated, infos | _told(missions)
+
+    def render(self) -> tuple[Frame, ...] | None:
+        """Return the pictures of all missions, as `SourceSearch.render` does of one; None without a `render_mode`."""
+        if self._onlooker is None:
+            return None
+        if self._missions is None:
+            raise gymnasium.error.ResetNeeded("call reset before render")
+        return tuple(self._onlooker.frame(self._missions, i) for i in range(self.num_envs))
 
     def _next(self, i: int) -> int:
         return int(self._draws[i].integers(TRAINING_SEEDS))

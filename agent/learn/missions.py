@@ -14,6 +14,7 @@ from plume.randomness import Keyed, derived_seed
 from plume.scenario import SUCCESS_RADIUS_M, draw
 from plume.world import World, gas_of
 from plume.worlds import AS_MODELLED
+from scene.scene import Measurement, Scatter
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -75,6 +76,23 @@ class Missions:
         """Whether the estimate is within the success radius; for judging only."""
         errors_m: Array = np.sqrt(np.square(self.estimates - self._sources).sum(axis=1))
         return errors_m <= SUCCESS_RADIUS_M
+
+    @property
+    def worlds(self) -> Sequence[World]:
+        """The world of each mission; for judging and showing only."""
+        return self._worlds
+
+    def measurement(self, mission: int) -> Measurement:
+        """Return a mission's newest reading and the belief after it. The time is the step: there is no clock."""
+        step, (x, y), (east, north) = int(self.steps[mission]), self.positions[mission].tolist(), self.estimates[mission].tolist()
+        (xx, xy), (_, yy) = self._batch.covariances[mission, :2, :2].tolist()
+        gas, spread_m, ceased = self._facts[mission, observation.GAS], self.spreads_m[mission], self.ceased[mission]
+        return Measurement(step, float(step), (x, y), float(gas), float(spread_m), (east, north), (xx, xy, yy), bool(ceased))
+
+    def scatter(self, mission: int) -> Scatter:
+        """Return a copy of a mission's particles in the plane."""
+        weights = self._batch.weights[mission]
+        return Scatter(self._batch.particles[mission, :2].T.astype(np.float32), (weights / weights.sum()).astype(np.float32))
 
     def _told(self, mission: int) -> Config:
         """Set a mission to the start of its world; returns its estimator's configuration."""

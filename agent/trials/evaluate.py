@@ -18,11 +18,11 @@ import msgspec
 
 from agent.policies import add_policy_argument, bundle_path, reach
 from agent.trials.figures import COLUMNS, MissionRow, cell, figures
-from agent.trials.files import whole
 from agent.trials.progress import with_bar
 from agent.trials.workers import WorkerLost
 from estimator.options import add_sensor_argument
 from link import cli
+from link.files import whole
 from link.terminal import Column, table, tell, width_of
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS

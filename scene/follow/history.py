@@ -15,10 +15,9 @@ from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING, STOP
 from link.bus.mavlink import BadFrame, unpack_reading
 from link.bus.messages import Belief, Health, Stop, unpack_particles
 from link.record.record import HEALTH_PREFIX
-from plume.scenario import SUCCESS_RADIUS_M
 from scene.follow.parts import restarted, verdict
 from scene.follow.telemetry import HEARTBEAT, LOCAL, SETPOINT, SHOWN, TEXT, Texts, frames, seen, waypoint
-from scene.scene import INFO, WARNING, Backdrop, Craft, Ending, Floats, Happening, Measurement, Place, Scatter, Scene, Service
+from scene.scene import INFO, WARNING, Backdrop, Craft, Ending, Floats, Happening, Measurement, Place, Scatter, Scene, Service, judged
 from scene.scene import STOP as STOPPED
 
 TRACK_STEP_M = 0.1
@@ -196,15 +195,8 @@ class History:
             return False  # repeated
         words = f"source found at ({said.estimate[0]:.2f}, {said.estimate[1]:.2f}) ± {said.spread:.2f} m after {said.step} steps"
         self._happened(time_s, STOPPED, "estimator", words)
-        self._endings.add(time_s, self._judged(said, words))
+        self._endings.add(time_s, judged(said.step, said.estimate, said.spread, self.backdrop.release))
         return True
-
-    def _judged(self, said: Stop, words: str) -> Ending:
-        """Return how a stopped search ended; only a simulation can tell whether the stop is right."""
-        if self.backdrop.release is None:
-            return Ending("ceased", words)
-        error_m = math.dist(said.estimate, self.backdrop.release.source)
-        return Ending("located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP", f"{words}; error {error_m:.2f} m")
 
     def _take_health(self, said: Health, time_s: float, wall_s: float) -> bool:
         known = self._sign(said.service)

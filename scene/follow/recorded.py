@@ -10,15 +10,10 @@ from scene.follow.history import History
 from scene.scene import Backdrop, Release
 
 
-def release_of(scenario: Scenario) -> Release:
-    """Return what there is to see of the truth."""
-    return Release(scenario.source, scenario.wind, scenario.q, scenario.d, scenario.tau, scenario.height)
-
-
 def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int | None]:
     """Return the backdrop and the budget, from a run's own description; what it does not tell, or not in this version, is left out."""
     try:
-        release = release_of(msgspec.convert(about["scenario"], Scenario))
+        release = Release.of(msgspec.convert(about["scenario"], Scenario))
     except (KeyError, msgspec.ValidationError):
         release = None
     policy, seed, budget = about.get("policy"), about.get("seed"), about.get("budget")

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from agent.policies import OURS
 from agent.trials.evaluate import FIRST_TEST_SEED
-from agent.trials.files import whole
 from agent.trials.report.page import Picture, page
 from agent.trials.report.results import USUAL, Results, read
 from agent.trials.report.tables import tables
 from link import cli
+from link.files import whole
 from link.terminal import tell
 from plume.scenario import BUDGET_STEPS, SUCCESS_RADIUS_M
 
@@ -26,8 +26,6 @@ TELLING_SEED = 1_000_009
 PICTURES = ("particles", "thresholds", "trajectories", "hundred", "distances")
 FILES = (*(f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg")), "results.md", "index.html")
 """The files of a report."""
-UNDATED = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-"""SVG metadata left out, so that the same picture gives the same file."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +68,7 @@ def write(results: Results, out: Path, flights: int) -> None:
     """Write pictures, tables and the page to a folder. Two of the pictures show `flights` missions, which are flown here."""
     import matplotlib  # not at the top: it takes long to import
 
-    from agent.trials.report.drawing import STYLE
+    from scene.drawing import STYLE
 
     pictures = []
     with matplotlib.rc_context(STYLE):
@@ -87,6 +85,8 @@ def write(results: Results, out: Path, flights: int) -> None:
 
 def save(figure: "Figure", stem: Path) -> bytes:
     """Write a picture as stem.png and stem.svg; returns the SVG."""
+    from scene.drawing import UNDATED
+
     with whole(stem.with_suffix(".png")) as png:
         figure.savefig(png, format="png")
     with whole(stem.with_suffix(".svg")) as svg:
@@ -111,6 +111,9 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
         " scale of ceased is stretched towards 100%. Dashed: the mean information floor. Hollow: the paper. MTD and ST are means over"
         " ceased missions. Made by `plumeward report`."
     )
+    hidden = len(results.policies) - len(drawing.compared(results.policies))
+    if hidden:
+        curves += f" {hidden} more policies are in the tables."
     keys = [key for key in results.rows if key[1].threshold_m == results.threshold_m]
     yield (
         "particles",
@@ -128,13 +131,13 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
     setting = results.nearest(USUAL)
     set_to = f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, assume {results.assume}, {BUDGET_STEPS} steps at most"
     flags = f"--particles {setting.particles} --threshold {setting.threshold_m:g} --assume {results.assume}"
-    tell(f"flying {len(OURS)} policies on one scenario")
+    tell(f"flying {len(drawing.FIVE)} policies on one scenario")
     yield (
         "trajectories",
-        "All policies on one scenario",
+        "Policies on one scenario",
         f"Seed {TELLING_SEED}, chosen because policies differ in it; {set_to}. One mission per policy, flown by `plumeward report`. To fly"
         f" one of them: `plumeward rollout --seed {TELLING_SEED} --policy infotaxis {flags}`.",
-        drawing.trajectories([rollout(TELLING_SEED, policy, *setting, assume=results.assume) for policy in OURS]),
+        drawing.trajectories([rollout(TELLING_SEED, policy, *setting, assume=results.assume) for policy in drawing.FIVE]),
     )
     best = results.best(setting, OURS)
     policy = best or OURS[0]

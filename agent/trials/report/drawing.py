@@ -1,70 +1,53 @@
 """The report's pictures: pure functions from results or flights to a matplotlib figure."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from matplotlib.transforms import ScaledTranslation
 from numpy.typing import NDArray
 
+from agent.policies import OURS
 from agent.trials.report.published import PUBLISHED, Published
 from agent.trials.report.results import Key, Results, Setting
-from plume.dispersion import concentration
 from plume.outcome import Outcome, TracePoint
 from plume.scenario import AREA_M, SUCCESS_RADIUS_M
+from scene.drawing import ESTIMATE, INK, SOURCE, START, plume, ticks
+from scene.scene import Release
 
 Array = NDArray[np.float64]
 Flight = tuple[Outcome, list[TracePoint]]
 
-STYLE: Any = {
-    "font.size": 10.0,
-    "axes.titlesize": 10.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "savefig.dpi": 150,
-    "svg.hashsalt": "plumeward",  # the same picture gives the same file
-}
-"""Settings of matplotlib while a picture is made and saved."""
 WIDTH_IN = 10.0
 LOOKS = {
     "infotaxis": ("#0072b2", "o"),
     "infotaxis-variance": ("#56b4e9", "s"),
-    "space-aware-infotaxis": ("#332288", "d"),
-    "entrotaxis": ("#009e73", "^"),
+    "space-aware-infotaxis": ("#009e73", "d"),
+    "entrotaxis": ("#332288", "^"),
     "entrotaxis-belief": ("#44aa99", "v"),
-    "dcee": ("#d55e00", "P"),
+    "dcee": ("#e69f00", "P"),
     "thompson": ("#cc79a7", "X"),
-    "greedy": ("#e69f00", "<"),
+    "greedy": ("#e41a1c", "<"),
     "random": ("#8c564b", ">"),
     "lookahead": ("#f0e442", "H"),
-    "homing": ("#e41a1c", "D"),
+    "homing": ("#d55e00", "D"),
     "ppo": ("#000000", "*"),
     "dqn": ("#882255", "h"),
     "ddpg": ("#999933", "p"),
 }
-"""Colour and marker of each policy in all pictures. Policies of similar colours have different markers."""
+"""Colour and marker of each policy in all pictures. Those of `FIVE` are of Okabe and Ito's palette."""
 OTHER_LOOK = ("#777777", "8")
+FIVE = ("infotaxis", "space-aware-infotaxis", "dcee", "homing", "ppo")
+"""The policies that pictures compare: the classic, the best published planner, the one of dual control, our default, and the best learned.
+
+The others fly much as one of them does (entrotaxis as infotaxis, lookahead as homing, dqn and ddpg as ppo), or find few sources.
+"""
+PATH: dict[str, Any] = {"color": INK, "linewidth": 1.2, "marker": ".", "markersize": 3.5}
 PANELS = (("ceased", "ceased, %", 100.0), ("mtd_m", "MTD, m", 1.0), ("search_time_s", "ST, s", 1.0))
 """(figure, label, scale)."""
-GAS = (0.1, 100.0)
-"""Range of concentrations shown, g/m³; it begins at half the noise in clean air."""
-START: dict[str, Any] = {"marker": "o", "markersize": 7, "markerfacecolor": "white", "linestyle": "none", "clip_on": False, "zorder": 5}
-ESTIMATE: dict[str, Any] = {"marker": "x", "markersize": 9, "markeredgewidth": 2.2, "linestyle": "none", "zorder": 5}
-SOURCE: dict[str, Any] = {"marker": "*", "markersize": 13, "color": "black", "markeredgecolor": "white", "linestyle": "none", "zorder": 4}
-PLUME = LinearSegmentedColormap.from_list("plume", ["white", "#666666"])
 COLOURS = ("#0072b2", "#d55e00", "#009e73")
 NAMED = (("position", "UAV", COLOURS[0]), ("mean", "belief mean", COLOURS[1]))
 LAST_STEPS = 10
@@ -74,13 +57,20 @@ LEAST_DISTANCE_M = 0.05
 """Shorter distances are drawn at this value."""
 
 
+def compared(policies: Sequence[str]) -> list[str]:
+    """Return the policies that one picture shows: all of five or fewer, else the five and those that do not ship."""
+    if len(policies) <= len(FIVE):
+        return list(policies)
+    return [policy for policy in policies if policy in FIVE or policy not in OURS] or list(policies[: len(FIVE)])
+
+
 def against_particles(results: Results) -> Figure:
     """Ceased, MTD and ST against the number of particles, at one ζ."""
     keys = [key for key in results.rows if key[1].threshold_m == results.threshold_m]
     figure = _panels(results, keys, lambda it: it.particles)
     for ax in figure.axes:
         ax.set(xlabel="particles", xscale="log")
-        _ticks(ax.xaxis, {key[1].particles for key in keys}, "{:,.0f}")
+        ticks(ax.xaxis, {key[1].particles for key in keys}, "{:,.0f}")
         ax.tick_params(axis="x", labelrotation=45)
     return figure
 
@@ -91,14 +81,14 @@ def against_thresholds(results: Results) -> Figure:
     figure = _panels(results, keys, lambda it: it.threshold_m)
     for ax in figure.axes:
         ax.set(xlabel="ζ, m")
-        _ticks(ax.xaxis, {key[1].threshold_m for key in keys}, "{:g}")
+        ticks(ax.xaxis, {key[1].threshold_m for key in keys}, "{:g}")
     return figure
 
 
 def _panels(results: Results, keys: Sequence[Key], x_of: Callable[[Setting | Published], float | None]) -> Figure:
     """One panel per figure, one curve per policy; the paper's figures are hollow."""
     figure = Figure(figsize=(WIDTH_IN, 4.8), layout="constrained")
-    policies = [policy for policy in results.policies if policy in {key[0] for key in keys}]
+    policies = [policy for policy in compared(results.policies) if policy in {key[0] for key in keys}]
     for ax, (name, label, scale) in zip(figure.subplots(1, 3), PANELS, strict=True):
         ax.set(ylabel=label, xmargin=0.1)
         for i, policy in enumerate(policies):
@@ -112,21 +102,21 @@ def _panels(results: Results, keys: Sequence[Key], x_of: Callable[[Setting | Pub
             ax.errorbar(x, value, bars, label=policy, transform=ax.transData + beside, **style)
             ax.update_datalim(np.stack([np.tile(x, 2), np.concatenate([low, high])], axis=1))  # autoscaling ignores shifted points
         for it in PUBLISHED:
-            if it.figure == name and (at := x_of(it)) is not None:
+            if it.figure == name and it.policy in policies and (at := x_of(it)) is not None:
                 colour, marker = LOOKS[it.policy]
                 style = {"color": colour, "marker": marker, "markersize": 9, "markerfacecolor": "white", "linestyle": "none", "zorder": 5}
                 ax.plot(at, scale * it.value, label=f"paper: {it.method}", **style)
     ceased, mtd, st = figure.axes
     ceased.set_yscale("function", functions=(_stretched, _unstretched))
     ceased.set_ylim(0, 100.3)
-    _ticks(ceased.yaxis, (0, 50, 80, 90, 95, 98, 99, 100), "{:g}")
+    ticks(ceased.yaxis, (0, 50, 80, 90, 95, 98, 99, 100), "{:g}")
     floors = sorted({(x_of(key[1]), floor_m) for key in keys if (floor_m := results.floor_m(key[1].threshold_m)) is not None})
     if floors:
         mtd.plot(*zip(*floors, strict=True), "--", color="black", linewidth=1.2, label="information floor")
     mtd.set_yscale("log")
-    _ticks(mtd.yaxis, (10, 15, 20, 30, 50, 100, 150, 200, 300), "{:g}")
+    ticks(mtd.yaxis, (10, 15, 20, 25, 30, 40, 50, 70, 100, 150, 200, 300), "{:g}")
     st.set_yscale("log")
-    _ticks(st.yaxis, [digit * 10**power for power in (-3, -2, -1, 0, 1) for digit in (1, 2, 5)], "{:g}")
+    ticks(st.yaxis, [digit * 10**power for power in (-3, -2, -1, 0, 1) for digit in (1, 2, 5)], "{:g}")
     entries = {label: handle for ax in figure.axes for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     order = [*policies, *(label for label in entries if label not in policies)]
     figure.legend([entries[label] for label in order], order, loc="outside lower center", ncols=4)
@@ -144,49 +134,33 @@ def _unstretched(height: Array) -> Array:
     return percent
 
 
-def _ticks(axis: Axis, values: Iterable[float], form: str) -> None:
-    axis.set_major_locator(FixedLocator(sorted(values)))
-    axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: form.format(value)))
-
-
 def trajectories(flights: Sequence[Flight]) -> Figure:
     """One panel per policy, all on one scenario."""
-    columns = 3 if len(flights) <= 9 else 4
-    rows = -(-len(flights) // columns)
-    figure = Figure(figsize=(WIDTH_IN, 0.9 + rows * (0.5 + 0.78 * WIDTH_IN / columns)), layout="compressed")
+    columns = 3
+    rows = -(-(len(flights) + 1) // columns)  # the last panel is the legend's
+    figure = Figure(figsize=(WIDTH_IN, 0.4 + rows * (0.5 + 0.86 * WIDTH_IN / columns)), layout="compressed")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for ax, (result, trace) in zip(grid.ravel(), flights, strict=False):
-        plume = _plume(ax, result)
-        colour, _ = LOOKS.get(result.policy, OTHER_LOOK)
-        ax.plot(*_places(trace, "position").T, color=colour, linewidth=1.6)
-        ax.plot(*trace[0].position, color=colour, **START)
+        shades = plume(ax, Release.of(result.scenario), AREA_M)
+        ax.plot(*_places(trace, "position").T, **PATH)
+        ax.plot(*trace[0].position, color=INK, **START)
         ax.plot(*result.source, **SOURCE)
-        ax.plot(*result.estimate, color=colour, **ESTIMATE)
+        ax.plot(*result.estimate, **ESTIMATE)
         ax.set(xlim=(0, AREA_M), ylim=(0, AREA_M), aspect="equal")
         ax.set_title(f"{result.policy}\n{_verdict(result)}")
         ax.grid(visible=False)
-    for ax in grid.ravel()[len(flights) :]:
-        ax.set_axis_off()
-    for ax in grid[-1]:
-        ax.set_xlabel("east, m")
-    for ax in grid[:, 0]:
-        ax.set_ylabel("north, m")
-    bar = figure.colorbar(plume, ax=grid, label="mean gas concentration, g/m³", shrink=0.5, aspect=40)
-    _ticks(bar.ax.yaxis, (0.1, 1, 10, 100), "{:g}")
-    styles = {"start": START, "path": {}, "estimate at the end": ESTIMATE, "source": SOURCE}
-    entries = [Line2D([], [], **{"color": "#555555", "label": label} | style) for label, style in styles.items()]
-    figure.legend(handles=entries, loc="outside lower center", ncols=4)
+    for i, ax in enumerate(grid.ravel()):
+        lowest = i + columns >= len(flights)
+        ax.set(xlabel="east, m" if lowest else "", ylabel="" if i % columns else "north, m")
+        ax.tick_params(labelbottom=lowest)
+        if i >= len(flights):
+            ax.set_axis_off()
+    bar = figure.colorbar(shades, ax=grid, label="mean gas concentration, g/m³", shrink=0.5, aspect=40)
+    ticks(bar.ax.yaxis, (0.1, 1, 10, 100))
+    styles = {"start": START | {"color": INK}, "path and readings": PATH, "estimate at the end": ESTIMATE, "source": SOURCE}
+    entries = [Line2D([], [], **{"label": label} | style) for label, style in styles.items()]
+    grid.ravel()[-1].legend(handles=entries, loc="center")
     return figure
-
-
-def _plume(ax: Axes, result: Outcome) -> AxesImage:
-    it = result.scenario
-    side = AREA_M / 90
-    axis = np.arange(side / 2, AREA_M, side)
-    places = np.stack(np.meshgrid(axis, axis), axis=-1)
-    gas = concentration(places, result.source, it.wind, rate=it.q, diffusivity=it.d, lifetime=it.tau)
-    return ax.imshow(gas, norm=LogNorm(*GAS), cmap=PLUME, origin="lower", extent=(0, AREA_M, 0, AREA_M), interpolation="bilinear")
 
 
 def _verdict(result: Outcome) -> str:
@@ -236,7 +210,7 @@ def distances(flights: Sequence[Flight]) -> Figure:
         ax.fill_between(steps, low, high, color=colour, alpha=0.25, linewidth=0, label="quartiles")
         ax.plot(steps, median, color="black", linewidth=2, label="median")
         ax.set(ylabel=label, yscale="log", ylim=(LEAST_DISTANCE_M, AREA_M * 2**0.5))
-        _ticks(ax.yaxis, (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40), "{:g}")
+        ticks(ax.yaxis, (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40), "{:g}")
     panels[0].legend()
     panels[3].step(steps, (lengths > steps[:, None]).sum(axis=1), where="post", color="#555555")
     panels[3].set(ylabel="missions still flying", ylim=(0, len(flights) * 1.03))

@@ -370,19 +370,20 @@ def test_an_argument_that_there_is_not_is_named_with_those_that_there_are() -> N
     names = "continuous, headings, observation, reward, particles, threshold_m, budget, world, assume, stop"
     said = "argument foo='bar' is not allowed; wanted some of "
     for make_one in (SourceSearch, lambda **named: gymnasium.make(DISCRETE, **named)):
-        with pytest.raises(TypeError, match=f"^{re.escape(said + names)}"):
+        with pytest.raises(TypeError, match=f"^{re.escape(f'{said}render_mode, {names}')}"):
             make_one(foo="bar", particles=50)
     for make_many in (SourceSearchVector, lambda **named: gymnasium.make_vec(DISCRETE, 2, **named)):
-        with pytest.raises(TypeError, match=f"^{re.escape(said)}num_envs, threads, {names}"):
+        with pytest.raises(TypeError, match=f"^{re.escape(said)}num_envs, threads, render_mode, {names}"):
             make_many(foo="bar", particles=50)
 
 
-def test_stable_baselines_makes_one_by_its_name_though_it_asks_for_pictures_first() -> None:
+def test_stable_baselines_makes_one_by_its_name_with_pictures() -> None:
     from stable_baselines3.common.env_util import make_vec_env
 
-    with warnings.catch_warnings(action="ignore"):  # gymnasium's, of the pictures
+    with warnings.catch_warnings(action="error"):
         several = make_vec_env(DISCRETE, 2, env_kwargs={"observation": "paper", **QUICK})
     assert np.shape(several.reset()) == (2, 5)
+    assert [image.shape for image in several.get_images()] == [(540, 960, 3)] * 2
 
 
 ONE, PAIR = "a whole number from 0 to 15", "finite numbers in an array of shape (2,)"

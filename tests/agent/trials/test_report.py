@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from agent.policies import OURS
 from agent.trials.evaluate import write_csv
 from agent.trials.figures import MissionRow
 from agent.trials.report import drawing
@@ -22,6 +23,7 @@ from agent.trials.report.results import Results, Setting, read
 from agent.trials.report.tables import against_paper, tables
 from plume.outcome import Outcome, TracePoint
 from plume.scenario import Scenario
+from scene.drawing import STYLE
 
 PICTURES = ("particles", "thresholds", "trajectories", "hundred", "distances")
 
@@ -137,6 +139,38 @@ def test_what_lies_below_the_floor_is_not_compared(tmp_path: Path, floor_m: floa
     assert any(note.startswith("(4) 16.83 m") for note in table.notes) == (floor_m == 20.0)
 
 
+def test_a_picture_compares_all_of_five_policies_or_the_five_that_matter_and_ones_own() -> None:
+    assert drawing.compared(["random", "greedy", "mine"]) == ["random", "greedy", "mine"]
+    assert drawing.compared([*OURS, "mine"]) == ["infotaxis", "dcee", "space-aware-infotaxis", "homing", "ppo", "mine"]
+    others = [policy for policy in OURS if policy not in drawing.FIVE]
+    assert drawing.compared(others) == others[:5]
+
+
+def test_curves_are_of_the_policies_compared_and_the_papers_points_of_theirs(tmp_path: Path) -> None:
+    rows = [flown(seed, policy=policy, particles=particles) for policy in OURS for particles in (100, 4000) for seed in range(3)]
+    figure = drawing.against_particles(results_of(tmp_path, rows))
+    shown = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert shown == {*drawing.FIVE, "paper: AGDC-PPO", "paper: Infotaxis", "information floor"}
+
+
+def test_each_panel_has_the_path_of_its_mission_and_the_last_one_the_legend() -> None:
+    scenario = Scenario(source=(10.0, 12.0), q=100.0, u=1.0, phi=0.0, d=1.0, tau=1.0, start=(0.0, 10.0))
+
+    def flight(policy: str, *places: float) -> drawing.Flight:
+        trace = [TracePoint((x, 10.0), 0.0, (9.0, 11.0), 1.0) for x in places]
+        return Outcome(
+            0, policy, True, False, (9.0, 11.0), (10.0, 12.0), scenario, 1.4, 0.1, len(trace) - 1, 1.0, 1.0, "paper", "spread:0.5"
+        ), trace
+
+    *panels, last = drawing.trajectories([flight(f"p{i}", 0.0, 1.0 + i, 2.0 + i) for i in range(5)]).axes[:6]
+    for i, panel in enumerate(panels):
+        assert [line.get_xydata().tolist() for line in panel.lines] == [
+            [[0.0, 10.0], [1.0 + i, 10.0], [2.0 + i, 10.0]], [[0.0, 10.0]], [[10.0, 12.0]], [[9.0, 11.0]],
+        ]  # fmt: skip
+        assert panel.get_title().startswith(f"p{i}\nceased, FALSE STOP")
+    assert last.get_legend() is not None
+
+
 def test_a_mission_that_has_ended_stays_in_the_median_with_its_last_distance() -> None:
     scenario = Scenario(source=(10.0, 10.0), q=1.0, u=1.0, phi=0.0, d=1.0, tau=1.0, start=(0.0, 10.0))
 
@@ -174,7 +208,7 @@ SEVERAL = [
 
 def test_the_same_picture_is_the_same_file(tmp_path: Path) -> None:
     results = results_of(tmp_path, SEVERAL)
-    with matplotlib.rc_context(drawing.STYLE):
+    with matplotlib.rc_context(STYLE):
         one, two = (save(drawing.against_particles(results), tmp_path / name) for name in ("one", "two"))
     assert one == two
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()

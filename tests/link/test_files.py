@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.trials.files import whole
+from link.files import whole
 
 
 def test_a_file_changes_when_all_is_written(tmp_path: Path) -> None:

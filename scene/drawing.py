@@ -1,0 +1,311 @@
+"""The drawing of scenes: one figure with the map of the search and, beside it, the curves of spread and gas.
+
+A figure for print shows a whole mission and the beliefs at chosen steps; the same figure, shown scene by scene, is an animation.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
+from matplotlib.patches import Ellipse, FancyArrowPatch
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from numpy.typing import NDArray
+
+from scene.scene import Release, Scene, ellipse
+
+STYLE: Any = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same letters everywhere
+    "font.size": 10.0,
+    "axes.titlesize": 10.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "savefig.dpi": 150,
+    "svg.hashsalt": "plumeward",  # the same picture gives the same file
+}
+"""Settings of matplotlib while a picture is made and saved."""
+UNDATED = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+"""SVG metadata left out, so that the same picture gives the same file."""
+SIZE_IN = 9.6, 5.4
+FRAME_DPI = 100
+"""Dots per inch of an animation: 960 × 540 pixels."""
+MAP = 0.065, 0.2, 0.39, 0.39 * SIZE_IN[0] / SIZE_IN[1]
+"""Left, bottom, width and height of the map, as shares of the figure."""
+DOT = 5.0
+"""Area of a particle of mean weight, square points."""
+MANY = 1000
+"""With more particles dots are smaller; with more than a tenth as many readings, curves have no dots."""
+CELLS = 120
+"""Cells along a side of the area, for the plume."""
+GAS = (0.1, 100.0)
+"""Range of concentrations shown, g/m³; it begins at half the noise in clean air."""
+PLUME = LinearSegmentedColormap.from_list("plume", ["#ffffff", "#fde3b8", "#fac06c", "#ee8f33", "#b9500f"]).with_extremes(bad="#ffffff")
+INK = "#222222"
+BELIEFS = ("#56b4e9", "#009e73", "#0072b2", "#cc79a7", "#882255")
+"""Colours of the beliefs shown, of Okabe and Ito's palette but for the last."""
+START: dict[str, Any] = {"marker": "o", "markersize": 7, "markerfacecolor": "white", "linestyle": "none", "clip_on": False, "zorder": 5}
+SOURCE: dict[str, Any] = {"marker": "*", "markersize": 14, "color": "black", "markeredgecolor": "white", "linestyle": "none", "zorder": 4}
+ESTIMATE: dict[str, Any] = {"marker": "X", "markersize": 8, "color": "white", "markeredgecolor": INK, "linestyle": "none", "zorder": 5}
+VEHICLE: dict[str, Any] = {"marker": "^", "color": "#d55e00", "markeredgecolor": "white", "markersize": 12, "linestyle": "none"}
+READINGS: dict[str, Any] = {"s": 16, "cmap": PLUME, "norm": LogNorm(*GAS, clip=True), "edgecolors": INK, "linewidths": 0.7}
+
+
+def ticks(axis: Axis, values: Iterable[float], form: str = "{:g}") -> None:
+    """Put ticks at these values and nowhere else."""
+    axis.set_major_locator(FixedLocator(sorted(values)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: form.format(value)))
+
+
+def plume(ax: Axes, release: Release, area_m: float) -> AxesImage:
+    """Shade the mean gas of a plume on a log scale."""
+    gas = release.gas(area_m, CELLS)
+    extent = (0, area_m, 0, area_m)
+    return ax.imshow(np.maximum(gas, GAS[0]), norm=LogNorm(*GAS), cmap=PLUME, origin="lower", extent=extent, interpolation="bilinear")
+
+
+def where(scene: Scene) -> NDArray[np.float64]:
+    """Return where the readings were taken: (steps, 2) m."""
+    return np.array([it.position for it in scene.measurements], np.float64).reshape(-1, 2)
+
+
+class _Cloud:
+    """One belief in its colour: particles and ellipse on the map, and its marks on the curves."""
+
+    def __init__(self, drawing: "Drawing", colour: str) -> None:
+        self.colour = colour
+        # Rasterized: a thousand dots as vectors would be most of an SVG.
+        self.dots = drawing.map.scatter([], [], s=[], color=colour, alpha=0.55, linewidths=0, zorder=2, rasterized=True, animated=True)
+        self.ring = Ellipse((0, 0), 1, 1, fill=False, edgecolor=colour, linewidth=1.8, zorder=3.5, visible=False, animated=True)
+        drawing.map.add_patch(self.ring)
+        style: dict[str, Any] = {"color": colour, "marker": "o", "markersize": 7, "linestyle": "none", "zorder": 4, "animated": True}
+        (self.spread,), (self.gas,) = (chart.plot([], [], **style) for chart in (drawing.spread, drawing.gas))
+        self.parts = [
+            (drawing.map, self.dots), (drawing.map, self.ring), (drawing.spread, self.spread), (drawing.gas, self.gas),
+        ]  # fmt: skip
+
+    def show(self, scene: Scene | None) -> None:
+        """Show the newest belief of a scene, or none."""
+        last = scene.measurements[-1] if scene and scene.measurements else None
+        places, sizes = np.empty((0, 2), np.float32), np.empty(0, np.float32)
+        if scene and scene.scatter is not None:
+            places, weights = scene.scatter.places, scene.scatter.weights
+            sizes = np.minimum(DOT * min(len(weights), MANY) * weights, 20 * DOT)  # a dot's area is its weight
+        self.dots.set_offsets(places)
+        self.dots.set_sizes(sizes)
+        self.ring.set_visible(last is not None)
+        if last:
+            longer, shorter, angle = ellipse(last.covariance)
+            self.ring.set(center=last.estimate, width=2 * longer, height=2 * shorter, angle=math.degrees(angle))
+        self.spread.set_data(*([last.step], [last.spread_m]) if last else ([], []))
+        self.gas.set_data(*([last.step], [last.gas]) if last else ([], []))
+
+
+class Drawing:
+    """One figure that shows scenes of one mission, one after the other. What does not change is drawn once."""
+
+    def __init__(self, scene: Scene, beliefs: int = 1, steps: int = 20) -> None:
+        """Draw what does not change. So many beliefs can be shown at once, 1 to 5; the charts begin with room for `steps`."""
+        self._backdrop = scene.backdrop
+        self._steps, self._least_gas, self._most_gas = max(steps, 1), -0.5, 10.0
+        self._still: Any = None
+        """The picture without what changes, in the canvas's own form; None while it is not up to date."""
+        self._named: list[str] | None = None
+        self._clouds: list[_Cloud] = []
+        with matplotlib.rc_context(STYLE):
+            self.figure = Figure(figsize=SIZE_IN, dpi=FRAME_DPI)
+            self._canvas: Any = FigureCanvasAgg(self.figure)  # has no types
+            self.map = self.figure.add_axes(MAP)
+            self.spread = self.figure.add_axes((0.665, 0.565, 0.315, 0.328))
+            self.gas = self.figure.add_axes((0.665, 0.2, 0.315, 0.328))
+            self._compass = self.figure.add_axes((0.475, 0.77, 0.07, 0.07 * SIZE_IN[0] / SIZE_IN[1]))
+            self._lay_map()
+            self._lay_charts(scene)
+            self._begin(beliefs)
+
+    def show(self, scene: Scene, beliefs: Sequence[Scene] | None = None) -> "Drawing":
+        """Show a scene: with vehicle and belief or, for print, with the newest belief of each of `beliefs`. Returns itself."""
+        vehicle = beliefs is None
+        beliefs = [scene] if beliefs is None else beliefs
+        with matplotlib.rc_context(STYLE):
+            self._make_room(scene)
+            self._show_path(scene, vehicle)
+            self._show_wind(scene)
+            for cloud, believed in zip_longest(self._clouds, beliefs):
+                cloud.show(believed)
+            said = [it.measurements[-1].step for it in beliefs if it.measurements]
+            self._lay_legend([""] if vehicle else [f" at step {step}" for step in said], vehicle)
+            title = ": ".join(filter(None, (self._backdrop.title, scene.ending.verdict if scene.ending else "")))
+            self._title.set_text(title)
+            self._text.set_text(_state(scene))
+        return self
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """Return what is shown as an image, (540, 960, 3), in red, green and blue."""
+        with matplotlib.rc_context(STYLE):
+            if self._still is None:
+                self._canvas.draw()
+                self._still = self._canvas.copy_from_bbox(self.figure.bbox)
+            self._canvas.restore_region(self._still)
+            for ax, artist in self._moving:
+                ax.draw_artist(artist)
+            return np.array(self._canvas.buffer_rgba())[..., :3].copy()
+
+    def save(self, path: Path, form: str) -> None:
+        """Write what is shown as a `png` or an `svg`. The same scenes give the same file."""
+        with matplotlib.rc_context(STYLE):
+            self.figure.savefig(path, format=form, metadata=UNDATED if form == "svg" else None)
+
+    # ---- what does not change ----
+
+    def _lay_map(self) -> None:
+        side_m, release = self._backdrop.area_m, self._backdrop.release
+        self.map.grid(visible=False)
+        self.map.spines[["top", "right"]].set_visible(True)
+        shades = plume(self.map, release, side_m) if release else ScalarMappable(LogNorm(*GAS), PLUME)
+        if release:
+            self.map.plot(*release.source, **SOURCE)
+        self.map.set(xlim=(0, side_m), ylim=(0, side_m), aspect="equal", xlabel="east, m", ylabel="north, m")
+        bar = self.figure.colorbar(shades, cax=self.figure.add_axes((0.475, MAP[1], 0.014, 0.5)))
+        bar.set_label("gas, mean and measured, g/m³" if release else "gas measured, g/m³")
+        ticks(bar.ax.yaxis, (0.1, 1, 10, 100))
+        self._compass.set(xlim=(-1, 1), ylim=(-1, 1))
+        self._compass.set_axis_off()
+
+    def _lay_charts(self, scene: Scene) -> None:
+        zeta_m = scene.threshold_m
+        self.spread.set(ylabel="spread, m", yscale="log", ylim=(min(0.1, (zeta_m or 1) / 4), 20))
+        ticks(self.spread.yaxis, (0.1, 0.3, 1, 3, 10))
+        self.spread.tick_params(labelbottom=False)
+        if zeta_m is not None:
+            self.spread.axhline(zeta_m, color=INK, linestyle="--", linewidth=1)
+            over = self.spread.get_yaxis_transform()  # below the line there is no spread before the stop
+            self.spread.text(0.015, zeta_m * 0.93, f"ζ = {zeta_m:g} m", transform=over, va="top", size=9)
+        self.gas.set(xlabel="step", ylabel="gas, g/m³")
+        self.gas.set_yscale("symlog", linthresh=1)
+        ticks(self.gas.yaxis, (0, 1, 10, 100, 1000))
+        for chart in (self.spread, self.gas):
+            chart.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+        self._lay_limits()
+
+    def _lay_limits(self) -> None:
+        for chart in (self.spread, self.gas):
+            chart.set_xlim(-0.02 * self._steps, 1.02 * self._steps)
+        self.gas.set_ylim(1.2 * self._least_gas, 1.6 * self._most_gas)
+        self._still = None
+
+    def _make_room(self, scene: Scene) -> None:
+        """Widen the charts if a scene has more steps or more gas than fits."""
+        gas = [it.gas for it in scene.measurements if math.isfinite(it.gas)]
+        step, least, most = max((it.step for it in scene.measurements), default=0), min(gas, default=0.0), max(gas, default=0.0)
+        if step > self._steps or least < self._least_gas or most > self._most_gas:
+            self._steps = self._steps if step <= self._steps else max(step, 2 * self._steps)
+            self._least_gas = self._least_gas if least >= self._least_gas else 2 * least
+            self._most_gas = self._most_gas if most <= self._most_gas else 2 * most
+            self._lay_limits()
+
+    def _lay_legend(self, beliefs: Sequence[str], vehicle: bool) -> None:
+        """Lay the legend, with words for each belief shown, unless it is there."""
+        if beliefs == self._named:
+            return
+        self._named = list(beliefs)
+        if self.figure.legends:
+            self.figure.legends[0].remove()
+        path = {"color": INK, "linewidth": 1.2, "marker": "o", "markersize": 4.5, "markerfacecolor": PLUME(0.4)}
+        styles: dict[str, Any] = {"path and readings": path, "start": START | {"color": INK}, "estimate": ESTIMATE}
+        if self._backdrop.release:
+            styles["true source"] = SOURCE
+        if vehicle:
+            styles["vehicle"] = VEHICLE
+        for cloud, words in zip(self._clouds, beliefs, strict=False):
+            mark = {"color": cloud.colour, "marker": "o", "markersize": 6, "linewidth": 1.8}
+            styles[f"belief{words}: particles, 2 σ"] = mark
+        entries = [Line2D([], [], **{"label": label} | style) for label, style in styles.items()]
+        self.figure.legend(handles=entries, loc="lower center", ncols=6 if vehicle else 4, fontsize=9, columnspacing=1.6)
+        self._still = None
+
+    # ---- what changes ----
+
+    def _begin(self, beliefs: int) -> None:
+        """Make the artists that scenes change."""
+        self._clouds = [_Cloud(self, colour) for colour in BELIEFS[max(3 - beliefs, 0) :][:beliefs]]  # of up to three, the last is dark
+        line: dict[str, Any] = {"color": INK, "linewidth": 1.2, "animated": True}
+        (self.path,) = self.map.plot([], [], zorder=2.5, label="path", **line)
+        self.readings = self.map.scatter([], [], c=[], zorder=3, animated=True, **READINGS)
+        (self._start,) = self.map.plot([], [], color=INK, animated=True, **START)
+        (self._estimate,) = self.map.plot([], [], animated=True, **ESTIMATE)
+        (self._craft,) = self.map.plot([], [], zorder=6, animated=True, **VEHICLE)
+        (self.spreads,), (self.gases,) = (chart.plot([], [], marker=".", markersize=4, **line) for chart in (self.spread, self.gas))
+        self._arrow = FancyArrowPatch((0, 0), (1, 0), color=INK, linewidth=1.6, arrowstyle="-|>", mutation_scale=13, animated=True)
+        self._compass.add_patch(self._arrow)
+        self._wind = self._compass.text(0.95, 0, "", va="center", size=9, animated=True)
+        above: dict[str, Any] = {"transform": self.map.transAxes, "animated": True}
+        self._title = self.map.text(0, 1.075, "", weight="bold", **above)
+        self._text = self.map.text(0, 1.025, "", size=9, **above)
+        on_map = (self.path, self.readings, self._start, self._estimate, self._craft)
+        self._moving: list[tuple[Axes, Artist]] = [
+            *(part for cloud in self._clouds for part in cloud.parts),
+            *((self.map, artist) for artist in on_map),
+            (self.spread, self.spreads), (self.gas, self.gases),
+            (self._compass, self._arrow), (self._compass, self._wind), (self.map, self._title), (self.map, self._text),
+        ]  # fmt: skip
+        self._moving.sort(key=lambda part: part[1].get_zorder())
+
+    def _show_path(self, scene: Scene, vehicle: bool) -> None:
+        places, taken = where(scene), scene.measurements
+        steps, gas = [it.step for it in taken], [it.gas for it in taken]
+        self.path.set_data(*places.T)
+        self.readings.set_offsets(places)
+        self.readings.set_array(np.array(gas))
+        for curve in (self.spreads, self.gases):
+            curve.set_marker("." if len(steps) <= MANY // 10 else "")
+        self.spreads.set_data(steps, [it.spread_m for it in taken])
+        self.gases.set_data(steps, gas)
+        self._start.set_data(*places[:1].T)
+        self._estimate.set_data(*np.array([it.estimate for it in taken[-1:]]).reshape(-1, 2).T)
+        shown = scene.craft if vehicle else None
+        self._craft.set_data(*([shown.position[0]], [shown.position[1]]) if shown else ([], []))
+        if shown:
+            self._craft.set_marker(_nose(shown.heading))
+
+    def _show_wind(self, scene: Scene) -> None:
+        wind = scene.wind
+        speed = math.hypot(*wind) if wind else 0.0
+        self._arrow.set_visible(speed > 0)
+        self._wind.set_text("" if wind is None else f"wind\n{speed:.1f} m/s")
+        if wind and speed:
+            x, y = (0.85 * component / speed for component in wind)
+            self._arrow.set_positions((x, y), (-x, -y))
+
+
+def _nose(heading: float) -> MarkerStyle:
+    """Return a triangle whose tip is ahead; a diamond where the heading is not known."""
+    return MarkerStyle((3, 0, math.degrees(heading) - 90) if math.isfinite(heading) else "D")
+
+
+def _state(scene: Scene) -> str:
+    """Return a line on how the search stands."""
+    if scene.ending:
+        return scene.ending.text
+    if not scene.measurements:
+        return "no reading yet"
+    last = scene.measurements[-1]
+    return f"step {last.step}: estimate ({last.estimate[0]:.2f}, {last.estimate[1]:.2f}) ± {last.spread_m:.2f} m"

@@ -1,0 +1,143 @@
+"""Protects the drawing: what a scene says is where it should be, as artists' data and as pixels, and the same scene is the same file."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scene.drawing import BELIEFS, Drawing
+from scene.scene import Backdrop, Craft, Measurement, Release, Scatter, Scene
+
+SOURCE = (20.0, 24.0)
+RELEASE = Release(SOURCE, wind=(2.0, 0.0), q=300.0, d=2.0, tau=10.0)
+"""Wind comes from the east: gas lies to the west."""
+PLACES = [(3.0, 4.0), (4.0, 4.0), (4.0, 5.0), (5.0, 9.0)]
+TAKEN = [
+    Measurement(step, float(step), place, gas, spread_m, (11.0, 13.0), (4.0, 0.0, 1.0))
+    for step, (place, gas, spread_m) in enumerate(zip(PLACES, (0.1, -0.2, 7.0, 31.0), (9.0, 4.0, 2.0, 0.4), strict=True))
+]
+
+
+def scene(steps: int = 4, release: Release | None = RELEASE) -> Scene:
+    taken = TAKEN[:steps]
+    places = np.array([[8.0, 2.0], [26.0, 2.0]], np.float32)
+    return Scene(
+        Backdrop("uav/1", title="homing, seed 3", release=release), craft=Craft(0.0, taken[-1].position, heading=math.pi / 2),
+        measurements=taken, scatter=Scatter(places, np.array([0.75, 0.25], np.float32)), wind=(2.0, 0.0), stop="spread:0.5",
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def drawing() -> Drawing:
+    return Drawing(scene(), steps=4)
+
+
+def colour_at(drawing: Drawing, place: tuple[float, float]) -> np.ndarray:
+    """The colour that is seen at a place of the map: three numbers from 0 to 255."""
+    image = drawing.pixels()
+    x, y = drawing.map.transData.transform(place)
+    return image[round(image.shape[0] - 1 - y), round(x)].astype(int)
+
+
+def is_orange(colour: np.ndarray) -> bool:
+    red, green, blue = colour
+    return bool(red > green > blue and red - blue > 30)
+
+
+def test_path_readings_and_curves_are_those_of_the_measurements(drawing: Drawing) -> None:
+    drawing.show(scene())
+    assert drawing.path.get_xydata().tolist() == [list(place) for place in PLACES]
+    assert drawing.readings.get_offsets().tolist() == [list(place) for place in PLACES]
+    assert drawing.readings.get_array().tolist() == [0.1, -0.2, 7.0, 31.0]
+    assert drawing.spreads.get_xydata().tolist() == [[0, 9.0], [1, 4.0], [2, 2.0], [3, 0.4]]
+    assert drawing.gases.get_xydata().tolist() == [[0, 0.1], [1, -0.2], [2, 7.0], [3, 31.0]]
+    assert any(set(line.get_ydata()) == {0.5} for line in drawing.spread.lines)  # ζ
+    for chart, curve in ((drawing.spread, drawing.spreads), (drawing.gas, drawing.gases)):
+        (left, right), (low, high) = chart.get_xlim(), chart.get_ylim()
+        assert all(left < x < right and low < y < high for x, y in curve.get_xydata())
+
+
+def test_the_belief_is_its_particles_with_area_by_weight_and_its_ellipse_of_two_deviations(drawing: Drawing) -> None:
+    drawing.show(scene())
+    (dots,) = (it for it in drawing.map.collections if len(it.get_offsets()) == 2)
+    assert dots.get_offsets().tolist() == [[8.0, 2.0], [26.0, 2.0]]
+    one, other = dots.get_sizes()
+    assert one == pytest.approx(3 * other)
+    (ring,) = drawing.map.patches
+    assert (ring.get_center(), ring.get_width(), ring.get_height(), ring.get_angle()) == ((11.0, 13.0), 8.0, 4.0, 0.0)
+
+
+def test_gas_is_seen_downwind_of_the_source_and_nowhere_without_the_truth(drawing: Drawing) -> None:
+    drawing.show(scene())
+    assert colour_at(drawing, SOURCE).max() < 60  # the black star
+    assert is_orange(colour_at(drawing, (17.0, 24.0)))
+    assert colour_at(drawing, (29.5, 24.0)).min() > 240
+    plain = Drawing(scene(release=None)).show(scene(release=None))
+    assert colour_at(plain, SOURCE).tolist() == colour_at(plain, (17.0, 24.0)).tolist() == [255, 255, 255]
+
+
+def test_the_vehicle_moves_from_frame_to_frame(drawing: Drawing) -> None:
+    drawing.show(scene(1))
+    assert is_orange(colour_at(drawing, PLACES[0]))
+    assert colour_at(drawing, PLACES[3]).min() > 240
+    drawing.show(scene(4))
+    assert is_orange(colour_at(drawing, PLACES[3]))
+    assert not is_orange(colour_at(drawing, PLACES[0]))
+
+
+def test_a_drawing_that_showed_another_scene_before_shows_the_same_as_a_new_one() -> None:
+    used = Drawing(scene(), steps=4).show(scene(2))
+    used.pixels()
+    image = used.show(scene()).pixels()
+    assert (image.shape, image.dtype) == ((540, 960, 3), np.uint8)
+    np.testing.assert_array_equal(image, Drawing(scene(), steps=4).show(scene()).pixels())
+
+
+def test_charts_get_wider_as_steps_and_gas_grow() -> None:
+    small = Drawing(scene(), steps=2).show(scene(2))
+    assert small.gas.get_xlim()[1] < 3
+    small.pixels()
+    grown = small.show(replace(scene(), measurements=[*TAKEN, replace(TAKEN[-1], step=9, gas=5000.0)]))
+    assert grown.gas.get_xlim()[1] > 9
+    assert grown.gas.get_ylim()[1] > 5000
+
+
+def test_the_wind_arrow_points_to_where_the_air_flows(drawing: Drawing) -> None:
+    drawing.show(replace(scene(), wind=(0.0, 3.0)))  # from the north
+    (x0, y0), (x1, y1) = drawing._arrow._posA_posB
+    assert (x0, x1) == (0, 0)
+    assert y1 < 0 < y0
+    assert "3.0 m/s" in drawing._wind.get_text()
+
+
+def test_a_picture_shows_beliefs_in_colours_of_their_own_and_says_of_which_step(tmp_path: Path) -> None:
+    picture = Drawing(scene(), beliefs=3).show(scene(), [scene(1), scene(2), scene(4)])
+    rings = [patch.get_edgecolor() for patch in picture.map.patches if patch.get_visible()]
+    assert len(set(rings)) == 3
+    said = [text.get_text() for text in picture.figure.legends[0].get_texts()]
+    assert [words for words in said if "belief" in words] == [f"belief at step {step}: particles, 2 σ" for step in (0, 1, 3)]
+    assert "vehicle" not in said
+    assert len(set(BELIEFS)) == len(BELIEFS) == 5
+    for form in ("svg", "png"):
+        files = [tmp_path / f"{name}.{form}" for name in ("one", "two")]
+        for file in files:
+            Drawing(scene(), beliefs=3).show(scene(), [scene(1), scene(2), scene(4)]).save(file, form)
+        assert files[0].read_bytes() == files[1].read_bytes()
+    assert b"<dc:date>" not in (tmp_path / "one.svg").read_bytes()
+
+
+def test_more_particles_do_not_hide_more_of_the_map(drawing: Drawing) -> None:
+    covered = []
+    for count in (1000, 4000):
+        scatter = Scatter(np.full((count, 2), 5, np.float32), np.full(count, 1 / count, np.float32))
+        drawing.show(replace(scene(), scatter=scatter))
+        (dots,) = (it for it in drawing.map.collections if len(it.get_offsets()) == count)
+        covered.append(dots.get_sizes().sum())
+    assert covered[0] == pytest.approx(covered[1], rel=1e-5)
+
+
+def test_a_scene_without_a_reading_can_be_drawn() -> None:
+    empty = Scene(Backdrop("uav/1"))
+    assert Drawing(empty).show(empty).pixels().shape == (540, 960, 3)

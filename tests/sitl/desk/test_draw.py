@@ -1,0 +1,106 @@
+"""Protects the command `draw`: a record becomes a picture or an animation, whole or not at all, and bad input is one line."""
+
+import argparse
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from scene.scene import Measurement
+from sitl.__main__ import main
+from sitl.desk import draw
+from sitl.desk.draw import add_arguments, run, telling
+
+RECORD = Path(__file__).parents[2] / "golden" / "homing-gaussian-field.mcap"
+"""33 readings."""
+
+
+def drawn(*words: str) -> int:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return run(parser.parse_args([*words]))
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    shutil.copy(RECORD, tmp_path / "log.mcap")
+    return tmp_path / "log.mcap"
+
+
+def measured(*spreads_m: float) -> list[Measurement]:
+    return [Measurement(step, 0.0, (0.0, 0.0), 0.0, spread_m, (0.0, 0.0), (1.0, 0.0, 1.0)) for step, spread_m in enumerate(spreads_m)]
+
+
+def test_beliefs_are_shown_when_the_spread_has_fallen_by_a_third_by_two_thirds_and_last() -> None:
+    assert telling(measured(10.0, 9.0, 7.5, 6.9, 4.0, 3.5, 1.0)) == [3, 4, 6]  # from 10 to 1: below 7 and 4
+    assert telling(measured(10.0, 10.0, 1.0, 0.9)) == [2, 3]
+    assert telling(measured(10.0, 4.0, 11.0)) == [0, 2]  # it has grown: there is no third of the way down
+    assert telling(measured(5.0)) == [0]
+
+
+def test_the_picture_lies_beside_the_log_and_is_not_written_over_unasked(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments=["draw", str(log)]) == 0
+    picture = log.with_suffix(".png")
+    assert capsys.readouterr().out == f"{picture}\n"
+    with Image.open(picture) as image:
+        assert image.size == (1440, 810)
+    before = picture.read_bytes()
+    assert drawn(str(log), "--at", "3,20") == 2
+    assert capsys.readouterr().err == f"error: --out: '{picture}' exists; wanted another name, or --force\n"
+    assert picture.read_bytes() == before
+    assert drawn(str(log), "--at", "3,20", "--force") == 0
+    assert picture.read_bytes() != before
+
+
+def test_an_animation_has_a_frame_for_each_reading_and_needs_no_picture(log: Path) -> None:
+    assert drawn(str(log), "--gif", str(log.with_name("a.gif"))) == 0
+    assert {path.name for path in log.parent.iterdir()} == {"log.mcap", "a.gif"}
+    with Image.open(log.with_name("a.gif")) as gif:
+        assert (gif.n_frames, gif.size) == (33, (960, 540))
+
+
+def test_an_interrupt_leaves_what_was_there_and_nothing_half_written(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(frames: object, path: Path) -> None:
+        path.write_bytes(b"GIF8")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(draw, "write_gif", interrupted)
+    log.with_name("a.gif").write_bytes(b"mine")
+    with pytest.raises(KeyboardInterrupt):
+        drawn(str(log), "--gif", str(log.with_name("a.gif")), "--force")
+    assert {path.name for path in log.parent.iterdir()} == {"log.mcap", "a.gif"}
+    assert log.with_name("a.gif").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        (["--at", "40"], "error: --at: 40 is not allowed; wanted steps of the log, 0 to 32\n"),
+        (["--at", "1,2,3,4,5,6"], "error: --at: 6 steps are not allowed; wanted at most 5\n"),
+        (["--out", "nowhere/a.png"], "error: --out: 'nowhere/a.png' cannot be written: No such file or directory\n"),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_line(log: Path, capsys: pytest.CaptureFixture[str], words: list[str], error: str) -> None:
+    assert drawn(str(log), *words) == 2
+    assert capsys.readouterr() == ("", error)
+
+
+def test_a_file_without_a_belief_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "notes.mcap").write_text("milk, bread")
+    for name in ("nowhere.mcap", "notes.mcap"):
+        assert drawn(str(tmp_path / name)) == 2
+        out, err = capsys.readouterr()
+        assert (out, err.count("\n")) == ("", 1)
+        assert name in err
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.mcap"]
+
+
+def test_what_is_not_installed_is_named(log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/nowhere")
+    assert drawn(str(log), "--mp4", "a.mp4") == 1
+    assert capsys.readouterr().err == "error: --mp4 needs the program ffmpeg, which is not installed; --gif needs nothing more\n"
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert drawn(str(log)) == 1
+    assert capsys.readouterr().err == "error: draw needs matplotlib: pip install 'plumeward[view]'\n"
