@@ -235,6 +235,9 @@ class Uav:
         self._search.go_on(self._searchers >= SEARCHERS)
         if self._tally.state != self._search.state:
             self._tally.state = self._search.state
+            for port in self._ports:  # stations see at once what has changed: after the landing the process may end
+                if heartbeat := port.telemetry.build(mavlink.MAVLINK_MSG_ID_HEARTBEAT, self._clock.stream_s()):
+                    port.link.send(heartbeat)
             if self._bus:
                 self._bus.publish_health()
 
