@@ -55,7 +55,8 @@ The search plane has x east and y north: (x, y) = (NED y, NED x). Its wind vecto
 4. While a reading is unanswered, the vehicle publishes it again: first after 0.25 s, then at doubled intervals up to 2 s. A service that
    receives a message again repeats its answer. This recovers any lost message. Answers to older readings and second answers are ignored.
 5. The search begins when the liveliness tokens `health/estimator` and `health/agent` exist: the vehicle arms, takes off, flies to
-   its start and takes the first reading. Without waypoints it holds position; after its silence time it returns home and lands.
+   its start and takes the first reading. Without waypoints it holds position; after its silence time it returns home and lands. After the
+   stop it does what `--after-stop` says.
 
 ## Late joiners
 

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, TextIO, get_args
 
 from link import cli
 from link.bus.session import DEFAULT_ROUTER
@@ -17,7 +17,7 @@ from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
 from plume.worlds import AS_MODELLED, WORLDS, check
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
-from sitl.script.script import AgentPart, OnBoard, Script, find, load, shipped
+from sitl.script.script import AfterStop, AgentPart, OnBoard, Script, find, load, shipped
 from sitl.script.typed_yaml import Document, FileError
 
 if TYPE_CHECKING:
@@ -106,6 +106,10 @@ def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> N
         "--silence", type=cli.number(0, math.inf, above=True), default=30.0, metavar="S",
         help="return home and land after S real seconds without a waypoint (default: %(default)g)",
     )  # fmt: skip
+    parser.add_argument(
+        "--after-stop", choices=get_args(AfterStop), default="return",
+        help="once the search is over: return home and land, land on the spot, or hold until told (default: %(default)s)",
+    )  # fmt: skip
 
 
 SCRIPTS = (".yaml", ".yml")
@@ -121,7 +125,7 @@ FIELDS = {
     "seed": "seed", "speedup": "speedup", "sensor": "sensor", "world": "world", "silence": "vehicle.silence_s", "policy": "agent.policy",
     "budget": "agent.budget", "headings": "agent.headings", "step": "agent.step_m", "measurements": "agent.measurements",
     "particles": "estimator.particles", "threshold": "estimator.threshold_m", "prior": "estimator.prior",
-    "stop_on": "estimator.stop_on", "assume": "estimator.assume", "stop": "estimator.stop",
+    "stop_on": "estimator.stop_on", "assume": "estimator.assume", "stop": "estimator.stop", "after_stop": "vehicle.after_stop",
 }  # fmt: skip
 """The field of a mission script that each flag sets."""
 RECORD_FILE = "FILE.mcap"
@@ -236,9 +240,9 @@ def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]
     """Return the words of the command line that the uav has to know, too."""
     words = [args.mission] if args.mission else []
     changed = vars(given)
-    for name in ("seed", "sensor", "world", "silence"):
+    for name in ("seed", "sensor", "world", "silence", "after_stop"):
         if name in changed:
-            words += [f"--{name}", str(changed[name])]
+            words += [f"--{name.replace('_', '-')}", str(changed[name])]
     if args.home:
         words.append("--home=" + ",".join(map(repr, args.home)))
     if "speedup" in changed or not args.mission:
@@ -350,7 +354,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
             log.info(f"its agent: plumeward agent {joining} --sysid {config.sysid}")
         events = [event for event in script.events if isinstance(event, OnBoard)]
         try:
-            uav = Uav(config, script.simulated(), Clock(script.speedup), inbox, bus, args.out, log, events)
+            uav = Uav(config, script.simulated(), Clock(script.speedup), inbox, bus, args.out, log, events, script.vehicle.after_stop)
         except ValueError as error:
             print(f"error: --out: {error}", file=sys.stderr)
             return cli.BAD_INPUT

@@ -117,4 +117,4 @@ def uniformity_p_value(ranks: Array) -> float:
             t = (limit - c) / (0.8 - c)
             t = -0.00022633 + (6.54034 - (14.6538 - (14.458 - (8.259 - 1.91864 * t) * t) * t) * t) * t
             limit += t * (0.04213 / count + 0.01365 / count**2)
-    return max(1 - limit, 0.0)
+    return min(max(1 - limit, 0.0), 1.0)  # the correction may leave the range by a rounding

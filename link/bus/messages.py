@@ -69,7 +69,7 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The status of a service. The liveliness token on the same key shows that its process runs, not that a vehicle is alive."""
 
     service: str
-    state: Annotated[str, Meta(description="what it is doing; uav: standby, taking off, searching, returning, landed")]
+    state: Annotated[str, Meta(description="what it is doing; uav: standby, taking off, searching, paused, returning, holding, landed")]
     step: Annotated[int, Meta(ge=-1, description="last step finished; -1 before the first")]
     compute_s: Annotated[float, Meta(ge=0, description="compute time of the steps so far, s; only the uav's includes the bus")]
     uptime_s: Annotated[float, Meta(ge=0, description="time since it joined the bus, s")]

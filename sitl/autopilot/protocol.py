@@ -35,7 +35,13 @@ NO_POSITION = (
     mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
 )
 
+ASKED_OF_ALL = {
+    mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
+}  # fmt: skip
+"""Commands that may be broadcast; PX4, too, obeys no other command that is sent to system 0."""
+
 UNSUPPORTED = Result(mavlink.MAV_RESULT_UNSUPPORTED)
+BROADCAST = Result(mavlink.MAV_RESULT_FAILED, "Command refused: sent to all, wanted one vehicle")
 
 
 class Params(NamedTuple):
@@ -69,20 +75,32 @@ class MavlinkProtocol:
         rates act on it; without it they are unsupported.
         """
         self._vehicle.catch_up(t_s)
-        if getattr(message, "target_system", 0) not in (0, self._vehicle.config.sysid):
-            return []
-        if getattr(message, "target_component", 0) not in (0, COMPONENT):
+        if not self.is_addressed(message):
             return []
         match message.get_type():
             case "COMMAND_LONG" | "COMMAND_INT":
+                if message.target_system == 0 and message.command not in ASKED_OF_ALL:
+                    return self.refuse(message, BROADCAST)
                 result, answers = self._command(message.command, _params(message), t_s, streams)
                 return [_acknowledge(message, message.command, result), *answers, *self._reason(result)]
             case "SET_MODE":
                 result = self._set_custom_mode(t_s, message.base_mode, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24)
                 return [_acknowledge(message, mavlink.MAVLINK_MSG_ID_SET_MODE, result), *self._reason(result)]
             case "SET_POSITION_TARGET_LOCAL_NED":
-                return self._refusal(self._setpoint(message, t_s), t_s)
+                return self.refuse_setpoint(self._setpoint(message, t_s), t_s)
         return []
+
+    def is_addressed(self, message: Message) -> bool:
+        """True unless a message is for another system or component, or comes from our own ids: PX4 ignores those, too."""
+        ours = self._vehicle.config.sysid, COMPONENT
+        if (message.get_srcSystem(), message.get_srcComponent()) == ours:
+            return False
+        return all(getattr(message, f"target_{name}", 0) in (0, own) for name, own in zip(("system", "component"), ours, strict=True))
+
+    def refuse(self, message: Message, result: Result) -> list[Message]:
+        """Return the answer to a command or a change of mode that is refused."""
+        command = message.command if message.get_type() != "SET_MODE" else mavlink.MAVLINK_MSG_ID_SET_MODE
+        return [_acknowledge(message, command, result), *self._reason(result)]
 
     def statustext(self, severity: int, text: str) -> list[Message]:
         """Return a text as STATUSTEXT (253). A long text is split into chunks of one id; the first chunk that is not full ends it."""
@@ -167,7 +185,8 @@ class MavlinkProtocol:
         yaw = None if m.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE else m.yaw
         return self._vehicle.setpoint(t_s, (m.x, m.y, m.z), yaw, m.time_boot_ms)
 
-    def _refusal(self, result: Result, t_s: float) -> list[Message]:
+    def refuse_setpoint(self, result: Result, t_s: float) -> list[Message]:
+        """Count a setpoint that is denied; returns the reason as STATUSTEXT, unless the same kind was told within a second."""
         if result.code != mavlink.MAV_RESULT_DENIED:
             return []
         self.refused[result.kind] += 1

@@ -293,6 +293,10 @@ class Vehicle:
         self._readings.add(time_boot_ms)
         self._newest, self._answered = time_boot_ms, False
 
+    def has_reading(self, time_boot_ms: int) -> bool:
+        """True if a reading was taken at this time: then a setpoint with it is the agent's."""
+        return time_boot_ms in self._readings
+
     @property
     def waypoint(self) -> Ned | None:
         """The last accepted setpoint; None before the first."""

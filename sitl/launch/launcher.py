@@ -18,7 +18,7 @@ from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, SEARCHERS, STOP
 from link.bus.log import LEVELS
 from link.bus.mavlink import BadFrame, Codec, Message, unpack
-from link.bus.messages import Belief, Health
+from link.bus.messages import Belief, Health, Stop
 from link.bus.session import Arrival, Bus, LivelinessChange
 from plume import COMPILING, __version__
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
@@ -220,7 +220,7 @@ class _Watch:
         self._warned = False
         self._gone: set[str] = set()
         self._record_ended = False
-        self._landed = False
+        self._stopped = self._landed = False
         self._landed_at = (math.nan, math.nan)
 
     def until_the_end(self) -> Flown:
@@ -230,13 +230,12 @@ class _Watch:
             self._listen(self._disturbances.wait_s())
             if self._last:
                 self._disturbances.reached(self._last.step, self._last.time_boot_ms / 1000)
-            if self._landed:
+            if self._landed and not self._stopped:  # after a stop it lands because the search is over, and the last belief is on its way
                 break
         if self._last is None or (self._landed and not self._over and not script.expectations):
             words = self._last_words.get("uav", "none")
             raise MissionFailed(f"the uav landed before the search was over; its last words: {words}")
-        if {"returned home", "landed"} & set(script.expectations):
-            self._await_landing(call_home="returned home" in script.expectations)
+        self._await_landing(self._last)
         self._await_record(self._last.step)
         return self._flown(self._last)
 
@@ -290,6 +289,8 @@ class _Watch:
                     self._progress.say(f"the {service} is back")
                     self._watchdog.begins(service, time.monotonic())
                 (self._gone.discard if alive else self._gone.add)(service)
+            case Arrival(key) if key is STOP:
+                self._stopped = self._stopped or self._bus.decode(item, Stop) is not None
             case Arrival(key) if key is BELIEF:
                 if (belief := self._bus.decode(item, Belief)) and belief.step not in self._trace:
                     self._follow(belief)
@@ -320,14 +321,27 @@ class _Watch:
         self._trace[belief.step] = TracePoint(belief.position, belief.gas, belief.mean, belief.spread)
         self._progress.show(belief, self._distance_m)
 
-    def _await_landing(self, *, call_home: bool) -> None:
-        """Wait until it has landed and its place is known. With `call_home`, command the return each second until it is on its way."""
-        self._bus.subscribe(MAVLINK_OUT)
-        codec = Codec(*OPERATOR)
-        while not self._landed or math.isnan(self._landed_at[0]):
+    def _await_landing(self, last: Belief) -> None:
+        """Wait until the vehicle has done what comes after the search. A stop sends it on its way; else it is told to, each second."""
+        home, after = "returned home" in self._script.expectations, self._script.vehicle.after_stop
+        if after == "hold":
+            if not home and "landed" not in self._script.expectations:
+                return
+            after = "return" if home else "land"
+        if home:
+            self._bus.subscribe(MAVLINK_OUT)  # where it has landed
+        if not self._landed:
+            self._progress.say("returning home" if after == "return" else "landing")
+        order = mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH if after == "return" else mavlink.MAV_CMD_NAV_LAND
+        codec, call_at = Codec(*OPERATOR), 0.0
+        while not self._landed or (home and math.isnan(self._landed_at[0])):
             state = self._compute["uav"].state if "uav" in self._compute else ""
-            if call_home and state == "searching":
-                self._bus.publish(MAVLINK_IN, codec.pack(command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)))
+            if state in ("paused", "holding"):
+                self._progress.say("a pilot leads the vehicle: it is left to them")
+                return
+            if state == "searching" and not last.ceased and time.monotonic() >= call_at:
+                self._bus.publish(MAVLINK_IN, codec.pack(command(self._mission.instance + 1, order)))
+                call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)
 
     def _await_record(self, step: int) -> None:

@@ -34,6 +34,10 @@ MAY_BE_INFINITE = ("vehicle.endurance_s", "vehicle.silence_s")
 Expectation = Literal["ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"]
 
 
+AfterStop = Literal["return", "land", "hold"]
+"""What the vehicle does once the search is over: return home and land, land on the spot, or hold until told."""
+
+
 class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The gas release; the seed draws every field that is left out."""
 
@@ -64,6 +68,7 @@ class VehiclePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     silence_s: Annotated[float, Meta(gt=0, description="real time without a waypoint before the return home, a number above 0, s")] = (
         VehicleConfig.silence_s
     )
+    after_stop: Annotated[AfterStop, Meta(description="what follows the search: return home and land, land, or hold until told")] = "return"
 
 
 class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -254,6 +259,7 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         At speed-up 0 a waiting vehicle runs in real time, so the factor is 1.
         """
         fields = msgspec.structs.asdict(self.vehicle)
+        del fields["after_stop"]
         return VehicleConfig(sysid, **{**fields, "silence_s": self.vehicle.silence_s * (self.speedup or 1.0)})
 
     @property

@@ -17,14 +17,15 @@ from link.bus.messages import Stop
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from plume.world import World
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.operator import OPERATOR, change_mode, command, setpoint
+from sitl.autopilot.operator import OPERATOR, change_mode, command
 from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol
-from sitl.autopilot.state import Arrived, Mode, Result
+from sitl.autopilot.state import Arrived, Mode
 from sitl.autopilot.telemetry import Snapshot, Telemetry
 from sitl.autopilot.vehicle import Vehicle
-from sitl.script.script import Abort, Delay, Dropout, Duplicate, Lose, OnBoard, Pause, Resume, Spike, Stuck, Wind
+from sitl.script.script import Abort, AfterStop, Delay, Dropout, Duplicate, Lose, OnBoard, Pause, Resume, Spike, Stuck, Wind
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
+from sitl.uav.search import PAUSED, SEARCHING, Search
 from sitl.uav.timeline import Timeline
 from sitl.uav.udp import UdpLink
 
@@ -79,13 +80,16 @@ class Uav:
         outs: Sequence[str],
         log: Log,
         events: Sequence[OnBoard] = (),
+        after_stop: AfterStop = "return",
     ) -> None:
         """Open the links; raises ValueError for a UDP URL that cannot be used.
 
-        outs: UDP URLs; log: the bus's own log if there is a bus; events: the script events that happen on board.
+        outs: UDP URLs; log: the bus's own log if there is a bus; events: the script events that happen on board; after_stop: what
+        the vehicle does once the source is found.
         """
         self._vehicle = Vehicle(config)
         self._protocol = MavlinkProtocol(self._vehicle)
+        self._search = Search(self._vehicle, self._protocol, world.start, after_stop, self._tell)
         self._world = world
         self._clock = clock
         self._inbox = inbox
@@ -105,8 +109,7 @@ class Uav:
         self._resend_s = RESEND_FIRST_S
         self._resend_at = time.monotonic()
         self._searchers: set[str] = set()
-        self._stopped = False
-        self._tally.state = "standby"
+        self._tally.state = self._search.state
         self._sampled_at = time.monotonic()
         self._ports: list[Port] = []
         self._udp: list[UdpLink] = []
@@ -128,7 +131,8 @@ class Uav:
         if self._bus:
             self._bus.subscribe(MAVLINK_IN, STOP)
             self._bus.watch_services()
-        self._set_state("standby")
+        if self._bus:
+            self._bus.publish_health()
         try:
             while True:
                 busy_since = time.perf_counter()
@@ -157,7 +161,8 @@ class Uav:
     @property
     def _busy(self) -> bool:
         """True if the vehicle waits for nobody: at speed-up 0 time may then jump to the next event."""
-        return self._vehicle.moving or (self._tally.state == "searching" and self._timeline.next_s() is not None and not self._must_resend)
+        under_way = self._tally.state in (SEARCHING, PAUSED)
+        return self._vehicle.moving or (under_way and self._timeline.next_s() is not None and not self._must_resend)
 
     def _live_until(self, now_s: float) -> None:
         """Advance to a time; each script event happens at its exact time."""
@@ -170,10 +175,10 @@ class Uav:
     def _let_pass(self, now_s: float) -> None:
         for event in self._vehicle.advance(now_s):
             if isinstance(event, Arrived):
-                self._sample(event)
+                if self._measures:
+                    self._sample(event)
             else:
-                self._log.info(event.text)
-                self._broadcast(self._protocol.statustext(event.severity, event.text))
+                self._tell(event.severity, event.text)
 
     def _receive(self) -> Any:
         next_event_s = self._next_event_s()
@@ -205,14 +210,14 @@ class Uav:
                 for message in messages:
                     self._message(message, self._ports[0])
             case Arrival(key) if key is STOP and self._bus:
-                stop = self._bus.decode(item, Stop)
-                self._stopped = self._stopped or stop is not None
+                if stop := self._bus.decode(item, Stop):
+                    self._search.declare(stop)
             case LivelinessChange(service, alive):
                 (self._searchers.add if alive else self._searchers.discard)(service)
 
     def _message(self, message: Message, port: Port) -> None:
         refused, awaited = self._protocol.refused.total(), self._vehicle.awaiting_answer
-        answers = self._protocol.receive(message, self._clock.now_s(), port.telemetry)
+        answers = self._search.receive(message, self._clock.now_s(), port.telemetry)
         if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
             self._clock.heard()
         if awaited and not self._vehicle.awaiting_answer:
@@ -227,32 +232,24 @@ class Uav:
     # ---- the search ----
 
     def _go_on_with_the_search(self) -> None:
-        """Once estimator and agent are alive: arm, take off, fly to the start, then follow their waypoints."""
-        now_s = self._vehicle.now_s
-        mode = self._vehicle.state(now_s).mode
-        if self._tally.state == "standby" and self._searchers >= SEARCHERS:
-            if not self._vehicle.state(now_s).armed:
-                self._warn_where_refused(self._vehicle.arm(now_s))
-            self._warn_where_refused(self._vehicle.take_off(now_s))
-            self._set_state("taking off")
-        elif self._tally.state == "taking off" and mode is Mode.HOLD:
-            start_x, start_y = self._world.start
-            self._warn_where_refused(self._vehicle.setpoint(now_s, (start_y, start_x, -self._vehicle.config.takeoff_altitude_m)))
-            self._warn_where_refused(self._vehicle.set_mode(now_s, Mode.OFFBOARD))
-            self._set_state("searching")
-        elif self._tally.state == "searching" and mode in (Mode.RETURN, Mode.LAND):
-            self._set_state("returning")
-        elif self._tally.state == "returning" and not self._vehicle.state(now_s).armed:
-            self._set_state("landed")
+        self._search.go_on(self._searchers >= SEARCHERS)
+        if self._tally.state != self._search.state:
+            self._tally.state = self._search.state
+            for port in self._ports:  # stations see at once what has changed: after the landing the process may end
+                if heartbeat := port.telemetry.build(mavlink.MAVLINK_MSG_ID_HEARTBEAT, self._clock.stream_s()):
+                    port.link.send(heartbeat)
+            if self._bus:
+                self._bus.publish_health()
 
-    def _warn_where_refused(self, result: Result) -> None:
-        if not result.accepted:
-            self._log.warning(result.reason)
+    def _tell(self, severity: int, text: str) -> None:
+        """Tell people: in the log and as STATUSTEXT (253)."""
+        (self._log.warning if severity <= mavlink.MAV_SEVERITY_WARNING else self._log.info)(text)
+        self._broadcast(self._protocol.statustext(severity, text))
 
-    def _set_state(self, state: str) -> None:
-        self._tally.state = state
-        if self._bus:
-            self._bus.publish_health()
+    @property
+    def _measures(self) -> bool:
+        """Whether an arrival is measured: at the search's waypoints, and everywhere by a plain vehicle, which has no bus."""
+        return self._search.measures or self._bus is None
 
     def _sample(self, arrived: Arrived) -> None:
         """Take one reading where the vehicle came to rest, and publish it. A sensor without a value publishes NaN and is read again."""
@@ -291,7 +288,7 @@ class Uav:
 
     @property
     def _must_resend(self) -> bool:
-        return self._bus is not None and self._tally.state == "searching" and self._vehicle.awaiting_answer and not self._stopped
+        return self._bus is not None and self._search.wants_answers
 
     def _resend(self) -> None:
         """Publish an unanswered reading again: the reading, the belief or the waypoint may have been lost."""
@@ -307,7 +304,7 @@ class Uav:
     def _perform(self, event: OnBoard | Arrived) -> None:
         """Carry out a script event, or measure again after a dropout."""
         if isinstance(event, Arrived):
-            if self._vehicle.state(self._vehicle.now_s).mode is Mode.OFFBOARD and not self._vehicle.moving:
+            if self._measures and not self._vehicle.moving:
                 self._sample(event)
             return
         words = " ".join(f"{name} {value}" for name, value in msgspec.structs.asdict(event).items() if value is not None)
@@ -324,22 +321,19 @@ class Uav:
             case Delay() | Duplicate() | Lose():
                 self._radio.begin(event)
             case Pause():
-                self._operate(change_mode(Mode.HOLD))
+                self._operate(change_mode(self._vehicle.config.sysid, Mode.HOLD))
                 for after_s in self._after_pause_s[:1]:
                     self._timeline.schedule(self._vehicle.now_s + after_s, Resume(time_s=self._vehicle.now_s + after_s))
                 del self._after_pause_s[:1]
             case Resume():
-                # A pause may last longer than a setpoint stays valid: send the setpoint again first.
-                if self._vehicle.waypoint:
-                    self._operate(setpoint(self._vehicle.waypoint))
-                self._operate(change_mode(Mode.OFFBOARD))
+                self._operate(change_mode(self._vehicle.config.sysid, Mode.OFFBOARD))
             case Abort():
-                self._operate(command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH))
+                self._operate(command(self._vehicle.config.sysid, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH))
 
     def _operate(self, message: Message) -> None:
         """Handle a message of the script's operator as if it had come over a link."""
         message.pack(mavlink.MAVLink(None, *OPERATOR))
-        answers = self._protocol.receive(message, self._vehicle.now_s)
+        answers = self._search.receive(message, self._vehicle.now_s)
         for text in (answer.text for answer in answers if answer.get_type() == "STATUSTEXT"):
             self._log.warning(text)
         self._broadcast(answers)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numba import njit
 
+from estimator.belief import FEWEST, RECENT
 from estimator.filter import Config
 from estimator.kernels.checks import uniformity_p_value
 from estimator.kernels.densities import greatest_log_density, is_a_normal_density, log_likelihoods
@@ -240,6 +241,8 @@ def test_a_rank_is_uniform_where_the_model_is_right() -> None:
         for level in (0.5, 0.1, 0.01, 0.001):
             margin = 4 * math.sqrt(level * (1 - level) / 20_000) + 0.003 * (level > 0.05)  # 4 standard deviations, the formula's own error
             assert np.mean(p_values < level) == pytest.approx(level, abs=margin)
+    for count in range(FEWEST, RECENT + 1):  # evenly spread: nothing can fit better
+        assert 0.99 < uniformity_p_value((np.arange(count) + 0.5) / count) <= 1.0
     assert uniformity_p_value(np.full(30, 0.5)) < 1e-4
     assert uniformity_p_value(np.linspace(0.9, 1.0, 30)) < 1e-6
 

@@ -126,7 +126,10 @@ def test_the_launcher_says_so_when_the_vehicle_gives_up(start, family, wait_unti
     agent = family(mission.process.pid)["agent"]
     os.kill(agent, signal.SIGSTOP)  # alive, but silent
     assert mission.ended() == 1
-    assert "error: the uav landed before the search was over; its last words: uav: No setpoint for 20 s: returning home" in mission.err[-1]
+    assert (
+        "error: the uav landed before the search was over; its last words: uav: warning: No setpoint for 20 s: returning home"
+        in mission.err[-1]
+    )
 
 
 LAST = 29

@@ -1,0 +1,280 @@
+"""Protects that the pilot always wins: who leads the vehicle, when the search gives way, and how it is given back."""
+
+import math
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.mavlink import POSITION_ONLY, Message, waypoint_message
+from link.bus.messages import Stop
+from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.protocol import MavlinkProtocol
+from sitl.autopilot.state import Arrived, Mode
+from sitl.autopilot.vehicle import Vehicle
+from sitl.uav.search import Search
+
+PILOT, CLIENT = (255, 190), (245, 190)
+STOP = Stop(9_000, 7, (4.0, 3.0), (0.04, 0.0, 0.04), 0.28, 0.5, "spread:0.5")
+
+
+class Flight:
+    """A vehicle with a search, and an agent that answers each reading with the next waypoint, 1 m further east."""
+
+    def __init__(self, after_stop: str = "return", silence_s: float = 30.0) -> None:
+        self.vehicle = Vehicle(VehicleConfig(silence_s=silence_s))
+        self.texts: list[str] = []
+        self.real_s = 100.0
+        protocol = MavlinkProtocol(self.vehicle)
+        self.search = Search(self.vehicle, protocol, (2.0, 3.0), after_stop, lambda _, text: self.texts.append(text), lambda: self.real_s)  # type: ignore[arg-type]
+        self.readings: list[tuple[float, float]] = []
+        self.now_s = 0.0
+        self.answering = True
+
+    def fly(self, seconds: float) -> None:
+        """Let time pass in steps of 0.1 s, as the uav does."""
+        for _ in range(round(seconds * 10)):
+            self.now_s = round(self.now_s + 0.1, 1)
+            self.real_s += 0.1
+            for event in self.vehicle.advance(self.now_s):
+                if isinstance(event, Arrived) and self.search.measures:
+                    self.readings.append((event.position[1], event.position[0]))
+                    self.vehicle.sampled(round(self.now_s * 1000))
+            self.search.go_on(searchers=True)
+            if self.answering and self.vehicle.awaiting_answer:
+                x, y = self.readings[-1]
+                self.send(waypoint_message(1, self.vehicle._newest or 0, (x + 1, y), 5.0), (1, 191))
+
+    def until(self, state: str) -> None:
+        """Fly until the search is in a state, at most a minute."""
+        for _ in range(600):
+            if self.search.state == state:
+                return
+            self.fly(0.1)
+        raise AssertionError(f"still {self.search.state}, not {state}")
+
+    def send(self, message: Message, sender: tuple[int, int]) -> list[Message]:
+        """Hand a message to the vehicle as if it had come over a link."""
+        message.pack(mavlink.MAVLink(None, *sender))
+        return self.search.receive(message, self.now_s)
+
+    def command(self, number: int, *params: float, sender: tuple[int, int] = PILOT) -> int:
+        """Send a command; returns its MAV_RESULT."""
+        params = (*params, *[0.0] * (7 - len(params)))
+        return self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *params), sender)[0].result
+
+    def change(self, mode: Mode, sender: tuple[int, int] = PILOT) -> int:
+        """Ask for a mode; returns the MAV_RESULT."""
+        return self.command(mavlink.MAV_CMD_DO_SET_MODE, 1, *mode.value, sender=sender)
+
+    def lead(self, x: float, y: float, sender: tuple[int, int] = CLIENT) -> list[Message]:
+        """Send a setpoint of a client's own; returns the answers."""
+        zeros = [0.0] * 8
+        setpoint = mavlink.MAVLink_set_position_target_local_ned_message(
+            7, 1, 1, mavlink.MAV_FRAME_LOCAL_NED, POSITION_ONLY, y, x, -5.0, *zeros
+        )
+        return self.send(setpoint, sender)
+
+    @property
+    def mode(self) -> Mode:
+        return self.vehicle.state(self.now_s).mode
+
+    @property
+    def place(self) -> tuple[float, float]:
+        north, east, _ = self.vehicle.state(self.now_s).position
+        return round(east, 2), round(north, 2)
+
+
+@pytest.fixture
+def flight() -> Flight:
+    return Flight()
+
+
+def test_left_alone_the_search_takes_off_flies_to_its_start_and_reads_once_at_each_waypoint(flight: Flight) -> None:
+    flight.until("searching")
+    flight.fly(20)
+    assert flight.readings[:3] == [(2.0, 3.0), (3.0, 3.0), (4.0, 3.0)]
+    assert len(set(flight.readings)) == len(flight.readings) > 5
+    assert flight.texts == []
+
+
+@pytest.mark.parametrize("how", [Mode.HOLD, Mode.LAND, Mode.RETURN], ids=lambda mode: mode.name)
+def test_a_mode_that_a_pilot_chooses_during_take_off_stays(flight: Flight, how: Mode) -> None:
+    flight.until("taking off")
+    flight.fly(0.5)
+    assert flight.change(how) == mavlink.MAV_RESULT_ACCEPTED
+    flight.fly(3)
+    assert not flight.search.leads
+    assert flight.mode is not Mode.OFFBOARD
+    assert flight.texts == [f"Search gives way: {how.name} by 255/190"]
+    flight.fly(60)
+    if how is Mode.HOLD:
+        assert (flight.search.state, flight.place) == ("paused", (0.0, 0.0))
+    else:
+        assert flight.search.state == "landed"
+        assert not flight.vehicle.state(flight.now_s).armed
+    assert flight.readings == []
+
+
+def test_a_search_that_was_paused_during_take_off_flies_to_its_start_when_it_is_given_back(flight: Flight) -> None:
+    flight.until("taking off")
+    flight.fly(0.5)
+    flight.change(Mode.HOLD)
+    flight.fly(100)
+    assert flight.change(Mode.OFFBOARD) == mavlink.MAV_RESULT_ACCEPTED
+    flight.fly(10)
+    assert flight.readings[0] == (2.0, 3.0)
+    assert flight.texts[-1] == "Search resumed by 255/190"
+
+
+def test_a_pause_of_any_length_can_be_ended_and_the_search_goes_on_where_it_was(flight: Flight) -> None:
+    flight.until("searching")
+    flight.fly(10)
+    before = len(flight.readings)
+    flight.change(Mode.HOLD)
+    flight.fly(300)  # ten times the time after which a setpoint is stale
+    assert (flight.search.state, len(flight.readings)) == ("paused", before)
+    assert flight.change(Mode.OFFBOARD) == mavlink.MAV_RESULT_ACCEPTED
+    flight.fly(10)
+    assert flight.search.state == "searching"
+    x, y = flight.readings[before - 1]
+    assert flight.readings[before] == (x + 1, y)
+
+
+def test_an_answer_that_comes_during_a_pause_is_flown_after_it(flight: Flight) -> None:
+    flight.until("searching")
+    flight.answering = False
+    flight.fly(10)
+    assert flight.readings == [(2.0, 3.0)]
+    flight.change(Mode.HOLD)
+    assert flight.search.wants_answers
+    flight.send(waypoint_message(1, flight.vehicle._newest or 0, (9.0, 9.0), 5.0), (1, 191))
+    flight.fly(5)
+    assert flight.place == (2.0, 3.0)
+    flight.change(Mode.OFFBOARD)
+    flight.fly(10)
+    assert flight.readings == [(2.0, 3.0), (9.0, 9.0)]
+
+
+def test_a_motor_stop_in_mid_flight_ends_the_search(flight: Flight) -> None:
+    flight.until("searching")
+    flight.fly(3)
+    assert flight.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 21196) == mavlink.MAV_RESULT_ACCEPTED
+    flight.until("landed")
+    readings = list(flight.readings)
+    flight.fly(30)
+    assert (flight.search.state, flight.search.leads, flight.readings) == ("landed", False, readings)
+    assert "Search gives way: disarmed by 255/190" in flight.texts
+
+
+def test_setpoints_of_another_client_are_refused_while_the_search_leads(flight: Flight) -> None:
+    flight.until("searching")
+    refused = 0
+    for _ in range(100):
+        answers = flight.lead(20.0, 20.0)
+        refused += len(answers)
+        flight.fly(0.1)
+    assert 9 <= refused <= 11  # told once a second
+    assert all(abs(y - 3.0) < 1e-6 for _, y in flight.readings)
+    assert len(set(flight.readings)) == len(flight.readings)
+    assert flight.change(Mode.OFFBOARD, CLIENT) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+
+
+def test_another_client_that_took_control_leads_with_its_own_setpoints_and_burns_no_readings(flight: Flight) -> None:
+    flight.until("searching")
+    flight.fly(5)
+    readings = list(flight.readings)
+    flight.change(Mode.HOLD, CLIENT)
+    for n in range(100):
+        flight.lead(20.0, 20.0)
+        if n == 5:
+            assert flight.change(Mode.OFFBOARD, CLIENT) == mavlink.MAV_RESULT_ACCEPTED
+        flight.fly(0.1)
+    assert flight.place == (20.0, 20.0)
+    assert (flight.readings, flight.search.state) == (readings, "paused")
+    # It ends its stream; a pilot gives the vehicle back.
+    flight.fly(2)
+    flight.change(Mode.HOLD)
+    assert flight.change(Mode.OFFBOARD) == mavlink.MAV_RESULT_ACCEPTED
+    flight.fly(15)
+    assert flight.readings[len(readings)][1] == 3.0
+
+
+def test_a_go_to_takes_control_too(flight: Flight) -> None:
+    flight.until("searching")
+    flight.fly(3)
+    latitude_deg = 47.397742 + math.degrees(10 / 6_371_000)
+    reposition = mavlink.MAVLink_command_int_message(
+        1, 1, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, mavlink.MAV_CMD_DO_REPOSITION, 0, 0, -1, 0, 0, math.nan,
+        round(latitude_deg * 1e7), round(8.545594 * 1e7), 5.0,
+    )  # fmt: skip
+    flight.send(reposition, PILOT)
+    flight.fly(20)
+    assert flight.search.state == "paused"
+    assert flight.place == pytest.approx((0.0, 10.0), abs=0.03)
+
+
+@pytest.mark.parametrize(("after_stop", "ends"), [("return", (0.0, 0.0)), ("land", None)])
+def test_a_found_source_is_told_and_the_vehicle_lands(after_stop: str, ends: tuple[float, float] | None) -> None:
+    flight = Flight(after_stop)
+    flight.until("searching")
+    flight.fly(6)
+    there = flight.place
+    flight.answering = False
+    for _ in range(2):  # it may come again
+        flight.search.declare(STOP)
+    flight.until("landed")
+    assert flight.texts == ["Source found at (4.00, 3.00) m, spread 0.28 m"]
+    assert flight.place == (ends or pytest.approx(there, abs=2.0))
+    assert not flight.vehicle.state(flight.now_s).armed
+
+
+def test_a_found_source_may_leave_the_vehicle_in_the_air_until_told() -> None:
+    flight = Flight("hold")
+    flight.until("searching")
+    flight.fly(6)
+    flight.search.declare(STOP)
+    flight.fly(100)
+    assert (flight.search.state, flight.mode, flight.vehicle.state(flight.now_s).armed) == ("holding", Mode.HOLD, True)
+    flight.change(Mode.LAND)
+    flight.until("landed")
+
+
+def test_a_stop_does_not_move_a_vehicle_that_a_pilot_leads(flight: Flight) -> None:
+    flight.until("searching")
+    flight.fly(6)
+    flight.change(Mode.HOLD)
+    flight.fly(2)
+    there = flight.place
+    flight.search.declare(STOP)
+    flight.fly(60)
+    assert (flight.mode, flight.place) == (Mode.HOLD, there)
+    assert flight.texts[-1].startswith("Source found at")
+
+
+def test_a_search_waits_for_a_vehicle_that_a_pilot_flies(flight: Flight) -> None:
+    flight.vehicle.arm(0.0)
+    flight.vehicle.take_off(0.0, 10.0)
+    flight.fly(20)
+    assert (flight.search.state, flight.texts) == ("standby", ["Search waits: a pilot flies the vehicle"])
+    flight.change(Mode.LAND)
+    flight.until("searching")
+
+
+def test_a_silent_agent_brings_the_vehicle_home_and_ends_the_search() -> None:
+    flight = Flight(silence_s=5.0)
+    flight.until("searching")
+    flight.fly(3)
+    flight.answering = False
+    flight.until("landed")
+    assert flight.place == (0.0, 0.0)
+
+
+def test_commands_to_all_systems_and_from_the_vehicles_own_ids_are_not_obeyed(flight: Flight) -> None:
+    arm = mavlink.MAVLink_command_long_message(0, 0, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    assert flight.send(arm, PILOT)[0].result == mavlink.MAV_RESULT_FAILED
+    arm = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    assert flight.send(arm, (1, 1)) == []
+    assert not flight.vehicle.state(0.0).armed
+    assert flight.send(arm, (1, 191))[0].result == mavlink.MAV_RESULT_ACCEPTED  # another component of the vehicle may
+    version = mavlink.MAVLink_command_long_message(0, 0, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
+    assert flight.send(version, PILOT)[0].result != mavlink.MAV_RESULT_FAILED
