@@ -63,14 +63,14 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
 
     from link.record.reader import RecordError
     from scene.follow.recorded import backdrop_of
-    from sitl.view.guard import Rules
-    from sitl.view.live import Described, LiveVehicles
-    from sitl.view.records import Records
-    from sitl.view.server import LONGEST_MESSAGE, Server
+    from sitl.view.guard import AccessRules
+    from sitl.view.live import Described, LiveFleet
+    from sitl.view.records import RecordedFleet
+    from sitl.view.server import LONGEST_MESSAGE, PageServer
 
     loop = asyncio.get_running_loop()
     port = listening.getsockname()[1]
-    server: Server | None = None
+    server: PageServer | None = None
 
     def changed() -> None:
         if server is not None:
@@ -79,17 +79,17 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
 
     try:
         if args.logs:
-            shown: Any = Records(args.logs)
+            shown: Any = RecordedFleet(args.logs)
         else:
             described = None
             if args.about:
                 namespace = args.about.get("namespace", "uav/1")
                 described = Described(namespace, *backdrop_of(args.about, namespace))
-            shown = LiveVehicles(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True))
+            shown = LiveFleet(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True))
     except RecordError as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    server = Server(shown, Rules(args.host, port, args.token))
+    server = PageServer(shown, AccessRules(args.host, port, args.token))
 
     class _Uvicorn(uvicorn.Server):
         @contextlib.contextmanager

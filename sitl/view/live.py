@@ -141,7 +141,7 @@ class LiveVehicle:
         self._bus.close()
 
 
-class LiveVehicles:
+class LiveFleet:
     """All vehicles on a router."""
 
     def __init__(self, router: str, described: Described | None, changed: Callable[[], None], say: Callable[[str], None]) -> None:
