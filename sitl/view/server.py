@@ -282,7 +282,7 @@ class Client:
                 return UNDRAWN_S - since_s
             if self._live and since_s < EVERY_S:
                 return EVERY_S - since_s
-        elif what == sent.what and not self._live:
+        elif what == sent.what and (self._server.bye or not self._live):
             return UNDRAWN_S
         scene, history, published_ms = vehicle.scene(None if self._live else want.at_s)
         self._number += 1
