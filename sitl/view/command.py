@@ -89,13 +89,14 @@ def _refusal(args: argparse.Namespace) -> str:
 
 async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     import uvicorn
+    from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
     from link.record.reader import RecordError
     from scene.follow.recorded import backdrop_of
     from sitl.view.guard import AccessRules
     from sitl.view.live import Described, LiveFleet
     from sitl.view.records import RecordedFleet
-    from sitl.view.server import LONGEST_MESSAGE, PageServer
+    from sitl.view.server import LONGEST_MESSAGE, SEND_S, PageServer
 
     loop = asyncio.get_running_loop()
     port = listening.getsockname()[1]
@@ -124,8 +125,13 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         def capture_signals(self) -> Iterator[None]:
             yield  # they are ours
 
+    class _WebSocket(WebSocketsSansIOProtocol):
+        async def run_asgi(self) -> None:
+            await super().run_asgi()
+            self.loop.call_later(SEND_S, self.transport.abort)  # what a client does not read is not kept for it
+
     config = uvicorn.Config(
-        server.app(), http="h11", ws="websockets-sansio", lifespan="off", log_config=None, log_level="critical", access_log=False,
+        server.app(), http="h11", ws=_WebSocket, lifespan="off", log_config=None, log_level="critical", access_log=False,
         server_header=False, date_header=False, ws_max_size=LONGEST_MESSAGE, ws_per_message_deflate=False,
         timeout_graceful_shutdown=1, limit_concurrency=100,
     )  # fmt: skip

@@ -33,6 +33,8 @@ UNDRAWN_S = 1.0
 """After this long the next scene is sent, though the last one was not drawn; and one without news, to judge silent services anew."""
 SEND_S = 5.0
 """A client that takes longer to read what was sent is gone."""
+GONE = (WebSocketDisconnect, TimeoutError, RuntimeError)
+"""What a send to a client that has gone raises; the last one if it went just before."""
 TRY_AGAIN_LATER, POLICY = 1013, 1008
 """Reasons for closing a WebSocket, by its standard's numbers."""
 
@@ -199,14 +201,14 @@ class Client:
         """Serve it until it goes or breaks the contract."""
         tasks = [asyncio.create_task(self._read()), asyncio.create_task(self._write())]
         try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                with contextlib.suppress(WebSocketDisconnect, TimeoutError):
-                    task.result()
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             for each in (*tasks, *self._orders):
                 each.cancel()
-        with contextlib.suppress(WebSocketDisconnect, RuntimeError, TimeoutError):  # RuntimeError: it is closed
+        for ended in await asyncio.gather(*tasks, *self._orders, return_exceptions=True):
+            if isinstance(ended, Exception) and not isinstance(ended, GONE):
+                raise ended
+        with contextlib.suppress(*GONE):
             async with asyncio.timeout(UNDRAWN_S):
                 await self._socket.close(POLICY, self._bye)
 
