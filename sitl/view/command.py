@@ -143,8 +143,8 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         http.should_exit = True
 
     async def linger() -> None:
-        server.bye = "the mission is over"
         await asyncio.to_thread(shown.end)
+        server.bye = "the mission is over"
         server.news()
         began = time.monotonic()
         while server.watched or time.monotonic() < (began + FIRST_PAGE_S if server.left_at is None else server.left_at + RELOAD_S):

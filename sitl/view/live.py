@@ -188,6 +188,7 @@ class LiveFleet:
         with roster:
             self._follow(roster)
             for vehicle in self.vehicles.values():
+                vehicle.follow()
                 vehicle.close()
 
     def _follow(self, roster: Roster) -> None:
