@@ -2,7 +2,7 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Generic, NamedTuple, TypeVar
@@ -61,6 +61,18 @@ class Timed(Generic[T]):
         return self.values[count - 1] if count else None
 
 
+class Turn(NamedTuple):
+    """A change of the true wind, and of the whole plume with it, by a mission script."""
+
+    step: int | None
+    """The reading from which on it counts; None if it is the time that counts."""
+    time_s: float
+    u: float | None
+    """Its new speed, m/s; None: as before."""
+    phi: float | None
+    """The direction it comes from now, rad; None: as before."""
+
+
 class _Sign(NamedTuple):
     """A sign of life of a part, or of its end."""
 
@@ -80,9 +92,14 @@ class _Packed(NamedTuple):
 class History:
     """What was said on the bus of one vehicle. A message that breaks the contract is left out: the services count and refuse it."""
 
-    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, whole: bool = True) -> None:
-        """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the newest ones."""
+    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, turns: Sequence[Turn] = (), whole: bool = True) -> None:
+        """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the newest ones.
+
+        turns: the changes of the backdrop's wind, in order.
+        """
         self.backdrop = backdrop
+        """As it is at first."""
+        self._turns = turns
         self.time_s = 0.0
         """Simulation time of the newest message."""
         self.wall_s = 0.0
@@ -223,7 +240,7 @@ class History:
         wall = (self._walls.at(time_s) or self.wall_s) if wall_s is None else wall_s
         packed = self._scatters.at(time_s)
         return Scene(
-            backdrop=self.backdrop,
+            backdrop=self._backdrop(min(time_s, self.time_s), self.measurements.values[count - 1].step if count else -1),
             time_s=min(time_s, self.time_s),
             craft=self._crafts.at(time_s),
             track=np.array(self._track.until(time_s), np.float32).reshape(-1, 2),
@@ -243,6 +260,17 @@ class History:
         if self._unpacked is None or self._unpacked[0] is not packed:
             self._unpacked = packed, _scatter(packed)
         return self._unpacked[1]
+
+    def _backdrop(self, time_s: float, step: int) -> Backdrop:
+        """Return the backdrop with the wind at a time, after the belief of a step."""
+        if (release := self.backdrop.release) is None:
+            return self.backdrop
+        for turn in self._turns:
+            if step >= turn.step if turn.step is not None else time_s >= turn.time_s:
+                u = math.hypot(*release.wind) if turn.u is None else turn.u
+                phi = math.atan2(release.wind[1], release.wind[0]) if turn.phi is None else turn.phi
+                release = replace(release, wind=(u * math.cos(phi), u * math.sin(phi)))
+        return replace(self.backdrop, release=release)
 
     def _services(self, time_s: float, wall_s: float) -> Iterator[Service]:
         order = ("uav", "estimator", "agent")

@@ -83,7 +83,8 @@ def _refusal(args: argparse.Namespace) -> str:
             script = script.changed(truth)
         except FileError as error:
             return str(error)
-        args.about = {"namespace": None, "scenario": msgspec.to_builtins(script.simulated().truth), "seed": script.seed}
+        args.about = {"namespace": None, "mission": script, "scenario": script.simulated().truth, "seed": script.seed}
+        args.about = msgspec.to_builtins(args.about)
     return ""
 
 
@@ -92,7 +93,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
     from link.record.reader import RecordError
-    from scene.follow.recorded import backdrop_of
+    from scene.follow.recorded import backdrop_of, turns_of
     from sitl.view.guard import AccessRules
     from sitl.view.live import Described, LiveFleet
     from sitl.view.records import RecordedFleet
@@ -113,7 +114,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         else:
             described = None
             if args.about:
-                described = Described(args.about["namespace"], *backdrop_of(args.about))
+                described = Described(args.about["namespace"], *backdrop_of(args.about), turns_of(args.about))
             shown = LiveFleet(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True))
     except RecordError as error:
         print(f"error: {error}", file=sys.stderr)
