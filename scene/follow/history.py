@@ -23,6 +23,8 @@ from scene.scene import STOP as STOPPED
 
 TRACK_STEP_M = 0.1
 """The track gets a point when the vehicle has moved so far."""
+RESTART_MS = 1000
+"""A vehicle whose own time goes back by more was started again."""
 LONGEST = 300
 """Characters of a text that are kept: it may quote a stranger."""
 
@@ -104,6 +106,16 @@ class History:
         """Simulation time of the newest message."""
         self.wall_s = 0.0
         self._budget = budget
+        self._whole = whole
+        self.happenings: Timed[Happening] = Timed()
+        self._signs: dict[str, Timed[_Sign]] = {}
+        self._texts = Texts()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin a mission."""
+        whole = self._whole
+        self._boot_ms = 0
         self._crafts: Timed[Craft] = Timed(whole)
         self._scatters: Timed[_Packed] = Timed(whole)
         self._winds: Timed[tuple[float, float]] = Timed(whole)
@@ -111,13 +123,15 @@ class History:
         self._walls: Timed[float] = Timed(whole)
         self._track: Timed[Place] = Timed()
         self.measurements: Timed[Measurement] = Timed()
-        self.happenings: Timed[Happening] = Timed()
         self._endings: Timed[Ending] = Timed()
-        self._signs: dict[str, Timed[_Sign]] = {}
-        self._whole = whole
-        self._texts = Texts()
         self._stop = self._assume = ""
         self._unpacked: tuple[_Packed, Scatter | None] | None = None
+
+    def _begin_again(self, time_s: float) -> None:
+        """Follow the next mission of a vehicle that was started again; happenings and services stay."""
+        self._begin()
+        self.time_s = time_s
+        self._happened(time_s, INFO, "uav", "a new mission begins")
 
     # ---- taking ----
 
@@ -162,6 +176,10 @@ class History:
                 if said := self._texts.said(fields):
                     self._happened(time_s, said[0], "uav", said[1])
                 continue
+            if message_id == LOCAL:
+                if fields["time_boot_ms"] + RESTART_MS < self._boot_ms:
+                    self._begin_again(time_s)
+                self._boot_ms = fields["time_boot_ms"]
             craft = seen(craft, message_id, fields, time_s)
             if message_id == LOCAL:
                 last = self._track.at(math.inf)
