@@ -110,11 +110,14 @@ class History:
         self.happenings: Timed[Happening] = Timed()
         self._signs: dict[str, Timed[_Sign]] = {}
         self._texts = Texts()
+        self.missions = 0
+        """Missions so far; with each one the measurements and the track begin anew."""
         self._begin()
 
     def _begin(self) -> None:
         """Begin a mission."""
         whole = self._whole
+        self.missions += 1
         self._boot_ms = 0
         self._crafts: Timed[Craft] = Timed(whole)
         self._scatters: Timed[_Packed] = Timed(whole)
