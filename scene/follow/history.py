@@ -63,7 +63,7 @@ class Timed(Generic[T]):
         return self.values[count - 1] if count else None
 
 
-class Turn(NamedTuple):
+class WindTurn(NamedTuple):
     """A change of the true wind, and of the whole plume with it, by a mission script."""
 
     step: int | None
@@ -94,7 +94,7 @@ class _Packed(NamedTuple):
 class History:
     """What was said on the bus of one vehicle. A message that breaks the contract is left out: the services count and refuse it."""
 
-    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, turns: Sequence[Turn] = (), whole: bool = True) -> None:
+    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, turns: Sequence[WindTurn] = (), whole: bool = True) -> None:
         """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the newest ones.
 
         turns: the changes of the backdrop's wind, in order.

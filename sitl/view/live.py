@@ -14,7 +14,7 @@ from link.bus.roster import Presence, Roster
 from link.bus.session import NoRouter, Stamped
 from link.bus.tap import Tap
 from link.record.record import SimulationClock
-from scene.follow.history import History, Turn
+from scene.follow.history import History, WindTurn
 from scene.follow.telemetry import SETPOINT, frames, waypoint
 from scene.scene import Backdrop, Scene
 from sitl.autopilot.motion import Ned
@@ -34,7 +34,7 @@ class Described(NamedTuple):
     """None: the first vehicle that appears."""
     backdrop: Backdrop
     budget: int | None
-    turns: Sequence[Turn] = ()
+    turns: Sequence[WindTurn] = ()
 
 
 class LiveVehicle:

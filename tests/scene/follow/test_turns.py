@@ -5,14 +5,14 @@ import math
 import pytest
 
 from link.bus.keys import BELIEF
-from scene.follow.history import History, Turn
+from scene.follow.history import History, WindTurn
 from scene.follow.recorded import turns_of
 from scene.scene import Backdrop, Release
 
 RELEASE = Release((20.0, 12.0), (2.0, 0.0), q=300.0, d=4.0, tau=10.0)
 
 
-def wind_after(turns: list[Turn], step: int, time_s: float) -> tuple[float, float]:
+def wind_after(turns: list[WindTurn], step: int, time_s: float) -> tuple[float, float]:
     """The true wind once the belief of a step was heard at a time."""
     history = History(Backdrop("uav/1", release=RELEASE), turns=turns)
     said = (
@@ -26,11 +26,11 @@ def wind_after(turns: list[Turn], step: int, time_s: float) -> tuple[float, floa
 
 @pytest.mark.parametrize(("step", "time_s", "wind"), [(11, 30.0, (2.0, 0.0)), (12, 30.0, (0.0, 3.0)), (12, 60.0, (0.0, 1.0))])
 def test_the_wind_turns_at_a_step_or_a_time(step: int, time_s: float, wind: tuple[float, float]) -> None:
-    turns = [Turn(12, 0.0, 3.0, math.pi / 2), Turn(None, 50.0, 1.0, None)]
+    turns = [WindTurn(12, 0.0, 3.0, math.pi / 2), WindTurn(None, 50.0, 1.0, None)]
     assert wind_after(turns, step, time_s) == pytest.approx(wind, abs=1e-12)
 
 
 def test_the_turns_are_read_from_the_script_in_a_runs_description() -> None:
     events = [{"do": "wind", "step": 12, "u": 3.0, "phi": 2.1}, {"do": "pause", "step": 3}, {"do": "wind", "time_s": 7.5, "u": 1.0}]
-    assert turns_of({"mission": {"events": events}}) == [Turn(12, 0.0, 3.0, 2.1), Turn(None, 7.5, 1.0, None)]
+    assert turns_of({"mission": {"events": events}}) == [WindTurn(12, 0.0, 3.0, 2.1), WindTurn(None, 7.5, 1.0, None)]
     assert turns_of({}) == turns_of({"mission": "odd"}) == []
