@@ -8,42 +8,19 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, TextIO, get_args
+from typing import TYPE_CHECKING, TextIO
 
 from link import cli
 from link.bus.session import DEFAULT_ROUTER
-from plume import sensor
-from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
-from plume.worlds import AS_MODELLED, WORLDS, check
+from sitl.launch import viewing
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
-from sitl.script.script import AfterStop, AgentPart, OnBoard, Script, find, load, shipped
+from sitl.script.script import AgentPart, OnBoard, Script, find, load, shipped
 from sitl.script.typed_yaml import Document, FileError
+from sitl.uav.options import add_vehicle_arguments
 
 if TYPE_CHECKING:
     from sitl.launch.recording import RecordFiles
-
-
-def _udp_url(text: str) -> str:
-    from sitl.uav.udp import parse_url
-
-    try:
-        parse_url(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    return text
-
-
-def _home(text: str) -> tuple[float, float, float, float]:
-    try:
-        lat, lon, alt, heading = (float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted LAT,LON,ALT,HEADING") from None
-    if not (abs(lat) <= 90 and abs(lon) <= 180 and abs(alt) <= 10_000 and abs(heading) <= 360):
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not allowed; wanted LAT within ±90, LON within ±180, ALT within ±10000, HEADING within ±360"
-        )
-    return lat, lon, alt, heading
 
 
 def _record(text: str) -> Path:
@@ -57,67 +34,13 @@ def _policy_or_none(check: "CheckPolicy | None") -> "CheckPolicy":
     return lambda text: text == "none" or check is None or check(text)
 
 
-def _add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> None:
-    mission = parser.add_argument(
-        "mission", nargs="?", metavar="MISSION",
-        help="a mission script, MISSION.yaml, or the name of a shipped one, such as wind-shift; flags override its fields",
-    )  # fmt: skip
-    cli.completed(mission, shipped, "yaml", "yml")
-    parser.add_argument(
-        "--seed",
-        type=cli.whole(0, MAX_SEED),
-        default=1,
-        metavar="S",
-        help="seed of the scenario and the sensor noise (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--speedup",
-        type=cli.number(0, 1000),
-        default=speedup,
-        metavar="X",
-        help="times real time; 0 is as fast as possible (default: %(default)g)",
-    )
-    parser.add_argument(
-        "-I",
-        "--instance",
-        type=cli.whole(0, 254),
-        default=0,
-        metavar="N",
-        help="number of the vehicle; its system id and namespace are N+1 (default: %(default)s)",
-    )
-    kind = parser.add_argument(
-        "--sensor", type=cli.checked(sensor.parse, sensor.KINDS), default="gaussian", metavar="KIND[:NUMBERS]",
-        help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: threshold:0.5,0.3 (default: %(default)s)",
-    )  # fmt: skip
-    cli.completed(kind, lambda: sensor.KINDS)
-    world = parser.add_argument(
-        "--world", type=cli.checked(check, WORLDS), default=AS_MODELLED, metavar="NAME",
-        help="how the truth differs from what the estimator is told: a name of `plumeward list worlds` (default: %(default)s)",
-    )  # fmt: skip
-    cli.completed(world, lambda: WORLDS)
-    parser.add_argument(
-        "--home", type=_home, metavar="LAT,LON,ALT,HEADING", help="where home is, which is the south-west corner of the search area"
-    )
-    parser.add_argument(
-        "--out", type=_udp_url, action="append", default=[], metavar="URL",
-        help="also speak MAVLink: udpout:HOST:PORT sends (14540 MAVSDK and MAVROS, 14550 ground stations), udpin:HOST:PORT waits",
-    )  # fmt: skip
-    parser.add_argument(
-        "--silence", type=cli.number(0, math.inf, above=True), default=30.0, metavar="S",
-        help="return home and land after S real seconds without a waypoint (default: %(default)g)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--after-stop", choices=get_args(AfterStop), default="return",
-        help="once the search is over: return home and land, land on the spot, or hold until told (default: %(default)s)",
-    )  # fmt: skip
-
-
 SCRIPTS = (".yaml", ".yml")
 OTHERS = {
     "replay": ("sitl.replay.command", "feed a log to the estimator and agent again"),
     "log": ("sitl.desk.summary", "summarise a log, or print one of its keys as CSV"),
     "draw": ("sitl.desk.draw", "draw a log as a picture or an animation"),
     "status": ("sitl.desk.status", "show how the parts of a running mission are doing; exit status 1 if something is wrong"),
+    "view": ("sitl.view.command", "show missions on a page, live or recorded, and command the vehicle"),
     "record": ("sitl.desk.recorder", "record everything on a bus until interrupted"),
 }
 """Commands with a module of their own. It is imported only for its command: a part starts fast."""
@@ -189,7 +112,7 @@ def _parse(
     commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, required=True, metavar="COMMAND")
 
     fly = commands.add_parser("fly", help="fly one mission, with router, vehicle, estimator and agent as processes")
-    _add_vehicle_arguments(fly, speedup=10.0)
+    add_vehicle_arguments(fly, speedup=10.0)
     policy = fly.add_argument(
         "--policy", type=cli.checked(_policy_or_none(check_policy)), default=AgentPart().policy, metavar="NAME",
         help="how waypoints are chosen: a name that `plumeward list policies` shows, or a bundle, FILE.zip (default: %(default)s)",
@@ -207,6 +130,7 @@ def _parse(
         "--record", type=_record, metavar="FILE.mcap", help="the record's file; a .tlog is written beside it (default: in runs/)"
     )
     fly.add_argument("--no-record", action="store_true", help="record nothing")
+    viewing.add_arguments(fly)
     cli.add_output_guard(fly)
     fly.add_argument(
         "--patience", type=cli.number(WARN_S, math.inf), default=PATIENCE_S, metavar="S",
@@ -218,7 +142,7 @@ def _parse(
     uav = commands.add_parser("uav", help="the simulated vehicle alone")
     cli.add_bus_arguments(uav)
     uav.set_defaults(connect=None, namespace=None)
-    _add_vehicle_arguments(uav, speedup=1.0)
+    add_vehicle_arguments(uav, speedup=1.0)
 
     router = commands.add_parser("router", help="a Zenoh router alone")
     router.add_argument("-l", "--listen", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="where to listen (default: %(default)s)")
@@ -252,9 +176,10 @@ def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]
 
 def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from plume.outcome import outcome_text
-    from sitl.launch.launcher import Launch, fly, run_name, write_summary
+    from sitl.launch.launcher import Launch, fly
     from sitl.launch.processes import MissionFailed
     from sitl.launch.recording import RecordFiles
+    from sitl.launch.summary import run_name, write_summary
 
     script = _script(args, given)
     if args.connect and (reason := _unfit_for_connect(script, given)):
@@ -266,9 +191,11 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
         print(f"error: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
     launch = Launch(script, args.instance, args.listen, _handed_on(args, given), None, args.connect, args.log_level, args.patience)
+    page = viewing.page_of(args)
     try:
-        flown = fly(launch, record)
+        flown = fly(launch, record, page)
     except KeyboardInterrupt:
+        page.end()
         _give_up(record)
         print("interrupted", file=sys.stderr)
         raise
@@ -276,6 +203,7 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
         refused = failure.status == cli.BAD_INPUT
         _give_up(record, refused=refused)
         print(f"error: {_in_script(str(failure), args, given) if refused else failure}", file=sys.stderr)
+        page.linger()
         return failure.status
     results = sys.stderr if args.json else sys.stdout
     print(outcome_text(flown.outcome), file=results)
@@ -288,7 +216,8 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     for expectation, so in flown.expectations.items():
         print(f"expected {expectation}: {'yes' if so else 'NO'}", file=results)
     if args.json:
-        print(flown.json(with_trace=args.trace))
+        print(flown.json(with_trace=args.trace), flush=True)
+    page.linger()
     return 0 if all(flown.expectations.values()) else cli.FAILED
 
 
@@ -385,8 +314,7 @@ def main(
             print(f"error: {error}", file=sys.stderr)
             return cli.BAD_INPUT
     if args.command in OTHERS:
-        status: int = _module(args.command).run(args)
-        return status
+        return int(_module(args.command).run(args))
     from sitl.launch.router import run
 
     run(args.listen)

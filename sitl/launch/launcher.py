@@ -2,12 +2,9 @@
 
 import contextlib
 import itertools
-import json
 import math
-import os
 import time
-from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +17,7 @@ from link.bus.log import LEVELS
 from link.bus.mavlink import BadFrame, Codec, Message, unpack
 from link.bus.messages import Belief, Health, Stop
 from link.bus.session import Arrival, Bus, LivelinessChange
-from plume import COMPILING, __version__
+from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.randomness import derived_seed
 from plume.worlds import AS_MODELLED
@@ -31,6 +28,7 @@ from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes, rais
 from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
+from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import LOOK_S, PATIENCE_S, RECORDER, ROUTER, Watchdog
 from sitl.script.script import Cut, Expectation, Kill, Script
 
@@ -79,8 +77,8 @@ class Flown(NamedTuple):
         return outcome_json(self.outcome, self.trace if with_trace else None, expectations)
 
 
-def fly(mission: Launch, files: RecordFiles | None = None) -> Flown:
-    """Fly a mission and record it to files.
+def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | None = None) -> Flown:
+    """Fly a mission, record it to files and show it on a page, which stays.
 
     Raises MissionFailed if a part dies or hangs, or if the vehicle gives up unexpectedly.
     """
@@ -90,6 +88,8 @@ def fly(mission: Launch, files: RecordFiles | None = None) -> Flown:
     with contextlib.ExitStack() as stack:
         progress = stack.enter_context(Progress(mission.script.budget, "uav" if mission.connect else "router, uav, estimator, agent"))
         processes = stack.enter_context(Processes(inbox))
+        if page:
+            stack.callback(page.over, processes)
         relays: dict[str, Relay] = {}
 
         def join(endpoint: str) -> Bus:
@@ -98,7 +98,7 @@ def fly(mission: Launch, files: RecordFiles | None = None) -> Flown:
             return bus
 
         def start() -> str:
-            endpoint = start_parts(processes, mission, relays)
+            endpoint = start_parts(processes, mission, relays, page, progress.say)
             if files:
                 files.made = True
             return endpoint
@@ -120,7 +120,9 @@ def fly(mission: Launch, files: RecordFiles | None = None) -> Flown:
         return _Watch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()
 
 
-def start_parts(processes: Processes, mission: Launch, relays: dict[str, Relay]) -> str:
+def start_parts(
+    processes: Processes, mission: Launch, relays: dict[str, Relay], page: MissionPage | None = None, say: Callable[[str], None] = print
+) -> str:
     """Start all parts that do not run elsewhere; returns the router's endpoint. Links that the script cuts get a relay.
 
     Raises MissionFailed if the router or the recorder cannot start.
@@ -135,18 +137,22 @@ def start_parts(processes: Processes, mission: Launch, relays: dict[str, Relay])
         return "--connect", router, "--namespace", mission.namespace, "--log-level", level
 
     services = {} if mission.connect else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
+    about = {
+        "namespace": mission.namespace, "mission": script, "seed": script.seed, "policy": script.agent.policy, "budget": script.budget,
+        "scenario": script.simulated().truth, "parts": services,
+    }  # fmt: skip
+    about_json = msgspec.json.encode(about).decode()
     recording = None
     if mission.record:
-        about = {
-            "mission": script, "seed": script.seed, "policy": script.agent.policy, "budget": script.budget,
-            "scenario": script.simulated().truth, "parts": services,
-        }  # fmt: skip
-        about_json = msgspec.json.encode(about).decode()
         recording = processes.start("recorder", "sitl", "record", str(mission.record), *joining("recorder"), "--about", about_json)
+    if page:
+        page.start(processes, endpoint, about_json)
     for service, words in services.items():
         processes.start(service, service, *joining(service), *words)
     if recording:
         processes.answer(recording)  # it records everything from now on
+    if page:
+        page.await_start(say)
     processes.start("uav", "sitl", "uav", *mission.uav_arguments, *joining("uav"), "-I", str(mission.instance))
     return endpoint
 
@@ -275,6 +281,8 @@ class _Watch:
                 self._record_ended = True
                 self._watchdog.ended(RECORDER)
                 self._progress.say(f"warning: the recording stopped: {item.last_words}")
+            case Ended(part="view"):
+                self._progress.say(f"warning: the page ended: {item.last_words}")
             case Ended():
                 raise_for(item)
             case LogLine(part, line, level):
@@ -379,20 +387,3 @@ def _frames(payload: bytes) -> list[Message]:
         return unpack(payload)
     except BadFrame:
         return []
-
-
-def run_name(policy: str, seed: int) -> str:
-    """Return a unique name for a run's files."""
-    return f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{Path(policy).stem}-seed{seed}-{os.getpid()}"
-
-
-def write_summary(flown: Flown, path: Path) -> None:
-    """Write a mission's outcome, trace and how it was flown to a file."""
-    summary = {
-        "flown_at": datetime.now(UTC).isoformat(timespec="seconds"),
-        "plumeward": __version__,
-        "mission": msgspec.to_builtins(flown.script),
-        "outcome": json.loads(flown.json(with_trace=True)),
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(summary, indent=1) + "\n")

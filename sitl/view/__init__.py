@@ -1,1 +1,4 @@
-"""Missions shown live. Imports: scene."""
+"""A page that shows missions, live or recorded, and commands the vehicle.
+
+Imports: plume, link, link.bus, link.record, scene, scene.follow, sitl.autopilot, sitl.script.
+"""

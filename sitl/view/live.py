@@ -1,0 +1,237 @@
+"""Vehicles on a router, followed as they appear and go. One thread talks to the bus; scenes may be asked for from any other."""
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from link.bus.frames import frame_at
+from link.bus.keys import KEYS, MAVLINK_IN, MAVLINK_OUT
+from link.bus.roster import Presence, Roster
+from link.bus.session import NoRouter, Stamped
+from link.bus.tap import Tap
+from link.record.record import SimulationClock
+from scene.follow.history import History, WindTurn
+from scene.scene import Backdrop, Scene
+
+EVERY_S = 0.01
+"""How often messages are taken."""
+CONNECT_TIMEOUT_S = 1.0
+GONE_AFTER_S = 0.5
+"""A part that is back within this time was not gone; a router that is back gets as long to name the parts that it knows."""
+MOST_VEHICLES = 32
+
+
+class Described(NamedTuple):
+    """What was told beforehand of one vehicle."""
+
+    namespace: str | None
+    """None: the first vehicle that appears."""
+    backdrop: Backdrop
+    budget: int | None
+    turns: Sequence[WindTurn] = ()
+
+
+class LiveVehicle:
+    """One vehicle on the bus and its history since it was first seen."""
+
+    def __init__(self, name: str, router: str, described: Described | None) -> None:
+        """Join its bus; raises NoRouter."""
+        self.name = name
+        self.here = True
+        self.version = 0
+        """Grows with each change of what there is to see."""
+        self.system = 1
+        """Its MAVLink system id."""
+        self.listeners: set[Callable[[bytes], None]] = set()
+        """Called in the bus's thread with each payload of telemetry."""
+        told = described or Described(name, Backdrop(name), None)
+        self.history = History(told.backdrop, told.budget, turns=told.turns, whole=False)
+        self._clock = SimulationClock()
+        self._frozen_s: float | None = None
+        self._lock = threading.Lock()
+        self._alive: dict[str, bool] = {}
+        self._bus = Tap("view", router, name, "error", announced=False, connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S))
+        self._bus.subscribe(*KEYS)
+
+    def entry(self) -> dict[str, Any]:
+        """Return its row of the list of vehicles."""
+        backdrop = self.history.backdrop
+        return {
+            "name": self.name, "title": backdrop.title, "here": self.here, "has_truth": backdrop.release is not None,
+            "begin_s": None, "end_s": None, "readings_s": None, "moments": None,
+        }  # fmt: skip
+
+    def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:
+        """Return the newest scene, which of its missions it is of, and when the newest message in it was published, ms since 1970."""
+        with self._lock:
+            history = self.history
+            return history.at(wall_s=self._frozen_s or time.time()), history.missions, 1000 * history.wall_s or None
+
+    # ---- in the bus's thread ----
+
+    def follow(self) -> bool:
+        """Take what has arrived; returns whether there is something new to see."""
+        messages = self._bus.take()
+        if not messages:
+            return False
+        with self._lock:
+            changed = any([self._take(message) for message in messages])
+            self.version += changed
+        return changed
+
+    def _take(self, message: Stamped) -> bool:
+        time_s = self._clock.time_s(message.name, message.payload, message.published_ns)
+        if message.name == MAVLINK_OUT.name:
+            if frame := frame_at(message.payload, 0):
+                self.system = frame.system
+            for listener in tuple(self.listeners):
+                listener(message.payload)
+        return self.history.take(message.name, message.payload, message.attachment, time_s, message.published_ns / 1e9)
+
+    def lives(self, service: str, alive: bool) -> None:
+        """Take that a part appeared or is gone."""
+        with self._lock:
+            self._alive[service] = alive
+            self.history.lives(service, alive, time.time())
+            self.version += 1
+
+    @property
+    def inhabited(self) -> bool:
+        """Whether any of its parts is on the bus."""
+        return any(self._alive.values())
+
+    def send(self, payload: bytes) -> None:
+        """Publish on `mavlink/in`. It may wait for the router."""
+        self._bus.publish(MAVLINK_IN, payload)
+
+    def close(self) -> None:
+        """Leave its bus and keep what there is to see as it is now."""
+        self._frozen_s = time.time()
+        self._bus.close()
+
+
+class LiveFleet:
+    """All vehicles on a router."""
+
+    def __init__(self, router: str, described: Described | None, changed: Callable[[], None], say: Callable[[str], None]) -> None:
+        """Begin to follow.
+
+        changed: called in the bus's thread when there is something new to see; say: told, in a line, of what is wrong.
+        Raises BusError if `router` is not an endpoint.
+        """
+        self.vehicles: dict[str, LiveVehicle] = {}
+        """In the order in which they appeared."""
+        self.list_version = 0
+        """Grows with each change of the list or the notice."""
+        self.notice = ""
+        """What people should know of the bus: no router, too many vehicles."""
+        self._router, self._described, self._changed, self._say = router, described, changed, say
+        self._ended = threading.Event()
+        self._pending: dict[tuple[str, str], float] = {}
+        self._crowded = False
+        try:
+            roster: Roster | None = Roster("view", router, CONNECT_TIMEOUT_S)
+        except NoRouter:
+            roster = None
+        self._thread = threading.Thread(target=self._run, args=(roster,), name="bus", daemon=True)
+        self._thread.start()
+
+    def entries(self) -> list[dict[str, Any]]:
+        """Return the list of vehicles."""
+        return [vehicle.entry() for vehicle in tuple(self.vehicles.values())]
+
+    def end(self) -> None:
+        """Leave the bus. What there is to see stays as it is."""
+        self._ended.set()
+        self._thread.join(CONNECT_TIMEOUT_S + 1.0)
+
+    def _run(self, roster: Roster | None) -> None:
+        while roster is None and not self._ended.wait(EVERY_S):
+            self._tell(f"no router at {self._router}: waiting for one")
+            with contextlib.suppress(NoRouter):
+                roster = Roster("view", self._router, CONNECT_TIMEOUT_S)
+        if roster is None:
+            return
+        with roster:
+            self._follow(roster)
+            for vehicle in self.vehicles.values():
+                vehicle.follow()
+                vehicle.close()
+
+    def _follow(self, roster: Roster) -> None:
+        joining: deque[Presence] = deque()
+        connected_since = look_at = time.monotonic()
+        connected = True
+        while not self._ended.wait(EVERY_S):
+            now_s = time.monotonic()
+            if now_s >= look_at:
+                look_at = now_s + 0.2
+                was, connected = connected, roster.connected
+                connected_since = now_s if connected and not was else connected_since
+                self._tell("" if connected else f"the router at {self._router} is gone: waiting for it")
+            joining.extend(roster.changes())
+            while joining and self._note(joining[0], now_s):
+                joining.popleft()
+            told = self._bury(now_s) if connected and now_s - connected_since >= GONE_AFTER_S else False
+            seen = [vehicle.follow() for vehicle in self.vehicles.values()]
+            if told or any(seen):
+                self._changed()
+
+    def _tell(self, notice: str) -> None:
+        if notice != self.notice:
+            self._say(notice or f"the router at {self._router} is there")
+            self.notice = notice
+            self._list_changed()
+
+    def _list_changed(self) -> None:
+        self.list_version += 1
+        self._changed()
+
+    def _note(self, presence: Presence, now_s: float) -> bool:
+        """Take a change; returns False if it has to wait for the router."""
+        name, service, alive = presence
+        if not alive:
+            if name in self.vehicles:
+                self._pending[name, service] = now_s
+            return True
+        self._pending.pop((name, service), None)
+        if name not in self.vehicles:
+            if len(self.vehicles) >= MOST_VEHICLES:
+                if not self._crowded:
+                    self._say(f"warning: more than {MOST_VEHICLES} vehicles on the router; only the first ones are shown")
+                self._crowded = True
+                return True
+            try:
+                self.vehicles = {**self.vehicles, name: LiveVehicle(name, self._router, self._told_of(name))}
+            except NoRouter:
+                return False
+            self._list_changed()
+        vehicle = self.vehicles[name]
+        vehicle.lives(service, True)
+        if not vehicle.here:
+            vehicle.here = True
+            self._list_changed()
+        self._changed()
+        return True
+
+    def _told_of(self, name: str) -> Described | None:
+        told = self._described
+        if told is None or (told.namespace != name if told.namespace else self.vehicles):
+            return None
+        return told._replace(backdrop=replace(told.backdrop, vehicle=name))
+
+    def _bury(self, now_s: float) -> bool:
+        """Report the parts that have been gone for long enough; returns whether there are any."""
+        gone = [part for part, since_s in self._pending.items() if now_s - since_s >= GONE_AFTER_S]
+        for name, service in gone:
+            del self._pending[name, service]
+            vehicle = self.vehicles[name]
+            vehicle.lives(service, False)
+            if not vehicle.inhabited:
+                vehicle.here = False
+                self._list_changed()
+        return bool(gone)
