@@ -7,7 +7,7 @@ from link.bus.frames import frame_at
 from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING
 from link.record.record import Entry
 from scene.follow.history import History
-from scene.follow.recorded import backdrop_of
+from scene.follow.recorded import backdrop_of, turns_of
 from scene.follow.telemetry import ATTITUDE, GLOBAL, HEARTBEAT, LOCAL, TEXT
 from scene.foxglove import Encoded, SceneEncoder, pose_slot
 
@@ -17,7 +17,7 @@ class RecordedScene:
 
     def __init__(self, about: dict[str, Any], namespace: str) -> None:
         """Begin; `about` is the run's own description, which for a simulation has the truth."""
-        self._history = History(*backdrop_of(about, namespace), whole=False)
+        self._history = History(*backdrop_of(about, namespace), turns=turns_of(about), whole=False)
         self._encoder = SceneEncoder()
         self._slots: dict[int, int] = {}
         self._happening: object = self  # none is this one: the first message gives a scene

@@ -26,6 +26,8 @@ from sitl.script.typed_yaml import FileError
 PORT = 8447
 FIRST_PAGE_S = 30.0
 """How long a page of a mission that is over waits for its first browser."""
+STREAM_EVERY_S = 0.05
+"""How often scenes are streamed to Foxglove at most."""
 RELOAD_S = 3.0
 """How long it waits for a browser to come back, which may be loading it again."""
 OVER = signal.SIGUSR1
@@ -47,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", type=cli.whole(0, 65535), default=PORT, metavar="N", help="0: a free port (default: %(default)s)")
     parser.add_argument("--token", default="", metavar="WORD", help="allow commands only where the page's address ends in ?token=WORD")
     parser.add_argument("--open", action="store_true", help="open the page in a browser")
+    parser.add_argument("--foxglove", type=cli.whole(0, 65535), metavar="N", help="stream the scenes to Foxglove, too, on this local port")
     truth = "simulation only: the truth to show of the first vehicle is that of"
     parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), metavar="S", help=f"{truth} this seed")
     world = parser.add_argument("--world", type=cli.checked(check, WORLDS), metavar="NAME", help=f"{truth} this world")
@@ -77,6 +80,8 @@ def _refusal(args: argparse.Namespace) -> str:
     truth = {name: value for name in ("mission", "seed", "world") if (value := getattr(args, name)) is not None}
     if len(args.logs) > 2:
         return "LOG: three or more records are not allowed; wanted one, or two to compare"
+    if args.logs and args.foxglove is not None:
+        return "--foxglove: not with LOG: Foxglove opens records itself"
     if args.logs and truth:
         return f"--{next(iter(truth))}: not with LOG: a record holds its own truth"
     if truth:
@@ -96,6 +101,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
 
     from link.record.reader import RecordError
     from scene.follow.recorded import backdrop_of, turns_of
+    from sitl.view.foxglove import LiveFoxglove, NoFoxglove
     from sitl.view.guard import AccessRules
     from sitl.view.live import Described, LiveFleet
     from sitl.view.records import RecordedFleet
@@ -104,8 +110,19 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     loop = asyncio.get_running_loop()
     port = listening.getsockname()[1]
     server: PageServer | None = None
+    try:
+        stream = None if args.foxglove is None else LiveFoxglove(args.foxglove)
+    except NoFoxglove as error:
+        print(f"error: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
+    streamed_at = 0.0
 
     def changed() -> None:
+        nonlocal streamed_at
+        if stream and server is not None and time.monotonic() - streamed_at >= STREAM_EVERY_S:
+            streamed_at = time.monotonic()
+            for vehicle in tuple(shown.vehicles.values()):
+                stream.show(vehicle.scene()[0])
         if server is not None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(server.news)
@@ -160,8 +177,12 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     loop.add_signal_handler(OVER, lambda: lingering.append(asyncio.create_task(linger())))
     address = f"http://{f'[{args.host}]' if ':' in args.host else args.host}:{port}/" + (f"?token={args.token}" if args.token else "")
     print(f"page at {address}", flush=True)
+    if stream:
+        print(f"Foxglove at {stream.address}", flush=True)
     if args.open:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     await http.serve(sockets=[listening])
     shown.end()
+    if stream:
+        stream.close()
     return status[0]

@@ -91,9 +91,9 @@ def test_a_reason_may_come_a_little_later_and_may_be_missing() -> None:
 def test_answers_to_other_commands_and_stations_and_other_texts_are_not_ours() -> None:
     awaited = Awaited(RTL, 0.0)
     accepted = mavlink.MAV_RESULT_ACCEPTED
-    for message in (ack(LAND, accepted), ack(RTL, accepted, (254, 190)), ack(RTL, accepted, (255, 1)), text("Landed"),
+    for said in (ack(LAND, accepted), ack(RTL, accepted, (254, 190)), ack(RTL, accepted, (255, 1)), text("Landed"),
                     ack(RTL, mavlink.MAV_RESULT_IN_PROGRESS)):  # fmt: skip
-        assert awaited.hears(UAV.pack(message), 0.1) is None
+        assert awaited.hears(UAV.pack(said), 0.1) is None
     assert awaited.hears(b"\xfd garbage", 0.1) is None
     assert awaited.hears(UAV.pack(ack(RTL, accepted)), 0.1) == Reply(True)
 
