@@ -25,6 +25,7 @@ GROUPS = {
         "list": Command("plumeward", "list the missions, policies, sensors, assumptions and worlds"),
     },
     "Look at missions": {
+        "view": Command("sitl", "show missions on a page, live or recorded"),
         "status": Command("sitl", "show how the parts of a running mission are doing"),
         "log": Command("sitl", "summarise a log, or print one of its keys as CSV"),
         "replay": Command("sitl", "feed a log to the estimator and agent again"),

@@ -113,6 +113,7 @@ OTHERS = {
     "replay": ("sitl.replay.command", "feed a log to the estimator and agent again"),
     "log": ("sitl.desk.summary", "summarise a log, or print one of its keys as CSV"),
     "status": ("sitl.desk.status", "show how the parts of a running mission are doing; exit status 1 if something is wrong"),
+    "view": ("sitl.view.command", "show missions on a page, live or recorded, and command the vehicle"),
     "record": ("sitl.desk.recorder", "record everything on a bus until interrupted"),
 }
 """Commands with a module of their own. It is imported only for its command: a part starts fast."""

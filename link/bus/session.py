@@ -142,28 +142,27 @@ class Bus:
     ) -> None:
         """Join a router as a client.
 
+        namespace: the vehicle's key prefix; empty: keys are those of the router, with every vehicle's prefix.
         inbox: receives all messages; pass your own if other sources fill it too. If too many messages wait, some are dropped and counted.
-        announced: if False, the service has no liveliness token (observer).  settings: further settings of Zenoh.
+        announced: if False, the service has no liveliness token (observer).  settings: Zenoh's, beside these or instead of them.
 
         Raises NoRouter if no router answers within CONNECT_TIMEOUT_S, BusError if `connect` is not an endpoint.
         """
-        config = _config(
-            "client",
-            {"connect": [connect]},
-            namespace=namespace,
-            timestamping__enabled=True,  # otherwise the router's clock stamps the messages
-            connect__timeout_ms=int(CONNECT_TIMEOUT_S * 1000),
+        usual = {
+            **({"namespace": namespace} if namespace else {}),
+            "timestamping__enabled": True,  # otherwise the router's clock stamps the messages
+            "connect__timeout_ms": int(CONNECT_TIMEOUT_S * 1000),
             # Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s.
-            connect__retry={"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
-            **settings,
-        )
+            "connect__retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+        }
+        config = _config("client", {"connect": [connect]}, **usual | settings)
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError:
             raise NoRouter(f"--connect: no router at {connect} (start one with: plumeward router)") from None
         self.service = service
         self.tally = Tally()
-        self.log = Log(service, namespace, self.tally, log_level)
+        self.log = Log(service, namespace or "-", self.tally, log_level)
         self._inbox = Inbox() if inbox is None else inbox
         self._publishers: dict[str, Any] = {}
         self._subscribers: dict[str, Any] = {}

@@ -1,6 +1,7 @@
 """A tap on the bus: takes all messages, many at once, for the recorder."""
 
 import time
+from typing import Any
 
 import zenoh
 
@@ -14,10 +15,19 @@ class Tap(Bus):
     A Python callback for each message would cost more than recording it.
     """
 
-    def __init__(self, service: str, connect: str = DEFAULT_ROUTER, namespace: str = "uav/1", log_level: str = "info") -> None:
-        """Join a router as a client; raises what `Bus` raises."""
+    def __init__(
+        self,
+        service: str,
+        connect: str = DEFAULT_ROUTER,
+        namespace: str = "uav/1",
+        log_level: str = "info",
+        announced: bool = True,
+        **settings: Any,
+    ) -> None:
+        """Join a router as a client; takes and raises what `Bus` does."""
         # Each message keeps its receive buffer. With the default of 64 kB, clearing the buffers is half the cost of receiving.
-        super().__init__(service, connect, namespace, log_level=log_level, transport__link__tx__batch_size=16_384)
+        small = {"transport__link__tx__batch_size": 16_384}
+        super().__init__(service, connect, namespace, log_level=log_level, announced=announced, **small | settings)
         self._taken_ns = 0
 
     def subscribe(self, *keys: Key, newest: bool = False) -> None:

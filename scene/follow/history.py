@@ -100,6 +100,7 @@ class History:
         self._whole = whole
         self._texts = Texts()
         self._stop = self._assume = ""
+        self._unpacked: tuple[_Packed, Scatter | None] | None = None
 
     # ---- taking ----
 
@@ -227,7 +228,7 @@ class History:
             craft=self._crafts.at(time_s),
             track=np.array(self._track.until(time_s), np.float32).reshape(-1, 2),
             measurements=self.measurements.values[:count],
-            scatter=_scatter(packed) if packed else None,
+            scatter=self._scatter(packed) if packed else None,
             waypoint=self._waypoints.at(time_s),
             wind=self._winds.at(time_s),
             stop=self._stop,
@@ -236,6 +237,12 @@ class History:
             happenings=self.happenings.until(time_s),
             ending=self._endings.at(time_s),
         )
+
+    def _scatter(self, packed: _Packed) -> Scatter | None:
+        """Return the particles; those of the same belief are the same object when asked for again."""
+        if self._unpacked is None or self._unpacked[0] is not packed:
+            self._unpacked = packed, _scatter(packed)
+        return self._unpacked[1]
 
     def _services(self, time_s: float, wall_s: float) -> Iterator[Service]:
         order = ("uav", "estimator", "agent")

@@ -1,0 +1,41 @@
+"""Which vehicles are on a router: the services of every namespace, by their liveliness tokens."""
+
+from collections import deque
+from typing import NamedTuple
+
+import zenoh
+
+from link.bus.keys import HEALTH
+from link.bus.session import Bus
+
+MOST_CHANGES = 10_000
+"""Changes that wait; beyond that the oldest are dropped."""
+
+
+class Presence(NamedTuple):
+    """A service of a vehicle joined the router or left it."""
+
+    namespace: str
+    service: str
+    alive: bool
+
+
+class Roster(Bus):
+    """An observer of a whole router, without a namespace of its own."""
+
+    def __init__(self, service: str, connect: str, connect_timeout_s: float) -> None:
+        """Join a router as a client; raises what `Bus` raises."""
+        super().__init__(service, connect, "", announced=False, connect__timeout_ms=round(1000 * connect_timeout_s))
+        self._changes: deque[Presence] = deque(maxlen=MOST_CHANGES)
+        name = HEALTH.name.replace("<service>", "*")
+        self._subscribers["liveliness"] = self._session.liveliness().declare_subscriber(f"**/{name}", self._changed, history=True)
+
+    def _changed(self, sample: zenoh.Sample) -> None:
+        middle = HEALTH.name.partition("<")[0]
+        namespace, _, service = str(sample.key_expr).rpartition(middle)
+        if namespace.endswith("/"):
+            self._changes.append(Presence(namespace[:-1], service, sample.kind == zenoh.SampleKind.PUT))
+
+    def changes(self) -> list[Presence]:
+        """Return what has changed since the last call; at first, all that are there. A lost router takes all of them with it."""
+        return [self._changes.popleft() for _ in range(len(self._changes))]

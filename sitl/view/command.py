@@ -1,0 +1,130 @@
+"""`plumeward view`: serves the page of a running stack or of records."""
+
+import argparse
+import asyncio
+import contextlib
+import json
+import signal
+import socket
+import sys
+import threading
+import time
+import webbrowser
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from link import cli
+from link.bus.session import DEFAULT_ROUTER
+
+PORT = 8447
+FIRST_PAGE_S = 30.0
+"""How long a page of a mission that is over waits for its first browser."""
+RELOAD_S = 3.0
+"""How long it waits for a browser to come back, which may be loading it again."""
+OVER = signal.SIGUSR1
+"""The launcher's signal that the mission is over."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+    logs = parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help="a record, or two to compare; without one: a live stack")
+    cli.completed(logs, tuple, "mcap")
+    parser.add_argument(
+        "-e",
+        "--connect",
+        metavar="ENDPOINT",
+        default=DEFAULT_ROUTER,
+        help="the Zenoh router of the vehicles to show (default: %(default)s)",
+    )
+    parser.add_argument("--host", metavar="ADDRESS", default="127.0.0.1", help="where to serve the page (default: %(default)s)")
+    parser.add_argument("--port", type=cli.whole(0, 65535), default=PORT, metavar="N", help="0: a free port (default: %(default)s)")
+    parser.add_argument("--token", default="", metavar="WORD", help="allow commands only where the page's address ends in ?token=WORD")
+    parser.add_argument("--open", action="store_true", help="open the page in a browser")
+    parser.add_argument("--about", type=json.loads, help=argparse.SUPPRESS)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until interrupted; a line on stdout says where."""
+    if len(args.logs) > 2:
+        print("error: LOG: at most two records can be compared", file=sys.stderr)
+        return cli.BAD_INPUT
+    try:
+        listening = socket.create_server((args.host, args.port), backlog=64)
+    except OSError as error:
+        print(f"error: --port: cannot serve on {args.host} port {args.port}: {error.strerror}", file=sys.stderr)
+        return cli.BAD_INPUT
+    with listening:
+        return asyncio.run(_serve(args, listening))
+
+
+async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
+    import uvicorn
+
+    from link.record.reader import RecordError
+    from scene.follow.recorded import backdrop_of
+    from sitl.view.guard import Rules
+    from sitl.view.live import Described, LiveVehicles
+    from sitl.view.records import Records
+    from sitl.view.server import LONGEST_MESSAGE, Server
+
+    loop = asyncio.get_running_loop()
+    port = listening.getsockname()[1]
+    server: Server | None = None
+
+    def changed() -> None:
+        if server is not None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(server.news)
+
+    try:
+        if args.logs:
+            shown: Any = Records(args.logs)
+        else:
+            described = None
+            if args.about:
+                namespace = args.about.get("namespace", "uav/1")
+                described = Described(namespace, *backdrop_of(args.about, namespace))
+            shown = LiveVehicles(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True))
+    except RecordError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
+    server = Server(shown, Rules(args.host, port, args.token))
+
+    class _Uvicorn(uvicorn.Server):
+        @contextlib.contextmanager
+        def capture_signals(self) -> Iterator[None]:
+            yield  # they are ours
+
+    config = uvicorn.Config(
+        server.app(), http="h11", ws="websockets-sansio", lifespan="off", log_config=None, log_level="critical", access_log=False,
+        server_header=False, date_header=False, ws_max_size=LONGEST_MESSAGE, ws_per_message_deflate=False,
+        timeout_graceful_shutdown=1, limit_concurrency=100,
+    )  # fmt: skip
+    http = _Uvicorn(config)
+    status = [0]
+
+    def end() -> None:
+        status[0] = cli.INTERRUPTED
+        http.should_exit = True
+
+    async def linger() -> None:
+        server.bye = "the mission is over"
+        await asyncio.to_thread(shown.end)
+        server.news()
+        began = time.monotonic()
+        while server.watched or time.monotonic() < (began + FIRST_PAGE_S if server.left_at is None else server.left_at + RELOAD_S):
+            await asyncio.sleep(0.1)
+        http.should_exit = True
+
+    lingering: list[asyncio.Task[None]] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end)
+    loop.add_signal_handler(OVER, lambda: lingering.append(asyncio.create_task(linger())))
+    address = f"http://{args.host}:{port}/" + (f"?token={args.token}" if args.token else "")
+    print(f"page at {address}", flush=True)
+    if args.open:
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+    await http.serve(sockets=[listening])
+    shown.end()
+    return status[0]

@@ -1,0 +1,258 @@
+"""Vehicles on a router, followed as they appear and go. One thread talks to the bus; scenes may be asked for from any other."""
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import msgspec
+
+from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT
+from link.bus.mavlink import BadFrame
+from link.bus.messages import Health
+from link.bus.roster import Presence, Roster
+from link.bus.session import NoRouter, Stamped
+from link.bus.tap import Tap
+from link.record.record import SimulationClock
+from scene.follow.history import History
+from scene.follow.parts import restarted
+from scene.follow.telemetry import SETPOINT, frames, waypoint
+from scene.scene import Backdrop, Scene
+from sitl.autopilot.motion import Ned
+
+EVERY_S = 0.01
+"""How often messages are taken."""
+CONNECT_TIMEOUT_S = 1.0
+GONE_AFTER_S = 0.5
+"""A part that is back within this time was not gone; a router that is back gets as long to name the parts that it knows."""
+MOST_VEHICLES = 32
+UAV_HEALTH = HEALTH.name.replace("<service>", "uav")
+
+
+class Described(NamedTuple):
+    """What was told beforehand of one vehicle."""
+
+    namespace: str
+    backdrop: Backdrop
+    budget: int | None
+
+
+class LiveVehicle:
+    """One vehicle on the bus and its history since it was first seen."""
+
+    def __init__(self, name: str, router: str, described: Described | None) -> None:
+        """Join its bus; raises NoRouter."""
+        self.name = name
+        self.here = True
+        self.version = 0
+        """Grows with each change of what there is to see."""
+        self.setpoint: Ned | None = None
+        """The newest position that the vehicle was sent to, NED from home."""
+        self.listeners: set[Callable[[bytes], None]] = set()
+        """Called in the bus's thread with each payload of telemetry."""
+        self._described = described
+        self._lock = threading.Lock()
+        self._uav: Health | None = None
+        self._alive: dict[str, bool] = {}
+        self._begin()
+        self._bus = Tap("view", router, name, "error", announced=False, connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S))
+        self._bus.subscribe(*KEYS)
+
+    def _begin(self) -> None:
+        told = self._described
+        self.history = History(told.backdrop if told else Backdrop(self.name), told.budget if told else None, whole=False)
+        self._clock = SimulationClock()
+        self._frozen_s: float | None = None
+
+    def entry(self) -> dict[str, Any]:
+        """Return its row of the list of vehicles."""
+        backdrop = self.history.backdrop
+        return {
+            "name": self.name, "title": backdrop.title, "here": self.here, "has_truth": backdrop.release is not None,
+            "begin_s": None, "end_s": None, "readings_s": None, "moments": None,
+        }  # fmt: skip
+
+    def scene(self, at_s: float | None = None) -> tuple[Scene, History, float | None]:
+        """Return the newest scene, the history that it is of, and when the newest message in it was published, ms since 1970."""
+        with self._lock:
+            history = self.history
+            return history.at(wall_s=self._frozen_s or time.time()), history, 1000 * history.wall_s or None
+
+    # ---- in the bus's thread ----
+
+    def follow(self) -> bool:
+        """Take what has arrived; returns whether there is something new to see."""
+        messages = self._bus.take()
+        if not messages:
+            return False
+        with self._lock:
+            changed = any([self._take(message) for message in messages])
+            self.version += changed
+        return changed
+
+    def _take(self, message: Stamped) -> bool:
+        time_s = self._clock.time_s(message.name, message.payload, message.published_ns)
+        if message.name == UAV_HEALTH:
+            self._flies_anew(message.payload)
+        elif message.name == MAVLINK_IN.name:
+            self._note_setpoint(message.payload)
+        elif message.name == MAVLINK_OUT.name:
+            for listener in tuple(self.listeners):
+                listener(message.payload)
+        return self.history.take(message.name, message.payload, message.attachment, time_s, message.published_ns / 1e9)
+
+    def _flies_anew(self, payload: bytes) -> None:
+        """Begin a new history if the vehicle was started again: its mission is another one."""
+        with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            said = msgspec.json.decode(payload, type=Health)
+            if self._uav is not None and restarted(self._uav, said):
+                self._begin()
+                for service, alive in self._alive.items():
+                    self.history.lives(service, alive, time.time())
+            self._uav = said
+
+    def _note_setpoint(self, payload: bytes) -> None:
+        with contextlib.suppress(BadFrame):
+            for _, fields in frames(payload, {SETPOINT}):
+                if waypoint(fields) is not None:
+                    self.setpoint = fields["x"], fields["y"], fields["z"]
+
+    def lives(self, service: str, alive: bool) -> None:
+        """Take that a part appeared or is gone."""
+        with self._lock:
+            self._alive[service] = alive
+            self.history.lives(service, alive, time.time())
+            self.version += 1
+
+    @property
+    def inhabited(self) -> bool:
+        """Whether any of its parts is on the bus."""
+        return any(self._alive.values())
+
+    def send(self, payload: bytes) -> None:
+        """Publish on `mavlink/in`. It may wait for the router."""
+        self._bus.publish(MAVLINK_IN, payload)
+
+    def close(self) -> None:
+        """Leave its bus and keep what there is to see as it is now."""
+        self._frozen_s = time.time()
+        self._bus.close()
+
+
+class LiveVehicles:
+    """All vehicles on a router."""
+
+    def __init__(self, router: str, described: Described | None, changed: Callable[[], None], say: Callable[[str], None]) -> None:
+        """Begin to follow.
+
+        changed: called in the bus's thread when there is something new to see; say: told, in a line, of what is wrong.
+        Raises BusError if `router` is not an endpoint.
+        """
+        self.vehicles: dict[str, LiveVehicle] = {}
+        """In the order in which they appeared."""
+        self.list_version = 0
+        """Grows with each change of the list or the notice."""
+        self.notice = ""
+        """What people should know of the bus: no router, too many vehicles."""
+        self._router, self._described, self._changed, self._say = router, described, changed, say
+        self._ended = threading.Event()
+        self._pending: dict[tuple[str, str], float] = {}
+        self._crowded = False
+        try:
+            roster: Roster | None = Roster("view", router, CONNECT_TIMEOUT_S)
+        except NoRouter:
+            roster = None
+        self._thread = threading.Thread(target=self._run, args=(roster,), name="bus", daemon=True)
+        self._thread.start()
+
+    def entries(self) -> list[dict[str, Any]]:
+        """Return the list of vehicles."""
+        return [vehicle.entry() for vehicle in tuple(self.vehicles.values())]
+
+    def end(self) -> None:
+        """Leave the bus. What there is to see stays as it is."""
+        self._ended.set()
+        self._thread.join(CONNECT_TIMEOUT_S + 1.0)
+
+    def _run(self, roster: Roster | None) -> None:
+        while roster is None and not self._ended.wait(EVERY_S):
+            self._tell(f"no router at {self._router}: waiting for one")
+            with contextlib.suppress(NoRouter):
+                roster = Roster("view", self._router, CONNECT_TIMEOUT_S)
+        if roster is None:
+            return
+        with roster:
+            self._follow(roster)
+            for vehicle in self.vehicles.values():
+                vehicle.close()
+
+    def _follow(self, roster: Roster) -> None:
+        joining: deque[Presence] = deque()
+        connected_since = look_at = time.monotonic()
+        connected = True
+        while not self._ended.wait(EVERY_S):
+            now_s = time.monotonic()
+            if now_s >= look_at:
+                look_at = now_s + 0.2
+                was, connected = connected, roster.connected
+                connected_since = now_s if connected and not was else connected_since
+                self._tell("" if connected else f"the router at {self._router} is gone: waiting for it")
+            joining.extend(roster.changes())
+            while joining and self._note(joining[0], now_s):
+                joining.popleft()
+            told = self._bury(now_s) if connected and now_s - connected_since >= GONE_AFTER_S else False
+            seen = [vehicle.follow() for vehicle in self.vehicles.values()]
+            if told or any(seen):
+                self._changed()
+
+    def _tell(self, notice: str) -> None:
+        if notice != self.notice:
+            self._say(notice or f"the router at {self._router} is there")
+            self.notice = notice
+            self._list_changed()
+
+    def _list_changed(self) -> None:
+        self.list_version += 1
+        self._changed()
+
+    def _note(self, presence: Presence, now_s: float) -> bool:
+        """Take a change; returns False if it has to wait for the router."""
+        name, service, alive = presence
+        if not alive:
+            if name in self.vehicles:
+                self._pending[name, service] = now_s
+            return True
+        self._pending.pop((name, service), None)
+        if name not in self.vehicles:
+            if len(self.vehicles) >= MOST_VEHICLES:
+                if not self._crowded:
+                    self._say(f"warning: more than {MOST_VEHICLES} vehicles on the router; only the first ones are shown")
+                self._crowded = True
+                return True
+            told = self._described if self._described and self._described.namespace == name else None
+            try:
+                self.vehicles = {**self.vehicles, name: LiveVehicle(name, self._router, told)}
+            except NoRouter:
+                return False
+            self._list_changed()
+        vehicle = self.vehicles[name]
+        vehicle.lives(service, True)
+        if not vehicle.here:
+            vehicle.here = True
+            self._list_changed()
+        self._changed()
+        return True
+
+    def _bury(self, now_s: float) -> bool:
+        """Report the parts that have been gone for long enough; returns whether there are any."""
+        gone = [part for part, since_s in self._pending.items() if now_s - since_s >= GONE_AFTER_S]
+        for name, service in gone:
+            del self._pending[name, service]
+            vehicle = self.vehicles[name]
+            vehicle.lives(service, False)
+            if not vehicle.inhabited:
+                vehicle.here = False
+                self._list_changed()
+        return bool(gone)

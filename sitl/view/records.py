@@ -1,0 +1,55 @@
+"""Recorded missions as the page shows them: their time line, and the scene at any time."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from link.record.reader import read
+from scene.follow.history import History
+from scene.follow.recorded import history_of
+from scene.scene import Scene
+
+
+class RecordedVehicle:
+    """One record."""
+
+    def __init__(self, name: str, history: History) -> None:
+        """Take all that the record tells."""
+        self.name = name
+        self.version = 0
+        self._history = history
+
+    def entry(self) -> dict[str, Any]:
+        """Return its row of the list of vehicles."""
+        history = self._history
+        readings = history.measurements.times_s
+        return {
+            "name": self.name, "title": history.backdrop.title, "here": True, "has_truth": history.backdrop.release is not None,
+            "begin_s": 0.0, "end_s": history.time_s, "readings_s": readings,
+            "moments": [(each.time_s, each.level, each.who, each.text) for each in history.happenings.values],
+        }  # fmt: skip
+
+    def scene(self, at_s: float | None = None) -> tuple[Scene, History, float | None]:
+        """Return the scene at a simulation time, by default the last one, and the history that it is of; a record is not published."""
+        return self._history.at() if at_s is None else self._history.at(at_s), self._history, None
+
+
+class Records:
+    """One record, or two to compare."""
+
+    list_version = 0
+    notice = ""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        """Read them; raises RecordError."""
+        self.vehicles: dict[str, RecordedVehicle] = {}
+        for number, path in enumerate(paths, start=1):
+            name = path.stem if path.stem not in self.vehicles else f"{path.stem} ({number})"
+            self.vehicles[name] = RecordedVehicle(name, history_of(read(path), name))
+
+    def entries(self) -> list[dict[str, Any]]:
+        """Return the list of vehicles."""
+        return [vehicle.entry() for vehicle in self.vehicles.values()]
+
+    def end(self) -> None:
+        """Nothing is open."""

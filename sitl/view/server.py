@@ -1,0 +1,297 @@
+"""The page's server: its files, and a WebSocket on which it gets scenes and gives commands."""
+
+import asyncio
+import contextlib
+import math
+import time
+from pathlib import Path
+from typing import Annotated, Any, Protocol
+
+import msgspec
+from msgspec import Meta
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from plume import __version__
+from scene.scene import Scene
+from sitl.view.control import Answer, CommandName, operate
+from sitl.view.guard import Asgi, Rules, guarded
+from sitl.view.live import LiveVehicle
+from sitl.view.wire import Cursor, packed
+
+PAGE = Path(__file__).with_name("page")
+MOST_CLIENTS = 20
+LONGEST_MESSAGE = 4096
+"""Bytes of a message from the page."""
+EVERY_S = 1 / 30
+"""Shortest time between two live scenes of a vehicle."""
+UNDRAWN_S = 1.0
+"""After this long the next scene is sent, though the last one was not drawn; and one without news, to judge silent services anew."""
+SEND_S = 5.0
+"""A client that takes longer to read what was sent is gone."""
+TRY_AGAIN_LATER, POLICY = 1013, 1008
+"""Reasons for closing a WebSocket, by its standard's numbers."""
+
+
+class Vehicle(Protocol):
+    """A vehicle to show, live or recorded."""
+
+    name: str
+    version: int
+
+    def entry(self) -> dict[str, Any]:
+        """Return its row of the list of vehicles."""
+
+    def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:
+        """Return the scene at a time, None for the newest; the history that it is of; when it was published, ms since 1970."""
+
+
+class Vehicles(Protocol):
+    """All vehicles to show."""
+
+    list_version: int
+    notice: str
+
+    @property
+    def vehicles(self) -> "dict[str, Any]":
+        """Each by its name."""
+
+    def entries(self) -> list[dict[str, Any]]:
+        """Return the list of vehicles."""
+
+
+class Show(msgspec.Struct, forbid_unknown_fields=True):
+    """What the page wants to see."""
+
+    show: Annotated[list[str], Meta(max_length=2)]
+    truth: bool = False
+    at_s: float | None = None
+
+
+class Drawn(msgspec.Struct, forbid_unknown_fields=True):
+    """The number of a scene that the page has drawn."""
+
+    drawn: int
+
+
+class Order(msgspec.Struct, forbid_unknown_fields=True):
+    """A command to a vehicle."""
+
+    command: CommandName
+    vehicle: str
+
+
+KINDS: dict[str, type[Show | Drawn | Order]] = {"show": Show, "drawn": Drawn, "command": Order}
+
+
+def message_of(text: str | bytes) -> Show | Drawn | Order:
+    """Return a message from the page; raises ValueError with a line that says what is wrong."""
+    try:
+        fields = msgspec.json.decode(text, type=dict[str, msgspec.Raw])
+        kind = next((KINDS[name] for name in fields if name in KINDS), None)
+        if kind is None:
+            raise ValueError(f"wanted a message with one of {', '.join(KINDS)}")
+        return msgspec.json.decode(text, type=kind)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(str(error)) from None
+
+
+class Server:
+    """Serves one list of vehicles to many pages."""
+
+    def __init__(self, shown: Vehicles, rules: Rules, page: Path = PAGE) -> None:
+        """Take what to show and who may do what."""
+        self._shown = shown
+        self._rules = rules
+        self._page = page
+        self._clients: set[Client] = set()
+        self._commanded: set[str] = set()
+        self.bye = ""
+        """Set when the server has nothing new to say any more; pages keep what they show."""
+        self.left_at: float | None = None
+        """When the last page went, by time.monotonic(); None if none was ever there."""
+
+    def app(self) -> Asgi:
+        """Return the application."""
+        routes = [
+            Route("/", self._index),
+            WebSocketRoute("/scenes", self._scenes),
+            Mount("/static", StaticFiles(directory=self._page, check_dir=False)),
+        ]
+        return guarded(Starlette(routes=routes), self._rules)
+
+    @property
+    def watched(self) -> bool:
+        """Whether a page is connected."""
+        return bool(self._clients)
+
+    def news(self) -> None:
+        """Wake all connections: there may be something new to see."""
+        for client in self._clients:
+            client.wake.set()
+
+    async def _index(self, _request: Request) -> Response:
+        return FileResponse(self._page / "index.html")
+
+    async def _scenes(self, socket: WebSocket) -> None:
+        await socket.accept()
+        if len(self._clients) >= MOST_CLIENTS:
+            await socket.close(TRY_AGAIN_LATER, f"{MOST_CLIENTS} pages are open; close one of them")
+            return
+        why_not = self._rules.why_no_commands(socket.query_params.get("token", ""))
+        client = Client(socket, self, self._shown, why_not)
+        self._clients.add(client)
+        try:
+            await client.run()
+        finally:
+            self._clients.discard(client)
+            self.left_at = time.monotonic()
+
+    async def order(self, order: Order) -> Answer:
+        """Carry out a command from a page that may command."""
+        vehicle = self._shown.vehicles.get(order.vehicle)
+        if not isinstance(vehicle, LiveVehicle):
+            return Answer(False, f"there is no vehicle {order.vehicle!r}")
+        if self.bye:
+            return Answer(False, self.bye)
+        if order.vehicle in self._commanded:
+            return Answer(False, "the vehicle has not answered the last command yet")
+        self._commanded.add(order.vehicle)
+        try:
+            return await operate(vehicle, order.command)
+        finally:
+            self._commanded.discard(order.vehicle)
+
+
+class _Sent:
+    """What was sent of one vehicle to one page."""
+
+    def __init__(self) -> None:
+        self.cursor = Cursor()
+        self.number = -1
+        self.at_s = -math.inf
+        self.drawn = True
+        self.what: object = None
+
+
+class Client:
+    """One page. It gets the newest scene when it has drawn the last one, so none ever waits."""
+
+    def __init__(self, socket: WebSocket, server: Server, shown: Vehicles, why_not: str) -> None:
+        """Serve a page; `why_not` says why it may not command."""
+        self.wake = asyncio.Event()
+        self._socket, self._server, self._shown = socket, server, shown
+        self._live = not any(vehicle.entry()["end_s"] is not None for vehicle in shown.vehicles.values())
+        self._why_not = why_not if self._live else "a record takes no commands"
+        self._want = Show([])
+        self._sent: dict[str, _Sent] = {}
+        self._number = 0
+        self._answers: list[dict[str, Any]] = []
+        self._listed: object = None
+        self._bye = ""
+        self._orders: set[asyncio.Task[None]] = set()
+
+    async def run(self) -> None:
+        """Serve it until it goes or breaks the contract."""
+        tasks = [asyncio.create_task(self._read()), asyncio.create_task(self._write())]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                with contextlib.suppress(WebSocketDisconnect, TimeoutError):
+                    task.result()
+        finally:
+            for each in (*tasks, *self._orders):
+                each.cancel()
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError, TimeoutError):  # RuntimeError: it is closed
+            async with asyncio.timeout(UNDRAWN_S):
+                await self._socket.close(POLICY, self._bye)
+
+    # ---- from the page ----
+
+    async def _read(self) -> None:
+        while True:
+            received = await self._socket.receive()
+            if received["type"] == "websocket.disconnect":
+                return
+            try:
+                message = message_of(received.get("text") or received.get("bytes") or b"")
+            except ValueError as error:
+                self._bye = f"not a message of the page: {error}"[:120]
+                return
+            match message:
+                case Show():
+                    self._want = message
+                case Drawn(drawn=number):
+                    for sent in self._sent.values():
+                        sent.drawn = sent.drawn or sent.number <= number
+                case Order():
+                    self._order(message)
+            self.wake.set()
+
+    def _order(self, order: Order) -> None:
+        if self._why_not:
+            self._answered(order, Answer(False, self._why_not))
+            return
+
+        async def carry_out() -> None:
+            self._answered(order, await self._server.order(order))
+
+        task = asyncio.create_task(carry_out())
+        self._orders.add(task)
+        task.add_done_callback(self._orders.discard)
+
+    def _answered(self, order: Order, answer: Answer) -> None:
+        about = {"vehicle": order.vehicle, "command": order.command, "accepted": answer.accepted, "reason": answer.reason}
+        self._answers.append({"answer": about})
+        self.wake.set()
+
+    # ---- to the page ----
+
+    async def _write(self) -> None:
+        may = not self._why_not
+        await self._say({"hello": {"live": self._live, "may_command": may, "why_not": self._why_not, "version": __version__}})
+        told = False
+        while True:
+            self.wake.clear()
+            if self._listed != self._shown.list_version:
+                self._listed = self._shown.list_version
+                await self._say({"vehicles": self._shown.entries(), "notice": self._shown.notice})
+            while self._answers:
+                await self._say(self._answers.pop(0))
+            wait_s = UNDRAWN_S
+            for name in self._want.show:
+                if name in self._shown.vehicles:
+                    wait_s = min(wait_s, await self._show(self._shown.vehicles[name]))
+            if self._server.bye and not told:
+                told = True
+                await self._say({"bye": self._server.bye})
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self.wake.wait(), wait_s)
+
+    async def _show(self, vehicle: Vehicle) -> float:
+        """Send a vehicle's scene if it is due; returns in how many seconds to look again."""
+        want, sent, now_s = self._want, self._sent.setdefault(vehicle.name, _Sent()), time.monotonic()
+        what = vehicle.version, want.truth, None if self._live else want.at_s
+        since_s = now_s - sent.at_s
+        if since_s < UNDRAWN_S:
+            if what == sent.what or not sent.drawn:
+                return UNDRAWN_S - since_s
+            if self._live and since_s < EVERY_S:
+                return EVERY_S - since_s
+        elif what == sent.what and not self._live:
+            return UNDRAWN_S
+        scene, history, published_ms = vehicle.scene(None if self._live else want.at_s)
+        self._number += 1
+        data = packed(scene, sent.cursor, history, self._number, truth=want.truth, published_ms=published_ms)
+        sent.number, sent.at_s, sent.drawn, sent.what = self._number, now_s, False, what
+        async with asyncio.timeout(SEND_S):
+            await self._socket.send_bytes(data)
+        return UNDRAWN_S
+
+    async def _say(self, message: dict[str, Any]) -> None:
+        async with asyncio.timeout(SEND_S):
+            await self._socket.send_text(msgspec.json.encode(message).decode())
