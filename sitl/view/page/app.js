@@ -15,15 +15,17 @@ const state = {
   link: "connecting", // open, lost, over
   hello: null,
   vehicles: [],
+  notice: "", // what the server wants people to know: there is no router, ...
+  bye: "",
   show: [], // names of the one or two that are shown
   truth: false,
   at_s: null, // the moment that is wanted of records
   models: {}, // by name
 };
-const page = { state, drawn: 0, latencies_ms: [], answers: [], line: null };
+const panes = new Map();
+const page = { state, panes, drawn: 0, latencies_ms: [], answers: [], line: null };
 window.plumeward = page;
 
-const panes = new Map();
 let undrawn = []; // [number, published_ms] of scenes that came and are not drawn yet
 let asked = ""; // what was last said to be shown
 let planned = false, all = true;
@@ -140,14 +142,15 @@ const link = new Link({
   hello(hello) {
     state.hello = hello;
     asked = "";
+    state.bye = "";
     setText(find("empty-title"), hello.live ? "Waiting for a vehicle" : "Opening the record");
-    setText(find("empty-text"), hello.live ? "No mission is heard yet. This one starts one and shows it:" : "One moment.");
+    setText(find("empty-text"), hello.live ? "None is heard yet. It appears here by itself. To fly a mission with a page of its own:" : "One moment.");
     find("empty-command").hidden = !hello.live;
-    say("");
     tellLink();
   },
-  vehicles(vehicles) {
-    state.vehicles = vehicles;
+  vehicles(vehicles, notice) {
+    Object.assign(state, { vehicles, notice });
+    tellLink();
     const known = state.show.filter((name) => state.models[name].scene || vehicles.some((vehicle) => vehicle.name === name));
     if (!known.length && vehicles.length) show(vehicles.slice(0, isRecord(vehicles[0]) ? 2 : 1).map(({ name }) => name));
     else show(known);
@@ -166,31 +169,32 @@ const link = new Link({
     panes.get(vehicle)?.answer(`${TITLES[name] ?? name} ${accepted ? "accepted" : "refused"}${reason ? `: ${reason}` : ""}`, accepted ? "good" : "bad");
   },
   bye(text) {
-    say(`${text.charAt(0).toUpperCase()}${text.slice(1)}. The last picture stays.`, "calm");
+    state.bye = text;
   },
   changed(now) {
     state.link = now;
     document.body.classList.toggle("lost", now === "lost");
-    if (now === "lost") say("Connection lost. This is the last picture; trying to connect again.", "bad");
     tellLink();
     arrange();
   },
 });
 
+/** Say how the connection is, in a word, and in a line above everything where people should know more. */
 function tellLink() {
   const words = { connecting: ["connecting", "wait"], lost: ["no connection", "bad"], over: ["over", "calm"], open: state.hello?.live ? ["live", "good"] : ["record", "calm"] };
   const [text, level] = words[state.link];
   setText(find("link"), text);
   find("link").dataset.level = level;
+  const notice = {
+    lost: "Connection lost: this is the last picture. Connecting again…",
+    over: `${sentence(state.bye)}. The last picture stays.`,
+  }[state.link] ?? sentence(state.notice);
+  find("notice").hidden = !notice;
+  find("notice").dataset.level = { lost: "bad", over: "calm" }[state.link] ?? "warn";
+  setText(find("notice"), notice);
 }
 
-/** Show a line above everything; an empty one takes it away. */
-function say(text, level = "calm") {
-  const notice = find("notice");
-  notice.hidden = !text;
-  notice.dataset.level = level;
-  setText(notice, text);
-}
+const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 /** Say something to who listens to the page. */
 function aloud(text) {

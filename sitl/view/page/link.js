@@ -32,7 +32,7 @@ export class Link {
       this.wait_ms = FIRST_WAIT_MS;
       this.take.hello(said.hello);
       this.change("open");
-    } else if (said.vehicles) this.take.vehicles(said.vehicles);
+    } else if (said.vehicles) this.take.vehicles(said.vehicles, said.notice ?? "");
     else if (said.answer) this.take.answer(said.answer);
     else if (said.bye !== undefined) {
       this.take.bye(said.bye);
