@@ -70,6 +70,10 @@ export class Charts {
     this.set(this.gas, [steps, gas, itsGas ?? none], x);
     const more = [threshold ? `stops at ${threshold} (dashed)` : "", other ? `${other.name} dotted` : ""].filter(Boolean);
     this.titles[0].textContent = ["Spread by step, m", ...more].join(" · ");
+    const now = steps.length - 1;
+    for (const [place, what, values, unit] of [[this.places[0][1], "Spread", spread, " m"], [this.places[1][1], "Gas", gas, ""]]) {
+      place.setAttribute("aria-label", now < 0 ? `${what} by step: no reading yet` : `${what} by step: ${values[now]?.toFixed(2)}${unit} at step ${steps[now]}`);
+    }
     this.tell();
   }
 
