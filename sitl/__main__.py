@@ -16,6 +16,7 @@ from plume import sensor
 from plume.randomness import MAX_SEED
 from plume.scenario import BUDGET_STEPS
 from plume.worlds import AS_MODELLED, WORLDS, check
+from sitl.launch import viewing
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
 from sitl.script.script import AgentPart, OnBoard, Script, find, load, shipped
 from sitl.script.typed_yaml import Document, FileError
@@ -203,6 +204,7 @@ def _parse(
         "--record", type=_record, metavar="FILE.mcap", help="the record's file; a .tlog is written beside it (default: in runs/)"
     )
     fly.add_argument("--no-record", action="store_true", help="record nothing")
+    viewing.add_arguments(fly)
     cli.add_output_guard(fly)
     fly.add_argument(
         "--patience", type=cli.number(WARN_S, math.inf), default=PATIENCE_S, metavar="S",
@@ -262,9 +264,12 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
         print(f"error: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
     launch = Launch(script, args.instance, args.listen, _handed_on(args, given), None, args.connect, args.log_level, args.patience)
+    page = viewing.page_of(args)
     try:
-        flown = fly(launch, record)
+        flown = fly(launch, record, page)
     except KeyboardInterrupt:
+        if page:
+            page.end()
         _give_up(record)
         print("interrupted", file=sys.stderr)
         raise
@@ -272,6 +277,8 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
         refused = failure.status == cli.BAD_INPUT
         _give_up(record, refused=refused)
         print(f"error: {_in_script(str(failure), args, given) if refused else failure}", file=sys.stderr)
+        if page:
+            page.linger()
         return failure.status
     results = sys.stderr if args.json else sys.stdout
     print(outcome_text(flown.outcome), file=results)
@@ -284,7 +291,9 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     for expectation, so in flown.expectations.items():
         print(f"expected {expectation}: {'yes' if so else 'NO'}", file=results)
     if args.json:
-        print(flown.json(with_trace=args.trace))
+        print(flown.json(with_trace=args.trace), flush=True)
+    if page:
+        page.linger()
     return 0 if all(flown.expectations.values()) else cli.FAILED
 
 

@@ -25,7 +25,7 @@ class Roster(Bus):
 
     def __init__(self, service: str, connect: str, connect_timeout_s: float) -> None:
         """Join a router as a client; raises what `Bus` raises."""
-        super().__init__(service, connect, "", announced=False, connect__timeout_ms=round(1000 * connect_timeout_s))
+        super().__init__(service, connect, None, announced=False, connect__timeout_ms=round(1000 * connect_timeout_s))
         self._changes: deque[Presence] = deque(maxlen=MOST_CHANGES)
         name = HEALTH.name.replace("<service>", "*")
         self._subscribers["liveliness"] = self._session.liveliness().declare_subscriber(f"**/{name}", self._changed, history=True)

@@ -134,7 +134,7 @@ class Bus:
         self,
         service: str,
         connect: str = DEFAULT_ROUTER,
-        namespace: str = "uav/1",
+        namespace: str | None = "uav/1",
         inbox: Inbox | None = None,
         log_level: str = "info",
         announced: bool = True,
@@ -142,14 +142,14 @@ class Bus:
     ) -> None:
         """Join a router as a client.
 
-        namespace: the vehicle's key prefix; empty: keys are those of the router, with every vehicle's prefix.
+        namespace: the vehicle's key prefix; None: keys are those of the router, with every vehicle's prefix.
         inbox: receives all messages; pass your own if other sources fill it too. If too many messages wait, some are dropped and counted.
         announced: if False, the service has no liveliness token (observer).  settings: Zenoh's, beside these or instead of them.
 
         Raises NoRouter if no router answers within CONNECT_TIMEOUT_S, BusError if `connect` is not an endpoint.
         """
         usual = {
-            **({"namespace": namespace} if namespace else {}),
+            **({} if namespace is None else {"namespace": namespace}),
             "timestamping__enabled": True,  # otherwise the router's clock stamps the messages
             "connect__timeout_ms": int(CONNECT_TIMEOUT_S * 1000),
             # Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s.

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,6 +31,7 @@ from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes, rais
 from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
+from sitl.launch.viewing import Page
 from sitl.launch.watchdog import LOOK_S, PATIENCE_S, RECORDER, ROUTER, Watchdog
 from sitl.script.script import Cut, Expectation, Kill, Script
 
@@ -79,8 +80,8 @@ class Flown(NamedTuple):
         return outcome_json(self.outcome, self.trace if with_trace else None, expectations)
 
 
-def fly(mission: Launch, files: RecordFiles | None = None) -> Flown:
-    """Fly a mission and record it to files.
+def fly(mission: Launch, files: RecordFiles | None = None, page: Page | None = None) -> Flown:
+    """Fly a mission, record it to files and show it on a page, which stays.
 
     Raises MissionFailed if a part dies or hangs, or if the vehicle gives up unexpectedly.
     """
@@ -90,6 +91,8 @@ def fly(mission: Launch, files: RecordFiles | None = None) -> Flown:
     with contextlib.ExitStack() as stack:
         progress = stack.enter_context(Progress(mission.script.budget, "uav" if mission.connect else "router, uav, estimator, agent"))
         processes = stack.enter_context(Processes(inbox))
+        if page:
+            stack.callback(page.over, processes)
         relays: dict[str, Relay] = {}
 
         def join(endpoint: str) -> Bus:
@@ -98,7 +101,7 @@ def fly(mission: Launch, files: RecordFiles | None = None) -> Flown:
             return bus
 
         def start() -> str:
-            endpoint = start_parts(processes, mission, relays)
+            endpoint = start_parts(processes, mission, relays, page, progress.say)
             if files:
                 files.made = True
             return endpoint
@@ -120,7 +123,9 @@ def fly(mission: Launch, files: RecordFiles | None = None) -> Flown:
         return _Watch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()
 
 
-def start_parts(processes: Processes, mission: Launch, relays: dict[str, Relay]) -> str:
+def start_parts(
+    processes: Processes, mission: Launch, relays: dict[str, Relay], page: Page | None = None, say: Callable[[str], None] = print
+) -> str:
     """Start all parts that do not run elsewhere; returns the router's endpoint. Links that the script cuts get a relay.
 
     Raises MissionFailed if the router or the recorder cannot start.
@@ -135,18 +140,22 @@ def start_parts(processes: Processes, mission: Launch, relays: dict[str, Relay])
         return "--connect", router, "--namespace", mission.namespace, "--log-level", level
 
     services = {} if mission.connect else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
+    about = {
+        "namespace": mission.namespace, "mission": script, "seed": script.seed, "policy": script.agent.policy, "budget": script.budget,
+        "scenario": script.simulated().truth, "parts": services,
+    }  # fmt: skip
+    about_json = msgspec.json.encode(about).decode()
     recording = None
     if mission.record:
-        about = {
-            "mission": script, "seed": script.seed, "policy": script.agent.policy, "budget": script.budget,
-            "scenario": script.simulated().truth, "parts": services,
-        }  # fmt: skip
-        about_json = msgspec.json.encode(about).decode()
         recording = processes.start("recorder", "sitl", "record", str(mission.record), *joining("recorder"), "--about", about_json)
+    if page:
+        page.start(processes, endpoint, about_json)
     for service, words in services.items():
         processes.start(service, service, *joining(service), *words)
     if recording:
         processes.answer(recording)  # it records everything from now on
+    if page:
+        page.await_start(say)
     processes.start("uav", "sitl", "uav", *mission.uav_arguments, *joining("uav"), "-I", str(mission.instance))
     return endpoint
 
@@ -276,6 +285,8 @@ class _Watch:
                 self._record_ended = True
                 self._watchdog.ended(RECORDER)
                 self._progress.say(f"warning: the recording stopped: {item.last_words}")
+            case Ended(part="view"):
+                self._progress.say(f"warning: the page ended: {item.last_words}")
             case Ended():
                 raise_for(item)
             case LogLine(part, line, level):

@@ -25,7 +25,7 @@ LAST = ("recorder", "router")
 """Ended after the others, in this order, so that the record holds their last words."""
 ROOT = Path(__file__).parents[2]
 """Where our packages are."""
-ANSWERING = ("recorder", "router")
+ANSWERING = ("recorder", "router", "view")
 """Parts that print a first line on stdout for the launcher when they are ready."""
 START_WARN_S, START_LIMIT_S = 15.0, 300.0
 """Time to a part's first message, until people are told and until it counts as hung: on a slow machine it may compile for minutes."""
@@ -200,6 +200,10 @@ class Processes:
             if isinstance(item := self._inbox.get(), Ended):
                 raise_for(item)
         return line
+
+    def release(self, part: str) -> None:
+        """Let a part outlast the others: its end is the caller's business."""
+        self._all.remove(self._children.pop(part))
 
     def kill(self, part: str) -> None:
         """Kill a part on purpose: its end is not reported."""

@@ -14,8 +14,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from link import cli
 from link.bus.session import DEFAULT_ROUTER
+from plume.randomness import MAX_SEED
+from plume.worlds import WORLDS, check
+from sitl.script.script import Script, load, shipped
+from sitl.script.typed_yaml import FileError
 
 PORT = 8447
 FIRST_PAGE_S = 30.0
@@ -41,13 +47,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", type=cli.whole(0, 65535), default=PORT, metavar="N", help="0: a free port (default: %(default)s)")
     parser.add_argument("--token", default="", metavar="WORD", help="allow commands only where the page's address ends in ?token=WORD")
     parser.add_argument("--open", action="store_true", help="open the page in a browser")
+    truth = "simulation only: the truth to show of the first vehicle is that of"
+    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), metavar="S", help=f"{truth} this seed")
+    world = parser.add_argument("--world", type=cli.checked(check, WORLDS), metavar="NAME", help=f"{truth} this world")
+    cli.completed(world, lambda: WORLDS)
+    mission = parser.add_argument("--mission", metavar="MISSION", help=f"{truth} this mission script")
+    cli.completed(mission, shipped, "yaml", "yml")
     parser.add_argument("--about", type=json.loads, help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; a line on stdout says where."""
-    if len(args.logs) > 2:
-        print("error: LOG: at most two records can be compared", file=sys.stderr)
+    if reason := _refusal(args):
+        print(f"error: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
     try:
         listening = socket.create_server((args.host, args.port), backlog=64)
@@ -58,19 +70,36 @@ def run(args: argparse.Namespace) -> int:
         return asyncio.run(_serve(args, listening))
 
 
+def _refusal(args: argparse.Namespace) -> str:
+    """Return why these flags cannot be served; empty if they can. Notes what they tell of the truth."""
+    truth = {name: value for name in ("mission", "seed", "world") if (value := getattr(args, name)) is not None}
+    if len(args.logs) > 2:
+        return "LOG: three or more records are not allowed; wanted one, or two to compare"
+    if args.logs and truth:
+        return f"--{next(iter(truth))}: not with LOG: a record holds its own truth"
+    if truth:
+        try:
+            script = load(truth.pop("mission")) if args.mission else Script()
+            script = script.changed(truth)
+        except FileError as error:
+            return str(error)
+        args.about = {"namespace": None, "scenario": msgspec.to_builtins(script.simulated().truth), "seed": script.seed}
+    return ""
+
+
 async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     import uvicorn
 
     from link.record.reader import RecordError
     from scene.follow.recorded import backdrop_of
-    from sitl.view.guard import Rules
-    from sitl.view.live import Described, LiveVehicles
-    from sitl.view.records import Records
-    from sitl.view.server import LONGEST_MESSAGE, Server
+    from sitl.view.guard import AccessRules
+    from sitl.view.live import Described, LiveFleet
+    from sitl.view.records import RecordedFleet
+    from sitl.view.server import LONGEST_MESSAGE, PageServer
 
     loop = asyncio.get_running_loop()
     port = listening.getsockname()[1]
-    server: Server | None = None
+    server: PageServer | None = None
 
     def changed() -> None:
         if server is not None:
@@ -79,17 +108,16 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
 
     try:
         if args.logs:
-            shown: Any = Records(args.logs)
+            shown: Any = RecordedFleet(args.logs)
         else:
             described = None
             if args.about:
-                namespace = args.about.get("namespace", "uav/1")
-                described = Described(namespace, *backdrop_of(args.about, namespace))
-            shown = LiveVehicles(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True))
+                described = Described(args.about["namespace"], *backdrop_of(args.about))
+            shown = LiveFleet(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True))
     except RecordError as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    server = Server(shown, Rules(args.host, port, args.token))
+    server = PageServer(shown, AccessRules(args.host, port, args.token))
 
     class _Uvicorn(uvicorn.Server):
         @contextlib.contextmanager

@@ -21,7 +21,7 @@ HEADERS = {
 }
 
 
-class Rules(NamedTuple):
+class AccessRules(NamedTuple):
     """Where the page is served, and the word that allows commands."""
 
     host: str
@@ -74,7 +74,7 @@ def _split(host: str) -> tuple[str, int]:
     return name.lower().removeprefix("[").removesuffix("]"), int(port) if port.isascii() and port.isdigit() else -1
 
 
-def guarded(app: Asgi, rules: Rules) -> Asgi:
+def guarded(app: Asgi, rules: AccessRules) -> Asgi:
     """Return the app behind its checks: others get 403 and a line that says why; every answer has HEADERS."""
 
     async def checked(scope: Scope, receive: Receive, send: Send) -> None:
@@ -100,7 +100,7 @@ def guarded(app: Asgi, rules: Rules) -> Asgi:
     return checked
 
 
-def _refusal(scope: Scope, rules: Rules) -> str:
+def _refusal(scope: Scope, rules: AccessRules) -> str:
     """Return why a request is refused; empty if it is not."""
     hosts, origins = _values(scope, b"host"), _values(scope, b"origin")
     if len(hosts) != 1 or not rules.allows_host(hosts[0]):

@@ -5,6 +5,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import msgspec
@@ -34,7 +35,8 @@ UAV_HEALTH = HEALTH.name.replace("<service>", "uav")
 class Described(NamedTuple):
     """What was told beforehand of one vehicle."""
 
-    namespace: str
+    namespace: str | None
+    """None: the first vehicle that appears."""
     backdrop: Backdrop
     budget: int | None
 
@@ -141,7 +143,7 @@ class LiveVehicle:
         self._bus.close()
 
 
-class LiveVehicles:
+class LiveFleet:
     """All vehicles on a router."""
 
     def __init__(self, router: str, described: Described | None, changed: Callable[[], None], say: Callable[[str], None]) -> None:
@@ -231,9 +233,8 @@ class LiveVehicles:
                     self._say(f"warning: more than {MOST_VEHICLES} vehicles on the router; only the first ones are shown")
                 self._crowded = True
                 return True
-            told = self._described if self._described and self._described.namespace == name else None
             try:
-                self.vehicles = {**self.vehicles, name: LiveVehicle(name, self._router, told)}
+                self.vehicles = {**self.vehicles, name: LiveVehicle(name, self._router, self._told_of(name))}
             except NoRouter:
                 return False
             self._list_changed()
@@ -244,6 +245,12 @@ class LiveVehicles:
             self._list_changed()
         self._changed()
         return True
+
+    def _told_of(self, name: str) -> Described | None:
+        told = self._described
+        if told is None or (told.namespace != name if told.namespace else self.vehicles):
+            return None
+        return told._replace(backdrop=replace(told.backdrop, vehicle=name))
 
     def _bury(self, now_s: float) -> bool:
         """Report the parts that have been gone for long enough; returns whether there are any."""

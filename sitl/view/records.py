@@ -34,7 +34,7 @@ class RecordedVehicle:
         return self._history.at() if at_s is None else self._history.at(at_s), self._history, None
 
 
-class Records:
+class RecordedFleet:
     """One record, or two to compare."""
 
     list_version = 0

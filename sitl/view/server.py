@@ -18,8 +18,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from plume import __version__
 from scene.scene import Scene
-from sitl.view.control import Answer, CommandName, operate
-from sitl.view.guard import Asgi, Rules, guarded
+from sitl.view.control import CommandName, Reply, operate
+from sitl.view.guard import AccessRules, Asgi, guarded
 from sitl.view.live import LiveVehicle
 from sitl.view.wire import Cursor, packed
 
@@ -37,7 +37,7 @@ TRY_AGAIN_LATER, POLICY = 1013, 1008
 """Reasons for closing a WebSocket, by its standard's numbers."""
 
 
-class Vehicle(Protocol):
+class Showable(Protocol):
     """A vehicle to show, live or recorded."""
 
     name: str
@@ -50,7 +50,7 @@ class Vehicle(Protocol):
         """Return the scene at a time, None for the newest; the history that it is of; when it was published, ms since 1970."""
 
 
-class Vehicles(Protocol):
+class Fleet(Protocol):
     """All vehicles to show."""
 
     list_version: int
@@ -100,10 +100,10 @@ def message_of(text: str | bytes) -> Show | Drawn | Order:
         raise ValueError(str(error)) from None
 
 
-class Server:
+class PageServer:
     """Serves one list of vehicles to many pages."""
 
-    def __init__(self, shown: Vehicles, rules: Rules, page: Path = PAGE) -> None:
+    def __init__(self, shown: Fleet, rules: AccessRules, page: Path = PAGE) -> None:
         """Take what to show and who may do what."""
         self._shown = shown
         self._rules = rules
@@ -151,15 +151,15 @@ class Server:
             self._clients.discard(client)
             self.left_at = time.monotonic()
 
-    async def order(self, order: Order) -> Answer:
+    async def order(self, order: Order) -> Reply:
         """Carry out a command from a page that may command."""
         vehicle = self._shown.vehicles.get(order.vehicle)
         if not isinstance(vehicle, LiveVehicle):
-            return Answer(False, f"there is no vehicle {order.vehicle!r}")
+            return Reply(False, f"there is no vehicle {order.vehicle!r}")
         if self.bye:
-            return Answer(False, self.bye)
+            return Reply(False, self.bye)
         if order.vehicle in self._commanded:
-            return Answer(False, "the vehicle has not answered the last command yet")
+            return Reply(False, "the vehicle has not answered the last command yet")
         self._commanded.add(order.vehicle)
         try:
             return await operate(vehicle, order.command)
@@ -181,7 +181,7 @@ class _Sent:
 class Client:
     """One page. It gets the newest scene when it has drawn the last one, so none ever waits."""
 
-    def __init__(self, socket: WebSocket, server: Server, shown: Vehicles, why_not: str) -> None:
+    def __init__(self, socket: WebSocket, server: PageServer, shown: Fleet, why_not: str) -> None:
         """Serve a page; `why_not` says why it may not command."""
         self.wake = asyncio.Event()
         self._socket, self._server, self._shown = socket, server, shown
@@ -234,7 +234,7 @@ class Client:
 
     def _order(self, order: Order) -> None:
         if self._why_not:
-            self._answered(order, Answer(False, self._why_not))
+            self._answered(order, Reply(False, self._why_not))
             return
 
         async def carry_out() -> None:
@@ -244,7 +244,7 @@ class Client:
         self._orders.add(task)
         task.add_done_callback(self._orders.discard)
 
-    def _answered(self, order: Order, answer: Answer) -> None:
+    def _answered(self, order: Order, answer: Reply) -> None:
         about = {"vehicle": order.vehicle, "command": order.command, "accepted": answer.accepted, "reason": answer.reason}
         self._answers.append({"answer": about})
         self.wake.set()
@@ -272,7 +272,7 @@ class Client:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self.wake.wait(), wait_s)
 
-    async def _show(self, vehicle: Vehicle) -> float:
+    async def _show(self, vehicle: Showable) -> float:
         """Send a vehicle's scene if it is due; returns in how many seconds to look again."""
         want, sent, now_s = self._want, self._sent.setdefault(vehicle.name, _Sent()), time.monotonic()
         what = vehicle.version, want.truth, None if self._live else want.at_s
@@ -282,7 +282,7 @@ class Client:
                 return UNDRAWN_S - since_s
             if self._live and since_s < EVERY_S:
                 return EVERY_S - since_s
-        elif what == sent.what and not self._live:
+        elif what == sent.what and (self._server.bye or not self._live):
             return UNDRAWN_S
         scene, history, published_ms = vehicle.scene(None if self._live else want.at_s)
         self._number += 1

@@ -1,0 +1,79 @@
+"""The page of a mission: a part that starts with the others, and stays for a while when the mission is over."""
+
+import argparse
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Callable
+
+from sitl.launch.processes import STOP_TIMEOUT_S, Child, MissionFailed, Processes
+
+VIEW = "view"
+UNATTENDED_S = 30.0
+"""How long the page stays at most where nobody can press Ctrl-C."""
+LOOK_S = 0.2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `fly` that show its page."""
+    parser.add_argument("--view", action="store_true", help="show the mission on a page, which stays open until it is closed")
+    parser.add_argument("--open", action="store_true", help="the same, and open it in a browser")
+
+
+def page_of(args: argparse.Namespace) -> "Page | None":
+    """Return the page that the flags ask for."""
+    return Page(opened=args.open, attended=sys.stderr.isatty() and not args.json) if args.view or args.open else None
+
+
+class Page:
+    """`plumeward view` beside a mission. The mission goes on without it."""
+
+    def __init__(self, *, opened: bool, attended: bool) -> None:
+        """Take whether to open it in a browser, and whether people wait at a terminal."""
+        self._opened = opened
+        self._attended = attended
+        self._child: Child | None = None
+        self._address = ""
+
+    def start(self, processes: Processes, router: str, about_json: str) -> None:
+        """Start it; `about_json` describes the mission."""
+        words = ["--connect", router, "--port", "0", "--about", about_json, *["--open"] * self._opened]
+        self._child = processes.start(VIEW, "sitl", "view", *words)
+
+    def await_start(self, say: Callable[[str], None]) -> None:
+        """Wait until it is served, and say where."""
+        assert self._child
+        with contextlib.suppress(MissionFailed):  # it hangs: the mission begins without it
+            self._address = self._child.readline().strip().removeprefix("page at ")
+        if self._address:
+            say(f"page at {self._address}")
+
+    def over(self, processes: Processes) -> None:
+        """Tell it that the mission is over, and keep it from ending with the other parts. A page that was never served ends with them."""
+        if self._child and self._address:
+            processes.release(VIEW)
+            self._child.signal(signal.SIGUSR1)
+
+    def linger(self) -> None:
+        """Wait until its browsers are closed, or none has come; Ctrl-C ends it."""
+        if self._child is None or not self._address or self._child.wait(0.0):
+            return
+        until = "until it is closed" if self._attended else f"for at most {UNATTENDED_S:g} s"
+        print(f"page stays open at {self._address} {until}; Ctrl-C ends it", file=sys.stderr, flush=True)
+        deadline = time.monotonic() + UNATTENDED_S
+        try:
+            with contextlib.suppress(KeyboardInterrupt):
+                while not self._child.wait(LOOK_S) and (self._attended or time.monotonic() < deadline):
+                    pass
+        finally:
+            self.end()
+
+    def end(self) -> None:
+        """End it now."""
+        if self._child:
+            self._child.signal(signal.SIGTERM)
+            if not self._child.wait(2 * STOP_TIMEOUT_S):
+                self._child.kill()
+                self._child.wait(STOP_TIMEOUT_S)
+            self._child.join()
