@@ -12,8 +12,8 @@ import numpy as np
 import uvicorn
 
 from scene.scene import Backdrop, Craft, Floats, Happening, Measurement, Release, Scatter, Scene, Service
-from sitl.view.guard import Rules
-from sitl.view.server import Server
+from sitl.view.guard import AccessRules
+from sitl.view.server import Fleet, PageServer
 
 RELEASE = Release(source=(24.0, 6.0), wind=(-3.0, -4.0), q=10.0, d=1.0, tau=10.0)
 """Its wind of 5 m/s comes from the south-west: from 216.87°."""
@@ -80,30 +80,13 @@ class Actor:
         return self._scene
 
 
-class Stage:
-    """The server of the page and the vehicles on it."""
+class Served:
+    """The page of some vehicles, served by a thread."""
 
-    def __init__(self, host: str = "127.0.0.1") -> None:
-        self.vehicles: dict[str, Any] = {}
-        self.list_version = 0
-        self.notice = ""
+    def __init__(self, shown: Fleet, host: str = "127.0.0.1") -> None:
+        self._shown = shown
         self._host, self.port = host, 0
         self._loop: asyncio.AbstractEventLoop | None = None
-
-    def entries(self) -> list[dict[str, Any]]:
-        return [vehicle.entry() for vehicle in self.vehicles.values()]
-
-    def enter(self, shown: Scene) -> Actor:
-        """Let a vehicle appear."""
-        actor = Actor(self, shown)
-        self.vehicles = {**self.vehicles, actor.name: actor}
-        self.relist()
-        return actor
-
-    def relist(self) -> None:
-        """Tell the page that the list of vehicles, or the notice, has changed."""
-        self.list_version += 1
-        self.news()
 
     def news(self) -> None:
         if self._loop is not None:
@@ -121,7 +104,7 @@ class Stage:
         """Serve, on the same port as before."""
         self._listening = socket.create_server((self._host, self.port))
         self.port = self._listening.getsockname()[1]
-        self._server = Server(self, Rules(self._host, self.port))
+        self._server = PageServer(self._shown, AccessRules(self._host, self.port))
         config = uvicorn.Config(
             self._server.app(), http="h11", ws="websockets-sansio", interface="asgi3", lifespan="off", log_config=None, access_log=False
         )
@@ -142,6 +125,31 @@ class Stage:
         self._loop = asyncio.get_running_loop()
         ready.set()
         await self._uvicorn.serve(sockets=[self._listening])
+
+
+class Stage(Served):
+    """The page of vehicles that come, change and go as the test says."""
+
+    def __init__(self, host: str = "127.0.0.1") -> None:
+        super().__init__(self, host)
+        self.vehicles: dict[str, Any] = {}
+        self.list_version = 0
+        self.notice = ""
+
+    def entries(self) -> list[dict[str, Any]]:
+        return [vehicle.entry() for vehicle in self.vehicles.values()]
+
+    def enter(self, shown: Scene) -> Actor:
+        """Let a vehicle appear."""
+        actor = Actor(self, shown)
+        self.vehicles = {**self.vehicles, actor.name: actor}
+        self.relist()
+        return actor
+
+    def relist(self) -> None:
+        """Tell the page that the list of vehicles, or the notice, has changed."""
+        self.list_version += 1
+        self.news()
 
 
 def bearing_deg(wind: tuple[float, float]) -> float:
