@@ -1,7 +1,6 @@
 """A real browser for the tests of the page: one for all of them; what it shows is kept as screenshots."""
 
 import os
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,15 +8,11 @@ from typing import Any
 
 import pytest
 
+from tests.system.conftest import start as start
+from tests.view.browser import MISSING, found, launched
 from tests.view.stage import Stage
 
 SCREENSHOTS = Path(__file__).parents[2] / "test-screenshots"
-FLAGS = (
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
-    "--disable-sync",
-)  # fmt: skip
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-MISSING = "no Chromium for the tests of the page; install it: apt-get install chromium"
 DESK, PHONE = (1280, 800), (360, 640)
 CUT = "WebSocket connection to"
 """What the browser itself writes to its console where a connection fails."""
@@ -115,17 +110,12 @@ STATE = "JSON.stringify({...plumeward.state, models: Object.keys(plumeward.state
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
     """Headless Chromium, with a profile of its own."""
-    path = next(filter(None, map(shutil.which, NAMES)), None)
-    if path is None:
+    if found() is None:
         if os.environ.get("CI"):
             pytest.fail(MISSING)
         pytest.skip(MISSING)
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=path, args=list(FLAGS))
+    with launched() as chromium:
         yield chromium
-        chromium.close()
 
 
 @pytest.fixture

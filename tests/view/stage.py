@@ -43,8 +43,11 @@ def scene(vehicle: str = "uav/1", steps: int = 6, particles: int = 400) -> Scene
         wind=RELEASE.wind,
         stop="spread:0.5",
         assume="field",
-        services=(Service("uav", "ok", "searching", "", 5, 0.012), Service("estimator", "refusing", "ready", "", 5, 0.034, ("too much gas",))),
-        happenings=(Happening(0.5, "info", "uav", "armed"), Happening(3.0, "warning", "estimator", "too much gas")),
+        services=(
+            Service("uav", "ok", "searching", "", 5, 0.012),
+            Service("estimator", "refusing", "ready", "", 5, 0.034, ("hot",)),
+        ),
+        happenings=(Happening(0.5, "info", "uav", "armed"), Happening(3.0, "warning", "estimator", "hot")),
     )
 
 

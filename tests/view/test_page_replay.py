@@ -79,7 +79,7 @@ def test_a_record_opens_at_its_outcome(replay: Window) -> None:
     shows(replay, last)
     assert "Located" in replay.text(".ending")
     assert replay.text("#link") == "record"
-    assert replay.text(".why") == "a record takes no commands"
+    assert replay.text(".why") == "A record takes no commands"
     assert replay.page.locator("[data-command=pause]").is_disabled()
     assert replay.violations() == []
     replay.keep("replay")

@@ -4,7 +4,7 @@ import { followTheme } from "./colours.js";
 import { followKeys } from "./keys.js";
 import { Link } from "./link.js";
 import { merge, unknown, unpack } from "./model.js";
-import { make, Pane, setText } from "./pane.js";
+import { make, Pane, sentence, setText } from "./pane.js";
 import { TimeLine } from "./timeline.js";
 
 const MOST_LATENCIES = 2000;
@@ -166,7 +166,8 @@ const link = new Link({
   answer(answer) {
     page.answers.push(answer);
     const { vehicle, command: name, accepted, reason } = answer;
-    panes.get(vehicle)?.answer(`${TITLES[name] ?? name} ${accepted ? "accepted" : "refused"}${reason ? `: ${reason}` : ""}`, accepted ? "good" : "bad");
+    const why = reason.replace(/^\w+ refused: /, ""); // the vehicle says what it refuses, as we do
+    panes.get(vehicle)?.answer(`${TITLES[name] ?? name} ${accepted ? "accepted" : "refused"}${why ? `: ${why}` : ""}`, accepted ? "good" : "bad");
   },
   bye(text) {
     state.bye = text;
@@ -193,8 +194,6 @@ function tellLink() {
   find("notice").dataset.level = { lost: "bad", over: "calm" }[state.link] ?? "warn";
   setText(find("notice"), notice);
 }
-
-const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 /** Say something to who listens to the page. */
 function aloud(text) {

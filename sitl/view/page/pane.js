@@ -21,6 +21,10 @@ export function make(tag, className, text) {
   return element;
 }
 
+export function sentence(text) {
+  return text.charAt(0).toUpperCase() + text.slice(1);
+}
+
 export function seconds(time_s) {
   return `${time_s.toFixed(1)} s`;
 }
@@ -60,7 +64,7 @@ export class Pane {
     for (const button of this.root.querySelectorAll("[data-command]")) button.disabled = Boolean(whyNot);
     const why = this.find(".why");
     why.hidden = !whyNot;
-    setText(why, whyNot);
+    setText(why, sentence(whyNot));
   }
 
   /** Show what became of a command. */
