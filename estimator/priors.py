@@ -84,6 +84,8 @@ def parse(text: str) -> tuple[str, Prior]:
     match prior:
         case Uniform(low, high):
             sound, rule = low < high, "LOW below HIGH"
+            if name == "cv":
+                sound, rule = 0 <= low < high <= GREATEST_CV, f"0 ≤ LOW < HIGH ≤ {GREATEST_CV:g} for cv"
         case Normal(_, std):
             sound, rule = std > 0, "STD above 0"
         case Gamma(shape, scale):

@@ -268,8 +268,7 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     try:
         flown = fly(launch, record, page)
     except KeyboardInterrupt:
-        if page:
-            page.end()
+        page.end()
         _give_up(record)
         print("interrupted", file=sys.stderr)
         raise
@@ -277,8 +276,7 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
         refused = failure.status == cli.BAD_INPUT
         _give_up(record, refused=refused)
         print(f"error: {_in_script(str(failure), args, given) if refused else failure}", file=sys.stderr)
-        if page:
-            page.linger()
+        page.linger()
         return failure.status
     results = sys.stderr if args.json else sys.stdout
     print(outcome_text(flown.outcome), file=results)
@@ -292,8 +290,7 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
         print(f"expected {expectation}: {'yes' if so else 'NO'}", file=results)
     if args.json:
         print(flown.json(with_trace=args.trace), flush=True)
-    if page:
-        page.linger()
+    page.linger()
     return 0 if all(flown.expectations.values()) else cli.FAILED
 
 
@@ -390,8 +387,7 @@ def main(
             print(f"error: {error}", file=sys.stderr)
             return cli.BAD_INPUT
     if args.command in OTHERS:
-        status: int = _module(args.command).run(args)
-        return status
+        return int(_module(args.command).run(args))
     from sitl.launch.router import run
 
     run(args.listen)

@@ -35,6 +35,7 @@ RUNS = ("python ", "make ", "plumeward ", "pip ", "docker ", "podman ", "source 
 OURS = r"(plumeward|python -m (sitl|agent))"
 SHORTER = {
     rf"{OURS} (fly|uav)\b.*": "--speedup 0",
+    rf"{OURS} view\b(?! -).*": "--port 0",
     rf"{OURS} evaluate\b.*": "--scenarios 2",
     rf"{OURS} train\b.*": "--steps 1 --scenarios 0",
 }
@@ -78,6 +79,8 @@ STAYS = {
     "plumeward uav --out udpout:127.0.0.1:14540": "MAVLink to ",
     "plumeward uav --out udpin:127.0.0.1:14550": "MAVLink to ",
     "plumeward record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
+    "plumeward view": "page at http://127.0.0.1:",
+    "plumeward view runs/NAME.mcap": "page at http://127.0.0.1:",
     "plumeward estimator --connect tcp/127.0.0.1:7447": "ready: ",
     "plumeward estimator --connect tcp/127.0.0.1:7447 --particles 4000": "ready: ",
     "plumeward estimator --connect tcp/127.0.0.1:7447 --rate 364.9238897255652 --diffusivity 5.890049834047215": "ready: ",

@@ -2,7 +2,7 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Generic, NamedTuple, TypeVar
@@ -23,6 +23,8 @@ from scene.scene import STOP as STOPPED
 
 TRACK_STEP_M = 0.1
 """The track gets a point when the vehicle has moved so far."""
+RESTART_MS = 1000
+"""A vehicle whose own time goes back by more was started again."""
 LONGEST = 300
 """Characters of a text that are kept: it may quote a stranger."""
 
@@ -61,6 +63,18 @@ class Timed(Generic[T]):
         return self.values[count - 1] if count else None
 
 
+class Turn(NamedTuple):
+    """A change of the true wind, and of the whole plume with it, by a mission script."""
+
+    step: int | None
+    """The reading from which on it counts; None if it is the time that counts."""
+    time_s: float
+    u: float | None
+    """Its new speed, m/s; None: as before."""
+    phi: float | None
+    """The direction it comes from now, rad; None: as before."""
+
+
 class _Sign(NamedTuple):
     """A sign of life of a part, or of its end."""
 
@@ -80,13 +94,28 @@ class _Packed(NamedTuple):
 class History:
     """What was said on the bus of one vehicle. A message that breaks the contract is left out: the services count and refuse it."""
 
-    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, whole: bool = True) -> None:
-        """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the newest ones."""
+    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, turns: Sequence[Turn] = (), whole: bool = True) -> None:
+        """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the newest ones.
+
+        turns: the changes of the backdrop's wind, in order.
+        """
         self.backdrop = backdrop
+        """As it is at first."""
+        self._turns = turns
         self.time_s = 0.0
         """Simulation time of the newest message."""
         self.wall_s = 0.0
         self._budget = budget
+        self._whole = whole
+        self.happenings: Timed[Happening] = Timed()
+        self._signs: dict[str, Timed[_Sign]] = {}
+        self._texts = Texts()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin a mission."""
+        whole = self._whole
+        self._boot_ms = 0
         self._crafts: Timed[Craft] = Timed(whole)
         self._scatters: Timed[_Packed] = Timed(whole)
         self._winds: Timed[tuple[float, float]] = Timed(whole)
@@ -94,13 +123,15 @@ class History:
         self._walls: Timed[float] = Timed(whole)
         self._track: Timed[Place] = Timed()
         self.measurements: Timed[Measurement] = Timed()
-        self.happenings: Timed[Happening] = Timed()
         self._endings: Timed[Ending] = Timed()
-        self._signs: dict[str, Timed[_Sign]] = {}
-        self._whole = whole
-        self._texts = Texts()
         self._stop = self._assume = ""
         self._unpacked: tuple[_Packed, Scatter | None] | None = None
+
+    def _begin_again(self, time_s: float) -> None:
+        """Follow the next mission of a vehicle that was started again; happenings and services stay."""
+        self._begin()
+        self.time_s = time_s
+        self._happened(time_s, INFO, "uav", "a new mission begins")
 
     # ---- taking ----
 
@@ -145,6 +176,10 @@ class History:
                 if said := self._texts.said(fields):
                     self._happened(time_s, said[0], "uav", said[1])
                 continue
+            if message_id == LOCAL:
+                if fields["time_boot_ms"] + RESTART_MS < self._boot_ms:
+                    self._begin_again(time_s)
+                self._boot_ms = fields["time_boot_ms"]
             craft = seen(craft, message_id, fields, time_s)
             if message_id == LOCAL:
                 last = self._track.at(math.inf)
@@ -223,7 +258,7 @@ class History:
         wall = (self._walls.at(time_s) or self.wall_s) if wall_s is None else wall_s
         packed = self._scatters.at(time_s)
         return Scene(
-            backdrop=self.backdrop,
+            backdrop=self._backdrop(min(time_s, self.time_s), self.measurements.values[count - 1].step if count else -1),
             time_s=min(time_s, self.time_s),
             craft=self._crafts.at(time_s),
             track=np.array(self._track.until(time_s), np.float32).reshape(-1, 2),
@@ -243,6 +278,17 @@ class History:
         if self._unpacked is None or self._unpacked[0] is not packed:
             self._unpacked = packed, _scatter(packed)
         return self._unpacked[1]
+
+    def _backdrop(self, time_s: float, step: int) -> Backdrop:
+        """Return the backdrop with the wind at a time, after the belief of a step."""
+        if (release := self.backdrop.release) is None:
+            return self.backdrop
+        for turn in self._turns:
+            if step >= turn.step if turn.step is not None else time_s >= turn.time_s:
+                u = math.hypot(*release.wind) if turn.u is None else turn.u
+                phi = math.atan2(release.wind[1], release.wind[0]) if turn.phi is None else turn.phi
+                release = replace(release, wind=(u * math.cos(phi), u * math.sin(phi)))
+        return replace(self.backdrop, release=release)
 
     def _services(self, time_s: float, wall_s: float) -> Iterator[Service]:
         order = ("uav", "estimator", "agent")

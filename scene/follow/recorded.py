@@ -6,7 +6,7 @@ import msgspec
 
 from link.record.reader import Recording
 from plume.scenario import Scenario
-from scene.follow.history import History
+from scene.follow.history import History, Turn
 from scene.scene import Backdrop, Release
 
 
@@ -27,10 +27,18 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
     return Backdrop(name, title=title, release=release), budget if isinstance(budget, int) else None
 
 
+def turns_of(about: dict[str, Any]) -> list[Turn]:
+    """Return the changes of the wind that a run's mission script has."""
+    mission = about.get("mission")
+    events = mission.get("events") if isinstance(mission, dict) else None
+    winds = [event for event in events or () if isinstance(event, dict) and event.get("do") == "wind"]
+    return [Turn(event.get("step"), event.get("time_s") or 0.0, event.get("u"), event.get("phi")) for event in winds]
+
+
 def history_of(recording: Recording, vehicle: str = "") -> History:
     """Return all that a record tells."""
     backdrop, budget = backdrop_of(recording.about, vehicle)
-    history = History(backdrop, budget)
+    history = History(backdrop, budget, turns=turns_of(recording.about))
     for entry in sorted(recording.entries, key=lambda entry: entry.published_ns):
         history.take(entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9)
     return history

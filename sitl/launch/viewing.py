@@ -21,16 +21,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--open", action="store_true", help="the same, and open it in a browser")
 
 
-def page_of(args: argparse.Namespace) -> "Page | None":
-    """Return the page that the flags ask for."""
-    return Page(opened=args.open, attended=sys.stderr.isatty() and not args.json) if args.view or args.open else None
+def page_of(args: argparse.Namespace) -> "Page":
+    """Return the page that the flags ask for, if they do."""
+    return Page(wanted=args.view or args.open, opened=args.open, attended=sys.stderr.isatty() and not args.json)
 
 
 class Page:
     """`plumeward view` beside a mission. The mission goes on without it."""
 
-    def __init__(self, *, opened: bool, attended: bool) -> None:
-        """Take whether to open it in a browser, and whether people wait at a terminal."""
+    def __init__(self, *, wanted: bool, opened: bool, attended: bool) -> None:
+        """Take whether to show it at all, whether to open it in a browser, and whether people wait at a terminal."""
+        self._wanted = wanted
         self._opened = opened
         self._attended = attended
         self._child: Child | None = None
@@ -38,12 +39,15 @@ class Page:
 
     def start(self, processes: Processes, router: str, about_json: str) -> None:
         """Start it; `about_json` describes the mission."""
+        if not self._wanted:
+            return
         words = ["--connect", router, "--port", "0", "--about", about_json, *["--open"] * self._opened]
         self._child = processes.start(VIEW, "sitl", "view", *words)
 
     def await_start(self, say: Callable[[str], None]) -> None:
         """Wait until it is served, and say where."""
-        assert self._child
+        if self._child is None:
+            return
         with contextlib.suppress(MissionFailed):  # it hangs: the mission begins without it
             self._address = self._child.readline().strip().removeprefix("page at ")
         if self._address:

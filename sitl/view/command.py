@@ -83,19 +83,21 @@ def _refusal(args: argparse.Namespace) -> str:
             script = script.changed(truth)
         except FileError as error:
             return str(error)
-        args.about = {"namespace": None, "scenario": msgspec.to_builtins(script.simulated().truth), "seed": script.seed}
+        args.about = {"namespace": None, "mission": script, "scenario": script.simulated().truth, "seed": script.seed}
+        args.about = msgspec.to_builtins(args.about)
     return ""
 
 
 async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     import uvicorn
+    from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
     from link.record.reader import RecordError
-    from scene.follow.recorded import backdrop_of
+    from scene.follow.recorded import backdrop_of, turns_of
     from sitl.view.guard import AccessRules
     from sitl.view.live import Described, LiveFleet
     from sitl.view.records import RecordedFleet
-    from sitl.view.server import LONGEST_MESSAGE, PageServer
+    from sitl.view.server import LONGEST_MESSAGE, SEND_S, PageServer
 
     loop = asyncio.get_running_loop()
     port = listening.getsockname()[1]
@@ -112,7 +114,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         else:
             described = None
             if args.about:
-                described = Described(args.about["namespace"], *backdrop_of(args.about))
+                described = Described(args.about["namespace"], *backdrop_of(args.about), turns_of(args.about))
             shown = LiveFleet(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True))
     except RecordError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -124,8 +126,13 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         def capture_signals(self) -> Iterator[None]:
             yield  # they are ours
 
+    class _WebSocket(WebSocketsSansIOProtocol):
+        async def run_asgi(self) -> None:
+            await super().run_asgi()
+            self.loop.call_later(SEND_S, self.transport.abort)  # what a client does not read is not kept for it
+
     config = uvicorn.Config(
-        server.app(), http="h11", ws="websockets-sansio", lifespan="off", log_config=None, log_level="critical", access_log=False,
+        server.app(), http="h11", ws=_WebSocket, lifespan="off", log_config=None, log_level="critical", access_log=False,
         server_header=False, date_header=False, ws_max_size=LONGEST_MESSAGE, ws_per_message_deflate=False,
         timeout_graceful_shutdown=1, limit_concurrency=100,
     )  # fmt: skip
@@ -137,8 +144,8 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         http.should_exit = True
 
     async def linger() -> None:
-        server.bye = "the mission is over"
         await asyncio.to_thread(shown.end)
+        server.bye = "the mission is over"
         server.news()
         began = time.monotonic()
         while server.watched or time.monotonic() < (began + FIRST_PAGE_S if server.left_at is None else server.left_at + RELOAD_S):

@@ -4,7 +4,7 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ from link.bus.roster import Presence, Roster
 from link.bus.session import NoRouter, Stamped
 from link.bus.tap import Tap
 from link.record.record import SimulationClock
-from scene.follow.history import History
+from scene.follow.history import History, Turn
 from scene.follow.parts import restarted
 from scene.follow.telemetry import SETPOINT, frames, waypoint
 from scene.scene import Backdrop, Scene
@@ -39,6 +39,7 @@ class Described(NamedTuple):
     """None: the first vehicle that appears."""
     backdrop: Backdrop
     budget: int | None
+    turns: Sequence[Turn] = ()
 
 
 class LiveVehicle:
@@ -64,7 +65,8 @@ class LiveVehicle:
 
     def _begin(self) -> None:
         told = self._described
-        self.history = History(told.backdrop if told else Backdrop(self.name), told.budget if told else None, whole=False)
+        told = told or Described(self.name, Backdrop(self.name), None)
+        self.history = History(told.backdrop, told.budget, turns=told.turns, whole=False)
         self._clock = SimulationClock()
         self._frozen_s: float | None = None
 
@@ -188,6 +190,7 @@ class LiveFleet:
         with roster:
             self._follow(roster)
             for vehicle in self.vehicles.values():
+                vehicle.follow()
                 vehicle.close()
 
     def _follow(self, roster: Roster) -> None:

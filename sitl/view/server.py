@@ -33,6 +33,8 @@ UNDRAWN_S = 1.0
 """After this long the next scene is sent, though the last one was not drawn; and one without news, to judge silent services anew."""
 SEND_S = 5.0
 """A client that takes longer to read what was sent is gone."""
+GONE = (WebSocketDisconnect, TimeoutError, RuntimeError)
+"""What a send to a client that has gone raises; the last one if it went just before."""
 TRY_AGAIN_LATER, POLICY = 1013, 1008
 """Reasons for closing a WebSocket, by its standard's numbers."""
 
@@ -199,14 +201,14 @@ class Client:
         """Serve it until it goes or breaks the contract."""
         tasks = [asyncio.create_task(self._read()), asyncio.create_task(self._write())]
         try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                with contextlib.suppress(WebSocketDisconnect, TimeoutError):
-                    task.result()
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             for each in (*tasks, *self._orders):
                 each.cancel()
-        with contextlib.suppress(WebSocketDisconnect, RuntimeError, TimeoutError):  # RuntimeError: it is closed
+        for ended in await asyncio.gather(*tasks, *self._orders, return_exceptions=True):
+            if isinstance(ended, Exception) and not isinstance(ended, GONE):
+                raise ended
+        with contextlib.suppress(*GONE):
             async with asyncio.timeout(UNDRAWN_S):
                 await self._socket.close(POLICY, self._bye)
 
@@ -262,20 +264,22 @@ class Client:
                 await self._say({"vehicles": self._shown.entries(), "notice": self._shown.notice})
             while self._answers:
                 await self._say(self._answers.pop(0))
-            wait_s = UNDRAWN_S
-            for name in self._want.show:
-                if name in self._shown.vehicles:
-                    wait_s = min(wait_s, await self._show(self._shown.vehicles[name]))
-            if self._server.bye and not told:
+            bye, wanted = self._server.bye, [self._shown.vehicles[name] for name in self._want.show if name in self._shown.vehicles]
+            waits_s = [await self._show(vehicle) for vehicle in wanted]
+            if bye and not told and all(self._what(vehicle) == self._sent[vehicle.name].what for vehicle in wanted):
                 told = True
-                await self._say({"bye": self._server.bye})
+                await self._say({"bye": bye})
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self.wake.wait(), wait_s)
+                await asyncio.wait_for(self.wake.wait(), min(waits_s, default=UNDRAWN_S))
+
+    def _what(self, vehicle: Showable) -> tuple[object, ...]:
+        """Return what identifies the scene that the page wants to see of a vehicle now."""
+        return vehicle.version, self._want.truth, None if self._live else self._want.at_s
 
     async def _show(self, vehicle: Showable) -> float:
         """Send a vehicle's scene if it is due; returns in how many seconds to look again."""
         want, sent, now_s = self._want, self._sent.setdefault(vehicle.name, _Sent()), time.monotonic()
-        what = vehicle.version, want.truth, None if self._live else want.at_s
+        what = self._what(vehicle)
         since_s = now_s - sent.at_s
         if since_s < UNDRAWN_S:
             if what == sent.what or not sent.drawn:

@@ -30,16 +30,21 @@ CASES: dict[str, tuple[Prior, Likelihood, tuple]] = {
 
 
 def flight(s: Scenario, seed: int, unknown: str) -> Iterator[Reading]:
-    """A flight that no belief has chosen: towards the source, at first not at all straight. The third unknown is drawn from its prior."""
+    """A flight that no belief has chosen: towards the source, at first not at all straight. The third unknown is drawn from its prior.
+
+    Where the wind's direction is measured with an error, the wind turns and changes its speed between readings; the error stays.
+    """
     rng = np.random.default_rng(seed)
     standard = rng.standard_normal()
     off = math.radians(20 * standard) if unknown == "wind-direction" else 0.0
     gain = math.exp(0.5 * standard) if unknown == "gain" else 1.0
     sensor = Gaussian(cv=min(abs(1.2 * standard), 3.0) if unknown == "cv" else 0.0)
-    wind = s.u * math.cos(s.phi - off), s.u * math.sin(s.phi - off)
+    changes = unknown == "wind-direction"
     place = np.array(s.start)
     for step in range(STEPS):
-        mean = gain * concentration(place, s.source, s.wind, rate=s.q, diffusivity=s.d, lifetime=s.tau)
+        u, phi = (s.u * (1 + 0.3 * math.sin(step / 5)), s.phi + 0.6 * math.sin(step / 3)) if changes else (s.u, s.phi)
+        true_wind, wind = ((u * math.cos(angle), u * math.sin(angle)) for angle in (phi, phi - off))
+        mean = gain * concentration(place, s.source, true_wind, rate=s.q, diffusivity=s.d, lifetime=s.tau)
         yield Reading(step, (float(place[0]), float(place[1])), 5.0, wind, float(sensor.measure(mean, rng)))
         heading = math.atan2(s.source[1] - place[1], s.source[0] - place[0]) + rng.normal(0, 0.9 if step < WANDERING else 0.5)
         place = np.clip(place + np.array([math.cos(heading), math.sin(heading)]), 0, 30)

@@ -120,6 +120,7 @@ def test_a_priors_text_reads_back_as_the_prior(prior: Prior) -> None:
         ("wind-direction=lognormal:1,1", "NAME of q, u, d, tau, wind-speed, gain, noise, cv"),
         ("noise=fixed:0", "VALUE above 0 for q, d, tau, wind-speed, gain, noise"),
         ("cv=fixed:3.1", "VALUE from 0 to 3 for cv"),
+        ("cv=uniform:0,9", "0 ≤ LOW < HIGH ≤ 3 for cv"),
         ("direction=fixed:1", "NAME of x, y, z, q, u, phi, d, tau, wind-direction, wind-speed, gain, noise, cv"),
     ],
 )

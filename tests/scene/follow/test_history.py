@@ -1,0 +1,238 @@
+"""Protects what people are shown: each message of the bus changes the scene as it says, and a scene of the past knows nothing newer."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.mavlink import Codec, Reading, pack_reading, waypoint_message
+from link.bus.messages import Belief, Health, Stop, pack_particles
+from scene.follow.history import History
+from scene.scene import Backdrop, Release
+
+RELEASE = Release((12.0, 20.0), (2.0, 0.0), 300.0, 4.0, 10.0)
+UAV = Codec(1, 1)
+PARTICLES = np.array([[1.0, 2.0, 0.25], [3.0, 4.0, 0.75]], np.float32)
+
+
+def belief(step: int, **changed: object) -> bytes:
+    said = Belief(
+        time_boot_ms=1000 * step, step=step, position=(float(step), 1.0), altitude_m=5.0, gas=0.5, wind=(2.0, 0.0), sensor="gaussian",
+        rate=300.0, diffusivity=4.0, lifetime=10.0, z=5.0, unknowns=("x", "y"), means=(11.5, 20.0), stds=(0.2, 0.3), mean=(11.5, 20.0),
+        covariance=(0.04, 0.0, 0.09), spread=0.36, effective_sample_size=2.0, p_value=1.0, ceased=False, assume="field", stop="spread:0.5",
+    )  # fmt: skip
+    return msgspec.json.encode(msgspec.structs.replace(said, **changed))
+
+
+def stop(step: int, estimate: tuple[float, float]) -> bytes:
+    return msgspec.json.encode(Stop(1000 * step, step, estimate, (0.04, 0.0, 0.09), 0.36, 0.5, "spread:0.5"))
+
+
+def health(service: str, uptime_s: float, **changed: object) -> bytes:
+    said = Health(service, "ready", step=3, compute_s=0.1, uptime_s=uptime_s, refused={})
+    return msgspec.json.encode(msgspec.structs.replace(said, **changed))
+
+
+def said(history: History) -> list[tuple[str, str, str]]:
+    return [(it.level, it.who, it.text) for it in history.at().happenings]
+
+
+@pytest.fixture
+def history() -> History:
+    return History(Backdrop("uav/1", release=RELEASE), budget=300)
+
+
+def test_before_anything_is_said_there_is_nothing_to_see(history: History) -> None:
+    scene = history.at()
+    assert (scene.craft, scene.scatter, scene.waypoint, scene.wind, scene.ending) == (None,) * 5
+    assert len(scene.track) == len(scene.measurements) == len(scene.services) == len(scene.happenings) == 0
+
+
+def test_the_vehicle_is_where_its_telemetry_says_with_x_east_and_y_north(history: History) -> None:
+    local = mavlink.MAVLink_local_position_ned_message(1000, 7.0, 3.0, -5.0, 0.0, 0.0, 0.0)  # 7 m north, 3 m east, 5 m up
+    attitude = mavlink.MAVLink_attitude_message(1000, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.0)  # its nose to the east
+    fix = mavlink.MAVLink_global_position_int_message(1000, 473977500, 85456000, 493_000, 5000, 0, 0, 0, 9000)
+    assert history.take("mavlink/out", UAV.pack(local, attitude, fix), b"", 1.0, 100.0)
+    craft = history.at().craft
+    assert craft is not None
+    assert (craft.position, craft.altitude_m) == ((3.0, 7.0), 5.0)
+    assert craft.heading == pytest.approx(0.0, abs=1e-7)  # east is 0, counter-clockwise
+    assert craft.fix == pytest.approx((47.39775, 8.5456, 493.0))
+    assert history.at().track.tolist() == [[3.0, 7.0]]
+
+
+def test_the_track_has_a_point_every_tenth_of_a_metre(history: History) -> None:
+    for n in range(101):  # 1 m in steps of 1 cm
+        frame = mavlink.MAVLink_local_position_ned_message(n, 0.0, n / 100, -5.0, 0.0, 0.0, 0.0)
+        history.take("mavlink/out", UAV.pack(frame), b"", n / 10, 100.0)
+    track = history.at().track
+    assert 10 <= len(track) <= 11  # float32 may put a point one centimetre later
+    assert np.all(np.diff(track[:, 0]) >= 0.0999)
+
+
+def test_changes_of_mode_arming_and_long_texts_are_told_once(history: History) -> None:
+    armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    for mode, flags in (((4, 3), 0), ((4, 2), armed), ((4, 2), armed), ((6, 0), armed)):
+        beat = mavlink.MAVLink_heartbeat_message(2, 12, flags, mode[0] << 16 | mode[1] << 24, 4, 3)
+        history.take("mavlink/out", UAV.pack(beat), b"", 1.0, 100.0)
+    chunks = [
+        mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_WARNING, text.encode(), 1, n) for n, text in enumerate(("a" * 50, "b"))
+    ]
+    history.take("mavlink/out", UAV.pack(*chunks), b"", 1.0, 100.0)
+    assert said(history) == [
+        ("info", "uav", "mode HOLD"),
+        ("info", "uav", "mode TAKEOFF"),
+        ("info", "uav", "armed"),
+        ("info", "uav", "mode OFFBOARD"),
+        ("warning", "uav", "a" * 50 + "b"),
+    ]
+
+
+def test_readings_and_waypoints_are_shown(history: History) -> None:
+    history.take("reading", pack_reading(UAV, Reading(1000, (2.0, 3.0), 5.0, (1.5, -0.5), 0.25)), b"", 1.0, 100.0)
+    history.take("mavlink/in", Codec(1, 191).pack(waypoint_message(1, 1000, (2.5, 4.0), 5.0)), b"", 1.1, 100.0)
+    assert (history.at().wind, history.at().waypoint) == ((1.5, -0.5), (2.5, 4.0))
+
+
+def test_a_belief_gives_a_measurement_and_its_particles(history: History) -> None:
+    history.take("belief", belief(3), pack_particles(PARTICLES), 3.0, 100.0)
+    scene = history.at()
+    (measured,) = scene.measurements
+    assert (measured.step, measured.position, measured.gas, measured.spread_m, measured.estimate) == (
+        3,
+        (3.0, 1.0),
+        0.5,
+        0.36,
+        (11.5, 20.0),
+    )
+    assert scene.scatter is not None
+    assert scene.scatter.places.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert scene.scatter.weights.tolist() == [0.25, 0.75]
+    assert (scene.assume, scene.stop, scene.threshold_m) == ("field", "spread:0.5", 0.5)
+
+
+def test_a_coordinate_that_is_known_is_the_estimates_own_for_all_particles(history: History) -> None:
+    rows = np.array([[5.0, 7.0, 1.0]], np.float32)  # q and y are unknown, x is known
+    history.take("belief", belief(0, unknowns=("q", "y"), means=(5.0, 7.0), stds=(1.0, 1.0)), pack_particles(rows), 1.0, 100.0)
+    scatter = history.at().scatter
+    assert scatter is not None
+    assert scatter.places.tolist() == [[11.5, 7.0]]
+
+
+def test_a_repeated_belief_changes_nothing(history: History) -> None:
+    assert history.take("belief", belief(3), b"", 3.0, 100.0)
+    assert not history.take("belief", belief(3), b"", 3.0, 101.0)
+    assert not history.take("belief", belief(2), b"", 3.1, 102.0)
+    assert len(history.at().measurements) == 1
+
+
+@pytest.mark.parametrize(
+    ("estimate", "verdict", "error"), [((12.0, 19.2), "located", "0.80"), ((13.0, 21.0), "FALSE STOP", "1.41")], ids=["right", "wrong"]
+)
+def test_a_simulation_tells_whether_the_stop_is_right(history: History, estimate: tuple[float, float], verdict: str, error: str) -> None:
+    for _ in range(2):  # the stop is kept for late joiners, and may come again
+        history.take("agdc/stop", stop(9, estimate), b"", 9.0, 100.0)
+    ending = history.at().ending
+    assert ending is not None
+    assert (ending.verdict, ending.text.endswith(f"error {error} m")) == (verdict, True)
+    assert [level for level, _, _ in said(history)] == ["stop"]
+
+
+def test_where_the_truth_is_unknown_a_stop_is_only_a_claim() -> None:
+    history = History(Backdrop("uav/1"))
+    history.take("agdc/stop", stop(9, (12.0, 19.2)), b"", 9.0, 100.0)
+    ending = history.at().ending
+    assert ending is not None
+    assert ending.verdict == "ceased"
+    assert "error" not in ending.text
+
+
+def test_a_spent_budget_ends_the_search(history: History) -> None:
+    history.take("belief", belief(299), b"", 299.0, 100.0)
+    assert history.at().ending is None
+    history.take("belief", belief(300), b"", 300.0, 100.0)
+    ending = history.at().ending
+    assert ending is not None
+    assert ending.verdict == "not ceased"
+
+
+def test_services_are_judged_as_status_does(history: History) -> None:
+    history.lives("agent", True, 100.0)
+    history.take("health/uav", health("uav", 1.0), b"", 1.0, 100.0)
+    history.take("health/estimator", health("estimator", 1.0, refused_lately=2), b"", 1.0, 104.0)
+    told = {service.name: service.verdict for service in history.at(wall_s=104.9).services}
+    assert told == {"uav": "ok", "estimator": "refusing", "agent": "starting"}
+    assert {service.name: service.verdict for service in history.at(wall_s=105.0).services}["uav"] == "stale"
+    history.lives("agent", False, 106.0)
+    assert [service.name for service in history.at().services] == ["uav", "estimator", "agent"]
+    assert history.at().services[2].verdict == "missing"
+
+
+def test_warnings_restarts_and_departures_are_told_once(history: History) -> None:
+    history.lives("estimator", True, 99.0)
+    for uptime_s in (1.0, 2.0, 0.5):
+        history.take("health/estimator", health("estimator", uptime_s, warnings=("the readings do not fit",)), b"", 1.0, 100.0)
+    history.lives("estimator", False, 101.0)
+    assert said(history) == [
+        ("info", "estimator", "joined"),
+        ("warning", "estimator", "the readings do not fit"),
+        ("warning", "estimator", "was restarted"),
+        ("warning", "estimator", "is gone"),
+    ]
+
+
+def test_a_scene_of_the_past_knows_nothing_newer(history: History) -> None:
+    for step in range(5):
+        history.take("belief", belief(step), pack_particles(PARTICLES + np.float32(step)), float(step), 100.0 + step)
+        frame = mavlink.MAVLink_local_position_ned_message(1000 * step, 0.0, float(step), -5.0, 0.0, 0.0, 0.0)
+        history.take("mavlink/out", UAV.pack(frame), b"", float(step), 100.0 + step)
+    history.take("agdc/stop", stop(4, (12.0, 20.0)), b"", 4.0, 105.0)
+    then = history.at(2.5)
+    assert (then.time_s, len(then.measurements), then.ending, len(then.happenings)) == (2.5, 3, None, 0)
+    assert then.craft is not None
+    assert then.craft.position == (2.0, 0.0)
+    assert then.track.tolist() == [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]
+    assert then.scatter is not None
+    assert then.scatter.places[0].tolist() == [3.0, 4.0]
+    assert history.at().ending is not None
+
+
+def test_a_vehicle_that_is_started_again_begins_a_new_mission(history: History) -> None:
+    def local(time_boot_ms: int) -> bytes:
+        return UAV.pack(mavlink.MAVLink_local_position_ned_message(time_boot_ms, 0.0, time_boot_ms / 1000, -5.0, 0.0, 0.0, 0.0))
+
+    for step in (4, 5):
+        history.take("mavlink/out", local(1000 * step), b"", float(step), 100.0 + step)
+        history.take("belief", belief(step), pack_particles(PARTICLES), float(step), 100.0 + step)
+    history.take("agdc/stop", stop(5, (12.0, 20.0)), b"", 5.0, 105.5)
+    history.take("mavlink/out", local(500), b"", 0.5, 200.0)
+    history.take("belief", belief(0), pack_particles(PARTICLES), 0.6, 201.0)
+    scene = history.at()
+    assert (scene.time_s, [it.step for it in scene.measurements], scene.ending) == (0.6, [0], None)
+    assert scene.track.tolist() == [[0.5, 0.0]]
+    assert said(history)[-1] == ("info", "uav", "a new mission begins")
+
+
+def test_a_live_history_keeps_only_the_newest_particles_and_pose() -> None:
+    history = History(Backdrop("uav/1"), whole=False)
+    for step in range(100):
+        history.take("belief", belief(step), pack_particles(PARTICLES), float(step), 100.0)
+    assert len(history._scatters.values) == 1
+    assert len(history.at().measurements) == 100
+
+
+@pytest.mark.parametrize("key", ["belief", "agdc/stop", "health/uav", "reading", "mavlink/out", "mavlink/in", "nothing/known"])
+@pytest.mark.parametrize(
+    "payload", [b"", b"{}", b"\xff" * 100, b"[" * 10_000, b'{"step": 1e999}'], ids=["empty", "object", "bytes", "deep", "huge"]
+)
+def test_what_strangers_send_changes_nothing(history: History, key: str, payload: bytes) -> None:
+    assert not history.take(key, payload, b"", 1.0, 100.0)
+    assert len(history.at().happenings) == 0
+
+
+def test_bad_particles_are_not_shown(history: History) -> None:
+    history.take("belief", belief(1), b"123", 1.0, 100.0)
+    assert history.at().scatter is None
+    assert len(history.at().measurements) == 1

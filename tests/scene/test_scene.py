@@ -1,0 +1,43 @@
+"""Protects what all pictures share: the ellipse of a covariance, the true plume, the threshold of a stop."""
+
+import math
+
+import pytest
+
+from plume.dispersion import concentration
+from scene.scene import Backdrop, Release, Scene, ellipse
+
+
+def test_the_ellipse_of_a_turned_covariance_has_its_standard_deviations_as_half_axes() -> None:
+    # Standard deviations 3 m along 30° and 1 m across it: covariance = R diag(9, 1) Rᵀ.
+    c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
+    covariance = (9 * c * c + s * s, 8 * c * s, 9 * s * s + c * c)
+    assert ellipse(covariance, 1.0) == pytest.approx((3.0, 1.0, math.radians(30)))
+    assert ellipse(covariance) == pytest.approx((6.0, 2.0, math.radians(30)))
+
+
+def test_a_covariance_along_north_points_up_and_one_without_width_has_none() -> None:
+    assert ellipse((1.0, 0.0, 4.0), 1.0) == pytest.approx((2.0, 1.0, math.pi / 2))
+    assert ellipse((0.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)
+    longer, shorter, _ = ellipse((1.0, 1.0 + 1e-12, 1.0), 1.0)  # rounding may make a variance negative
+    assert (longer, shorter) == (pytest.approx(math.sqrt(2)), 0.0)
+
+
+def test_the_true_plume_has_its_rows_from_south_to_north_and_its_gas_downwind() -> None:
+    release = Release((10.0, 20.0), (3.0, 0.0), 300.0, 4.0, 10.0, height=1.0)  # wind from the east: gas lies in the west
+    gas = release.gas(30.0, 60)
+    assert gas.shape == (60, 60)
+    assert gas[40, 10] > 10 * gas[40, 29]  # y = 20.25: x = 5.25, downwind, and x = 14.75
+    at = concentration((5.25, 20.25, 0.0), (10.0, 20.0, 1.0), (3.0, 0.0), rate=300.0, diffusivity=4.0, lifetime=10.0)
+    assert gas[40, 10] == pytest.approx(float(at), rel=1e-6)
+
+
+def test_only_a_spread_has_a_threshold() -> None:
+    assert Scene(Backdrop("uav/1"), stop="spread:0.4").threshold_m == 0.4
+    for other in ("", "spread", "spread:x", "within:1,0.99"):
+        assert Scene(Backdrop("uav/1"), stop=other).threshold_m is None
+
+
+def test_without_truth_nothing_of_the_release_is_left() -> None:
+    scene = Scene(Backdrop("uav/1", title="homing", release=Release((1.0, 2.0), (1.0, 0.0), 1.0, 1.0, 1.0)))
+    assert scene.without_truth().backdrop == Backdrop("uav/1", title="homing")
