@@ -63,7 +63,7 @@ class Timed(Generic[T]):
         return self.values[count - 1] if count else None
 
 
-class Turn(NamedTuple):
+class WindTurn(NamedTuple):
     """A change of the true wind, and of the whole plume with it, by a mission script."""
 
     step: int | None
@@ -94,7 +94,7 @@ class _Packed(NamedTuple):
 class History:
     """What was said on the bus of one vehicle. A message that breaks the contract is left out: the services count and refuse it."""
 
-    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, turns: Sequence[Turn] = (), whole: bool = True) -> None:
+    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, turns: Sequence[WindTurn] = (), whole: bool = True) -> None:
         """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the newest ones.
 
         turns: the changes of the backdrop's wind, in order.
@@ -110,11 +110,14 @@ class History:
         self.happenings: Timed[Happening] = Timed()
         self._signs: dict[str, Timed[_Sign]] = {}
         self._texts = Texts()
+        self.missions = 0
+        """Missions so far; with each one the measurements and the track begin anew."""
         self._begin()
 
     def _begin(self) -> None:
         """Begin a mission."""
         whole = self._whole
+        self.missions += 1
         self._boot_ms = 0
         self._crafts: Timed[Craft] = Timed(whole)
         self._scatters: Timed[_Packed] = Timed(whole)

@@ -6,7 +6,7 @@ import msgspec
 
 from link.record.reader import Recording
 from plume.scenario import Scenario
-from scene.follow.history import History, Turn
+from scene.follow.history import History, WindTurn
 from scene.scene import Backdrop, Release
 
 
@@ -27,12 +27,12 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
     return Backdrop(name, title=title, release=release), budget if isinstance(budget, int) else None
 
 
-def turns_of(about: dict[str, Any]) -> list[Turn]:
+def turns_of(about: dict[str, Any]) -> list[WindTurn]:
     """Return the changes of the wind that a run's mission script has."""
     mission = about.get("mission")
     events = mission.get("events") if isinstance(mission, dict) else None
     winds = [event for event in events or () if isinstance(event, dict) and event.get("do") == "wind"]
-    return [Turn(event.get("step"), event.get("time_s") or 0.0, event.get("u"), event.get("phi")) for event in winds]
+    return [WindTurn(event.get("step"), event.get("time_s") or 0.0, event.get("u"), event.get("phi")) for event in winds]
 
 
 def history_of(recording: Recording, vehicle: str = "") -> History:

@@ -31,7 +31,7 @@ from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes, rais
 from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
-from sitl.launch.viewing import Page
+from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import LOOK_S, PATIENCE_S, RECORDER, ROUTER, Watchdog
 from sitl.script.script import Cut, Expectation, Kill, Script
 
@@ -80,7 +80,7 @@ class Flown(NamedTuple):
         return outcome_json(self.outcome, self.trace if with_trace else None, expectations)
 
 
-def fly(mission: Launch, files: RecordFiles | None = None, page: Page | None = None) -> Flown:
+def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | None = None) -> Flown:
     """Fly a mission, record it to files and show it on a page, which stays.
 
     Raises MissionFailed if a part dies or hangs, or if the vehicle gives up unexpectedly.
@@ -124,7 +124,7 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: Page | None = N
 
 
 def start_parts(
-    processes: Processes, mission: Launch, relays: dict[str, Relay], page: Page | None = None, say: Callable[[str], None] = print
+    processes: Processes, mission: Launch, relays: dict[str, Relay], page: MissionPage | None = None, say: Callable[[str], None] = print
 ) -> str:
     """Start all parts that do not run elsewhere; returns the router's endpoint. Links that the script cuts get a relay.
 

@@ -21,12 +21,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--open", action="store_true", help="the same, and open it in a browser")
 
 
-def page_of(args: argparse.Namespace) -> "Page":
+def page_of(args: argparse.Namespace) -> "MissionPage":
     """Return the page that the flags ask for, if they do."""
-    return Page(wanted=args.view or args.open, opened=args.open, attended=sys.stderr.isatty() and not args.json)
+    return MissionPage(wanted=args.view or args.open, opened=args.open, attended=sys.stderr.isatty() and not args.json)
 
 
-class Page:
+class MissionPage:
     """`plumeward view` beside a mission. The mission goes on without it."""
 
     def __init__(self, *, wanted: bool, opened: bool, attended: bool) -> None:

@@ -62,9 +62,11 @@ def run(args: argparse.Namespace) -> int:
         print(f"error: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
     try:
-        listening = socket.create_server((args.host, args.port), backlog=64)
+        family = socket.AF_INET6 if ":" in args.host else socket.AF_INET
+        listening = socket.create_server((args.host, args.port), family=family, backlog=64)
     except OSError as error:
-        print(f"error: --port: cannot serve on {args.host} port {args.port}: {error.strerror}", file=sys.stderr)
+        reason = str(error.strerror).partition(" (while")[0]
+        print(f"error: --port: cannot serve on {args.host} port {args.port}: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
     with listening:
         return asyncio.run(_serve(args, listening))
@@ -156,7 +158,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end)
     loop.add_signal_handler(OVER, lambda: lingering.append(asyncio.create_task(linger())))
-    address = f"http://{args.host}:{port}/" + (f"?token={args.token}" if args.token else "")
+    address = f"http://{f'[{args.host}]' if ':' in args.host else args.host}:{port}/" + (f"?token={args.token}" if args.token else "")
     print(f"page at {address}", flush=True)
     if args.open:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()

@@ -8,17 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import msgspec
-
-from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT
+from link.bus.keys import KEYS, MAVLINK_IN, MAVLINK_OUT
 from link.bus.mavlink import BadFrame
-from link.bus.messages import Health
 from link.bus.roster import Presence, Roster
 from link.bus.session import NoRouter, Stamped
 from link.bus.tap import Tap
 from link.record.record import SimulationClock
-from scene.follow.history import History, Turn
-from scene.follow.parts import restarted
+from scene.follow.history import History, WindTurn
 from scene.follow.telemetry import SETPOINT, frames, waypoint
 from scene.scene import Backdrop, Scene
 from sitl.autopilot.motion import Ned
@@ -29,7 +25,6 @@ CONNECT_TIMEOUT_S = 1.0
 GONE_AFTER_S = 0.5
 """A part that is back within this time was not gone; a router that is back gets as long to name the parts that it knows."""
 MOST_VEHICLES = 32
-UAV_HEALTH = HEALTH.name.replace("<service>", "uav")
 
 
 class Described(NamedTuple):
@@ -39,7 +34,7 @@ class Described(NamedTuple):
     """None: the first vehicle that appears."""
     backdrop: Backdrop
     budget: int | None
-    turns: Sequence[Turn] = ()
+    turns: Sequence[WindTurn] = ()
 
 
 class LiveVehicle:
@@ -55,20 +50,14 @@ class LiveVehicle:
         """The newest position that the vehicle was sent to, NED from home."""
         self.listeners: set[Callable[[bytes], None]] = set()
         """Called in the bus's thread with each payload of telemetry."""
-        self._described = described
-        self._lock = threading.Lock()
-        self._uav: Health | None = None
-        self._alive: dict[str, bool] = {}
-        self._begin()
-        self._bus = Tap("view", router, name, "error", announced=False, connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S))
-        self._bus.subscribe(*KEYS)
-
-    def _begin(self) -> None:
-        told = self._described
-        told = told or Described(self.name, Backdrop(self.name), None)
+        told = described or Described(name, Backdrop(name), None)
         self.history = History(told.backdrop, told.budget, turns=told.turns, whole=False)
         self._clock = SimulationClock()
         self._frozen_s: float | None = None
+        self._lock = threading.Lock()
+        self._alive: dict[str, bool] = {}
+        self._bus = Tap("view", router, name, "error", announced=False, connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S))
+        self._bus.subscribe(*KEYS)
 
     def entry(self) -> dict[str, Any]:
         """Return its row of the list of vehicles."""
@@ -78,11 +67,11 @@ class LiveVehicle:
             "begin_s": None, "end_s": None, "readings_s": None, "moments": None,
         }  # fmt: skip
 
-    def scene(self, at_s: float | None = None) -> tuple[Scene, History, float | None]:
-        """Return the newest scene, the history that it is of, and when the newest message in it was published, ms since 1970."""
+    def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:
+        """Return the newest scene, which of its missions it is of, and when the newest message in it was published, ms since 1970."""
         with self._lock:
             history = self.history
-            return history.at(wall_s=self._frozen_s or time.time()), history, 1000 * history.wall_s or None
+            return history.at(wall_s=self._frozen_s or time.time()), history.missions, 1000 * history.wall_s or None
 
     # ---- in the bus's thread ----
 
@@ -98,24 +87,12 @@ class LiveVehicle:
 
     def _take(self, message: Stamped) -> bool:
         time_s = self._clock.time_s(message.name, message.payload, message.published_ns)
-        if message.name == UAV_HEALTH:
-            self._flies_anew(message.payload)
-        elif message.name == MAVLINK_IN.name:
+        if message.name == MAVLINK_IN.name:
             self._note_setpoint(message.payload)
         elif message.name == MAVLINK_OUT.name:
             for listener in tuple(self.listeners):
                 listener(message.payload)
         return self.history.take(message.name, message.payload, message.attachment, time_s, message.published_ns / 1e9)
-
-    def _flies_anew(self, payload: bytes) -> None:
-        """Begin a new history if the vehicle was started again: its mission is another one."""
-        with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            said = msgspec.json.decode(payload, type=Health)
-            if self._uav is not None and restarted(self._uav, said):
-                self._begin()
-                for service, alive in self._alive.items():
-                    self.history.lives(service, alive, time.time())
-            self._uav = said
 
     def _note_setpoint(self, payload: bytes) -> None:
         with contextlib.suppress(BadFrame):

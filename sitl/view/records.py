@@ -29,9 +29,9 @@ class RecordedVehicle:
             "moments": [(each.time_s, each.level, each.who, each.text) for each in history.happenings.values],
         }  # fmt: skip
 
-    def scene(self, at_s: float | None = None) -> tuple[Scene, History, float | None]:
-        """Return the scene at a simulation time, by default the last one, and the history that it is of; a record is not published."""
-        return self._history.at() if at_s is None else self._history.at(at_s), self._history, None
+    def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:
+        """Return the scene at a simulation time, by default the last one, and which mission it is of; a record is not published."""
+        return self._history.at() if at_s is None else self._history.at(at_s), self._history.missions, None
 
 
 class RecordedFleet:

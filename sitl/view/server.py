@@ -49,7 +49,7 @@ class Showable(Protocol):
         """Return its row of the list of vehicles."""
 
     def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:
-        """Return the scene at a time, None for the newest; the history that it is of; when it was published, ms since 1970."""
+        """Return the scene at a time, None for the newest; which mission it is of; when it was published, ms since 1970."""
 
 
 class Fleet(Protocol):
@@ -288,9 +288,9 @@ class Client:
                 return EVERY_S - since_s
         elif what == sent.what and (self._server.bye or not self._live):
             return UNDRAWN_S
-        scene, history, published_ms = vehicle.scene(None if self._live else want.at_s)
+        scene, mission, published_ms = vehicle.scene(None if self._live else want.at_s)
         self._number += 1
-        data = packed(scene, sent.cursor, history, self._number, truth=want.truth, published_ms=published_ms)
+        data = packed(scene, sent.cursor, mission, self._number, truth=want.truth, published_ms=published_ms)
         sent.number, sent.at_s, sent.drawn, sent.what = self._number, now_s, False, what
         async with asyncio.timeout(SEND_S):
             await self._socket.send_bytes(data)

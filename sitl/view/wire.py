@@ -20,31 +20,31 @@ NOBODY: Floats = np.empty((0, 3), np.float32)
 class Cursor:
     """What a page has of one vehicle."""
 
-    history: object = None
-    """Which history it is from; another one is sent from its beginning."""
+    mission: object = None
+    """Which mission it is of; another one is sent from its beginning."""
     measurements: int = 0
     happenings: int = 0
     track: int = 0
     scatter: Scatter | None = None
     release: Release | None = None
 
-    def begin(self, history: object) -> None:
-        """Start anew with another history."""
-        self.history, self.scatter, self.release = history, None, None
+    def begin(self, mission: object) -> None:
+        """Start anew with another mission."""
+        self.mission, self.scatter, self.release = mission, None, None
         self.measurements = self.happenings = self.track = 0
 
 
-def packed(scene: Scene, cursor: Cursor, history: object, number: int, *, truth: bool = False, published_ms: float | None = None) -> bytes:
+def packed(scene: Scene, cursor: Cursor, mission: object, number: int, *, truth: bool = False, published_ms: float | None = None) -> bytes:
     """Return a scene as a message, without what the page has, and note in the cursor that the page has it now.
 
     The message: uint32, little-endian, the length of the header; the header in JSON, padded with spaces so that both have a multiple of
     4 bytes; the arrays, little-endian float32, in the order that the header lists them. Numbers that are not finite are null.
 
-    history: identifies what the scene is of.  truth: whether the page asked for the true plume and source.
+    mission: identifies the mission that the scene is of.  truth: whether the page asked for the true plume and source.
     """
-    anew = cursor.history is not history
+    anew = cursor.mission != mission
     if anew:
-        cursor.begin(history)
+        cursor.begin(mission)
     shown = scene.backdrop.release if truth else None
     arrays: list[tuple[dict[str, Any], Floats]] = []
     if anew or scene.scatter is not cursor.scatter:

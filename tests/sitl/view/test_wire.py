@@ -101,7 +101,7 @@ def test_going_back_in_time_cuts_off_what_comes_later() -> None:
     assert arrays == {"particles": [], "track": []}
 
 
-def test_another_history_is_sent_from_its_beginning() -> None:
+def test_another_mission_is_sent_from_its_beginning() -> None:
     cursor = Cursor()
     sent(SCENE, cursor)
     header, arrays = sent(SCENE, cursor, ANOTHER)
