@@ -86,8 +86,8 @@ class Actor:
 class Served:
     """The page of some vehicles, served by a thread."""
 
-    def __init__(self, shown: Fleet, host: str = "127.0.0.1") -> None:
-        self._shown = shown
+    def __init__(self, shown: Fleet, host: str = "127.0.0.1", token: str = "") -> None:
+        self._shown, self._token = shown, token
         self._host, self.port = host, 0
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -107,7 +107,7 @@ class Served:
         """Serve, on the same port as before."""
         self._listening = socket.create_server((self._host, self.port))
         self.port = self._listening.getsockname()[1]
-        self._server = PageServer(self._shown, AccessRules(self._host, self.port))
+        self._server = PageServer(self._shown, AccessRules(self._host, self.port, self._token))
         config = uvicorn.Config(
             self._server.app(), http="h11", ws="websockets-sansio", interface="asgi3", lifespan="off", log_config=None, access_log=False
         )
@@ -133,8 +133,8 @@ class Served:
 class Stage(Served):
     """The page of vehicles that come, change and go as the test says."""
 
-    def __init__(self, host: str = "127.0.0.1") -> None:
-        super().__init__(self, host)
+    def __init__(self, host: str = "127.0.0.1", token: str = "") -> None:
+        super().__init__(self, host, token)
         self.vehicles: dict[str, Any] = {}
         self.list_version = 0
         self.notice = ""

@@ -26,6 +26,9 @@ def drawn(window: Window, vehicle: str = "uav/1") -> Window:
 
 
 def test_each_thing_is_drawn_at_its_place(window: Window) -> None:
+    west, east, north, south = window.of("(({ x, y }) => [x(0), x(30), y(30), y(0)])(plumeward.panes.get('uav/1').map.view)")
+    assert east - west == pytest.approx(south - north)
+    assert east > west  # and south > north: the canvas has y down
     assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 40  # the cross
     # Its covariance is (4, 0, 1) m²: 2 standard deviations are 4 m to the east and 2 m to the north.
     for edge, (x, y) in {"east": (14, 20), "west": (6, 20), "north": (10, 22), "south": (10, 18)}.items():
@@ -229,6 +232,17 @@ def test_a_page_that_may_not_command_says_why(look: Callable[..., Window]) -> No
         assert window.of("[...document.querySelectorAll('[data-command]')].every((button) => button.disabled)")
         window.keep("read-only")
         assert window.violations() == []
+    finally:
+        stage.close()
+
+
+def test_the_token_in_the_pages_address_allows_commands(look: Callable[..., Window]) -> None:
+    stage = Stage(token="a b&c")
+    stage.open()
+    try:
+        stage.enter(scene())
+        assert drawn(look(stage.address)).page.locator("[data-command=pause]").is_disabled()
+        assert drawn(look(f"{stage.address}?token=a%20b%26c")).page.locator("[data-command=pause]").is_enabled()
     finally:
         stage.close()
 

@@ -42,13 +42,13 @@ export class Charts {
         { stroke: () => colours.estimate.css, width: 1.5, dash: [7, 4], points: { show: false }, spanGaps: true },
         other,
       ], { values: (_, splits) => splits.map(decade) },
-      { y: { distr: 3, range: (_, low, high) => [Math.max(1e-3, low * 0.8), high * 1.25] } }),
+      { y: { distr: 3, range: (_, low, high) => (low ? [Math.max(1e-3, low * 0.8), high * 1.25] : [0.1, 20]) } }),
       [[], [], [], []], spread);
     this.gas = new uPlot(
       options(gas, [
         { stroke: () => colours.reading.css, width: 1.5, fill: () => faded("reading", 0.15), points: { show: true, size: 5, fill: () => colours.reading.css, stroke: () => colours.ink.css, width: 0.5 } },
         other,
-      ], {}, {}),
+      ], { space: 24 }, { y: { range: (_, low, high) => (low === null ? [0, 1] : uPlot.rangeNum(low, high, 0.1, true)) } }),
       [[], [], []], gas);
     this.places = [[this.spread, spread], [this.gas, gas]];
     const fit = new ResizeObserver(() => {
@@ -68,7 +68,7 @@ export class Charts {
     this.data = { steps, spread, gas };
     this.set(this.spread, [steps, spread, threshold ? steps.map(() => threshold) : none, itsSpread ?? none], x);
     this.set(this.gas, [steps, gas, itsGas ?? none], x);
-    const more = [threshold ? `stops at ${threshold} (dashed)` : "", other ? `${other.name} dotted` : ""].filter(Boolean);
+    const more = [steps.length ? "" : "no reading yet", threshold ? `stops at ${threshold} (dashed)` : "", other ? `${other.name} dotted` : ""].filter(Boolean);
     this.titles[0].textContent = ["Spread by step, m", ...more].join(" · ");
     const now = steps.length - 1;
     for (const [place, what, values, unit] of [[this.places[0][1], "Spread", spread, " m"], [this.places[1][1], "Gas", gas, ""]]) {
