@@ -10,7 +10,7 @@ LEARNED := infotaxis,ppo,dqn,ddpg
 # More flags for what a target runs, such as: make results FLAGS='--scenarios 20'
 FLAGS ?=
 
-.PHONY: setup mission test lint docs site bench bench-filter bench-planners bench-env train results report mismatch golden clean
+.PHONY: setup chromium mission test lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch golden clean
 
 # Left behind by an install that did not finish. Then .venv is made anew: pip may take a half-written package for a whole one.
 UNFINISHED := .venv/.unfinished
@@ -21,7 +21,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
-setup: $(READY)
+setup: $(READY) chromium
 
 # Two layers: what a flight needs, and on top of it all the rest. Each is brought up to date when the files that it is made from change.
 $(FLIGHT): pyproject.toml constraints.txt
@@ -40,6 +40,9 @@ $(READY): $(FLIGHT)
 	@$(INSTALL) -e '.[test]'
 	@$(INSTALL) --no-deps particles
 	@rm $(UNFINISHED) && touch $@
+
+chromium:
+	@sh tests/view/chromium.sh
 
 mission: $(FLIGHT)
 	$(BIN)/plumeward fly $(FLAGS)
@@ -75,6 +78,9 @@ bench-planners: setup
 
 bench-env: setup
 	NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.env
+
+bench-page: setup
+	$(BIN)/python -m benchmarks.page $(FLAGS)
 
 # Trains the shipped policies again. This and the next take long; if interrupted, run the command again: it resumes.
 train: setup

@@ -38,6 +38,8 @@ def checkout(tmp_path: Path) -> Path:
     for name in ("Makefile", "pyproject.toml", "constraints.txt"):
         shutil.copy(ROOT / name, tmp_path)
         os.utime(tmp_path / name, (0, 0))
+    (tmp_path / "tests" / "view").mkdir(parents=True)
+    shutil.copy(ROOT / "tests" / "view" / "chromium.sh", tmp_path / "tests" / "view")
     (tmp_path / "python").write_text(PYTHON)
     (tmp_path / "python").chmod(0o755)
     return tmp_path

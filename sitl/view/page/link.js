@@ -1,0 +1,55 @@
+// The connection to the server. It comes back by itself, and says what it is doing.
+
+const FIRST_WAIT_MS = 200, LONGEST_WAIT_MS = 1500;
+
+export class Link {
+  /** take: {hello, vehicles, answer, bye, scene, changed}: functions. changed("open" | "lost" | "over") is called on each change. */
+  constructor(take) {
+    this.take = take;
+    this.state = "connecting";
+    this.wait_ms = FIRST_WAIT_MS;
+    this.open();
+  }
+
+  open() {
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    const token = new URLSearchParams(location.search).get("token");
+    const socket = new WebSocket(`${scheme}://${location.host}/scenes${token ? `?token=${encodeURIComponent(token)}` : ""}`);
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = ({ data }) => this.message(data);
+    socket.onclose = () => {
+      if (this.state !== "over") this.change("lost");
+      setTimeout(() => this.open(), this.wait_ms);
+      this.wait_ms = Math.min(2 * this.wait_ms, LONGEST_WAIT_MS);
+    };
+    this.socket = socket;
+  }
+
+  message(data) {
+    if (data instanceof ArrayBuffer) return this.take.scene(data);
+    const said = JSON.parse(data);
+    if (said.hello) {
+      this.wait_ms = FIRST_WAIT_MS;
+      this.take.hello(said.hello);
+      this.change("open");
+    } else if (said.vehicles) this.take.vehicles(said.vehicles, said.notice ?? "");
+    else if (said.answer) this.take.answer(said.answer);
+    else if (said.bye !== undefined) {
+      this.take.bye(said.bye);
+      this.change("over");
+    }
+  }
+
+  change(state) {
+    if (state === this.state) return;
+    this.state = state;
+    this.take.changed(state);
+  }
+
+  /** Send a message; false if there is no connection. */
+  say(message) {
+    if (this.socket.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(JSON.stringify(message));
+    return true;
+  }
+}

@@ -1,0 +1,68 @@
+// What the page knows of each vehicle: scenes are unpacked and merged into what is there already.
+
+/** One message of the server: {header, arrays: {name: {shape, from, values}}}; values are float32, row by row. */
+export function unpack(buffer) {
+  const length = new DataView(buffer).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  const arrays = {};
+  let offset = 4 + length;
+  for (const { name, shape, from } of header.arrays) {
+    const size = shape.reduce((product, n) => product * n, 1);
+    arrays[name] = { shape, from: from ?? 0, values: new Float32Array(buffer, offset, size) };
+    offset += 4 * size;
+  }
+  return { header, arrays };
+}
+
+/** A vehicle that nothing is known of yet. */
+export function unknown(name) {
+  return {
+    name, scene: null,
+    particles: new Float32Array(0), // x, y, weight, x, y, weight, ...
+    track: [], // x, y, x, y, ...
+    measurements: [], happenings: [],
+    plume: null, // {cells, values, most}
+    fresh: { measurements: true, happenings: true, plume: true }, // what has changed since it was last drawn
+  };
+}
+
+function splice(list, from, rows) {
+  list.length = Math.min(list.length, from);
+  for (const row of rows) list.push(row);
+}
+
+/** Merge a scene into a model. */
+export function merge(model, { header, arrays }) {
+  model.scene = header;
+  for (const name of ["measurements", "happenings"]) {
+    const { from, rows } = header[name];
+    if (rows.length || from < model[name].length) model.fresh[name] = true;
+    splice(model[name], from, rows);
+  }
+  if (arrays.track) splice(model.track, 2 * arrays.track.from, arrays.track.values);
+  if (arrays.particles) model.particles = arrays.particles.values;
+  if (arrays.plume) {
+    const { shape, values } = arrays.plume;
+    model.plume = { cells: shape[0], values, most: values.reduce((a, b) => Math.max(a, b), 0) };
+    model.fresh.plume = true;
+  }
+}
+
+const STEP = 0, X = 2, Y = 3, GAS = 4, SPREAD = 5;
+
+/** Columns of the measurements, for the charts. */
+export function columns(model) {
+  const rows = model.measurements;
+  return { steps: rows.map((r) => r[STEP]), gas: rows.map((r) => r[GAS]), spread: rows.map((r) => r[SPREAD]) };
+}
+
+/** Where gas was measured, and how much: [x, y, gas]. */
+export function readings(model) {
+  return model.measurements.map((row) => [row[X], row[Y], row[GAS]]);
+}
+
+/** The newest measurement as an object; null if there is none. */
+export function newest(model) {
+  const row = model.measurements.at(-1);
+  return row ? { step: row[STEP], gas: row[GAS], spread_m: row[SPREAD] } : null;
+}

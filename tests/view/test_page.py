@@ -1,0 +1,351 @@
+"""Protects the page: what it draws of a scene, and its use on a phone, by keyboard, in the dark, and after a lost connection."""
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from scene.scene import Craft, Ending, Happening
+from tests.view.conftest import PHONE, Window
+from tests.view.stage import RELEASE, Stage, bearing_deg, cloud, measured, scene
+
+
+@pytest.fixture
+def window(stage: Stage, look: Callable[..., Window]) -> Window:
+    """The page with one vehicle, drawn."""
+    stage.enter(scene())
+    return drawn(look(stage.address))
+
+
+def drawn(window: Window, vehicle: str = "uav/1") -> Window:
+    window.until(f"plumeward.drawn > 0 && plumeward.panes.get('{vehicle}')?.map.view")
+    return window
+
+
+# ---- the map ----
+
+
+def test_each_thing_is_drawn_at_its_place(window: Window) -> None:
+    west, east, north, south = window.of("(({ x, y }) => [x(0), x(30), y(30), y(0)])(plumeward.panes.get('uav/1').map.view)")
+    assert east - west == pytest.approx(south - north)
+    assert east > west  # and south > north: the canvas has y down
+    assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 40  # the cross
+    # Its covariance is (4, 0, 1) m²: 2 standard deviations are 4 m to the east and 2 m to the north.
+    for edge, (x, y) in {"east": (14, 20), "west": (6, 20), "north": (10, 22), "south": (10, 18)}.items():
+        assert window.count("estimate", (x - 0.4, y - 0.4, x + 0.4, y + 0.4)) > 10, edge
+    assert window.count("estimate", (9.5, 22.5, 15, 29)) == window.count("estimate", (11, 19.5, 13, 20.5)) == 0
+    assert window.count("waypoint", (13.0, 11.0, 15.0, 13.0)) > 20
+    assert window.count("reading", (1.5, 3.5, 5.0, 4.5)) > 60
+    assert window.count("belief", (18, 23, 22, 27)) > 300
+    assert window.count("belief", (16, 8, 30, 22)) == 0
+
+
+def test_the_vehicle_points_to_where_it_heads(stage: Stage, window: Window) -> None:
+    east, west = (window.pixel(6.0, 12.0, aside=(dx, 0)) for dx in (9, -9))
+    assert sum(east) < 150 < sum(west)  # a dark nose, and light behind the notch
+    stage.vehicles["uav/1"].show(craft=Craft(7.0, (6.0, 12.0), heading=math.pi / 2))
+    window.until("plumeward.state.models['uav/1'].scene.craft.mode === ''")
+    window.drawn()
+    north, east = window.pixel(6.0, 12.0, aside=(0, 9)), window.pixel(6.0, 12.0, aside=(9, 0))
+    assert sum(north) < 150 < sum(east)
+
+
+def test_the_arrow_shows_where_the_air_moves_to(window: Window) -> None:
+    # The wind comes from the south-west: the arrow's head, which is wide, is up and to the right of its middle.
+    head, tail = window.of("""(() => {
+        const { canvas, view, ratio } = plumeward.panes.get('uav/1').map, g = canvas.getContext('2d');
+        const ink = (x, y) => {
+            const { data } = g.getImageData(...[x, y, 14, 14].map((px) => Math.round(px * ratio)));
+            return data.filter((value, i) => i % 4 === 3 && value > 128).length;
+        };
+        return [ink(view.left + 16, 19 - 14), ink(view.left + 16 - 14, 19)];
+    })()""")
+    assert head > 1.3 * tail > 0
+    assert round(bearing_deg(RELEASE.wind)) == 217
+    assert "wind 5.0 m/s from 217°" in window.page.locator("canvas").first.get_attribute("aria-label")
+
+
+def test_the_truth_is_off_until_asked_for(window: Window) -> None:
+    button = window.page.locator("#truth")
+    assert "simulation only" in button.inner_text()
+    assert window.model("scene.truth") is None
+    assert window.count("truth", (23, 5, 25, 7)) == 0
+    button.click()
+    window.until("plumeward.state.models['uav/1'].scene.truth && plumeward.state.models['uav/1'].plume")
+    window.drawn()
+    assert window.count("truth", (23, 5, 25, 7)) > 100
+    # The gas is where the air goes to.
+    _, downwind, upwind = (255 - window.pixel(*place)[1] for place in (RELEASE.source, (26.4, 9.2), (21.6, 2.8)))
+    assert downwind > 1.2 * upwind
+    window.keep("truth")
+    button.click()
+    window.until("!plumeward.state.models['uav/1'].scene.truth")
+    window.drawn()
+    assert window.count("truth", (23, 5, 25, 7)) == 0
+
+
+def test_a_real_flight_has_no_truth_to_show(stage: Stage, look: Callable[..., Window]) -> None:
+    stage.enter(scene().without_truth())
+    window = drawn(look(stage.address))
+    assert not window.page.locator("#truth").is_visible()
+    window.page.keyboard.press("t")
+    window.drawn()
+    assert window.of("plumeward.state.truth") is False
+
+
+# ---- facts, charts, services, happenings ----
+
+
+def test_facts_services_and_happenings_are_told(window: Window) -> None:
+    facts = {name: window.text(f"[data-fact={name}]") for name in ("mode", "armed", "step", "spread", "time", "assume", "stop")}
+    assert facts == {
+        "mode": "OFFBOARD", "armed": "yes", "step": "5", "spread": f"{8 * 0.8**5:.2f} m", "time": "6.0 s", "assume": "field",
+        "stop": "0.5 m spread",
+    }  # fmt: skip
+    assert window.text(".services li:nth-child(1)").split() == ["✓", "uav", "ok", "12", "ms", "searching", "·", "step", "5"]
+    assert "! hot" in window.text(".services li:nth-child(2)")
+    assert [row.split("\n") for row in window.page.locator(".happenings li").all_inner_texts()] == [
+        ["3.0 s", "!", "estimator", "hot"],
+        ["0.5 s", "·", "uav", "armed"],
+    ]
+
+
+def test_the_charts_hold_every_reading_and_the_threshold(stage: Stage, window: Window) -> None:
+    charts = "plumeward.panes.get('uav/1').charts"
+    steps, spread, threshold, _ = window.of(f"{charts}.spread.data.map((column) => [...column])")
+    assert steps == list(range(6))
+    assert spread == pytest.approx([8, 6.4, 5.12, 4.096, 3.2768, 2.62144])
+    assert threshold == [0.5] * 6
+    grown = (*scene().measurements, *(measured(step, 4.0, gas=step / 2) for step in (6, 7)))
+    stage.vehicles["uav/1"].show(measurements=grown)
+    window.until(f"{charts}.gas.data[0].length === 8")
+    assert window.of(f"[...{charts}.gas.data[1]]") == [1, 1, 1, 1, 1, 1, 3, 3.5]
+
+
+def test_only_warnings_and_the_stop_are_read_aloud(stage: Stage, window: Window) -> None:
+    assert window.page.locator("#aloud").text_content() == ""  # what was there before is not news
+    happenings = (*scene().happenings, Happening(5, "info", "uav", "mode HOLD"), Happening(6, "stop", "estimator", "source found"))
+    stage.vehicles["uav/1"].show(happenings=happenings)
+    window.until("document.querySelector('#aloud').textContent")
+    assert window.page.locator("#aloud").text_content() == "uav/1, estimator: source found"
+
+
+def test_the_outcome_is_clear(stage: Stage, window: Window) -> None:
+    assert not window.page.locator(".ending").is_visible()
+    looks = set()
+    for verdict in ("located", "FALSE STOP", "ceased", "not ceased"):
+        stage.vehicles["uav/1"].show(ending=Ending(verdict, "after 5 steps"))
+        words = f"{verdict.capitalize()} after 5 steps"
+        window.until(f"document.querySelector('.ending').innerText.includes('{words}')")
+        looks.add((window.text(".ending .sign"), window.of("getComputedStyle(document.querySelector('.ending')).backgroundColor")))
+        assert window.violations() == []
+        window.keep(f"outcome-{verdict.replace(' ', '-').lower()}")
+    assert len({sign for sign, _ in looks}) == len({colour for _, colour in looks}) == 4
+
+
+# ---- vehicles that come and go ----
+
+
+def test_without_a_vehicle_it_says_what_it_waits_for(stage: Stage, look: Callable[..., Window]) -> None:
+    stage.notice = "no router at tcp/127.0.0.1:7447: waiting for one"
+    stage.relist()
+    window = look(stage.address)
+    window.until("plumeward.state.notice")
+    assert "No router at tcp/127.0.0.1:7447" in window.text("#notice")
+    assert "Waiting for a vehicle" in window.text("#empty")
+    assert "plumeward fly --view" in window.text("#empty")
+    assert window.violations() == []
+    window.keep("waiting")
+    stage.notice = ""
+    stage.enter(scene())
+    drawn(window)
+    assert not window.page.locator("#empty").is_visible()
+    assert not window.page.locator("#notice").is_visible()
+
+
+def test_two_vehicles_are_chosen_from_a_list_and_seen_side_by_side(stage: Stage, window: Window) -> None:
+    other = stage.enter(scene("uav/2"))
+    other.show(waypoint=(3.0, 27.0))
+    window.until("plumeward.state.vehicles.length === 2")
+    assert window.of("plumeward.state.show") == ["uav/1"]
+    window.page.select_option("#first", "uav/2")
+    drawn(window, "uav/2")
+    assert window.count("waypoint", (2, 26, 4, 28), "uav/2") > 20
+    assert window.page.locator(".pane").count() == 1
+    window.page.select_option("#second", "uav/1")
+    drawn(window)
+    assert window.page.locator(".pane").count() == 2
+    assert window.count("waypoint", (2, 26, 4, 28)) == 0
+    left, right = (window.page.locator(".pane").nth(i).bounding_box() for i in (0, 1))
+    assert left["x"] + left["width"] <= right["x"]
+    window.keep("two-vehicles")
+    assert window.violations() == []
+    other.here = False
+    stage.relist()
+    window.until("plumeward.state.vehicles.some(({ here }) => !here)")
+    assert "gone" in window.text(".pane .title")
+    assert window.page.locator(".pane").nth(0).locator(".why").inner_text() == "The vehicle is gone."
+    window.page.select_option("#second", "")
+    assert window.page.locator(".pane").count() == 1
+
+
+# ---- the connection ----
+
+
+def test_a_lost_connection_is_told_and_comes_back_by_itself(stage: Stage, window: Window) -> None:
+    stage.close()
+    window.until("plumeward.state.link === 'lost'")
+    assert "Connection lost" in window.text("#notice")
+    assert window.page.locator("[data-command=pause]").is_disabled()
+    assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 40  # the last picture is there
+    assert "grayscale" in window.of("getComputedStyle(document.querySelector('.map')).filter")
+    window.keep("connection-lost")
+    assert window.violations() == []
+    stage.vehicles["uav/1"].show(waypoint=(3.0, 27.0))
+    stage.open()
+    window.until("plumeward.state.link === 'open' && plumeward.state.models['uav/1'].scene.waypoint[1] === 27")
+    window.drawn()
+    assert not window.page.locator("#notice").is_visible()
+    assert window.count("waypoint", (2, 26, 4, 28)) > 20
+    assert window.model("measurements.length") == 6  # not twice
+    assert window.of("getComputedStyle(document.querySelector('.map')).filter") == "none"
+
+
+def test_a_mission_that_is_over_keeps_its_picture(stage: Stage, window: Window) -> None:
+    stage.bye("the mission is over")
+    window.until("plumeward.state.link === 'over'")
+    assert window.text("#notice") == "The mission is over. The last picture stays."
+    assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 40
+    assert window.page.locator("[data-command=pause]").is_disabled()
+
+
+# ---- who may command ----
+
+
+def test_a_page_that_may_not_command_says_why(look: Callable[..., Window]) -> None:
+    stage = Stage("0.0.0.0")
+    stage.open()
+    try:
+        stage.enter(scene())
+        window = drawn(look(stage.address))
+        assert "Read-only" in window.text(".why")
+        assert window.of("[...document.querySelectorAll('[data-command]')].every((button) => button.disabled)")
+        window.keep("read-only")
+        assert window.violations() == []
+    finally:
+        stage.close()
+
+
+def test_the_token_in_the_pages_address_allows_commands(look: Callable[..., Window]) -> None:
+    stage = Stage(token="a b&c")
+    stage.open()
+    try:
+        stage.enter(scene())
+        assert drawn(look(stage.address)).page.locator("[data-command=pause]").is_disabled()
+        assert drawn(look(f"{stage.address}?token=a%20b%26c")).page.locator("[data-command=pause]").is_enabled()
+    finally:
+        stage.close()
+
+
+def test_an_answer_is_shown_with_its_reason_and_abort_asks_first(window: Window) -> None:
+    window.page.get_by_role("button", name="Abort").click()
+    dialog = window.page.get_by_role("dialog")
+    assert "Abort the mission?" in dialog.inner_text()
+    window.keep("abort")
+    assert window.violations() == []
+    dialog.get_by_role("button", name="Keep flying").click()
+    assert window.of("plumeward.answers") == []
+    window.page.get_by_role("button", name="Abort").click()
+    dialog.get_by_role("button", name="Abort").click()
+    window.until("plumeward.answers.length")
+    assert "Abort refused: there is no vehicle 'uav/1'" in window.text(".answer")  # the stage's vehicles are not on a bus
+    assert window.of("plumeward.answers[0].command") == "abort"
+
+
+# ---- all windows, all people ----
+
+
+def test_on_a_phone_nothing_reaches_beyond_the_sides(stage: Stage, look: Callable[..., Window]) -> None:
+    stage.enter(scene())
+    stage.vehicles["uav/1"].show(ending=Ending("FALSE STOP", "source found at (17.30, 21.94) ± 0.39 m after 33 steps; error 4.15 m"))
+    stage.enter(scene("uav/a-vehicle-with-a-very-long-name-indeed"))
+    window = drawn(look(stage.address, PHONE, has_touch=True, is_mobile=True))
+    assert window.narrow_enough()
+    width = window.page.locator(".map canvas").bounding_box()["width"]
+    assert 290 < width <= 360
+    assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 20
+    for button in ("Pause", "Resume", "Return home", "Abort"):
+        box = window.page.get_by_role("button", name=button).bounding_box()
+        assert box["height"] >= 32
+        assert box["x"] + box["width"] <= 360
+    window.keep("phone", whole=True)
+    assert window.violations() == []
+    window.page.select_option("#second", "uav/a-vehicle-with-a-very-long-name-indeed")
+    drawn(window, "uav/a-vehicle-with-a-very-long-name-indeed")
+    assert window.narrow_enough()
+
+
+def test_it_is_dark_where_the_system_is_and_the_button_changes_that(stage: Stage, look: Callable[..., Window]) -> None:
+    stage.enter(scene())
+    window = drawn(look(stage.address, scheme="dark"))
+    empty = (27.0, 15.0)
+    assert sum(window.pixel(*empty)) < 150
+    assert window.count("belief", (18, 23, 22, 27)) > 300
+    assert window.violations() == []
+    window.keep("dark")
+    window.page.locator("#theme").click()
+    window.drawn()
+    assert sum(window.pixel(*empty)) > 700
+    assert window.violations() == []
+    window.keep("light")
+
+
+def test_all_is_reached_by_keyboard_and_the_focus_is_seen(window: Window) -> None:
+    reached = []
+    for _ in range(12):
+        window.page.keyboard.press("Tab")
+        reached.append(window.of("document.activeElement.id || document.activeElement.dataset.command || document.activeElement.className"))
+        assert window.of("getComputedStyle(document.activeElement).outlineStyle") in ("solid", "auto")
+        if reached[-1] == "abort":
+            break
+    assert reached == ["first", "truth", "theme", "help-open", "pause", "resume", "return", "abort"]
+    window.page.keyboard.press("Enter")
+    window.until("document.querySelector('#abort').open")
+    assert window.of("document.activeElement.textContent") == "Keep flying"  # the safe choice comes first
+    window.page.keyboard.press("Escape")
+    window.until("!document.querySelector('#abort').open")
+    window.page.keyboard.press("?")
+    window.until("document.querySelector('#help').open")
+    assert "pause the mission" in window.text("#help")
+    window.keep("help")
+    assert window.violations() == []
+    window.page.keyboard.press("Escape")
+    window.page.keyboard.press("t")
+    window.until("plumeward.state.models['uav/1'].plume")
+    window.page.keyboard.press("p")
+    window.until("plumeward.answers.length")
+    assert window.of("plumeward.answers[0].command") == "pause"
+
+
+def test_always_the_newest_and_never_a_backlog(stage: Stage, window: Window) -> None:
+    actor = stage.vehicles["uav/1"]
+    for step in range(6, 206):  # faster than anyone can draw
+        actor.show(time_s=float(step), scatter=cloud(4000, step=step))
+    window.until("plumeward.state.models['uav/1'].scene.time_s === 205")
+    window.drawn()
+    assert window.of("plumeward.drawn") < 100  # most were never sent
+
+
+def test_a_scene_is_drawn_a_few_frames_after_it_was_published(stage: Stage, window: Window) -> None:
+    actor = stage.vehicles["uav/1"]
+    for number in range(20):
+        actor.show(time_s=100.0 + number, scatter=cloud(4000, step=number))
+        window.until(f"plumeward.state.models['uav/1'].scene.time_s === {100 + number}")
+        window.drawn()
+    ages_ms = sorted(window.of("plumeward.latencies_ms.slice(-20)"))
+    frame_ms = window.of("""new Promise((done) => {
+        const times = [];
+        const look = (now) => times.push(now) > 20 ? done((times.at(-1) - times[0]) / 20) : requestAnimationFrame(look);
+        requestAnimationFrame(look);
+    })""")
+    assert 0 <= ages_ms[0] <= ages_ms[10] < max(100, 8 * frame_ms)  # how long a frame takes is the machine's business
