@@ -17,7 +17,7 @@ from sitl.launch import viewing
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
 from sitl.script.script import AgentPart, OnBoard, Script, find, load, shipped
 from sitl.script.typed_yaml import Document, FileError
-from sitl.uav.options import add_vehicle_arguments
+from sitl.uav.options import add_vehicle_arguments, at_own_home
 
 if TYPE_CHECKING:
     from sitl.launch.recording import RecordFiles
@@ -164,7 +164,7 @@ def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]
     """Return the words of the command line that the uav has to know, too."""
     words = [args.mission] if args.mission else []
     changed = vars(given)
-    for name in ("seed", "sensor", "world", "silence", "after_stop"):
+    for name in ("seed", "sensor", "world", "silence", "after_stop", "sysid"):
         if name in changed:
             words += [f"--{name.replace('_', '-')}", str(changed[name])]
     if args.home:
@@ -190,7 +190,9 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     if record and (reason := record.refusal(args.force)):
         print(f"error: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
-    launch = Launch(script, args.instance, args.listen, _handed_on(args, given), None, args.connect, args.log_level, args.patience)
+    launch = Launch(
+        script, args.instance, args.listen, _handed_on(args, given), None, args.connect, args.log_level, args.patience, args.sysid
+    )  # fmt: skip
     page = viewing.page_of(args)
     try:
         flown = fly(launch, record, page)
@@ -263,7 +265,8 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from sitl.uav.udp import parse_url
 
     script = _script(args, given)
-    config = script.vehicle_config(args.instance + 1)
+    config = at_own_home(script.vehicle_config(args.sysid or args.instance + 1), args.instance)
+    outs = [parse_url(url, args.instance) for url in args.out]
     release = script.release()
     inbox = Inbox()
     namespace = args.namespace or f"uav/{args.instance + 1}"
@@ -283,12 +286,22 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
             log.info(f"its agent: plumeward agent {joining} --sysid {config.sysid}")
         events = [event for event in script.events if isinstance(event, OnBoard)]
         try:
-            uav = Uav(config, script.simulated(), Clock(script.speedup), inbox, bus, args.out, log, events, script.vehicle.after_stop)
+            uav = Uav(
+                config,
+                script.simulated(),
+                Clock(script.speedup),
+                inbox,
+                bus,
+                [out.text for out in outs],
+                log,
+                events,
+                script.vehicle.after_stop,
+            )
         except ValueError as error:
             print(f"error: --out: {error}", file=sys.stderr)
             return cli.BAD_INPUT
-        for url in args.out:
-            log.info(f"MAVLink to {url}; {parse_url(url).counterpart}")
+        for out in outs:
+            log.info(f"MAVLink to {out.text}; {out.counterpart}")
         uav.run()
     return 0
 

@@ -54,6 +54,13 @@ class Launch(NamedTuple):
     log_level: str = "warning"
     patience_s: float = PATIENCE_S
     """Real time after which a silent part counts as hung."""
+    sysid: int | None = None
+    """MAVLink system id; None: that of the instance."""
+
+    @property
+    def system(self) -> int:
+        """The vehicle's MAVLink system id."""
+        return self.sysid or self.instance + 1
 
     @property
     def namespace(self) -> str:
@@ -165,7 +172,7 @@ def estimator_arguments(mission: Launch) -> list[str]:
         "--particles": told.particles, "--assume": told.assume, "--stop": told.criterion, "--sensor": script.sensor,
         "--stop-on": told.stop_on,
         "--rate": told.rate or release.q, "--diffusivity": told.diffusivity or release.d, "--lifetime": told.lifetime or release.tau,
-        "--seed": derived_seed(script.seed, "estimator"), "--sysid": mission.instance + 1,
+        "--seed": derived_seed(script.seed, "estimator"), "--sysid": mission.system,
     }  # fmt: skip
     priors = [word for name, prior in told.prior.items() for word in ("--prior", f"{name}={prior}" if prior else name)]
     return [*_words(flags), *priors]
@@ -177,7 +184,7 @@ def agent_arguments(mission: Launch) -> list[str]:
     flags = {
         "--policy": None if agent.policy == "none" else agent.policy, "--budget": script.budget, "--headings": agent.headings,
         "--step": agent.step_m, "--measurements": agent.measurements, "--seed": derived_seed(script.seed, "agent"),
-        "--sysid": mission.instance + 1,
+        "--sysid": mission.system,
     }  # fmt: skip
     scripted = script.scripted()
     starts = [step for step in scripted if step - 1 not in scripted]
@@ -348,7 +355,7 @@ class _Watch:
                 self._progress.say("a pilot leads the vehicle: it is left to them")
                 return
             if state == "searching" and not last.ceased and time.monotonic() >= call_at:
-                self._bus.publish(MAVLINK_IN, codec.pack(command(self._mission.instance + 1, order)))
+                self._bus.publish(MAVLINK_IN, codec.pack(command(self._mission.system, order)))
                 call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)
 

@@ -2,13 +2,19 @@
 
 import argparse
 import math
+from dataclasses import replace
 from typing import get_args
 
 from link import cli
 from plume import sensor
+from plume.geodesy import to_global
 from plume.randomness import MAX_SEED
 from plume.worlds import AS_MODELLED, WORLDS, check
+from sitl.autopilot.config import VehicleConfig
 from sitl.script.script import AfterStop, shipped
+
+HOMES_APART_M = 40.0
+"""Default homes lie so far apart that search areas do not overlap."""
 
 
 def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> None:
@@ -35,8 +41,9 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
         type=cli.whole(0, 254),
         default=0,
         metavar="N",
-        help="number of the vehicle; its system id and namespace are N+1 (default: %(default)s)",
+        help="number of the vehicle: its namespace is uav/N+1, and by it differ system id, home and ports (default: %(default)s)",
     )
+    parser.add_argument("--sysid", type=cli.whole(1, 255), metavar="N", help="its MAVLink system id (default: that of -I, plus 1)")
     kind = parser.add_argument(
         "--sensor", type=cli.checked(sensor.parse, sensor.KINDS), default="gaussian", metavar="KIND[:NUMBERS]",
         help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: threshold:0.5,0.3 (default: %(default)s)",
@@ -48,11 +55,15 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
     )  # fmt: skip
     cli.completed(world, lambda: WORLDS)
     parser.add_argument(
-        "--home", type=_home, metavar="LAT,LON,ALT,HEADING", help="where home is, which is the south-west corner of the search area"
+        "--home",
+        type=_home,
+        metavar="LAT,LON,ALT,HEADING",
+        help="where home is, the south-west corner of the search area (default: Zurich, each -I 40 m further east)",
     )
     parser.add_argument(
         "--out", type=_udp_url, action="append", default=[], metavar="URL",
-        help="also speak MAVLink: udpout:HOST:PORT sends (14540 MAVSDK and MAVROS, 14550 ground stations), udpin:HOST:PORT waits",
+        help="also speak MAVLink: udpout:HOST:PORT sends (14540 MAVSDK and MAVROS, 14550 ground stations), udpin:HOST:PORT waits; "
+        "without :PORT it is 14540 + N of -I, udpin: 14580 + N; may be given several times",
     )  # fmt: skip
     parser.add_argument(
         "--silence", type=cli.number(0, math.inf, above=True), default=30.0, metavar="S",
@@ -62,6 +73,15 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
         "--after-stop", choices=get_args(AfterStop), default="return",
         help="once the search is over: return home and land, land on the spot, or hold until told (default: %(default)s)",
     )  # fmt: skip
+
+
+def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:
+    """Return the configuration of vehicle `instance`, moved east of the default home, unless a home of its own was chosen."""
+    usual = VehicleConfig()
+    if (config.home_lat_deg, config.home_lon_deg) != (usual.home_lat_deg, usual.home_lon_deg):
+        return config
+    lat_deg, lon_deg = to_global(usual.home_lat_deg, usual.home_lon_deg, 0.0, HOMES_APART_M * instance)
+    return replace(config, home_lat_deg=lat_deg, home_lon_deg=lon_deg)
 
 
 def _udp_url(text: str) -> str:

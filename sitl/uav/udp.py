@@ -22,6 +22,8 @@ FORGET_AFTER_S = 60.0
 MOST_PEERS = 16
 """A `udpin` answers at most this many peers, the latest to have sent a frame: source addresses are easily forged."""
 ALLOWED = "udpout:HOST:PORT or udpin:HOST:PORT"
+PX4_SENDS, PX4_LISTENS = 14540, 14580
+"""Ports of PX4's first simulated vehicle for programs: where it sends to, and where it listens."""
 
 
 class Url(NamedTuple):
@@ -33,6 +35,11 @@ class Url(NamedTuple):
     port: int
 
     @property
+    def text(self) -> str:
+        """The URL itself, with its port."""
+        return f"udp{'in' if self.listens else 'out'}:{self.host}:{self.port}"
+
+    @property
     def counterpart(self) -> str:
         """The URL that a client needs to reach this link."""
         if self.listens:
@@ -40,12 +47,13 @@ class Url(NamedTuple):
         return f"MAVSDK: udpin://0.0.0.0:{self.port}, pymavlink and MAVProxy: udpin:0.0.0.0:{self.port}"
 
 
-def parse_url(url: str) -> Url:
-    """Parse a URL; raises ValueError if it is not valid."""
-    match = re.fullmatch(r"udp(in|out):([^\s:/]+):([0-9]{1,5})", url)
-    if not match or not 1 <= int(match[3]) <= 65535:
+def parse_url(url: str, instance: int = 0) -> Url:
+    """Parse a URL; raises ValueError if it is not valid. A missing port is that of PX4's simulated vehicle of this number."""
+    match = re.fullmatch(r"udp(in|out):([^\s:/]+)(?::([0-9]{1,5}))?", url)
+    if not match or not 1 <= int(match[3] or 1) <= 65535:
         raise ValueError(f"{url!r} is not a MAVLink UDP URL: allowed is {ALLOWED} with a port from 1 to 65535")
-    return Url(match[1] == "in", match[2], int(match[3]))
+    listens = match[1] == "in"
+    return Url(listens, match[2], int(match[3] or (PX4_LISTENS if listens else PX4_SENDS) + instance))
 
 
 def decode(datagram: bytes) -> tuple[list[Message], int]:

@@ -48,8 +48,8 @@ def link(peer, received):
     [
         "",
         "udp:127.0.0.1:14540",
-        "udpin:0.0.0.0",
-        "udpout:127.0.0.1",
+        "udpin:",
+        "udpout:127.0.0.1:",
         "udpout::1",
         "udpout:h:0",
         "udpout:h:65536",
@@ -62,6 +62,14 @@ def test_a_bad_url_is_refused_in_one_line_that_names_it_and_what_is_allowed(url)
         parse_url(url)
     assert repr(url) in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("url", "instance", "port"), [("udpout:h", 0, 14540), ("udpout:h", 3, 14543), ("udpin:h", 3, 14583), ("udpin:h:9", 3, 9)]
+)
+def test_a_missing_port_is_that_of_px4s_vehicle_of_the_same_number(url, instance, port):
+    assert parse_url(url, instance).port == port
+    assert parse_url(url, instance).text == f"{url.removesuffix(':9')}:{port}"
 
 
 def test_an_unknown_host_is_refused():

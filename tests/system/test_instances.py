@@ -1,0 +1,38 @@
+"""Protects that several vehicles fly side by side as PX4's instances do: each with ports, a system id and a home of its own."""
+
+import itertools
+import math
+
+import pytest
+from pymavlink import mavutil
+
+FIRST = 200
+"""Number of the first vehicle: the ports of low numbers may be in use."""
+
+
+def test_three_vehicles_at_once_are_each_found_by_a_client_of_their_own(start) -> None:
+    clients = [mavutil.mavlink_connection(f"udpin:127.0.0.1:{14540 + FIRST + n}") for n in range(3)]
+    for n in range(3):
+        sysid = ["--sysid", "7"] if n == 2 else []
+        start("sitl", "uav", "-I", str(FIRST + n), "--out", "udpout:127.0.0.1", *sysid)
+    homes = []
+    for client, system in zip(clients, (FIRST + 1, FIRST + 2, 7), strict=True):
+        at = client.recv_match(type="GLOBAL_POSITION_INT", blocking=True, timeout=60)
+        assert at.get_srcSystem() == system
+        homes.append((at.lat / 1e7, at.lon / 1e7))
+        client.close()
+    metres_a_degree = math.radians(6_371_000) * math.cos(math.radians(47.397742))
+    steps_m = [(east[1] - west[1]) * metres_a_degree for west, east in itertools.pairwise(homes)]
+    assert steps_m == pytest.approx([40.0, 40.0], abs=0.1)
+    assert [lat for lat, _ in homes] == pytest.approx([47.397742] * 3, abs=1e-3)
+    assert homes[0][1] == pytest.approx(8.545594 + 40 * FIRST / metres_a_degree, abs=1e-4)
+
+
+def test_a_link_speaks_to_several_places_and_a_home_that_is_chosen_stays(start) -> None:
+    clients = [mavutil.mavlink_connection("udpin:127.0.0.1:0") for _ in range(2)]
+    outs = [word for client in clients for word in ("--out", f"udpout:127.0.0.1:{client.port.getsockname()[1]}")]
+    start("sitl", "uav", "-I", "5", "--home=-35.36,149.16,584,90", *outs)
+    for client in clients:
+        at = client.recv_match(type="GLOBAL_POSITION_INT", blocking=True, timeout=60)
+        assert (at.get_srcSystem(), at.lat, at.lon, at.hdg) == (6, -353600000, 1491600000, 9000)
+        client.close()
