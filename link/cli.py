@@ -326,8 +326,18 @@ def run(command: Callable[[], int | None]) -> NoReturn:
         status = BAD_INPUT
     except OSError as error:
         status = _lost_output(error)
+    if status == INTERRUPTED:
+        _leave(status)
     gc.freeze()  # skips a last look through all objects
     sys.exit(status)
+
+
+def _leave(status: int) -> NoReturn:
+    """Exit at once. An interrupt may strike while a session opens or closes; its threads would then keep the process for ever."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it, or it is closed
+            stream.flush()
+    os._exit(status)
 
 
 def _lost_output(error: OSError) -> int:

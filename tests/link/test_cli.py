@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from link import cli
+from link.bus.session import open_router
 
 COMMANDS = [
     (["agent", "rollout", "--policy", "clairvoyance"], ["--policy", "'clairvoyance'", "wanted infotaxis, entrotaxis"]),
@@ -64,3 +65,28 @@ def test_flags_behind_a_command_are_that_commands() -> None:
     fly.add_argument("--seed")
     args = parser.parse_args(["--loud", "fly", "--seed", "3"])
     assert (args.loud, args.command, args.seed) == (True, "fly", "3")
+
+
+OPENING = """
+import os, signal, sys, time
+from link import cli
+from link.bus.keys import BELIEF
+from link.bus.session import Bus
+
+def command():
+    bus = Bus("interrupted", sys.argv[1], announced=False)
+    bus.subscribe(BELIEF)  # nobody owns it yet, so nobody closes it
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(60)
+
+cli.run(command)
+"""
+
+
+def test_an_interrupt_while_a_session_opens_ends_the_command() -> None:
+    router, endpoint = open_router("tcp/127.0.0.1:0")
+    try:
+        ended = subprocess.run([sys.executable, "-c", OPENING, endpoint], capture_output=True, text=True, timeout=30)
+    finally:
+        router.close()  # type: ignore[no-untyped-call]
+    assert (ended.returncode, ended.stderr) == (cli.INTERRUPTED, "")
