@@ -35,6 +35,8 @@ from sitl.script.script import Cut, Expectation, Kill, Script
 CALL_EVERY_S = 1.0
 """Real time between two commands to return home."""
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
+LATE_STOP_S = 2.0
+"""A stop may reach us so much later than the vehicle, which lands because of it."""
 RECORD_TIMEOUT_S = 5.0
 """Real time that the record may lag behind the mission's end: a recorder whose link was down first receives what it missed."""
 
@@ -234,6 +236,7 @@ class _Watch:
         self._gone: set[str] = set()
         self._record_ended = False
         self._stopped = self._landed = False
+        self._landed_since = 0.0
         self._landed_at = (math.nan, math.nan)
 
     def until_the_end(self) -> Flown:
@@ -243,7 +246,7 @@ class _Watch:
             self._listen(self._disturbances.wait_s())
             if self._last:
                 self._disturbances.reached(self._last.step, self._last.time_boot_ms / 1000)
-            if self._landed and not self._stopped:  # after a stop it lands because the search is over, and the last belief is on its way
+            if self._landed and not self._stopped and time.monotonic() >= self._landed_since + LATE_STOP_S:
                 break
         if self._last is None or (self._landed and not self._over and not script.expectations):
             words = self._last_words.get("uav", "none")
@@ -314,7 +317,8 @@ class _Watch:
                     self._watchdog.heard(health.service, time.monotonic())
                     self._compute[health.service] = health
                     self._warned = self._warned or bool(health.service == "estimator" and health.warnings)
-                    self._landed = self._landed or health.state == "landed"
+                    if health.state == "landed" and not self._landed:
+                        self._landed, self._landed_since = True, time.monotonic()
             case Arrival(key, payload) if key is MAVLINK_OUT:
                 for message in _frames(payload):
                     if message.get_type() == "LOCAL_POSITION_NED" and -message.z < ON_GROUND_M:

@@ -93,7 +93,7 @@ def test_a_service_that_dies_is_seen_and_seen_again_when_it_is_back(
     start("estimator", "--connect", router)
     agent = start("agent", "--connect", router)
     window.until(f"{MODEL}?.measurements.length >= 3", 30)
-    window.until(verdict("agent", "ok"))
+    window.until(verdict("agent", "ok"), 30)
     agent.kill()
     window.until(verdict("agent", "missing"))
     window.drawn()
@@ -103,7 +103,7 @@ def test_a_service_that_dies_is_seen_and_seen_again_when_it_is_back(
     window.keep("service-missing")
     step = window.model("measurements.length")
     start("agent", "--connect", router)
-    window.until(f"{verdict('agent', 'ok')} && {MODEL}.measurements.length > {step} + 1")
+    window.until(f"{verdict('agent', 'ok')} && {MODEL}.measurements.length > {step} + 1", 60)
     window.drawn()
     assert window.page.locator(".services li[data-verdict=missing]").count() == 0
 
