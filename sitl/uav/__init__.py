@@ -1,1 +1,1 @@
-"""The UAV service: one vehicle in one world, on the bus and over UDP. Imports: plume, link.bus, sitl.autopilot, sitl.script."""
+"""The UAV service: one vehicle in one world. Imports: plume, link.bus, sitl.autopilot, sitl.protocol, sitl.script."""

@@ -11,8 +11,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Reading, unpack_reading
 from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.snapshot import Snapshot
 from sitl.autopilot.state import Mode, State
-from sitl.autopilot.telemetry import STREAMS, Snapshot, Telemetry
+from sitl.autopilot.telemetry import STREAMS, Telemetry
 
 CONFIG = VehicleConfig(home_heading_deg=90.0)
 AT_REST = State(
@@ -30,6 +31,7 @@ AT_REST = State(
     failsafe=False,
     battery=1.0,
     fit=True,
+    target=(0.0, 0.0, 0.0),
 )
 FLYING = AT_REST._replace(
     position=(10.0, 20.0, -5.0), velocity=(3.0, 4.0, -1.0), yaw=-math.pi / 2, armed=True, landed_state=2, mode=Mode.OFFBOARD, battery=0.5
