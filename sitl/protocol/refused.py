@@ -18,7 +18,6 @@ REASONS = {
     "GIMBAL_MANAGER_SET_PITCHYAW": "Gimbal refused: there is none",
     "GIMBAL_MANAGER_SET_MANUAL_CONTROL": "Gimbal refused: there is none",
     "PLAY_TUNE": "Tune refused: there is no speaker",
-    "PLAY_TUNE_V2": "Tune refused: there is no speaker",
 }
 """Message type and the reason why it is refused."""
 

@@ -49,7 +49,7 @@ def parse_url(url: str) -> Url:
     return Url(match[1] == "in", match[2], int(match[3]))
 
 
-class Decoded(NamedTuple):
+class Datagram(NamedTuple):
     """What a datagram holds."""
 
     messages: list[Message]
@@ -65,7 +65,7 @@ MOST_FALSE_STARTS = 500
 """Bytes in a datagram that look like the start of a frame and are none. Of noise one byte in 128 does; only a flood comes this far."""
 
 
-def decode(datagram: bytes) -> Decoded:
+def decode(datagram: bytes) -> Datagram:
     """Return the messages in a datagram (MAVLink 1 or 2), the number of bytes that belong to none, and the beginning of a last frame.
 
     Garbage cannot swallow a good frame that follows it, also not a frame's beginning whose end never comes. After `MOST_FALSE_STARTS`
@@ -88,7 +88,7 @@ def decode(datagram: bytes) -> Decoded:
             if frame is None and rest_at == len(datagram) and _may_begin(datagram[start : start + 3], len(datagram) - start):
                 rest_at = start
     rest = datagram[rest_at:] if false_starts < MOST_FALSE_STARTS else b""
-    return Decoded(messages, len(datagram) - used - len(rest), rest)
+    return Datagram(messages, len(datagram) - used - len(rest), rest)
 
 
 def _may_begin(head: bytes, left: int) -> bool:

@@ -133,14 +133,12 @@ def test_what_is_kept_for_the_next_datagram_is_shorter_than_the_longest_frame():
         assert 0 < len(decode(noise).rest) < longest
 
 
-@pytest.mark.parametrize(
-    "flood", [b"\xfe" * 60_000, b"\xfd" * 60_000, b"\xfe\x00\x00\x01\x01\x00" * 10_000, b"\xfd\x00\x00\x00\x00\x01" * 10_000]
-)
-def test_a_flood_of_false_starts_costs_little(flood):
+@pytest.mark.parametrize("start", [b"\xfe", b"\xfd", b"\xfe\x00\x00\x01\x01\x00", b"\xfd\x00\x00\x00\x00\x01"])
+def test_a_flood_of_false_starts_costs_little(start):
     parsed, decode_once = [], sitl.uav.udp.frame_at
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sitl.uav.udp.frame_at", lambda data, start: parsed.append(start) or decode_once(data, start))
-        messages, garbage, rest = decode(flood)
+        messages, garbage, rest = decode(start * (60_000 // len(start)))
     assert (messages, garbage, rest) == ([], 60_000, b"")
     assert len(parsed) <= 500
 
