@@ -107,7 +107,9 @@ def _layout(message: Any) -> Layout:
     return Layout(message.msgname, message.unpacker.size, bytes([message.crc_extra]), message.unpacker.unpack, counts, plain)
 
 
-LAYOUTS = {message_id: _layout(message) for message_id, message in {**mavlink.mavlink_map, **PX4_ONLY}.items()}
+DIALECT: dict[int, Any] = {**mavlink.mavlink_map, **PX4_ONLY}
+"""The message types that the vehicle speaks, by number."""
+LAYOUTS = {message_id: _layout(message) for message_id, message in DIALECT.items()}
 
 
 def fields_of(data: bytes, frame: Frame, layout: Layout) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import pytest
 from mavsdk import System
 from mavsdk.action import ActionError
 from mavsdk.ftp import FtpError
+from mavsdk.log_files import LogFilesError
 from mavsdk.mission_raw import MissionRawError
 from mavsdk.offboard import PositionNedYaw
 from mavsdk.param import ParamError
@@ -137,15 +138,14 @@ def test_mavsdk_gets_an_answer_to_whatever_it_asks_and_does_not_hang(port: int) 
     async def ask() -> None:
         async with connected(port) as drone, asyncio.timeout(TIMEOUT_S):
             identity = await drone.info.get_identification()
-            assert bytes.fromhex(identity.hardware_uid).startswith(b"plumeward")
-            assert await drone.log_files.get_entries() == []
+            assert identity.hardware_uid.lower().startswith(b"plumeward".hex())
+            with pytest.raises(LogFilesError, match="NO_LOGFILES"):
+                await drone.log_files.get_entries()
             with pytest.raises(FtpError):
                 await drone.ftp.list_directory("/")
             with pytest.raises(FtpError):
                 await drone.ftp.are_files_identical(__file__, "/extras.txt")
-            assert await drone.mission_raw.download_mission() == []
-            with pytest.raises(MissionRawError):
-                await drone.mission_raw.upload_mission([])
-            await drone.mission_raw.clear_mission()
+            with pytest.raises(MissionRawError):  # the vehicle does not claim missions, so MAVSDK does not even ask
+                await drone.mission_raw.download_mission()
 
     asyncio.run(ask())
