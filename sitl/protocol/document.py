@@ -18,7 +18,8 @@ PAGE = """\
 
 What the built-in vehicle says to ground stations and companion computers. It behaves as a PX4 quadrotor. Every request gets data or a
 refusal: a COMMAND_ACK, an answer of the request's own kind, or a STATUSTEXT. This page is made from the tables of the code,
-in `sitl/protocol/` and `sitl/autopilot/telemetry.py`. [Services](services.md#the-vehicle-and-its-mavlink) says how to connect, and who leads.
+in `sitl/protocol/` and `sitl/autopilot/telemetry.py`.
+[Services](services.md#the-vehicle-and-its-mavlink) says how to connect, and who leads.
 
 ## Modes
 
