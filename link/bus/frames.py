@@ -1,6 +1,7 @@
 """MAVLink frames in bytes: their extent, sender, checksum and fields.
 
-Only this file knows the wire format of MAVLink 1 and 2 frames. The layout of each message type comes from pymavlink's dialect.
+Only this file knows the wire format of MAVLink 1 and 2 frames. The layout of each message type comes from pymavlink's dialect and
+`px4.py`.
 """
 
 import itertools
@@ -9,6 +10,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.px4 import PX4_ONLY
 
 MAVLINK_1, MAVLINK_2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
 HEADER_1, HEADER_2 = struct.Struct("<BBxBBB"), struct.Struct("<BBBxxBBHB")
@@ -104,7 +107,9 @@ def _layout(message: Any) -> Layout:
     return Layout(message.msgname, message.unpacker.size, bytes([message.crc_extra]), message.unpacker.unpack, counts, plain)
 
 
-LAYOUTS = {message_id: _layout(message) for message_id, message in mavlink.mavlink_map.items()}
+DIALECT: dict[int, Any] = {**mavlink.mavlink_map, **PX4_ONLY}
+"""The message types that the vehicle speaks, by number."""
+LAYOUTS = {message_id: _layout(message) for message_id, message in DIALECT.items()}
 
 
 def fields_of(data: bytes, frame: Frame, layout: Layout) -> dict[str, Any]:

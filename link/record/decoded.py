@@ -9,9 +9,8 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 from msgspec import Meta
-from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.frames import LAYOUTS, fields_of
+from link.bus.frames import DIALECT, LAYOUTS, fields_of
 from link.bus.mavlink import split, unpack_reading
 
 SIMULATION_S = {"type": "number", "description": "simulation time, s: the message's own if it has one, else the newest known"}
@@ -21,6 +20,8 @@ SENDER = {
 }
 PLAIN = {"char": "string", "float": "number", "double": "number"}
 """JSON types of MAVLink types; all others are integers."""
+TYPES = {message.msgname: message for message in DIALECT.values()}
+"""The message types by name."""
 UNKNOWN = "UNKNOWN"
 """Type of messages that are not in the dialect."""
 
@@ -106,7 +107,7 @@ def message_schema(kind: str) -> dict[str, Any]:
     if kind == UNKNOWN:
         properties["data"] = {"type": "array", "items": {"type": "integer"}, "description": "the whole frame"}
     else:
-        message = mavlink.mavlink_map[getattr(mavlink, f"MAVLINK_MSG_ID_{kind}")]
+        message = TYPES[kind]
         counts = LAYOUTS[message.id].counts
         for name, wire_type in zip(message.fieldnames, message.fieldtypes, strict=True):
             field: dict[str, Any] = {"type": PLAIN.get(wire_type, "integer")}

@@ -1,1 +1,1 @@
-"""The simulated vehicle: motion, flight modes, telemetry and the autopilot's MAVLink protocol. Imports: plume, link.bus."""
+"""The simulated vehicle: motion, flight modes and telemetry. Imports: plume, link.bus."""

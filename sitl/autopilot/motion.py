@@ -3,6 +3,8 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 GRAVITY_MPS2 = 9.80665
 
 Ned = tuple[float, float, float]
@@ -139,6 +141,13 @@ class Turn(NamedTuple):
 
     def _angle(self) -> float:
         return wrapped(self.target_rad - self.start_rad)
+
+
+def as_float32(position: Ned) -> Ned:
+    """The position rounded to float32, as the wire carries it."""
+    with np.errstate(over="ignore"):  # a number too large for float32 becomes infinite, and the fence refuses it
+        north, east, down = np.array(position, np.float32).tolist()
+    return north, east, down
 
 
 def wrapped(angle_rad: float) -> float:

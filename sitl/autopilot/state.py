@@ -26,6 +26,18 @@ class Mode(Enum):
         main, sub = self.value
         return int(main << 16 | sub << 24)
 
+    @property
+    def standard(self) -> int:
+        """MAV_STANDARD_MODE, for stations that do not know PX4's numbers; 0 if no standard mode is like this one."""
+        return STANDARD_MODES.get(self, int(mavlink.MAV_STANDARD_MODE_NON_STANDARD))
+
+
+STANDARD_MODES = {
+    Mode.TAKEOFF: int(mavlink.MAV_STANDARD_MODE_TAKEOFF),
+    Mode.RETURN: int(mavlink.MAV_STANDARD_MODE_SAFE_RECOVERY),
+    Mode.LAND: int(mavlink.MAV_STANDARD_MODE_LAND),
+}
+
 
 class State(NamedTuple):
     """The vehicle at one instant. Vectors are NED from home, in m, m/s and m/s²; angles in rad, yaw clockwise from north."""
@@ -47,6 +59,8 @@ class State(NamedTuple):
     """Remaining charge, 0 to 1."""
     fit: bool
     """False if the battery is empty or the vehicle is falling: it then cannot be armed."""
+    target: Ned
+    """Where the current path ends."""
 
 
 class Arrived(NamedTuple):
@@ -83,6 +97,7 @@ class Result(NamedTuple):
 
 
 ACCEPTED = Result(mavlink.MAV_RESULT_ACCEPTED)
+UNSUPPORTED = Result(mavlink.MAV_RESULT_UNSUPPORTED)
 
 
 def not_now(reason: str) -> Result:

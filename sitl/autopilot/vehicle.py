@@ -7,11 +7,10 @@ its exact, closed-form time: one jump and a thousand small steps give the same e
 import math
 from collections.abc import Callable
 
-import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilot.config import VehicleConfig, metres
-from sitl.autopilot.motion import Motion, Ned, Trajectory, Turn, fall, halt, tilt, wrapped
+from sitl.autopilot.motion import ZERO, Motion, Ned, Trajectory, Turn, as_float32, fall, halt, tilt, wrapped
 from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, Said, State, VehicleEvent, denied, not_now
 
 
@@ -20,7 +19,7 @@ class Vehicle:
 
     Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`) takes the simulation time in s and first handles all
     events due by then. Time that runs backwards raises ValueError. Programs call the commands directly; MAVLink clients reach them
-    through `sitl.autopilot.protocol`. Positions are NED, in m from home.
+    through `sitl.protocol.protocol`. Positions are NED, in m from home.
     """
 
     def __init__(self, config: VehicleConfig) -> None:
@@ -35,7 +34,7 @@ class Vehicle:
 
         heading = wrapped(math.radians(config.home_heading_deg))
         self._turn = Turn(0.0, heading, heading, math.radians(config.yaw_rate_dps))
-        self._path = Trajectory(0.0, (0.0, 0.0, 0.0))
+        self._path = Trajectory(0.0, ZERO)
         self._settled = True  # the end of the path has been handled
 
         self._setpoint: Ned | None = None
@@ -47,6 +46,7 @@ class Vehicle:
         self._answered = True
 
         self._motors_on_s = 0.0
+        self._has_flown = False  # since it was armed
         self._spent_s = 0.0  # battery time used up before the motors were last switched on
         self._battery_alarms = 0
 
@@ -84,6 +84,11 @@ class Vehicle:
         """True while the current path has not ended; its end is then one of the coming events."""
         return not self._settled
 
+    @property
+    def landing(self) -> bool:
+        """True from the beginning of a landing until the motors have stopped."""
+        return self._armed and self._mode is Mode.LAND
+
     def state(self, t_s: float) -> State:
         """The state at a time between the current one and the next event."""
         position, velocity, acceleration = self._path.at(t_s)
@@ -104,6 +109,7 @@ class Vehicle:
             failsafe=self._failsafe,
             battery=self._battery(t_s),
             fit=not (self._battery_empty or self._falling),
+            target=self._path.target,
         )
 
     def _upcoming(self) -> list[tuple[float, Callable[[], None]]]:
@@ -117,6 +123,9 @@ class Vehicle:
         if self._armed and self._battery_alarms < 2:
             lasts_s = self.config.endurance_s * (1.0 - LOW_BATTERY if self._battery_alarms == 0 else 1.0)
             upcoming.append((self._motors_on_s + lasts_s - self._spent_s, self._alarm_battery))
+        if self._armed and self._on_ground:
+            waits_s = self.config.disarm_landed_s if self._has_flown else self.config.disarm_preflight_s
+            upcoming.append((max(self._motors_on_s, self._path.end_s) + waits_s, self._disarm_itself))
         return upcoming
 
     def _settle(self) -> None:
@@ -132,8 +141,11 @@ class Vehicle:
             case Mode.RETURN:
                 self._mode = Mode.LAND
                 self._descend()
-            case Mode.LAND:
-                self._stop_motors()
+
+    def _disarm_itself(self) -> None:
+        if not self._has_flown:
+            self._say(mavlink.MAV_SEVERITY_INFO, f"Disarmed: no take-off for {self.config.disarm_preflight_s:g} s")
+        self._stop_motors()
 
     def _lose_client(self) -> None:
         self._failsafe = True
@@ -161,6 +173,11 @@ class Vehicle:
 
     # ---- commands: a refused command gives a reason and changes nothing ----
 
+    def configure(self, t_s: float, config: VehicleConfig) -> None:
+        """Change the configuration. The leg under way goes on as it is; limits of motion act from the next leg on."""
+        self.catch_up(t_s)
+        self.config = config
+
     def arm(self, t_s: float) -> Result:
         """Arm: start the motors. A vehicle armed in OFFBOARD flies to its setpoint."""
         self.catch_up(t_s)
@@ -172,7 +189,7 @@ class Vehicle:
             return not_now("Arming refused: battery empty")
         if self._mode is Mode.OFFBOARD and (missing := self._missing_setpoint()):
             return not_now(f"Arming refused: {missing}")
-        self._armed, self._motors_on_s = True, self._now
+        self._armed, self._has_flown, self._motors_on_s = True, False, self._now
         if self._mode is Mode.OFFBOARD:
             self._follow()
         return ACCEPTED
@@ -213,8 +230,8 @@ class Vehicle:
     def go_to(self, t_s: float, position: Ned, yaw_rad: float | None = None) -> Result:
         """Fly to a position and hold there, as MAV_CMD_DO_REPOSITION (192) asks; no reading is taken."""
         self.catch_up(t_s)
-        if refusal := self._unfit():
-            return not_now(f"Go-to refused: {refusal}")
+        if not self._armed or self._battery_empty:
+            return not_now(f"Go-to refused: {'battery empty' if self._armed else 'disarmed'}")
         if self._on_ground:
             return not_now("Go-to refused: on the ground")
         if outside := self.config.outside(position):
@@ -264,7 +281,7 @@ class Vehicle:
         A second answer to a reading, or an answer to an older one, is ignored: TEMPORARILY_REJECTED.
         """
         self.catch_up(t_s)
-        position, answers = _float32(position), self.awaiting_answer and time_boot_ms == self._newest
+        position, answers = as_float32(position), self.awaiting_answer and time_boot_ms == self._newest
         if time_boot_ms in self._readings and not answers:
             kind = "duplicate" if time_boot_ms == self._newest else "late"
             return not_now(f"Waypoint ignored: {kind} answer to the reading at {time_boot_ms} ms")
@@ -344,13 +361,9 @@ class Vehicle:
             return "no setpoint received yet"
         return "" if self._now - self._heard_s <= self.config.silence_s else f"no setpoint in the last {self.config.silence_s:g} s"
 
-    def _unfit(self) -> str:
-        if not self._armed:
-            return "disarmed"
-        return "battery empty" if self._battery_empty else ""
-
     def _fly(self, path: Trajectory) -> None:
         self._path, self._settled = path, False
+        self._has_flown |= path.target[2] < 0.0
 
     def _halted(self) -> Trajectory:
         return halt(self._now, self._motion, self.config.limits)
@@ -367,7 +380,7 @@ class Vehicle:
 
     def _face(self, yaw_rad: float | None) -> None:
         if yaw_rad is not None and wrapped(yaw_rad) != self._turn.target_rad:
-            self._turn = Turn(self._now, self._turn.at(self._now)[0], wrapped(yaw_rad), self._turn.rate_radps)
+            self._turn = Turn(self._now, self._turn.at(self._now)[0], wrapped(yaw_rad), math.radians(self.config.yaw_rate_dps))
 
     def _return(self) -> None:
         self._mode = Mode.RETURN
@@ -383,10 +396,3 @@ class Vehicle:
     def _stop_motors(self) -> None:
         self._spent_s += self._now - self._motors_on_s
         self._armed, self._mode, self._failsafe = False, Mode.HOLD, False
-
-
-def _float32(position: Ned) -> Ned:
-    """The position rounded to float32, as the wire carries it."""
-    with np.errstate(over="ignore"):  # a number too large for float32 becomes infinite, and the fence refuses it
-        north, east, down = np.array(position, np.float32).tolist()
-    return north, east, down

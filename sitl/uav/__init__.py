@@ -1,1 +1,4 @@
-"""The UAV service: one vehicle in one world, on the bus and over UDP. Imports: plume, link, link.bus, sitl.autopilot, sitl.script."""
+"""The UAV service: one vehicle in one world, on the bus and over UDP.
+
+Imports: plume, link, link.bus, sitl.autopilot, sitl.protocol, sitl.script.
+"""

@@ -13,10 +13,10 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.mavlink import Message
 from link.bus.messages import Stop
 from sitl.autopilot.motion import Ned
-from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.state import Mode, Result, denied, not_now
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
+from sitl.protocol.protocol import MavlinkProtocol
 from sitl.script.script import AfterStop
 
 AFTER_STOP: dict[AfterStop, Mode] = {"return": Mode.RETURN, "land": Mode.LAND, "hold": Mode.HOLD}
@@ -96,6 +96,8 @@ class Search:
         if self._vehicle.moving or state.mode is not Mode.HOLD or state.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND:
             self._say_once("Search waits: a pilot flies the vehicle")
             return
+        north, east, _ = self._waypoint
+        self._waypoint = north, east, -self._vehicle.config.takeoff_altitude_m  # a client may have changed it
         if (state.armed or self._obeyed(self._vehicle.arm(now_s))) and self._obeyed(self._vehicle.take_off(now_s)):
             self.leads = self._begun = True
             self.state = TAKING_OFF

@@ -18,10 +18,11 @@ from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from plume.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.operator import OPERATOR, change_mode, command
-from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol
+from sitl.autopilot.snapshot import Snapshot
 from sitl.autopilot.state import Arrived, Mode
-from sitl.autopilot.telemetry import Snapshot, Telemetry
+from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
+from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
 from sitl.script.script import Abort, AfterStop, Delay, Dropout, Duplicate, Lose, OnBoard, Pause, Resume, Spike, Stuck, Wind
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
@@ -162,7 +163,9 @@ class Uav:
     def _busy(self) -> bool:
         """True if the vehicle waits for nobody: at speed-up 0 time may then jump to the next event."""
         under_way = self._tally.state in (SEARCHING, PAUSED)
-        return self._vehicle.moving or (under_way and self._timeline.next_s() is not None and not self._must_resend)
+        return (
+            self._vehicle.moving or self._vehicle.landing or (under_way and self._timeline.next_s() is not None and not self._must_resend)
+        )
 
     def _live_until(self, now_s: float) -> None:
         """Advance to a time; each script event happens at its exact time."""

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.frames import LAYOUTS, frame_at
+from link.bus.frames import LAYOUTS, Frame, checksums, frame_at, frame_length
 from link.bus.mavlink import Codec, Message
+from link.bus.px4 import PX4_ONLY
 
 logger = logging.getLogger(__name__)
 
@@ -56,29 +57,65 @@ def parse_url(url: str, instance: int = 0) -> Url:
     return Url(listens, match[2], int(match[3] or (PX4_LISTENS if listens else PX4_SENDS) + instance))
 
 
-def decode(datagram: bytes) -> tuple[list[Message], int]:
-    """Return the messages in a datagram (MAVLink 1 or 2) and the number of bytes that belong to no message.
+class Datagram(NamedTuple):
+    """What a datagram holds."""
 
-    A frame never spans two datagrams, so no state is kept between them: garbage cannot swallow a good frame that follows it.
+    messages: list[Message]
+    garbage: int
+    """Bytes that belong to no message."""
+    rest: bytes
+    """The bytes at the end that may be the beginning of a frame; shorter than the longest frame."""
+
+
+MARKER = re.compile(rb"[\xfd\xfe]")
+"""The first byte of a frame."""
+MOST_FALSE_STARTS = 500
+"""Bytes in a datagram that look like the start of a frame and are none. Of noise one byte in 128 does; only a flood comes this far."""
+
+
+def decode(datagram: bytes) -> Datagram:
+    """Return the messages in a datagram (MAVLink 1 or 2), the number of bytes that belong to none, and the beginning of a last frame.
+
+    Garbage cannot swallow a good frame that follows it, also not a frame's beginning whose end never comes. After `MOST_FALSE_STARTS`
+    the rest of the datagram is garbage.
     """
     parser = mavlink.MAVLink(None)
-    messages, skipped, at = [], 0, 0
-    while at < len(datagram):
-        frame = frame_at(datagram, at)
-        # The checksum of a message outside the dialect cannot be verified.
-        message = _decode_frame(parser, datagram[at : frame.end]) if frame and frame.message_id in LAYOUTS else None
-        if frame is None or message is None:
-            skipped += 1
-            at += 1
-        else:
+    messages: list[Message] = []
+    used, rest_at, false_starts, at = 0, len(datagram), 0, 0
+    while (found := MARKER.search(datagram, at)) and false_starts < MOST_FALSE_STARTS:
+        start = found.start()
+        frame = frame_at(datagram, start)
+        message = _message(parser, datagram, frame) if frame else None
+        if frame and message:
             messages.append(message)
             at = frame.end
-    return messages, skipped
+            used, rest_at = used + frame.end - start, len(datagram)
+        else:
+            false_starts += 1
+            at = start + 1
+            if frame is None and rest_at == len(datagram) and _may_begin(datagram[start : start + 3], len(datagram) - start):
+                rest_at = start
+    rest = datagram[rest_at:] if false_starts < MOST_FALSE_STARTS else b""
+    return Datagram(messages, len(datagram) - used - len(rest), rest)
 
 
-def _decode_frame(parser: mavlink.MAVLink, frame: bytes) -> Message | None:
+def _may_begin(head: bytes, left: int) -> bool:
+    """Whether a frame whose first bytes are `head` is longer than what is left of the datagram."""
+    if head[0] == mavlink.PROTOCOL_MARKER_V2 and len(head) == 3 and head[2] & ~mavlink.MAVLINK_IFLAG_SIGNED:
+        return False
+    return len(head) < 3 or left < frame_length(head, 0)
+
+
+def _message(parser: mavlink.MAVLink, datagram: bytes, frame: Frame) -> Message | None:
+    """Return the message of a frame; None if its checksum is wrong, or its type unknown: then the checksum cannot be verified."""
+    layout = LAYOUTS.get(frame.message_id)
+    if layout is None or frame.message_id in PX4_ONLY:  # none of them asks for anything
+        return None
+    received, right = checksums(datagram, frame, layout.seed)
+    if received != right:
+        return None
     try:
-        return parser.decode(bytearray(frame))
+        return parser.decode(bytearray(datagram[frame.start : frame.end]))
     except mavlink.MAVError:
         return None
 
@@ -95,6 +132,8 @@ class UdpLink:
         self.garbage = 0
         """Received bytes that belong to no message."""
         where = parse_url(url)
+        self._rests: dict[tuple[str, int], bytes] = {}
+        """Of each peer, the beginning of a frame that its last datagram ended with; of strangers, the latest `MOST_PEERS`."""
         self._codec = Codec(system, component)
         self._on_message = on_message
         self._heard: dict[tuple[str, int], float] | None = {} if where.listens else None
@@ -141,6 +180,17 @@ class UdpLink:
         self._woken.close()
         self._socket.close()
 
+    def _joined(self, datagram: bytes, peer: tuple[str, int]) -> list[Message]:
+        """Return the messages of a peer's datagram; a frame may have begun in its last one."""
+        messages, garbage, rest = decode(self._rests.pop(peer, b"") + datagram)
+        self.garbage += garbage
+        if rest:
+            strangers = [other for other in self._rests if other not in (self._heard or {})]
+            for other in strangers[: max(len(strangers) + 1 - MOST_PEERS, 0)]:
+                self.garbage += len(self._rests.pop(other))
+            self._rests[peer] = rest
+        return messages
+
     def _receive(self) -> None:
         while True:
             readable, _, _ = select.select([self._socket, self._woken], [], [])
@@ -150,8 +200,7 @@ class UdpLink:
                 datagram, peer = self._socket.recvfrom(LARGEST_DATAGRAM)
             except OSError:  # the peer refused an earlier datagram: no listener there yet
                 continue
-            messages, garbage = decode(datagram)
-            self.garbage += garbage
+            messages = self._joined(datagram, peer)
             if messages and self._heard is not None:
                 others = [(other, heard) for other, heard in self._heard.items() if other != peer]
                 self._heard = dict([*others, (peer, time.monotonic())][-MOST_PEERS:])

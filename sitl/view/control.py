@@ -27,7 +27,7 @@ UNSAID = {
 """What a refusal means that comes without a reason."""
 
 
-class Reply(NamedTuple):
+class CommandAnswer(NamedTuple):
     """What became of a command."""
 
     accepted: bool
@@ -60,27 +60,27 @@ class Awaited:
         self._refused = ""
         self._texts = Texts()
 
-    def hears(self, payload: bytes, now_s: float) -> Reply | None:
+    def hears(self, payload: bytes, now_s: float) -> CommandAnswer | None:
         """Take a payload of telemetry; returns the answer once it is known. A refusal's reason is the text that follows it."""
         try:
             for message_id, fields in frames(payload, {ACK, TEXT}):
                 if message_id == ACK and fields["command"] == self._number and _to_us(fields["target_system"], fields["target_component"]):
                     if fields["result"] == mavlink.MAV_RESULT_ACCEPTED:
-                        return Reply(True)
+                        return CommandAnswer(True)
                     if fields["result"] != mavlink.MAV_RESULT_IN_PROGRESS:
                         self._refused = UNSAID.get(fields["result"], f"the vehicle answered with result {fields['result']}")
                         self._until_s = now_s + REASON_S
                 elif message_id == TEXT and (said := self._texts.said(fields)) and self._refused:
-                    return Reply(False, said[1])
+                    return CommandAnswer(False, said[1])
         except BadFrame:
             pass
         return None
 
-    def over(self, now_s: float) -> Reply | None:
+    def over(self, now_s: float) -> CommandAnswer | None:
         """Return the answer that no more waiting gives; None before the time is over."""
         if now_s < self._until_s:
             return None
-        return Reply(False, self._refused or f"no answer within {ANSWER_S:g} s")
+        return CommandAnswer(False, self._refused or f"no answer within {ANSWER_S:g} s")
 
     def left_s(self, now_s: float) -> float:
         """Time left to wait."""
@@ -91,10 +91,10 @@ def _to_us(system: int, component: int) -> bool:
     return system in (0, OPERATOR[0]) and component in (0, OPERATOR[1])
 
 
-async def operate(vehicle: LiveVehicle, name: CommandName) -> Reply:
+async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
     """Send a command to a vehicle and wait for its answer."""
     if not vehicle.here:
-        return Reply(False, f"{vehicle.name} is not there")
+        return CommandAnswer(False, f"{vehicle.name} is not there")
     loop, heard = asyncio.get_running_loop(), asyncio.Queue[bytes]()
 
     def listener(payload: bytes) -> None:

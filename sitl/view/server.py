@@ -18,7 +18,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from plume import __version__
 from scene.scene import Scene
-from sitl.view.control import CommandName, Reply, operate
+from sitl.view.control import CommandAnswer, CommandName, operate
 from sitl.view.guard import AccessRules, Asgi, guarded
 from sitl.view.live import LiveVehicle
 from sitl.view.wire import Cursor, packed
@@ -153,15 +153,15 @@ class PageServer:
             self._clients.discard(client)
             self.left_at = time.monotonic()
 
-    async def order(self, order: Order) -> Reply:
+    async def order(self, order: Order) -> CommandAnswer:
         """Carry out a command from a page that may command."""
         vehicle = self._shown.vehicles.get(order.vehicle)
         if not isinstance(vehicle, LiveVehicle):
-            return Reply(False, f"there is no vehicle {order.vehicle!r}")
+            return CommandAnswer(False, f"there is no vehicle {order.vehicle!r}")
         if self.bye:
-            return Reply(False, self.bye)
+            return CommandAnswer(False, self.bye)
         if order.vehicle in self._commanded:
-            return Reply(False, "the vehicle has not answered the last command yet")
+            return CommandAnswer(False, "the vehicle has not answered the last command yet")
         self._commanded.add(order.vehicle)
         try:
             return await operate(vehicle, order.command)
@@ -236,7 +236,7 @@ class Client:
 
     def _order(self, order: Order) -> None:
         if self._why_not:
-            self._answered(order, Reply(False, self._why_not))
+            self._answered(order, CommandAnswer(False, self._why_not))
             return
 
         async def carry_out() -> None:
@@ -246,7 +246,7 @@ class Client:
         self._orders.add(task)
         task.add_done_callback(self._orders.discard)
 
-    def _answered(self, order: Order, answer: Reply) -> None:
+    def _answered(self, order: Order, answer: CommandAnswer) -> None:
         about = {"vehicle": order.vehicle, "command": order.command, "accepted": answer.accepted, "reason": answer.reason}
         self._answers.append({"answer": about})
         self.wake.set()

@@ -1,4 +1,4 @@
-"""Protects the autopilot protocol against a real client: MAVSDK-Python and its server, over UDP."""
+"""Protects the MAVLink protocol against a real client: MAVSDK-Python and its server, over UDP."""
 
 import asyncio
 import math
@@ -9,7 +9,11 @@ from contextlib import asynccontextmanager, suppress
 import pytest
 from mavsdk import System
 from mavsdk.action import ActionError
+from mavsdk.ftp import FtpError
+from mavsdk.log_files import LogFilesError
+from mavsdk.mission_raw import MissionRawError
 from mavsdk.offboard import PositionNedYaw
+from mavsdk.param import ParamError
 
 TIMEOUT_S = 60.0
 
@@ -90,7 +94,7 @@ def test_mavsdk_is_told_why_a_setpoint_is_refused_and_can_return_home(port: int)
         async with connected(port) as drone:
             await until(drone.telemetry.health_all_ok(), bool)
             version = await drone.info.get_version()
-            assert (version.flight_sw_major, version.flight_sw_minor) == (0, 1)
+            assert (version.flight_sw_major, version.flight_sw_minor) == (1, 15)
             await drone.action.arm()
             await drone.action.takeoff()
             await until(drone.telemetry.position(), lambda p: p.relative_altitude_m > 4.7)
@@ -105,3 +109,43 @@ def test_mavsdk_is_told_why_a_setpoint_is_refused_and_can_return_home(port: int)
             assert math.dist((home.position.north_m, home.position.east_m, home.position.down_m), (0, 0, 0)) < 0.01
 
     asyncio.run(fly())
+
+
+def test_mavsdk_reads_and_sets_parameters_and_what_it_sets_acts(port: int) -> None:
+    async def configure() -> None:
+        async with connected(port) as drone, asyncio.timeout(TIMEOUT_S):
+            every = await drone.param.get_all_params()
+            floats, ints = ({p.name: p.value for p in kind} for kind in (every.float_params, every.int_params))
+            assert (floats["MPC_Z_VEL_MAX_DN"], ints["SYS_AUTOSTART"]) == (1.5, 4001)
+            await drone.param.set_param_float("MIS_TAKEOFF_ALT", 8.0)
+            assert await drone.param.get_param_float("MIS_TAKEOFF_ALT") == 8.0
+            assert await drone.param.get_param_int("MAV_SYS_ID") == 1
+            with pytest.raises(ParamError):
+                await drone.param.set_param_float("MIS_TAKEOFF_ALT", 1000.0)
+            with pytest.raises(ParamError):
+                await drone.param.get_param_float("NO_SUCH_PARAM")
+            assert await drone.param.get_param_float("MIS_TAKEOFF_ALT") == 8.0
+            await until(drone.telemetry.health_all_ok(), bool)
+            await drone.action.arm()
+            assert await drone.action.get_takeoff_altitude() == 8.0
+            await drone.action.takeoff()
+            await until(drone.telemetry.position(), lambda p: p.relative_altitude_m > 7.7)
+
+    asyncio.run(configure())
+
+
+def test_mavsdk_gets_an_answer_to_whatever_it_asks_and_does_not_hang(port: int) -> None:
+    async def ask() -> None:
+        async with connected(port) as drone, asyncio.timeout(TIMEOUT_S):
+            identity = await drone.info.get_identification()
+            assert identity.hardware_uid.lower().startswith(b"plumeward".hex())
+            with pytest.raises(LogFilesError, match="NO_LOGFILES"):
+                await drone.log_files.get_entries()
+            with pytest.raises(FtpError):
+                await drone.ftp.list_directory("/")
+            with pytest.raises(FtpError):
+                await drone.ftp.are_files_identical(__file__, "/extras.txt")
+            with pytest.raises(MissionRawError):  # the vehicle does not claim missions, so MAVSDK does not even ask
+                await drone.mission_raw.download_mission()
+
+    asyncio.run(ask())

@@ -4,6 +4,7 @@ import math
 import struct
 from collections import Counter
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,8 +12,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Reading, unpack_reading
 from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.snapshot import Snapshot
 from sitl.autopilot.state import Mode, State
-from sitl.autopilot.telemetry import STREAMS, Snapshot, Telemetry
+from sitl.autopilot.telemetry import STREAMS, Telemetry
 
 CONFIG = VehicleConfig(home_heading_deg=90.0)
 AT_REST = State(
@@ -30,6 +32,7 @@ AT_REST = State(
     failsafe=False,
     battery=1.0,
     fit=True,
+    target=(0.0, 0.0, 0.0),
 )
 FLYING = AT_REST._replace(
     position=(10.0, 20.0, -5.0), velocity=(3.0, 4.0, -1.0), yaw=-math.pi / 2, armed=True, landed_state=2, mode=Mode.OFFBOARD, battery=0.5
@@ -60,13 +63,14 @@ def count(source, seconds, step_s):
 
 def test_what_is_not_streamed_is_not_built_and_has_no_interval():
     assert telemetry().build(NUMBER["RAW_IMU"], 0.0) is None
-    assert not telemetry().set_interval(NUMBER["RAW_IMU"], 1e5, 0.0)
+    assert not telemetry().set_interval(NUMBER["RAW_IMU"], 1e5, 0.0).accepted
+    assert telemetry().interval_us(NUMBER["RAW_IMU"]) == 0
 
 
 @pytest.mark.parametrize("interval", [math.nan, -2.0, -0.5])
 def test_what_is_no_interval_changes_nothing(interval):
     source = telemetry()
-    assert not source.set_interval(NUMBER["ATTITUDE"], interval, 0.0)
+    assert not source.set_interval(NUMBER["ATTITUDE"], interval, 0.0).accepted
     assert count(source, 10.0, 0.001)["ATTITUDE"] == 1000
 
 
@@ -90,6 +94,11 @@ def test_the_rates_are_those_of_px4s_onboard_link():
         "EXTENDED_SYS_STATE": 5.0,
         "WIND_COV": 10.0,
         "NAMED_VALUE_FLOAT": 10.0,
+        "ALTITUDE": 10.0,
+        "POSITION_TARGET_LOCAL_NED": 10.0,
+        "ESTIMATOR_STATUS": 1.0,
+        "SYSTEM_TIME": 1.0,
+        "CURRENT_MODE": 0.5,
     }
 
 
@@ -123,9 +132,9 @@ def test_no_step_makes_it_send_twice_or_stall(steps):
 
 def test_an_interval_may_be_changed_turned_off_and_set_back():
     source = telemetry()
-    assert source.set_interval(NUMBER["HEARTBEAT"], 250_000.0, 0.0)
-    assert source.set_interval(NUMBER["ATTITUDE"], -1.0, 0.0)
-    assert source.set_interval(NUMBER["AUTOPILOT_VERSION"], 1e6, 0.0)
+    assert source.set_interval(NUMBER["HEARTBEAT"], 250_000.0, 0.0).accepted
+    assert source.set_interval(NUMBER["ATTITUDE"], -1.0, 0.0).accepted
+    assert source.set_interval(NUMBER["AUTOPILOT_VERSION"], 1e6, 0.0).accepted
     counted = count(source, 10.0, 0.001)
     assert (counted["HEARTBEAT"], counted["ATTITUDE"], counted["AUTOPILOT_VERSION"]) == (39, 0, 9)  # from the next slot on
     for name in ("HEARTBEAT", "ATTITUDE", "AUTOPILOT_VERSION"):
@@ -134,12 +143,27 @@ def test_an_interval_may_be_changed_turned_off_and_set_back():
     assert (counted["HEARTBEAT"], counted["ATTITUDE"], counted["AUTOPILOT_VERSION"]) == (10, 1000, 0)
 
 
-def test_with_all_streams_off_nothing_is_due():
+@pytest.mark.parametrize("interval", [-1.0, 1_000_001.0, 1e9, math.inf])
+def test_the_heartbeat_can_neither_be_turned_off_nor_slowed_down(interval):
+    source = telemetry()
+    refused = source.set_interval(NUMBER["HEARTBEAT"], interval, 0.0)
+    assert (refused.code, refused.reason) == (2, "Interval refused: HEARTBEAT has at most 1000000 us and stays on")
+    assert count(source, 10.0, 0.001)["HEARTBEAT"] == 10
+
+
+def test_with_all_other_streams_off_only_the_heartbeat_is_due():
     source = telemetry()
     for stream in STREAMS:
         source.set_interval(stream.message_id, -1.0, 0.0)
-    assert source.due(10.0) == []
-    assert source.next_due_s() == math.inf
+    assert [m.get_type() for m in source.due(10.0)] == ["HEARTBEAT"]
+    assert source.next_due_s() == 11.0
+
+
+def test_the_interval_of_a_stream_is_told():
+    source = telemetry()
+    assert [source.interval_us(NUMBER[name]) for name in ("ATTITUDE", "BATTERY_STATUS", "ODOMETRY")] == [10_000, 2_000_000, -1]
+    source.set_interval(NUMBER["ODOMETRY"], 40_000.0, 0.0)
+    assert source.interval_us(NUMBER["ODOMETRY"]) == 40_000
 
 
 # ---- what it says ----
@@ -255,5 +279,75 @@ def test_home_is_the_origin_of_the_local_frame():
 def test_the_landed_state_and_the_version_are_told():
     assert report("EXTENDED_SYS_STATE").landed_state == 2
     version = report("AUTOPILOT_VERSION")
-    assert version.flight_sw_version == 0x00_01_00_00
-    assert version.capabilities == 8 | 128 | 8192  # COMMAND_INT, SET_POSITION_TARGET_LOCAL_NED, MAVLINK2
+    assert version.flight_sw_version >> 16 >= 1 << 8 | 13  # stations warn of a PX4 before 1.13
+    assert version.flight_sw_version & 0xFF == 0  # a development version: it is no release of PX4
+    assert bytes(version.flight_custom_version) == b"\x00\x01\x00plume"  # 0.1.0, the last first
+    assert bytes(version.uid2).startswith(b"plumeward")
+    assert bytes(version.uid2)[-1] == version.uid == 1
+    # PARAM_FLOAT, COMMAND_INT, PARAM_ENCODE_BYTEWISE, SET_POSITION_TARGET_LOCAL_NED, MAVLINK2
+    assert version.capabilities == 2 | 8 | 16 | 128 | 8192
+
+
+# ---- the streams beyond PX4's common ones ----
+
+TILTED = FLYING._replace(roll=0.3, pitch=-0.2, yaw=2.0, yaw_rate=0.5, acceleration=(1.0, -2.0, 0.5), target=(7.0, 8.0, -9.0))
+
+
+def body_to_ned(state):
+    """The rotation from body to NED, as a product of the three rotations about z, y and x."""
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (state.roll, state.pitch, state.yaw))
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    return about_z @ about_y @ about_x
+
+
+def rotation(w, x, y, z):
+    """The rotation matrix of a unit quaternion."""
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+
+
+def test_the_quaternion_turns_the_body_as_the_angles_do():
+    told = report("ATTITUDE_QUATERNION", TILTED)
+    assert rotation(told.q1, told.q2, told.q3, told.q4) == pytest.approx(body_to_ned(TILTED), abs=1e-6)
+    assert (told.rollspeed, told.pitchspeed, told.yawspeed) == (0.0, 0.0, 0.5)
+
+
+def test_odometry_has_its_velocity_in_the_bodys_axes():
+    told = report("ODOMETRY", TILTED)
+    assert (told.frame_id, told.child_frame_id, told.x, told.y, told.z) == (1, 12, 10.0, 20.0, -5.0)
+    assert (told.vx, told.vy, told.vz) == pytest.approx(tuple(body_to_ned(TILTED).T @ TILTED.velocity), abs=1e-6)
+    assert rotation(*told.q) == pytest.approx(body_to_ned(TILTED), abs=1e-6)
+    assert math.isnan(told.pose_covariance[0])  # unknown, not exact
+
+
+def test_an_accelerometer_at_rest_feels_one_g_upwards_and_only_what_is_simulated_is_marked():
+    rest, tilted = report("HIGHRES_IMU", AT_REST), report("HIGHRES_IMU", TILTED)
+    assert (rest.xacc, rest.yacc, rest.zacc) == pytest.approx((0.0, 0.0, -9.80665))
+    felt = body_to_ned(TILTED).T @ (np.array(TILTED.acceleration) - (0, 0, 9.80665))
+    assert (tilted.xacc, tilted.yacc, tilted.zacc) == pytest.approx(tuple(felt), abs=1e-5)
+    assert tilted.fields_updated == 1 | 2 | 4 | 32  # three accelerations and the yaw rate
+    assert tilted.zgyro == 0.5
+
+
+def test_altitude_is_above_sea_and_above_home():
+    told = report("ALTITUDE")
+    assert (told.altitude_amsl, told.altitude_local, told.altitude_relative) == (493.0, 5.0, 5.0)
+    assert math.isnan(told.bottom_clearance)
+
+
+def test_the_target_is_told_while_armed():
+    told = report("POSITION_TARGET_LOCAL_NED", TILTED)
+    assert (told.coordinate_frame, told.x, told.y, told.z) == (1, 7.0, 8.0, -9.0)
+    assert told.type_mask & 0b111 == 0  # the position counts
+    assert telemetry(TILTED._replace(armed=False)).build(NUMBER["POSITION_TARGET_LOCAL_NED"], 1.0) is None
+
+
+def test_time_mode_and_estimator_are_told():
+    assert (report("SYSTEM_TIME").time_boot_ms, report("SYSTEM_TIME").time_unix_usec) == (12_500, 0)
+    assert report("ESTIMATOR_STATUS").flags & 0b1111111 == 0b0111111  # attitude, velocities, positions; not above ground
+    mode = telemetry(FLYING._replace(mode=Mode.RETURN)).build(436, 1.0)
+    packed = mode.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))
+    custom, intended, standard = struct.unpack("<IIB", packed[10:19])
+    assert (custom, intended, standard) == (4 << 16 | 5 << 24, 4 << 16 | 5 << 24, 5)

@@ -1,5 +1,6 @@
 """Protects the autopilot: refusals and their reasons, flight and its timing, and that neither depends on the time steps."""
 
+import dataclasses
 import math
 import struct
 
@@ -158,10 +159,70 @@ def test_landing_ends_on_the_ground_disarmed():
     touchdown = 10.0 + 1.0 + 4.25 / 1.5
     assert vehicle.next_event_s() == pytest.approx(touchdown)
     vehicle.advance(touchdown - 0.01)
-    assert vehicle.state(touchdown - 0.01).armed
-    vehicle.advance(touchdown + 0.01)
-    state = vehicle.state(touchdown + 0.01)
-    assert (state.armed, state.landed_state, state.position) == (False, GROUND, (0.0, 0.0, 0.0))
+    assert vehicle.state(touchdown - 0.01).landed_state == LANDING
+    for after_s, armed in ((0.01, True), (1.99, True), (2.01, False)):  # PX4's COM_DISARM_LAND is 2 s
+        vehicle.advance(touchdown + after_s)
+        state = vehicle.state(touchdown + after_s)
+        assert (state.armed, state.landed_state, state.position) == (armed, GROUND, (0.0, 0.0, 0.0))
+    assert not vehicle.landing
+
+
+def test_a_landed_vehicle_may_take_off_again_before_its_motors_stop():
+    vehicle = hovering()
+    vehicle.set_mode(10.0, Mode.LAND)
+    assert vehicle.take_off(15.0, 3.0).accepted  # it touched down at 13.83 s
+    vehicle.advance(60.0)
+    assert (vehicle.state(60.0).armed, vehicle.state(60.0).position) == (True, (0.0, 0.0, -3.0))
+
+
+def test_a_vehicle_that_is_armed_and_does_not_take_off_disarms_after_10_s():
+    vehicle = on_the_ground()
+    vehicle.arm(5.0)
+    assert vehicle.advance(14.99) == []
+    assert vehicle.advance(20.0) == [Said(15.0, 6, "Disarmed: no take-off for 10 s")]
+    assert not vehicle.state(20.0).armed
+    vehicle.arm(30.0)
+    assert vehicle.take_off(39.0).accepted
+    assert vehicle.advance(100.0) == []
+    assert vehicle.state(100.0).armed
+
+
+def test_a_vehicle_that_landed_and_is_armed_again_waits_for_its_take_off_anew():
+    vehicle = hovering()
+    vehicle.set_mode(10.0, Mode.LAND)
+    vehicle.advance(30.0)
+    vehicle.arm(30.0)
+    vehicle.advance(39.9)
+    assert vehicle.state(39.9).armed
+    assert texts(vehicle.advance(40.1)) == ["Disarmed: no take-off for 10 s"]
+
+
+def test_a_vehicle_may_be_told_never_to_disarm_itself():
+    vehicle = on_the_ground(VehicleConfig(disarm_landed_s=math.inf, disarm_preflight_s=math.inf))
+    vehicle.arm(0.0)
+    vehicle.advance(100.0)
+    vehicle.take_off(100.0)
+    vehicle.set_mode(110.0, Mode.LAND)
+    vehicle.advance(500.0)
+    assert (vehicle.state(500.0).armed, vehicle.state(500.0).landed_state) == (True, GROUND)
+
+
+def test_a_new_configuration_changes_the_coming_legs_only():
+    changed, unchanged = hovering(), hovering()
+    for vehicle in (changed, unchanged):
+        vehicle.go_to(10.0, (0.0, 20.0, -5.0))  # 5 m/s at 3 m/s²: 20 m take 5/3 s + 4 s
+    changed.configure(12.0, dataclasses.replace(changed.config, speed_mps=1.0))
+    assert changed.state(12.5) == unchanged.state(12.5)
+    assert changed.next_event_s() == pytest.approx(10.0 + 5.0 / 3.0 + 4.0)
+    changed.go_to(20.0, (0.0, 10.0, -5.0))  # 1 m/s: 10 m take 1/3 s + 10 s
+    assert changed.next_event_s() == pytest.approx(20.0 + 1.0 / 3.0 + 10.0)
+
+
+def test_a_shorter_silence_acts_at_once_in_flight():
+    vehicle = offboard()
+    vehicle.configure(vehicle.now_s + 8.0, dataclasses.replace(vehicle.config, silence_s=5.0))
+    now_s = vehicle.now_s
+    assert vehicle.advance(now_s + 0.1) == [Said(now_s, CRITICAL, "No setpoint for 5 s: returning home")]
 
 
 def test_return_flies_home_lands_and_disarms():
@@ -428,21 +489,21 @@ def test_two_flights_use_up_one_battery():
     assert vehicle.state(29.9).armed
     vehicle.advance(50.0)
     assert not vehicle.state(50.0).armed
-    assert vehicle.state(50.0).battery == pytest.approx(0.80)  # on from 10 s to 30 s
+    assert vehicle.state(50.0).battery == pytest.approx(0.78)  # on from 10 s to 30 s, and 2 s more on the ground
     vehicle.arm(50.0)
     vehicle.take_off(50.0)
     vehicle.advance(90.0)
-    assert vehicle.state(90.0).battery == pytest.approx(0.40)  # 20 s + 40 s
-    assert vehicle.advance(129.0) == [Said(115.0, WARNING, "Battery low: 15% left")]  # 20 s + 65 s
-    assert vehicle.state(129.0).battery == pytest.approx(0.01)
-    assert vehicle.advance(135.0) == [Said(130.0, CRITICAL, "Battery empty: landing")]  # 20 s + 80 s
+    assert vehicle.state(90.0).battery == pytest.approx(0.38)  # 22 s + 40 s
+    assert vehicle.advance(127.0) == [Said(113.0, WARNING, "Battery low: 15% left")]  # 22 s + 63 s
+    assert vehicle.state(127.0).battery == pytest.approx(0.01)
+    assert vehicle.advance(135.0) == [Said(128.0, CRITICAL, "Battery empty: landing")]  # 22 s + 78 s
     assert vehicle.state(135.0).battery == 0.0
     vehicle.advance(137.0)
     assert not vehicle.state(137.0).armed
 
 
 def test_a_warning_that_was_given_in_one_flight_is_not_given_again_in_the_next():
-    vehicle = Vehicle(VehicleConfig(endurance_s=100.0))
+    vehicle = Vehicle(VehicleConfig(endurance_s=100.0, disarm_preflight_s=math.inf))
     vehicle.arm(0.0)
     vehicle.disarm(40.0)
     vehicle.arm(60.0)

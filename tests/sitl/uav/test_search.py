@@ -8,9 +8,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.mavlink import POSITION_ONLY, Message, waypoint_message
 from link.bus.messages import Stop
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.state import Arrived, Mode
 from sitl.autopilot.vehicle import Vehicle
+from sitl.protocol.protocol import MavlinkProtocol
 from sitl.uav.search import Search
 
 PILOT, CLIENT = (255, 190), (245, 190)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
+import sitl.uav.udp
 from link.cli import BAD_INPUT
 from sitl.__main__ import main
 from sitl.uav.udp import FORGET_AFTER_S, MOST_PEERS, UdpLink, decode, parse_url
@@ -89,20 +90,20 @@ def test_each_form_says_what_its_clients_are_given():
 
 @given(st.binary(max_size=400))
 def test_garbage_is_counted_and_never_an_error(garbage):
-    messages, skipped = decode(garbage)
-    assert skipped == len(garbage) - sum(len(m.get_msgbuf()) for m in messages)
+    messages, skipped, rest = decode(garbage)
+    assert skipped + len(rest) == len(garbage) - sum(len(m.get_msgbuf()) for m in messages)
 
 
 @given(st.binary(max_size=40).filter(lambda garbage: garbage[-20:] not in frame()), st.booleans())
 def test_garbage_never_swallows_the_frame_behind_it(garbage, mavlink1):
-    messages, skipped = decode(garbage + frame(mavlink1))
+    messages, skipped, _ = decode(garbage + frame(mavlink1))
     assert [(m.get_type(), m.value) for m in messages][-1] == ("NAMED_VALUE_FLOAT", 1.5)
     assert skipped <= len(garbage)
 
 
 def test_a_broken_checksum_and_an_unknown_message_are_garbage():
     broken = frame()[:-1] + bytes([frame()[-1] ^ 1])
-    assert decode(broken) == ([], len(broken))
+    assert decode(broken) == ([], len(broken), b"")
     unknown = bytearray(frame())
     unknown[7:10] = (0xAB, 0xCD, 0xEF)
     assert decode(bytes(unknown))[0] == []
@@ -111,9 +112,43 @@ def test_a_broken_checksum_and_an_unknown_message_are_garbage():
 def test_a_signed_frame_is_read():
     signer = mavlink.MAVLink(None, srcSystem=255)
     signer.signing.secret_key, signer.signing.sign_outgoing = b"k" * 32, True
-    messages, skipped = decode(bytes(mavlink.MAVLink_named_value_float_message(7, b"gas", 2.5).pack(signer)))
+    messages, skipped, _ = decode(bytes(mavlink.MAVLink_named_value_float_message(7, b"gas", 2.5).pack(signer)))
     assert [m.value for m in messages] == [2.5]
     assert skipped == 0
+
+
+@pytest.mark.parametrize("mavlink1", [False, True])
+def test_a_frame_that_is_cut_anywhere_is_whole_again_with_its_other_half(mavlink1):
+    whole = frame(mavlink1)
+    for cut in range(1, len(whole)):
+        messages, skipped, rest = decode(b"??" + whole[:cut])
+        assert (messages, skipped, rest) == ([], 2, whole[:cut])
+        messages, skipped, rest = decode(rest + whole[cut:] + b"??")
+        assert ([m.value for m in messages], skipped, rest) == ([1.5], 2, b"")
+
+
+@given(st.binary(max_size=60).filter(lambda beginning: beginning[-20:] not in frame()))
+def test_the_beginning_of_a_frame_that_never_comes_does_not_delay_the_next(beginning):
+    _, _, rest = decode(beginning)
+    messages, _, rest = decode(rest + frame())
+    assert [m.value for m in messages][-1] == 1.5
+    assert rest == b""
+
+
+def test_what_is_kept_for_the_next_datagram_is_shorter_than_the_longest_frame():
+    longest = 10 + 255 + 2 + 13  # header, payload, checksum, signature
+    for noise in (b"\xfd\xff\x01" * 400, b"\xfe\xff\x00" * 400):
+        assert 0 < len(decode(noise).rest) < longest
+
+
+@pytest.mark.parametrize("start", [b"\xfe", b"\xfd", b"\xfe\x00\x00\x01\x01\x00", b"\xfd\x00\x00\x00\x00\x01"])
+def test_a_flood_of_false_starts_costs_little(start):
+    parsed, decode_once = [], sitl.uav.udp.frame_at
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sitl.uav.udp.frame_at", lambda data, start: parsed.append(start) or decode_once(data, start))
+        messages, garbage, rest = decode(start * (60_000 // len(start)))
+    assert (messages, garbage, rest) == ([], 60_000, b"")
+    assert len(parsed) <= 500
 
 
 def test_nobody_listening_is_survived(received):
@@ -245,6 +280,25 @@ class TestUdpIn:
             assert (answer.seq, answer.get_srcSystem()) == (42, 7)
         finally:
             client.close()
+
+    def test_frames_split_over_datagrams_are_joined_for_each_peer(self, link, station, received):
+        one, two = station(), station()
+        one.send(frame(gas=1.0)[:9])
+        two.send(b"\xfe\xff" + bytes(20))  # the beginning of a frame that never ends
+        two.send(frame(gas=2.0)[:15])
+        one.send(frame(gas=1.0)[9:] + frame(gas=3.0))
+        two.send(frame(gas=2.0)[15:])
+        assert [received.get(timeout=WAIT_S).value for _ in range(3)] == [1.0, 3.0, 2.0]
+
+    def test_beginnings_of_frames_from_many_strangers_are_not_kept_for_ever(self, link, station, received):
+        known = station()
+        self.greet(known, received)
+        known.send(frame(gas=4.0)[:9])
+        for _ in range(3 * MOST_PEERS):
+            station().send(b"\xfe\xff")
+        known.send(frame(gas=4.0)[9:])
+        assert received.get(timeout=WAIT_S).value == 4.0
+        assert len(link._rests) <= MOST_PEERS
 
     def test_nothing_is_sent_before_somebody_has_spoken_and_garbage_is_not_speaking(self, link, station, received):
         caller = station()

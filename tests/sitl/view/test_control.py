@@ -6,10 +6,10 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.mavlink import Codec
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.operator import OPERATOR
-from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.state import Mode
 from sitl.autopilot.vehicle import Vehicle
-from sitl.view.control import Awaited, CommandName, Reply, message
+from sitl.protocol.protocol import MavlinkProtocol
+from sitl.view.control import Awaited, CommandAnswer, CommandName, message
 
 HOLD, RTL, LAND = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, mavlink.MAV_CMD_NAV_LAND
 UAV = Codec(1, 1)
@@ -36,7 +36,7 @@ class Flying:
             self.now_s = 20.0
             self.vehicle.advance(self.now_s)
 
-    def told(self, name: CommandName) -> Reply | None:
+    def told(self, name: CommandName) -> CommandAnswer | None:
         said = message(name, system=1)
         said.pack(mavlink.MAVLink(None, *OPERATOR))
         awaited = Awaited(said.command, 0.0)
@@ -50,11 +50,11 @@ class Flying:
 def test_a_vehicle_is_paused_and_resumed_at_its_last_waypoint() -> None:
     uav, waypoint = Flying(), (3.0, 4.0, -5.0)
     uav.vehicle.setpoint(uav.now_s, waypoint)
-    assert uav.told("resume") == Reply(True)
+    assert uav.told("resume") == CommandAnswer(True)
     assert uav.mode is Mode.OFFBOARD
-    assert uav.told("pause") == Reply(True)
+    assert uav.told("pause") == CommandAnswer(True)
     assert uav.mode is Mode.HOLD
-    assert uav.told("resume") == Reply(True)
+    assert uav.told("resume") == CommandAnswer(True)
     assert uav.mode is Mode.OFFBOARD
     assert uav.vehicle.waypoint == waypoint
 
@@ -62,30 +62,30 @@ def test_a_vehicle_is_paused_and_resumed_at_its_last_waypoint() -> None:
 @pytest.mark.parametrize(("name", "mode"), [("return", Mode.RETURN), ("abort", Mode.LAND)])
 def test_return_flies_home_and_abort_lands_here(name: CommandName, mode: Mode) -> None:
     uav = Flying()
-    assert uav.told(name) == Reply(True)
+    assert uav.told(name) == CommandAnswer(True)
     assert uav.mode is mode
 
 
 def test_a_refusal_comes_with_the_vehicles_reason() -> None:
-    assert Flying().told("resume") == Reply(False, "Offboard refused: no setpoint received yet")
-    assert Flying(altitude_m=0.0).told("return") == Reply(False, "Return refused: on the ground")
+    assert Flying().told("resume") == CommandAnswer(False, "Offboard refused: no setpoint received yet")
+    assert Flying(altitude_m=0.0).told("return") == CommandAnswer(False, "Return refused: on the ground")
 
 
 def test_a_long_reason_is_joined_from_its_chunks() -> None:
     awaited, words = Awaited(RTL, 0.0), "Return refused: " + "the reason goes on " * 5
     said = MavlinkProtocol(Vehicle(VehicleConfig())).statustext(mavlink.MAV_SEVERITY_WARNING, words)
     assert len(said) == 3  # 111 characters, 50 in each
-    assert awaited.hears(UAV.pack(ack(RTL, mavlink.MAV_RESULT_DENIED), *said), 0.1) == Reply(False, words)
+    assert awaited.hears(UAV.pack(ack(RTL, mavlink.MAV_RESULT_DENIED), *said), 0.1) == CommandAnswer(False, words)
 
 
 def test_a_reason_may_come_a_little_later_and_may_be_missing() -> None:
     awaited = Awaited(RTL, 0.0)
     assert awaited.hears(UAV.pack(ack(RTL, mavlink.MAV_RESULT_DENIED)), 0.1) is None
-    assert awaited.hears(UAV.pack(text("Return refused: no home")), 0.2) == Reply(False, "Return refused: no home")
+    assert awaited.hears(UAV.pack(text("Return refused: no home")), 0.2) == CommandAnswer(False, "Return refused: no home")
     awaited = Awaited(RTL, 0.0)
     awaited.hears(UAV.pack(ack(RTL, mavlink.MAV_RESULT_UNSUPPORTED)), 0.1)
     assert awaited.over(0.3) is None
-    assert awaited.over(0.45) == Reply(False, "the vehicle does not know this command")
+    assert awaited.over(0.45) == CommandAnswer(False, "the vehicle does not know this command")
 
 
 def test_answers_to_other_commands_and_stations_and_other_texts_are_not_ours() -> None:
@@ -95,10 +95,10 @@ def test_answers_to_other_commands_and_stations_and_other_texts_are_not_ours() -
                     ack(RTL, mavlink.MAV_RESULT_IN_PROGRESS)):  # fmt: skip
         assert awaited.hears(UAV.pack(said), 0.1) is None
     assert awaited.hears(b"\xfd garbage", 0.1) is None
-    assert awaited.hears(UAV.pack(ack(RTL, accepted)), 0.1) == Reply(True)
+    assert awaited.hears(UAV.pack(ack(RTL, accepted)), 0.1) == CommandAnswer(True)
 
 
 def test_a_vehicle_that_says_nothing_has_not_accepted() -> None:
     awaited = Awaited(HOLD, 10.0)
     assert awaited.over(11.9) is None
-    assert awaited.over(12.0) == Reply(False, "no answer within 2 s")
+    assert awaited.over(12.0) == CommandAnswer(False, "no answer within 2 s")

@@ -10,9 +10,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.protocol import MavlinkProtocol
+from sitl.autopilot.snapshot import Snapshot
 from sitl.autopilot.state import Mode
-from sitl.autopilot.telemetry import Snapshot, Telemetry
+from sitl.autopilot.telemetry import Telemetry
+from sitl.protocol.protocol import MavlinkProtocol
 from tests.sitl.tlog.flights import (
     ACCEPTED,
     CONFIG,

@@ -7,10 +7,15 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Message
+from link.bus.px4 import AvailableModes, ProtocolVersion
 from plume.geodesy import to_local
-from sitl.autopilot.state import ACCEPTED, Mode, Result, denied
+from sitl.autopilot.state import ACCEPTED, UNSUPPORTED, Mode, Result, denied
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
+from sitl.protocol import clocks, files, logs, missions, refused
+from sitl.protocol.modes import available_modes
+from sitl.protocol.parameters import Parameters
+from sitl.protocol.service import Microservice
 
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FORCE = 21196.0
@@ -24,10 +29,26 @@ REFUSAL_INTERVAL_S = 1.0
 
 ABOVE_SEA = {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
 ABOVE_HOME = {mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT}
+COMMANDS = {
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: "arms and disarms; in the air only with param 2 = 21196, and the vehicle falls",
+    mavlink.MAV_CMD_NAV_TAKEOFF: "climbs to an altitude above sea, NaN: to MIS_TAKEOFF_ALT above home; armed and on the ground",
+    mavlink.MAV_CMD_NAV_LAND: "lands on the spot",
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: "returns home and lands",
+    mavlink.MAV_CMD_DO_SET_MODE: "changes to a mode by PX4's numbers",
+    mavlink.MAV_CMD_DO_REPOSITION: "flies to a global position inside the area and holds there",
+    mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: "sets the rate of a stream of this link; HEARTBEAT stays on",
+    mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: "MESSAGE_INTERVAL",
+    mavlink.MAV_CMD_REQUEST_MESSAGE: "sends a message of the next table once",
+    mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: "AUTOPILOT_VERSION",
+    mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION: "PROTOCOL_VERSION",
+    mavlink.MAV_CMD_GET_HOME_POSITION: "HOME_POSITION",
+}
+"""The commands that are obeyed, and what each does; all others are unsupported."""
 NUMBERED = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: 1,
     mavlink.MAV_CMD_DO_SET_MODE: 2,
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: 2,
+    mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: 1,
     mavlink.MAV_CMD_REQUEST_MESSAGE: 1,
 }
 """How many leading parameters of a command must be finite; NaN in any other means "not given"."""
@@ -40,7 +61,6 @@ ASKED_OF_ALL = {
 }  # fmt: skip
 """Commands that may be broadcast; PX4, too, obeys no other command that is sent to system 0."""
 
-UNSUPPORTED = Result(mavlink.MAV_RESULT_UNSUPPORTED)
 BROADCAST = Result(mavlink.MAV_RESULT_FAILED, "Command refused: sent to all, wanted one vehicle")
 
 
@@ -65,6 +85,14 @@ class MavlinkProtocol:
         self.refused: Counter[str] = Counter()
         """Refused setpoints, by kind of reason."""
         self._vehicle = vehicle
+        self.services: dict[str, Microservice] = {
+            service.request: service
+            for services in (
+                Parameters(vehicle).services, clocks.SERVICES, missions.SERVICES, logs.SERVICES, files.SERVICES, refused.SERVICES,
+            )
+            for service in services
+        }  # fmt: skip
+        """By the type of message that each takes."""
         self._told_s: dict[str, float] = {}  # when each kind of refusal was last reported
         self._chunked_texts = 0
 
@@ -88,6 +116,10 @@ class MavlinkProtocol:
                 return [_acknowledge(message, mavlink.MAVLINK_MSG_ID_SET_MODE, result), *self._reason(result)]
             case "SET_POSITION_TARGET_LOCAL_NED":
                 return self.refuse_setpoint(self._setpoint(message, t_s), t_s)
+        if service := self.services.get(message.get_type()):
+            reply = service.answer(message, t_s)
+            quiet = reply.kind and self._has_told(reply.kind, t_s)
+            return [*reply.messages, *([] if quiet else self._reason(denied(reply.reason)))]
         return []
 
     def is_addressed(self, message: Message) -> bool:
@@ -136,15 +168,17 @@ class MavlinkProtocol:
             case mavlink.MAV_CMD_DO_REPOSITION:
                 return self._reposition(p, t_s), []
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-                if streams is None or not streams.set_interval(int(p.p1), p.p2, t_s):
-                    return UNSUPPORTED, []
-                return ACCEPTED, []
+                return (UNSUPPORTED if streams is None else streams.set_interval(int(p.p1), p.p2, t_s)), []
+            case mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
+                return _request(mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL, p.p1, t_s, streams)
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
-                return _request(int(p.p1), t_s, streams)
+                return _request(int(p.p1), p.p2, t_s, streams)
             case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
-                return _request(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, t_s, streams)
+                return _request(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0, t_s, streams)
+            case mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION:
+                return _request(ProtocolVersion.id, 0.0, t_s, streams)
             case mavlink.MAV_CMD_GET_HOME_POSITION:
-                return _request(mavlink.MAVLINK_MSG_ID_HOME_POSITION, t_s, streams)
+                return _request(mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.0, t_s, streams)
         return UNSUPPORTED, []
 
     def _set_custom_mode(self, t_s: float, base_mode: int, main: int, sub: int) -> Result:
@@ -190,10 +224,14 @@ class MavlinkProtocol:
         if result.code != mavlink.MAV_RESULT_DENIED:
             return []
         self.refused[result.kind] += 1
-        if t_s - self._told_s.get(result.kind, -math.inf) < REFUSAL_INTERVAL_S:
-            return []
-        self._told_s[result.kind] = t_s
-        return self._reason(result)
+        return [] if self._has_told(result.kind, t_s) else self._reason(result)
+
+    def _has_told(self, kind: str, t_s: float) -> bool:
+        """Whether this kind of refusal was told within a second; if not, it is now."""
+        if t_s - self._told_s.get(kind, -math.inf) < REFUSAL_INTERVAL_S:
+            return True
+        self._told_s[kind] = t_s
+        return False
 
 
 def _params(m: Message) -> Params:
@@ -203,9 +241,33 @@ def _params(m: Message) -> Params:
     return Params(m.param1, m.param2, m.param3, m.param4, lat, lon, m.z, m.frame)
 
 
-def _request(message_id: int, t_s: float, streams: Telemetry | None) -> tuple[Result, list[Message]]:
-    message = streams.build(message_id, t_s) if streams is not None else None
-    return (UNSUPPORTED, []) if message is None else (ACCEPTED, [message])
+REQUESTED = {
+    ProtocolVersion.id: "PROTOCOL_VERSION: MAVLink 2 and 1 are read, 2 is spoken",
+    AvailableModes.id: "AVAILABLE_MODES: the mode of the number in param 2, 0 for all",
+    mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL: "MESSAGE_INTERVAL: that of the message in param 2",
+}
+"""Messages that are sent on request and are no streams."""
+
+
+def _request(message_id: int, index: float, t_s: float, streams: Telemetry | None) -> tuple[Result, list[Message]]:
+    """Build a message on request; `index` says which one where there are several."""
+    if streams is None:
+        return UNSUPPORTED, []
+    number = int(index) if math.isfinite(index) else 0
+    match message_id:
+        case ProtocolVersion.id:
+            nothing = [0] * 8
+            messages = [
+                ProtocolVersion(version=200, min_version=100, max_version=200, spec_version_hash=nothing, library_version_hash=nothing)
+            ]
+        case AvailableModes.id:
+            messages = available_modes(number)
+        case mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
+            messages = [mavlink.MAVLink_message_interval_message(number & 0xFFFF, streams.interval_us(number))]
+        case _:
+            message = streams.build(message_id, t_s)
+            messages = [] if message is None else [message]
+    return (ACCEPTED, messages) if messages else (UNSUPPORTED, [])
 
 
 def _acknowledge(message: Message, command: int, result: Result) -> Message:

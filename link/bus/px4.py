@@ -1,0 +1,86 @@
+"""Message types of MAVLink that PX4 sends and ground stations know, but that pymavlink's common dialect lacks."""
+
+import struct
+from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import common as mavlink
+
+CODES = {"uint8_t": "B", "uint16_t": "H", "uint32_t": "I", "char": "s"}
+"""C type of a field: its code in `struct`."""
+
+
+class Field(NamedTuple):
+    """A field of a message: C type, name, and the length of an array or text."""
+
+    kind: str
+    name: str
+    length: int = 0
+
+
+def _message_type(number: int, name: str, *fields: Field) -> Any:
+    """Return the class of a message like those that pymavlink generates. Fields come in wire order: the widest first."""
+
+    def init(self: Any, **values: Any) -> None:
+        mavlink.MAVLink_message.__init__(self, number, name)
+        self._fieldnames = [field.name for field in fields]
+        vars(self).update(values)
+
+    def pack(self: Any, mav: mavlink.MAVLink, force_mavlink1: bool = False) -> bytes:
+        values: list[Any] = []
+        for field in fields:
+            value = getattr(self, field.name)
+            values += value if isinstance(value, list) else [value]
+        packed: bytes = self._pack(mav, self.crc_extra, self.unpacker.pack(*values), force_mavlink1=force_mavlink1)
+        return packed
+
+    names = [field.name for field in fields]
+    form = "<" + "".join(f"{field.length or ''}{CODES[field.kind]}" for field in fields)
+    attributes = {
+        "id": number,
+        "msgname": name,
+        "fieldnames": names,
+        "ordered_fieldnames": names,
+        "fieldtypes": [field.kind for field in fields],
+        "array_lengths": [field.length for field in fields],
+        "crc_extra": _crc_extra(name, fields),
+        "unpacker": struct.Struct(form),
+        "__init__": init,
+        "pack": pack,
+    }
+    return type(f"MAVLink_{name.lower()}_message", (mavlink.MAVLink_message,), attributes)
+
+
+def _crc_extra(name: str, fields: tuple[Field, ...]) -> int:
+    """The byte that stands for a message's layout in its checksum (MAVLink guide, "CRC_EXTRA calculation")."""
+    described = f"{name} ".encode()
+    for field in fields:
+        described += f"{field.kind} {field.name} ".encode() + (bytes([field.length]) if field.length else b"")
+    crc = mavlink.x25crc(described).crc
+    return int(crc & 0xFF ^ crc >> 8)
+
+
+ProtocolVersion = _message_type(
+    300,
+    "PROTOCOL_VERSION",
+    Field("uint16_t", "version"),
+    Field("uint16_t", "min_version"),
+    Field("uint16_t", "max_version"),
+    Field("uint8_t", "spec_version_hash", 8),
+    Field("uint8_t", "library_version_hash", 8),
+)
+AvailableModes = _message_type(
+    435,
+    "AVAILABLE_MODES",
+    Field("uint32_t", "custom_mode"),
+    Field("uint32_t", "properties"),
+    Field("uint8_t", "number_modes"),
+    Field("uint8_t", "mode_index"),
+    Field("uint8_t", "standard_mode"),
+    Field("char", "mode_name", 35),
+)
+CurrentMode = _message_type(
+    436, "CURRENT_MODE", Field("uint32_t", "custom_mode"), Field("uint32_t", "intended_custom_mode"), Field("uint8_t", "standard_mode")
+)
+AvailableModesMonitor = _message_type(437, "AVAILABLE_MODES_MONITOR", Field("uint8_t", "seq"))
+
+PX4_ONLY = {kind.id: kind for kind in (ProtocolVersion, AvailableModes, CurrentMode, AvailableModesMonitor)}

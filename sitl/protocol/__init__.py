@@ -1,0 +1,1 @@
+"""The autopilot's MAVLink protocol: what hands each message to its service, one file each. Imports: plume, link.bus, sitl.autopilot."""

@@ -1,0 +1,190 @@
+"""The service of parameters: names, types and meaning are PX4's. What is set lasts as long as the process runs."""
+
+import dataclasses
+import math
+import struct
+import zlib
+from typing import Any, NamedTuple
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.mavlink import Message
+from sitl.autopilot.status import CELLS, EMPTY_CELL_V, FULL_CELL_V
+from sitl.autopilot.vehicle import Vehicle
+from sitl.protocol.service import Microservice, Reply, asker
+
+REAL, INT = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
+FORMS = {REAL: "<f", INT: "<i"}
+"""How a value lies in the four bytes of a message: PX4 packs integers bytewise, not as a number that is rounded to a float."""
+NEVER = -1.0
+"""PX4's value of a time that never comes; the vehicle's is infinite."""
+HASH = "_HASH_CHECK"
+"""PX4's pseudo-parameter: a checksum of all parameters. A station that holds them already need not read them."""
+NO_INDEX = 0xFFFF
+
+
+class Parameter(NamedTuple):
+    """A parameter, with the field of `VehicleConfig` that it sets, or, if it is fixed, with its value."""
+
+    name: str
+    kind: int
+    """MAV_PARAM_TYPE."""
+    about: str
+    field: str = ""
+    low: float = 0.0
+    high: float = 0.0
+    unit: str = ""
+    value: float = 0.0
+
+    @property
+    def allowed(self) -> str:
+        """The allowed values in words."""
+        if not self.field:
+            return "it cannot be changed"
+        low, never = ("above 0", f", or {NEVER:g} for never") if self.low == NEVER else (f"{self.low:g}", "")
+        return f"allowed is {low} to {self.high:g} {self.unit}{never}"
+
+
+def _changed(name: str, field: str, low: float, high: float, unit: str, about: str) -> Parameter:
+    return Parameter(name, REAL, about, field, low, high, unit)
+
+
+PARAMETERS = tuple(
+    sorted(
+        (
+            _changed("MIS_TAKEOFF_ALT", "takeoff_altitude_m", 0.5, 80, "m", "altitude of a take-off above home"),
+            _changed("RTL_RETURN_ALT", "return_altitude_m", 0.5, 150, "m", "lowest altitude of a return above home"),
+            _changed("GF_MAX_VER_DIST", "ceiling_m", 1, 10_000, "m", "highest altitude above home"),
+            _changed("MPC_XY_CRUISE", "speed_mps", 0.5, 20, "m/s", "horizontal speed"),
+            _changed("MPC_Z_VEL_MAX_UP", "climb_mps", 0.5, 8, "m/s", "speed of climbs"),
+            _changed("MPC_Z_VEL_MAX_DN", "descent_mps", 0.5, 4, "m/s", "speed of descents"),
+            _changed("MPC_ACC_HOR", "accel_mps2", 0.5, 15, "m/s2", "acceleration along a leg"),
+            _changed("MPC_YAWRAUTO_MAX", "yaw_rate_dps", 5, 360, "deg/s", "rate of turns"),
+            _changed("COM_OF_LOSS_T", "silence_s", 0.5, 3600, "s", "time without a setpoint until OFFBOARD returns home"),
+            _changed("COM_DISARM_LAND", "disarm_landed_s", NEVER, 20, "s", "time after a landing until the motors stop"),
+            _changed(
+                "COM_DISARM_PRFLT", "disarm_preflight_s", NEVER, 60, "s", "time after arming without a take-off until the motors stop"
+            ),
+            Parameter("MAV_SYS_ID", INT, "system id; set at start (`-I`)"),
+            Parameter("SYS_AUTOSTART", INT, "airframe: generic quadcopter", value=4001),
+            Parameter("COM_RC_IN_MODE", INT, "there is no RC receiver", value=1),
+            Parameter("BAT1_N_CELLS", INT, "cells of the battery", value=CELLS),
+            Parameter("BAT1_V_CHARGED", REAL, "voltage of a full cell, V", value=FULL_CELL_V),
+            Parameter("BAT1_V_EMPTY", REAL, "voltage of an empty cell, V", value=EMPTY_CELL_V),
+            Parameter("CAL_ACC0_ID", INT, "accelerometer: simulated, calibrated", value=1310988),
+            Parameter("CAL_GYRO0_ID", INT, "gyroscope: simulated, calibrated", value=1310988),
+            Parameter("CAL_MAG0_ID", INT, "compass: simulated, calibrated", value=197388),
+        )
+    )
+)
+"""All parameters by name: the order of their indices. QGroundControl reads the fixed ones to see whether the vehicle is set up."""
+INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
+
+
+class Parameters:
+    """The parameters of one vehicle."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        """Read and change the vehicle's configuration."""
+        self._vehicle = vehicle
+        extended = "PARAM_EXT_ACK: failed; the parameters are PARAM_VALUE's"
+        self.services = (
+            Microservice("PARAM_REQUEST_LIST", self._list, f"PARAM_VALUE of {HASH}, then of all parameters"),
+            Microservice("PARAM_REQUEST_READ", self._read, f"PARAM_VALUE, by name or index; {HASH} by name"),
+            Microservice("PARAM_SET", self._set, "PARAM_VALUE; of a refused value the old one, and a STATUSTEXT with what is allowed"),
+            Microservice("PARAM_EXT_REQUEST_LIST", _no_extended, "PARAM_EXT_VALUE with a count of 0", supported=False),
+            Microservice("PARAM_EXT_REQUEST_READ", _extended_refused, extended, supported=False),
+            Microservice("PARAM_EXT_SET", _extended_refused, extended, supported=False),
+        )
+
+    def value(self, parameter: Parameter) -> float:
+        """The value that a parameter has now."""
+        config = self._vehicle.config
+        if parameter.name == "MAV_SYS_ID":
+            return config.sysid
+        value = float(getattr(config, parameter.field)) if parameter.field else parameter.value
+        return NEVER if parameter.low == NEVER and math.isinf(value) else value
+
+    def hash(self) -> int:
+        """PX4's checksum of all names and values: CRC-32 that begins with 0 and is not inverted at its end."""
+        crc = 0
+        for parameter in PARAMETERS:
+            crc = _crc32(parameter.name.encode(), crc)
+            crc = _crc32(struct.pack(FORMS[parameter.kind], _number(parameter, self.value(parameter))), crc)
+        return crc
+
+    def _list(self, _message: Message, _: float) -> Reply:
+        return Reply([self._hash_value(), *map(self._tell, PARAMETERS)])
+
+    def _read(self, message: Message, _: float) -> Reply:
+        if message.param_index < 0 and message.param_id == HASH:
+            return Reply([self._hash_value()])
+        index = message.param_index if message.param_index >= 0 else INDEX.get(message.param_id, -1)
+        if not 0 <= index < len(PARAMETERS):
+            return _unknown(message, message.param_index)
+        return Reply([self._tell(PARAMETERS[index])])
+
+    def _set(self, message: Message, t_s: float) -> Reply:
+        if message.param_id == HASH:  # the station holds all values already: there is nothing left to send, as in PX4
+            return Reply([])
+        if message.param_id not in INDEX:
+            return _unknown(message, -1)
+        parameter = PARAMETERS[INDEX[message.param_id]]
+        reason = self._change(parameter, message, t_s)
+        return Reply([self._tell(parameter)], reason and f"{parameter.name} refused: {reason}")
+
+    def _change(self, parameter: Parameter, message: Message, t_s: float) -> str:
+        """Change a parameter; returns why not, or nothing."""
+        if message.param_type != parameter.kind:
+            return f"type {message.param_type}, wanted {parameter.kind}"
+        (value,) = struct.unpack(FORMS[parameter.kind], struct.pack("<f", message.param_value))
+        if value == _as_wired(parameter, self.value(parameter)):
+            return ""
+        if not parameter.field or not parameter.low <= value <= parameter.high or NEVER < value <= 0.0:
+            return f"{value:g}, {parameter.allowed}"
+        try:
+            changed: Any = {parameter.field: math.inf if parameter.low == value == NEVER else value}
+            self._vehicle.configure(t_s, dataclasses.replace(self._vehicle.config, **changed))
+        except ValueError as error:
+            return str(error)
+        return ""
+
+    def _tell(self, parameter: Parameter) -> Message:
+        value = struct.pack(FORMS[parameter.kind], _number(parameter, self.value(parameter)))
+        return _param_value(parameter.name, value, parameter.kind, INDEX[parameter.name])
+
+    def _hash_value(self) -> Message:
+        return _param_value(HASH, struct.pack("<I", self.hash()), mavlink.MAV_PARAM_TYPE_UINT32, NO_INDEX)
+
+
+def _param_value(name: str, value: bytes, kind: int, index: int) -> Message:
+    (packed,) = struct.unpack("<f", value)
+    return mavlink.MAVLink_param_value_message(name.encode(), packed, kind, len(PARAMETERS), index)
+
+
+def _number(parameter: Parameter, value: float) -> float:
+    return int(value) if parameter.kind == INT else value
+
+
+def _as_wired(parameter: Parameter, value: float) -> float:
+    form = FORMS[parameter.kind]
+    wired: float = struct.unpack(form, struct.pack(form, _number(parameter, value)))[0]
+    return wired
+
+
+def _crc32(data: bytes, crc: int) -> int:
+    return ~zlib.crc32(data, ~crc & 0xFFFFFFFF) & 0xFFFFFFFF
+
+
+def _unknown(message: Message, index: int) -> Reply:
+    error = mavlink.MAVLink_param_error_message(*asker(message), message.param_id.encode(), index, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
+    return Reply([error], f"No parameter {message.param_id if index < 0 else index}")
+
+
+def _no_extended(_message: Message, _: float) -> Reply:
+    return Reply([mavlink.MAVLink_param_ext_value_message(b"", b"", mavlink.MAV_PARAM_EXT_TYPE_REAL32, 0, NO_INDEX)])
+
+
+def _extended_refused(message: Message, _: float) -> Reply:
+    kind = getattr(message, "param_type", mavlink.MAV_PARAM_EXT_TYPE_REAL32)
+    return Reply([mavlink.MAVLink_param_ext_ack_message(message.param_id.encode(), b"", kind, mavlink.PARAM_ACK_FAILED)])

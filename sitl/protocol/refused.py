@@ -1,0 +1,29 @@
+"""Messages that ask for what the vehicle does not do, and that have no acknowledgement of their own: refused in words."""
+
+from collections.abc import Callable
+
+from link.bus.mavlink import Message
+from sitl.protocol.service import Microservice, Reply
+
+REASONS = {
+    "SET_ATTITUDE_TARGET": "Attitude setpoint refused: only positions are flown",
+    "SET_POSITION_TARGET_GLOBAL_INT": "Global setpoint refused: only LOCAL_NED is flown",
+    "SET_ACTUATOR_CONTROL_TARGET": "Actuator setpoint refused: only positions are flown",
+    "MANUAL_CONTROL": "Manual control refused: not simulated",
+    "RC_CHANNELS_OVERRIDE": "RC override refused: not simulated",
+    "PARAM_MAP_RC": "Parameter map refused: there is no RC",
+    "SERIAL_CONTROL": "Shell refused: there is none",
+    "SET_GPS_GLOBAL_ORIGIN": "Origin refused: it is home, which is set at start",
+    "GIMBAL_MANAGER_SET_ATTITUDE": "Gimbal refused: there is none",
+    "GIMBAL_MANAGER_SET_PITCHYAW": "Gimbal refused: there is none",
+    "GIMBAL_MANAGER_SET_MANUAL_CONTROL": "Gimbal refused: there is none",
+    "PLAY_TUNE": "Tune refused: there is no speaker",
+}
+"""Message type and the reason why it is refused."""
+
+
+def _refusal(kind: str, reason: str) -> Callable[[Message, float], Reply]:
+    return lambda _message, _: Reply([], reason, kind)
+
+
+SERVICES = tuple(Microservice(kind, _refusal(kind, reason), f"a STATUSTEXT: {reason}", supported=False) for kind, reason in REASONS.items())
