@@ -81,6 +81,7 @@ STAYS = {
     "plumeward uav --out udpin:127.0.0.1:14550": "MAVLink to ",
     "plumeward record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
     "plumeward fly --seed 11 --view": "page stays open at",
+    "plumeward fly --view": "page stays open at",
     "plumeward view first.mcap": "page at http://127.0.0.1:",
     "plumeward view": "page at http://127.0.0.1:",
     "plumeward view --foxglove 8765": "Foxglove at ws://127.0.0.1:",

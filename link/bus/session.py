@@ -95,6 +95,8 @@ def _config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zeno
     config.insert_json5("scouting/gossip/enabled", "false")
     config.insert_json5("scouting/delay", "0")  # nobody to scout for: a router opens at once instead of after 0.5 s
     config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
+    # A belief of 4,000 particles is larger than the two batches that wait by default: where the other side is slow, it would be dropped.
+    config.insert_json5("transport/link/tx/queue/size/data", "16")
     for kind, urls in endpoints.items():
         try:
             config.insert_json5(f"{kind}/endpoints", json.dumps(urls))

@@ -109,7 +109,8 @@ async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
         answer = None
         while answer is None and (answer := awaited.over(time.monotonic())) is None:
             try:
-                payload = await asyncio.wait_for(heard.get(), awaited.left_s(time.monotonic()))
+                async with asyncio.timeout(awaited.left_s(time.monotonic())):
+                    payload = await heard.get()
             except TimeoutError:
                 continue
             answer = awaited.hears(payload, time.monotonic())

@@ -270,7 +270,8 @@ class Client:
                 told = True
                 await self._say({"bye": bye})
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self.wake.wait(), min(waits_s, default=UNDRAWN_S))
+                async with asyncio.timeout(min(waits_s, default=UNDRAWN_S)):  # Python 3.11's wait_for may swallow a cancellation
+                    await self.wake.wait()
 
     def _what(self, vehicle: Showable) -> tuple[object, ...]:
         """Return what identifies the scene that the page wants to see of a vehicle now."""
