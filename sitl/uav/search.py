@@ -77,7 +77,9 @@ class Search:
         if self.state == LANDED:
             return
         if not self._begun:
-            if searchers and not self.found:
+            if searchers and self.found:
+                self._say_once("Search not begun: its estimator has stopped already; start it anew")
+            elif searchers:
                 self._begin(now_s)
         elif not state.armed and not self._vehicle.moving:
             self.leads, self.state = False, LANDED

@@ -260,6 +260,13 @@ def test_a_search_waits_for_a_vehicle_that_a_pilot_flies(flight: Flight) -> None
     flight.until("searching")
 
 
+def test_a_vehicle_whose_estimator_has_stopped_before_stays_on_the_ground_and_says_why(flight: Flight) -> None:
+    flight.search.declare(STOP)  # of the last mission: it is kept for late joiners
+    flight.fly(20)
+    assert (flight.search.state, flight.vehicle.state(flight.now_s).armed) == ("standby", False)
+    assert flight.texts == ["Search not begun: its estimator has stopped already; start it anew"]
+
+
 def test_a_silent_agent_brings_the_vehicle_home_and_ends_the_search() -> None:
     flight = Flight(silence_s=5.0)
     flight.until("searching")
