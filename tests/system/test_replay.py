@@ -216,7 +216,7 @@ class TestVerify:
     @pytest.mark.parametrize(
         ("part", "flag", "value", "kinds"),
         [
-            ("estimator", "--seed", "5", ("belief at ",)),
+            ("estimator", "--seed", "5", ("belief at ", "waypoint at ")),  # both of one reading: the smaller may come first
             ("estimator", "--stop", "spread:2.0", ("stop at ", "belief at ")),  # both of one reading, in either order
             ("agent", "--seed", "5", ("waypoint at ",)),
         ],
