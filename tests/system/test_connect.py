@@ -68,7 +68,7 @@ def test_it_waits_for_services_and_says_for_whom_whatever_else_is_said(
         wait_until(lambda: flight.says("refused health/<service>: "))
     start("estimator", "--connect", router)
     start("agent", "--connect", router)
-    assert flight.ended() == 0
+    assert flight.ended() == 0, "".join(flight.err[-20:] + flight.out[-20:])
 
 
 def test_a_service_that_is_lost_is_told_and_the_mission_goes_on_when_it_is_back(
@@ -76,13 +76,14 @@ def test_a_service_that_is_lost_is_told_and_the_mission_goes_on_when_it_is_back(
 ) -> None:
     start("estimator", "--connect", router)
     agent = start("agent", "--connect", router)
-    flight = start("sitl", "fly", mission, "--connect", router, "--speedup", "20", cwd=tmp_path)
+    patient = ("--patience", "300", "--silence", "300")  # where the machine is busy, an agent takes its time to start
+    flight = start("sitl", "fly", mission, "--connect", router, "--speedup", "20", *patient, cwd=tmp_path)
     wait_until(lambda: flight.says("step   0"))
     agent.kill()
     wait_until(lambda: flight.says("warning: the agent is gone"))
     start("agent", "--connect", router)
     wait_until(lambda: flight.says("the agent is back"))
-    assert flight.ended() == 0
+    assert flight.ended() == 0, "".join(flight.err[-20:] + flight.out[-20:])
 
 
 def test_ctrl_c_ends_the_vehicle_and_leaves_the_services(start, router: str, mission: str, wait_until: Callable, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A real browser for the tests of the page: one for all of them; what it shows is kept as screenshots."""
+"""A real browser for the tests of the page: one for each file of them; what it shows is kept as screenshots."""
 
 import os
 import time
@@ -100,6 +100,7 @@ class Window:
         """What axe-core finds that hinders people."""
         from axe_playwright_python.sync_playwright import Axe
 
+        self.until("document.getAnimations().length === 0")  # half-way from one colour to another, the contrast is nobody's
         found = Axe().run(self.page).response["violations"]
         return [f"{each['id']}: {node['html'][:150]} {node.get('failureSummary', '')}" for each in found for node in each["nodes"]]
 
@@ -107,9 +108,9 @@ class Window:
 STATE = "JSON.stringify({...plumeward.state, models: Object.keys(plumeward.state.models), vehicles: plumeward.state.vehicles.length})"
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Headless Chromium, with a profile of its own."""
+    """Headless Chromium, with a profile of its own. It goes with its module: as long as it lives, no other test can run an event loop."""
     if found() is None:
         if os.environ.get("CI"):
             pytest.fail(MISSING)
