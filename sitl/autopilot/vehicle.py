@@ -9,6 +9,8 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from sitl.autopilot.answers import Answers
+from sitl.autopilot.battery import Battery
 from sitl.autopilot.config import VehicleConfig, metres
 from sitl.autopilot.motion import ZERO, Motion, Ned, Trajectory, Turn, as_float32, fall, halt, tilt, wrapped
 from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, Said, State, VehicleEvent, denied, not_now
@@ -41,14 +43,11 @@ class Vehicle:
         self._setpoint_yaw: float | None = None
         self._heard_s = -math.inf  # time of the last accepted setpoint
         self._alone_since_s = 0.0  # when OFFBOARD began to fly: a client's silence counts from here at the earliest
-        self._readings: set[int] = set()
-        self._newest: int | None = None
-        self._answered = True
+        self.answers = Answers()
+        """The readings, and whether the newest is answered: the first waypoint with its time answers it."""
 
-        self._motors_on_s = 0.0
+        self._battery = Battery()
         self._has_flown = False  # since it was armed
-        self._spent_s = 0.0  # battery time used up before the motors were last switched on
-        self._battery_alarms = 0
 
     # ---- time ----
 
@@ -107,8 +106,8 @@ class Vehicle:
             armed=self._armed,
             landed_state=self._landed_state(),
             failsafe=self._failsafe,
-            battery=self._battery(t_s),
-            fit=not (self._battery_empty or self._falling),
+            battery=self._battery.charge(t_s, self.config.endurance_s),
+            fit=not (self._battery.empty or self._falling),
             target=self._path.target,
         )
 
@@ -120,12 +119,11 @@ class Vehicle:
         if self._armed and self._mode is Mode.OFFBOARD:
             # A leg may take longer than `silence_s`, so the client's silence counts from its end.
             upcoming.append((max(self._heard_s, self._alone_since_s, self._path.end_s) + self.config.silence_s, self._lose_client))
-        if self._armed and self._battery_alarms < 2:
-            lasts_s = self.config.endurance_s * (1.0 - LOW_BATTERY if self._battery_alarms == 0 else 1.0)
-            upcoming.append((self._motors_on_s + lasts_s - self._spent_s, self._alarm_battery))
+        if self._armed:
+            upcoming.append((self._battery.next_alarm_s(self.config.endurance_s), self._alarm_battery))
         if self._armed and self._on_ground:
             waits_s = self.config.disarm_landed_s if self._has_flown else self.config.disarm_preflight_s
-            upcoming.append((max(self._motors_on_s, self._path.end_s) + waits_s, self._disarm_itself))
+            upcoming.append((max(self._battery.on_s, self._path.end_s) + waits_s, self._disarm_itself))
         return upcoming
 
     def _settle(self) -> None:
@@ -158,8 +156,8 @@ class Vehicle:
 
     def _alarm_battery(self) -> None:
         """Warn when the battery is low, as PX4 does by default; land on the spot when it is empty."""
-        self._battery_alarms += 1
-        if self._battery_alarms == 1:
+        self._battery.alarms += 1
+        if not self._battery.empty:
             self._say(mavlink.MAV_SEVERITY_WARNING, f"Battery low: {LOW_BATTERY:.0%} left")
         elif self._on_ground:
             self._say(mavlink.MAV_SEVERITY_CRITICAL, "Battery empty: disarmed")
@@ -185,11 +183,12 @@ class Vehicle:
             return ACCEPTED
         if self._falling:
             return not_now("Arming refused: falling")
-        if self._battery_empty:
+        if self._battery.empty:
             return not_now("Arming refused: battery empty")
         if self._mode is Mode.OFFBOARD and (missing := self._missing_setpoint()):
             return not_now(f"Arming refused: {missing}")
-        self._armed, self._has_flown, self._motors_on_s = True, False, self._now
+        self._armed, self._has_flown = True, False
+        self._battery.switch_on(self._now)
         if self._mode is Mode.OFFBOARD:
             self._follow()
         return ACCEPTED
@@ -230,7 +229,7 @@ class Vehicle:
     def go_to(self, t_s: float, position: Ned, yaw_rad: float | None = None) -> Result:
         """Fly to a position and hold there, as MAV_CMD_DO_REPOSITION (192) asks; no reading is taken."""
         self.catch_up(t_s)
-        if not self._armed or self._battery_empty:
+        if not self._armed or self._battery.empty:
             return not_now(f"Go-to refused: {'battery empty' if self._armed else 'disarmed'}")
         if self._on_ground:
             return not_now("Go-to refused: on the ground")
@@ -251,7 +250,7 @@ class Vehicle:
         name = mode.name.capitalize()
         if self._falling:
             return not_now(f"{name} refused: falling")
-        if self._battery_empty and mode is not Mode.LAND:
+        if self._battery.empty and mode is not Mode.LAND:
             return not_now(f"{name} refused: battery empty")
         match mode:
             case Mode.OFFBOARD:
@@ -281,9 +280,8 @@ class Vehicle:
         A second answer to a reading, or an answer to an older one, is ignored: TEMPORARILY_REJECTED.
         """
         self.catch_up(t_s)
-        position, answers = as_float32(position), self.awaiting_answer and time_boot_ms == self._newest
-        if time_boot_ms in self._readings and not answers:
-            kind = "duplicate" if time_boot_ms == self._newest else "late"
+        position, answers = as_float32(position), self.answers.wants(time_boot_ms)
+        if kind := self.answers.superfluous(time_boot_ms):
             return not_now(f"Waypoint ignored: {kind} answer to the reading at {time_boot_ms} ms")
         if yaw_rad is not None and not math.isfinite(yaw_rad):
             return denied(f"Waypoint refused: yaw {yaw_rad} is not finite", "not finite")
@@ -294,35 +292,17 @@ class Vehicle:
         new = answers or position != self._setpoint
         self._setpoint, self._setpoint_yaw, self._heard_s = position, yaw_rad, self._now
         if answers:
-            self._answered = True
+            self.answers.awaited = False
         if self._armed and self._mode is Mode.OFFBOARD:
             if new:
                 self._go(position)
             self._face(yaw_rad)
         return ACCEPTED
 
-    # ---- readings ----
-
-    def sampled(self, time_boot_ms: int) -> None:
-        """Note that a reading was taken: the first setpoint with its time answers it. Raises ValueError unless times increase."""
-        if self._newest is not None and time_boot_ms <= self._newest:
-            raise ValueError(f"reading at {time_boot_ms} ms after one at {self._newest} ms: reading times must increase")
-        self._readings.add(time_boot_ms)
-        self._newest, self._answered = time_boot_ms, False
-
-    def has_reading(self, time_boot_ms: int) -> bool:
-        """True if a reading was taken at this time: then a setpoint with it is the agent's."""
-        return time_boot_ms in self._readings
-
     @property
     def waypoint(self) -> Ned | None:
         """The last accepted setpoint; None before the first."""
         return self._setpoint
-
-    @property
-    def awaiting_answer(self) -> bool:
-        """True while the newest reading is unanswered."""
-        return not self._answered
 
     # ---- flight ----
 
@@ -340,14 +320,6 @@ class Vehicle:
     @property
     def _falling(self) -> bool:
         return not self._armed and not self._settled
-
-    @property
-    def _battery_empty(self) -> bool:
-        return self._battery_alarms == 2
-
-    def _battery(self, t_s: float) -> float:
-        spent = self._spent_s + (t_s - self._motors_on_s if self._armed else 0.0)
-        return max(1.0 - spent / self.config.endurance_s, 0.0)
 
     def _landed_state(self) -> int:
         if self._on_ground:
@@ -394,5 +366,5 @@ class Vehicle:
         self._fly(path.to((path.target[0], path.target[1], 0.0), self.config.limits))
 
     def _stop_motors(self) -> None:
-        self._spent_s += self._now - self._motors_on_s
+        self._battery.switch_off(self._now)
         self._armed, self._mode, self._failsafe = False, Mode.HOLD, False

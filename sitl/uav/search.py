@@ -61,12 +61,12 @@ class Search:
     @property
     def measures(self) -> bool:
         """True if the vehicle's arrival is one at a waypoint of the search: only there readings are taken, one at each."""
-        return self.leads and self.state == SEARCHING and not self._vehicle.awaiting_answer
+        return self.leads and self.state == SEARCHING and not self._vehicle.answers.awaited
 
     @property
     def wants_answers(self) -> bool:
         """True while the search waits for the answer to its newest reading; a paused one keeps the answer for later."""
-        return self.state in (SEARCHING, PAUSED) and self._vehicle.awaiting_answer and not self.found
+        return self.state in (SEARCHING, PAUSED) and self._vehicle.answers.awaited and not self.found
 
     # ---- how it goes on ----
 
@@ -154,12 +154,12 @@ class Search:
         return answers
 
     def _take_setpoint(self, message: Message, sender: Sender, t_s: float, streams: Telemetry | None) -> list[Message]:
-        if self._vehicle.has_reading(message.time_boot_ms):  # the agent's
+        if self._vehicle.answers.has(message.time_boot_ms):  # the agent's
             if not self.leads and self._vehicle.state(t_s).mode is Mode.OFFBOARD:
                 return []  # another client leads; the agent is asked again when the search is given back
-            before = self._vehicle.awaiting_answer
+            before = self._vehicle.answers.awaited
             answers = self._protocol.receive(message, t_s, streams)
-            if before and not self._vehicle.awaiting_answer and self._vehicle.waypoint:
+            if before and not self._vehicle.answers.awaited and self._vehicle.waypoint:
                 self._waypoint = self._vehicle.waypoint
             return answers
         self._streams[sender] = self._clock()

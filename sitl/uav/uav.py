@@ -219,11 +219,11 @@ class Uav:
                 (self._searchers.add if alive else self._searchers.discard)(service)
 
     def _message(self, message: Message, port: Port) -> None:
-        refused, awaited = self._protocol.refused.total(), self._vehicle.awaiting_answer
+        refused, awaited = self._protocol.refused.total(), self._vehicle.answers.awaited
         answers = self._search.receive(message, self._clock.now_s(), port.telemetry)
         if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
             self._clock.heard()
-        if awaited and not self._vehicle.awaiting_answer:
+        if awaited and not self._vehicle.answers.awaited:
             self._tally.latency_s = time.monotonic() - self._sampled_at
         if self._protocol.refused.total() > refused:
             self._tally.refuse("waypoint")
@@ -270,7 +270,7 @@ class Uav:
             self._timeline.schedule(self._vehicle.now_s + TRY_AGAIN_S, arrived)
             return
         self._gas = self._last_time_boot_ms, gas
-        self._vehicle.sampled(self._last_time_boot_ms)
+        self._vehicle.answers.sampled(self._last_time_boot_ms)
         self._last_reading = reading
         self._radio.new_reading()
         self._radio.send(reading, time.monotonic())

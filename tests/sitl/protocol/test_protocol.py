@@ -308,7 +308,7 @@ def test_a_client_may_set_offboard_first_and_then_arm():
 @given(st.tuples(*[st.floats(0.0, 30.0, width=32)] * 2, st.floats(-120.0, 0.0, width=32)))
 def test_the_position_on_arrival_is_the_waypoints_float32_bit_for_bit(target):
     vehicle = offboard()
-    vehicle.sampled(100)
+    vehicle.answers.sampled(100)
     MavlinkProtocol(vehicle).receive(waypoint(*target, time_boot_ms=100), 10.0)
     (arrived,) = fly_on(vehicle)
     assert struct.pack("<3f", *arrived.position) == struct.pack("<3f", *target)
@@ -326,12 +326,12 @@ def test_a_new_yaw_turns_without_a_new_leg():
 def test_a_late_answer_and_a_second_one_are_neither_told_nor_counted_as_refused():
     vehicle = offboard()
     protocol = MavlinkProtocol(vehicle)
-    vehicle.sampled(100)
+    vehicle.answers.sampled(100)
     protocol.receive(waypoint(1.0, 0.0, time_boot_ms=100), 10.0)
-    assert not vehicle.awaiting_answer
+    assert not vehicle.answers.awaited
     assert protocol.receive(waypoint(2.0, 0.0, time_boot_ms=100), 10.1) == []
     assert places(fly_on(vehicle)) == [(1.0, 0.0, -5.0)]
-    vehicle.sampled(200)
+    vehicle.answers.sampled(200)
     assert protocol.receive(waypoint(3.0, 0.0, time_boot_ms=100), 20.0) == []
     assert not vehicle.moving
     assert protocol.refused == {}

@@ -38,11 +38,11 @@ class Flight:
             for event in self.vehicle.advance(self.now_s):
                 if isinstance(event, Arrived) and self.search.measures:
                     self.readings.append((event.position[1], event.position[0]))
-                    self.vehicle.sampled(round(self.now_s * 1000))
+                    self.vehicle.answers.sampled(round(self.now_s * 1000))
             self.search.go_on(searchers=True)
-            if self.answering and self.vehicle.awaiting_answer:
+            if self.answering and self.vehicle.answers.awaited:
                 x, y = self.readings[-1]
-                self.send(waypoint_message(1, self.vehicle._newest or 0, (x + 1, y), 5.0), (1, 191))
+                self.send(waypoint_message(1, self.vehicle.answers.newest or 0, (x + 1, y), 5.0), (1, 191))
 
     def until(self, state: str) -> None:
         """Fly until the search is in a state, at most a minute."""
