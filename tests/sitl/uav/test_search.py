@@ -147,7 +147,7 @@ def test_an_answer_that_comes_during_a_pause_is_flown_after_it(flight: Flight) -
     assert flight.readings == [(2.0, 3.0)]
     flight.change(Mode.HOLD)
     assert flight.search.wants_answers
-    flight.send(waypoint_message(1, flight.vehicle._newest or 0, (9.0, 9.0), 5.0), (1, 191))
+    flight.send(waypoint_message(1, flight.vehicle.answers.newest or 0, (9.0, 9.0), 5.0), (1, 191))
     flight.fly(5)
     assert flight.place == (2.0, 3.0)
     flight.change(Mode.OFFBOARD)
