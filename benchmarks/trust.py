@@ -182,7 +182,7 @@ def planners(rows: Rows) -> str:
     lines = []
     for world in WORLDS:
         flown = {name: rows[cell][SHOWN] for name in names if (cell := ("field", name, world)) in rows}
-        if len(flown) < len(names):
+        if not flown or len(flown) < len(names):
             continue
         seeds = set.intersection(*({row.seed for row in of} for of in flown.values()))
         lines.append([world, *(_travelled([row for row in of if row.seed in seeds]) for of in flown.values())])

@@ -86,18 +86,12 @@ def test_policies_are_compared_over_the_missions_that_all_have_flown() -> None:
 
 
 def test_the_page_keeps_its_prose_and_gets_its_tables_anew() -> None:
-    before = "# Trust\n\nWords.\n\n<!-- promise -->\nold\n<!-- end -->\n\nMore words.\n\n<!-- worlds -->\n<!-- end -->\n\nWhich?\n\n<!-- planners -->\n<!-- end -->\n\nLast words.\n"
+    places = [f"<!-- {name} -->\n{old}<!-- end -->" for name, old in (("promise", "old\n"), ("worlds", ""), ("planners", ""))]
+    before = "\n\n".join(["# Trust", "Words.", places[0], "More words.", *places[1:], "Last words.\n"])
     rows = rows_of("wind-10")
     once = page(before, rows, said(rows))
-    for part in (
-        "# Trust\n\nWords.\n\n",
-        "\n\nMore words.\n\n",
-        "\n\nLast words.\n",
-        promise(rows),
-        worlds(said(rows)),
-        planners(rows),
-        " 4 missions ",
-    ):
+    prose = ("# Trust\n\nWords.\n\n", "\n\nMore words.\n\n", "\n\nLast words.\n")
+    for part in (*prose, promise(rows), worlds(said(rows)), planners(rows), " 4 missions "):
         assert part in once
     assert "old" not in once
     assert page(once, rows, said(rows)) == once
