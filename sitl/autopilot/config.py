@@ -32,6 +32,8 @@ class VehicleConfig:
     """Lowest altitude above home for a return: a vehicle below it climbs first, one above it keeps its altitude."""
     silence_s: float = 30.0
     """Time without a setpoint after which OFFBOARD fails safe: return in the air, disarm on the ground."""
+    stream_s: float = math.inf
+    """PX4's COM_OF_LOSS_T of a companion that must stream: OFFBOARD fails safe after this time without a setpoint; `inf`: not strict."""
     disarm_landed_s: float = 2.0
     """Time on the ground after a flight until the motors stop; `inf`: never. PX4's COM_DISARM_LAND."""
     disarm_preflight_s: float = 10.0
@@ -52,7 +54,7 @@ class VehicleConfig:
         for name in ("takeoff_altitude_m", "return_altitude_m"):
             if not 0.0 < getattr(self, name) <= self.ceiling_m:
                 raise ValueError(f"{name} is {getattr(self, name)}: allowed is above 0 and up to the ceiling, {self.ceiling_m:g}")
-        for name in ("silence_s", "disarm_landed_s", "disarm_preflight_s", "endurance_s"):
+        for name in ("silence_s", "stream_s", "disarm_landed_s", "disarm_preflight_s", "endurance_s"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} is {getattr(self, name)}: allowed is above 0, inf for never")
 

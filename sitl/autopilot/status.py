@@ -135,6 +135,7 @@ def autopilot_version(s: Snapshot) -> Message:
         | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
         | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
         | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+        | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
         | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2,
         flight_sw_version=major << 24 | minor << 16 | patch << 8 | kind,
         middleware_sw_version=0,

@@ -10,6 +10,7 @@ from sitl.autopilot.state import Mode
 from sitl.autopilot.status import FLIGHT_SW_VERSION
 from sitl.autopilot.telemetry import STREAMS
 from sitl.autopilot.vehicle import Vehicle
+from sitl.protocol import setpoints
 from sitl.protocol.parameters import PARAMETERS, REAL, Parameters
 from sitl.protocol.protocol import COMMANDS, REQUESTED, MavlinkProtocol
 
@@ -33,6 +34,9 @@ By COMMAND_LONG or COMMAND_INT; SET_MODE does the same as MAV_CMD_DO_SET_MODE. A
 
 {commands}
 
+Take-off may come before arming, as QGroundControl's slider sends it: the vehicle waits in mode Takeoff and takes off when it is armed. If that
+does not happen within COM_DISARM_PRFLT, it goes back to Hold.
+
 All others, those of cameras, gimbals, storage and calibration among them, get MAV_RESULT_UNSUPPORTED.
 
 ## Messages
@@ -46,10 +50,33 @@ would more than double what a mission records. SYSTEM_TIME has no date, and HIGH
 
 ## Requests that are answered
 
-SET_POSITION_TARGET_LOCAL_NED is a waypoint: a position in LOCAL_NED, with or without a yaw. It is never acknowledged; a refused one gets a
-STATUSTEXT once a second.
-
 {answered}
+
+## Setpoints
+
+{setpoints}
+
+A setpoint is never acknowledged. A refused one gets a STATUSTEXT once a second for each kind of reason. Frames, type masks and NaN (a
+value that is ignored) are read as PX4 1.15 reads them, with these choices:
+
+- A position is flown; a velocity or an acceleration beside it is feed-forward to PX4, and ignored here. So is an acceleration beside a velocity.
+- A velocity is reached along a straight line in velocity space, at the acceleration limit. It is cut to the speed limits; its horizontal
+  part keeps its direction. Velocity 0 holds.
+- A velocity x, y with a position z flies at that height. Other mixtures, such as a position x, y with a velocity z, are refused.
+- An acceleration acts until a speed limit is reached; then the vehicle cruises. Acceleration 0 keeps the velocity.
+- A velocity or an acceleration never leads out of the area, above the ceiling or into the ground: the vehicle brakes in time, comes to rest on
+  the edge and says so once. Of a velocity that points along the edge, it then flies on. Down to the ground is a landing.
+- BODY_NED turns velocities and accelerations by the yaw; PX4 turns accelerations by roll and pitch, too. It has no positions.
+- A yaw rate turns until told otherwise: by a setpoint without it, or another mode.
+- A position with the time of a reading answers the reading. Readings are taken at positions only.
+- SET_ATTITUDE_TARGET is refused.
+- At speed-up 0 time jumps to the end of each way, so velocities need a speed-up above 0.
+
+OFFBOARD needs a setpoint that is at most COM_OF_LOSS_T old, and returns home when none comes for so long: `--silence` (30) seconds of real
+time, which is kind to people who try things by hand. With `--strict` it is as in PX4, for those who test a companion: COM_OF_LOSS_T is 1 s
+of real time, and OFFBOARD and arming in it are refused unless setpoints come at 2 Hz or more. PX4's documentation asks for 2 Hz, its code
+(`offboardCheck.cpp`) for one within COM_OF_LOSS_T. The first setpoint of a stream is enough here, too. While the vehicle's own search leads, it
+counts as a companion that streams, since the agent answers only once a reading; its silence is borne for `--silence` seconds.
 
 ## Requests that are refused
 
@@ -71,8 +98,9 @@ Plumeward's own version, as PX4's vendors write it (patch, minor, major), and th
 
 ## Missing
 
-- Missions, fences and rally points; setpoints of velocity, acceleration and attitude; global setpoints.
-- Take-off while disarmed. MAVSDK arms first; QGroundControl's slider does not.
+- Missions, fences and rally points.
+- Setpoints of attitude, body rates, thrust and actuators.
+- LOG_REQUEST_END gets no answer: it ends a download, and there is none.
 - Commands that take time get one COMMAND_ACK, without progress.
 - MAVLink signing: signed frames are read, their signature is not checked.
 - COMPONENT_METADATA: unsupported, as by a PX4 without the files. Events, as PX4 has had since 1.13: only STATUSTEXT.
@@ -91,6 +119,7 @@ def document() -> str:
         modes=_table(("mode", "PX4 main", "sub"), ((mode.name.capitalize(), *mode.value) for mode in Mode)),
         commands=_table(("command", "number", "does"), ((f"{names[number]}", number, says) for number, says in COMMANDS.items())),
         streams=_table(("message", "number", "rate", "says"), [*streams, *requested]),
+        setpoints=_table(("message", "is"), setpoints.SAYS.items()),
         answered=_table(("request", "answer"), ((row.request, row.says) for row in services if row.supported)),
         refused=_table(("request", "answer"), ((row.request, row.says) for row in services if not row.supported)),
         parameters=_table(

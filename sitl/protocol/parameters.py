@@ -102,7 +102,7 @@ class Parameters:
         config = self._vehicle.config
         if parameter.name == "MAV_SYS_ID":
             return config.sysid
-        value = float(getattr(config, parameter.field)) if parameter.field else parameter.value
+        value = float(getattr(config, self._field(parameter))) if parameter.field else parameter.value
         return NEVER if parameter.low == NEVER and math.isinf(value) else value
 
     def hash(self) -> int:
@@ -143,11 +143,16 @@ class Parameters:
         if not parameter.field or not parameter.low <= value <= parameter.high or NEVER < value <= 0.0:
             return f"{value:g}, {parameter.allowed}"
         try:
-            changed: Any = {parameter.field: math.inf if parameter.low == value == NEVER else value}
+            changed: Any = {self._field(parameter): math.inf if parameter.low == value == NEVER else value}
             self._vehicle.configure(t_s, dataclasses.replace(self._vehicle.config, **changed))
         except ValueError as error:
             return str(error)
         return ""
+
+    def _field(self, parameter: Parameter) -> str:
+        """The field of the configuration: a strict vehicle's COM_OF_LOSS_T is that of streams."""
+        strict = math.isfinite(self._vehicle.config.stream_s)
+        return "stream_s" if strict and parameter.field == "silence_s" else parameter.field
 
     def _tell(self, parameter: Parameter) -> Message:
         value = struct.pack(FORMS[parameter.kind], _number(parameter, self.value(parameter)))

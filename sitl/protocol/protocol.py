@@ -12,7 +12,7 @@ from plume.geodesy import to_local
 from sitl.autopilot.state import ACCEPTED, UNSUPPORTED, Mode, Result, denied
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
-from sitl.protocol import clocks, files, logs, missions, refused
+from sitl.protocol import clocks, files, logs, missions, refused, setpoints
 from sitl.protocol.modes import available_modes
 from sitl.protocol.parameters import Parameters
 from sitl.protocol.service import Microservice
@@ -22,8 +22,6 @@ FORCE = 21196.0
 """MAVLink's magic number: as param2 of MAV_CMD_COMPONENT_ARM_DISARM (400) it forces a disarm in the air."""
 TEXT_LENGTH = 50
 """Characters in one STATUSTEXT (253)."""
-GLOBAL_STEP_M = 0.02
-"""A little more than 1e-7 degrees, MAVLink's resolution of latitude and longitude."""
 REFUSAL_INTERVAL_S = 1.0
 """Clients repeat setpoints at 20 Hz: each kind of refusal is reported at most once per interval."""
 
@@ -31,7 +29,7 @@ ABOVE_SEA = {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
 ABOVE_HOME = {mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT}
 COMMANDS = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: "arms and disarms; in the air only with param 2 = 21196, and the vehicle falls",
-    mavlink.MAV_CMD_NAV_TAKEOFF: "climbs to an altitude above sea, NaN: to MIS_TAKEOFF_ALT above home; armed and on the ground",
+    mavlink.MAV_CMD_NAV_TAKEOFF: "climbs to an altitude above sea, NaN: to MIS_TAKEOFF_ALT above home; disarmed: once it is armed",
     mavlink.MAV_CMD_NAV_LAND: "lands on the spot",
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: "returns home and lands",
     mavlink.MAV_CMD_DO_SET_MODE: "changes to a mode by PX4's numbers",
@@ -52,10 +50,6 @@ NUMBERED = {
     mavlink.MAV_CMD_REQUEST_MESSAGE: 1,
 }
 """How many leading parameters of a command must be finite; NaN in any other means "not given"."""
-NO_POSITION = (
-    mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
-)
-
 ASKED_OF_ALL = {
     mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
 }  # fmt: skip
@@ -88,7 +82,7 @@ class MavlinkProtocol:
         self.services: dict[str, Microservice] = {
             service.request: service
             for services in (
-                Parameters(vehicle).services, clocks.SERVICES, missions.SERVICES, logs.SERVICES, files.SERVICES, refused.SERVICES,
+                Parameters(vehicle).services, clocks.SERVICES, missions.SERVICES, logs.SERVICES, files.SERVICES, refused.services(),
             )
             for service in services
         }  # fmt: skip
@@ -114,8 +108,8 @@ class MavlinkProtocol:
             case "SET_MODE":
                 result = self._set_custom_mode(t_s, message.base_mode, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24)
                 return [_acknowledge(message, mavlink.MAVLINK_MSG_ID_SET_MODE, result), *self._reason(result)]
-            case "SET_POSITION_TARGET_LOCAL_NED":
-                return self.refuse_setpoint(self._setpoint(message, t_s), t_s)
+            case setpoints.LOCAL | setpoints.GLOBAL:
+                return self.refuse_setpoint(setpoints.take(self._vehicle, message, t_s), t_s)
         if service := self.services.get(message.get_type()):
             reply = service.answer(message, t_s)
             quiet = reply.kind and self._has_told(reply.kind, t_s)
@@ -198,9 +192,7 @@ class MavlinkProtocol:
         config = self._vehicle.config
         north, east, down = self._vehicle.state(t_s).position
         if math.isfinite(p.lat_deg) and math.isfinite(p.lon_deg):
-            local = to_local(config.home_lat_deg, config.home_lon_deg, p.lat_deg, p.lon_deg)
-            # Home lies on the area's edge, which steps of 1e-7 degrees cannot hit exactly: a position this close to it counts as on it.
-            north, east = (_snapped(along_m, config.area_m) for along_m in local)
+            north, east = setpoints.on_edge(to_local(config.home_lat_deg, config.home_lon_deg, p.lat_deg, p.lon_deg), config)
         if math.isfinite(p.alt_m):
             down = -self._above_home(p)
         return self._vehicle.go_to(t_s, (north, east, down), p.p4 if math.isfinite(p.p4) else None)
@@ -208,16 +200,7 @@ class MavlinkProtocol:
     def _above_home(self, p: Params) -> float:
         return p.alt_m if p.frame in ABOVE_HOME else p.alt_m - self._vehicle.config.home_alt_m
 
-    # ---- setpoints: never acknowledged; a refused one is reported by STATUSTEXT, an ignored one is not reported ----
-
-    def _setpoint(self, m: Message, t_s: float) -> Result:
-        if m.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
-            reason = f"frame {m.coordinate_frame} is not LOCAL_NED ({mavlink.MAV_FRAME_LOCAL_NED})"
-            return denied(f"Waypoint refused: {reason}", "frame")
-        if m.type_mask & NO_POSITION:
-            return denied("Waypoint refused: it has no position x, y, z", "no position")
-        yaw = None if m.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE else m.yaw
-        return self._vehicle.setpoint(t_s, (m.x, m.y, m.z), yaw, m.time_boot_ms)
+    # ---- setpoints ----
 
     def refuse_setpoint(self, result: Result, t_s: float) -> list[Message]:
         """Count a setpoint that is denied; returns the reason as STATUSTEXT, unless the same kind was told within a second."""
@@ -274,8 +257,3 @@ def _acknowledge(message: Message, command: int, result: Result) -> Message:
     return mavlink.MAVLink_command_ack_message(
         command, result.code, target_system=message.get_srcSystem(), target_component=message.get_srcComponent()
     )
-
-
-def _snapped(along_m: float, edge_m: float) -> float:
-    inside = min(max(along_m, 0.0), edge_m)
-    return inside if abs(along_m - inside) < GLOBAL_STEP_M else along_m

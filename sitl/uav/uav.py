@@ -26,7 +26,7 @@ from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
 from sitl.script.script import Abort, AfterStop, Delay, Dropout, Duplicate, Lose, OnBoard, Pause, Resume, Spike, Stuck, Wind
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
-from sitl.uav.search import PAUSED, SEARCHING, Search
+from sitl.uav.search import PAUSED, SEARCHING, SETPOINTS, Search
 from sitl.uav.timeline import Timeline
 from sitl.uav.udp import UdpLink
 
@@ -221,7 +221,7 @@ class Uav:
     def _message(self, message: Message, port: Port) -> None:
         refused, awaited = self._protocol.refused.total(), self._vehicle.answers.awaited
         answers = self._search.receive(message, self._clock.now_s(), port.telemetry)
-        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+        if message.get_type() in SETPOINTS:
             self._clock.heard()
         if awaited and not self._vehicle.answers.awaited:
             self._tally.latency_s = time.monotonic() - self._sampled_at
