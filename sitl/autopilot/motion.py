@@ -16,6 +16,8 @@ NOTHING = 1e-9
 """A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its direction would be 0/0."""
 SHORTEST_S = 1e-11
 """How exactly the moment is found at which a vehicle must brake."""
+ROUNDING_M = 1e-12
+"""By how much rounding may put a vehicle over an edge."""
 MOST_SPANS = 2000
 """How many spans of time are looked at to find it; then it brakes early. Flights need a few tens."""
 
@@ -227,7 +229,7 @@ def _is_safe(start: Motion, end: Motion, lasts_s: float, accel: float, box: Box)
             backwards = inwards * (least if inwards > 0.0 else most) + sign * push[axis]
             on_m = lasts_s * max(quickest * (fastest if quickest > 0.0 else slowest), 0.0)
             back_m = lasts_s * max(-backwards * (fastest if backwards < 0.0 else slowest), 0.0)
-            if min(sign * stops[0] + on_m, sign * stops[1] + back_m) > edge + NOTHING / 2.0:
+            if min(sign * stops[0] + on_m, sign * stops[1] + back_m) > edge + ROUNDING_M:
                 return False
     return True
 

@@ -34,8 +34,8 @@ By COMMAND_LONG or COMMAND_INT; SET_MODE does the same as MAV_CMD_DO_SET_MODE. A
 
 {commands}
 
-Take-off may come before arming, as QGroundControl's slider sends it: the vehicle waits in mode Takeoff and takes off when it is armed. If that
-does not happen within COM_DISARM_PRFLT, it goes back to Hold.
+Take-off may come before arming, as QGroundControl's slider sends it: the vehicle waits in mode Takeoff and takes off when it is armed.
+If that does not happen within COM_DISARM_PRFLT, it goes back to Hold.
 
 All others, those of cameras, gimbals, storage and calibration among them, get MAV_RESULT_UNSUPPORTED.
 
@@ -59,13 +59,15 @@ would more than double what a mission records. SYSTEM_TIME has no date, and HIGH
 A setpoint is never acknowledged. A refused one gets a STATUSTEXT once a second for each kind of reason. Frames, type masks and NaN (a
 value that is ignored) are read as PX4 1.15 reads them, with these choices:
 
-- A position is flown; a velocity or an acceleration beside it is feed-forward to PX4, and ignored here. So is an acceleration beside a velocity.
+- A position is flown; a velocity or an acceleration beside it is feed-forward to PX4, and ignored here. So is an acceleration beside a
+  velocity.
 - A velocity is reached along a straight line in velocity space, at the acceleration limit. It is cut to the speed limits; its horizontal
   part keeps its direction. Velocity 0 holds.
 - A velocity x, y with a position z flies at that height. Other mixtures, such as a position x, y with a velocity z, are refused.
 - An acceleration acts until a speed limit is reached; then the vehicle cruises. Acceleration 0 keeps the velocity.
-- A velocity or an acceleration never leads out of the area, above the ceiling or into the ground: the vehicle brakes in time, comes to rest on
-  the edge and says so once. Of a velocity that points along the edge, it then flies on. Down to the ground is a landing.
+- A velocity or an acceleration never leads out of the area, above the ceiling or into the ground: the vehicle brakes in time, comes to
+  rest on the edge and says so once. If the setpoint leads along the edge or back inside, it goes on from there. What touches the
+  ground has landed.
 - BODY_NED turns velocities and accelerations by the yaw; PX4 turns accelerations by roll and pitch, too. It has no positions.
 - A yaw rate turns until told otherwise: by a setpoint without it, or another mode.
 - A position with the time of a reading answers the reading. Readings are taken at positions only.
@@ -75,8 +77,8 @@ value that is ignored) are read as PX4 1.15 reads them, with these choices:
 OFFBOARD needs a setpoint that is at most COM_OF_LOSS_T old, and returns home when none comes for so long: `--silence` (30) seconds of real
 time, which is kind to people who try things by hand. With `--strict` it is as in PX4, for those who test a companion: COM_OF_LOSS_T is 1 s
 of real time, and OFFBOARD and arming in it are refused unless setpoints come at 2 Hz or more. PX4's documentation asks for 2 Hz, its code
-(`offboardCheck.cpp`) for one within COM_OF_LOSS_T. The first setpoint of a stream is enough here, too. While the vehicle's own search leads, it
-counts as a companion that streams, since the agent answers only once a reading; its silence is borne for `--silence` seconds.
+(`offboardCheck.cpp`) for one within COM_OF_LOSS_T. The first setpoint of a stream is enough here, too. While the vehicle's own search
+leads, it counts as a companion that streams, since the agent answers only once a reading; its silence is borne for `--silence` seconds.
 
 ## Requests that are refused
 
