@@ -45,9 +45,12 @@ class Box(NamedTuple):
     low: Ned
     high: Ned
 
-    def clamp(self, position: Ned) -> Ned:
-        """The nearest position inside."""
-        north, east, down = (min(max(at, low), high) for at, low, high in zip(position, self.low, self.high, strict=True))
+    def within(self, position: Ned) -> Ned:
+        """The nearest position inside; what is all but on an edge is on it."""
+        north, east, down = (
+            low if at - low < NOTHING else high if high - at < NOTHING else at
+            for at, low, high in zip(position, self.low, self.high, strict=True)
+        )
         return north, east, down
 
 
@@ -144,6 +147,7 @@ def steer(t_s: float, motion: Motion, pushes: Sequence[Push], limits: Limits, bo
     """
     began_s = t_s
     phases: list[Phase] = []
+    motion = motion._replace(velocity=_moving(motion.velocity))
     stop = halt(t_s, motion, limits).target
     box = Box(*(_each(bound, edge, stop) for bound, edge in ((min, box.low), (max, box.high))))
     for push in pushes:
@@ -153,13 +157,15 @@ def steer(t_s: float, motion: Motion, pushes: Sequence[Push], limits: Limits, bo
         phases, t_s = [*phases, phase], phase.end_s
         if lasts_s < push.duration_s:
             stopping = halt(t_s, Motion(position, velocity), limits)
-            return _ending(began_s, tuple(phases), stopping, box.clamp(stopping.target))
-        motion = Motion(position, push.velocity)
+            return _ending(began_s, tuple(phases), stopping, box.within(stopping.target))
+        motion = Motion(position, _moving(push.velocity))
     stopping = halt(t_s, motion, limits)
     if not stopping.phases:
-        return _ending(began_s, tuple(phases), stopping, box.clamp(motion.position))
+        return _ending(began_s, tuple(phases), stopping, box.within(motion.position))
     leaves_s, edge = _way_out(motion, box)
-    cruise_s = max(leaves_s - (stopping.end_s - t_s) / 2.0, 0.0)  # to brake takes half the way that cruising makes in the same time
+    cruise_s = leaves_s - (stopping.end_s - t_s) / 2.0  # to brake takes half the way that cruising makes in the same time
+    if cruise_s <= 0.0:
+        return _ending(began_s, tuple(phases), stopping, box.within(stopping.target))
     phases.append(Phase(t_s, t_s + cruise_s, t_s, motion))
     return _ending(began_s, tuple(phases), halt(t_s + cruise_s, motion, limits), edge)
 
@@ -178,7 +184,7 @@ def _way_out(motion: Motion, box: Box) -> tuple[float, Ned]:
         if speed != 0.0:
             ways.append((max((edge - at) / speed, 0.0), axis, edge))
     leaves_s, through, edge = min(ways)
-    out = list(box.clamp(_along(motion.position, motion.velocity, leaves_s)))
+    out = list(box.within(_along(motion.position, motion.velocity, leaves_s)))
     out[through] = edge
     north, east, down = out
     return leaves_s, (north, east, down)
@@ -324,6 +330,12 @@ def _speed_limit(direction: Ned, limits: Limits) -> float:
 
 def _each(pick: Callable[[float, float], float], a: Ned, b: Ned) -> Ned:
     return pick(a[0], b[0]), pick(a[1], b[1]), pick(a[2], b[2])
+
+
+def _moving(velocity: Ned) -> Ned:
+    """The velocity without what is left of it by rounding."""
+    north, east, down = (speed if abs(speed) >= NOTHING else 0.0 for speed in velocity)
+    return north, east, down
 
 
 def _dot(a: Ned, b: Ned) -> float:

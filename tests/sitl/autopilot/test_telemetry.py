@@ -284,8 +284,8 @@ def test_the_landed_state_and_the_version_are_told():
     assert bytes(version.flight_custom_version) == b"\x00\x01\x00plume"  # 0.1.0, the last first
     assert bytes(version.uid2).startswith(b"plumeward")
     assert bytes(version.uid2)[-1] == version.uid == 1
-    # PARAM_FLOAT, COMMAND_INT, PARAM_ENCODE_BYTEWISE, SET_POSITION_TARGET_LOCAL_NED, MAVLINK2
-    assert version.capabilities == 2 | 8 | 16 | 128 | 8192
+    # PARAM_FLOAT, COMMAND_INT, PARAM_ENCODE_BYTEWISE, SET_POSITION_TARGET_LOCAL_NED, SET_POSITION_TARGET_GLOBAL_INT, MAVLINK2
+    assert version.capabilities == 2 | 8 | 16 | 128 | 256 | 8192
 
 
 # ---- the streams beyond PX4's common ones ----

@@ -147,6 +147,16 @@ def test_there_are_no_logs():
     assert (data.get_type(), data.id, data.ofs, data.count) == ("LOG_DATA", 4, 90, 0)
     (told,) = ask(mavlink.MAVLink_log_erase_message(1, 1))
     assert told.text == "Logs not erased: none on board"
+    assert ask(mavlink.MAVLink_log_request_end_message(1, 1)) == []  # there is no download to end
+
+
+def test_an_old_station_is_told_once_how_rates_are_set():
+    vehicle = hovering()
+    protocol = MavlinkProtocol(vehicle)
+    asked = mavlink.MAVLink_request_data_stream_message(1, 1, 0, 4, 1)
+    answers = [ask(asked, vehicle, 10.0 + 15.0 * n, protocol) for n in range(3)]
+    assert "".join(m.text for m in answers[0]) == "Data streams refused: MAV_CMD_SET_MESSAGE_INTERVAL sets rates"
+    assert answers[1:] == [[], []]
 
 
 @pytest.mark.parametrize("mission_type", [0, 1, 2])
