@@ -116,6 +116,10 @@ class Companion:
         place = f"({metres(east)}, {metres(north)}) m at {metres(-down)} m"
         return f"Setpoint ends at {place}: allowed is {side} x {side} m at {above} m"
 
+    def cruise(self, config: VehicleConfig) -> Ned | None:
+        """Return the velocity that is asked for, within the limits, m/s; None if it is something else."""
+        return _clamped(self.setpoint.velocity, config.limits) if self.setpoint and self.setpoint.velocity else None
+
     def missing(self, now_s: float, config: VehicleConfig) -> str:
         """Return what OFFBOARD still needs: a setpoint at most `silence_s` old, if strict a stream of at least 2 Hz; or nothing."""
         if self.setpoint is None:

@@ -61,6 +61,8 @@ class State(NamedTuple):
     """False if the battery is empty or the vehicle is falling: it then cannot be armed."""
     target: Ned
     """Where the current path ends."""
+    cruise: Ned | None = None
+    """The velocity that a companion asks for, within the limits; None on the way to a position or while it asks for an acceleration."""
 
 
 class Arrived(NamedTuple):

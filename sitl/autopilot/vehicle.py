@@ -110,6 +110,7 @@ class Vehicle:
             battery=self._battery.charge(t_s, self.config.endurance_s),
             fit=not (self._battery.empty or self._falling),
             target=self._path.target,
+            cruise=self.companion.cruise(self.config) if self._armed and self._mode is Mode.OFFBOARD else None,
         )
 
     def _upcoming(self) -> list[tuple[float, Callable[[], None]]]:

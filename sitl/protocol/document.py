@@ -72,7 +72,7 @@ value that is ignored) are read as PX4 1.15 reads them, with these choices:
 - A yaw rate turns until told otherwise: by a setpoint without it, or another mode.
 - A position with the time of a reading answers the reading. Readings are taken at positions only.
 - SET_ATTITUDE_TARGET is refused.
-- At speed-up 0 time jumps to the end of each way, so velocities need a speed-up above 0.
+- At speed-up 0 time jumps to the end of each way, so velocities and strict streams need a speed-up above 0.
 
 OFFBOARD needs a setpoint that is at most COM_OF_LOSS_T old, and returns home when none comes for so long: `--silence` (30) seconds of real
 time, which is kind to people who try things by hand. With `--strict` it is as in PX4, for those who test a companion: COM_OF_LOSS_T is 1 s

@@ -7,7 +7,9 @@ import random
 import pytest
 
 from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.estimates import position_target_local_ned
 from sitl.autopilot.setpoint import Setpoint
+from sitl.autopilot.snapshot import Snapshot
 from sitl.autopilot.state import Arrived, Mode, Said
 from sitl.autopilot.vehicle import Vehicle
 from tests.sitl.tlog.flights import (
@@ -265,6 +267,18 @@ def test_a_yaw_rate_turns_until_told_otherwise():
     vehicle.setpoint(vehicle.now_s, Setpoint(velocity=(1.0, 0.0, 0.0), yaw_rad=1.0, yaw_rate_radps=9.0))  # the yaw is more
     after(vehicle, 10.0)
     assert (vehicle.state(vehicle.now_s).yaw, vehicle.state(vehicle.now_s).yaw_rate) == (1.0, 0.0)
+
+
+def test_the_velocity_that_is_asked_for_is_told_until_another_mode_is_chosen():
+    vehicle = flown(Setpoint(velocity=(6.0, 8.0, 1.0)))
+
+    def told():
+        return position_target_local_ned(Snapshot(vehicle.config, vehicle.state(vehicle.now_s), (0.0, 0.0), None))
+
+    assert (told().vx, told().vy, told().vz) == pytest.approx((3.0, 4.0, 1.0))  # within the limits
+    assert told().type_mask == 0b110111000111
+    vehicle.set_mode(vehicle.now_s, Mode.HOLD)
+    assert told().type_mask == 0b110111111000
 
 
 @pytest.mark.parametrize(

@@ -77,13 +77,9 @@ class Flight:
     def push(self, north: float, east: float, time_boot_ms: int = 7, sender: tuple[int, int] = CLIENT) -> list[Message]:
         """Send a velocity of a client's own, m/s; returns the answers."""
         ignored = mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE * 0b111 | POSITION_ONLY & ~0b111000
-        values = [0, 0, 0, north, east, *[0.0] * 6]
-        return self.send(
-            mavlink.MAVLink_set_position_target_local_ned_message(
-                time_boot_ms, 1, 1, mavlink.MAV_FRAME_LOCAL_NED, ignored, 0, 0, 0, *vector
-            ),
-            sender,
-        )
+        vector = [north, east, *[0.0] * 6]
+        velocity = mavlink.MAVLink_set_position_target_local_ned_message(time_boot_ms, 1, 1, 1, ignored, 0, 0, 0, *vector)
+        return self.send(velocity, sender)
 
     @property
     def mode(self) -> Mode:
