@@ -9,11 +9,10 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot.answers import Answers
 from sitl.autopilot.battery import Battery
 from sitl.autopilot.config import VehicleConfig, metres
 from sitl.autopilot.motion import ZERO, Motion, Ned, Spin, Trajectory, Turn, as_float32, fall, halt, tilt, wrapped
-from sitl.autopilot.setpoint import Companion, Setpoint, facing
+from sitl.autopilot.setpoint import Answers, Companion, Setpoint, facing
 from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, Said, State, VehicleEvent, denied, not_now
 
 
