@@ -285,6 +285,11 @@ class Spin(NamedTuple):
     start_rad: float
     rate_radps: float
 
+    @property
+    def end_s(self) -> float:
+        """It has no end."""
+        return math.inf
+
     def at(self, t_s: float) -> tuple[float, float]:
         """(yaw in rad, yaw rate in rad/s) at a time not before the start; yaw is clockwise from north, in [−π, π]."""
         return wrapped(self.start_rad + self.rate_radps * max(t_s - self.start_s, 0.0)), self.rate_radps
