@@ -6,6 +6,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilot.motion import Ned
+from sitl.autopilot.plan import MissionProgress
 
 LOW_BATTERY = 0.15
 """Share of the charge at which the low-battery warning comes; PX4's default."""
@@ -16,6 +17,7 @@ class Mode(Enum):
 
     TAKEOFF = (4, 2)
     HOLD = (4, 3)
+    MISSION = (4, 4)
     RETURN = (4, 5)
     LAND = (4, 6)
     OFFBOARD = (6, 0)
@@ -34,9 +36,20 @@ class Mode(Enum):
 
 STANDARD_MODES = {
     Mode.TAKEOFF: int(mavlink.MAV_STANDARD_MODE_TAKEOFF),
+    Mode.MISSION: int(mavlink.MAV_STANDARD_MODE_MISSION),
     Mode.RETURN: int(mavlink.MAV_STANDARD_MODE_SAFE_RECOVERY),
     Mode.LAND: int(mavlink.MAV_STANDARD_MODE_LAND),
 }
+
+
+class Breaches(NamedTuple):
+    """How often and when the fence was left."""
+
+    outside: bool = False
+    """True while the vehicle is outside."""
+    times: int = 0
+    last_s: float = 0.0
+    """Time of the last breach; 0 if there was none."""
 
 
 class State(NamedTuple):
@@ -61,6 +74,8 @@ class State(NamedTuple):
     """False if the battery is empty or the vehicle is falling: it then cannot be armed."""
     target: Ned
     """Where the current path ends."""
+    mission: MissionProgress = MissionProgress()
+    breaches: Breaches = Breaches()
 
 
 class Arrived(NamedTuple):
@@ -79,7 +94,14 @@ class Said(NamedTuple):
     text: str
 
 
-VehicleEvent = Arrived | Said
+class Reached(NamedTuple):
+    """An item of the mission is done, as MISSION_ITEM_REACHED (46) tells."""
+
+    time_s: float
+    seq: int
+
+
+VehicleEvent = Arrived | Said | Reached
 
 
 class Result(NamedTuple):
