@@ -42,7 +42,7 @@ class Parameter(NamedTuple):
         if not self.field:
             return "it cannot be changed"
         low, never = ("above 0", f", or {NEVER:g} for never") if self.low == NEVER else (f"{self.low:g}", "")
-        return f"allowed is {low} to {self.high:g} {self.unit}{never}"
+        return f"allowed is {low} to {self.high:g} {self.unit}".rstrip() + never
 
 
 def _changed(name: str, field: str, low: float, high: float, unit: str, about: str) -> Parameter:
@@ -63,11 +63,10 @@ PARAMETERS = tuple(
             Parameter(
                 "GF_ACTION",
                 INT,
-                "when the fence is left: 0 nothing, 1 warns, 2 holds, 3 returns, 4 stops the motors, 5 lands",
+                "on leaving the fence: 0 nothing, 1 warns, 2 holds, 3 returns, 4 motors off, 5 lands",
                 "fence_action",
                 0,
                 5,
-                "(see the left)",
             ),
             Parameter("RTL_TYPE", INT, "a return goes to the nearest of home and rally points", value=0),
             _changed("COM_OF_LOSS_T", "silence_s", 0.5, 3600, "s", "time without a setpoint until OFFBOARD returns home"),
