@@ -59,11 +59,11 @@ STATUSTEXT once a second.
 
 ## Missions, fences, rally points
 
-Missions are uploaded and downloaded as MAVLink's mission protocol says, by MISSION_ITEM_INT, or MISSION_ITEM from old stations: type 0 is the
-mission, 1 the fence, 2 the rally points. They hold at most {limits} items. They live in memory: a vehicle that is
-started anew has forgotten them. An upload replaces the whole list once its last item is there. Until then, and if it fails, the old list
-stays. A missing item is asked for again after {retry:g} s, and after {action:g} s without an item the vehicle gives up, both in real time. While one
-client uploads, others get MAV_MISSION_ERROR. Downloads are answered to everyone at any time.
+Uploads and downloads follow MAVLink's mission protocol, by MISSION_ITEM_INT, or MISSION_ITEM from old stations. Type 0 is the mission, 1
+the fence, 2 the rally points. They hold at most {limits} items. They live in memory: a vehicle that is started anew has forgotten them.
+An upload replaces the whole list once its last item is there. Until then, and if it fails, the old list stays. A missing item is asked for
+again after {retry:g} s, and after {action:g} s without an item the vehicle gives up, both in real time. While one client uploads,
+others get MAV_MISSION_ERROR. Downloads are answered to everyone at any time.
 
 A mission is checked when it is uploaded, item by item, and again when it starts. An item outside the area, the altitudes or the fence is
 refused with MAV_MISSION_INVALID_PARAM5_X or 7, and a STATUSTEXT says why.
@@ -72,18 +72,19 @@ refused with MAV_MISSION_INVALID_PARAM5_X or 7, and a STATUSTEXT says why.
 
 Of a mission flown in mission mode:
 
-- It comes to rest at each item. Without a yaw (NaN) the heading stays. From the ground it first climbs straight up, at least to
-  MIS_TAKEOFF_ALT. An item is done (MISSION_ITEM_REACHED) after its flight, its turn and its wait. With autocontinue 0 the vehicle then stays.
+- The vehicle comes to rest at each item. Without a yaw (NaN) the heading stays. From the ground it first climbs straight up, at least to
+  MIS_TAKEOFF_ALT.
+- An item is done (MISSION_ITEM_REACHED) after its flight, its turn and its wait. With autocontinue 0 the vehicle then stays.
 - At the end it holds. The next start begins with the first item. A pause is HOLD, and a resume goes on with the current item.
 - A mission that is uploaded or cleared in flight replaces the one that is flown: the vehicle begins the new one, or holds.
 - Items for a camera or a gimbal are taken and passed over, as by a PX4 that has neither: {ignored}.
 - All other commands, MAV_CMD_DO_SET_HOME among them, are refused with MAV_MISSION_UNSUPPORTED.
 
-The fence consists of polygons and circles, inclusions (5001, 5003) and exclusions (5002, 5004), and all have to be kept; their altitudes are
-ignored. It must hold home, and the vehicle if that flies. Setpoints, go-to, take-off and mission items outside are refused. A flight that leaves it,
-since the straight way leads through an exclusion, is a breach at its exact time: GF_ACTION says what happens. The vehicle stops as fast
-as it can, so it ends behind the edge. A vehicle that returns or lands already goes on. GF_ACTION 0 turns the fence off. PX4 does not
-send FENCE_STATUS; here it comes on request. MAV_CMD_DO_FENCE_ENABLE is unsupported, as in PX4.
+The fence consists of polygons and circles, inclusions (5001, 5003) and exclusions (5002, 5004). All have to be kept; their altitudes are
+ignored. Home must be inside, and the vehicle if it flies. Setpoints, go-to, take-off and mission items outside are refused. A straight
+way that leaves the fence, through an exclusion, is a breach at its exact time. GF_ACTION says what happens then. The vehicle stops as
+fast as it can, so it ends behind the edge. A vehicle that returns or lands already goes on. GF_ACTION 0 turns the fence off. PX4 does
+not send FENCE_STATUS; here it comes on request. MAV_CMD_DO_FENCE_ENABLE is unsupported, as in PX4.
 
 Rally points (5100) lie inside area and fence. A return goes to the nearest of home and rally points, as PX4's RTL_TYPE 0, and lands there.
 

@@ -49,6 +49,7 @@ def _changed(name: str, field: str, low: float, high: float, unit: str, about: s
     return Parameter(name, REAL, about, field, low, high, unit)
 
 
+GF_ACTION = "on leaving the fence: 0 nothing, 1 warns, 2 holds, 3 returns, 4 motors off, 5 lands"
 PARAMETERS = tuple(
     sorted(
         (
@@ -63,7 +64,7 @@ PARAMETERS = tuple(
             Parameter(
                 "GF_ACTION",
                 INT,
-                "on leaving the fence: 0 nothing, 1 warns, 2 holds, 3 returns, 4 motors off, 5 lands",
+                GF_ACTION,
                 "fence_action",
                 0,
                 5,
