@@ -6,8 +6,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Message
 from link.bus.px4 import AvailableModesMonitor, CurrentMode, MissionCurrent
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import LOW_BATTERY
+from sitl.autopilot.state import LOW_BATTERY, Snapshot
 
 CELLS = 4
 EMPTY_CELL_V, FULL_CELL_V = 3.5, 4.2

@@ -9,8 +9,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.mavlink import Message
 from link.bus.px4 import AvailableModesMonitor, CurrentMode, MissionCurrent
 from sitl.autopilot import estimates, status
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import ACCEPTED, UNSUPPORTED, Result, denied
+from sitl.autopilot.state import ACCEPTED, UNSUPPORTED, Result, Snapshot, denied
 
 FASTEST_HZ = 1000.0
 """Highest rate that a client can set."""

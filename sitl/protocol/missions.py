@@ -11,7 +11,7 @@ from link.bus.mavlink import Message
 from sitl.autopilot import plan
 from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, Rally
 from sitl.autopilot.plan import NOT_GIVEN, BadItem, Item
-from sitl.autopilot.snapshot import Snapshot
+from sitl.autopilot.state import Snapshot
 from sitl.autopilot.status import mission_current
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.parameters import crc32

@@ -18,8 +18,7 @@ from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from plume.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.operator import OPERATOR, change_mode, command
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import Arrived, Mode, Reached
+from sitl.autopilot.state import Arrived, Mode, Reached, Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import COMPONENT, MavlinkProtocol

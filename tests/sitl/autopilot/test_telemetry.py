@@ -12,8 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Reading, unpack_reading
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import Mode, State
+from sitl.autopilot.state import Mode, Snapshot, State
 from sitl.autopilot.telemetry import STREAMS, Telemetry
 
 CONFIG = VehicleConfig(home_heading_deg=90.0)

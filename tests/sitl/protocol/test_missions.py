@@ -10,8 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.px4 import MissionCurrent
 from plume.geodesy import to_global
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import Mode
+from sitl.autopilot.state import Mode, Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.protocol.protocol import MavlinkProtocol
 from tests.sitl.tlog.flights import ACCEPTED, CONFIG, DENIED, NAN, REJECTED, hovering, on_the_ground

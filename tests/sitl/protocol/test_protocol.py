@@ -10,8 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import Mode
+from sitl.autopilot.state import Mode, Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.protocol.protocol import MavlinkProtocol
 from tests.sitl.tlog.flights import (

@@ -5,7 +5,7 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot.snapshot import Snapshot
+from sitl.autopilot.state import Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.protocol.protocol import COMMANDS, MavlinkProtocol
 from sitl.protocol.refused import REASONS
