@@ -30,9 +30,9 @@ Items = tuple[Item, ...]
 class Upload:
     """An upload under way: who sends which list, and the items so far."""
 
-    def __init__(self, partner: tuple[int, int], mission_type: int, count: int) -> None:
-        """Begin without items."""
-        self.partner, self.mission_type, self.count = partner, mission_type, count
+    def __init__(self, partner: tuple[int, int], link: object, mission_type: int, count: int) -> None:
+        """Begin without items. Stations often share their ids: a partner is known by them and by its link."""
+        self.partner, self.link, self.mission_type, self.count = partner, link, mission_type, count
         self.items: list[Item] = []
         self.current = 0
         self.floats = False
@@ -52,6 +52,8 @@ class PlanService:
     def __init__(self, vehicle: Vehicle, clock: Callable[[], float] = time.monotonic) -> None:
         """Load the vehicle's mission, fence and rally points. `clock` is real time, s."""
         self._vehicle, self._clock = vehicle, clock
+        self.link: object = None
+        """The link over which the message came that is being answered."""
         self._items: dict[int, Items] = dict.fromkeys(MOST_ITEMS, ())
         self._upload: Upload | None = None
         self._last: Upload | None = None  # the last upload that was accepted
@@ -69,19 +71,14 @@ class PlanService:
             Microservice("MISSION_REQUEST_PARTIAL_LIST", _no_part, "MISSION_ACK: unsupported", supported=False),
         )
 
-    @property
-    def partner(self) -> tuple[int, int] | None:
-        """Whose upload is under way: system and component id."""
-        return self._upload.partner if self._upload else None
-
     def next_s(self) -> float:
         """Return when to call `due` again, in real time; infinity if no upload is under way."""
         return self._upload.asked_s + RETRY_S if self._upload else math.inf
 
-    def due(self) -> Reply:
-        """Return what to send to the partner now: the request of a missing item again, or the end of the upload."""
+    def due(self, link: object) -> Reply:
+        """Return what to send over a link now: the request of a missing item again, or the end of the upload."""
         upload, now_s = self._upload, self._clock()
-        if not upload or now_s < upload.asked_s + RETRY_S:
+        if not upload or upload.link is not link or now_s < upload.asked_s + RETRY_S:
             return Reply([])
         if now_s >= upload.heard_s + ACTION_S:
             self._upload = None
@@ -111,8 +108,8 @@ class PlanService:
     # ---- uploads ----
 
     def _begin(self, message: Message, t_s: float) -> Reply:
-        mission_type, partner = message.mission_type, asker(message)
-        if self._upload and self._upload.partner != partner:
+        mission_type = message.mission_type
+        if self._upload and not self._sends(message, self._upload):
             who = "/".join(map(str, self._upload.partner))
             return _refused(message, mavlink.MAV_MISSION_ERROR, f"Upload refused: {who} is uploading")
         if mission_type not in self._items:
@@ -120,13 +117,13 @@ class PlanService:
         if message.count > MOST_ITEMS[mission_type]:
             reason = f"{NAMES[mission_type]} refused: {message.count} items, allowed are {MOST_ITEMS[mission_type]}"
             return _refused(message, mavlink.MAV_MISSION_NO_SPACE, reason)
-        self._upload = upload = Upload(partner, mission_type, message.count)
+        self._upload = upload = Upload(asker(message), self.link, mission_type, message.count)
         upload.heard_s = self._clock()
         return Reply([upload.ask(upload.heard_s)]) if message.count else self._finish(message, upload, t_s)
 
     def _take(self, message: Message, t_s: float) -> Reply:
         upload = self._upload
-        if upload is None or upload.partner != asker(message):
+        if upload is None or not self._sends(message, upload):
             if not upload and self._last and self._is_last(message, self._last):
                 return _acknowledged(message, mavlink.MAV_MISSION_ACCEPTED)  # the acknowledgement was lost
             return _refused(message, mavlink.MAV_MISSION_ERROR, f"Item {message.seq} refused: no upload under way")
@@ -154,8 +151,11 @@ class PlanService:
         upload.items.append(item)
         return Reply([upload.ask(upload.heard_s)]) if len(upload.items) < upload.count else self._finish(message, upload, t_s)
 
+    def _sends(self, message: Message, upload: Upload) -> bool:
+        return upload.partner == asker(message) and upload.link is self.link
+
     def _is_last(self, message: Message, upload: Upload) -> bool:
-        same = upload.partner == asker(message) and upload.mission_type == message.mission_type
+        same = self._sends(message, upload) and upload.mission_type == message.mission_type
         return same and message.seq == upload.count - 1 and _read(message).packed == upload.items[-1].packed
 
     def _finish(self, message: Message, upload: Upload, t_s: float) -> Reply:
@@ -195,9 +195,9 @@ class PlanService:
     def _end(self, message: Message, _: float) -> Reply:
         """Take a MISSION_ACK of the partner: it may cancel its upload, or not know the kind of request."""
         upload = self._upload
-        if upload and upload.partner == asker(message) and message.type == mavlink.MAV_MISSION_OPERATION_CANCELLED:
+        if upload and self._sends(message, upload) and message.type == mavlink.MAV_MISSION_OPERATION_CANCELLED:
             self._upload = None
-        elif upload and upload.partner == asker(message) and message.type == mavlink.MAV_MISSION_UNSUPPORTED:
+        elif upload and self._sends(message, upload) and message.type == mavlink.MAV_MISSION_UNSUPPORTED:
             upload.floats = not upload.floats
             return Reply([upload.ask(self._clock())])
         return Reply([])
@@ -205,7 +205,7 @@ class PlanService:
     # ---- the rest ----
 
     def _clear(self, message: Message, t_s: float) -> Reply:
-        if self._upload and self._upload.partner != asker(message):
+        if self._upload and not self._sends(message, self._upload):
             return _refused(message, mavlink.MAV_MISSION_ERROR, "Clear refused: an upload is under way")
         types = tuple(self._items) if message.mission_type == mavlink.MAV_MISSION_TYPE_ALL else (message.mission_type,)
         if types[0] not in self._items:

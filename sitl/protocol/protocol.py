@@ -19,7 +19,7 @@ from sitl.protocol import clocks, files, logs, refused
 from sitl.protocol.missions import PlanService
 from sitl.protocol.modes import available_modes
 from sitl.protocol.parameters import Parameters
-from sitl.protocol.service import Microservice, asker
+from sitl.protocol.service import Microservice
 
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FORCE = 21196.0
@@ -92,7 +92,6 @@ class MavlinkProtocol:
         """Refused setpoints, by kind of reason."""
         self._vehicle = vehicle
         self._missions = PlanService(vehicle, clock)
-        self._upload_link: Telemetry | None = None  # the link of the upload that is under way
         self.services: dict[str, Microservice] = {
             service.request: service
             for services in (
@@ -125,9 +124,8 @@ class MavlinkProtocol:
             case "SET_POSITION_TARGET_LOCAL_NED":
                 return self.refuse_setpoint(self._setpoint(message, t_s), t_s)
         if service := self.services.get(message.get_type()):
+            self._missions.link = streams
             reply = service.answer(message, t_s)
-            if self._missions.partner == asker(message):
-                self._upload_link = streams
             quiet = reply.kind and self._has_told(reply.kind, t_s)
             return [*reply.messages, *([] if quiet else self._reason(denied(reply.reason)))]
         return []
@@ -138,9 +136,7 @@ class MavlinkProtocol:
 
     def due(self, streams: Telemetry) -> list[Message]:
         """Return what has to be sent again over a link, of the telemetry `streams`, because a client has not answered."""
-        if streams is not self._upload_link:
-            return []
-        reply = self._missions.due()
+        reply = self._missions.due(streams)
         return [*reply.messages, *self._reason(denied(reply.reason))]
 
     def is_addressed(self, message: Message) -> bool:

@@ -294,6 +294,17 @@ def test_a_second_client_is_refused_during_an_upload():
     assert upload(wire, [waypoint(9, 9)], sender=OTHER) == OK
 
 
+def test_a_second_client_with_the_same_ids_on_another_link_is_refused_too():
+    wire = Wire()
+    wire.send(count(2))
+    wire.links[STATION], first = wire.telemetry(), wire.links[STATION]
+    wire.read()
+    (ack,) = wire.ask(count(1))
+    assert ack.type == ERROR
+    wire.links[STATION] = first
+    assert [m.seq for m in wire.ask(item(0, waypoint(1, 1)))] == [1]
+
+
 def test_duplicates_change_nothing():
     wire = Wire()
     first = wire.ask(count(2))
