@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import POSITION_ONLY, Message, gas_message, wind_message
 from sitl.autopilot.motion import GRAVITY_MPS2, Ned
-from sitl.autopilot.snapshot import Snapshot
+from sitl.autopilot.state import Snapshot
 
 HOVER_THROTTLE = 0.5
 VELOCITY_ONLY = POSITION_ONLY & ~0b111000 | 0b111

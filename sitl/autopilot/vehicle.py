@@ -9,14 +9,14 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot.battery import Battery
 from sitl.autopilot.config import VehicleConfig, metres
-from sitl.autopilot.motion import ZERO, Motion, Ned, Spin, Trajectory, Turn, as_float32, fall, halt, tilt, wrapped
+from sitl.autopilot.motion import Ned, Trajectory, as_float32, tilt
+from sitl.autopilot.navigator import Navigator
 from sitl.autopilot.setpoint import Answers, Companion, Setpoint, facing
-from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, Said, State, VehicleEvent, denied, not_now
+from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, State, VehicleEvent, denied, not_now
 
 
-class Vehicle:
+class Vehicle(Navigator):
     """One simulated multirotor with its autopilot.
 
     Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`) takes the simulation time in s and first handles all
@@ -26,28 +26,13 @@ class Vehicle:
 
     def __init__(self, config: VehicleConfig) -> None:
         """Start at home at time 0, disarmed, with a full battery."""
-        self.config = config
-
-        self._now = 0.0
-        self._mode = Mode.HOLD
-        self._armed = False
-        self._failsafe = False
-        self._events: list[VehicleEvent] = []
-
-        heading = wrapped(math.radians(config.home_heading_deg))
-        self._turn: Turn | Spin = Turn(0.0, heading, heading, math.radians(config.yaw_rate_dps))
-        self._path = Trajectory(0.0, ZERO)
-        self._settled = True  # the end of the path has been handled
-
+        super().__init__(config)
         self.companion = Companion()
         """Who flies it in OFFBOARD, and the newest setpoint."""
         self._alone_since_s = 0.0  # when OFFBOARD began to fly: a client's silence counts from here at the earliest
         self._climb_m, self._waits_since_s = 0.0, 0.0  # a take-off that waits for the motors
         self.answers = Answers()
         """The readings, and whether the newest is answered: the first waypoint with its time answers it."""
-
-        self._battery = Battery()
-        self._has_flown = False  # since it was armed
 
     # ---- time ----
 
@@ -110,6 +95,8 @@ class Vehicle:
             fit=not (self._battery.empty or self._falling),
             target=self._path.target,
             cruise=self.companion.cruise(self.config) if self._armed and self._mode is Mode.OFFBOARD else None,
+            mission=self._progress(),
+            breaches=self._breaches._replace(outside=bool(self.config.fence_refusal(position))),
         )
 
     def _upcoming(self) -> list[tuple[float, Callable[[], None]]]:
@@ -117,6 +104,10 @@ class Vehicle:
         upcoming: list[tuple[float, Callable[[], None]]] = []
         if not self._settled:
             upcoming.append((self._path.end_s, self._settle))
+        if self._armed:
+            upcoming.append((self._left_s, self._breach))
+        if self._armed and self._settled:
+            upcoming.append((self._item_done_s(), self._pass_item))
         if self._armed and self._mode is Mode.OFFBOARD:
             upcoming.append((self.companion.lost_s(self._alone_since_s, self._path.end_s, self.config), self._lose_client))
         if not self._armed and self._mode is Mode.TAKEOFF:
@@ -184,6 +175,7 @@ class Vehicle:
         """Change the configuration. The leg under way goes on as it is; limits of motion act from the next leg on."""
         self.catch_up(t_s)
         self.config = config
+        self._watch_fence()
 
     def arm(self, t_s: float) -> Result:
         """Arm: start the motors. A vehicle armed in OFFBOARD follows its setpoint, one armed in TAKEOFF takes off."""
@@ -196,10 +188,14 @@ class Vehicle:
             return not_now("Arming refused: battery empty")
         if self._mode is Mode.OFFBOARD and (missing := self.companion.missing(self._now, self.config)):
             return not_now(f"Arming refused: {missing}")
+        if self._mode is Mode.MISSION and (missing := self._missing_mission()):
+            return not_now(f"Arming refused: {missing}")
         self._armed, self._has_flown = True, False
         self._battery.switch_on(self._now)
         if self._mode is Mode.OFFBOARD:
             self._follow()
+        elif self._mode is Mode.MISSION:
+            self._fly_mission()
         elif self._mode is Mode.TAKEOFF:
             self._climb()
         return ACCEPTED
@@ -214,10 +210,7 @@ class Vehicle:
             return ACCEPTED
         if not force:
             return not_now("Disarm refused: in the air")
-        self._say(mavlink.MAV_SEVERITY_EMERGENCY, "Motors stopped in the air")
-        falling = fall(self._now, self._motion)
-        self._stop_motors()
-        self._fly(falling)
+        self._drop()
         return ACCEPTED
 
     def take_off(self, t_s: float, altitude_m: float | None = None) -> Result:
@@ -235,6 +228,9 @@ class Vehicle:
             return not_now(f"Take-off refused: {'falling' if self._falling else 'battery empty'}")
         if not self._on_ground:
             return not_now("Take-off refused: already in the air")
+        north, east, _ = self._motion.position
+        if outside := self.config.fence_refusal((north, east, -altitude)):
+            return denied(f"Take-off refused: {outside}")
         self._mode, self._failsafe = Mode.TAKEOFF, False
         self._climb_m, self._waits_since_s = altitude, self._now
         if self._armed:
@@ -274,6 +270,12 @@ class Vehicle:
                 self._mode = mode
                 if self._armed:
                     self._follow()
+            case Mode.MISSION:
+                if missing := self._missing_mission():
+                    return not_now(f"Mission refused: {missing}")
+                self._mode = mode
+                if self._armed:
+                    self._fly_mission()
             case Mode.RETURN | Mode.LAND:
                 if self._on_ground:
                     return not_now(f"{name} refused: on the ground")
@@ -283,9 +285,7 @@ class Vehicle:
                     self._mode = mode
                     self._descend()
             case _:
-                self._mode = Mode.HOLD
-                if not self._on_ground:
-                    self._fly(self._halted())
+                self._hold()
         self._failsafe = False
         return ACCEPTED
 
@@ -320,38 +320,6 @@ class Vehicle:
 
     # ---- flight ----
 
-    def _say(self, severity: int, text: str) -> None:
-        self._events.append(Said(self._now, severity, text))
-
-    @property
-    def _motion(self) -> Motion:
-        return self._path.at(self._now)
-
-    @property
-    def _on_ground(self) -> bool:
-        return self._settled and self._path.target[2] >= 0.0
-
-    @property
-    def _falling(self) -> bool:
-        return not self._armed and not self._settled
-
-    def _landed_state(self) -> int:
-        if self._on_ground:
-            return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
-        if self._mode is Mode.TAKEOFF:
-            return int(mavlink.MAV_LANDED_STATE_TAKEOFF)
-        return int(mavlink.MAV_LANDED_STATE_LANDING if self._mode is Mode.LAND else mavlink.MAV_LANDED_STATE_IN_AIR)
-
-    def _fly(self, path: Trajectory) -> None:
-        self._path, self._settled, self._turn = path, False, self._turn.stopped(self._now)
-        self._has_flown |= path.target[2] < 0.0
-
-    def _halted(self) -> Trajectory:
-        return halt(self._now, self._motion, self.config.limits)
-
-    def _go(self, target: Ned) -> None:
-        self._fly(self._halted().to(target, self.config.limits))
-
     def _climb(self) -> None:
         north, east, _ = self._motion.position
         self._go((north, east, -min(self._climb_m, self.config.ceiling_m)))
@@ -377,23 +345,3 @@ class Vehicle:
             self._turn = turn
         elif on:
             self._say(mavlink.MAV_SEVERITY_WARNING, on)
-
-    def _face(self, yaw_rad: float | None) -> None:
-        if yaw_rad is not None:
-            self._turn = facing(self._turn, self._now, Setpoint(yaw_rad=yaw_rad), self.config)
-
-    def _return(self) -> None:
-        self._mode = Mode.RETURN
-        path, limits = self._halted(), self.config.limits
-        north, east, down = path.target
-        down = min(down, -self.config.return_altitude_m)
-        self._fly(path.to((north, east, down), limits).to((0.0, 0.0, down), limits))
-
-    def _descend(self) -> None:
-        path = self._halted()
-        self._fly(path.to((path.target[0], path.target[1], 0.0), self.config.limits))
-
-    def _stop_motors(self) -> None:
-        self._battery.switch_off(self._now)
-        self._turn = self._turn.stopped(self._now)
-        self._armed, self._mode, self._failsafe = False, Mode.HOLD, False

@@ -42,13 +42,14 @@ class Parameter(NamedTuple):
         if not self.field:
             return "it cannot be changed"
         low, never = ("above 0", f", or {NEVER:g} for never") if self.low == NEVER else (f"{self.low:g}", "")
-        return f"allowed is {low} to {self.high:g} {self.unit}{never}"
+        return f"allowed is {low} to {self.high:g} {self.unit}".rstrip() + never
 
 
 def _changed(name: str, field: str, low: float, high: float, unit: str, about: str) -> Parameter:
     return Parameter(name, REAL, about, field, low, high, unit)
 
 
+GF_ACTION = "on leaving the fence: 0 nothing, 1 warns, 2 holds, 3 returns, 4 motors off, 5 lands"
 PARAMETERS = tuple(
     sorted(
         (
@@ -60,6 +61,15 @@ PARAMETERS = tuple(
             _changed("MPC_Z_VEL_MAX_DN", "descent_mps", 0.5, 4, "m/s", "speed of descents"),
             _changed("MPC_ACC_HOR", "accel_mps2", 0.5, 15, "m/s2", "acceleration along a leg"),
             _changed("MPC_YAWRAUTO_MAX", "yaw_rate_dps", 5, 360, "deg/s", "rate of turns"),
+            Parameter(
+                "GF_ACTION",
+                INT,
+                GF_ACTION,
+                "fence_action",
+                0,
+                5,
+            ),
+            Parameter("RTL_TYPE", INT, "a return goes to the nearest of home and rally points", value=0),
             _changed("COM_OF_LOSS_T", "silence_s", 0.5, 3600, "s", "time without a setpoint until OFFBOARD returns home"),
             _changed("COM_DISARM_LAND", "disarm_landed_s", NEVER, 20, "s", "time after a landing until the motors stop"),
             _changed(
@@ -109,8 +119,8 @@ class Parameters:
         """PX4's checksum of all names and values: CRC-32 that begins with 0 and is not inverted at its end."""
         crc = 0
         for parameter in PARAMETERS:
-            crc = _crc32(parameter.name.encode(), crc)
-            crc = _crc32(struct.pack(FORMS[parameter.kind], _number(parameter, self.value(parameter))), crc)
+            crc = crc32(parameter.name.encode(), crc)
+            crc = crc32(struct.pack(FORMS[parameter.kind], _number(parameter, self.value(parameter))), crc)
         return crc
 
     def _list(self, _message: Message, _: float) -> Reply:
@@ -177,7 +187,8 @@ def _as_wired(parameter: Parameter, value: float) -> float:
     return wired
 
 
-def _crc32(data: bytes, crc: int) -> int:
+def crc32(data: bytes, crc: int) -> int:
+    """Return PX4's checksum: CRC-32 that begins with 0 and is not inverted at its end."""
     return ~zlib.crc32(data, ~crc & 0xFFFFFFFF) & 0xFFFFFFFF
 
 

@@ -11,13 +11,12 @@ from link.bus.mavlink import Message
 from plume.geodesy import to_local
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.motion import Ned
+from sitl.autopilot.plan import snapped
 from sitl.autopilot.setpoint import Setpoint
 from sitl.autopilot.state import Result, denied
 from sitl.autopilot.vehicle import Vehicle
 
 LOCAL, GLOBAL = "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"
-GLOBAL_STEP_M = 0.02
-"""A little more than 1e-7 degrees, MAVLink's resolution of latitude and longitude."""
 POSITION, VELOCITY, ACCELERATION = 0, 3, 6
 """The first bit of three in the type mask; a bit that is set means: ignore."""
 FRAMES = {
@@ -110,13 +109,8 @@ def on_edge(place: tuple[float, float], config: VehicleConfig) -> tuple[float, f
 
     Home lies on the edge, and steps of 1e-7 degrees cannot hit that exactly.
     """
-    north, east = (_snapped(along_m, config.area_m) for along_m in place)
+    north, east = (snapped(along_m, config.area_m) for along_m in place)
     return north, east
-
-
-def _snapped(along_m: float, edge_m: float) -> float:
-    inside = min(max(along_m, 0.0), edge_m)
-    return inside if abs(along_m - inside) < GLOBAL_STEP_M else along_m
 
 
 def _turned(parts: Parts, yaw_rad: float) -> Parts:

@@ -93,6 +93,9 @@ class Search:
             self.leads, self.state = False, LANDED
         elif state.mode in (Mode.RETURN, Mode.LAND):
             self.leads, self.state = False, RETURNING  # by a pilot, a failsafe, or since the source is found
+        elif self.leads and self.state == SEARCHING and state.mode is not Mode.OFFBOARD:
+            self.leads = False
+            self._say(mavlink.MAV_SEVERITY_WARNING, f"Search gives way: {state.mode.name} by the autopilot")
         elif not self.leads:
             self.state = HOLDING if self.found else PAUSED
         elif self.state == TAKING_OFF and state.mode is Mode.HOLD:

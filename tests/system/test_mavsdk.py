@@ -10,8 +10,9 @@ import pytest
 from mavsdk import System
 from mavsdk.action import ActionError
 from mavsdk.ftp import FtpError
+from mavsdk.geofence import Circle, FenceType, GeofenceData, Point
 from mavsdk.log_files import LogFilesError
-from mavsdk.mission_raw import MissionRawError
+from mavsdk.mission import MissionError, MissionItem, MissionPlan
 from mavsdk.offboard import (
     AccelerationNed,
     ActuatorControl,
@@ -30,6 +31,7 @@ from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 
 TIMEOUT_S = 60.0
+CONFIG = VehicleConfig()
 
 
 def free_port(kind: socket.SocketKind) -> int:
@@ -256,7 +258,39 @@ def test_mavsdk_gets_an_answer_to_whatever_it_asks_and_does_not_hang(port: int) 
                 await drone.ftp.list_directory("/")
             with pytest.raises(FtpError):
                 await drone.ftp.are_files_identical(__file__, "/extras.txt")
-            with pytest.raises(MissionRawError):  # the vehicle does not claim missions, so MAVSDK does not even ask
-                await drone.mission_raw.download_mission()
+            assert await drone.mission_raw.download_mission() == []
 
     asyncio.run(ask())
+
+
+def test_mavsdk_plans_a_mission_with_a_fence_and_flies_it(port: int) -> None:
+    def item(north: float, east: float) -> MissionItem:
+        lat, lon = to_global(CONFIG.home_lat_deg, CONFIG.home_lon_deg, north, east)
+        nan = math.nan
+        return MissionItem(
+            lat, lon, 5.0, 5.0, True, nan, nan, MissionItem.CameraAction.NONE, nan, nan, nan, nan, nan, MissionItem.VehicleAction.NONE
+        )
+
+    async def fly() -> None:
+        async with connected(port) as drone:
+            await until(drone.telemetry.health_all_ok(), bool)
+            home = Point(*to_global(CONFIG.home_lat_deg, CONFIG.home_lon_deg, 0.0, 0.0))
+            await drone.geofence.upload_geofence(GeofenceData([], [Circle(home, 20.0, FenceType.INCLUSION)]))
+            await drone.mission.set_return_to_launch_after_mission(True)
+            await drone.mission.upload_mission(MissionPlan([item(8.0, 2.0), item(8.0, 8.0)]))
+            assert len((await drone.mission.download_mission()).mission_items) == 2
+            await drone.action.arm()
+            await drone.mission.start_mission()
+            await until(drone.mission.mission_progress(), lambda progress: progress.current >= 1)
+            await drone.mission.pause_mission()
+            await until(drone.telemetry.flight_mode(), lambda mode: str(mode) == "HOLD")
+            await drone.mission.start_mission()
+            await until(drone.telemetry.flight_mode(), lambda mode: str(mode) == "RETURN_TO_LAUNCH")
+            assert await drone.mission.is_mission_finished()
+            await until(drone.telemetry.armed(), lambda armed: not armed)
+            await drone.mission.clear_mission()
+            assert await drone.mission_raw.download_mission() == []
+            with pytest.raises(MissionError):
+                await drone.mission.upload_mission(MissionPlan([item(20.0, 20.0)]))  # outside the fence
+
+    asyncio.run(fly())

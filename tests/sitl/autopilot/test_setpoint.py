@@ -9,8 +9,7 @@ import pytest
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.estimates import position_target_local_ned
 from sitl.autopilot.setpoint import Setpoint
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import Arrived, Mode, Said
+from sitl.autopilot.state import Arrived, Mode, Said, Snapshot
 from sitl.autopilot.vehicle import Vehicle
 from tests.sitl.tlog.flights import (
     ACCEPTED,

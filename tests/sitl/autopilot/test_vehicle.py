@@ -318,6 +318,7 @@ def test_the_numbers_of_the_modes_are_px4s():
     assert {mode.name: mode.custom_mode for mode in Mode} == {
         "TAKEOFF": 0x02040000,
         "HOLD": 0x03040000,
+        "MISSION": 0x04040000,
         "RETURN": 0x05040000,
         "LAND": 0x06040000,
         "OFFBOARD": 0x00060000,

@@ -1,6 +1,7 @@
 """Protects that the pilot always wins: who leads the vehicle, when the search gives way, and how it is given back."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -8,6 +9,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.mavlink import POSITION_ONLY, Message, waypoint_message
 from link.bus.messages import Stop
 from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.fence import Circle, Fence
+from sitl.autopilot.plan import Item, step
 from sitl.autopilot.state import Arrived, Mode
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
@@ -388,3 +391,54 @@ def test_commands_to_all_systems_and_from_the_vehicles_own_ids_are_not_obeyed(fl
     assert flight.send(arm, (1, 191))[0].result == mavlink.MAV_RESULT_ACCEPTED  # another component of the vehicle may
     version = mavlink.MAVLink_command_long_message(0, 0, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
     assert flight.send(version, PILOT)[0].result != mavlink.MAV_RESULT_FAILED
+
+
+# ---- missions and the fence ----
+
+
+def fly_mission(flight: Flight) -> None:
+    """Let the pilot fly a mission: 10 m north, and stay there."""
+    items = (Item(17, 6, 1, (0.0, 0.0, 0.0, math.nan), 473978320, 85455940, 5.0),)
+    flight.vehicle.load(flight.now_s, tuple(step(item, 1, flight.vehicle.config) for item in items))
+    assert flight.change(Mode.MISSION) == mavlink.MAV_RESULT_ACCEPTED
+
+
+def test_a_pilot_who_starts_a_mission_in_mid_search_leads_until_the_search_is_given_back(flight: Flight) -> None:
+    flight.until("searching")
+    flight.fly(10)
+    flight.answering = False
+    before = len(flight.readings)
+    fly_mission(flight)
+    assert flight.texts == ["Search gives way: MISSION by 255/190"]
+    flight.answering = True
+    flight.fly(60)
+    assert flight.search.state == "paused"
+    assert flight.mode is Mode.MISSION
+    assert flight.place == pytest.approx((0.0, 10.0), abs=0.05)
+    assert len(flight.readings) == before
+    assert flight.change(Mode.OFFBOARD) == mavlink.MAV_RESULT_ACCEPTED
+    flight.fly(20)
+    assert flight.texts[-1] == "Search resumed by 255/190"
+    assert len(flight.readings) > before + 2
+
+
+def test_a_waypoint_outside_the_fence_is_refused_and_silence_brings_the_vehicle_home() -> None:
+    flight = Flight(silence_s=20.0)
+    flight.vehicle.configure(0.0, replace(flight.vehicle.config, fence=Fence((Circle(True, (0.0, 0.0), 8.0),))))
+    flight.until("searching")
+    flight.fly(20)  # the agent goes east, 1 m at a time: the eighth waypoint is outside
+    assert flight.readings[-1] == (7.0, 3.0)
+    assert flight.vehicle.answers.awaited
+    flight.until("landed")
+    assert flight.place == (0.0, 0.0)
+    assert flight.texts[-1:] != ["Search gives way: HOLD by the autopilot"]
+
+
+def test_a_breach_of_the_fence_in_mid_search_pauses_it(flight: Flight) -> None:
+    flight.vehicle.configure(0.0, replace(flight.vehicle.config, fence=Fence((Circle(False, (3.0, 4.5), 0.3),))))
+    flight.until("searching")
+    flight.fly(20)  # the zone lies between two waypoints
+    assert flight.readings[-1] == (4.0, 3.0)
+    assert flight.texts == ["Search gives way: HOLD by the autopilot"]
+    assert flight.search.state == "paused"
+    assert flight.mode is Mode.HOLD
