@@ -26,8 +26,11 @@ def until(station, kind: str, holds: Callable):
 
 
 def command(station, number: int, *params: float) -> int:
-    station.mav.command_long_send(1, 1, number, 0, *params, *[0] * (7 - len(params)))
-    return until(station, "COMMAND_ACK", lambda ack: ack.command == number).result
+    for _ in range(10):  # as QGroundControl repeats it: a datagram may be lost
+        station.mav.command_long_send(1, 1, number, 0, *params, *[0] * (7 - len(params)))
+        if ack := station.recv_match(type="COMMAND_ACK", condition=f"COMMAND_ACK.command == {number}", blocking=True, timeout=3):
+            return ack.result
+    raise AssertionError(f"no answer to command {number}")
 
 
 def slide(station) -> float:
