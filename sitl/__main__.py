@@ -49,6 +49,7 @@ FIELDS = {
     "budget": "agent.budget", "headings": "agent.headings", "step": "agent.step_m", "measurements": "agent.measurements",
     "particles": "estimator.particles", "threshold": "estimator.threshold_m", "prior": "estimator.prior",
     "stop_on": "estimator.stop_on", "assume": "estimator.assume", "stop": "estimator.stop", "after_stop": "vehicle.after_stop",
+    "strict": "vehicle.strict",
 }  # fmt: skip
 """The field of a mission script that each flag sets."""
 RECORD_FILE = "FILE.mcap"
@@ -167,6 +168,8 @@ def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]
     for name in ("seed", "sensor", "world", "silence", "after_stop", "sysid"):
         if name in changed:
             words += [f"--{name.replace('_', '-')}", str(changed[name])]
+    if "strict" in changed:
+        words.append("--strict")
     if args.home:
         words.append("--home=" + ",".join(map(repr, args.home)))
     if "speedup" in changed or not args.mission:

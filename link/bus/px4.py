@@ -1,4 +1,4 @@
-"""Message types of MAVLink that PX4 sends and ground stations know, but that pymavlink's common dialect lacks."""
+"""Message types of MAVLink that PX4 sends and ground stations know, but that pymavlink's common dialect lacks in whole or in part."""
 
 import struct
 from typing import Any, NamedTuple
@@ -15,10 +15,12 @@ class Field(NamedTuple):
     kind: str
     name: str
     length: int = 0
+    extension: bool = False
+    """True for a field that was added to the message later: checksums leave it out."""
 
 
 def _message_type(number: int, name: str, *fields: Field) -> Any:
-    """Return the class of a message like those that pymavlink generates. Fields come in wire order: the widest first."""
+    """Return the class of a message like those that pymavlink generates. Fields come in wire order: the widest first, then extensions."""
 
     def init(self: Any, **values: Any) -> None:
         mavlink.MAVLink_message.__init__(self, number, name)
@@ -54,6 +56,8 @@ def _crc_extra(name: str, fields: tuple[Field, ...]) -> int:
     """The byte that stands for a message's layout in its checksum (MAVLink guide, "CRC_EXTRA calculation")."""
     described = f"{name} ".encode()
     for field in fields:
+        if field.extension:
+            continue
         described += f"{field.kind} {field.name} ".encode() + (bytes([field.length]) if field.length else b"")
     crc = mavlink.x25crc(described).crc
     return int(crc & 0xFF ^ crc >> 8)
@@ -82,5 +86,16 @@ CurrentMode = _message_type(
     436, "CURRENT_MODE", Field("uint32_t", "custom_mode"), Field("uint32_t", "intended_custom_mode"), Field("uint8_t", "standard_mode")
 )
 AvailableModesMonitor = _message_type(437, "AVAILABLE_MODES_MONITOR", Field("uint8_t", "seq"))
+MissionCurrent = _message_type(
+    42,
+    "MISSION_CURRENT",
+    Field("uint16_t", "seq"),
+    Field("uint16_t", "total", extension=True),
+    Field("uint8_t", "mission_state", extension=True),
+    Field("uint8_t", "mission_mode", extension=True),
+    Field("uint32_t", "mission_id", extension=True),
+    Field("uint32_t", "fence_id", extension=True),
+    Field("uint32_t", "rally_points_id", extension=True),
+)
 
-PX4_ONLY = {kind.id: kind for kind in (ProtocolVersion, AvailableModes, CurrentMode, AvailableModesMonitor)}
+PX4_ONLY = {kind.id: kind for kind in (ProtocolVersion, AvailableModes, CurrentMode, AvailableModesMonitor, MissionCurrent)}

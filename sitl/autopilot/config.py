@@ -5,7 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, Rally
 from sitl.autopilot.motion import Limits, Ned
+
+NO_ACTION, WARN, HOLD, RETURN, TERMINATE, LAND = range(6)
+"""The values of `fence_action`."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +36,19 @@ class VehicleConfig:
     """Lowest altitude above home for a return: a vehicle below it climbs first, one above it keeps its altitude."""
     silence_s: float = 30.0
     """Time without a setpoint after which OFFBOARD fails safe: return in the air, disarm on the ground."""
+    stream_s: float = math.inf
+    """PX4's COM_OF_LOSS_T of a companion that must stream: OFFBOARD fails safe after this time without a setpoint; `inf`: not strict."""
     disarm_landed_s: float = 2.0
     """Time on the ground after a flight until the motors stop; `inf`: never. PX4's COM_DISARM_LAND."""
     disarm_preflight_s: float = 10.0
     """Time after arming without a take-off until the motors stop; `inf`: never. PX4's COM_DISARM_PRFLT."""
     endurance_s: float = 1800.0
     """How long the battery lasts with the motors on; `math.inf`: it never drains."""
+    fence: Fence = NO_FENCE
+    fence_action: int = HOLD
+    """What is done when the fence is left: PX4's GF_ACTION."""
+    rally: Rally = NO_RALLY
+    """Where else than at home a return may end."""
 
     def __post_init__(self) -> None:
         """Check every range."""
@@ -52,7 +63,9 @@ class VehicleConfig:
         for name in ("takeoff_altitude_m", "return_altitude_m"):
             if not 0.0 < getattr(self, name) <= self.ceiling_m:
                 raise ValueError(f"{name} is {getattr(self, name)}: allowed is above 0 and up to the ceiling, {self.ceiling_m:g}")
-        for name in ("silence_s", "disarm_landed_s", "disarm_preflight_s", "endurance_s"):
+        if self.fence_action not in range(6):
+            raise ValueError(f"fence_action is {self.fence_action}: allowed is 0 to 5")
+        for name in ("silence_s", "stream_s", "disarm_landed_s", "disarm_preflight_s", "endurance_s"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} is {getattr(self, name)}: allowed is above 0, inf for never")
 
@@ -61,8 +74,13 @@ class VehicleConfig:
         """Limits of speed and acceleration."""
         return Limits(self.speed_mps, self.climb_mps, self.descent_mps, self.accel_mps2)
 
-    def outside(self, position: Ned) -> tuple[str, str] | None:
-        """Return (kind of reason, reason) if a position (NED, m from home) is outside the fence; None if it is inside."""
+    @property
+    def guards(self) -> bool:
+        """True if there is a fence and leaving it has a consequence."""
+        return bool(self.fence.shapes) and self.fence_action != NO_ACTION
+
+    def outside(self, position: Ned, fence: bool = True) -> tuple[str, str] | None:
+        """Return (kind of reason, reason) if a position (NED, m from home) is outside the area, the altitudes or the fence; else None."""
         north, east, down = position
         place = f"({metres(east)}, {metres(north)}) m"
         if not all(map(math.isfinite, position)):
@@ -71,7 +89,15 @@ class VehicleConfig:
             return "outside the area", f"{place} is outside the area [0, {self.area_m:g}] x [0, {self.area_m:g}] m"
         if not 0.0 <= -down <= self.ceiling_m:
             return "outside the altitudes", f"altitude {metres(-down)} m is outside [0, {self.ceiling_m:g}] m"
+        if fence and (reason := self.fence_refusal(position)):
+            return "outside the fence", reason
         return None
+
+    def fence_refusal(self, position: Ned) -> str:
+        """Return why the fence refuses a position; nothing if it does not."""
+        if not self.guards or self.fence.allows(position):
+            return ""
+        return f"({metres(position[1])}, {metres(position[0])}) m is outside the fence"
 
 
 def metres(value: float) -> str:

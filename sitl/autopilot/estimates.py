@@ -7,9 +7,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import POSITION_ONLY, Message, gas_message, wind_message
 from sitl.autopilot.motion import GRAVITY_MPS2, Ned
-from sitl.autopilot.snapshot import Snapshot
+from sitl.autopilot.state import Snapshot
 
 HOVER_THROTTLE = 0.5
+VELOCITY_ONLY = POSITION_ONLY & ~0b111000 | 0b111
 UNKNOWN_U16 = 0xFFFF
 
 
@@ -129,11 +130,13 @@ def altitude(s: Snapshot) -> Message:
 
 
 def position_target_local_ned(s: Snapshot) -> Message | None:
-    """POSITION_TARGET_LOCAL_NED (85): where the current leg ends; None while disarmed."""
+    """POSITION_TARGET_LOCAL_NED (85): where the current leg ends, or the velocity that is asked for; None while disarmed."""
     if not s.state.armed:
         return None
-    mask, zeros = POSITION_ONLY, [0.0] * 8
-    return mavlink.MAVLink_position_target_local_ned_message(s.time_boot_ms, mavlink.MAV_FRAME_LOCAL_NED, mask, *s.state.target, *zeros)
+    mask, values = POSITION_ONLY, [*s.state.target, *[0.0] * 8]
+    if s.state.cruise is not None:
+        mask, values = VELOCITY_ONLY, [0.0, 0.0, 0.0, *s.state.cruise, *[0.0] * 5]
+    return mavlink.MAVLink_position_target_local_ned_message(s.time_boot_ms, mavlink.MAV_FRAME_LOCAL_NED, mask, *values)
 
 
 KNOWN = (

@@ -5,7 +5,10 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from plume.geodesy import to_global
+from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.motion import Ned
+from sitl.autopilot.plan import MissionProgress
 
 LOW_BATTERY = 0.15
 """Share of the charge at which the low-battery warning comes; PX4's default."""
@@ -16,6 +19,7 @@ class Mode(Enum):
 
     TAKEOFF = (4, 2)
     HOLD = (4, 3)
+    MISSION = (4, 4)
     RETURN = (4, 5)
     LAND = (4, 6)
     OFFBOARD = (6, 0)
@@ -34,9 +38,20 @@ class Mode(Enum):
 
 STANDARD_MODES = {
     Mode.TAKEOFF: int(mavlink.MAV_STANDARD_MODE_TAKEOFF),
+    Mode.MISSION: int(mavlink.MAV_STANDARD_MODE_MISSION),
     Mode.RETURN: int(mavlink.MAV_STANDARD_MODE_SAFE_RECOVERY),
     Mode.LAND: int(mavlink.MAV_STANDARD_MODE_LAND),
 }
+
+
+class Breaches(NamedTuple):
+    """How often and when the fence was left."""
+
+    outside: bool = False
+    """True while the vehicle is outside."""
+    times: int = 0
+    last_s: float = 0.0
+    """Time of the last breach; 0 if there was none."""
 
 
 class State(NamedTuple):
@@ -61,6 +76,38 @@ class State(NamedTuple):
     """False if the battery is empty or the vehicle is falling: it then cannot be armed."""
     target: Ned
     """Where the current path ends."""
+    cruise: Ned | None = None
+    """The velocity that a companion asks for, within the limits; None on the way to a position or while it asks for an acceleration."""
+    mission: MissionProgress = MissionProgress()
+    breaches: Breaches = Breaches()
+
+
+class Snapshot(NamedTuple):
+    """The vehicle and the air at one instant: the input of every message."""
+
+    config: VehicleConfig
+    state: State
+    wind: tuple[float, float]
+    """(u cos φ, u sin φ) m/s, x east, y north: points to where the wind comes from."""
+    gas: tuple[int, float] | None
+    """time_boot_ms and value of the last reading, in the sensor's unit; None before the first."""
+
+    @property
+    def time_boot_ms(self) -> int:
+        """Milliseconds since the start of the simulation, 32 bits (wraps after 49.7 days)."""
+        return round(self.state.time_s * 1000.0) & 0xFFFFFFFF
+
+    @property
+    def lat_lon_e7(self) -> tuple[int, int]:
+        """Latitude and longitude in 1e-7 degrees."""
+        north, east, _ = self.state.position
+        lat, lon = to_global(self.config.home_lat_deg, self.config.home_lon_deg, north, east)
+        return round(lat * 1e7), round(lon * 1e7)
+
+    @property
+    def altitude_m(self) -> float:
+        """Above mean sea level."""
+        return self.config.home_alt_m - self.state.position[2]
 
 
 class Arrived(NamedTuple):
@@ -79,7 +126,14 @@ class Said(NamedTuple):
     text: str
 
 
-VehicleEvent = Arrived | Said
+class Reached(NamedTuple):
+    """An item of the mission is done, as MISSION_ITEM_REACHED (46) tells."""
+
+    time_s: float
+    seq: int
+
+
+VehicleEvent = Arrived | Said | Reached
 
 
 class Result(NamedTuple):

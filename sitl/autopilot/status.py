@@ -5,9 +5,8 @@ import math
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Message
-from link.bus.px4 import AvailableModesMonitor, CurrentMode
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import LOW_BATTERY
+from link.bus.px4 import AvailableModesMonitor, CurrentMode, MissionCurrent
+from sitl.autopilot.state import LOW_BATTERY, Snapshot
 
 CELLS = 4
 EMPTY_CELL_V, FULL_CELL_V = 3.5, 4.2
@@ -122,6 +121,31 @@ def current_mode(s: Snapshot) -> Message:
     return CurrentMode(custom_mode=mode.custom_mode, intended_custom_mode=mode.custom_mode, standard_mode=mode.standard)
 
 
+def mission_current(s: Snapshot) -> Message:
+    """MISSION_CURRENT (42): the current item, how many there are, the mission's state, and the ids of mission, fence and rally points."""
+    mission = s.state.mission
+    return MissionCurrent(
+        seq=mission.seq,
+        total=mission.total or UNKNOWN_U16,
+        mission_state=mission.state,
+        mission_mode=1 if mission.active else 2,  # flown, or suspended
+        mission_id=mission.number,
+        fence_id=s.config.fence.number,
+        rally_points_id=s.config.rally.number,
+    )
+
+
+def fence_status(s: Snapshot) -> Message:
+    """FENCE_STATUS (162): whether the vehicle is outside the fence, and how often and when it left it."""
+    breaches = s.state.breaches
+    return mavlink.MAVLink_fence_status_message(
+        breach_status=int(breaches.outside),
+        breach_count=breaches.times,
+        breach_type=mavlink.FENCE_BREACH_BOUNDARY if breaches.times else mavlink.FENCE_BREACH_NONE,
+        breach_time=round(breaches.last_s * 1000.0) & 0xFFFFFFFF,
+    )
+
+
 def available_modes_monitor(_: Snapshot) -> Message:
     """AVAILABLE_MODES_MONITOR (437): the modes never change."""
     return AvailableModesMonitor(seq=0)
@@ -135,6 +159,10 @@ def autopilot_version(s: Snapshot) -> Message:
         | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
         | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
         | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+        | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+        | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
         | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2,
         flight_sw_version=major << 24 | minor << 16 | patch << 8 | kind,
         middleware_sw_version=0,

@@ -7,10 +7,9 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Message
-from link.bus.px4 import AvailableModesMonitor, CurrentMode
+from link.bus.px4 import AvailableModesMonitor, CurrentMode, MissionCurrent
 from sitl.autopilot import estimates, status
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import ACCEPTED, UNSUPPORTED, Result, denied
+from sitl.autopilot.state import ACCEPTED, UNSUPPORTED, Result, Snapshot, denied
 
 FASTEST_HZ = 1000.0
 """Highest rate that a client can set."""
@@ -44,10 +43,12 @@ STREAMS = (
     Stream(mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS, 1.0, estimates.estimator_status),
     Stream(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 1.0, status.system_time),
     Stream(CurrentMode.id, 0.5, status.current_mode),
+    Stream(MissionCurrent.id, 1.0, status.mission_current),
     # PX4 streams the next three at 50, 50 and 30 Hz. That would more than double what a mission records.
     Stream(mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, 0.0, estimates.attitude_quaternion),
     Stream(mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 0.0, estimates.highres_imu),
     Stream(mavlink.MAVLINK_MSG_ID_ODOMETRY, 0.0, estimates.odometry),
+    Stream(mavlink.MAVLINK_MSG_ID_FENCE_STATUS, 0.0, status.fence_status),
     Stream(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0, status.autopilot_version),
     Stream(AvailableModesMonitor.id, 0.0, status.available_modes_monitor),
 )

@@ -9,14 +9,14 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot.answers import Answers
-from sitl.autopilot.battery import Battery
 from sitl.autopilot.config import VehicleConfig, metres
-from sitl.autopilot.motion import ZERO, Motion, Ned, Trajectory, Turn, as_float32, fall, halt, tilt, wrapped
-from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, Said, State, VehicleEvent, denied, not_now
+from sitl.autopilot.motion import Ned, Trajectory, as_float32, tilt
+from sitl.autopilot.navigator import Navigator
+from sitl.autopilot.setpoint import Answers, Companion, Setpoint, facing
+from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, State, VehicleEvent, denied, not_now
 
 
-class Vehicle:
+class Vehicle(Navigator):
     """One simulated multirotor with its autopilot.
 
     Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`) takes the simulation time in s and first handles all
@@ -26,28 +26,13 @@ class Vehicle:
 
     def __init__(self, config: VehicleConfig) -> None:
         """Start at home at time 0, disarmed, with a full battery."""
-        self.config = config
-
-        self._now = 0.0
-        self._mode = Mode.HOLD
-        self._armed = False
-        self._failsafe = False
-        self._events: list[VehicleEvent] = []
-
-        heading = wrapped(math.radians(config.home_heading_deg))
-        self._turn = Turn(0.0, heading, heading, math.radians(config.yaw_rate_dps))
-        self._path = Trajectory(0.0, ZERO)
-        self._settled = True  # the end of the path has been handled
-
-        self._setpoint: Ned | None = None
-        self._setpoint_yaw: float | None = None
-        self._heard_s = -math.inf  # time of the last accepted setpoint
+        super().__init__(config)
+        self.companion = Companion()
+        """Who flies it in OFFBOARD, and the newest setpoint."""
         self._alone_since_s = 0.0  # when OFFBOARD began to fly: a client's silence counts from here at the earliest
+        self._climb_m, self._waits_since_s = 0.0, 0.0  # a take-off that waits for the motors
         self.answers = Answers()
         """The readings, and whether the newest is answered: the first waypoint with its time answers it."""
-
-        self._battery = Battery()
-        self._has_flown = False  # since it was armed
 
     # ---- time ----
 
@@ -109,6 +94,9 @@ class Vehicle:
             battery=self._battery.charge(t_s, self.config.endurance_s),
             fit=not (self._battery.empty or self._falling),
             target=self._path.target,
+            cruise=self.companion.cruise(self.config) if self._armed and self._mode is Mode.OFFBOARD else None,
+            mission=self._progress(),
+            breaches=self._breaches._replace(outside=bool(self.config.fence_refusal(position))),
         )
 
     def _upcoming(self) -> list[tuple[float, Callable[[], None]]]:
@@ -116,9 +104,14 @@ class Vehicle:
         upcoming: list[tuple[float, Callable[[], None]]] = []
         if not self._settled:
             upcoming.append((self._path.end_s, self._settle))
+        if self._armed:
+            upcoming.append((self._left_s, self._breach))
+        if self._armed and self._settled:
+            upcoming.append((self._item_done_s(), self._pass_item))
         if self._armed and self._mode is Mode.OFFBOARD:
-            # A leg may take longer than `silence_s`, so the client's silence counts from its end.
-            upcoming.append((max(self._heard_s, self._alone_since_s, self._path.end_s) + self.config.silence_s, self._lose_client))
+            upcoming.append((self.companion.lost_s(self._alone_since_s, self._path.end_s, self.config), self._lose_client))
+        if not self._armed and self._mode is Mode.TAKEOFF:
+            upcoming.append((self._waits_since_s + self.config.disarm_preflight_s, self._forget_take_off))
         if self._armed:
             upcoming.append((self._battery.next_alarm_s(self.config.endurance_s), self._alarm_battery))
         if self._armed and self._on_ground:
@@ -134,8 +127,10 @@ class Vehicle:
         match self._mode:
             case Mode.TAKEOFF:
                 self._mode = Mode.HOLD
-            case Mode.OFFBOARD:
+            case Mode.OFFBOARD if self.waypoint is not None:
                 self._events.append(Arrived(self._now, self._path.target))
+            case Mode.OFFBOARD:
+                self._steer_on()
             case Mode.RETURN:
                 self._mode = Mode.LAND
                 self._descend()
@@ -145,13 +140,18 @@ class Vehicle:
             self._say(mavlink.MAV_SEVERITY_INFO, f"Disarmed: no take-off for {self.config.disarm_preflight_s:g} s")
         self._stop_motors()
 
+    def _forget_take_off(self) -> None:
+        self._say(mavlink.MAV_SEVERITY_INFO, f"Take-off given up: not armed for {self.config.disarm_preflight_s:g} s")
+        self._mode = Mode.HOLD
+
     def _lose_client(self) -> None:
         self._failsafe = True
+        silence = f"No setpoint for {self.companion.borne_s(self.config):g} s"
         if self._on_ground:
-            self._say(mavlink.MAV_SEVERITY_CRITICAL, f"No setpoint for {self.config.silence_s:g} s: disarmed")
+            self._say(mavlink.MAV_SEVERITY_CRITICAL, f"{silence}: disarmed")
             self._stop_motors()
         else:
-            self._say(mavlink.MAV_SEVERITY_CRITICAL, f"No setpoint for {self.config.silence_s:g} s: returning home")
+            self._say(mavlink.MAV_SEVERITY_CRITICAL, f"{silence}: returning home")
             self._return()
 
     def _alarm_battery(self) -> None:
@@ -175,9 +175,10 @@ class Vehicle:
         """Change the configuration. The leg under way goes on as it is; limits of motion act from the next leg on."""
         self.catch_up(t_s)
         self.config = config
+        self._watch_fence()
 
     def arm(self, t_s: float) -> Result:
-        """Arm: start the motors. A vehicle armed in OFFBOARD flies to its setpoint."""
+        """Arm: start the motors. A vehicle armed in OFFBOARD follows its setpoint, one armed in TAKEOFF takes off."""
         self.catch_up(t_s)
         if self._armed:
             return ACCEPTED
@@ -185,12 +186,18 @@ class Vehicle:
             return not_now("Arming refused: falling")
         if self._battery.empty:
             return not_now("Arming refused: battery empty")
-        if self._mode is Mode.OFFBOARD and (missing := self._missing_setpoint()):
+        if self._mode is Mode.OFFBOARD and (missing := self.companion.missing(self._now, self.config)):
+            return not_now(f"Arming refused: {missing}")
+        if self._mode is Mode.MISSION and (missing := self._missing_mission()):
             return not_now(f"Arming refused: {missing}")
         self._armed, self._has_flown = True, False
         self._battery.switch_on(self._now)
         if self._mode is Mode.OFFBOARD:
             self._follow()
+        elif self._mode is Mode.MISSION:
+            self._fly_mission()
+        elif self._mode is Mode.TAKEOFF:
+            self._climb()
         return ACCEPTED
 
     def disarm(self, t_s: float, force: bool = False) -> Result:
@@ -203,27 +210,31 @@ class Vehicle:
             return ACCEPTED
         if not force:
             return not_now("Disarm refused: in the air")
-        self._say(mavlink.MAV_SEVERITY_EMERGENCY, "Motors stopped in the air")
-        falling = fall(self._now, self._motion)
-        self._stop_motors()
-        self._fly(falling)
+        self._drop()
         return ACCEPTED
 
     def take_off(self, t_s: float, altitude_m: float | None = None) -> Result:
-        """Climb straight up to an altitude above home (default: `takeoff_altitude_m`), then hold."""
+        """Climb straight up to an altitude above home (default: `takeoff_altitude_m`), then hold.
+
+        A disarmed vehicle waits `disarm_preflight_s` to be armed, in mode TAKEOFF; then it takes off, or goes back to HOLD.
+        """
         self.catch_up(t_s)
         altitude = self.config.takeoff_altitude_m if altitude_m is None else altitude_m
-        if not self._armed:
-            return not_now("Take-off refused: disarmed")
         if not 0.0 < altitude <= self.config.ceiling_m:
             return denied(f"Take-off refused: altitude {metres(altitude)} m, allowed is above 0 and up to {self.config.ceiling_m:g} m")
-        north, east, _ = self._motion.position
         if self._mode is Mode.TAKEOFF and self._path.target[2] == -altitude:
             return ACCEPTED  # a client repeats the command if its acknowledgement was lost
+        if self._falling or self._battery.empty:
+            return not_now(f"Take-off refused: {'falling' if self._falling else 'battery empty'}")
         if not self._on_ground:
             return not_now("Take-off refused: already in the air")
+        north, east, _ = self._motion.position
+        if outside := self.config.fence_refusal((north, east, -altitude)):
+            return denied(f"Take-off refused: {outside}")
         self._mode, self._failsafe = Mode.TAKEOFF, False
-        self._go((north, east, -altitude))
+        self._climb_m, self._waits_since_s = altitude, self._now
+        if self._armed:
+            self._climb()
         return ACCEPTED
 
     def go_to(self, t_s: float, position: Ned, yaw_rad: float | None = None) -> Result:
@@ -241,7 +252,7 @@ class Vehicle:
         return ACCEPTED
 
     def set_mode(self, t_s: float, mode: Mode) -> Result:
-        """Change the flight mode; OFFBOARD needs a setpoint that is at most `silence_s` old."""
+        """Change the flight mode; OFFBOARD needs a setpoint that is at most `silence_s` old, or, if `stream_s` is finite, a stream."""
         self.catch_up(t_s)
         if mode is Mode.TAKEOFF:
             return self.take_off(t_s)
@@ -254,11 +265,17 @@ class Vehicle:
             return not_now(f"{name} refused: battery empty")
         match mode:
             case Mode.OFFBOARD:
-                if missing := self._missing_setpoint():
+                if missing := self.companion.missing(self._now, self.config):
                     return not_now(f"Offboard refused: {missing}")
                 self._mode = mode
                 if self._armed:
                     self._follow()
+            case Mode.MISSION:
+                if missing := self._missing_mission():
+                    return not_now(f"Mission refused: {missing}")
+                self._mode = mode
+                if self._armed:
+                    self._fly_mission()
             case Mode.RETURN | Mode.LAND:
                 if self._on_ground:
                     return not_now(f"{name} refused: on the ground")
@@ -268,103 +285,63 @@ class Vehicle:
                     self._mode = mode
                     self._descend()
             case _:
-                self._mode = Mode.HOLD
-                if not self._on_ground:
-                    self._fly(self._halted())
+                self._hold()
         self._failsafe = False
         return ACCEPTED
 
-    def setpoint(self, t_s: float, position: Ned, yaw_rad: float | None = None, time_boot_ms: int | None = None) -> Result:
-        """Take a waypoint: fly there in OFFBOARD, else remember it. It answers the reading of the same `time_boot_ms`, if any.
+    def setpoint(self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, time_boot_ms: int | None = None) -> Result:
+        """Take a waypoint or another setpoint: follow it in OFFBOARD, else remember it.
 
-        A second answer to a reading, or an answer to an older one, is ignored: TEMPORARILY_REJECTED.
+        A waypoint answers the reading of the same `time_boot_ms`, if any. A second answer to a reading, or an answer to an older one,
+        is ignored: TEMPORARILY_REJECTED.
         """
         self.catch_up(t_s)
-        position, answers = as_float32(position), self.answers.wants(time_boot_ms)
+        setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted), yaw_rad=yaw_rad)
+        answers = self.answers.wants(time_boot_ms)
         if kind := self.answers.superfluous(time_boot_ms):
             return not_now(f"Waypoint ignored: {kind} answer to the reading at {time_boot_ms} ms")
-        if yaw_rad is not None and not math.isfinite(yaw_rad):
-            return denied(f"Waypoint refused: yaw {yaw_rad} is not finite", "not finite")
-        if outside := self.config.outside(position):
-            kind, reason = outside
-            return denied(f"Waypoint refused: {reason}", kind)
+        if answers and setpoint.position is None:
+            return denied("Waypoint refused: the answer to a reading is a position", "no position")
+        if refusal := setpoint.refusal(self.config):
+            return refusal
 
-        new = answers or position != self._setpoint
-        self._setpoint, self._setpoint_yaw, self._heard_s = position, yaw_rad, self._now
+        new = answers or not setpoint.same_way(self.companion.setpoint)
+        self.companion.hear(setpoint, self._now)
         if answers:
             self.answers.awaited = False
         if self._armed and self._mode is Mode.OFFBOARD:
-            if new:
-                self._go(position)
-            self._face(yaw_rad)
+            self._take(setpoint, new)
         return ACCEPTED
 
     @property
     def waypoint(self) -> Ned | None:
-        """The last accepted setpoint; None before the first."""
-        return self._setpoint
+        """The last accepted setpoint if it is a position; None before the first."""
+        return self.companion.setpoint.position if self.companion.setpoint else None
 
     # ---- flight ----
 
-    def _say(self, severity: int, text: str) -> None:
-        self._events.append(Said(self._now, severity, text))
-
-    @property
-    def _motion(self) -> Motion:
-        return self._path.at(self._now)
-
-    @property
-    def _on_ground(self) -> bool:
-        return self._settled and self._path.target[2] >= 0.0
-
-    @property
-    def _falling(self) -> bool:
-        return not self._armed and not self._settled
-
-    def _landed_state(self) -> int:
-        if self._on_ground:
-            return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
-        if self._mode is Mode.TAKEOFF:
-            return int(mavlink.MAV_LANDED_STATE_TAKEOFF)
-        return int(mavlink.MAV_LANDED_STATE_LANDING if self._mode is Mode.LAND else mavlink.MAV_LANDED_STATE_IN_AIR)
-
-    def _missing_setpoint(self) -> str:
-        if self._setpoint is None:
-            return "no setpoint received yet"
-        return "" if self._now - self._heard_s <= self.config.silence_s else f"no setpoint in the last {self.config.silence_s:g} s"
-
-    def _fly(self, path: Trajectory) -> None:
-        self._path, self._settled = path, False
-        self._has_flown |= path.target[2] < 0.0
-
-    def _halted(self) -> Trajectory:
-        return halt(self._now, self._motion, self.config.limits)
-
-    def _go(self, target: Ned) -> None:
-        self._fly(self._halted().to(target, self.config.limits))
+    def _climb(self) -> None:
+        north, east, _ = self._motion.position
+        self._go((north, east, -min(self._climb_m, self.config.ceiling_m)))
 
     def _follow(self) -> None:
-        """Begin OFFBOARD flight: fly to the remembered setpoint."""
-        assert self._setpoint is not None
+        """Begin OFFBOARD flight: follow the remembered setpoint."""
+        assert self.companion.setpoint is not None
         self._alone_since_s = self._now
-        self._go(self._setpoint)
-        self._face(self._setpoint_yaw)
+        self._take(self.companion.setpoint, True)
 
-    def _face(self, yaw_rad: float | None) -> None:
-        if yaw_rad is not None and wrapped(yaw_rad) != self._turn.target_rad:
-            self._turn = Turn(self._now, self._turn.at(self._now)[0], wrapped(yaw_rad), math.radians(self.config.yaw_rate_dps))
+    def _take(self, setpoint: Setpoint, new: bool) -> None:
+        if new and setpoint.position is not None:
+            self._go(setpoint.position)
+        elif new:
+            self._fly(setpoint.steered(self._now, self._motion, self.config))
+        self._turn = facing(self._turn, self._now, setpoint, self.config)
 
-    def _return(self) -> None:
-        self._mode = Mode.RETURN
-        path, limits = self._halted(), self.config.limits
-        north, east, down = path.target
-        down = min(down, -self.config.return_altitude_m)
-        self._fly(path.to((north, east, down), limits).to((0.0, 0.0, down), limits))
-
-    def _descend(self) -> None:
-        path = self._halted()
-        self._fly(path.to((path.target[0], path.target[1], 0.0), self.config.limits))
-
-    def _stop_motors(self) -> None:
-        self._battery.switch_off(self._now)
-        self._armed, self._mode, self._failsafe = False, Mode.HOLD, False
+    def _steer_on(self) -> None:
+        """A velocity or an acceleration has come to rest: go on if it leads elsewhere, such as along the edge, else tell."""
+        turn, on = self._turn, self.companion.goes_on(self._now, self._motion, self.config)
+        if isinstance(on, Trajectory):
+            self._fly(on)
+            self._turn = turn
+        elif on:
+            self._say(mavlink.MAV_SEVERITY_WARNING, on)

@@ -6,10 +6,13 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.frames import LAYOUTS
 from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.plan import FLOWN, IGNORED
 from sitl.autopilot.state import Mode
 from sitl.autopilot.status import FLIGHT_SW_VERSION
 from sitl.autopilot.telemetry import STREAMS
 from sitl.autopilot.vehicle import Vehicle
+from sitl.protocol import setpoints
+from sitl.protocol.missions import ACTION_S, MOST_ITEMS, RETRY_S
 from sitl.protocol.parameters import PARAMETERS, REAL, Parameters
 from sitl.protocol.protocol import COMMANDS, REQUESTED, MavlinkProtocol
 
@@ -33,6 +36,9 @@ By COMMAND_LONG or COMMAND_INT; SET_MODE does the same as MAV_CMD_DO_SET_MODE. A
 
 {commands}
 
+Take-off may come before arming, as QGroundControl's slider sends it: the vehicle waits in mode Takeoff and takes off when it is armed.
+If that does not happen within COM_DISARM_PRFLT, it goes back to Hold.
+
 All others, those of cameras, gimbals, storage and calibration among them, get MAV_RESULT_UNSUPPORTED.
 
 ## Messages
@@ -46,14 +52,70 @@ would more than double what a mission records. SYSTEM_TIME has no date, and HIGH
 
 ## Requests that are answered
 
-SET_POSITION_TARGET_LOCAL_NED is a waypoint: a position in LOCAL_NED, with or without a yaw. It is never acknowledged; a refused one gets a
-STATUSTEXT once a second.
-
 {answered}
+
+## Setpoints
+
+{setpoints}
+
+A setpoint is never acknowledged. A refused one gets a STATUSTEXT once a second for each kind of reason. Frames, type masks and NaN (a
+value that is ignored) are read as PX4 1.15 reads them, with these choices:
+
+- A position is flown; a velocity or an acceleration beside it is feed-forward to PX4, and ignored here. So is an acceleration beside a
+  velocity.
+- A velocity is reached along a straight line in velocity space, at the acceleration limit. It is cut to the speed limits; its horizontal
+  part keeps its direction. Velocity 0 holds.
+- A velocity x, y with a position z flies at that height. Other mixtures, such as a position x, y with a velocity z, are refused.
+- An acceleration acts until a speed limit is reached; then the vehicle cruises. Acceleration 0 keeps the velocity.
+- A velocity or an acceleration never leads out of the area, above the ceiling or into the ground: the vehicle brakes in time, comes to
+  rest on the edge and says so once. If the setpoint leads along the edge or back inside, it goes on from there. What touches the
+  ground has landed. A fence is no edge: to fly through it is a breach, as GF_ACTION says.
+- BODY_NED turns velocities and accelerations by the yaw; PX4 turns accelerations by roll and pitch, too. It has no positions.
+- A yaw rate turns until told otherwise: by a setpoint without it, or another mode.
+- A position with the time of a reading answers the reading. Readings are taken at positions only.
+- SET_ATTITUDE_TARGET is refused.
+- At speed-up 0 time jumps to the end of each way, so velocities and strict streams need a speed-up above 0.
+
+OFFBOARD needs a setpoint that is at most COM_OF_LOSS_T old, and returns home when none comes for so long: `--silence` (30) seconds of real
+time, which is kind to people who try things by hand. With `--strict` it is as in PX4, for those who test a companion: COM_OF_LOSS_T is 1 s
+of real time, and OFFBOARD and arming in it are refused unless setpoints come at 2 Hz or more. PX4's documentation asks for 2 Hz, its code
+(`offboardCheck.cpp`) for one within COM_OF_LOSS_T. The first setpoint of a stream is enough here, too. While the vehicle's own search
+leads, it counts as a companion that streams, since the agent answers only once a reading; its silence is borne for `--silence` seconds.
 
 ## Requests that are refused
 
 {refused}
+
+## Missions, fences, rally points
+
+Uploads and downloads follow MAVLink's mission protocol, by MISSION_ITEM_INT, or MISSION_ITEM from old stations. Type 0 is the mission, 1
+the fence, 2 the rally points. They hold at most {limits} items. They live in memory: a vehicle that is started anew has forgotten them.
+An upload replaces the whole list once its last item is there. Until then, and if it fails, the old list stays. A missing item is asked for
+again after {retry:g} s, and after {action:g} s without an item the vehicle gives up, both in real time. While one client uploads,
+others get MAV_MISSION_ERROR. Downloads are answered to everyone at any time.
+
+A mission is checked when it is uploaded, item by item, and again when it starts. An item outside the area, the altitudes or the fence is
+refused with MAV_MISSION_INVALID_PARAM5_X or 7, and a STATUSTEXT says why.
+
+{items}
+
+Of a mission flown in mission mode:
+
+- The vehicle comes to rest at each item. Without a yaw (NaN) the heading stays. From the ground it first climbs straight up, at least to
+  MIS_TAKEOFF_ALT.
+- An item is done (MISSION_ITEM_REACHED) after its flight, its turn and its wait. With autocontinue 0 the vehicle then stays.
+- At the end it holds. The next start begins with the first item. A pause is HOLD, and a resume goes on with the current item.
+- A mission that is uploaded or cleared in flight replaces the one that is flown: the vehicle begins the new one, or holds.
+- Items for a camera or a gimbal are taken and passed over, as by a PX4 that has neither: {ignored}.
+- All other commands, MAV_CMD_DO_SET_HOME among them, are refused with MAV_MISSION_UNSUPPORTED.
+
+The fence consists of polygons and circles, inclusions (5001, 5003) and exclusions (5002, 5004). All have to be kept; their altitudes are
+ignored. Home must be inside, and the vehicle if it flies. Setpoints, go-to, take-off and mission items outside are refused. A straight
+way that leaves the fence, through an exclusion, is a breach at its exact time. GF_ACTION says what happens then. The vehicle stops as
+fast as it can, so it ends behind the edge. A vehicle that returns or lands already goes on. GF_ACTION 0 turns the fence off. PX4 does
+not send FENCE_STATUS; here it comes on request. MAV_CMD_DO_FENCE_ENABLE is unsupported, as in PX4.
+
+Rally points (5100) lie inside area and fence. A return goes to the nearest of home and rally points, as PX4's RTL_TYPE 0, and lands there.
 
 ## Parameters
 
@@ -71,8 +133,8 @@ Plumeward's own version, as PX4's vendors write it (patch, minor, major), and th
 
 ## Missing
 
-- Missions, fences and rally points; setpoints of velocity, acceleration and attitude; global setpoints.
-- Take-off while disarmed. MAVSDK arms first; QGroundControl's slider does not.
+- Setpoints of attitude, body rates, thrust and actuators.
+- LOG_REQUEST_END gets no answer: it ends a download, and there is none.
 - Commands that take time get one COMMAND_ACK, without progress.
 - MAVLink signing: signed frames are read, their signature is not checked.
 - COMPONENT_METADATA: unsupported, as by a PX4 without the files. Events, as PX4 has had since 1.13: only STATUSTEXT.
@@ -91,6 +153,7 @@ def document() -> str:
         modes=_table(("mode", "PX4 main", "sub"), ((mode.name.capitalize(), *mode.value) for mode in Mode)),
         commands=_table(("command", "number", "does"), ((f"{names[number]}", number, says) for number, says in COMMANDS.items())),
         streams=_table(("message", "number", "rate", "says"), [*streams, *requested]),
+        setpoints=_table(("message", "is"), setpoints.SAYS.items()),
         answered=_table(("request", "answer"), ((row.request, row.says) for row in services if row.supported)),
         refused=_table(("request", "answer"), ((row.request, row.says) for row in services if not row.supported)),
         parameters=_table(
@@ -106,6 +169,11 @@ def document() -> str:
                 for p in PARAMETERS
             ),
         ),
+        limits=f"{MOST_ITEMS[0]}, {MOST_ITEMS[1]} and {MOST_ITEMS[2]}",
+        retry=RETRY_S,
+        action=ACTION_S,
+        items=_table(("item", "number", "does"), ((names[number], number, says) for number, says in FLOWN.items())),
+        ignored=", ".join(names[number].removeprefix("MAV_CMD_") for number in sorted(IGNORED)),
         version=".".join(map(str, FLIGHT_SW_VERSION[:3])),
     )
 

@@ -42,13 +42,14 @@ class Parameter(NamedTuple):
         if not self.field:
             return "it cannot be changed"
         low, never = ("above 0", f", or {NEVER:g} for never") if self.low == NEVER else (f"{self.low:g}", "")
-        return f"allowed is {low} to {self.high:g} {self.unit}{never}"
+        return f"allowed is {low} to {self.high:g} {self.unit}".rstrip() + never
 
 
 def _changed(name: str, field: str, low: float, high: float, unit: str, about: str) -> Parameter:
     return Parameter(name, REAL, about, field, low, high, unit)
 
 
+GF_ACTION = "on leaving the fence: 0 nothing, 1 warns, 2 holds, 3 returns, 4 motors off, 5 lands"
 PARAMETERS = tuple(
     sorted(
         (
@@ -60,6 +61,15 @@ PARAMETERS = tuple(
             _changed("MPC_Z_VEL_MAX_DN", "descent_mps", 0.5, 4, "m/s", "speed of descents"),
             _changed("MPC_ACC_HOR", "accel_mps2", 0.5, 15, "m/s2", "acceleration along a leg"),
             _changed("MPC_YAWRAUTO_MAX", "yaw_rate_dps", 5, 360, "deg/s", "rate of turns"),
+            Parameter(
+                "GF_ACTION",
+                INT,
+                GF_ACTION,
+                "fence_action",
+                0,
+                5,
+            ),
+            Parameter("RTL_TYPE", INT, "a return goes to the nearest of home and rally points", value=0),
             _changed("COM_OF_LOSS_T", "silence_s", 0.5, 3600, "s", "time without a setpoint until OFFBOARD returns home"),
             _changed("COM_DISARM_LAND", "disarm_landed_s", NEVER, 20, "s", "time after a landing until the motors stop"),
             _changed(
@@ -102,15 +112,15 @@ class Parameters:
         config = self._vehicle.config
         if parameter.name == "MAV_SYS_ID":
             return config.sysid
-        value = float(getattr(config, parameter.field)) if parameter.field else parameter.value
+        value = float(getattr(config, self._field(parameter))) if parameter.field else parameter.value
         return NEVER if parameter.low == NEVER and math.isinf(value) else value
 
     def hash(self) -> int:
         """PX4's checksum of all names and values: CRC-32 that begins with 0 and is not inverted at its end."""
         crc = 0
         for parameter in PARAMETERS:
-            crc = _crc32(parameter.name.encode(), crc)
-            crc = _crc32(struct.pack(FORMS[parameter.kind], _number(parameter, self.value(parameter))), crc)
+            crc = crc32(parameter.name.encode(), crc)
+            crc = crc32(struct.pack(FORMS[parameter.kind], _number(parameter, self.value(parameter))), crc)
         return crc
 
     def _list(self, _message: Message, _: float) -> Reply:
@@ -143,11 +153,16 @@ class Parameters:
         if not parameter.field or not parameter.low <= value <= parameter.high or NEVER < value <= 0.0:
             return f"{value:g}, {parameter.allowed}"
         try:
-            changed: Any = {parameter.field: math.inf if parameter.low == value == NEVER else value}
+            changed: Any = {self._field(parameter): math.inf if parameter.low == value == NEVER else value}
             self._vehicle.configure(t_s, dataclasses.replace(self._vehicle.config, **changed))
         except ValueError as error:
             return str(error)
         return ""
+
+    def _field(self, parameter: Parameter) -> str:
+        """The field of the configuration: a strict vehicle's COM_OF_LOSS_T is that of streams."""
+        strict = math.isfinite(self._vehicle.config.stream_s)
+        return "stream_s" if strict and parameter.field == "silence_s" else parameter.field
 
     def _tell(self, parameter: Parameter) -> Message:
         value = struct.pack(FORMS[parameter.kind], _number(parameter, self.value(parameter)))
@@ -172,7 +187,8 @@ def _as_wired(parameter: Parameter, value: float) -> float:
     return wired
 
 
-def _crc32(data: bytes, crc: int) -> int:
+def crc32(data: bytes, crc: int) -> int:
+    """Return PX4's checksum: CRC-32 that begins with 0 and is not inverted at its end."""
     return ~zlib.crc32(data, ~crc & 0xFFFFFFFF) & 0xFFFFFFFF
 
 

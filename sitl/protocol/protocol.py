@@ -1,7 +1,9 @@
 """The autopilot's MAVLink protocol, compatible with PX4: commands and setpoints in; acknowledgements, messages, texts out."""
 
 import math
+import time
 from collections import Counter
+from collections.abc import Callable
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -9,10 +11,12 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.mavlink import Message
 from link.bus.px4 import AvailableModes, ProtocolVersion
 from plume.geodesy import to_local
+from sitl.autopilot.plan import ABOVE_HOME, ABOVE_SEA
 from sitl.autopilot.state import ACCEPTED, UNSUPPORTED, Mode, Result, denied
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
-from sitl.protocol import clocks, files, logs, missions, refused
+from sitl.protocol import clocks, files, logs, refused, setpoints
+from sitl.protocol.missions import PlanService
 from sitl.protocol.modes import available_modes
 from sitl.protocol.parameters import Parameters
 from sitl.protocol.service import Microservice
@@ -22,20 +26,19 @@ FORCE = 21196.0
 """MAVLink's magic number: as param2 of MAV_CMD_COMPONENT_ARM_DISARM (400) it forces a disarm in the air."""
 TEXT_LENGTH = 50
 """Characters in one STATUSTEXT (253)."""
-GLOBAL_STEP_M = 0.02
-"""A little more than 1e-7 degrees, MAVLink's resolution of latitude and longitude."""
 REFUSAL_INTERVAL_S = 1.0
 """Clients repeat setpoints at 20 Hz: each kind of refusal is reported at most once per interval."""
 
-ABOVE_SEA = {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
-ABOVE_HOME = {mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT}
 COMMANDS = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: "arms and disarms; in the air only with param 2 = 21196, and the vehicle falls",
-    mavlink.MAV_CMD_NAV_TAKEOFF: "climbs to an altitude above sea, NaN: to MIS_TAKEOFF_ALT above home; armed and on the ground",
+    mavlink.MAV_CMD_NAV_TAKEOFF: "climbs to an altitude above sea, NaN: to MIS_TAKEOFF_ALT above home; disarmed: once it is armed",
     mavlink.MAV_CMD_NAV_LAND: "lands on the spot",
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: "returns home and lands",
     mavlink.MAV_CMD_DO_SET_MODE: "changes to a mode by PX4's numbers",
     mavlink.MAV_CMD_DO_REPOSITION: "flies to a global position inside the area and holds there",
+    mavlink.MAV_CMD_MISSION_START: "flies the mission from item param 1 on, -1: from the current one; arms",
+    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: "goes on with item param 1 of the mission; all its jumps count anew",
+    mavlink.MAV_CMD_DO_PAUSE_CONTINUE: "param 1 = 0: holds; 1: goes on with the mission's current item",
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: "sets the rate of a stream of this link; HEARTBEAT stays on",
     mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: "MESSAGE_INTERVAL",
     mavlink.MAV_CMD_REQUEST_MESSAGE: "sends a message of the next table once",
@@ -47,15 +50,14 @@ COMMANDS = {
 NUMBERED = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: 1,
     mavlink.MAV_CMD_DO_SET_MODE: 2,
+    mavlink.MAV_CMD_MISSION_START: 1,
+    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: 1,
+    mavlink.MAV_CMD_DO_PAUSE_CONTINUE: 1,
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: 2,
     mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: 1,
     mavlink.MAV_CMD_REQUEST_MESSAGE: 1,
 }
 """How many leading parameters of a command must be finite; NaN in any other means "not given"."""
-NO_POSITION = (
-    mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
-)
-
 ASKED_OF_ALL = {
     mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
 }  # fmt: skip
@@ -80,15 +82,16 @@ class Params(NamedTuple):
 class MavlinkProtocol:
     """Handles the MAVLink messages of all clients of one vehicle and builds the answers."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        """Serve one vehicle."""
+    def __init__(self, vehicle: Vehicle, clock: Callable[[], float] = time.monotonic) -> None:
+        """Serve one vehicle. `clock` is real time, s: clients live in it."""
         self.refused: Counter[str] = Counter()
         """Refused setpoints, by kind of reason."""
         self._vehicle = vehicle
+        self._missions = PlanService(vehicle, clock)
         self.services: dict[str, Microservice] = {
             service.request: service
             for services in (
-                Parameters(vehicle).services, clocks.SERVICES, missions.SERVICES, logs.SERVICES, files.SERVICES, refused.SERVICES,
+                Parameters(vehicle).services, clocks.SERVICES, self._missions.services, logs.SERVICES, files.SERVICES, refused.services(),
             )
             for service in services
         }  # fmt: skip
@@ -114,13 +117,23 @@ class MavlinkProtocol:
             case "SET_MODE":
                 result = self._set_custom_mode(t_s, message.base_mode, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24)
                 return [_acknowledge(message, mavlink.MAVLINK_MSG_ID_SET_MODE, result), *self._reason(result)]
-            case "SET_POSITION_TARGET_LOCAL_NED":
-                return self.refuse_setpoint(self._setpoint(message, t_s), t_s)
+            case setpoints.LOCAL | setpoints.GLOBAL:
+                return self.refuse_setpoint(setpoints.take(self._vehicle, message, t_s), t_s)
         if service := self.services.get(message.get_type()):
+            self._missions.link = streams
             reply = service.answer(message, t_s)
             quiet = reply.kind and self._has_told(reply.kind, t_s)
             return [*reply.messages, *([] if quiet else self._reason(denied(reply.reason)))]
         return []
+
+    def next_due_s(self) -> float:
+        """Return when to call `due` again, in real time; infinity if nothing is awaited."""
+        return self._missions.next_s()
+
+    def due(self, streams: Telemetry) -> list[Message]:
+        """Return what has to be sent again over a link, of the telemetry `streams`, because a client has not answered."""
+        reply = self._missions.due(streams)
+        return [*reply.messages, *self._reason(denied(reply.reason))]
 
     def is_addressed(self, message: Message) -> bool:
         """True unless a message is for another system or component, or comes from our own ids: PX4 ignores those, too."""
@@ -167,6 +180,14 @@ class MavlinkProtocol:
                 return self._set_custom_mode(t_s, int(p.p1), int(p.p2), int(p.p3) if math.isfinite(p.p3) else 0), []
             case mavlink.MAV_CMD_DO_REPOSITION:
                 return self._reposition(p, t_s), []
+            case mavlink.MAV_CMD_MISSION_START:
+                return self._start_mission(p, t_s), []
+            case mavlink.MAV_CMD_DO_SET_MISSION_CURRENT:
+                return self._set_current(p, t_s), []
+            case mavlink.MAV_CMD_DO_PAUSE_CONTINUE:
+                if p.p1 not in (0.0, 1.0):
+                    return denied(f"Pause refused: param 1 is {p.p1:g}, allowed is 0 or 1"), []
+                return self._vehicle.set_mode(t_s, Mode.MISSION if p.p1 else Mode.HOLD), []
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 return (UNSUPPORTED if streams is None else streams.set_interval(int(p.p1), p.p2, t_s)), []
             case mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
@@ -192,15 +213,23 @@ class MavlinkProtocol:
             return denied(f"Mode refused: PX4 mode {main}, {sub} is not supported")
         return self._vehicle.set_mode(t_s, mode)
 
+    def _start_mission(self, p: Params, t_s: float) -> Result:
+        """Fly the mission, as PX4 does: choose the item, change the mode, arm."""
+        result = ACCEPTED if p.p1 == -1.0 else self._set_current(p, t_s)
+        if result.accepted:
+            result = self._vehicle.set_mode(t_s, Mode.MISSION)
+        return self._vehicle.arm(t_s) if result.accepted else result
+
+    def _set_current(self, p: Params, t_s: float) -> Result:
+        return self._vehicle.set_current(t_s, self._vehicle.mission.current if p.p1 == -1.0 else int(p.p1))
+
     def _reposition(self, p: Params, t_s: float) -> Result:
         if p.frame not in ABOVE_SEA | ABOVE_HOME:
             return denied(f"Go-to refused: frame {p.frame} is not global")
         config = self._vehicle.config
         north, east, down = self._vehicle.state(t_s).position
         if math.isfinite(p.lat_deg) and math.isfinite(p.lon_deg):
-            local = to_local(config.home_lat_deg, config.home_lon_deg, p.lat_deg, p.lon_deg)
-            # Home lies on the area's edge, which steps of 1e-7 degrees cannot hit exactly: a position this close to it counts as on it.
-            north, east = (_snapped(along_m, config.area_m) for along_m in local)
+            north, east = setpoints.on_edge(to_local(config.home_lat_deg, config.home_lon_deg, p.lat_deg, p.lon_deg), config)
         if math.isfinite(p.alt_m):
             down = -self._above_home(p)
         return self._vehicle.go_to(t_s, (north, east, down), p.p4 if math.isfinite(p.p4) else None)
@@ -208,16 +237,7 @@ class MavlinkProtocol:
     def _above_home(self, p: Params) -> float:
         return p.alt_m if p.frame in ABOVE_HOME else p.alt_m - self._vehicle.config.home_alt_m
 
-    # ---- setpoints: never acknowledged; a refused one is reported by STATUSTEXT, an ignored one is not reported ----
-
-    def _setpoint(self, m: Message, t_s: float) -> Result:
-        if m.coordinate_frame != mavlink.MAV_FRAME_LOCAL_NED:
-            reason = f"frame {m.coordinate_frame} is not LOCAL_NED ({mavlink.MAV_FRAME_LOCAL_NED})"
-            return denied(f"Waypoint refused: {reason}", "frame")
-        if m.type_mask & NO_POSITION:
-            return denied("Waypoint refused: it has no position x, y, z", "no position")
-        yaw = None if m.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE else m.yaw
-        return self._vehicle.setpoint(t_s, (m.x, m.y, m.z), yaw, m.time_boot_ms)
+    # ---- setpoints ----
 
     def refuse_setpoint(self, result: Result, t_s: float) -> list[Message]:
         """Count a setpoint that is denied; returns the reason as STATUSTEXT, unless the same kind was told within a second."""
@@ -274,8 +294,3 @@ def _acknowledge(message: Message, command: int, result: Result) -> Message:
     return mavlink.MAVLink_command_ack_message(
         command, result.code, target_system=message.get_srcSystem(), target_component=message.get_srcComponent()
     )
-
-
-def _snapped(along_m: float, edge_m: float) -> float:
-    inside = min(max(along_m, 0.0), edge_m)
-    return inside if abs(along_m - inside) < GLOBAL_STEP_M else along_m

@@ -3,12 +3,11 @@
 from collections.abc import Callable
 
 from link.bus.mavlink import Message
-from sitl.protocol.service import Microservice, Reply
+from sitl.protocol.service import Microservice, Reply, asker
 
 REASONS = {
-    "SET_ATTITUDE_TARGET": "Attitude setpoint refused: only positions are flown",
-    "SET_POSITION_TARGET_GLOBAL_INT": "Global setpoint refused: only LOCAL_NED is flown",
-    "SET_ACTUATOR_CONTROL_TARGET": "Actuator setpoint refused: only positions are flown",
+    "SET_ATTITUDE_TARGET": "Attitude setpoint refused: only positions, velocities and accelerations are flown",
+    "SET_ACTUATOR_CONTROL_TARGET": "Actuator setpoint refused: only positions, velocities and accelerations are flown",
     "MANUAL_CONTROL": "Manual control refused: not simulated",
     "RC_CHANNELS_OVERRIDE": "RC override refused: not simulated",
     "PARAM_MAP_RC": "Parameter map refused: there is no RC",
@@ -26,4 +25,22 @@ def _refusal(kind: str, reason: str) -> Callable[[Message, float], Reply]:
     return lambda _message, _: Reply([], reason, kind)
 
 
-SERVICES = tuple(Microservice(kind, _refusal(kind, reason), f"a STATUSTEXT: {reason}", supported=False) for kind, reason in REASONS.items())
+def _told_once(reason: str) -> Callable[[Message, float], Reply]:
+    told = set()
+
+    def answer(message: Message, _: float) -> Reply:
+        new = asker(message) not in told
+        told.add(asker(message))
+        return Reply([], reason if new else "")
+
+    return answer
+
+
+def services() -> tuple[Microservice, ...]:
+    """Return the services of one vehicle; it remembers whom it told what need not be told again."""
+    rates = "Data streams refused: MAV_CMD_SET_MESSAGE_INTERVAL sets rates"
+    return (
+        *(Microservice(kind, _refusal(kind, reason), f"a STATUSTEXT: {reason}", supported=False) for kind, reason in REASONS.items()),
+        # Old stations repeat it every few seconds. PX4 ignores it.
+        Microservice("REQUEST_DATA_STREAM", _told_once(rates), f"a STATUSTEXT, once to each asker: {rates}", supported=False),
+    )

@@ -31,6 +31,8 @@ Radians = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
 MOST_WAYPOINTS = 1000
 """The agent receives them in one command-line argument, which the system limits to 128 kB."""
 MAY_BE_INFINITE = ("vehicle.endurance_s", "vehicle.silence_s")
+STREAM_S = 1.0
+"""Real time after which the stream of a companion's setpoints is lost, if strict: PX4's COM_OF_LOSS_T."""
 Expectation = Literal["ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"]
 
 
@@ -68,6 +70,7 @@ class VehiclePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     silence_s: Annotated[float, Meta(gt=0, description="real time without a waypoint before the return home, a number above 0, s")] = (
         VehicleConfig.silence_s
     )
+    strict: Annotated[bool, Meta(description="OFFBOARD as in PX4: setpoints at 2 Hz or more, lost after 1 s of real time")] = False
     after_stop: Annotated[AfterStop, Meta(description="what follows the search: return home and land, land, or hold until told")] = "return"
 
 
@@ -254,13 +257,15 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return World(self.release(), self.seed, sensor.parse(self.sensor), self.world)
 
     def vehicle_config(self, sysid: int) -> VehicleConfig:
-        """Return the vehicle's configuration, with `silence_s` converted from real to simulation time.
+        """Return the vehicle's configuration, with the times of a companion's silence converted from real to simulation time.
 
-        At speed-up 0 a waiting vehicle runs in real time, so the factor is 1.
+        At speed-up 0 a waiting vehicle runs in real time, so the factor is 1. PX4's simulations stretch their times likewise.
         """
         fields = msgspec.structs.asdict(self.vehicle)
-        del fields["after_stop"]
-        return VehicleConfig(sysid, **{**fields, "silence_s": self.vehicle.silence_s * (self.speedup or 1.0)})
+        del fields["after_stop"], fields["strict"]
+        factor = self.speedup or 1.0
+        stream_s = STREAM_S * factor if self.vehicle.strict else math.inf
+        return VehicleConfig(sysid, **{**fields, "silence_s": self.vehicle.silence_s * factor, "stream_s": stream_s})
 
     @property
     def expectations(self) -> list[Expectation]:

@@ -70,6 +70,10 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
         help="return home and land after S real seconds without a waypoint (default: %(default)g)",
     )  # fmt: skip
     parser.add_argument(
+        "--strict", action="store_true",
+        help="OFFBOARD as in PX4, to test a companion: setpoints at 2 Hz or more, and a return home 1 s after the last",
+    )  # fmt: skip
+    parser.add_argument(
         "--after-stop", choices=get_args(AfterStop), default="return",
         help="once the search is over: return home and land, land on the spot, or hold until told (default: %(default)s)",
     )  # fmt: skip

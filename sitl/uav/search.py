@@ -17,13 +17,14 @@ from sitl.autopilot.state import Mode, Result, denied, not_now
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
+from sitl.protocol.setpoints import GLOBAL, LOCAL
 from sitl.script.script import AfterStop
 
 AFTER_STOP: dict[AfterStop, Mode] = {"return": Mode.RETURN, "land": Mode.LAND, "hold": Mode.HOLD}
 STREAM_S = 1.0
 """Real time after which a client's stream of setpoints has ended: PX4's COM_OF_LOSS_T."""
 CHANGES = {"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}
-SETPOINT = "SET_POSITION_TARGET_LOCAL_NED"
+SETPOINTS = {LOCAL, GLOBAL}
 STANDBY, TAKING_OFF, SEARCHING, PAUSED = "standby", "taking off", "searching", "paused"
 RETURNING, HOLDING, LANDED = "returning", "holding", "landed"
 
@@ -46,8 +47,6 @@ class Search:
         """Take the start, (x, y) m, and what tells people a text of a MAV_SEVERITY. `clock` is real time, s."""
         self.state = STANDBY
         """What the uav's health says."""
-        self.leads = False
-        """True while the search holds control."""
         self.found = False
         """True once the stop has been declared."""
         self._vehicle, self._protocol, self._say, self._clock = vehicle, protocol, say, clock
@@ -57,6 +56,15 @@ class Search:
         self._begun = False
         self._said = ""
         self._streams: dict[Sender, float] = {}  # when each other client last sent a setpoint
+
+    @property
+    def leads(self) -> bool:
+        """True while the search holds control. It is then the vehicle's companion."""
+        return self._vehicle.companion.is_own_search
+
+    @leads.setter
+    def leads(self, leads: bool) -> None:
+        self._vehicle.companion.is_own_search = leads
 
     @property
     def measures(self) -> bool:
@@ -85,6 +93,9 @@ class Search:
             self.leads, self.state = False, LANDED
         elif state.mode in (Mode.RETURN, Mode.LAND):
             self.leads, self.state = False, RETURNING  # by a pilot, a failsafe, or since the source is found
+        elif self.leads and self.state == SEARCHING and state.mode is not Mode.OFFBOARD:
+            self.leads = False
+            self._say(mavlink.MAV_SEVERITY_WARNING, f"Search gives way: {state.mode.name} by the autopilot")
         elif not self.leads:
             self.state = HOLDING if self.found else PAUSED
         elif self.state == TAKING_OFF and state.mode is Mode.HOLD:
@@ -135,7 +146,7 @@ class Search:
         if not self._protocol.is_addressed(message):
             return []
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
-        if kind == SETPOINT:
+        if kind in SETPOINTS:
             return self._take_setpoint(message, sender, t_s, streams)
         if kind not in CHANGES:
             return self._protocol.receive(message, t_s, streams)
@@ -154,7 +165,7 @@ class Search:
         return answers
 
     def _take_setpoint(self, message: Message, sender: Sender, t_s: float, streams: Telemetry | None) -> list[Message]:
-        if self._vehicle.answers.has(message.time_boot_ms):  # the agent's
+        if message.get_type() == LOCAL and self._vehicle.answers.has(message.time_boot_ms):  # the agent's
             if not self.leads and self._vehicle.state(t_s).mode is Mode.OFFBOARD:
                 return []  # another client leads; the agent is asked again when the search is given back
             before = self._vehicle.answers.awaited
@@ -169,10 +180,12 @@ class Search:
 
     def _give_back(self, message: Message, sender: Sender, t_s: float, streams: Telemetry | None) -> list[Message]:
         """Lead again where the search left off. Nobody else sends its waypoint again, so it is set here."""
+        self.leads = True
         self._vehicle.setpoint(t_s, self._waypoint)
         answers = self._protocol.receive(message, t_s, streams)
-        if self._vehicle.state(t_s).mode is Mode.OFFBOARD:
-            self.leads, self.state = True, SEARCHING
+        self.leads = self._vehicle.state(t_s).mode is Mode.OFFBOARD
+        if self.leads:
+            self.state = SEARCHING
             self._say(mavlink.MAV_SEVERITY_INFO, f"Search resumed by {sender[0]}/{sender[1]}")
         return answers
 

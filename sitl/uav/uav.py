@@ -18,15 +18,14 @@ from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from plume.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.operator import OPERATOR, change_mode, command
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import Arrived, Mode
+from sitl.autopilot.state import Arrived, Mode, Reached, Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
 from sitl.script.script import Abort, AfterStop, Delay, Dropout, Duplicate, Lose, OnBoard, Pause, Resume, Spike, Stuck, Wind
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
-from sitl.uav.search import PAUSED, SEARCHING, Search
+from sitl.uav.search import PAUSED, SEARCHING, SETPOINTS, Search
 from sitl.uav.timeline import Timeline
 from sitl.uav.udp import UdpLink
 
@@ -142,7 +141,7 @@ class Uav:
                 self._go_on_with_the_search()
                 self._resend()
                 for port in self._ports:
-                    if due := port.telemetry.due(self._clock.stream_s()):
+                    if due := [*port.telemetry.due(self._clock.stream_s()), *self._protocol.due(port.telemetry)]:
                         port.link.send(*due)
                 self._tally.compute_s += time.perf_counter() - busy_since
                 if self._bus:
@@ -162,10 +161,9 @@ class Uav:
     @property
     def _busy(self) -> bool:
         """True if the vehicle waits for nobody: at speed-up 0 time may then jump to the next event."""
-        under_way = self._tally.state in (SEARCHING, PAUSED)
-        return (
-            self._vehicle.moving or self._vehicle.landing or (under_way and self._timeline.next_s() is not None and not self._must_resend)
-        )
+        vehicle, under_way = self._vehicle, self._tally.state in (SEARCHING, PAUSED)
+        scripted = under_way and self._timeline.next_s() is not None and not self._must_resend
+        return vehicle.moving or vehicle.landing or vehicle.waiting or scripted
 
     def _live_until(self, now_s: float) -> None:
         """Advance to a time; each script event happens at its exact time."""
@@ -180,6 +178,8 @@ class Uav:
             if isinstance(event, Arrived):
                 if self._measures:
                     self._sample(event)
+            elif isinstance(event, Reached):
+                self._broadcast([mavlink.MAVLink_mission_item_reached_message(event.seq)])
             else:
                 self._tell(event.severity, event.text)
 
@@ -190,7 +190,7 @@ class Uav:
         else:
             next_stream_s = min(port.telemetry.next_due_s() for port in self._ports)
             timeout_s = self._clock.wait_s(next_event_s, next_stream_s)
-            real_s = min(self._radio.next_s(), self._resend_at if self._must_resend else math.inf)
+            real_s = min(self._radio.next_s(), self._protocol.next_due_s(), self._resend_at if self._must_resend else math.inf)
             timeout_s = min(timeout_s, max(real_s - time.monotonic(), 0.0))
         try:
             return self._inbox.get(timeout=min(timeout_s, SIGNAL_POLL_S))  # the timeout may be infinite: a client can turn all streams off
@@ -221,7 +221,7 @@ class Uav:
     def _message(self, message: Message, port: Port) -> None:
         refused, awaited = self._protocol.refused.total(), self._vehicle.answers.awaited
         answers = self._search.receive(message, self._clock.now_s(), port.telemetry)
-        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
+        if message.get_type() in SETPOINTS:
             self._clock.heard()
         if awaited and not self._vehicle.answers.awaited:
             self._tally.latency_s = time.monotonic() - self._sampled_at

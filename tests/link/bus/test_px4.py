@@ -8,14 +8,14 @@ from pymavlink.dialects.v20 import common, development
 
 from link.bus.frames import LAYOUTS, fields_of
 from link.bus.mavlink import split
-from link.bus.px4 import PX4_ONLY, AvailableModes, AvailableModesMonitor, CurrentMode, ProtocolVersion
+from link.bus.px4 import PX4_ONLY, AvailableModes, AvailableModesMonitor, CurrentMode, MissionCurrent, ProtocolVersion
 from link.record.decoded import decode, message_schema
 
 SENDER = {"srcSystem": 1, "srcComponent": 1}
 
 
 def test_their_checksums_begin_with_the_bytes_of_mavlinks_c_library() -> None:
-    assert {number: kind.crc_extra for number, kind in PX4_ONLY.items()} == {300: 217, 435: 134, 436: 193, 437: 30}
+    assert {number: kind.crc_extra for number, kind in PX4_ONLY.items()} == {300: 217, 435: 134, 436: 193, 437: 30, 42: 28}
 
 
 @pytest.mark.parametrize(
@@ -44,3 +44,13 @@ def test_a_record_holds_them_with_their_fields() -> None:
     fields = {**json.loads(decoded.fields), "simulation_s": 1.5}
     jsonschema.validate(fields, message_schema("PROTOCOL_VERSION"))
     assert fields["spec_version_hash"] == [1] * 8
+
+
+def test_the_fields_that_were_added_to_a_message_later_are_read_by_those_that_know_them() -> None:
+    ours = MissionCurrent(seq=3, total=12, mission_state=4, mission_mode=2, mission_id=7, fence_id=8, rally_points_id=9)
+    packed = ours.pack(common.MAVLink(None, **SENDER))
+    known = common.MAVLink(None).decode(bytearray(packed))
+    assert (known.seq, known.total, known.mission_state, known.mission_mode) == (3, 12, 4, 2)
+    # Extensions keep the order of the definition: 2 + 2 + 1 + 1 bytes, then the three ids.
+    assert packed[10 + 6 : -2] == (7).to_bytes(4, "little") + (8).to_bytes(4, "little") + (9).to_bytes(4, "little").rstrip(b"\0")
+    assert json.loads(decode(packed)[0].fields)["rally_points_id"] == 9

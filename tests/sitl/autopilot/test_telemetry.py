@@ -12,8 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Reading, unpack_reading
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import Mode, State
+from sitl.autopilot.state import Mode, Snapshot, State
 from sitl.autopilot.telemetry import STREAMS, Telemetry
 
 CONFIG = VehicleConfig(home_heading_deg=90.0)
@@ -99,6 +98,7 @@ def test_the_rates_are_those_of_px4s_onboard_link():
         "ESTIMATOR_STATUS": 1.0,
         "SYSTEM_TIME": 1.0,
         "CURRENT_MODE": 0.5,
+        "MISSION_CURRENT": 1.0,
     }
 
 
@@ -284,8 +284,9 @@ def test_the_landed_state_and_the_version_are_told():
     assert bytes(version.flight_custom_version) == b"\x00\x01\x00plume"  # 0.1.0, the last first
     assert bytes(version.uid2).startswith(b"plumeward")
     assert bytes(version.uid2)[-1] == version.uid == 1
-    # PARAM_FLOAT, COMMAND_INT, PARAM_ENCODE_BYTEWISE, SET_POSITION_TARGET_LOCAL_NED, MAVLINK2
-    assert version.capabilities == 2 | 8 | 16 | 128 | 8192
+    # SET_POSITION_TARGET_GLOBAL_INT is 256, and also:
+    # PARAM_FLOAT, MISSION_INT, COMMAND_INT, PARAM_ENCODE_BYTEWISE, SET_POSITION_TARGET_LOCAL_NED, MAVLINK2, MISSION_FENCE, MISSION_RALLY
+    assert version.capabilities == 2 | 4 | 8 | 16 | 128 | 256 | 8192 | 16384 | 32768
 
 
 # ---- the streams beyond PX4's common ones ----

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.motion import GRAVITY_MPS2
+from sitl.autopilot.setpoint import Setpoint
 from sitl.autopilot.state import Arrived, Mode, Said
 from sitl.autopilot.vehicle import Vehicle
 from tests.sitl.tlog.flights import (
@@ -33,12 +34,6 @@ from tests.sitl.tlog.flights import (
 EMERGENCY, CRITICAL, WARNING = 0, 2, 4  # MAV_SEVERITY
 
 # ---- refusals ----
-
-
-def test_takeoff_is_refused_while_disarmed():
-    vehicle = on_the_ground()
-    assert vehicle.take_off(1.0)[:2] == (REJECTED, "Take-off refused: disarmed")
-    assert not vehicle.moving
 
 
 def test_takeoff_is_refused_in_the_air():
@@ -149,6 +144,50 @@ def test_a_command_repeated_because_its_answer_was_lost_is_accepted_again():
     for command, times in ((vehicle.arm, (1.0, 1.5)), (vehicle.take_off, (2.0, 2.5))):
         assert [command(t).code for t in times] == [ACCEPTED, ACCEPTED]
     assert vehicle.next_event_s() == pytest.approx(2.0 + CLIMB_S)
+
+
+def test_a_take_off_before_arming_waits_and_flies_when_it_is_armed():
+    vehicle = on_the_ground()
+    assert vehicle.take_off(1.0, 8.0).accepted
+    assert (vehicle.state(1.0).mode, vehicle.state(1.0).armed, vehicle.moving) == (Mode.TAKEOFF, False, False)
+    assert vehicle.arm(5.0).accepted
+    assert vehicle.state(6.0).landed_state == TAKING_OFF
+    vehicle.advance(20.0)
+    assert (vehicle.state(20.0).mode, vehicle.state(20.0).position) == (Mode.HOLD, (0.0, 0.0, -8.0))
+
+
+def test_a_take_off_that_is_not_armed_for_10_s_is_given_up():
+    vehicle = on_the_ground()
+    assert vehicle.set_mode(1.0, Mode.TAKEOFF).accepted
+    assert vehicle.take_off(4.0).accepted  # again: the wait begins anew
+    assert vehicle.next_event_s() == 14.0
+    assert vehicle.advance(20.0) == [Said(14.0, 6, "Take-off given up: not armed for 10 s")]
+    assert vehicle.state(20.0).mode is Mode.HOLD
+    vehicle.arm(20.0)
+    assert texts(vehicle.advance(40.0)) == ["Disarmed: no take-off for 10 s"]
+
+
+def test_a_take_off_before_arming_can_be_taken_back_or_changed():
+    vehicle = on_the_ground()
+    vehicle.take_off(1.0)
+    assert vehicle.set_mode(2.0, Mode.HOLD).accepted
+    assert vehicle.advance(50.0) == []
+    vehicle.take_off(50.0, 3.0)
+    vehicle.take_off(51.0, 6.0)
+    assert vehicle.take_off(52.0, 121.0).code == DENIED
+    vehicle.arm(53.0)
+    vehicle.advance(70.0)
+    assert vehicle.state(70.0).position == (0.0, 0.0, -6.0)
+
+
+def test_an_empty_or_falling_vehicle_does_not_take_off():
+    vehicle = hovering()
+    vehicle.disarm(10.0, force=True)
+    assert vehicle.take_off(10.1)[:2] == (REJECTED, "Take-off refused: falling")
+    vehicle = on_the_ground(VehicleConfig(endurance_s=5.0))
+    vehicle.arm(0.0)
+    vehicle.advance(6.0)
+    assert vehicle.take_off(7.0)[:2] == (REJECTED, "Take-off refused: battery empty")
 
 
 def test_landing_ends_on_the_ground_disarmed():
@@ -279,6 +318,7 @@ def test_the_numbers_of_the_modes_are_px4s():
     assert {mode.name: mode.custom_mode for mode in Mode} == {
         "TAKEOFF": 0x02040000,
         "HOLD": 0x03040000,
+        "MISSION": 0x04040000,
         "RETURN": 0x05040000,
         "LAND": 0x06040000,
         "OFFBOARD": 0x00060000,
@@ -533,10 +573,19 @@ def test_a_battery_without_end_never_drains():
 
 # ---- any step ----
 
+
+def _vector(place):
+    """A velocity or an acceleration from a place: up to 7 along each axis."""
+    return (place[0] - 14.5) / 4.0, (place[1] - 15.5) / 4.0, (place[2] + 6.0) / 4.0
+
+
 ACTIONS = {
     "arm": lambda v, t, p: v.arm(t),
     "take off": lambda v, t, p: v.take_off(t),
     "waypoint": lambda v, t, p: v.setpoint(t, p),
+    "velocity": lambda v, t, p: v.setpoint(t, Setpoint(velocity=_vector(p), yaw_rate_radps=p[0] / 30.0)),
+    "acceleration": lambda v, t, p: v.setpoint(t, Setpoint(acceleration=_vector(p))),
+    "height": lambda v, t, p: v.setpoint(t, Setpoint(velocity=_vector(p), down_m=p[2])),
     "offboard": lambda v, t, p: v.set_mode(t, Mode.OFFBOARD),
     "hold": lambda v, t, p: v.set_mode(t, Mode.HOLD),
     "go to": lambda v, t, p: v.go_to(t, p, yaw_rad=p[0] / 10.0),
@@ -548,7 +597,11 @@ ACTIONS = {
 START = [(0.0, "arm", (0.0, 0.0, 0.0)), (0.0, "take off", (0.0, 0.0, 0.0))]
 targets = st.tuples(st.floats(-1.0, 30.0, width=32), st.floats(0.0, 31.0, width=32), st.floats(-12.0, 0.0, width=32))
 scripts = st.lists(st.tuples(st.floats(0.0, 8.0), st.sampled_from(sorted(ACTIONS)), targets), max_size=12)
-flights = st.lists(st.tuples(st.floats(0.0, 8.0), st.sampled_from(["waypoint", "offboard", "waypoint", "hold"]), targets), max_size=12)
+MOVES = ["waypoint", "offboard", "velocity", "acceleration", "height", "hold"]
+flights = st.lists(
+    st.tuples(st.floats(0.0, 8.0), st.sampled_from(MOVES), targets),
+    max_size=12,
+)
 
 
 def play(script, steps):

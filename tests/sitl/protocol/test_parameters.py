@@ -183,6 +183,13 @@ def test_the_silence_that_is_set_brings_the_vehicle_home():
     assert vehicle.state(vehicle.now_s).mode in (Mode.RETURN, Mode.LAND)
 
 
+def test_the_loss_time_of_a_strict_vehicle_is_that_of_its_stream():
+    station = Station(offboard(VehicleConfig(stream_s=3.0)))
+    assert station.value("COM_OF_LOSS_T") == 3.0
+    station.set("COM_OF_LOSS_T", 2.0)
+    assert (station.vehicle.config.stream_s, station.vehicle.config.silence_s) == (2.0, 30.0)
+
+
 def test_extended_parameters_are_refused(station):
     (none,) = station.ask(mavlink.MAVLink_param_ext_request_list_message(1, 1))
     assert (none.get_type(), none.param_count) == ("PARAM_EXT_VALUE", 0)

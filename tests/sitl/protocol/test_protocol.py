@@ -10,8 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.snapshot import Snapshot
-from sitl.autopilot.state import Mode
+from sitl.autopilot.state import Mode, Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.protocol.protocol import MavlinkProtocol
 from tests.sitl.tlog.flights import (
@@ -69,9 +68,9 @@ def text(answers):
 
 def test_a_refused_command_is_acknowledged_to_its_client_and_told_why():
     vehicle = on_the_ground()
-    answers = MavlinkProtocol(vehicle).receive(command(22, NAN, NAN, NAN, NAN, NAN, NAN, NAN), 1.0)
+    answers = MavlinkProtocol(vehicle).receive(command(20), 1.0)
     assert ack(answers) == REJECTED
-    assert text(answers) == "Take-off refused: disarmed"
+    assert text(answers) == "Return refused: on the ground"
     assert (answers[0].target_system, answers[0].target_component) == CLIENT
     assert not vehicle.moving
 
@@ -102,7 +101,7 @@ def test_what_could_never_be_done_is_denied(altitude):
     assert "up to 120 m" in text(answers)
 
 
-@pytest.mark.parametrize("params", [(1.0, 3.0), (1.0, 1.0), (1.0, 4.0, 4.0), (0.0, 6.0), (NAN, 6.0), (1.0, NAN)])
+@pytest.mark.parametrize("params", [(1.0, 3.0), (1.0, 1.0), (1.0, 4.0, 1.0), (0.0, 6.0), (NAN, 6.0), (1.0, NAN)])
 def test_modes_that_are_not_flown_are_refused(params):
     answers = MavlinkProtocol(hovering()).receive(command(176, *params), 10.0)
     assert ack(answers) == DENIED
@@ -120,7 +119,7 @@ def test_go_to_is_refused_outside_the_fence_and_in_a_local_frame():
     assert not vehicle.moving
 
 
-@pytest.mark.parametrize("number", [16, 31000, 300, 42428])
+@pytest.mark.parametrize("number", [16, 31000, 207, 42428])
 def test_what_is_not_known_is_answered_as_unsupported(number):
     assert ack(MavlinkProtocol(hovering()).receive(command(number), 10.0)) == UNSUPPORTED
 
@@ -140,12 +139,13 @@ def test_what_is_for_others_is_not_answered():
     assert not vehicle.set_mode(10.0, Mode.OFFBOARD).accepted
 
 
+NOT_WHOLE = "Setpoint refused: wanted a position, a velocity, a velocity x, y with a position z, or an acceleration, each whole"
 REFUSED_WAYPOINTS = {
     "outside the area": (waypoint(4.0, 31.0), "Waypoint refused: (31.0, 4.0) m is outside the area [0, 30] x [0, 30] m"),
     "outside the altitudes": (waypoint(4.0, 4.0, -121.0), "Waypoint refused: altitude 121.0 m is outside [0, 120] m"),
     "not finite": (waypoint(NAN, 4.0), "Waypoint refused: (4.0, nan) m at 5.0 m is not finite"),
-    "frame": (waypoint(4.0, 4.0, frame=8), "Waypoint refused: frame 8 is not LOCAL_NED (1)"),
-    "no position": (waypoint(4.0, 4.0, mask=0b110111000111), "Waypoint refused: it has no position x, y, z"),
+    "frame": (waypoint(4.0, 4.0, frame=7), "Setpoint refused: frame 7 is not LOCAL_NED (1) or BODY_NED (8)"),
+    "not whole": (waypoint(4.0, 4.0, mask=0b110111111111), NOT_WHOLE),
 }
 
 
@@ -161,8 +161,12 @@ def test_a_waypoint_that_makes_no_sense_is_refused_with_its_reason_and_changes_n
     assert vehicle.next_event_s() == expiry  # a refused setpoint does not reset the timeout either
 
 
-def test_a_waypoint_with_a_yaw_that_is_no_number_is_refused():
-    assert text(MavlinkProtocol(offboard()).receive(waypoint(1.0, 1.0, yaw=NAN), 10.0)) == "Waypoint refused: yaw nan is not finite"
+def test_a_yaw_that_is_no_number_is_ignored_as_in_px4_but_an_infinite_one_is_refused():
+    vehicle = offboard()
+    protocol = MavlinkProtocol(vehicle)
+    assert protocol.receive(waypoint(1.0, 1.0, yaw=NAN), 10.0) == []
+    assert vehicle.waypoint == (1.0, 1.0, -5.0)
+    assert text(protocol.receive(waypoint(2.0, 1.0, yaw=math.inf), 10.0)) == "Waypoint refused: yaw inf is not finite"
 
 
 def test_the_same_refusal_is_told_once_a_second_at_20_hz():
@@ -204,6 +208,25 @@ def test_a_client_arms_and_takes_off_to_the_default_altitude():
     assert vehicle.state(2.0).mode is Mode.TAKEOFF
     vehicle.advance(10.0)
     assert (vehicle.state(10.0).mode, vehicle.state(10.0).position) == (Mode.HOLD, (0.0, 0.0, -5.0))
+
+
+def test_the_slider_of_qgroundcontrol_takes_off_before_it_arms():
+    vehicle = on_the_ground()
+    protocol = MavlinkProtocol(vehicle)
+    assert ack(protocol.receive(command(22, -1.0, 0.0, 0.0, NAN, NAN, NAN, 488.0 + 9.0), 1.0)) == ACCEPTED
+    assert (vehicle.state(1.0).mode, vehicle.state(1.0).armed) == (Mode.TAKEOFF, False)
+    assert ack(protocol.receive(command(400, 1.0), 1.2)) == ACCEPTED
+    vehicle.advance(20.0)
+    assert vehicle.state(20.0).position == (0.0, 0.0, -9.0)
+
+
+def test_the_mode_takeoff_may_come_before_arming_too():
+    vehicle = on_the_ground()
+    protocol = MavlinkProtocol(vehicle)
+    assert ack(protocol.receive(command(176, 1.0, 4.0, 2.0), 1.0)) == ACCEPTED
+    assert ack(protocol.receive(command(400, 1.0), 1.2)) == ACCEPTED
+    vehicle.advance(20.0)
+    assert vehicle.state(20.0).position == (0.0, 0.0, -5.0)
 
 
 def test_a_takeoff_altitude_is_above_mean_sea_level():

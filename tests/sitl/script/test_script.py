@@ -138,6 +138,16 @@ def test_a_battery_and_a_patience_without_end_are_allowed(tmp_path: Path) -> Non
     assert (config.endurance_s, config.silence_s) == (math.inf, math.inf)
 
 
+@pytest.mark.parametrize(("speedup", "stream_s"), [(0, 1.0), (1, 1.0), (3, 3.0)])
+def test_a_strict_vehicle_loses_a_stream_after_a_second_of_real_time(tmp_path: Path, speedup: float, stream_s: float) -> None:
+    path = tmp_path / "mission.yaml"
+    path.write_text(f"speedup: {speedup}\nvehicle: {{strict: true}}\n")
+    config = load(path).vehicle_config(sysid=1)
+    assert (config.stream_s, config.silence_s) == (stream_s, 30.0 * stream_s)
+    path.write_text("about: kind\n")
+    assert load(path).vehicle_config(sysid=1).stream_s == math.inf
+
+
 def test_of_several_mistakes_the_first_is_told_but_a_wrong_name_before_the_one_that_it_stands_for(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text("events:\n- step: 1\n  do: stuck\n  reading: 3\nexpect: [lost]\nseed: x\n")

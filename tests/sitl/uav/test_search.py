@@ -1,6 +1,7 @@
 """Protects that the pilot always wins: who leads the vehicle, when the search gives way, and how it is given back."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -8,6 +9,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.mavlink import POSITION_ONLY, Message, waypoint_message
 from link.bus.messages import Stop
 from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.fence import Circle, Fence
+from sitl.autopilot.plan import Item, step
 from sitl.autopilot.state import Arrived, Mode
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
@@ -20,8 +23,8 @@ STOP = Stop(9_000, 7, (4.0, 3.0), (0.04, 0.0, 0.04), 0.28, 0.5, "spread:0.5")
 class Flight:
     """A vehicle with a search, and an agent that answers each reading with the next waypoint, 1 m further east."""
 
-    def __init__(self, after_stop: str = "return", silence_s: float = 30.0) -> None:
-        self.vehicle = Vehicle(VehicleConfig(silence_s=silence_s))
+    def __init__(self, after_stop: str = "return", silence_s: float = 30.0, stream_s: float = math.inf) -> None:
+        self.vehicle = Vehicle(VehicleConfig(silence_s=silence_s, stream_s=stream_s))
         self.texts: list[str] = []
         self.real_s = 100.0
         protocol = MavlinkProtocol(self.vehicle)
@@ -73,6 +76,13 @@ class Flight:
             7, 1, 1, mavlink.MAV_FRAME_LOCAL_NED, POSITION_ONLY, y, x, -5.0, *zeros
         )
         return self.send(setpoint, sender)
+
+    def push(self, north: float, east: float, time_boot_ms: int = 7, sender: tuple[int, int] = CLIENT) -> list[Message]:
+        """Send a velocity of a client's own, m/s; returns the answers."""
+        ignored = mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE * 0b111 | POSITION_ONLY & ~0b111000
+        vector = [north, east, *[0.0] * 6]
+        velocity = mavlink.MAVLink_set_position_target_local_ned_message(time_boot_ms, 1, 1, 1, ignored, 0, 0, 0, *vector)
+        return self.send(velocity, sender)
 
     @property
     def mode(self) -> Mode:
@@ -177,6 +187,102 @@ def test_setpoints_of_another_client_are_refused_while_the_search_leads(flight: 
     assert all(abs(y - 3.0) < 1e-6 for _, y in flight.readings)
     assert len(set(flight.readings)) == len(flight.readings)
     assert flight.change(Mode.OFFBOARD, CLIENT) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+
+
+def test_velocities_and_global_setpoints_of_another_client_are_refused_while_the_search_leads(flight: Flight) -> None:
+    flight.until("searching")
+    flight.fly(3)
+    there = [round(47.3978 * 1e7), round(8.5457 * 1e7), 5.0, *[0.0] * 8]
+    position = mavlink.MAVLink_set_position_target_global_int_message(7, 1, 1, 6, POSITION_ONLY, *there)
+    for answers in (flight.push(1.0, 0.0), flight.send(position, CLIENT)):
+        told = "".join(answer.text for answer in answers)
+        assert told in ("Waypoint refused: the search leads, HOLD stops it", "")  # both within a second
+        flight.fly(2)
+    assert flight.search.leads
+    assert all(y == 3.0 for _, y in flight.readings)
+
+
+def test_a_velocity_is_no_answer_to_a_reading(flight: Flight) -> None:
+    flight.until("searching")
+    flight.answering = False
+    flight.fly(5)
+    answers = flight.push(1.0, 0.0, time_boot_ms=flight.vehicle.answers.newest or 0, sender=(1, 191))
+    assert "".join(answer.text for answer in answers) == "Waypoint refused: the answer to a reading is a position"
+    assert flight.vehicle.answers.awaited
+
+
+def test_another_client_may_lead_by_velocity_and_then_give_the_search_back(flight: Flight) -> None:
+    flight.until("searching")
+    flight.fly(5)
+    readings = list(flight.readings)
+    flight.change(Mode.HOLD, CLIENT)
+    flight.fly(3)
+    x, _ = flight.place
+    for n in range(100):
+        flight.push(2.0, 0.0)
+        if n == 5:
+            assert flight.change(Mode.OFFBOARD, CLIENT) == mavlink.MAV_RESULT_ACCEPTED
+        flight.fly(0.1)
+    assert flight.place[0] == x
+    assert flight.place[1] == pytest.approx(3.0 + 2.0 / 3.0 + (9.5 - 2.0 / 3.0) * 2.0, abs=0.25)  # 2 m/s for 9.5 s
+    assert (flight.readings, flight.search.state) == (readings, "paused")
+    flight.fly(2)
+    assert flight.change(Mode.OFFBOARD) == mavlink.MAV_RESULT_ACCEPTED
+    flight.fly(15)
+    assert flight.readings[len(readings)][1] == 3.0
+
+
+def test_a_strict_vehicles_own_search_need_not_stream_and_may_be_paused_and_given_back() -> None:
+    flight = Flight(stream_s=1.0)
+    flight.until("searching")
+    flight.fly(5)
+    flight.answering = False
+    flight.fly(20)  # a slow agent
+    assert flight.search.leads
+    flight.answering = True
+    flight.fly(5)
+    flight.change(Mode.HOLD)
+    flight.fly(1.5)
+    readings = len(flight.readings)
+    assert flight.change(Mode.OFFBOARD) == mavlink.MAV_RESULT_ACCEPTED
+    flight.fly(10)
+    assert len(flight.readings) > readings
+    assert [text for text in flight.texts if "No setpoint" in text] == []
+
+
+def test_a_strict_vehicle_comes_home_a_second_after_the_last_setpoint_of_another_client() -> None:
+    flight = Flight(stream_s=1.0)
+    flight.until("searching")
+    flight.fly(5)
+    flight.change(Mode.HOLD, CLIENT)
+    for n in range(30):
+        flight.lead(20.0, 20.0)
+        if n == 5:
+            assert flight.change(Mode.OFFBOARD, CLIENT) == mavlink.MAV_RESULT_ACCEPTED
+        flight.fly(0.1)
+    flight.fly(0.8)
+    assert flight.mode is Mode.OFFBOARD
+    flight.fly(0.2)
+    assert flight.mode is Mode.RETURN
+
+
+def test_a_search_waits_while_a_station_takes_off_before_it_arms(flight: Flight) -> None:
+    assert flight.command(mavlink.MAV_CMD_NAV_TAKEOFF, -1, 0, 0, math.nan, math.nan, math.nan, 488.0 + 7.0) == mavlink.MAV_RESULT_ACCEPTED
+    flight.fly(2)
+    assert (flight.search.state, flight.texts) == ("standby", ["Search waits: a pilot flies the vehicle"])
+    assert flight.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == mavlink.MAV_RESULT_ACCEPTED
+    flight.fly(20)
+    assert (flight.search.state, flight.mode, flight.vehicle.state(flight.now_s).position[2]) == ("standby", Mode.HOLD, -7.0)
+    flight.change(Mode.LAND)
+    flight.until("searching")
+
+
+def test_a_search_begins_when_a_station_gives_up_its_take_off(flight: Flight) -> None:
+    flight.command(mavlink.MAV_CMD_NAV_TAKEOFF, -1, 0, 0, math.nan, math.nan, math.nan, 488.0 + 7.0)
+    flight.fly(9)
+    assert flight.search.state == "standby"
+    flight.until("searching")
+    assert flight.vehicle.state(flight.now_s).position[2] == -5.0
 
 
 def test_another_client_that_took_control_leads_with_its_own_setpoints_and_burns_no_readings(flight: Flight) -> None:
@@ -285,3 +391,54 @@ def test_commands_to_all_systems_and_from_the_vehicles_own_ids_are_not_obeyed(fl
     assert flight.send(arm, (1, 191))[0].result == mavlink.MAV_RESULT_ACCEPTED  # another component of the vehicle may
     version = mavlink.MAVLink_command_long_message(0, 0, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
     assert flight.send(version, PILOT)[0].result != mavlink.MAV_RESULT_FAILED
+
+
+# ---- missions and the fence ----
+
+
+def fly_mission(flight: Flight) -> None:
+    """Let the pilot fly a mission: 10 m north, and stay there."""
+    items = (Item(17, 6, 1, (0.0, 0.0, 0.0, math.nan), 473978320, 85455940, 5.0),)
+    flight.vehicle.load(flight.now_s, tuple(step(item, 1, flight.vehicle.config) for item in items))
+    assert flight.change(Mode.MISSION) == mavlink.MAV_RESULT_ACCEPTED
+
+
+def test_a_pilot_who_starts_a_mission_in_mid_search_leads_until_the_search_is_given_back(flight: Flight) -> None:
+    flight.until("searching")
+    flight.fly(10)
+    flight.answering = False
+    before = len(flight.readings)
+    fly_mission(flight)
+    assert flight.texts == ["Search gives way: MISSION by 255/190"]
+    flight.answering = True
+    flight.fly(60)
+    assert flight.search.state == "paused"
+    assert flight.mode is Mode.MISSION
+    assert flight.place == pytest.approx((0.0, 10.0), abs=0.05)
+    assert len(flight.readings) == before
+    assert flight.change(Mode.OFFBOARD) == mavlink.MAV_RESULT_ACCEPTED
+    flight.fly(20)
+    assert flight.texts[-1] == "Search resumed by 255/190"
+    assert len(flight.readings) > before + 2
+
+
+def test_a_waypoint_outside_the_fence_is_refused_and_silence_brings_the_vehicle_home() -> None:
+    flight = Flight(silence_s=20.0)
+    flight.vehicle.configure(0.0, replace(flight.vehicle.config, fence=Fence((Circle(True, (0.0, 0.0), 8.0),))))
+    flight.until("searching")
+    flight.fly(20)  # the agent goes east, 1 m at a time: the eighth waypoint is outside
+    assert flight.readings[-1] == (7.0, 3.0)
+    assert flight.vehicle.answers.awaited
+    flight.until("landed")
+    assert flight.place == (0.0, 0.0)
+    assert flight.texts[-1:] != ["Search gives way: HOLD by the autopilot"]
+
+
+def test_a_breach_of_the_fence_in_mid_search_pauses_it(flight: Flight) -> None:
+    flight.vehicle.configure(0.0, replace(flight.vehicle.config, fence=Fence((Circle(False, (3.0, 4.5), 0.3),))))
+    flight.until("searching")
+    flight.fly(20)  # the zone lies between two waypoints
+    assert flight.readings[-1] == (4.0, 3.0)
+    assert flight.texts == ["Search gives way: HOLD by the autopilot"]
+    assert flight.search.state == "paused"
+    assert flight.mode is Mode.HOLD

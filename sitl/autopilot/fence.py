@@ -1,0 +1,142 @@
+"""The geofence: polygons and circles seen from above, and the exact time at which a path leaves them."""
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from sitl.autopilot.motion import Ned, Phase, Trajectory
+
+Place = tuple[float, float]
+"""(north, east) in m from home."""
+
+EDGE_M = 1e-9
+"""A place this close to the edge of a shape lies on it, and the edge is always allowed."""
+SHORTEST_S = 1e-6
+"""A stay inside or outside that is shorter than this comes from rounding at an edge."""
+
+
+class Circle(NamedTuple):
+    """A circle that the vehicle has to stay in, or out of."""
+
+    inclusion: bool
+    centre: Place
+    radius_m: float
+
+    def allows(self, place: Place) -> bool:
+        """True on the edge and on its allowed side."""
+        away = math.dist(place, self.centre) - self.radius_m
+        return away <= EDGE_M if self.inclusion else away >= -EDGE_M
+
+    def crossings(self, phase: Phase) -> Iterator[float]:
+        """Yield the times, of a phase or beyond it, at which the edge may be crossed."""
+        (north, east, _), (v_north, v_east, _), (a_north, a_east, _) = phase.known
+        curves = [np.array([a / 2.0, v, at - c]) for at, v, a, c in (
+            (north, v_north, a_north, self.centre[0]), (east, v_east, a_east, self.centre[1]),
+        )]  # fmt: skip
+        distance = sum(np.convolve(curve, curve) for curve in curves) - np.array([0.0, 0.0, 0.0, 0.0, self.radius_m**2])
+        yield from (phase.known_s + root.real for root in np.roots(distance).tolist() if abs(root.imag) < SHORTEST_S)
+
+
+class Polygon(NamedTuple):
+    """A polygon that the vehicle has to stay in, or out of. Its last vertex is joined to the first."""
+
+    inclusion: bool
+    vertices: tuple[Place, ...]
+
+    def allows(self, place: Place) -> bool:
+        """True on the edge and on its allowed side; by the ray that leaves an inner place across an odd number of edges."""
+        north, east = place
+        inside = False
+        for a, b in self._edges():
+            if _off(place, a, b) <= EDGE_M:
+                return True
+            if (a[1] > east) != (b[1] > east) and north < a[0] + (b[0] - a[0]) * (east - a[1]) / (b[1] - a[1]):
+                inside = not inside
+        return inside == self.inclusion
+
+    def crossings(self, phase: Phase) -> Iterator[float]:
+        """Yield the times, of a phase or beyond it, at which the line through an edge is crossed."""
+        (north, east, _), (v_north, v_east, _), (a_north, a_east, _) = phase.known
+        for a, b in self._edges():
+            across = (a[1] - b[1], b[0] - a[0])  # a vector at a right angle to the edge
+            roots = np.roots([
+                (a_north * across[0] + a_east * across[1]) / 2.0,
+                v_north * across[0] + v_east * across[1],
+                (north - a[0]) * across[0] + (east - a[1]) * across[1],
+            ]).tolist()  # fmt: skip
+            yield from (phase.known_s + root.real for root in map(complex, roots) if abs(root.imag) < SHORTEST_S)
+
+    def _edges(self) -> Iterator[tuple[Place, Place]]:
+        return zip(self.vertices, (*self.vertices[1:], self.vertices[0]), strict=True)
+
+
+class Fence(NamedTuple):
+    """Every shape has to be kept: the vehicle stays inside all inclusions and outside all exclusions, as in PX4."""
+
+    shapes: tuple[Circle | Polygon, ...] = ()
+    number: int = 0
+    """The checksum of the items that it was made of; 0 without a fence."""
+
+    def allows(self, position: Ned) -> bool:
+        """True if a position is inside the fence or on its edge."""
+        return all(shape.allows(position[:2]) for shape in self.shapes)
+
+    def left_s(self, path: Trajectory, since_s: float, outside: bool) -> float:
+        """Return when a path leaves the fence after a time; infinity if it does not. A path that begins outside has to come in first.
+
+        The candidates are roots of polynomials. The time itself is bisected: it is the last float at which the fence allows the place.
+        """
+        inside_s = since_s
+        for start_s, end_s in self._stretches(path, since_s):
+            middle_s = (start_s + end_s) / 2.0
+            if self.allows(path.at(middle_s).position):
+                inside_s, outside = middle_s, False
+            elif not outside:
+                return self._last_inside_s(path, inside_s, middle_s)
+        return math.inf
+
+    def _stretches(self, path: Trajectory, since_s: float) -> Iterator[tuple[float, float]]:
+        """Yield the stretches of a path, beginning and end, between which it may cross an edge."""
+        for phase in path.phases if self.shapes else ():
+            start_s = max(phase.start_s, since_s)
+            if phase.end_s <= start_s:
+                continue
+            crossed = {at for shape in self.shapes for at in shape.crossings(phase) if start_s < at < phase.end_s}
+            for begin_s, end_s in itertools.pairwise(sorted({start_s, *crossed, phase.end_s})):
+                if end_s - begin_s >= SHORTEST_S:
+                    yield begin_s, end_s
+
+    def _last_inside_s(self, path: Trajectory, inside_s: float, outside_s: float) -> float:
+        while inside_s < (middle_s := (inside_s + outside_s) / 2.0) < outside_s:
+            if self.allows(path.at(middle_s).position):
+                inside_s = middle_s
+            else:
+                outside_s = middle_s
+        return inside_s
+
+
+class Rally(NamedTuple):
+    """Places other than home where a return may end."""
+
+    places: tuple[Place, ...] = ()
+    number: int = 0
+    """The checksum of the items that they were made of; 0 without rally points."""
+
+    def nearest(self, position: Ned) -> Place:
+        """Return the nearest of home and the rally points, as PX4's RTL_TYPE 0 does; home if two are equally near."""
+        return min(((0.0, 0.0), *self.places), key=lambda place: math.dist(place, position[:2]))
+
+
+NO_FENCE, NO_RALLY = Fence(), Rally()
+
+
+def _off(place: Place, a: Place, b: Place) -> float:
+    """The distance of a place from the edge between a and b, m."""
+    along = (b[0] - a[0], b[1] - a[1])
+    length2 = along[0] ** 2 + along[1] ** 2
+    share = ((place[0] - a[0]) * along[0] + (place[1] - a[1]) * along[1]) / length2 if length2 else 0.0
+    share = min(max(share, 0.0), 1.0)
+    return math.dist(place, (a[0] + share * along[0], a[1] + share * along[1]))
