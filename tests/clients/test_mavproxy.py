@@ -1,0 +1,154 @@
+"""Protects the vehicle against MAVProxy: what its users type works, and what the vehicle lacks is refused on their console."""
+
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from tests.clients.conftest import python_of
+
+MODULES = "arm,cmdlong,fence,ftp,log,misc,mode,param,rally,wp"
+HEAD = "QGC WPL 110"
+# Rows as MAVProxy saves them: number, current, frame, command, four parameters, latitude, longitude, altitude, autocontinue.
+HOME = "0	1	0	16	0	0	0	0	47.397742	8.545594	488.000000	1"
+WAYPOINTS = (
+    "1	0	3	22	0	0	0	0	47.397742	8.545594	5.000000	1",
+    "2	0	3	16	0	0	0	0	47.397842	8.545694	6.000000	1",
+    "3	0	3	16	0	0	0	0	47.397892	8.545794	7.000000	1",
+)
+FENCE = (
+    "0	0	3	5001	4	0	0	0	47.397472	8.545195	0.000000	1",
+    "1	0	3	5001	4	0	0	0	47.397472	8.546391	0.000000	1",
+    "2	0	3	5001	4	0	0	0	47.398282	8.546391	0.000000	1",
+    "3	0	3	5001	4	0	0	0	47.398282	8.545195	0.000000	1",
+)
+RALLY = ("0	0	3	5100	0	0	0	0	47.397842	8.545694	6.000000	1",)
+
+
+class MavProxy:
+    """MAVProxy at a port, and what it has printed."""
+
+    def __init__(self, port: int, folder: Path, wait_until: Callable) -> None:
+        self.folder = folder
+        self.said: list[str] = []
+        self.wait_until = wait_until
+        python = python_of("mavproxy")
+        words = (f"--master=udpin:127.0.0.1:{port}", "--no-state", f"--default-modules={MODULES}")
+        self.process = subprocess.Popen(
+            [python, "-u", str(Path(python).with_name("mavproxy.py")), *words],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, bufsize=1, cwd=folder,
+            env={"HOME": str(folder), "PATH": "/usr/bin:/bin"},
+        )  # fmt: skip
+        self.reader = threading.Thread(target=self.read)
+        self.reader.start()
+
+    def read(self) -> None:
+        assert self.process.stdout
+        self.said.extend(iter(self.process.stdout.readline, ""))
+
+    def type(self, line: str, *answers: str) -> None:
+        """Type a line and wait until all of these were printed after it."""
+        before = len(self.said)
+        assert self.process.stdin
+        self.process.stdin.write(f"{line}\n")
+        for answer in answers:
+            self.until(answer, before)
+
+    def repeat(self, line: str, answer: str) -> None:
+        """Type a line every second until this is printed after it."""
+        before = len(self.said)
+        for _ in range(20):
+            self.type(line)
+            with suppress(AssertionError):
+                return self.wait_until(lambda: any(answer in each for each in self.said[before:]), 1)
+        self.until(answer, before)
+
+    def until(self, text: str, before: int = 0) -> None:
+        try:
+            self.wait_until(lambda: any(text in line for line in self.said[before:]), 20)
+        except AssertionError:
+            pytest.fail(f"MAVProxy did not say {text!r}; it said:\n{''.join(self.said[before:])}")
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self.reader.join()
+        for pipe in (self.process.stdin, self.process.stdout):
+            assert pipe
+            pipe.close()
+
+
+@pytest.fixture
+def mavproxy(vehicle: Callable[..., int], tmp_path: Path, wait_until: Callable) -> Iterator[Callable[..., MavProxy]]:
+    """Start a vehicle and MAVProxy, and wait until that has read the parameters, as it does first."""
+    opened: list[MavProxy] = []
+
+    def begin(*words: str) -> MavProxy:
+        python_of("mavproxy")
+        opened.append(MavProxy(vehicle(*words), tmp_path, wait_until))
+        opened[0].until("parameters")
+        return opened[0]
+
+    yield begin
+    for each in opened:
+        each.close()
+
+
+def rows(path: Path) -> list[list[float]]:
+    """The numbers of a file of waypoints, in any format."""
+    head, *lines = path.read_text().splitlines()
+    assert head == HEAD
+    return [[float(word) for word in line.split()] for line in lines]
+
+
+def test_mavproxy_reads_and_sets_parameters_and_shows_why_one_is_refused(mavproxy: Callable[..., MavProxy]) -> None:
+    station = mavproxy()
+    station.type("param set MIS_TAKEOFF_ALT 7")
+    station.repeat("param fetch MIS_TAKEOFF_ALT", "MIS_TAKEOFF_ALT = 7.0")  # what is set waits in a queue
+    station.type("param set MIS_TAKEOFF_ALT 1000", "allowed is 0.5 to 80 m", "Failed to set MIS_TAKEOFF_ALT to 1000")
+    station.type("param show MIS_TAKEOFF_ALT", "MIS_TAKEOFF_ALT  7.0")
+    station.type("param fetch", "Requested parameter list", "Received ")
+
+
+@pytest.mark.parametrize(
+    ("kind", "lines"), [("wp", (HOME, *WAYPOINTS)), ("fence", FENCE), ("rally", RALLY)], ids=lambda kind: str(kind)[:5]
+)
+def test_what_mavproxy_loads_it_lists_again(mavproxy: Callable[..., MavProxy], kind: str, lines: tuple[str, ...]) -> None:
+    station = mavproxy()
+    sent, got = station.folder / "sent.txt", station.folder / "got.txt"
+    sent.write_text("\n".join((HEAD, *lines, "")))
+    station.type(f"{kind} load sent.txt", "Loaded", "MISSION_ACK: TYPE_", "ACCEPTED")
+    station.type(f"{kind} list", f"Requesting {len(lines)} ")
+    station.type(f"{kind} save got.txt", f"Saved {len(lines)} ")
+    assert rows(got) == rows(sent)
+
+
+def test_mavproxy_takes_off_flies_where_it_is_guided_and_returns(mavproxy: Callable[..., MavProxy]) -> None:
+    station = mavproxy("--speedup", "4")
+    station.type("arm throttle", "ARMED")
+    station.type("takeoff 7", "Mode TAKEOFF")
+    station.until("Mode LOITER", 1)  # at the end of the climb
+    station.type("guided 47.397842 8.545694 6", "COMMAND_ACK: DO_REPOSITION: ACCEPTED")
+    station.type("long DO_SET_MODE 1 4 5", "Mode RTL")  # `mode RTL` fails inside of MAVProxy 1.8.75 with all PX4 vehicles
+    station.until("DISARMED")
+
+
+def test_mavproxy_flies_a_mission(mavproxy: Callable[..., MavProxy]) -> None:
+    station = mavproxy("--speedup", "6")
+    (station.folder / "sent.txt").write_text("\n".join((HEAD, HOME, *WAYPOINTS, "")))
+    station.type("wp load sent.txt", "MISSION_ACK: TYPE_MISSION: ACCEPTED")
+    station.type("arm throttle", "ARMED")
+    station.type("long MISSION_START", "Mode MISSION")
+    for number in (2, 3):
+        station.until(f"Reached waypoint #{number}")
+
+
+def test_mavproxy_shows_what_the_vehicle_lacks(mavproxy: Callable[..., MavProxy]) -> None:
+    station = mavproxy()
+    station.type("ftp list", "Listing /")
+    station.type("log list", "No logs")
+    station.type("reboot", "COMMAND_ACK: PREFLIGHT_REBOOT_SHUTDOWN: UNSUPPORTED")
+    station.type("disarm", "COMMAND_ACK: COMPONENT_ARM_DISARM: ACCEPTED")
