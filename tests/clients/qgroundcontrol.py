@@ -132,6 +132,9 @@ class QGroundControl:
             self.system, AUTOPILOT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, message_id, p2, 0, 0, 0, 0, 0
         )
 
+        def is_wanted(m: Any) -> bool:
+            return m.get_msgId() == message_id or m.get_type() == f"UNKNOWN_{message_id}"
+
         def noted(m: Any) -> bool:
             seen.append(m)
             return m.get_type() == "COMMAND_ACK" and m.command == mavlink.MAV_CMD_REQUEST_MESSAGE
@@ -141,9 +144,7 @@ class QGroundControl:
             ack = self.wait(noted, ACK_S)
             if ack and ack.result != mavlink.MAV_RESULT_ACCEPTED:
                 return int(ack.result), None
-            if wanted := next((m for m in seen if m.get_msgId() == message_id), None) or self.wait(
-                lambda m: m.get_msgId() == message_id, ACK_S
-            ):
+            if wanted := next(filter(is_wanted, seen), None) or self.wait(is_wanted, ACK_S):
                 return mavlink.MAV_RESULT_ACCEPTED, wanted
         raise AssertionError(f"message {message_id} was neither sent nor refused")
 
@@ -197,24 +198,19 @@ class QGroundControl:
 
     def upload(self, kind: int, items: Sequence[Item]) -> int:
         """Send a plan; returns the MAV_MISSION_RESULT."""
-        count = mavlink.MAVLink_mission_count_message(self.system, AUTOPILOT, len(items), kind)
-        message, left = count, TRIES
+        message, left = mavlink.MAVLink_mission_count_message(self.system, AUTOPILOT, len(items), kind), TRIES
+        kinds = ("MISSION_REQUEST_INT", "MISSION_REQUEST", "MISSION_ACK")
         while left:
             self.send(message)
-            answer = self.wait(
-                lambda m: m.get_type() in ("MISSION_REQUEST_INT", "MISSION_REQUEST", "MISSION_ACK") and m.mission_type == kind, ACK_S
-            )
+            answer = self.wait(lambda m: m.get_type() in kinds and m.mission_type == kind, ACK_S)
             if answer is None:
-                left -= 1  # the vehicle asks again for an item that does not come; QGroundControl repeats only the count
-                message = count if message is count else mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, 8, 192, 0, 4, 3)
+                left -= 1
             elif answer.get_type() == "MISSION_ACK":
                 return int(answer.type)
             else:
                 left, item = TRIES, items[answer.seq]
-                message = mavlink.MAVLink_mission_item_int_message(
-                    self.system, AUTOPILOT, answer.seq, item.frame, item.command, int(answer.seq == 0), 1, *item.params, item.x, item.y,
-                    item.z, kind,
-                )  # fmt: skip
+                head = (self.system, AUTOPILOT, answer.seq, item.frame, item.command, int(answer.seq == 0), 1)
+                message = mavlink.MAVLink_mission_item_int_message(*head, *item.params, item.x, item.y, item.z, kind)
         raise AssertionError(f"plan {kind}: the vehicle fell silent")
 
     def download(self, kind: int) -> list[Item]:

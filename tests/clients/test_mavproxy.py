@@ -142,8 +142,9 @@ def test_mavproxy_flies_a_mission(mavproxy: Callable[..., MavProxy]) -> None:
     station.type("wp load sent.txt", "MISSION_ACK: TYPE_MISSION: ACCEPTED")
     station.type("arm throttle", "ARMED")
     station.type("long MISSION_START", "Mode MISSION")
-    for number in (2, 3):
-        station.until(f"Reached waypoint #{number}")
+    for number in (1, 2, 3):
+        station.until(f"waypoint {number}\n")
+    station.until("Mission finished")
 
 
 def test_mavproxy_shows_what_the_vehicle_lacks(mavproxy: Callable[..., MavProxy]) -> None:
