@@ -9,12 +9,13 @@ import select
 import socket
 import threading
 from collections import Counter
+from contextlib import suppress
 from typing import Self
 
 LOST = 0.05
 SPARED = {0, 47}
-"""Types that pass, as in MAVSDK's test: a lost HEARTBEAT only delays the connection, and neither MAVSDK nor QGroundControl asks again for the
-MISSION_ACK that ends an upload."""
+"""Types that pass, as in MAVSDK's test: a lost HEARTBEAT only delays the connection, and neither MAVSDK nor QGroundControl asks again for
+the MISSION_ACK that ends an upload."""
 
 
 def kind_of(frame: bytes) -> int:
@@ -33,6 +34,8 @@ class LossyLink:
         self._air, self._ground = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         self._air.bind(("127.0.0.1", 0))
         self._ground.connect(("127.0.0.1", client))
+        for each in (self._air, self._ground):
+            each.setblocking(False)
         self.port = int(self._air.getsockname()[1])
         """Where the vehicle sends to."""
         self._vehicle: tuple[str, int] | None = None
@@ -65,18 +68,13 @@ class LossyLink:
             if self._ended in readable:
                 return
             for source in readable:
-                try:
+                with suppress(OSError):  # the client is not there yet
                     datagram, sender = source.recvfrom(65535)
-                except ConnectionRefusedError:  # the client is not there yet
-                    continue
-                if source is self._air:
-                    self._vehicle = sender
-                if self.loses("down" if source is self._air else "up", kind_of(datagram)):
-                    continue
-                try:
+                    if source is self._air:
+                        self._vehicle = sender
+                    if self.loses("down" if source is self._air else "up", kind_of(datagram)):
+                        continue
                     if source is self._air:
                         self._ground.send(datagram)
                     elif self._vehicle:
                         self._air.sendto(datagram, self._vehicle)
-                except ConnectionRefusedError:
-                    continue
