@@ -9,7 +9,7 @@ from contextlib import ExitStack
 import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
-from tests.clients.conftest import HERE, free_udp_port, python_of
+from tests.clients.installed import HERE, free_udp_port, python_of
 from tests.clients.lossy import LossyLink
 from tests.clients.qgroundcontrol import FENCE, MISSION, RALLY, QGroundControl, same, waypoint
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.clients.conftest import python_of
+from tests.clients.installed import python_of
 
 MODULES = "arm,cmdlong,fence,ftp,log,misc,mode,param,rally,wp"
 HEAD = "QGC WPL 110"

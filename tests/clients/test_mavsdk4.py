@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.clients.conftest import HERE, python_of
+from tests.clients.installed import HERE, python_of
 
 
 @pytest.fixture
