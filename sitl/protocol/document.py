@@ -70,6 +70,14 @@ A value outside the range is refused: the old value comes back, and a STATUSTEXT
 AUTOPILOT_VERSION gives the PX4 version {version} whose protocol it speaks, since stations warn of old ones. `flight_custom_version` holds
 Plumeward's own version, as PX4's vendors write it (patch, minor, major), and the letters `plume`. `uid2` begins with `plumeward`.
 
+## Missing
+
+- Missions, fences and rally points; setpoints of velocity, acceleration and attitude; global setpoints.
+- Take-off while disarmed. MAVSDK arms first; QGroundControl's slider does not.
+- Commands that take time get one COMMAND_ACK, without progress.
+- MAVLink signing: signed frames are read, their signature is not checked.
+- COMPONENT_METADATA: unsupported, as by a PX4 without the files. Events, as PX4 has had since 1.13: only STATUSTEXT.
+
 ## Fly it from your own code
 
 The example needs the package `mavsdk`, version 4. It starts the vehicle at four times real time, takes off, flies two setpoints and lands.
@@ -84,14 +92,6 @@ PX4's simulated vehicle sends to the same port, so `fly` flies it as well.
 
 The tests in `tests/clients/` do this on each change. MAVSDK 4 and QGroundControl's requests are also tried over a link that loses 5% of the
 frames in both directions.
-
-## Missing
-
-- Missions, fences and rally points; setpoints of velocity, acceleration and attitude; global setpoints.
-- Take-off while disarmed. MAVSDK arms first; QGroundControl's slider does not.
-- Commands that take time get one COMMAND_ACK, without progress.
-- MAVLink signing: signed frames are read, their signature is not checked.
-- COMPONENT_METADATA: unsupported, as by a PX4 without the files. Events, as PX4 has had since 1.13: only STATUSTEXT.
 """
 
 
