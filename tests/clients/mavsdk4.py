@@ -108,7 +108,7 @@ async def fly(drone: System) -> dict:
     moving = await until(telemetry.subscribe_position_velocity_ned(), lambda p: there(p)[0] > 9.0)
     seen["velocity"] = [moving.velocity.north_m_s, moving.velocity.east_m_s, moving.velocity.down_m_s]
     await offboard.stop()
-    seen["mode"] = str((await until(telemetry.subscribe_flight_mode(), lambda mode: "HOLD" in str(mode))).name)
+    await until(telemetry.subscribe_flight_mode(), lambda mode: mode.name == "HOLD")
     await action.land()
     await until(telemetry.subscribe_in_air(), lambda in_air: not in_air)
     await until(telemetry.subscribe_armed(), lambda armed: not armed)
