@@ -129,10 +129,11 @@ def test_what_mavproxy_loads_it_lists_again(mavproxy: Callable[..., MavProxy], k
 def test_mavproxy_takes_off_flies_where_it_is_guided_and_returns(mavproxy: Callable[..., MavProxy]) -> None:
     station = mavproxy("--speedup", "4")
     station.type("arm throttle", "ARMED")
-    station.type("takeoff 494", "Mode TAKEOFF")  # above sea: PX4 takes it so, and home lies at 488 m
-    station.until("Mode LOITER", 1)  # at the end of the climb
-    station.type("guided 47.397842 8.545694 6", "COMMAND_ACK: DO_REPOSITION: ACCEPTED")
-    station.type("long DO_SET_MODE 1 4 5", "Mode RTL")  # `mode RTL` fails inside of MAVProxy 1.8.75 with all PX4 vehicles
+    station.type("takeoff 494", "COMMAND_ACK: NAV_TAKEOFF: ACCEPTED")  # above sea: PX4 takes it so, and home lies at 488 m
+    station.repeat("alt", "Altitude:  6.0")
+    station.type("guided 47.397842 8.545694 7", "COMMAND_ACK: DO_REPOSITION: ACCEPTED")
+    station.repeat("alt", "Altitude:  7.0")
+    station.type("long DO_SET_MODE 1 4 5", "COMMAND_ACK: DO_SET_MODE: ACCEPTED")  # `mode RTL` fails in MAVProxy 1.8.75 with any PX4
     station.until("DISARMED")
 
 
