@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import development as mavlink
 
 STATION, COMPONENT, AUTOPILOT = 255, 190, 1
 PATIENCE_S = 30.0
-ACK_S, ITEM_S, TRIES = 1.5, 0.25, 6
-"""How long PlanManager waits for an answer and for an item, and how often it asks."""
+ACK_S, ITEM_S, TRIES = 0.6, 0.25, 6
+"""How long it waits for an answer and for an item of a plan, and how often it asks. QGroundControl waits 1.5 s and more for an answer."""
 NO_PARAMETER = 0xFFFF
 UINT32 = 5
 MISSION, FENCE, RALLY = 0, 1, 2

@@ -113,17 +113,15 @@ def test_mavproxy_reads_and_sets_parameters_and_shows_why_one_is_refused(mavprox
     station.type("param fetch", "Requested parameter list", "Received ")
 
 
-@pytest.mark.parametrize(
-    ("kind", "lines"), [("wp", (HOME, *WAYPOINTS)), ("fence", FENCE), ("rally", RALLY)], ids=lambda kind: str(kind)[:5]
-)
-def test_what_mavproxy_loads_it_lists_again(mavproxy: Callable[..., MavProxy], kind: str, lines: tuple[str, ...]) -> None:
+def test_what_mavproxy_loads_it_lists_again(mavproxy: Callable[..., MavProxy]) -> None:
     station = mavproxy()
-    sent, got = station.folder / "sent.txt", station.folder / "got.txt"
-    sent.write_text("\n".join((HEAD, *lines, "")))
-    station.type(f"{kind} load sent.txt", "Loaded", "MISSION_ACK: TYPE_", "ACCEPTED")
-    station.type(f"{kind} list", f"Requesting {len(lines)} ")
-    station.type(f"{kind} save got.txt", f"Saved {len(lines)} ")
-    assert rows(got) == rows(sent)
+    for kind, lines in (("wp", (HOME, *WAYPOINTS)), ("fence", FENCE), ("rally", RALLY)):
+        sent, got = station.folder / f"{kind}.txt", station.folder / f"{kind}-saved.txt"
+        sent.write_text("\n".join((HEAD, *lines, "")))
+        station.type(f"{kind} load {sent.name}", "Loaded", "MISSION_ACK: TYPE_", "ACCEPTED")
+        station.type(f"{kind} list", f"Requesting {len(lines)} ")
+        station.type(f"{kind} save {got.name}", f"Saved {len(lines)} ")
+        assert rows(got) == rows(sent)
 
 
 def test_mavproxy_takes_off_flies_where_it_is_guided_and_returns(mavproxy: Callable[..., MavProxy]) -> None:
