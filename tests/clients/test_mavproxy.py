@@ -11,6 +11,8 @@ import pytest
 from tests.clients.installed import python_of
 
 MODULES = "arm,cmdlong,fence,ftp,log,misc,mode,param,rally,wp"
+FASTEST = (30, 32, 33)
+"""The messages that come most often. At the speed-up of a test MAVProxy, which is Python, could not read them all on a busy machine."""
 HEAD = "QGC WPL 110"
 # Rows as MAVProxy saves them: number, current, frame, command, four parameters, latitude, longitude, altitude, autocontinue.
 HOME = "0	1	0	16	0	0	0	0	47.397742	8.545594	488.000000	1"
@@ -68,7 +70,7 @@ class MavProxy:
 
     def until(self, text: str, before: int = 0) -> None:
         try:
-            self.wait_until(lambda: any(text in line for line in self.said[before:]), 20)
+            self.wait_until(lambda: any(text in line for line in self.said[before:]), 40)
         except AssertionError:
             pytest.fail(f"MAVProxy did not say {text!r}; it said:\n{''.join(self.said[before:])}")
 
@@ -90,6 +92,8 @@ def mavproxy(vehicle: Callable[..., int], tmp_path: Path, wait_until: Callable) 
         python_of("mavproxy")
         opened.append(MavProxy(vehicle(*words), tmp_path, wait_until))
         opened[0].until("parameters")
+        for message_id in FASTEST:
+            opened[0].type(f"long SET_MESSAGE_INTERVAL {message_id} 500000")
         return opened[0]
 
     yield begin
@@ -118,7 +122,7 @@ def test_what_mavproxy_loads_it_lists_again(mavproxy: Callable[..., MavProxy]) -
     for kind, lines in (("wp", (HOME, *WAYPOINTS)), ("fence", FENCE), ("rally", RALLY)):
         sent, got = station.folder / f"{kind}.txt", station.folder / f"{kind}-saved.txt"
         sent.write_text("\n".join((HEAD, *lines, "")))
-        station.type(f"{kind} load {sent.name}", "Loaded", "MISSION_ACK: TYPE_", "ACCEPTED")
+        station.repeat(f"{kind} load {sent.name}", "ACCEPTED")
         station.type(f"{kind} list", f"Requesting {len(lines)} ")
         station.type(f"{kind} save {got.name}", f"Saved {len(lines)} ")
         assert rows(got) == rows(sent)
@@ -127,18 +131,18 @@ def test_what_mavproxy_loads_it_lists_again(mavproxy: Callable[..., MavProxy]) -
 def test_mavproxy_takes_off_flies_where_it_is_guided_and_returns(mavproxy: Callable[..., MavProxy]) -> None:
     station = mavproxy("--speedup", "4")
     station.type("arm throttle", "ARMED")
-    station.type("takeoff 494", "COMMAND_ACK: NAV_TAKEOFF: ACCEPTED")  # above sea: PX4 takes it so, and home lies at 488 m
+    station.type("takeoff 494")  # above sea: PX4 takes it so, and home lies at 488 m
     station.repeat("alt", "Altitude:  6.0")
-    station.type("guided 47.397842 8.545694 7", "COMMAND_ACK: DO_REPOSITION: ACCEPTED")
+    station.type("guided 47.397842 8.545694 7")
     station.repeat("alt", "Altitude:  7.0")
-    station.type("long DO_SET_MODE 1 4 5", "COMMAND_ACK: DO_SET_MODE: ACCEPTED")  # `mode RTL` fails in MAVProxy 1.8.75 with any PX4
+    station.type("long DO_SET_MODE 1 4 5")  # `mode RTL` fails in MAVProxy 1.8.75 with any PX4
     station.until("DISARMED")
 
 
 def test_mavproxy_flies_a_mission(mavproxy: Callable[..., MavProxy]) -> None:
-    station = mavproxy("--speedup", "6")
+    station = mavproxy("--speedup", "4")
     (station.folder / "sent.txt").write_text("\n".join((HEAD, HOME, *WAYPOINTS, "")))
-    station.type("wp load sent.txt", "MISSION_ACK: TYPE_MISSION: ACCEPTED")
+    station.repeat("wp load sent.txt", "MISSION_ACK: TYPE_MISSION: ACCEPTED")
     station.type("arm throttle", "ARMED")
     station.type("long MISSION_START", "Mode MISSION")
     for number in (1, 2, 3):
