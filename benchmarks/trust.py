@@ -176,6 +176,26 @@ def worlds(said: Said) -> str:
     return table(heads, lines)
 
 
+def planners(rows: Rows) -> str:
+    """Return the third table: what each policy flies under `field` in each world, over the missions that all of them have flown."""
+    names = sorted({name for assume, name, _ in rows if assume == "field"}, key=lambda name: (name != DEFAULT, name == LEARNED, name))
+    lines = []
+    for world in WORLDS:
+        flown = {name: rows[cell][SHOWN] for name in names if (cell := ("field", name, world)) in rows}
+        if not flown or len(flown) < len(names):
+            continue
+        seeds = set.intersection(*({row.seed for row in of} for of in flown.values()))
+        lines.append([world, *(_travelled([row for row in of if row.seed in seeds]) for of in flown.values())])
+    return table(["world", *(f"{name}, m" for name in names)], lines)
+
+
+def _travelled(rows: Sequence[MissionRow]) -> str:
+    """Return the mean distance to a stop, and the share of missions located, %, where it is below 99."""
+    stops_m = [row.distance_m for row in rows if row.ceased]
+    located = 100 * float(np.mean([row.located for row in rows]))
+    return (f"{np.mean(stops_m):.1f}" if stops_m else UNKNOWN) + (f" ({located:.0f}%)" if located < 99 else "")
+
+
 def table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     """Return a table in Markdown."""
     return "".join(f"| {' | '.join(line)} |\n" for line in (heads, ["---"] * len(heads), *lines))
@@ -186,7 +206,7 @@ def page(text: str, rows: Rows, said: Said) -> str:
     counts = sorted({len(of) for stops in rows.values() for of in stops.values()}) or [0]
     many = " to ".join(f"{count:,}" for count in dict.fromkeys((counts[0], counts[-1])))
     made = f"\nN = {PARTICLES:,}, at most {BUDGET} steps, {many} missions for each assumption, policy and world.\n"
-    for name, new in (("promise", promise(rows) + made), ("worlds", worlds(said))):
+    for name, new in (("promise", promise(rows) + made), ("worlds", worlds(said)), ("planners", planners(rows))):
         before, begin, rest = text.partition(f"<!-- {name} -->\n")
         _, end, after = rest.partition("<!-- end -->")
         if not begin or not end:

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.belief import evidence, fit, may_claim, share_within, sure_enough
+from estimator.belief import evidence, fit, locates, may_claim, sure_enough
 from estimator.filter import Config, Posterior, prior
 from estimator.kernels.update import update_missions
 from estimator.kernels.weights import moments_of_missions
@@ -107,9 +107,10 @@ class Batch:
         """Whether the mission's belief has ceased, as by `estimator.belief.belief`."""
         config, covariance = self._configs[mission], self.covariances[mission]
         (xx, _), (_, yy) = covariance[:2, :2].tolist()
-        share = share_within(self.particles[mission], self.weights[mission], self.means[mission], config)
+        spread, ranks = math.sqrt(xx + yy), self._ranks[mission, : self.counts[mission]]
+        located = locates(spread, self.particles[mission], self.weights[mission], self.means[mission], ranks, config)
         stds = dict(zip(config.unknowns, np.sqrt(covariance.diagonal()).tolist(), strict=True)) if config.stop_limits else {}
-        return sure_enough(math.sqrt(xx + yy), share, stds, config) and self.may_claim(mission)
+        return sure_enough(located, stds, config) and self.may_claim(mission)
 
     def posterior(self, mission: int) -> Posterior:
         """Return a copy of one mission's posterior."""

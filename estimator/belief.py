@@ -7,7 +7,7 @@ import numpy as np
 
 from estimator.filter import Array, Config, Posterior
 from estimator.kernels.checks import uniformity_p_value
-from estimator.kernels.densities import log_priors
+from estimator.kernels.densities import is_intermittent, log_priors
 from estimator.kernels.weights import effective_sample_size, moments
 from estimator.priors import Fixed
 from link.bus.mavlink import Reading
@@ -23,6 +23,8 @@ INCOMPATIBLE = 1e-4
 """Below this p-value the readings do not fit the model: there is no stop."""
 CLEAR = 5.0
 """A stop is declared only if the plume explains the readings by so many nats better than a sensor that shows one value plus noise."""
+RUN = 20
+"""Number of recent readings in which `stretch` looks for neighbours that are alike: a search has few more in the gas."""
 STUCK = 3
 """This many bit-identical readings in a row mean that a noisy sensor is stuck. There is no stop before this many readings."""
 
@@ -47,7 +49,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     )
     (xx, xy), (_, yy) = covariance[:2, :2].tolist()
     spread = math.sqrt(xx + yy)
-    share = share_within(posterior.particles, posterior.weights, unknown_means, config)
+    located = locates(spread, posterior.particles, posterior.weights, unknown_means, posterior.ranks, config)
     p_value = fit(posterior.readings, posterior.ranks, config)
     better = evidence(posterior.particles, posterior.weights, posterior.log_targets, posterior.readings, config)
     summary = Belief(
@@ -71,7 +73,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         effective_sample_size=effective_sample_size(posterior.weights),
         p_value=p_value,
         evidence=better,
-        ceased=may_claim(p_value, better, len(posterior.readings)) and sure_enough(spread, share, std, config),
+        ceased=may_claim(p_value, better, len(posterior.readings)) and sure_enough(located, std, config),
         assume=config.assume,
         stop=config.criterion.text,
     )
@@ -108,9 +110,9 @@ def may_claim(p_value: float, better: float, readings: int) -> bool:
 
 def met(posterior: Posterior, said: Belief, config: Config) -> bool:
     """True if the belief `said` of this posterior ceases with the criterion of `config`, whichever one `said` was made with."""
-    share = share_within(posterior.particles, posterior.weights, np.array(said.means), config)
+    located = locates(said.spread, posterior.particles, posterior.weights, np.array(said.means), posterior.ranks, config)
     stds = dict(zip(said.unknowns, said.stds, strict=True))
-    return may_claim(said.p_value, said.evidence, said.step + 1) and sure_enough(said.spread, share, stds, config)
+    return may_claim(said.p_value, said.evidence, said.step + 1) and sure_enough(located, stds, config)
 
 
 def warning(said: Belief, config: Config) -> tuple[str, str] | None:
@@ -127,26 +129,49 @@ def warning(said: Belief, config: Config) -> tuple[str, str] | None:
     return None
 
 
-def share_within(particles: Array, weights: Array, means: Array, config: Config) -> float:
-    """Return the share of the belief's weight within the radius of `config.within` of the estimate; NaN if no radius is asked for.
+def locates(spread: float, particles: Array, weights: Array, means: Array, ranks: Array, config: Config) -> bool:
+    """True if the stop criterion's claim of the location is met, also when neighbouring readings are alike (`stretch`).
 
-    particles: (D, N), weights: (N,), which need not be normalised, means: (D,). A known x or y is the estimate's own.
+    particles: (D, N), weights: (N,), which need not be normalised, means: (D,), ranks: (T,), as in `Posterior`.
     """
     if config.within is None:
-        return math.nan
+        return spread < config.threshold_m and spread * stretch(ranks, config) < config.threshold_m
+    radius_m, wanted = config.within
+    return (
+        share_within(radius_m, particles, weights, means, config) >= wanted
+        and share_within(radius_m / stretch(ranks, config), particles, weights, means, config) >= wanted
+    )
+
+
+def stretch(ranks: Array, config: Config) -> float:
+    """Return how many times wider than the belief its errors may be, since neighbouring readings are alike.
+
+    Gas that comes in gusts can stay above or below its mean for several readings. The filter takes them for independent. Then T readings
+    are worth T (1 − ρ) / (1 + ρ), where ρ is the correlation of neighbours (Bayley and Hammersley 1946), and the errors grow by the root
+    of its inverse. ρ is that of the last `RUN` ranks about ½; a negative one counts as 0. It is 1 for gas that is taken to be steady.
+    """
+    recent = ranks[-RUN:] - 0.5
+    power = float(recent @ recent)
+    if not is_intermittent(config.prior_rows) or len(recent) < FEWEST or not power:
+        return 1.0
+    correlation = max(float(recent[1:] @ recent[:-1]) / power, 0.0)
+    return math.sqrt((1 + correlation) / (1 - correlation))
+
+
+def share_within(radius_m: float, particles: Array, weights: Array, means: Array, config: Config) -> float:
+    """Return the share of the belief's weight within a radius of the estimate; a known x or y is the estimate's own.
+
+    Arguments as in `locates`.
+    """
     squares = np.zeros(len(weights))
     for row, mean, name in zip(particles, means, config.unknowns, strict=True):
         if name in ("x", "y"):
             squares += np.square(row - mean)
-    return float(weights[squares <= config.within[0] ** 2].sum() / weights.sum())
+    return float(weights[squares <= radius_m**2].sum() / weights.sum())
 
 
-def sure_enough(spread: float, share: float, stds: Mapping[str, float], config: Config) -> bool:
-    """True if the stop criterion is met: the location is known, if required, and standard deviations are below their limits.
-
-    The location is known if the spread is below ζ, or, with `config.within`, if `share` (of `share_within`) is large enough.
-    """
-    located = spread < config.threshold_m if config.within is None else share >= config.within[1]
+def sure_enough(located: bool, stds: Mapping[str, float], config: Config) -> bool:
+    """True if the stop criterion is met: the location is known (`locates`), if required, and standard deviations are below their limits."""
     return (located or not config.stop_on_location) and all(stds[name] < limit for name, limit in config.stop_limits.items())
 
 

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow, figures
 from agent.trials.rollout import rollout
-from benchmarks.trust import HOLDS, STOPS, is_there, keep, page, promise, read, worlds, write_figures
+from benchmarks.trust import HOLDS, STOPS, is_there, keep, page, planners, promise, read, worlds, write_figures
 from plume.worlds import WORLDS
 
 ROOT = Path(__file__).parents[2]
@@ -76,11 +76,22 @@ def test_the_table_of_worlds_says_what_is_counted_by_hand() -> None:
     assert all(len(line) <= 140 for line in [head, *lines])
 
 
+def test_policies_are_compared_over_the_missions_that_all_have_flown() -> None:
+    rows = rows_of("wind-10", "cv-1") | rows_of("cv-1", policy="ppo") | rows_of("cv-1", policy="dcee") | rows_of("cv-1", assume="paper")
+    rows["field", "dcee", "cv-1"] = {"spread:0.5": FOUR[:3]}  # without the fourth, which never ceased
+    rows["field", "ppo", "cv-1"] = {"spread:0.5": [row(seed, distance_m=20.0 * seed) for seed in (1, 2, 3, 5)]}
+    head, _, *lines = planners(rows).splitlines()
+    assert head == "| world | homing, m | dcee, m | ppo, m |"
+    assert lines == ["| cv-1 | 40.0 (67%) | 40.0 (67%) | 40.0 |"]
+
+
 def test_the_page_keeps_its_prose_and_gets_its_tables_anew() -> None:
-    before = "# Trust\n\nWords.\n\n<!-- promise -->\nold\n<!-- end -->\n\nMore words.\n\n<!-- worlds -->\n<!-- end -->\n\nLast words.\n"
+    places = [f"<!-- {name} -->\n{old}<!-- end -->" for name, old in (("promise", "old\n"), ("worlds", ""), ("planners", ""))]
+    before = "\n\n".join(["# Trust", "Words.", places[0], "More words.", *places[1:], "Last words.\n"])
     rows = rows_of("wind-10")
     once = page(before, rows, said(rows))
-    for part in ("# Trust\n\nWords.\n\n", "\n\nMore words.\n\n", "\n\nLast words.\n", promise(rows), worlds(said(rows)), " 4 missions "):
+    prose = ("# Trust\n\nWords.\n\n", "\n\nMore words.\n\n", "\n\nLast words.\n")
+    for part in (*prose, promise(rows), worlds(said(rows)), planners(rows), " 4 missions "):
         assert part in once
     assert "old" not in once
     assert page(once, rows, said(rows)) == once
@@ -121,7 +132,7 @@ def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_the_command_flies_what_is_asked_for_and_then_only_what_is_missing(tmp_path: Path) -> None:
     document = tmp_path / "page.md"
-    document.write_text("<!-- promise -->\n<!-- end -->\n<!-- worlds -->\n<!-- end -->\n")
+    document.write_text("<!-- promise -->\n<!-- end -->\n<!-- worlds -->\n<!-- end -->\n<!-- planners -->\n<!-- end -->\n")
     asked = ("--assume", "paper", "--world", "as-modelled,gain-halved", "--policy", "ppo", "--missions", "1")
     first = command(tmp_path, *asked)
     assert (first.returncode, first.stdout) == (0, f"{document}\n"), first.stderr

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.batch import Batch
-from estimator.belief import belief, stop
+from estimator.belief import belief, met, stop
 from estimator.criterion import Criterion, chosen, parse
 from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.priors import Fixed, Uniform
@@ -16,6 +16,7 @@ from plume.scenario import Scenario
 from plume.sensor import GAUSSIAN
 from plume.world import World
 
+GUSTS = {"threshold_m": 3.0, "priors": {"cv": Fixed(0.5)}}
 READING = Reading(77, (1.0, 2.0), 5.0, (1.0, 0.0), 0.5)
 
 
@@ -96,6 +97,39 @@ def test_limits_and_the_fit_of_the_readings_still_apply() -> None:
     assert not belief(misfit, READING, Config(within=(5.0, 0.5)))[0].ceased
 
 
+# The ranks rise from 0.025 to 0.975 in steps of 0.05: neighbours have a correlation of 0.85, so errors may be √(1.85 / 0.15) = 3.512 times
+# wider. With every other rank from the upper half it is negative.
+RISING = (np.arange(20) + 0.5) / 20
+JUMPING = np.column_stack([RISING[:10], RISING[10:]]).ravel()
+
+
+@pytest.mark.parametrize(
+    ("cv", "ranks", "criterion", "ceased"),
+    [
+        # The spread of `THREE` is 1.2 m.
+        (1.0, RISING, {"threshold_m": 4.21}, False),
+        (1.0, RISING, {"threshold_m": 4.22}, True),
+        (1.0, JUMPING, {"threshold_m": 1.21}, True),
+        (0.0, RISING, {"threshold_m": 1.21}, True),  # steady gas comes in no gusts
+        (1.0, np.append(JUMPING, RISING), {"threshold_m": 4.21}, False),  # only the last twenty count
+        (1.0, np.append(RISING, JUMPING), {"threshold_m": 1.21}, True),
+        (1.0, RISING[:7], {"threshold_m": 1.21}, True),  # too few to tell
+        # Its shares lie 0.4, 0.6 and 3.4 m from the estimate: 1.4, 2.1 and 11.94 m where errors may be 3.512 times wider.
+        (1.0, RISING, {"within": (2.0, 0.5)}, False),
+        (1.0, RISING, {"within": (2.2, 0.89)}, True),
+        (1.0, RISING, {"within": (11.9, 0.95)}, False),
+        (1.0, RISING, {"within": (12.0, 1.0)}, True),
+        (0.0, RISING, {"within": (3.5, 1.0)}, True),
+    ],
+)
+def test_in_gas_that_comes_in_gusts_a_stop_waits_until_the_belief_is_narrower(cv: float, ranks, criterion: dict, ceased: bool) -> None:
+    posterior = Posterior(THREE.particles, THREE.log_weights, THREE.weights, THREE.log_targets, THREE.readings, ranks)
+    config = Config(priors={"cv": Fixed(cv)}, **criterion)
+    said, _ = belief(posterior, READING, config)
+    assert said.ceased == ceased
+    assert met(posterior, said, config) == ceased
+
+
 def test_a_known_coordinate_is_where_the_estimate_is() -> None:
     posterior = posterior_of([[1.0, 3.0]], [0.5, 0.5])  # y, one metre to either side of its mean
     for radius_m, ceased in ((0.99, False), (1.01, True)):
@@ -110,11 +144,11 @@ def test_a_batch_ceases_at_the_same_readings_as_its_missions_alone(monkeypatch: 
     rng = keyed(5, "places")
     release = Scenario((10.0, 10.0), q=300.0, u=0.7, phi=math.pi / 4, d=4.5, tau=10.0, start=(0.0, 0.0))
     world = World(release, 1, GAUSSIAN)
-    for criterion in ({"within": (3.0, 0.8)}, {"threshold_m": 3.0}, {"within": (3.0, 0.7), "stop_limits": {"x": 1.5}}):
+    for criterion in ({"within": (3.0, 0.8)}, {"threshold_m": 3.0}, {"within": (3.0, 0.7), "stop_limits": {"x": 1.5}}, GUSTS):
         configs = [Config(particles=60, seed=seed, **criterion) for seed in range(6)]
         batch, alone = Batch(configs), [prior(config) for config in configs]
         ceased = []
-        for step in range(12):
+        for step in range(15):
             places = [(8 + 4 * rng.random(), 8 + 4 * rng.random()) for _ in configs]
             readings = [Reading(step, place, 5.0, world.wind, world.gas(place, step)) for place in places]
             batch.assimilate(np.array([config.row(reading) for config, reading in zip(configs, readings, strict=True)]))

@@ -1,6 +1,7 @@
 """Protects the missions as stable-baselines3 sees them: what it is told of the end of each, and that its learners learn from them."""
 
 from collections import deque
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -85,7 +86,10 @@ OFF_POLICY: dict[str, Any] = {"buffer_size": 400, "learning_starts": 50, "batch_
      (DQN, OFF_POLICY, False), (DDPG, OFF_POLICY, True)],
     ids=["ppo, headings", "ppo, heading and step", "dqn", "ddpg"],
 )  # fmt: skip
-def test_stable_baselines_learns(kind: Any, settings: dict[str, Any], continuous: bool) -> None:
+def test_stable_baselines_learns(
+    kind: Any, settings: dict[str, Any], continuous: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SB3_LOGDIR", str(tmp_path))  # else it leaves a folder behind
     env = VecMonitor(adapted(continuous=continuous))
     model = kind(env=env, **SMALL, **settings)
     before = [value.clone() for value in model.policy.parameters()]
