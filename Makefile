@@ -10,7 +10,7 @@ LEARNED := infotaxis,ppo,dqn,ddpg
 # More flags for what a target runs, such as: make results FLAGS='--scenarios 20'
 FLAGS ?=
 
-.PHONY: setup chromium mission test lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch golden clean
+.PHONY: setup chromium clients mission test lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch golden clean
 
 # Left behind by an install that did not finish. Then .venv is made anew: pip may take a half-written package for a whole one.
 UNFINISHED := .venv/.unfinished
@@ -21,7 +21,7 @@ endif
 unexport PYTHONDONTWRITEBYTECODE
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
-setup: $(READY) chromium
+setup: $(READY) chromium clients
 
 # Two layers: what a flight needs, and on top of it all the rest. Each is brought up to date when the files that it is made from change.
 $(FLIGHT): pyproject.toml constraints.txt
@@ -43,6 +43,10 @@ $(READY): $(FLIGHT)
 
 chromium:
 	@sh tests/view/chromium.sh
+
+# After all of .venv is there: it may be made anew.
+clients: $(READY)
+	@sh tests/clients/install.sh
 
 mission: $(FLIGHT)
 	$(BIN)/plumeward fly $(FLAGS)

@@ -274,6 +274,9 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     inbox = Inbox()
     namespace = args.namespace or f"uav/{args.instance + 1}"
     log = Log("uav", namespace, Tally(), args.log_level)
+    if not args.out and not args.connect:
+        usual = parse_url("udpout:127.0.0.1", args.instance)
+        log.info(f"no client can connect by UDP without --out; --out {usual.text} is for {usual.counterpart}; QGroundControl: port 14550")
     with contextlib.ExitStack() as stack:
         bus = None
         if args.connect or not args.out:  # with --out alone it is a plain MAVLink vehicle, without a bus

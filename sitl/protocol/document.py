@@ -12,6 +12,7 @@ from sitl.autopilot.status import FLIGHT_SW_VERSION
 from sitl.autopilot.telemetry import STREAMS
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol import setpoints
+from sitl.protocol.companions import EXAMPLE, TRIED
 from sitl.protocol.missions import ACTION_S, MOST_ITEMS, RETRY_S
 from sitl.protocol.parameters import PARAMETERS, REAL, Parameters
 from sitl.protocol.protocol import COMMANDS, REQUESTED, MavlinkProtocol
@@ -138,6 +139,21 @@ Plumeward's own version, as PX4's vendors write it (patch, minor, major), and th
 - Commands that take time get one COMMAND_ACK, without progress.
 - MAVLink signing: signed frames are read, their signature is not checked.
 - COMPONENT_METADATA: unsupported, as by a PX4 without the files. Events, as PX4 has had since 1.13: only STATUSTEXT.
+
+## Fly it from your own code
+
+The example needs the package `mavsdk`, version 4. It starts the vehicle at four times real time, takes off, flies two setpoints and lands.
+PX4's simulated vehicle sends to the same port, so `fly` flies it as well.
+
+```python
+{example}```
+
+## Tried with
+
+{tried}
+
+The tests in `tests/clients/` do this on each change. MAVSDK 4 and QGroundControl's requests are also tried over a link that loses 5% of the
+frames in both directions.
 """
 
 
@@ -150,6 +166,8 @@ def document() -> str:
     streams = [(LAYOUTS[row.message_id].kind, row.message_id, _rate(row.rate_hz), _says(row.build)) for row in STREAMS]
     values = Parameters(vehicle)
     return PAGE.format(
+        example=EXAMPLE,
+        tried=_table(("client", "version", "what"), TRIED),
         modes=_table(("mode", "PX4 main", "sub"), ((mode.name.capitalize(), *mode.value) for mode in Mode)),
         commands=_table(("command", "number", "does"), ((f"{names[number]}", number, says) for number, says in COMMANDS.items())),
         streams=_table(("message", "number", "rate", "says"), [*streams, *requested]),

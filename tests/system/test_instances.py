@@ -36,3 +36,10 @@ def test_a_link_speaks_to_several_places_and_a_home_that_is_chosen_stays(start) 
         at = client.recv_match(type="GLOBAL_POSITION_INT", blocking=True, timeout=60)
         assert (at.get_srcSystem(), at.lat, at.lon, at.hdg) == (6, -353600000, 1491600000, 9000)
         client.close()
+
+
+def test_a_vehicle_that_no_client_can_reach_says_first_how_one_could(start, wait_until) -> None:
+    uav = start("sitl", "uav", "-I", str(FIRST))
+    wait_until(lambda: uav.err)
+    assert f"--out udpout:127.0.0.1:{14540 + FIRST} is for MAVSDK: udpin://0.0.0.0:{14540 + FIRST}" in uav.err[0]
+    assert "QGroundControl: port 14550" in uav.err[0]
