@@ -76,7 +76,7 @@ class BusLink:
 
     def trouble(self) -> str:
         """Why nothing can be sent."""
-        return "" if self._connected else "no router"
+        return "" if self._connected else "the router is gone; it is tried again"
 
     def _publish(self) -> None:
         while (item := self._leaving.get()) is not None:

@@ -28,6 +28,11 @@ MOST_PEERS = 16
 """A `udpin` or `tcpin` has at most this many peers."""
 
 
+def peers(count: int) -> str:
+    """Return the state of an endpoint with so many peers, as words."""
+    return f"({count} peer{'' if count == 1 else 's'})"
+
+
 class Traffic:
     """The counts of one URL: frames received and sent, and what was dropped, by reason."""
 

@@ -73,30 +73,30 @@ class Routes:
 
     def route(self, letter: Letter, link: int, now_s: float, *, out: bool = False) -> Route:
         """Return where a frame goes that came on `link`; `out` if the bus had it on mavlink/out."""
-        if self._came_elsewhere(letter.data, link, now_s):
-            return Route(dropped=DUPLICATE)
         sender = (letter.system, letter.component)
         home, heard_s = self._homes.get(sender, (link, now_s))
-        if home != link and now_s - heard_s < HOME_S:
+        away = home != link and now_s - heard_s < HOME_S
+        if self._came_elsewhere(letter.data, link, now_s, remember=not away):
+            return Route(dropped=DUPLICATE)
+        if away:
             return Route(dropped=ELSEWHERE)
-        known = (link, letter.system) in self._vehicles
-        if not known and ((letter.autopilot and (out or link != BUS)) or (out and letter.component == AUTOPILOT)):
-            self._vehicles.add((link, letter.system))
-            known = True
-        if known:
+        vehicle = self._is_vehicle(letter, link, out=out)
+        if vehicle:
             self._homes[sender] = (link, now_s)
-        vehicle = out or (known and link != BUS)
         self._hear(sender, link)
         if not letter.target_system:
-            return Route(tuple(other for other in self._heard if other != link), vehicle)
+            return Route(tuple(other for other in self._heard if other != link), out or vehicle)
         there = [other for other in self._heard if self._has(other, letter.target_system, letter.target_component)]
         links = {other for other in there if other != link}
         if vehicle and link != BUS:
             links.add(BUS)  # mavlink/out holds all that a vehicle says, for records and viewers
-        return Route(tuple(sorted(links)), vehicle, "" if there or links else UNHEARD)
+        return Route(tuple(sorted(links)), out or vehicle, "" if there or links else UNHEARD)
 
-    def _came_elsewhere(self, data: bytes, link: int, now_s: float) -> bool:
-        """Remember a frame; return whether it came on another link lately. A sender may repeat itself on its own link."""
+    def _came_elsewhere(self, data: bytes, link: int, now_s: float, *, remember: bool) -> bool:
+        """Return whether a frame came on another link lately. A sender may repeat itself on its own link.
+
+        A vehicle's frame that comes from afar is not remembered: it may have overtaken the one from the vehicle's own link.
+        """
         remembered = self._remembered
         while remembered:
             oldest = next(iter(remembered))
@@ -104,8 +104,16 @@ class Routes:
                 break
             del remembered[oldest]
         came_s, links = remembered.get(data, (now_s, frozenset()))
-        remembered[data] = (came_s, links | {link})
+        if remember:
+            remembered[data] = (came_s, links | {link})
         return bool(links - {link})
+
+    def _is_vehicle(self, letter: Letter, link: int, *, out: bool) -> bool:
+        """Whether a frame's system is a vehicle on its link; a HEARTBEAT may tell just now."""
+        said = letter.autopilot or letter.component == AUTOPILOT if link == BUS and out else letter.autopilot and link != BUS
+        if said:
+            self._vehicles.add((link, letter.system))
+        return (link, letter.system) in self._vehicles and (out or link != BUS)
 
     def _hear(self, sender: Sender, link: int) -> None:
         heard = self._heard[link]

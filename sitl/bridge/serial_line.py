@@ -47,10 +47,10 @@ class SerialLine(Endpoint):
 
     def _fail(self, reason: str) -> None:
         self.close()
-        self._trouble = reason
+        self._trouble = f"{reason}; it is tried again"
         if reason != self._told:
             self._told = reason
-            self._hub.log.warning(f"{self.address.text}: {reason}; it is tried again")
+            self._hub.log.warning(f"{self.address.text}: {self._trouble}")
 
     def trouble(self) -> str:
         """Why it is not open."""
@@ -58,7 +58,7 @@ class SerialLine(Endpoint):
 
     def state(self) -> str:
         """Whether it is open."""
-        return "open" if self._pipe else "not open"
+        return "(open)" if self._pipe else "(not open)"
 
     def close(self) -> None:
         """Free the device."""

@@ -7,7 +7,7 @@ import socket
 import time
 
 from sitl.bridge.address import Address
-from sitl.bridge.links import MOST_PEERS, Endpoint, Hub, Pipe, Retry
+from sitl.bridge.links import MOST_PEERS, Endpoint, Hub, Pipe, Retry, peers
 from sitl.bridge.udp import resolve
 
 MOST_BYTES = 256 * 1024
@@ -73,10 +73,10 @@ class TcpOut(Endpoint):
 
     def _fail(self, reason: str) -> None:
         self.close()
-        self._trouble = reason
+        self._trouble = f"{reason}; it is tried again"
         if reason != self._told:
             self._told = reason
-            self._hub.log.warning(f"{self.address.text}: {reason}; it is tried again")
+            self._hub.log.warning(f"{self.address.text}: {self._trouble}")
 
     def trouble(self) -> str:
         """Why it is not connected."""
@@ -84,7 +84,7 @@ class TcpOut(Endpoint):
 
     def state(self) -> str:
         """Whether it is connected."""
-        return "connected" if self._pipe else "not connected"
+        return "(connected)" if self._pipe else "(not connected)"
 
     def close(self) -> None:
         """Free the connection."""
@@ -141,7 +141,7 @@ class TcpIn(Endpoint):
 
     def state(self) -> str:
         """How many clients it has."""
-        return f"{len(self._clients)} there"
+        return peers(len(self._clients))
 
     def close(self) -> None:
         """Free the server and its connections."""

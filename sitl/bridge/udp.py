@@ -6,7 +6,7 @@ import socket
 import time
 
 from sitl.bridge.address import Address
-from sitl.bridge.links import AWAY, LARGEST_READ, MOST_PEERS, MOST_READS, OVERFLOW, SIGNS_OF_LIFE_S, Endpoint, Hub, Link
+from sitl.bridge.links import AWAY, LARGEST_READ, MOST_PEERS, MOST_READS, OVERFLOW, SIGNS_OF_LIFE_S, Endpoint, Hub, Link, peers
 
 
 def resolve(address: Address) -> tuple[str, int]:
@@ -135,4 +135,4 @@ class UdpIn(_Udp):
 
     def state(self) -> str:
         """How many peers it has."""
-        return f"{sum(caller.joined for caller in self._callers.values())} there"
+        return peers(sum(caller.joined for caller in self._callers.values()))
