@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from link.bus.keys import MAVLINK_OUT
 from link.bus.session import Bus
 from sitl.bridge.address import Address
-from sitl.bridge.bus_link import BusLink
-from sitl.bridge.links import Endpoint, Link
+from sitl.bridge.bus_link import BusChannel
+from sitl.bridge.links import Channel, Endpoint
 from sitl.bridge.routing import BUS, ELSEWHERE, Routes
 from sitl.bridge.serial_line import SerialLine
 from sitl.bridge.stream import Letter
@@ -31,8 +31,8 @@ class Bridge:
         self.selector: selectors.BaseSelector = selectors.DefaultSelector()
         self._bus = bus
         self._routes = Routes()
-        self._links: dict[int, Link] = {}
-        self._numbers: dict[Link, int] = {}
+        self._links: dict[int, Channel] = {}
+        self._numbers: dict[Channel, int] = {}
         self._next = BUS + 1
         self._told: set[tuple[str, int, int]] = set()
         """URLs and senders of which it was told that they are a vehicle's of another link."""
@@ -45,24 +45,24 @@ class Bridge:
         self._endpoints = [ENDPOINTS[address.kind](address, self) for address in addresses]
         for endpoint in self._endpoints:
             endpoint.open()
-        self._bus_link = BusLink(bus, name, self.wake)
+        self._bus_link = BusChannel(bus, name, self.wake)
         bus.tally.state = "bridging"
 
     # ---- what endpoints call ----
 
-    def join(self, link: Link) -> None:
+    def join(self, link: Channel) -> None:
         """Route frames to this link from now on."""
         self._links[self._next], self._numbers[link] = link, self._next
         self._routes.join(self._next)
         self._next += 1
 
-    def leave(self, link: Link) -> None:
+    def leave(self, link: Channel) -> None:
         """Route no more frames to this link."""
         number = self._numbers.pop(link)
         del self._links[number]
         self._routes.leave(number)
 
-    def route(self, link: Link, letters: list[Letter]) -> None:
+    def route(self, link: Channel, letters: list[Letter]) -> None:
         """Send frames of this link on."""
         now_s = time.monotonic()
         for letter in letters:

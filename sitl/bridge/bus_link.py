@@ -8,14 +8,14 @@ from collections.abc import Callable
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
 from link.bus.session import Arrival, Bus
 from sitl.bridge.links import AWAY, GARBAGE, OVERFLOW, Traffic
-from sitl.bridge.stream import Letter, Stream
+from sitl.bridge.stream import FrameStream, Letter
 
 MOST_WAITING = 4096
 """Most messages that wait in either direction."""
 CLOSE_S = 1.0
 
 
-class BusLink:
+class BusChannel:
     """Frames from and to the bus. A router that is slow or gone holds up no other link."""
 
     def __init__(self, bus: Bus, name: str, wake: Callable[[], None]) -> None:
@@ -45,7 +45,7 @@ class BusLink:
         taken = []
         for _ in range(len(self._arrived)):
             arrival = self._arrived.popleft()
-            stream = Stream()
+            stream = FrameStream()
             letters = stream.take(arrival.payload, datagram=True)
             taken.append((arrival, letters))
             self.traffic.received += len(letters)

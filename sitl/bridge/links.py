@@ -11,7 +11,7 @@ from typing import Protocol
 from link.bus.log import Log
 from sitl.bridge.address import Address
 from sitl.bridge.routing import DUPLICATE, UNHEARD
-from sitl.bridge.stream import Letter, Stream
+from sitl.bridge.stream import FrameStream, Letter
 
 GARBAGE, OVERFLOW, AWAY = "bytes of garbage", "that came too fast", "while it was not connected"
 """Why something is dropped, beside routing's reasons."""
@@ -63,14 +63,14 @@ class Traffic:
         return f"{self.url}: {self.received} frames in, {self.sent} out; dropped: {dropped or 'nothing'}"
 
 
-class Link:
+class Channel:
     """One sender and receiver of frames: a UDP peer, a TCP connection, a serial line."""
 
     def __init__(self, traffic: Traffic, send: Callable[[bytes], None]) -> None:
         """Take the counts of its URL, and the function that sends a frame."""
         self.traffic = traffic
         self.send = send
-        self.stream = Stream()
+        self.stream = FrameStream()
 
     def take(self, data: bytes, *, datagram: bool = False) -> list[Letter]:
         """Return the frames that are now complete; count them, and what belongs to none."""
@@ -88,13 +88,13 @@ class Hub(Protocol):
     """Its keys' data are functions that take the events."""
     log: Log
 
-    def join(self, link: Link) -> None:
+    def join(self, link: Channel) -> None:
         """Route frames to this link from now on."""
 
-    def leave(self, link: Link) -> None:
+    def leave(self, link: Channel) -> None:
         """Route no more frames to this link."""
 
-    def route(self, link: Link, letters: list[Letter]) -> None:
+    def route(self, link: Channel, letters: list[Letter]) -> None:
         """Send frames of this link on."""
 
 
@@ -130,7 +130,7 @@ class Pipe:
 
     def __init__(self, descriptor: int, hub: Hub, traffic: Traffic, most_bytes: int, lost: Callable[[str], None]) -> None:
         """Take a descriptor that does not block; `lost` is called with the reason when the other side has gone."""
-        self.link = Link(traffic, self.send)
+        self.link = Channel(traffic, self.send)
         self._descriptor = descriptor
         self._hub = hub
         self._most_bytes = most_bytes

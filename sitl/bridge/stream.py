@@ -76,7 +76,7 @@ class Letter(NamedTuple):
     """Whether it is the HEARTBEAT of a vehicle's autopilot."""
 
 
-class Stream:
+class FrameStream:
     """Cuts what one sender delivers into frames of MAVLink 1 and 2. Frames may be split over deliveries.
 
     A frame of an unknown type has no checksum that could be verified. It is believed where a frame must begin: at the start of a

@@ -6,7 +6,7 @@ import socket
 import time
 
 from sitl.bridge.address import Address
-from sitl.bridge.links import AWAY, LARGEST_READ, MOST_PEERS, MOST_READS, OVERFLOW, SIGNS_OF_LIFE_S, Endpoint, Hub, Link, peers
+from sitl.bridge.links import AWAY, LARGEST_READ, MOST_PEERS, MOST_READS, OVERFLOW, SIGNS_OF_LIFE_S, Channel, Endpoint, Hub, peers
 
 
 def resolve(address: Address) -> tuple[str, int]:
@@ -78,7 +78,7 @@ class UdpOut(_Udp):
     def open(self) -> None:
         """Connect; the link is there from now on."""
         super().open()
-        self._link = Link(self.traffic, lambda frame: self._send(frame, None))
+        self._link = Channel(self.traffic, lambda frame: self._send(frame, None))
         self._hub.join(self._link)
 
     def _arrived(self, datagram: bytes, peer: tuple[str, int]) -> None:
@@ -89,7 +89,7 @@ class UdpOut(_Udp):
 class _Caller:
     """A sender of datagrams; it has a link once it has sent a frame."""
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: Channel) -> None:
         self.link = link
         self.joined = False
         self.heard_s = 0.0
@@ -105,7 +105,7 @@ class UdpIn(_Udp):
         """The latest heard is the last."""
 
     def _arrived(self, datagram: bytes, peer: tuple[str, int]) -> None:
-        caller = self._callers.get(peer) or _Caller(Link(self.traffic, lambda frame: self._send(frame, peer)))
+        caller = self._callers.get(peer) or _Caller(Channel(self.traffic, lambda frame: self._send(frame, peer)))
         letters = caller.link.take(datagram, datagram=True)
         if letters or not caller.joined:
             caller.heard_s = time.monotonic()

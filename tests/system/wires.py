@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, Key
 from link.bus.session import Bus
-from sitl.bridge.stream import Letter, Stream
+from sitl.bridge.stream import FrameStream, Letter
 
 
 def free_port(kind: socket.SocketKind) -> int:
@@ -53,7 +53,7 @@ class Wire:
     def __init__(self) -> None:
         self.heard: list[Letter] = []
         self._ended = False
-        self._stream = Stream()
+        self._stream = FrameStream()
         self._thread = threading.Thread(target=self._listen, daemon=True)
 
     def has(self, *frames: bytes) -> bool:
@@ -172,7 +172,7 @@ class BusWire:
             self._bus.on(key, self._keep(heard), own=False)
 
     def _keep(self, heard: list[Letter]) -> Callable:
-        return lambda arrival: heard.extend(Stream().take(arrival.payload, datagram=True))
+        return lambda arrival: heard.extend(FrameStream().take(arrival.payload, datagram=True))
 
     def say(self, key: Key, data: bytes) -> None:
         self._bus.publish(key, data)

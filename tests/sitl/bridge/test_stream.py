@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sitl.bridge.stream import MOST_FALSE_STARTS, Stream
+from sitl.bridge.stream import MOST_FALSE_STARTS, FrameStream
 
 
 def frame(message, system=1, component=1, version=2) -> bytes:
@@ -32,34 +32,34 @@ def unknown(payload=b"abc", number=0xABCDE, flags=0) -> bytes:
 BEAT, ORDER, OLD = frame(heartbeat()), frame(command()), frame(command(), version=1)
 
 
-def taken(stream: Stream, *parts: bytes, datagram=False) -> list[bytes]:
+def taken(stream: FrameStream, *parts: bytes, datagram=False) -> list[bytes]:
     return [letter.data for part in parts for letter in stream.take(part, datagram=datagram)]
 
 
 @pytest.mark.parametrize("version", [1, 2])
 def test_the_sender_and_the_target_of_a_frame_are_read(version: int) -> None:
-    (letter,) = Stream().take(frame(command(7, 9), 42, 43, version))
+    (letter,) = FrameStream().take(frame(command(7, 9), 42, 43, version))
     assert (letter.system, letter.component, letter.target_system, letter.target_component) == (42, 43, 7, 9)
 
 
 def test_targets_that_mavlink_2_omits_as_zeros_are_broadcasts() -> None:
     request = frame(mavlink.MAVLink_param_request_list_message(0, 0))
     assert request[1] == 1  # all but one zero is cut off
-    (letter,) = Stream().take(request)
+    (letter,) = FrameStream().take(request)
     assert (letter.target_system, letter.target_component) == (0, 0)
 
 
 def test_a_component_without_a_system_is_a_broadcast() -> None:
-    (letter,) = Stream().take(frame(command(0, 9)))
+    (letter,) = FrameStream().take(frame(command(0, 9)))
     assert (letter.target_system, letter.target_component) == (0, 0)
 
 
 def test_targets_behind_wide_fields_and_arrays_are_found() -> None:
     # In wire order: uint8 target_network, target_system, target_component, then the array.
-    (letter,) = Stream().take(frame(mavlink.MAVLink_file_transfer_protocol_message(0, 8, 6, [1] * 251)))
+    (letter,) = FrameStream().take(frame(mavlink.MAVLink_file_transfer_protocol_message(0, 8, 6, [1] * 251)))
     assert (letter.target_system, letter.target_component) == (8, 6)
     # ArduPilot's own type 184: uint32 seqno, target_system, target_component, data.
-    (letter,) = Stream().take(frame(mavlink.MAVLink_remote_log_data_block_message(8, 6, 5, [1] * 200)))
+    (letter,) = FrameStream().take(frame(mavlink.MAVLink_remote_log_data_block_message(8, 6, 5, [1] * 200)))
     assert (letter.target_system, letter.target_component) == (8, 6)
 
 
@@ -79,9 +79,9 @@ def test_targets_behind_wide_fields_and_arrays_are_found() -> None:
 )
 def test_an_autopilot_is_known_by_its_heartbeat(kind: int, autopilot: int, expected: bool) -> None:
     for version in (1, 2):
-        (letter,) = Stream().take(frame(heartbeat(kind, autopilot), version=version))
+        (letter,) = FrameStream().take(frame(heartbeat(kind, autopilot), version=version))
         assert letter.autopilot is expected
-    assert not Stream().take(ORDER)[0].autopilot
+    assert not FrameStream().take(ORDER)[0].autopilot
 
 
 def test_frames_of_unknown_types_and_signed_frames_pass_as_they_came() -> None:
@@ -91,8 +91,8 @@ def test_frames_of_unknown_types_and_signed_frames_pass_as_they_came() -> None:
     assert signed[2] == 1
     assert len(signed) == len(ORDER) + 13
     mixed = [unknown(), signed, unknown(b"", 0x800000), OLD, unknown(b"x" * 255)]
-    assert taken(Stream(), b"".join(mixed)) == mixed
-    (letter,) = Stream().take(unknown())
+    assert taken(FrameStream(), b"".join(mixed)) == mixed
+    (letter,) = FrameStream().take(unknown())
     assert (letter.system, letter.component, letter.target_system) == (3, 4, 0)
 
 
@@ -102,14 +102,14 @@ def test_frames_split_anywhere_are_joined(cuts: list[int], chance: random.Random
     data, parts = b"".join(frames), []
     for cut in cuts:
         parts, data = [*parts, data[:cut]], data[cut:]
-    stream = Stream()
+    stream = FrameStream()
     assert taken(stream, *parts, data) == frames
     assert stream.garbage == 0
 
 
 @given(st.lists(st.binary(max_size=50), min_size=4, max_size=4))
 def test_garbage_swallows_no_good_frame_and_is_counted(noise: list[bytes]) -> None:
-    stream = Stream()
+    stream = FrameStream()
     frames = [BEAT, ORDER, OLD]
     wanted = b"".join(part for pair in zip(noise, [*frames, b""], strict=True) for part in pair)
     got = taken(stream, wanted, datagram=True) + taken(stream, BEAT, datagram=True)
@@ -117,37 +117,37 @@ def test_garbage_swallows_no_good_frame_and_is_counted(noise: list[bytes]) -> No
 
 
 def test_a_beginning_whose_end_never_comes_holds_nothing_up() -> None:
-    stream = Stream()
+    stream = FrameStream()
     assert taken(stream, b"\xfd\xff\x00") == []
     assert taken(stream, BEAT) == [BEAT]
     assert stream.garbage == 3
 
 
 def test_a_frame_with_a_wrong_checksum_is_garbage() -> None:
-    stream = Stream()
+    stream = FrameStream()
     assert taken(stream, ORDER[:-1] + bytes([ORDER[-1] ^ 1]) + BEAT) == [BEAT]
     assert stream.garbage == len(ORDER)
 
 
 def test_what_looks_like_an_unknown_type_in_garbage_is_not_believed() -> None:
-    assert taken(Stream(), b"noise" + unknown()) == []  # no frame is due there
-    assert taken(Stream(), unknown() + b"noise") == []  # no frame follows
-    stream = Stream()
+    assert taken(FrameStream(), b"noise" + unknown()) == []  # no frame is due there
+    assert taken(FrameStream(), unknown() + b"noise") == []  # no frame follows
+    stream = FrameStream()
     assert taken(stream, b"noise" + BEAT + unknown()) == [BEAT, unknown()]  # a good frame brings it into step again
-    stream = Stream()
+    stream = FrameStream()
     assert taken(stream, b"\xfd\xff", unknown(), datagram=True) == [unknown()]  # a datagram begins with a frame
 
 
 def test_unknown_flags_are_garbage() -> None:
-    stream = Stream()
+    stream = FrameStream()
     assert taken(stream, unknown(flags=2), datagram=True) == []
     assert stream.garbage == len(unknown())
 
 
 def test_a_datagram_of_60_kb_of_markers_costs_little_and_the_next_frame_passes() -> None:
-    flood, stream = b"\xfe" * 60_000, Stream()
+    flood, stream = b"\xfe" * 60_000, FrameStream()
     once = time.process_time()
-    Stream().take(BEAT * 2500)  # 52 kB of good frames
+    FrameStream().take(BEAT * 2500)  # 52 kB of good frames
     good_s = time.process_time() - once
     once = time.process_time()
     assert taken(stream, flood, datagram=True) == []
