@@ -41,6 +41,7 @@ OTHERS = {
     "draw": ("sitl.desk.draw", "draw a log as a picture or an animation"),
     "status": ("sitl.desk.status", "show how the parts of a running mission are doing; exit status 1 if something is wrong"),
     "view": ("sitl.view.command", "show missions on a page, live or recorded, and command the vehicle"),
+    "bridge": ("sitl.bridge.command", "join the bus with ground stations and autopilots over UDP, TCP and serial lines"),
     "record": ("sitl.desk.recorder", "record everything on a bus until interrupted"),
 }
 """Commands with a module of their own. It is imported only for its command: a part starts fast."""

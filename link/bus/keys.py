@@ -45,7 +45,7 @@ MAVLINK_IN = Key(
     "mavlink/in", FRAMES, "agent, GCS bridge", "vehicle",
     Delivery(blocking=True, express=True),
     "1 per belief; commands as they come",
-    "Waypoints (SET_POSITION_TARGET_LOCAL_NED) and commands to the vehicle.",
+    "Waypoints (SET_POSITION_TARGET_LOCAL_NED) and commands to the vehicle. A bridge passes MAVLink 1 frames as they are.",
 )  # fmt: skip
 READING = Key(
     "reading", FRAMES, "vehicle", "estimator",

@@ -227,8 +227,8 @@ class Bus:
             self._sequences[key.name] = Sequence(most_waiting(key), WAITING_BYTES, _size)
             self._overflows[key.name] = Overflow(key.name)
 
-    def on(self, key: Key, arrived: Callable[[Any], None]) -> None:
-        """Call `arrived` with each message of a key, kept messages first, in the session's thread."""
+    def on(self, key: Key, arrived: Callable[[Any], None], *, own: bool = True) -> None:
+        """Call `arrived` with each message of a key, kept messages first, in the session's thread; without `own`, not with ours."""
 
         def received(sample: zenoh.Sample) -> None:
             arrival = Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b"", time.monotonic())
@@ -237,20 +237,21 @@ class Bus:
             else:
                 arrived(arrival)
 
-        self._declare(key, received)
+        self._declare(key, received, zenoh.Locality.ANY if own else zenoh.Locality.REMOTE)
 
-    def _declare(self, key: Key, handler: Any) -> None:
+    def _declare(self, key: Key, handler: Any, origin: zenoh.Locality = zenoh.Locality.ANY) -> None:
         name = key.name.replace("<service>", "*")
         if key.delivery.kept:
             subscriber: Any = zenoh.ext.declare_advanced_subscriber(
                 self._session,
                 name,
                 handler,
+                allowed_origin=origin,
                 history=zenoh.ext.HistoryConfig(),  # detect_late_publishers loses history in half of the joins to a busy publisher
                 recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
             )
         else:
-            subscriber = self._session.declare_subscriber(name, handler)
+            subscriber = self._session.declare_subscriber(name, handler, allowed_origin=origin)
         self._subscribers[key.name] = subscriber
 
     def settle(self, timeout_s: float) -> None:

@@ -1,0 +1,89 @@
+"""The bridge's link to the bus: frames of `mavlink/out` and `mavlink/in` come in, and go out from a thread of their own."""
+
+import queue
+import threading
+from collections import deque
+from collections.abc import Callable
+
+from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
+from link.bus.session import Arrival, Bus
+from sitl.bridge.links import AWAY, GARBAGE, OVERFLOW, Traffic
+from sitl.bridge.stream import FrameStream, Letter
+
+MOST_WAITING = 4096
+"""Most messages that wait in either direction."""
+CLOSE_S = 1.0
+
+
+class BusChannel:
+    """Frames from and to the bus. A router that is slow or gone holds up no other link."""
+
+    def __init__(self, bus: Bus, name: str, wake: Callable[[], None]) -> None:
+        """Listen on the bus; `wake` is called, in another thread, when something has come."""
+        self.traffic = Traffic(name, bus.log)
+        self._bus = bus
+        self._wake = wake
+        self._connected = True
+        self._arrived: deque[Arrival] = deque()
+        self._overflowed = 0
+        self._leaving: queue.SimpleQueue[tuple[bytes, bool] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._publish, name="to the bus", daemon=True)
+        self._thread.start()
+        for key in (MAVLINK_OUT, MAVLINK_IN):
+            bus.on(key, self._queue, own=False)
+
+    def _queue(self, arrival: Arrival) -> None:
+        if len(self._arrived) >= MOST_WAITING:
+            self._overflowed += 1
+            return
+        self._arrived.append(arrival)
+        if len(self._arrived) == 1:
+            self._wake()
+
+    def take(self) -> list[tuple[Arrival, list[Letter]]]:
+        """Return what has come since the last call, with the frames in it; a message holds whole frames."""
+        taken = []
+        for _ in range(len(self._arrived)):
+            arrival = self._arrived.popleft()
+            stream = FrameStream()
+            letters = stream.take(arrival.payload, datagram=True)
+            taken.append((arrival, letters))
+            self.traffic.received += len(letters)
+            self.traffic.drop(GARBAGE, len(arrival.payload) - sum(len(letter.data) for letter in letters))
+        overflowed, self._overflowed = self._overflowed, 0
+        self.traffic.drop(OVERFLOW, overflowed)
+        return taken
+
+    def send(self, frame: bytes, vehicle: bool) -> None:
+        """Publish a frame: what a vehicle says on mavlink/out, all else on mavlink/in."""
+        if not self._connected:
+            self.traffic.drop(AWAY)
+        elif self._leaving.qsize() >= MOST_WAITING:
+            self.traffic.drop(OVERFLOW)
+        else:
+            self._leaving.put((frame, vehicle))
+            self.traffic.sent += 1
+
+    def tick(self) -> None:
+        """Look whether the router is there; Zenoh comes back to it by itself."""
+        connected = self._bus.connected
+        if connected != self._connected:
+            self._connected = connected
+            if connected:
+                self._bus.log.info(f"{self.traffic.url}: the router is back")
+            else:
+                self._bus.log.warning(f"{self.traffic.url}: the router is gone; it is tried again")
+
+    def trouble(self) -> str:
+        """Why nothing can be sent."""
+        return "" if self._connected else "the router is gone; it is tried again"
+
+    def _publish(self) -> None:
+        while (item := self._leaving.get()) is not None:
+            frame, vehicle = item
+            self._bus.publish(MAVLINK_OUT if vehicle else MAVLINK_IN, frame)
+
+    def close(self) -> None:
+        """End the thread; frames that wait are sent if the router takes them."""
+        self._leaving.put(None)
+        self._thread.join(CLOSE_S)

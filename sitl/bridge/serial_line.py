@@ -1,0 +1,82 @@
+"""Serial endpoints: a device that may be unplugged and come back."""
+
+import contextlib
+import fcntl
+import os
+import termios
+
+from sitl.bridge.address import BAUDS, Address
+from sitl.bridge.links import Endpoint, Hub, Pipe, Retry
+
+WAITING_S = 0.5
+"""Frames that wait for a slow line are at most this old; the newest are sent."""
+BITS_PER_BYTE = 10
+LEAST_BYTES = 1024
+"""Room for a few frames on the slowest line."""
+
+
+class SerialLine(Endpoint):
+    """One link while the device is there."""
+
+    def __init__(self, address: Address, hub: Hub) -> None:
+        """Start without the device."""
+        super().__init__(address, hub)
+        self._retry = Retry()
+        self._descriptor = -1
+        self._pipe: Pipe | None = None
+        self._trouble = "not yet open"
+        self._told = ""
+
+    def tick(self, now_s: float) -> None:
+        """Open the device if it is time to."""
+        if self._pipe is not None or not self._retry.due(now_s):
+            return
+        try:
+            self._descriptor = os.open(self.address.host, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            _make_raw(self._descriptor, BAUDS[self.address.port])
+        except OSError as error:
+            self._fail(str(error.strerror))
+        except termios.error as error:  # no OSError, though it holds the same
+            self._fail(str(error.args[-1]))
+        else:
+            most_bytes = max(LEAST_BYTES, int(self.address.port / BITS_PER_BYTE * WAITING_S))
+            self._pipe = Pipe(self._descriptor, self._hub, self.traffic, most_bytes, self._fail)
+            self._retry.succeeded(now_s)
+            self._trouble = self._told = ""
+            self._hub.log.info(f"{self.address.text}: open")
+
+    def _fail(self, reason: str) -> None:
+        self.close()
+        self._trouble = f"{reason}; it is tried again"
+        if reason != self._told:
+            self._told = reason
+            self._hub.log.warning(f"{self.address.text}: {self._trouble}")
+
+    def trouble(self) -> str:
+        """Why it is not open."""
+        return self._trouble
+
+    def state(self) -> str:
+        """Whether it is open."""
+        return "(open)" if self._pipe else "(not open)"
+
+    def close(self) -> None:
+        """Free the device."""
+        if self._pipe:
+            self._pipe.close()
+            self._pipe = None
+        if self._descriptor >= 0:
+            with contextlib.suppress(OSError):
+                os.close(self._descriptor)
+            self._descriptor = -1
+
+
+def _make_raw(descriptor: int, speed: int) -> None:
+    """8 data bits, no parity, one stop bit, no flow control, no characters that the system changes or acts on."""
+    settings = termios.tcgetattr(descriptor)
+    characters = settings[6]
+    characters[termios.VMIN], characters[termios.VTIME] = 1, 0
+    settings = [0, 0, termios.CS8 | termios.CREAD | termios.CLOCAL, 0, speed, speed, characters]
+    fcntl.ioctl(descriptor, termios.TIOCEXCL)  # nobody else may read half of the frames
+    termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+    termios.tcflush(descriptor, termios.TCIOFLUSH)
