@@ -1,6 +1,7 @@
 """Protects the ArduCopter double: it does what ArduCopter 4.6.3 was seen to do, also what surprises a companion."""
 
 import math
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -17,7 +18,7 @@ def set_mode(bench: Bench, number: int) -> int | None:
     return bench.command(SET_MODE, 1, number)
 
 
-def hovering(*faults: str, **settings: object) -> Bench:
+def hovering(*faults: str, **settings: Any) -> Bench:
     """In GUIDED, 5 m above home, 60 s after boot."""
     bench = Bench("ardupilot", *faults, **settings)
     bench.run(45)

@@ -2,6 +2,7 @@
 
 import math
 import struct
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -19,14 +20,14 @@ def offboard(bench: Bench) -> int | None:
     return bench.command(SET_MODE, 129, 6, 0)
 
 
-def ready(*faults: str, **settings: object) -> Bench:
+def ready(*faults: str, **settings: Any) -> Bench:
     """On the ground with a position, 20 s after boot."""
     bench = Bench("px4", *faults, **settings)
     bench.run(20)
     return bench
 
 
-def flying(*faults: str, **settings: object) -> Bench:
+def flying(*faults: str, **settings: Any) -> Bench:
     """In OFFBOARD, 5 m above home, 35 s after boot; targets come at about 17 Hz."""
     bench = ready(*faults, **settings)
     bench.stream = target(ABOVE)
@@ -91,6 +92,19 @@ def test_without_targets_it_does_what_com_obl_rc_act_says(action: int, mode: tup
     bench.run(0.5)
     assert bench.mode == mode  # Position needs a radio: without, it returns
     assert "Failsafe activated" in bench.texts
+
+
+def test_targets_that_come_again_bring_offboard_back_unless_another_mode_was_chosen() -> None:
+    for chosen in (False, True):
+        bench = flying(parameters={"COM_OBL_RC_ACT": 5})
+        bench.stream = None
+        bench.run(3)
+        assert bench.mode == HOLD
+        if chosen:
+            bench.command(SET_MODE, 129, 4, 3)
+        bench.stream = target(ABOVE)
+        bench.run(3)
+        assert bench.mode == (HOLD if chosen else OFFBOARD)
 
 
 def test_with_a_radio_it_falls_back_to_position_mode_and_com_of_loss_t_says_when() -> None:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -61,6 +62,37 @@ def test_the_clock_of_the_messages_is_simulation_time() -> None:
             elif message.time_boot_ms >= first + 10_000:
                 break
         assert 9 <= heartbeats <= 11
+        link.close()
+
+
+def test_a_flight_over_tcp_with_5_percent_of_the_frames_lost_needs_retries_alone() -> None:
+    """Arm, take off and step 3 m north; every message is sent until its effect is seen."""
+    with Double("ardupilot", settings=Settings(ready_s=5.0, faults=("drop:5",)), speedup=20) as double:
+        link = mavutil.mavlink_connection(double.url, source_system=1, source_component=191)
+        seen: dict[str, Any] = {}
+
+        def until(send: Callable[[], None], holds: Callable[[], bool]) -> None:
+            deadline, again = time.monotonic() + 40.0, 0.0
+            while not holds():
+                assert time.monotonic() < deadline
+                if time.monotonic() > again:
+                    send()
+                    again = time.monotonic() + 0.3
+                if message := link.recv_match(blocking=True, timeout=0.1):
+                    seen[message.get_type()] = message
+
+        def command(number: int, *values: float) -> Callable[[], None]:
+            return lambda: link.mav.command_long_send(1, 1, number, 0, *values, *[0] * (7 - len(values)))
+
+        until(command(511, 32, 50000), lambda: "LOCAL_POSITION_NED" in seen)
+        until(command(176, 1, 4), lambda: seen["HEARTBEAT"].custom_mode == 4)
+        until(command(400, 1), lambda: bool(seen["HEARTBEAT"].base_mode & 128))
+        until(command(22, 0, 0, 0, 0, 0, 0, 5), lambda: seen["LOCAL_POSITION_NED"].z < -5.0)
+        until(
+            lambda: link.mav.set_position_target_local_ned_send(0, 1, 1, 1, 0x0DF8, 4.2, -0.7, -5.4, 0, 0, 0, 0, 0, 0, 0, 0),
+            lambda: abs(seen["LOCAL_POSITION_NED"].x - 4.2) < 0.2,
+        )
+        until(command(20), lambda: not seen["HEARTBEAT"].base_mode & 128)
         link.close()
 
 

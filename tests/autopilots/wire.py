@@ -122,6 +122,7 @@ class Double:
             if ready is self._socket and self._way == "tcp":
                 self._hang_up()
                 self._client = self._socket.accept()[0]
+                self._client.settimeout(1.0)  # a client that does not read is hung up on
                 self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             elif ready is self._socket:
                 with contextlib.suppress(ConnectionError):  # an earlier datagram found nobody
