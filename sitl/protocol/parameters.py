@@ -148,6 +148,11 @@ class Parameters:
         if message.param_type != parameter.kind:
             return f"type {message.param_type}, wanted {parameter.kind}"
         (value,) = struct.unpack(FORMS[parameter.kind], struct.pack("<f", message.param_value))
+        return self.change(parameter.name, value, t_s)
+
+    def change(self, name: str, value: float, t_s: float) -> str:
+        """Change the parameter of a name; returns why not, or nothing."""
+        parameter = PARAMETERS[INDEX[name]]
         if value == _as_wired(parameter, self.value(parameter)):
             return ""
         if not parameter.field or not parameter.low <= value <= parameter.high or NEVER < value <= 0.0:

@@ -31,10 +31,11 @@ REFUSAL_INTERVAL_S = 1.0
 
 COMMANDS = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: "arms and disarms; in the air only with param 2 = 21196, and the vehicle falls",
-    mavlink.MAV_CMD_NAV_TAKEOFF: "climbs to an altitude above sea, NaN: to MIS_TAKEOFF_ALT above home; disarmed: once it is armed",
+    mavlink.MAV_CMD_NAV_TAKEOFF: "climbs to an altitude above sea, at least and with NaN to MIS_TAKEOFF_ALT; disarmed: once it is armed",
     mavlink.MAV_CMD_NAV_LAND: "lands on the spot",
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: "returns home and lands",
     mavlink.MAV_CMD_DO_SET_MODE: "changes to a mode by PX4's numbers",
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: "sets MPC_XY_CRUISE (param 1 is 0 or 1), MPC_Z_VEL_MAX_UP (2) or MPC_Z_VEL_MAX_DN (3) to param 2",
     mavlink.MAV_CMD_DO_REPOSITION: "flies to a global position inside the area and holds there",
     mavlink.MAV_CMD_MISSION_START: "flies the mission from item param 1 on, -1: from the current one; arms",
     mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: "goes on with item param 1 of the mission; all its jumps count anew",
@@ -50,6 +51,7 @@ COMMANDS = {
 NUMBERED = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: 1,
     mavlink.MAV_CMD_DO_SET_MODE: 2,
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: 2,
     mavlink.MAV_CMD_MISSION_START: 1,
     mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: 1,
     mavlink.MAV_CMD_DO_PAUSE_CONTINUE: 1,
@@ -58,6 +60,12 @@ NUMBERED = {
     mavlink.MAV_CMD_REQUEST_MESSAGE: 1,
 }
 """How many leading parameters of a command must be finite; NaN in any other means "not given"."""
+TAKE_OFF_WITHIN_M = 0.1
+"""A take-off so little below the lowest is raised without a word, as in PX4."""
+SPEEDS = {0.0: "MPC_XY_CRUISE", 1.0: "MPC_XY_CRUISE", 2.0: "MPC_Z_VEL_MAX_UP", 3.0: "MPC_Z_VEL_MAX_DN"}
+"""The parameter that MAV_CMD_DO_CHANGE_SPEED (178) changes, by its SPEED_TYPE."""
+UNCHANGED = -1.0
+"""The speed that means: leave it as it is."""
 ASKED_OF_ALL = {
     mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
 }  # fmt: skip
@@ -88,10 +96,11 @@ class MavlinkProtocol:
         """Refused setpoints, by kind of reason."""
         self._vehicle = vehicle
         self._missions = PlanService(vehicle, clock)
+        self._parameters = Parameters(vehicle)
         self.services: dict[str, Microservice] = {
             service.request: service
             for services in (
-                Parameters(vehicle).services, clocks.SERVICES, self._missions.services, logs.SERVICES, files.SERVICES, refused.services(),
+                self._parameters.services, clocks.SERVICES, self._missions.services, logs.SERVICES, files.SERVICES, refused.services(),
             )
             for service in services
         }  # fmt: skip
@@ -171,13 +180,15 @@ class MavlinkProtocol:
                     return denied(f"Arming refused: param 1 is {p.p1:g}, allowed is 0 or 1"), []
                 return self._vehicle.arm(t_s) if p.p1 else self._vehicle.disarm(t_s, force=p.p2 == FORCE), []
             case mavlink.MAV_CMD_NAV_TAKEOFF:
-                return self._vehicle.take_off(t_s, self._above_home(p) if math.isfinite(p.alt_m) else None), []
+                return self._take_off(p, t_s)
             case mavlink.MAV_CMD_NAV_LAND:
                 return self._vehicle.set_mode(t_s, Mode.LAND), []
             case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
                 return self._vehicle.set_mode(t_s, Mode.RETURN), []
             case mavlink.MAV_CMD_DO_SET_MODE:
                 return self._set_custom_mode(t_s, int(p.p1), int(p.p2), int(p.p3) if math.isfinite(p.p3) else 0), []
+            case mavlink.MAV_CMD_DO_CHANGE_SPEED:
+                return self._change_speed(p, t_s), []
             case mavlink.MAV_CMD_DO_REPOSITION:
                 return self._reposition(p, t_s), []
             case mavlink.MAV_CMD_MISSION_START:
@@ -212,6 +223,24 @@ class MavlinkProtocol:
         except ValueError:
             return denied(f"Mode refused: PX4 mode {main}, {sub} is not supported")
         return self._vehicle.set_mode(t_s, mode)
+
+    def _take_off(self, p: Params, t_s: float) -> tuple[Result, list[Message]]:
+        """Take off. An altitude that is too low is raised with a word, as in PX4: stations type a height where it is above sea."""
+        least_m = self._vehicle.config.takeoff_altitude_m
+        altitude_m = self._above_home(p) if math.isfinite(p.alt_m) else least_m
+        result = self._vehicle.take_off(t_s, max(altitude_m, least_m))
+        told = result.accepted and altitude_m < least_m - TAKE_OFF_WITHIN_M
+        text = f"Using minimum takeoff altitude: {least_m:g} m above home"
+        return result, self.statustext(mavlink.MAV_SEVERITY_WARNING, text) if told else []
+
+    def _change_speed(self, p: Params, t_s: float) -> Result:
+        name = SPEEDS.get(p.p1)
+        if name is None:
+            return denied(f"Speed refused: param 1 is {p.p1:g}, allowed is 0 to 3")
+        if p.p2 == UNCHANGED:
+            return ACCEPTED
+        reason = self._parameters.change(name, p.p2, t_s)
+        return denied(f"Speed refused: {reason}") if reason else ACCEPTED
 
     def _start_mission(self, p: Params, t_s: float) -> Result:
         """Fly the mission, as PX4 does: choose the item, change the mode, arm."""

@@ -8,8 +8,6 @@ from sitl.protocol.service import Microservice, Reply, asker
 REASONS = {
     "SET_ATTITUDE_TARGET": "Attitude setpoint refused: only positions, velocities and accelerations are flown",
     "SET_ACTUATOR_CONTROL_TARGET": "Actuator setpoint refused: only positions, velocities and accelerations are flown",
-    "MANUAL_CONTROL": "Manual control refused: not simulated",
-    "RC_CHANNELS_OVERRIDE": "RC override refused: not simulated",
     "PARAM_MAP_RC": "Parameter map refused: there is no RC",
     "SERIAL_CONTROL": "Shell refused: there is none",
     "SET_GPS_GLOBAL_ORIGIN": "Origin refused: it is home, which is set at start",
@@ -19,6 +17,12 @@ REASONS = {
     "PLAY_TUNE": "Tune refused: there is no speaker",
 }
 """Message type and the reason why it is refused."""
+ONCE = {
+    "MANUAL_CONTROL": "Manual control refused: not simulated",
+    "RC_CHANNELS_OVERRIDE": "RC override refused: not simulated",
+    "REQUEST_DATA_STREAM": "Data streams refused: MAV_CMD_SET_MESSAGE_INTERVAL sets rates",
+}
+"""Those that stations repeat as long as they run: each asker is told once."""
 
 
 def _refusal(kind: str, reason: str) -> Callable[[Message, float], Reply]:
@@ -38,9 +42,10 @@ def _told_once(reason: str) -> Callable[[Message, float], Reply]:
 
 def services() -> tuple[Microservice, ...]:
     """Return the services of one vehicle; it remembers whom it told what need not be told again."""
-    rates = "Data streams refused: MAV_CMD_SET_MESSAGE_INTERVAL sets rates"
     return (
         *(Microservice(kind, _refusal(kind, reason), f"a STATUSTEXT: {reason}", supported=False) for kind, reason in REASONS.items()),
-        # Old stations repeat it every few seconds. PX4 ignores it.
-        Microservice("REQUEST_DATA_STREAM", _told_once(rates), f"a STATUSTEXT, once to each asker: {rates}", supported=False),
+        *(
+            Microservice(kind, _told_once(reason), f"a STATUSTEXT, once to each asker: {reason}", supported=False)
+            for kind, reason in ONCE.items()
+        ),
     )

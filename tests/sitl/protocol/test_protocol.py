@@ -92,11 +92,10 @@ def test_what_the_vehicle_refuses_for_now_is_rejected_with_its_reason(situation,
     assert (ack(answers), text(answers)) == (REJECTED, reason)
 
 
-@pytest.mark.parametrize("altitude", [488.0 + 121.0, 488.0, 400.0])
-def test_what_could_never_be_done_is_denied(altitude):
+def test_what_could_never_be_done_is_denied():
     vehicle = on_the_ground()
     vehicle.arm(0.0)
-    answers = MavlinkProtocol(vehicle).receive(command(22, p7=altitude), 0.0)
+    answers = MavlinkProtocol(vehicle).receive(command(22, p7=488.0 + 121.0), 0.0)
     assert ack(answers) == DENIED
     assert "up to 120 m" in text(answers)
 
@@ -235,6 +234,59 @@ def test_a_takeoff_altitude_is_above_mean_sea_level():
     MavlinkProtocol(vehicle).receive(command(22, p7=488.0 + 12.0), 0.0)
     vehicle.advance(60.0)
     assert vehicle.state(60.0).position == (0.0, 0.0, -12.0)
+
+
+@pytest.mark.parametrize(
+    ("altitude", "height", "told"),
+    [(488.0 + 4.0, 5.0, True), (7.0, 5.0, True), (488.0 + 4.95, 5.0, False), (488.0 + 5.5, 5.5, False)],
+)
+def test_a_takeoff_altitude_that_is_too_low_is_raised_with_a_word(altitude, height, told):
+    vehicle = on_the_ground()
+    vehicle.arm(0.0)
+    answers = MavlinkProtocol(vehicle).receive(command(22, p7=altitude), 0.0)
+    assert ack(answers) == ACCEPTED
+    assert text(answers) == ("Using minimum takeoff altitude: 5 m above home" if told else "")
+    vehicle.advance(60.0)
+    assert vehicle.state(60.0).position == (0.0, 0.0, -height)
+
+
+@pytest.mark.parametrize(
+    ("kind", "speed", "after"),
+    [
+        (0.0, 3.0, (3.0, 3.0, 1.5)),
+        (1.0, 3.0, (3.0, 3.0, 1.5)),
+        (2.0, 2.0, (5.0, 2.0, 1.5)),
+        (3.0, 1.0, (5.0, 3.0, 1.0)),
+        (1.0, -1.0, (5.0, 3.0, 1.5)),
+    ],
+)
+def test_speeds_are_changed_for_the_legs_to_come(kind, speed, after):
+    vehicle = hovering()
+    assert ack(MavlinkProtocol(vehicle).receive(command(178, kind, speed, -1.0), 10.0)) == ACCEPTED
+    assert (vehicle.config.speed_mps, vehicle.config.climb_mps, vehicle.config.descent_mps) == after
+
+
+@pytest.mark.parametrize(
+    ("params", "reason"),
+    [
+        ((1.0, 50.0), "Speed refused: 50, allowed is 0.5 to 20 m/s"),
+        ((1.0, 0.0), "Speed refused: 0, allowed is 0.5 to 20 m/s"),
+        ((4.0, 3.0), "Speed refused: param 1 is 4, allowed is 0 to 3"),
+        ((1.0, NAN), "Command 178 refused: param 2 is nan"),
+    ],
+)
+def test_a_speed_that_it_cannot_fly_is_denied(params, reason):
+    vehicle = hovering()
+    answers = MavlinkProtocol(vehicle).receive(command(178, *params), 10.0)
+    assert (ack(answers), text(answers)) == (DENIED, reason)
+    assert vehicle.config.speed_mps == 5.0
+
+
+def test_who_overrides_the_radio_is_told_once_that_there_is_none():
+    protocol = MavlinkProtocol(hovering())
+    override = wire(mavlink.MAVLink_rc_channels_override_message(1, 1, *[1500] * 8))
+    told = [text(protocol.receive(override, 10.0 + second)) for second in range(5)]
+    assert told == ["RC override refused: not simulated", "", "", "", ""]
 
 
 @pytest.mark.parametrize("frame", [0, 5, 3, 6])
