@@ -111,10 +111,12 @@ class Navigator:
         return max(self._path.end_s, self._turn.end_s) + self._leg.step.wait_s
 
     def _pass_item(self) -> None:
-        """Tell that the current item is done, and go on with the next."""
+        """Tell that the current item is done, and go on with the next. A return home is another mode's: nothing is reached, as in PX4."""
         assert self._leg is not None
         step, self._leg = self._leg.step, None
-        self._events.append(Reached(self._now, self.mission.current))
+        if step.command != RETURN_ITEM:
+            self.mission.reached = self.mission.current, self._now
+            self._events.append(Reached(self._now, self.mission.current))
         if not step.goes_on:
             return
         self.mission.current += 1

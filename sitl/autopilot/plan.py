@@ -125,6 +125,8 @@ class MissionProgress(NamedTuple):
     """True in mission mode."""
     number: int = 0
     """The checksum of the mission's items; 0 without a mission."""
+    reached: tuple[int, float] | None = None
+    """The item that was done last, and when, s."""
 
 
 # ---- what items mean ----
@@ -236,6 +238,8 @@ class FlightPlan:
         self.steps, self.number = steps, number
         self.current = 0
         self.begun = self.finished = False
+        self.reached: tuple[int, float] | None = None
+        """The step that was done last, and when, s."""
         self._jumps: dict[int, int] = {}  # how often each jump was taken
         self._speed_mps: float | None = None
         self._now_s, self._at_once = 0.0, 0
@@ -287,7 +291,7 @@ class FlightPlan:
             state = mavlink.MISSION_STATE_ACTIVE
         else:
             state = mavlink.MISSION_STATE_PAUSED if self.begun else mavlink.MISSION_STATE_NOT_STARTED
-        return MissionProgress(self.current, len(self.steps), state, active, self.number)
+        return MissionProgress(self.current, len(self.steps), state, active, self.number, self.reached)
 
 
 def _stops(now: MissionStep, at: Ned, grounded: bool, config: VehicleConfig) -> tuple[Ned, ...]:

@@ -11,6 +11,8 @@ from sitl.autopilot.state import LOW_BATTERY, Snapshot
 CELLS = 4
 EMPTY_CELL_V, FULL_CELL_V = 3.5, 4.2
 UNKNOWN_U16 = 0xFFFF
+REACHED_S = 1.0
+"""How long it is told that an item of the mission is done; PX4 tells it ten times, at 10 Hz."""
 FLIGHT_SW_VERSION = (1, 15, 0, mavlink.FIRMWARE_VERSION_TYPE_DEV)
 """The PX4 release whose protocol the vehicle speaks: stations refuse or warn of older ones. "dev", for it is not a release of PX4."""
 OWN_NAME, OWN_VERSION = b"plume", (0, 1, 0)
@@ -133,6 +135,12 @@ def mission_current(s: Snapshot) -> Message:
         fence_id=s.config.fence.number,
         rally_points_id=s.config.rally.number,
     )
+
+
+def mission_item_reached(s: Snapshot) -> Message | None:
+    """MISSION_ITEM_REACHED (46): the item that was done within the last second; one datagram may be lost, ten hardly are."""
+    seq, reached_s = s.state.mission.reached or (0, -math.inf)
+    return mavlink.MAVLink_mission_item_reached_message(seq) if s.state.time_s - reached_s <= REACHED_S else None
 
 
 def fence_status(s: Snapshot) -> Message:

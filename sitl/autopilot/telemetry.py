@@ -44,6 +44,7 @@ STREAMS = (
     Stream(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 1.0, status.system_time),
     Stream(CurrentMode.id, 0.5, status.current_mode),
     Stream(MissionCurrent.id, 1.0, status.mission_current),
+    Stream(mavlink.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, 10.0, status.mission_item_reached),
     # PX4 streams the next three at 50, 50 and 30 Hz. That would more than double what a mission records.
     Stream(mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, 0.0, estimates.attitude_quaternion),
     Stream(mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 0.0, estimates.highres_imu),

@@ -12,7 +12,8 @@ from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence
 from sitl.autopilot.plan import BadItem, Item, step
-from sitl.autopilot.state import Mode, Reached
+from sitl.autopilot.state import Mode, Reached, Snapshot
+from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from tests.sitl.tlog.flights import CLIMB_S, CONFIG, GROUND, LANDING, NAN, REJECTED, TAKING_OFF, hovering, on_the_ground, texts
 
@@ -261,10 +262,10 @@ def test_a_return_in_a_mission_is_the_return_mode():
 def test_a_pause_holds_and_a_resume_goes_on_with_the_current_item():
     vehicle = started(item(WAYPOINT, east=10, north=0), item(WAYPOINT, east=10, north=10))
     vehicle.advance(15.0)
-    assert vehicle.state(15.0).mission == (1, 2, ACTIVE, True, 99)
+    assert vehicle.state(15.0).mission[:5] == (1, 2, ACTIVE, True, 99)
     assert vehicle.set_mode(15.0, Mode.HOLD).accepted
     assert reached(vehicle.advance(40.0)) == []
-    assert vehicle.state(40.0).mission == (1, 2, PAUSED, False, 99)
+    assert vehicle.state(40.0).mission[:5] == (1, 2, PAUSED, False, 99)
     assert vehicle.set_mode(40.0, Mode.MISSION).accepted
     assert [seq for seq, _ in reached(vehicle.advance(60.0))] == [1]
     assert at(vehicle, 60.0) == (10.0, 10.0, 5.0)
@@ -301,6 +302,16 @@ def test_an_empty_battery_ends_a_mission_by_landing():
     vehicle.arm(0.0)
     vehicle.advance(60.0)
     assert (vehicle.state(60.0).landed_state, vehicle.state(60.0).armed) == (GROUND, False)
+
+
+def test_that_an_item_is_done_is_told_for_a_second():
+    vehicle = load(on_the_ground(), item(TAKEOFF), item(LOITER, east=10, north=0))
+    vehicle.set_mode(0.0, Mode.MISSION)
+    vehicle.arm(0.0)
+    ((_, done_s),) = reached(vehicle.advance(60.0))
+    telemetry = Telemetry(lambda t_s: Snapshot(vehicle.config, vehicle.state(60.0)._replace(time_s=t_s), (0.0, 0.0), None))
+    told = [telemetry.build(mavlink.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, done_s + after_s) for after_s in (0.0, 0.5, 1.0, 1.1)]
+    assert [message and message.seq for message in told] == [0, 0, 0, None]
 
 
 # ---- determinism ----
