@@ -77,7 +77,9 @@ class Navigator:
         """True while the mission's current item waits for a time: the end of the wait is then one of the coming events."""
         return self._armed and self._settled and self._item_done_s() < math.inf
 
-    def _progress(self) -> MissionProgress:
+    @property
+    def progress(self) -> MissionProgress:
+        """How far the mission is."""
         return self.mission.progress(self._mode is Mode.MISSION, self._armed)
 
     def _missing_mission(self) -> str:

@@ -95,7 +95,7 @@ class Vehicle(Navigator):
             fit=not (self._battery.empty or self._falling),
             target=self._path.target,
             cruise=self.companion.cruise(self.config) if self._armed and self._mode is Mode.OFFBOARD else None,
-            mission=self._progress(),
+            mission=self.progress,
             breaches=self._breaches._replace(outside=bool(self.config.fence_refusal(position))),
         )
 

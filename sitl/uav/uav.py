@@ -14,6 +14,7 @@ from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, READING, RESEND_FIRST_S, RESE
 from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack
 from link.bus.messages import Stop
+from link.bus.px4 import MissionCurrent
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from plume.world import World
 from sitl.autopilot.config import VehicleConfig
@@ -109,6 +110,7 @@ class Uav:
         self._resend_s = RESEND_FIRST_S
         self._resend_at = time.monotonic()
         self._searchers: set[str] = set()
+        self._progress = self._vehicle.progress
         self._tally.state = self._search.state
         self._sampled_at = time.monotonic()
         self._ports: list[Port] = []
@@ -138,6 +140,7 @@ class Uav:
                 busy_since = time.perf_counter()
                 self._clock.jump(self._busy, self._next_event_s())
                 self._live_until(self._clock.now_s())
+                self._tell_progress()
                 self._go_on_with_the_search()
                 self._resend()
                 for port in self._ports:
@@ -248,6 +251,14 @@ class Uav:
         """Tell people: in the log and as STATUSTEXT (253)."""
         (self._log.warning if severity <= mavlink.MAV_SEVERITY_WARNING else self._log.info)(text)
         self._broadcast(self._protocol.statustext(severity, text))
+
+    def _tell_progress(self) -> None:
+        """Tell at once when the mission goes on, as PX4 does: stations take it for finished before they see the next mode."""
+        if (progress := self._vehicle.progress) != self._progress:
+            self._progress = progress
+            for port in self._ports:
+                if current := port.telemetry.build(MissionCurrent.id, self._clock.stream_s()):
+                    port.link.send(current)
 
     @property
     def _measures(self) -> bool:
