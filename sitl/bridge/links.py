@@ -231,3 +231,43 @@ class Retry:
     def succeeded(self, now_s: float) -> None:
         """Remember when it was reached."""
         self._since_s = now_s
+
+
+class Reopened(Endpoint):
+    """One link while the other side is there; when it is lost, it is tried again."""
+
+    def __init__(self, address: Address, hub: Hub, there: str) -> None:
+        """Start without the link. there: one word for a link that works, such as "open"."""
+        super().__init__(address, hub)
+        self._there = there
+        self._retry = Retry()
+        self._pipe: Pipe | None = None
+        self._trouble, self._told = f"not yet {there}", ""
+
+    def _begin(self, descriptor: int, most_bytes: int, now_s: float) -> None:
+        """Begin the link over an open descriptor, in which at most so many bytes wait."""
+        self._pipe = Pipe(descriptor, self._hub, self.traffic, most_bytes, self._fail)
+        self._retry.succeeded(now_s)
+        self._trouble = self._told = ""
+        self._hub.log.info(f"{self.address.text}: {self._there}")
+
+    def _fail(self, reason: str) -> None:
+        self.close()
+        self._trouble = f"{reason}; it is tried again"
+        if reason != self._told:
+            self._told = reason
+            self._hub.log.warning(f"{self.address.text}: {self._trouble}")
+
+    def trouble(self) -> str:
+        """Why the link does not work."""
+        return self._trouble
+
+    def state(self) -> str:
+        """Whether the link works."""
+        return f"({self._there})" if self._pipe else f"(not {self._there})"
+
+    def close(self) -> None:
+        """End the link."""
+        if self._pipe:
+            self._pipe.close()
+            self._pipe = None

@@ -6,7 +6,7 @@ import os
 import termios
 
 from sitl.bridge.address import BAUDS, Address
-from sitl.bridge.links import Endpoint, Hub, Pipe, Retry
+from sitl.bridge.links import Hub, Reopened
 
 WAITING_S = 0.5
 """Frames that wait for a slow line are at most this old; the newest are sent."""
@@ -15,17 +15,13 @@ LEAST_BYTES = 1024
 """Room for a few frames on the slowest line."""
 
 
-class SerialLine(Endpoint):
+class SerialLine(Reopened):
     """One link while the device is there."""
 
     def __init__(self, address: Address, hub: Hub) -> None:
         """Start without the device."""
-        super().__init__(address, hub)
-        self._retry = Retry()
+        super().__init__(address, hub, "open")
         self._descriptor = -1
-        self._pipe: Pipe | None = None
-        self._trouble = "not yet open"
-        self._told = ""
 
     def tick(self, now_s: float) -> None:
         """Open the device if it is time to."""
@@ -40,31 +36,11 @@ class SerialLine(Endpoint):
             self._fail(str(error.args[-1]))
         else:
             most_bytes = max(LEAST_BYTES, int(self.address.port / BITS_PER_BYTE * WAITING_S))
-            self._pipe = Pipe(self._descriptor, self._hub, self.traffic, most_bytes, self._fail)
-            self._retry.succeeded(now_s)
-            self._trouble = self._told = ""
-            self._hub.log.info(f"{self.address.text}: open")
-
-    def _fail(self, reason: str) -> None:
-        self.close()
-        self._trouble = f"{reason}; it is tried again"
-        if reason != self._told:
-            self._told = reason
-            self._hub.log.warning(f"{self.address.text}: {self._trouble}")
-
-    def trouble(self) -> str:
-        """Why it is not open."""
-        return self._trouble
-
-    def state(self) -> str:
-        """Whether it is open."""
-        return "(open)" if self._pipe else "(not open)"
+            self._begin(self._descriptor, most_bytes, now_s)
 
     def close(self) -> None:
         """Free the device."""
-        if self._pipe:
-            self._pipe.close()
-            self._pipe = None
+        super().close()
         if self._descriptor >= 0:
             with contextlib.suppress(OSError):
                 os.close(self._descriptor)

@@ -7,7 +7,7 @@ import socket
 import time
 
 from sitl.bridge.address import Address
-from sitl.bridge.links import MOST_PEERS, Endpoint, Hub, Pipe, Retry, peers
+from sitl.bridge.links import MOST_PEERS, Endpoint, Hub, Pipe, Reopened, peers
 from sitl.bridge.udp import resolve
 
 MOST_BYTES = 256 * 1024
@@ -27,17 +27,13 @@ def _prepare(connection: socket.socket) -> None:
             connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
-class TcpOut(Endpoint):
+class TcpOut(Reopened):
     """One link while the server is there."""
 
     def __init__(self, address: Address, hub: Hub) -> None:
         """Start unconnected."""
-        super().__init__(address, hub)
-        self._retry = Retry()
-        self._trouble = "not yet connected"
-        self._told = ""
+        super().__init__(address, hub, "connected")
         self._connection: socket.socket | None = None
-        self._pipe: Pipe | None = None
         self._until_s = 0.0
 
     def open(self) -> None:
@@ -66,31 +62,11 @@ class TcpOut(Endpoint):
             self._fail(os.strerror(error) if error else "Connection refused")
             return
         self._hub.selector.unregister(self._connection)
-        self._pipe = Pipe(self._connection.fileno(), self._hub, self.traffic, MOST_BYTES, self._fail)
-        self._retry.succeeded(time.monotonic())
-        self._trouble = self._told = ""
-        self._hub.log.info(f"{self.address.text}: connected")
-
-    def _fail(self, reason: str) -> None:
-        self.close()
-        self._trouble = f"{reason}; it is tried again"
-        if reason != self._told:
-            self._told = reason
-            self._hub.log.warning(f"{self.address.text}: {self._trouble}")
-
-    def trouble(self) -> str:
-        """Why it is not connected."""
-        return self._trouble
-
-    def state(self) -> str:
-        """Whether it is connected."""
-        return "(connected)" if self._pipe else "(not connected)"
+        self._begin(self._connection.fileno(), MOST_BYTES, time.monotonic())
 
     def close(self) -> None:
         """Free the connection."""
-        if self._pipe:
-            self._pipe.close()
-            self._pipe = None
+        super().close()
         if self._connection:
             with contextlib.suppress(KeyError, ValueError):
                 self._hub.selector.unregister(self._connection)
