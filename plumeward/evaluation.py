@@ -45,7 +45,7 @@ def evaluate(
     Returns:
         A dict with an entry for each policy, as `plumeward evaluate --json` prints it; of several worlds each has its own, such as
         `"homing world=wind-30"`. `ceased`, `located` and `false_stop` are shares from 0 to 1, `mtd_m` is the mean distance travelled (m),
-        `search_time_s` the compute time of a search (s), `nees_mean` is 2 for an honest posterior. `located_interval` and the like are
+        `search_time_s` the processor time of a search (s), `nees_mean` is 2 for an honest posterior. `located_interval` and the like are
         their 95% intervals, `[low, high]`.
 
     Raises:

@@ -61,9 +61,9 @@ class MissionRow(msgspec.Struct, frozen=True):
     """The information floor at ζ, the path of an oracle (docs/floor.md); None where it is not known."""
     search_time_s: float
     decision_ms: float
-    """Mean compute time of the agent for a decision."""
+    """Mean processor time of the agent for a decision."""
     update_ms: float
-    """Mean compute time of the estimator for a reading."""
+    """Mean processor time of the estimator for a reading."""
     sensor: str = text(GAUSSIAN)
     """Older files lack this column and those below; their rows get these defaults."""
     prior: str | None = None

@@ -31,9 +31,9 @@ class Step(NamedTuple):
     posterior: Posterior
     """What both were made from."""
     update_s: float
-    """Compute time of the estimator for this reading."""
+    """Processor time of the estimator for this reading: others on the machine do not count."""
     decision_s: float
-    """Compute time of the agent for the move to here; 0 at the start."""
+    """Processor time of the agent for the move to here; 0 at the start."""
 
 
 class Mission(NamedTuple):
@@ -66,15 +66,15 @@ def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: i
     posterior, position, decision_s = prior(config), world.start, 0.0
     for step in range(budget + 1):
         reading = Reading(step, position, ALTITUDE_M, world.wind, world.gas(position, step))
-        began = time.perf_counter()
+        began = time.process_time()
         posterior = assimilate(posterior, reading, config)
         summary, cloud = belief(posterior, reading, config)
-        yield Step(summary, cloud, posterior, time.perf_counter() - began, decision_s)
+        yield Step(summary, cloud, posterior, time.process_time() - began, decision_s)
         if (ends and summary.ceased) or step == budget:
             return
-        began = time.perf_counter()
+        began = time.process_time()
         position = choose(policy, summary, cloud, agent_seed, within)
-        decision_s = time.perf_counter() - began
+        decision_s = time.process_time() - began
 
 
 def rollout(

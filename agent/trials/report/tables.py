@@ -50,8 +50,8 @@ def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
         f" *located*: ceased, and the estimate is within {SUCCESS_RADIUS_M:g} m of the source. *false stop*: ceased but not located, as a"
         " share of ceased. *MTD*: mean distance travelled over ceased missions. *floors*: MTD as a multiple of the mean information floor"
         " of the same missions. *NEES*: normalised estimation error squared at the stop; its mean is 2 for an honest belief. *ST*: mean"
-        " compute time of estimator and agent over a ceased mission; compare ratios, which depend less on the machine than seconds."
-        " *decision*: mean compute time of the agent per decision. *update*: mean compute time of the estimator per reading.",
+        " processor time of estimator and agent over a ceased mission; compare ratios, which depend less on the machine than seconds."
+        " *decision*: mean processor time of the agent per decision. *update*: mean processor time of the estimator per reading.",
     ]
     return Table(title, ["N", "ζ, m", "policy", "missions", *(head for head, _, _ in COLUMNS.values())], rows, notes)
 
