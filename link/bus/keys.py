@@ -53,6 +53,19 @@ READING = Key(
     "1 per waypoint; repeated while unanswered",
     "One sample: LOCAL_POSITION_NED, WIND_COV, NAMED_VALUE_FLOAT `gas`, with one time_boot_ms. All readings are kept for late joiners.",
 )  # fmt: skip
+PAYLOAD_IN = Key(
+    "payload/in", FRAMES, "vehicle", "payload",
+    Delivery(blocking=True, express=True),
+    "1 per waypoint; repeated while unanswered",
+    "Of a real autopilot only: measure here, now. LOCAL_POSITION_NED, WIND_COV if the autopilot reports a wind, and NAMED_VALUE_INT "
+    "`sample`, the number of the reading, with one time_boot_ms.",
+)  # fmt: skip
+PAYLOAD_OUT = Key(
+    "payload/out", FRAMES, "payload", "vehicle",
+    Delivery(blocking=True, express=True),
+    "1 per question",
+    "The answer, with the question's time_boot_ms: NAMED_VALUE_FLOAT `gas`, NaN for no value, and WIND_COV if the payload knows the wind.",
+)  # fmt: skip
 BELIEF = Key(
     "belief", Belief, "estimator", "agent, viewers",
     Delivery(express=True, kept=1),
@@ -72,7 +85,7 @@ HEALTH = Key(
     "The status of a service. A liveliness token on the same key shows that its process is running.",
 )  # fmt: skip
 
-KEYS = (MAVLINK_OUT, MAVLINK_IN, READING, BELIEF, STOP, HEALTH)
+KEYS = (MAVLINK_OUT, MAVLINK_IN, READING, PAYLOAD_IN, PAYLOAD_OUT, BELIEF, STOP, HEALTH)
 
 SEARCHERS = frozenset({"estimator", "agent"})
 """The search begins when these services have joined the bus."""

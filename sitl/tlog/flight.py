@@ -19,7 +19,7 @@ from plume.world import World, float32
 from sitl.tlog import clock as clocks
 from sitl.tlog import sender, track
 from sitl.tlog.clock import WRAP, Floats, VehicleClock
-from sitl.tlog.samples import Air, Pair, Sample, parse_gas, read_gas, read_wind, steady
+from sitl.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wind, steady
 from sitl.tlog.sender import AUTOPILOT, Autopilot, FlightError, FlightLog, counted, few
 from sitl.tlog.track import Anchor, FlownPath, Place
 
@@ -163,24 +163,24 @@ def _by_message(counts: Counter[int]) -> list[str]:
 class Taken(NamedTuple):
     """A sample that can become a reading, with its place and wind."""
 
-    sample: Sample
+    sample: LoggedGas
     place: Place
     wind: Pair
 
 
-def _along(path: FlownPath, clock: VehicleClock, every_s: float) -> tuple[list[Sample], list[str]]:
+def _along(path: FlownPath, clock: VehicleClock, every_s: float) -> tuple[list[LoggedGas], list[str]]:
     """Return samples for simulated readings: every `every_s`, wherever the path has fixes."""
     every_ms = 1000.0 * every_s
     lines = [line for track in path.tracks for line in track.lines()]
     first = min(begin for begin, _ in lines)
     numbers = [np.arange(math.ceil((begin - first) / every_ms), math.floor((end - first) / every_ms) + 1) for begin, end in lines]
     times_ms: Floats = first + every_ms * np.unique(np.concatenate(numbers)).astype(np.float64)
-    samples = [Sample(round(time), us, 0.0) for time, us in zip(times_ms.tolist(), clock.logged_us(times_ms).tolist(), strict=True)]
+    samples = [LoggedGas(round(time), us, 0.0) for time, us in zip(times_ms.tolist(), clock.logged_us(times_ms).tolist(), strict=True)]
     return samples, ["gas and wind: simulated along the path"]
 
 
 def _take(
-    samples: Sequence[Sample], every_s: float, flying: Callable[[float], bool], path: FlownPath, air: Air, left_out: Counter[str]
+    samples: Sequence[LoggedGas], every_s: float, flying: Callable[[float], bool], path: FlownPath, air: Air, left_out: Counter[str]
 ) -> list[Taken]:
     """Return the first sample of each interval that was taken in the air, at a known place and in a known wind."""
     taken: list[Taken] = []
@@ -212,11 +212,11 @@ def _area(places: Sequence[Place], origin: Pair | None, area_m: float | None, us
 
 def _readings(
     taken: Sequence[Taken], corner: Pair, side_m: float, plume: World | None, left_out: Counter[str]
-) -> list[tuple[Reading, Sample]]:
+) -> list[tuple[Reading, LoggedGas]]:
     """Return the readings inside the area, with times shifted if they do not fit MAVLink's 32-bit time_boot_ms."""
     fits = bool(taken) and taken[0].sample.time_ms >= 0 and taken[-1].sample.time_ms < WRAP
     first_ms = 0 if fits or not taken else taken[0].sample.time_ms
-    readings: list[tuple[Reading, Sample]] = []
+    readings: list[tuple[Reading, LoggedGas]] = []
     for sample, (north, east, up), wind in taken:
         position = float32(east - corner[1]), float32(north - corner[0])
         if not all(0.0 <= value <= side_m for value in position):
@@ -252,7 +252,7 @@ def _notes_on_readings(readings: Sequence[Reading], left_out: Counter[str], ever
     return [*notes, f"area: side {side_m:g} m, south-west corner {corner}"]
 
 
-def _entries(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, readings: Sequence[tuple[Reading, Sample]]) -> list[Entry]:
+def _entries(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, readings: Sequence[tuple[Reading, LoggedGas]]) -> list[Entry]:
     """Return the readings and the vehicle's frames in order of time; at equal times the frames come first."""
     own = np.flatnonzero(log.records.systems == autopilot.system)
     shift_ms = readings[0][0].time_boot_ms - readings[0][1].time_ms

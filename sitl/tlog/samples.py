@@ -69,7 +69,7 @@ def _is_number(kind: Message, field: str) -> bool:
     return not is_array and kind.fieldtypes[kind.fieldnames.index(field)] != "char"
 
 
-class Sample(NamedTuple):
+class LoggedGas(NamedTuple):
     """A gas value, or the time for a simulated one."""
 
     time_ms: int
@@ -85,7 +85,7 @@ Air = Callable[[float], Pair | None]
 
 def read_gas(
     log: FlightLog, autopilot: Autopilot, clock: VehicleClock, source: GasSource, left_out: Counter[str]
-) -> tuple[list[Sample], list[str]]:
+) -> tuple[list[LoggedGas], list[str]]:
     """Return the gas values in order of time, and notes; raises FlightError if there are none."""
     said: list[tuple[int, int, int]] = []
     values = []
@@ -102,10 +102,10 @@ def read_gas(
         notes.append(f"gas values from senders without the vehicle's clock: {by_log:,}; their log times are used")
     with np.errstate(over="ignore"):
         gas = (np.array(values, np.float64) * source.factor).astype(np.float32).tolist()
-    samples: list[Sample] = []
+    samples: list[LoggedGas] = []
     order = np.argsort(times_ms, kind="stable")
     for number, logged_us in zip(order.tolist(), np.maximum.accumulate(log.times_us[records[order]]).tolist(), strict=True):
-        sample = Sample(round(float(times_ms[number])), logged_us, gas[number])
+        sample = LoggedGas(round(float(times_ms[number])), logged_us, gas[number])
         if not math.isfinite(sample.gas):
             left_out["not finite"] += 1
         elif samples and samples[-1].time_ms == sample.time_ms:
