@@ -40,6 +40,7 @@ GROUPS = {
     "Run one part alone": {
         "router": Command("sitl", "the Zenoh router"),
         "uav": Command("sitl", "the simulated vehicle"),
+        "payload": Command("sitl", "the gas sensor of a real autopilot"),
         "bridge": Command("sitl", "ground stations and autopilots over UDP, TCP, serial"),
         "estimator": Command("estimator", "the estimator: readings in, beliefs and the stop out"),
         "agent": Command("agent", "the agent: beliefs in, waypoints out"),

@@ -42,6 +42,7 @@ OTHERS = {
     "status": ("sitl.desk.status", "show how the parts of a running mission are doing; exit status 1 if something is wrong"),
     "view": ("sitl.view.command", "show missions on a page, live or recorded, and command the vehicle"),
     "bridge": ("sitl.bridge.command", "join the bus with ground stations and autopilots over UDP, TCP and serial lines"),
+    "payload": ("sitl.payload.command", "the gas sensor of a real autopilot: simulated, on a serial line, or a plug-in"),
     "record": ("sitl.desk.recorder", "record everything on a bus until interrupted"),
 }
 """Commands with a module of their own. It is imported only for its command: a part starts fast."""
@@ -68,7 +69,7 @@ def _script(args: argparse.Namespace, given: argparse.Namespace) -> Script:
     if args.mission:
         script = _load(args)
     else:
-        script, flags = Script(), {**flags, "speedup": args.speedup}
+        script, flags = Script(), {**flags, **({"speedup": args.speedup} if "speedup" in args else {})}
     changes = {field: flags[name] for name, field in FIELDS.items() if name in flags}
     if {"threshold", "stop"} & set(flags):  # either replaces both
         changes = {"estimator.threshold_m": None, "estimator.stop": None, **changes}
@@ -325,10 +326,12 @@ def main(
     that a shell completes.
     """
     args, given = _parse(prog, sys.argv[1:] if arguments is None else arguments, check_policy, policies)
-    if args.command in ("fly", "uav"):
+    if args.command in ("fly", "uav", "payload"):
         try:
             if args.command == "fly" and check_policy:
                 _check_policy(args, given, check_policy)
+            if args.command == "payload":
+                return int(_module(args.command).run(args, given, _script(args, given)))
             return {"fly": _fly, "uav": _uav}[args.command](args, given)
         except FileError as error:
             print(f"error: {error}", file=sys.stderr)

@@ -28,12 +28,9 @@ class SerialLine(Reopened):
         if self._pipe is not None or not self._retry.due(now_s):
             return
         try:
-            self._descriptor = os.open(self.address.host, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-            _make_raw(self._descriptor, BAUDS[self.address.port])
+            self._descriptor = open_device(self.address)
         except OSError as error:
             self._fail(str(error.strerror))
-        except termios.error as error:  # no OSError, though it holds the same
-            self._fail(str(error.args[-1]))
         else:
             most_bytes = max(LEAST_BYTES, int(self.address.port / BITS_PER_BYTE * WAITING_S))
             self._begin(self._descriptor, most_bytes, now_s)
@@ -45,6 +42,17 @@ class SerialLine(Reopened):
             with contextlib.suppress(OSError):
                 os.close(self._descriptor)
             self._descriptor = -1
+
+
+def open_device(address: Address) -> int:
+    """Open the device of a serial address; returns its descriptor, which does not block. Raises OSError."""
+    descriptor = os.open(address.host, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        _make_raw(descriptor, BAUDS[address.port])
+    except (OSError, termios.error) as error:  # termios.error is no OSError, though it holds the same
+        os.close(descriptor)
+        raise OSError(*error.args) from None
+    return descriptor
 
 
 def _make_raw(descriptor: int, speed: int) -> None:

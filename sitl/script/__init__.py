@@ -1,1 +1,1 @@
-"""Mission scripts: what is flown, which faults occur, and which outcome is expected. Imports: plume, sitl.autopilot."""
+"""Mission scripts: what is flown, which faults occur, and which outcome is expected. Imports: plume, link, sitl.autopilot."""

@@ -6,12 +6,10 @@ from dataclasses import replace
 from typing import get_args
 
 from link import cli
-from plume import sensor
 from plume.geodesy import to_global
-from plume.randomness import MAX_SEED
-from plume.worlds import AS_MODELLED, WORLDS, check
 from sitl.autopilot.config import VehicleConfig
-from sitl.script.script import AfterStop, shipped
+from sitl.script.options import add_mission_argument, add_seed_argument, add_world_arguments
+from sitl.script.script import AfterStop
 
 HOMES_APART_M = 40.0
 """Default homes lie so far apart that search areas do not overlap."""
@@ -19,18 +17,8 @@ HOMES_APART_M = 40.0
 
 def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> None:
     """Add them; `speedup` is the default."""
-    mission = parser.add_argument(
-        "mission", nargs="?", metavar="MISSION",
-        help="a mission script, MISSION.yaml, or the name of a shipped one, such as wind-shift; flags override its fields",
-    )  # fmt: skip
-    cli.completed(mission, shipped, "yaml", "yml")
-    parser.add_argument(
-        "--seed",
-        type=cli.whole(0, MAX_SEED),
-        default=1,
-        metavar="S",
-        help="seed of scenario and sensor noise (default: %(default)s)",
-    )
+    add_mission_argument(parser)
+    add_seed_argument(parser)
     parser.add_argument(
         "--speedup", type=cli.number(0, 1000), default=speedup, metavar="X",
         help="times real time; 0 is as fast as possible (default: %(default)g)",
@@ -44,16 +32,7 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
         help="number of the vehicle: its namespace is uav/N+1, and by it differ system id, home and ports (default: %(default)s)",
     )
     parser.add_argument("--sysid", type=cli.whole(1, 255), metavar="N", help="its MAVLink system id (default: that of -I, plus 1)")
-    kind = parser.add_argument(
-        "--sensor", type=cli.checked(sensor.parse, sensor.KINDS), default="gaussian", metavar="KIND[:NUMBERS]",
-        help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: threshold:0.5,0.3 (default: %(default)s)",
-    )  # fmt: skip
-    cli.completed(kind, lambda: sensor.KINDS)
-    world = parser.add_argument(
-        "--world", type=cli.checked(check, WORLDS), default=AS_MODELLED, metavar="NAME",
-        help="how the truth differs from what the estimator is told: a name of `plumeward list worlds` (default: %(default)s)",
-    )  # fmt: skip
-    cli.completed(world, lambda: WORLDS)
+    add_world_arguments(parser)
     parser.add_argument(
         "--home",
         type=_home,
