@@ -145,13 +145,14 @@ class Search:
 
     def _obeyed(self, result: Result) -> bool:
         if not result.accepted:
-            self._say_once(result.reason)
+            going_on = result.code == mavlink.MAV_RESULT_IN_PROGRESS
+            self._say_once(result.reason, mavlink.MAV_SEVERITY_INFO if going_on else mavlink.MAV_SEVERITY_WARNING)
         return result.accepted
 
-    def _say_once(self, text: str) -> None:
+    def _say_once(self, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING) -> None:
         if text != self._said:
             self._said = text
-            self._say(mavlink.MAV_SEVERITY_WARNING, text)
+            self._say(severity, text)
 
     # ---- what others ask ----
 
