@@ -16,7 +16,7 @@ from sitl.autopilot.motion import Ned
 from sitl.autopilot.state import Mode, Result, denied, not_now
 from sitl.autopilot.telemetry import Telemetry
 from sitl.protocol.protocol import MavlinkProtocol
-from sitl.protocol.service import Craft
+from sitl.protocol.service import AnyVehicle
 from sitl.protocol.setpoints import GLOBAL, LOCAL
 from sitl.script.script import AfterStop
 
@@ -37,7 +37,7 @@ class Search:
 
     def __init__(
         self,
-        vehicle: Craft,
+        vehicle: AnyVehicle,
         protocol: MavlinkProtocol,
         start: tuple[float, float],
         after_stop: AfterStop,
