@@ -51,7 +51,7 @@ class Procedures:
         self._asked: set[int] = set()
         self._mode: int | None = None
         self._boots = 0
-        self._flew = False
+        self._flew = False  # when it was last armed
         self._told = ""
 
     @property
@@ -117,7 +117,7 @@ class Procedures:
             where = " in flight" if self._flew else ""
             self.say(mavlink.MAV_SEVERITY_WARNING, f"{self.firmware.name} has started again{where}")
             self.failure = self.failure or (where and f"{self.firmware.name} has started again{where}")
-        if self.known.boots == self._boots:
+        if self.known.armed:
             self._flew = self.flying
         self._mode = mode
         if before is None or mode == before or (mode in self._asked and not self.theirs):

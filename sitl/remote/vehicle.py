@@ -247,7 +247,7 @@ class RemoteVehicle:
         Call it, and go on calling `catch_up` until `left`.
         """
         if not self.flight.flying:
-            if self._known.armed and not self.flight.theirs:
+            if (self._known.armed or self.flight.arming) and not self.flight.theirs:
                 self._commander.send(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
             return ""
         if self.flight.theirs:

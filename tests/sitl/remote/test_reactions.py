@@ -1,4 +1,4 @@
-"""Protects the reactions to refusals and failsafes: each is told, none is waited out, and the vehicle is never left with nobody in charge."""
+"""Protects the reactions to refusals and failsafes: each is told, none is waited out, and somebody is always in charge of the vehicle."""
 
 from typing import Any
 
@@ -232,7 +232,7 @@ def test_a_short_silence_is_told_and_the_search_goes_on(kind: str) -> None:
 @both
 def test_a_link_that_stays_lost_ends_the_mission_after_a_minute(kind: str) -> None:
     cockpit = searching(kind, "silence@#3")
-    with pytest.raises(VehicleFailed, match="link lost for 6[0-9] s: the autopilot's own failsafe is in charge"):
+    with pytest.raises(VehicleFailed, match=r"link lost for 6[0-9] s: the autopilot's own failsafe is in charge"):
         cockpit.run(100.0)
 
 
