@@ -181,7 +181,8 @@ def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]
 
 def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from plume.outcome import outcome_text
-    from sitl.launch.launcher import Launch, fly
+    from sitl.launch.launcher import fly
+    from sitl.launch.mission import Launch
     from sitl.launch.processes import MissionFailed
     from sitl.launch.recording import RecordFiles
     from sitl.launch.summary import run_name, write_summary
