@@ -133,7 +133,17 @@ class Reached(NamedTuple):
     seq: int
 
 
-VehicleEvent = Arrived | Said | Reached
+class Led(NamedTuple):
+    """Someone else has changed the flight mode of a real autopilot: a pilot, or the autopilot itself."""
+
+    time_s: float
+    mode: str
+    """The autopilot's name of the mode."""
+    given_back: bool
+    """Whether it is the one in which it follows a companion."""
+
+
+VehicleEvent = Arrived | Said | Reached | Led
 
 
 class Result(NamedTuple):

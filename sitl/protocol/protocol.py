@@ -14,12 +14,11 @@ from plume.geodesy import to_local
 from sitl.autopilot.plan import ABOVE_HOME, ABOVE_SEA
 from sitl.autopilot.state import ACCEPTED, UNSUPPORTED, Mode, Result, denied
 from sitl.autopilot.telemetry import Telemetry
-from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol import clocks, files, logs, refused, setpoints
 from sitl.protocol.missions import PlanService
 from sitl.protocol.modes import available_modes
 from sitl.protocol.parameters import Parameters
-from sitl.protocol.service import Microservice
+from sitl.protocol.service import Craft, Microservice
 
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FORCE = 21196.0
@@ -90,7 +89,7 @@ class Params(NamedTuple):
 class MavlinkProtocol:
     """Handles the MAVLink messages of all clients of one vehicle and builds the answers."""
 
-    def __init__(self, vehicle: Vehicle, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, vehicle: Craft, clock: Callable[[], float] = time.monotonic) -> None:
         """Serve one vehicle. `clock` is real time, s: clients live in it."""
         self.refused: Counter[str] = Counter()
         """Refused setpoints, by kind of reason."""

@@ -15,8 +15,8 @@ from link.bus.messages import Stop
 from sitl.autopilot.motion import Ned
 from sitl.autopilot.state import Mode, Result, denied, not_now
 from sitl.autopilot.telemetry import Telemetry
-from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
+from sitl.protocol.service import Craft
 from sitl.protocol.setpoints import GLOBAL, LOCAL
 from sitl.script.script import AfterStop
 
@@ -37,7 +37,7 @@ class Search:
 
     def __init__(
         self,
-        vehicle: Vehicle,
+        vehicle: Craft,
         protocol: MavlinkProtocol,
         start: tuple[float, float],
         after_stop: AfterStop,
@@ -102,6 +102,21 @@ class Search:
             self._obeyed(self._vehicle.setpoint(now_s, self._waypoint))
             self._obeyed(self._vehicle.set_mode(now_s, Mode.OFFBOARD))
             self.state = SEARCHING
+
+    def led(self, mode: str, given_back: bool) -> None:
+        """A real autopilot's mode was changed by a pilot, or by itself: give way, or lead again where it is given back."""
+        if not self._begun or self.state == LANDED:
+            return
+        if not given_back and self.leads:
+            self.leads = False
+            self._say(mavlink.MAV_SEVERITY_WARNING, f"Search gives way: {mode} by the autopilot or its pilot")
+        elif given_back and not self.found:
+            now_s = self._vehicle.now_s
+            self._obeyed(self._vehicle.setpoint(now_s, self._waypoint))
+            self.leads = self._obeyed(self._vehicle.set_mode(now_s, Mode.OFFBOARD))
+            if self.leads:
+                self.state = SEARCHING
+                self._say(mavlink.MAV_SEVERITY_INFO, f"Search resumed: {mode} by the autopilot or its pilot")
 
     def _begin(self, now_s: float) -> None:
         """Arm and take off, unless someone flies the vehicle already."""

@@ -1,31 +1,37 @@
 """The UAV service: flies, measures, and speaks MAVLink on the bus and over UDP."""
 
+import contextlib
 import math
 import queue
 import time
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
+from link import cli
 from link.bus.inbox import Inbox
-from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP
+from link.bus.keys import MAVLINK_IN, PAYLOAD_IN, PAYLOAD_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP
 from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack
 from link.bus.messages import Stop
 from link.bus.px4 import MissionCurrent
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from plume.world import World
-from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.operator import OPERATOR, change_mode, command
-from sitl.autopilot.state import Arrived, Mode, Reached, Snapshot
+from sitl.autopilot.state import Arrived, Led, Mode, Reached, Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
+from sitl.payload.asking import Asking, Sample
 from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
+from sitl.remote.commander import VehicleFailed
+from sitl.remote.refused import not_served
+from sitl.remote.vehicle import RemoteVehicle
 from sitl.script.script import Abort, AfterStop, Delay, Dropout, Duplicate, Lose, OnBoard, Pause, Resume, Spike, Stuck, Wind
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
+from sitl.uav.ports import BusLink, FromUdp, Port
 from sitl.uav.search import PAUSED, SEARCHING, SETPOINTS, Search
 from sitl.uav.timeline import Timeline
 from sitl.uav.udp import UdpLink
@@ -34,38 +40,10 @@ TRY_AGAIN_S = 1.0
 """Simulation time after which a sensor without a value is read again."""
 
 
-class Link(Protocol):
-    """A destination for MAVLink messages."""
-
-    def send(self, *messages: Message) -> None:
-        """Send messages with this link's own sequence numbers."""
-
-
-class BusLink:
-    """MAVLink over the bus."""
-
-    def __init__(self, bus: Bus, system: int) -> None:
-        """Publish on `mavlink/out` as this system id."""
-        self._bus = bus
-        self._codec = Codec(system, COMPONENT)
-
-    def send(self, *messages: Message) -> None:
-        """Send messages as one sample."""
-        self._bus.publish(MAVLINK_OUT, self._codec.pack(*messages))
-
-
-class Port(NamedTuple):
-    """A link and its telemetry: the client of each link sets its own rates."""
-
-    link: Link
-    telemetry: Telemetry
-
-
-class FromUdp(NamedTuple):
-    """A message received over UDP, with the index of its `Port`."""
-
-    port: int
-    message: Message
+SENSING = SEARCHERS | {"payload"}
+"""A real vehicle takes off when these services have joined the bus."""
+LEAVE_S, LEAVE_POLL_S = 0.7, 0.02
+"""Real time in which a real vehicle is told to return home when this program ends: a launcher waits for a second."""
 
 
 class Uav:
@@ -73,7 +51,7 @@ class Uav:
 
     def __init__(
         self,
-        config: VehicleConfig,
+        vehicle: Vehicle | RemoteVehicle,
         world: World,
         clock: Clock,
         inbox: Inbox,
@@ -85,11 +63,15 @@ class Uav:
     ) -> None:
         """Open the links; raises ValueError for a UDP URL that cannot be used.
 
-        outs: UDP URLs; log: the bus's own log if there is a bus; events: the script events that happen on board; after_stop: what
-        the vehicle does once the source is found.
+        vehicle: a real one needs a bus, where its gas sensor answers; outs: UDP URLs; log: the bus's own log if there is a bus;
+        events: the script events that happen on board; after_stop: what the vehicle does once the source is found.
         """
-        self._vehicle = Vehicle(config)
-        self._protocol = MavlinkProtocol(self._vehicle)
+        config = vehicle.config
+        self._vehicle: Vehicle | RemoteVehicle = vehicle
+        self._remote = vehicle if isinstance(vehicle, RemoteVehicle) else None
+        self._protocol = MavlinkProtocol(vehicle)
+        if self._remote:
+            self._protocol.services |= {service.request: service for service in not_served()}
         self._search = Search(self._vehicle, self._protocol, world.start, after_stop, self._tell)
         self._world = world
         self._clock = clock
@@ -109,6 +91,11 @@ class Uav:
         self._codec = Codec(config.sysid, COMPONENT)
         self._resend_s = RESEND_FIRST_S
         self._resend_at = time.monotonic()
+        self._asking: Asking | None = None
+        if self._remote and bus is not None:
+            self._asking = Asking(lambda question: bus.publish(PAYLOAD_IN, question), self._codec)
+        self._asked: Arrived | None = None
+        self._felt: tuple[float, float] | None = None  # the wind of the last sample
         self._searchers: set[str] = set()
         self._progress = self._vehicle.progress
         self._tally.state = self._search.state
@@ -126,12 +113,12 @@ class Uav:
 
     def _telemetry(self) -> Telemetry:
         # The vehicle's time, not the streams' time: at speed-up 0 they differ.
-        return Telemetry(lambda _: Snapshot(self._vehicle.config, self._vehicle.state(self._vehicle.now_s), self._world.wind, self._gas))
+        return Telemetry(lambda _: Snapshot(self._vehicle.config, self._vehicle.state(self._vehicle.now_s), self._wind, self._gas))
 
     def run(self) -> None:
         """Run the service until it is interrupted."""
         if self._bus:
-            self._bus.subscribe(MAVLINK_IN, STOP)
+            self._bus.subscribe(MAVLINK_IN, STOP, *[PAYLOAD_OUT] * bool(self._asking))
             self._bus.watch_services()
         if self._bus:
             self._bus.publish_health()
@@ -142,6 +129,7 @@ class Uav:
                 self._live_until(self._clock.now_s())
                 self._tell_progress()
                 self._go_on_with_the_search()
+                self._judge()
                 self._resend()
                 for port in self._ports:
                     if due := [*port.telemetry.due(self._clock.stream_s()), *self._protocol.due(port.telemetry)]:
@@ -152,8 +140,28 @@ class Uav:
                 self._inbox.tell_dropped(self._log)
                 self._handle(self._receive())
         finally:
+            if self._remote:
+                with cli.uninterrupted():
+                    self._leave(self._remote)
             for link in self._udp:
                 link.close()
+
+    def _judge(self) -> None:
+        """Raise VehicleFailed once a real vehicle has given the search up and stands on the ground again."""
+        if self._remote and self._remote.failure and not self._remote.state(self._remote.now_s).armed:
+            raise VehicleFailed(self._remote.failure)
+
+    def _leave(self, vehicle: RemoteVehicle) -> None:
+        """See to it that a real vehicle in the air has someone in charge when this program ends."""
+        until_s = time.monotonic() + LEAVE_S
+        with contextlib.suppress(VehicleFailed):
+            if said := vehicle.leave():
+                self._tell(mavlink.MAV_SEVERITY_WARNING, said)
+            while not vehicle.left and time.monotonic() < until_s:
+                vehicle.catch_up(self._clock.now_s())
+                time.sleep(LEAVE_POLL_S)
+        if not vehicle.left:
+            self._log.error("The vehicle has not answered: its own failsafe is in charge")
 
     # ---- time ----
 
@@ -183,6 +191,8 @@ class Uav:
                     self._sample(event)
             elif isinstance(event, Reached):
                 self._broadcast([mavlink.MAVLink_mission_item_reached_message(event.seq)])
+            elif isinstance(event, Led):
+                self._search.led(event.mode, event.given_back)
             else:
                 self._tell(event.severity, event.text)
 
@@ -194,6 +204,7 @@ class Uav:
             next_stream_s = min(port.telemetry.next_due_s() for port in self._ports)
             timeout_s = self._clock.wait_s(next_event_s, next_stream_s)
             real_s = min(self._radio.next_s(), self._protocol.next_due_s(), self._resend_at if self._must_resend else math.inf)
+            real_s = min(real_s, self._asking.next_s() if self._asking else math.inf)
             timeout_s = min(timeout_s, max(real_s - time.monotonic(), 0.0))
         try:
             return self._inbox.get(timeout=min(timeout_s, SIGNAL_POLL_S))  # the timeout may be infinite: a client can turn all streams off
@@ -215,6 +226,12 @@ class Uav:
                     return
                 for message in messages:
                     self._message(message, self._ports[0])
+            case Arrival(key, payload) if key is PAYLOAD_OUT and self._asking and self._bus:
+                try:
+                    if sample := self._asking.receive(payload):
+                        self._measured(sample)
+                except BadFrame as error:
+                    self._bus.refuse(PAYLOAD_OUT, str(error), error.kind)
             case Arrival(key) if key is STOP and self._bus:
                 if stop := self._bus.decode(item, Stop):
                     self._search.declare(stop)
@@ -238,7 +255,7 @@ class Uav:
     # ---- the search ----
 
     def _go_on_with_the_search(self) -> None:
-        self._search.go_on(self._searchers >= SEARCHERS)
+        self._search.go_on(self._searchers >= (SENSING if self._remote else SEARCHERS))
         if self._tally.state != self._search.state:
             self._tally.state = self._search.state
             for port in self._ports:  # stations see at once what has changed: after the landing the process may end
@@ -269,14 +286,37 @@ class Uav:
         """Take one reading where the vehicle came to rest, and publish it. A sensor without a value publishes NaN and is read again."""
         for event in self._timeline.before(self._readings):
             self._perform(event)
-        north, east, down = arrived.position
+        north, east, _ = arrived.position
         self._last_time_boot_ms = max(round(self._vehicle.now_s * 1000), self._last_time_boot_ms + 1)
+        if self._asking and self._remote:
+            self._asked = arrived
+            self._asking.ask(self._last_time_boot_ms, self._readings, arrived.position, self._remote.wind)
+            return
         lost = self._world.loses(self._readings) and self._tried < self._readings
         self._tried = self._readings
         silent = lost or self._sensor.silent(self._vehicle.now_s)
-        gas = math.nan if silent else self._sensor.read(self._world.gas((east, north), self._readings))
-        reading = pack_reading(self._codec, Reading(self._last_time_boot_ms, (east, north), -down, self._world.wind, gas))
-        if silent:
+        self._read(arrived, math.nan if silent else self._world.gas((east, north), self._readings))
+
+    def _measured(self, sample: Sample) -> None:
+        """Take the payload's answer, unless the vehicle has been led away meanwhile."""
+        arrived, self._asked = self._asked, None
+        if arrived and self._measures:
+            if sample.wind:
+                self._felt = sample.wind
+            silent = self._sensor.silent(self._vehicle.now_s)
+            self._read(arrived, math.nan if silent else sample.gas)
+
+    @property
+    def _wind(self) -> tuple[float, float]:
+        """The wind of a reading: the payload knows it best, then the autopilot, else it is the scenario's."""
+        return self._felt or (self._remote and self._remote.wind) or self._world.wind
+
+    def _read(self, arrived: Arrived, measured: float) -> None:
+        """Make a reading of what was measured where the vehicle has arrived; NaN: the sensor has no value."""
+        north, east, down = arrived.position
+        gas = measured if math.isnan(measured) else self._sensor.read(measured)
+        reading = pack_reading(self._codec, Reading(self._last_time_boot_ms, (east, north), -down, self._wind, gas))
+        if math.isnan(gas):
             self._publish_reading(reading)
             self._timeline.schedule(self._vehicle.now_s + TRY_AGAIN_S, arrived)
             return
@@ -308,6 +348,8 @@ class Uav:
         """Publish an unanswered reading again: the reading, the belief or the waypoint may have been lost."""
         now_s = time.monotonic()
         self._radio.deliver(now_s)
+        if self._asking:
+            self._asking.again()
         if self._must_resend and now_s >= self._resend_at:
             self._radio.send(self._last_reading, now_s)
             self._resend_s = min(2 * self._resend_s, RESEND_LAST_S)

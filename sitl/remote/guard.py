@@ -1,0 +1,111 @@
+"""What is done about a real vehicle's troubles: link or position lost, battery low, geofence breached, failsafes of its own."""
+
+import math
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from sitl.autopilot.state import LOW_BATTERY, Mode
+from sitl.remote.commander import VehicleFailed
+from sitl.remote.flight import Flight
+
+GIVEN_UP_S = 60.0
+"""A link that is lost for so long is given up."""
+UNKNOWN_S = 1.0
+"""A position that is unknown for so long is told."""
+BLIND_S = 10.0
+"""A vehicle that hovers without a position for so long, and does nothing about it, is landed."""
+SAME_TIME_S = 3.0
+"""A failsafe's words, its state and its change of mode come within this time."""
+CRITICAL, WARNING, INFO = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_INFO
+
+
+class Guard:
+    """Watches a flight. Times in s."""
+
+    def __init__(self, flight: Flight) -> None:
+        """Begin without a trouble."""
+        self._flight, self._known = flight, flight.known
+        self._lost_since_s = math.inf
+        self._blind_since_s = math.inf
+        self._blind = self._drained = False
+        self._judged_s = -math.inf  # the change of mode that was looked at last
+
+    def look(self, now_s: float) -> None:
+        """Look, and act. Raises VehicleFailed when the vehicle has been lost."""
+        self._link(now_s)
+        if not self._flight.flying or self._known.lost(now_s):
+            return
+        self._mode(now_s)
+        self._fence(now_s)
+        self._battery()
+        self._position(now_s)
+
+    def _link(self, now_s: float) -> None:
+        if not self._known.lost(now_s):
+            if self._lost_since_s < math.inf:
+                mode = self._flight.firmware.mode_name(self._known.custom_mode)
+                self._flight.say(WARNING, f"Link is back after {now_s - self._lost_since_s:.0f} s: {mode}")
+            self._lost_since_s = math.inf
+        elif self._flight.commander.system:
+            if self._lost_since_s == math.inf:
+                self._lost_since_s = self._known.heard_s
+                self._flight.say(CRITICAL, "Link lost: the autopilot's own failsafe is in charge; waiting for it")
+            if self._known.armed and now_s - self._lost_since_s > self._flight.commander.patient(GIVEN_UP_S):
+                raise VehicleFailed(f"link lost for {now_s - self._lost_since_s:.0f} s: the autopilot's own failsafe is in charge")
+
+    def _mode(self, now_s: float) -> None:
+        """A failsafe that only hovers leaves nobody in charge: then it is flown home. A pilot is left alone."""
+        flight, changed_s = self._flight, self._flight.theirs_s
+        if not flight.theirs or changed_s == self._judged_s:
+            return
+        breached = self._known.breach_s >= changed_s - SAME_TIME_S
+        if self._known.failsafe or breached:
+            self._judged_s = changed_s
+            mode = self._known.custom_mode
+            said = self._known.warned(changed_s - SAME_TIME_S)
+            reason = f"{flight.firmware.name} has changed to {flight.firmware.mode_name(mode)} by its failsafe{said and ': '}{said}"
+            if mode in flight.firmware.hovers:
+                flight.theirs = False
+                flight.fail(reason)
+            else:
+                flight.failure = flight.failure or reason
+                flight.say(CRITICAL, reason)
+        elif now_s - changed_s > SAME_TIME_S:
+            self._judged_s = changed_s
+
+    def _fence(self, now_s: float) -> None:
+        if self._ours and now_s - self._known.breach_s <= SAME_TIME_S:
+            self._flight.fail(f"Geofence breached: {self._known.warned(self._known.breach_s - SAME_TIME_S) or 'FENCE_STATUS says so'}")
+
+    def _battery(self) -> None:
+        if self._ours and not self._drained and self._known.battery < LOW_BATTERY:  # NaN is not less
+            self._drained = True
+            self._flight.fail(f"Battery low: {self._known.battery:.0%}")
+
+    def _position(self, now_s: float) -> None:
+        if self._known.knows_place(now_s):
+            if self._blind:
+                self._flight.say(WARNING, "Position is back")
+            self._blind, self._blind_since_s = False, math.inf
+            return
+        self._blind_since_s = min(self._blind_since_s, now_s)
+        blind_s = now_s - self._blind_since_s
+        if blind_s > UNKNOWN_S and not self._blind:
+            self._blind = True
+            self._flight.say(CRITICAL, "Position lost: no readings until the EKF has it again")
+        if blind_s > BLIND_S and self._ours:
+            self._flight.failure = self._flight.failure or f"Position lost for {blind_s:.0f} s"
+            self._flight.say(CRITICAL, f"{self._flight.failure}: landing")
+            self._flight.land()
+
+    @property
+    def _ours(self) -> bool:
+        """Whether it does what we last asked, and that is not to come down."""
+        return not self._flight.theirs and self._flight.doing not in COMING_DOWN and self._reported not in COMING_DOWN
+
+    @property
+    def _reported(self) -> Mode | None:
+        return self._flight.firmware.reports.get(self._known.custom_mode)
+
+
+COMING_DOWN = (Mode.RETURN, Mode.LAND)

@@ -1,0 +1,335 @@
+"""A real vehicle with the interface of the simulated one: commands go out over MAVLink, arrival is derived from telemetry."""
+
+import math
+from dataclasses import replace
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from link.bus.mavlink import POSITION_ONLY
+from sitl.autopilot.config import VehicleConfig, metres
+from sitl.autopilot.motion import ZERO, Ned, as_float32, wrapped
+from sitl.autopilot.plan import FlightPlan, MissionProgress, MissionStep
+from sitl.autopilot.setpoint import Answers, Companion, Setpoint
+from sitl.autopilot.state import ACCEPTED, Arrived, Mode, Result, State, VehicleEvent, denied, not_now
+from sitl.remote.arrival import Arrival, Leg
+from sitl.remote.commander import AUTOPILOT, Commander
+from sitl.remote.flight import Flight
+from sitl.remote.guard import Guard
+from sitl.remote.known import Known
+
+STREAM_HZ = 10.0
+"""Setpoints a second of the vehicle's time, from before OFFBOARD on. PX4 wants more than 2."""
+POLL_S = 0.05
+IGNORED_M = 0.5
+"""A target that the autopilot reads back so far from the setpoint is not the setpoint."""
+ELSEWHERE = "a ground station sends it to the autopilot itself"
+
+
+ARRIVAL = Arrival()
+
+
+class RemoteVehicle:
+    """One real multirotor, or its own simulator. Positions are NED, m from the search area's south-west corner, which is home.
+
+    No call waits: a command begins, `state` shows what is being done, and `advance` tells what comes of it. Times are s of the
+    caller's clock, which runs as fast as the vehicle's own simulator. Setpoints go out only while the caller goes on calling: if it
+    hangs, the autopilot's failsafe sees that they have stopped.
+    """
+
+    def __init__(self, config: VehicleConfig, commander: Commander, arrival: Arrival = ARRIVAL) -> None:
+        """Take the conversation with a vehicle, which need not be there yet; `config` says how high and how far it may fly."""
+        self.config = config
+        self.mission = FlightPlan()
+        self.companion = Companion()
+        self.answers = Answers()
+        """The readings, and whether the newest is answered: the first waypoint with its time answers it."""
+        self.flight = Flight(commander)
+        self._guard = Guard(self.flight)
+        self._commander, self._arrival = commander, arrival
+        self._now = 0.0
+        self._corner: Ned | None = None  # of the area in the EKF's frame; known once home and origin are
+        self._follows = False  # whether the companion's mode means OFFBOARD, not HOLD
+        self._setpoint: Ned | None = None
+        self._leg: Leg | None = None  # to the setpoint, until it is reached
+        self._streamed_s = -math.inf
+
+    # ---- time ----
+
+    @property
+    def now_s(self) -> float:
+        """The time of the last call."""
+        return self._now
+
+    def catch_up(self, t_s: float) -> None:
+        """Take what the vehicle has said. Raises VehicleFailed if it cannot fly the search, or no longer."""
+        self._now = max(t_s, self._now)
+        self.flight.poll(self._now)
+        self._place_area()
+        self._guard.look(self._now)
+        self._stream()
+
+    def advance(self, t_s: float) -> list[VehicleEvent]:
+        """Take what the vehicle has said; returns its texts and ours, and its arrival if there is one."""
+        self.catch_up(t_s)
+        for severity, text in self._known.texts:
+            self.flight.say(severity, f"{self.flight.firmware.name}: {text}")
+        events: list[VehicleEvent] = [*self.flight.events]
+        self._known.texts.clear()
+        self.flight.events.clear()
+        if self._leg and self._flies_leg:
+            if self._leg.arrived(self._now, self._position, self._known.velocity, self._known.knows_place(self._now)):
+                self._leg = None
+                events.append(Arrived(self._now, self._position))
+            elif self._now > self._leg.deadline_s and not self._known.lost(self._now):
+                self.flight.fail(self._stuck())
+        return events
+
+    def next_event_s(self) -> float | None:
+        """Return when to look again."""
+        return self._now + POLL_S
+
+    @property
+    def moving(self) -> bool:
+        """True while it flies to a setpoint, or is armed and not at rest."""
+        return self._known.armed and (self._flies_leg or math.hypot(*self._known.velocity) > self._arrival.speed_mps)
+
+    @property
+    def landing(self) -> bool:
+        """True from the beginning of a landing until the motors have stopped."""
+        return self._known.armed and self._mode is Mode.LAND
+
+    @property
+    def waiting(self) -> bool:
+        """It flies no mission that could wait for a time."""
+        return False
+
+    @property
+    def progress(self) -> MissionProgress:
+        """It flies no mission of ours."""
+        return MissionProgress()
+
+    @property
+    def wind(self) -> tuple[float, float] | None:
+        """(u cos φ, u sin φ) m/s, to where the wind comes from, as float32; None where the autopilot does not tell."""
+        if self._known.wind is None:
+            return None
+        x, y, _ = as_float32((*self._known.wind, 0.0))
+        return x, y
+
+    def state(self, t_s: float) -> State:
+        """Return the newest state, whatever the time."""
+        known, mode = self._known, self._mode
+        return State(
+            time_s=t_s, position=self._position, velocity=known.velocity, acceleration=ZERO, roll=0.0, pitch=0.0, yaw=wrapped(known.yaw),
+            yaw_rate=0.0, mode=mode, armed=known.armed, landed_state=self._landed_state(mode), failsafe=known.failsafe,
+            battery=1.0 if math.isnan(known.battery) else known.battery, fit=not known.missing(self._now),
+            target=self._setpoint if self._setpoint and mode is Mode.OFFBOARD else self._position,
+        )  # fmt: skip
+
+    def _landed_state(self, mode: Mode) -> int:
+        if not self._known.armed or self._known.on_ground:
+            return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
+        if mode is Mode.TAKEOFF:
+            return int(mavlink.MAV_LANDED_STATE_TAKEOFF)
+        return int(mavlink.MAV_LANDED_STATE_LANDING if mode is Mode.LAND else mavlink.MAV_LANDED_STATE_IN_AIR)
+
+    # ---- commands: each is begun, not waited for ----
+
+    def configure(self, t_s: float, config: VehicleConfig) -> None:
+        """Change nothing: the autopilot has its own parameters."""
+
+    def load(self, t_s: float, steps: tuple[MissionStep, ...], number: int = 0, current: int = 0) -> None:
+        """Change nothing: the autopilot has its own missions."""
+
+    def set_current(self, t_s: float, seq: int) -> Result:
+        """Refuse: the autopilot has its own missions."""
+        return denied(f"Mission refused: {ELSEWHERE}")
+
+    def arm(self, t_s: float) -> Result:
+        """Arm, once the vehicle can really fly; refused with what is being waited for until it is armed."""
+        if self._known.armed:
+            return ACCEPTED
+        if not self._commander.system:
+            return not_now(f"Waiting for the HEARTBEAT of an autopilot {self._commander.radio.state}".rstrip())
+        if missing := self._known.missing(self._now):
+            return not_now(f"Waiting for the autopilot: {missing}")
+        if self.flight.theirs and self._known.custom_mode != self.flight.start:
+            return not_now(f"Waiting for a pilot, who has chosen {self._mode_name}")
+        if not self.flight.arming:
+            self.flight.arm()
+        return not_now("Arming")
+
+    def disarm(self, t_s: float, force: bool = False) -> Result:
+        """Disarm a vehicle that stands on the ground."""
+        if force or self.flight.flying:
+            return not_now("Disarm refused: in the air")
+        self._commander.send(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+        return ACCEPTED
+
+    def take_off(self, t_s: float, altitude_m: float | None = None) -> Result:
+        """Climb straight up to an altitude above home (default: `takeoff_altitude_m`), then hold."""
+        altitude = self.config.takeoff_altitude_m if altitude_m is None else altitude_m
+        if not 0.0 < altitude <= self.config.ceiling_m:
+            return denied(f"Take-off refused: altitude {metres(altitude)} m, allowed is above 0 and up to {self.config.ceiling_m:g} m")
+        if not self._known.armed:
+            return not_now("Take-off refused: disarmed")
+        if self.flight.flying:
+            return not_now("Take-off refused: already in the air")
+        if self.flight.theirs or not self.flight.armed_by_us:
+            return not_now("Take-off waits: a pilot has armed it")
+        self._follows = False
+        self.flight.take_off(altitude)
+        return ACCEPTED
+
+    def go_to(self, t_s: float, position: Ned, yaw_rad: float | None = None) -> Result:
+        """Refuse: only the search's waypoints are handed on."""
+        return denied(f"Go-to refused: {ELSEWHERE}")
+
+    def set_mode(self, t_s: float, mode: Mode) -> Result:
+        """Begin to change the flight mode; OFFBOARD needs a setpoint."""
+        name = mode.name.capitalize()
+        if mode is Mode.TAKEOFF:
+            return self.take_off(t_s)
+        if mode is Mode.MISSION:
+            return denied(f"Mission refused: {ELSEWHERE}")
+        if mode is self._mode and not self.flight.theirs:
+            return ACCEPTED
+        if not self.flight.flying:
+            return not_now(f"{name} refused: on the ground")
+        if mode is Mode.OFFBOARD and self._setpoint is None:
+            return not_now("Offboard refused: no setpoint received yet")
+        self._follows = mode is Mode.OFFBOARD
+        {Mode.OFFBOARD: self.flight.fly, Mode.HOLD: self.flight.hold, Mode.RETURN: self.flight.go_home, Mode.LAND: self.flight.land}[mode]()
+        return ACCEPTED
+
+    def setpoint(self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, time_boot_ms: int | None = None) -> Result:
+        """Take a waypoint as the simulated vehicle does: fly there in OFFBOARD, else remember it. The yaw is the autopilot's.
+
+        The agent answers with the altitude that it has read, which is never exactly the one flown: the search's altitude is kept, or
+        the vehicle would drift up or down from reading to reading.
+        """
+        setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted))
+        answers = self.answers.wants(time_boot_ms)
+        if kind := self.answers.superfluous(time_boot_ms):
+            return not_now(f"Waypoint ignored: {kind} answer to the reading at {time_boot_ms} ms")
+        if setpoint.position is None:
+            return denied("Setpoint refused: only positions are handed on to a real autopilot", "no position")
+        if refusal := setpoint.refusal(self.config):
+            return refusal
+        north, east, down = setpoint.position
+        if answers:
+            self.answers.awaited = False
+            down = -self.config.takeoff_altitude_m
+        if answers or (north, east, down) != self._setpoint:
+            self._setpoint = as_float32((north, east, down))
+        deadline_s = self._arrival.deadline_s(self._now, self._position, self._setpoint)
+        if self._leg is None or answers or self._leg.target != self._setpoint:
+            self._leg = Leg(self._arrival, self._setpoint, deadline_s)
+        self._leg.deadline_s = deadline_s
+        self._streamed_s = -math.inf
+        self._stream()
+        return ACCEPTED
+
+    @property
+    def waypoint(self) -> Ned | None:
+        """The last accepted setpoint; None before the first."""
+        return self._setpoint
+
+    def leave(self) -> str:
+        """Send a vehicle home that nobody else is in charge of; returns what is done about it, nothing if there is nothing to do.
+
+        Call it, and go on calling `catch_up` until `left`.
+        """
+        if not self.flight.flying:
+            if self._known.armed and not self.flight.theirs:
+                self._commander.send(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+            return ""
+        if self.flight.theirs:
+            return f"The vehicle is left to its pilot: {self._mode_name}"
+        if self._mode not in (Mode.RETURN, Mode.LAND):
+            self.flight.go_home()
+        return "The vehicle is told to return home" if self.flight.doing else f"The vehicle is left in {self._mode_name}"
+
+    @property
+    def failure(self) -> str:
+        """Why the vehicle has given the search up; empty if it has not."""
+        return self.flight.failure
+
+    @property
+    def left(self) -> bool:
+        """True unless a command of ours is still on its way."""
+        return self.flight.doing is None
+
+    # ---- flight ----
+
+    @property
+    def _known(self) -> Known:
+        return self._commander.known
+
+    @property
+    def _mode_name(self) -> str:
+        return self.flight.firmware.mode_name(self._known.custom_mode)
+
+    @property
+    def _mode(self) -> Mode:
+        """The mode in the search's words: what is being done about it counts. One that only pilots fly is HOLD: the search has no part."""
+        if self.flight.doing:
+            return self.flight.doing
+        mode = self.flight.firmware.reports.get(self._known.custom_mode, Mode.HOLD) if self._known.armed else Mode.HOLD
+        return Mode.HOLD if mode is Mode.OFFBOARD and (self.flight.theirs or not self._follows) else mode
+
+    @property
+    def _flies_leg(self) -> bool:
+        return self._leg is not None and self._mode is Mode.OFFBOARD and self.flight.doing is None and self.flight.flying
+
+    @property
+    def _position(self) -> Ned:
+        """Where it says it is, in the area's frame, as float32."""
+        north, east, down = (there - at for there, at in zip(self._known.position, self._corner or ZERO, strict=True))
+        return as_float32((north, east, down))
+
+    def _place_area(self) -> None:
+        """Place the area at home; until the take-off home may still move."""
+        known = self._known
+        if known.origin is None or known.home is None or self.flight.flying:
+            return
+        corner = known.to_home()
+        if self._corner is None or math.dist(corner, self._corner) > 0.0:
+            first, self._corner = self._corner is None, corner
+            lat, lon, alt = known.home
+            self.config = replace(self.config, home_lat_deg=lat, home_lon_deg=lon, home_alt_m=alt)
+            if first:
+                side, (north, east, _) = f"{self.config.area_m:g}", corner
+                self.flight.say(
+                    mavlink.MAV_SEVERITY_INFO,
+                    f"The area of {side} m x {side} m lies north and east of home, {lat:.7f}, {lon:.7f}; "
+                    f"home is ({north:.2f}, {east:.2f}) m north, east of the EKF's origin",
+                )
+
+    def _stuck(self) -> str:
+        assert self._leg is not None
+        (north, east, _), away_m = self._leg.target, math.dist(self._position, self._leg.target)
+        reason = f"Waypoint ({east:.2f}, {north:.2f}) m not reached in time: {away_m:.1f} m away"
+        wanted = self._in_ekf_frame(self._leg.target)
+        if self._known.target and math.dist(self._known.target, wanted) > IGNORED_M:
+            reason += "; the autopilot flies to another target"
+        return reason
+
+    def _in_ekf_frame(self, position: Ned) -> Ned:
+        north, east, down = (there + at for there, at in zip(position, self._corner or ZERO, strict=True))
+        return north, east, down
+
+    def _stream(self) -> None:
+        """Send the setpoint, `STREAM_HZ` times a second while it is, or may again be, flown."""
+        if not self.flight.streams or self._setpoint is None or self._now - self._streamed_s < 1.0 / STREAM_HZ:
+            return
+        if self.flight.firmware.is_ardupilot and self._known.custom_mode != self.flight.guided:
+            return  # PX4 wants them before it takes OFFBOARD, also from a pilot who gives the search back
+        self._streamed_s = self._now
+        milliseconds = round(self._now * 1000) & 0xFFFFFFFF
+        place = self._in_ekf_frame(self._setpoint)
+        self._commander.radio.send(
+            mavlink.MAVLink_set_position_target_local_ned_message(
+                milliseconds, self._commander.system, AUTOPILOT, mavlink.MAV_FRAME_LOCAL_NED, POSITION_ONLY, *place, *[0.0] * 8
+            )
+        )
