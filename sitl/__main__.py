@@ -18,6 +18,7 @@ from sitl.launch.watchdog import PATIENCE_S, WARN_S
 from sitl.script.script import AgentPart, OnBoard, Script, find, load, shipped
 from sitl.script.typed_yaml import Document, FileError
 from sitl.uav.options import add_vehicle_arguments, at_own_home
+from sitl.uav.real import add_vehicle_url
 
 if TYPE_CHECKING:
     from sitl.launch.recording import RecordFiles
@@ -146,6 +147,7 @@ def _parse(
     cli.add_bus_arguments(uav)
     uav.set_defaults(connect=None, namespace=None)
     add_vehicle_arguments(uav, speedup=1.0)
+    add_vehicle_url(uav)
 
     router = commands.add_parser("router", help="a Zenoh router alone")
     router.add_argument("-l", "--listen", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="where to listen (default: %(default)s)")
@@ -266,27 +268,37 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from link.bus.log import Log
     from link.bus.session import Bus
     from link.bus.tally import Tally
+    from sitl.autopilot.vehicle import Vehicle
+    from sitl.remote.commander import VehicleFailed
+    from sitl.remote.vehicle import RemoteVehicle
     from sitl.uav.clock import Clock
+    from sitl.uav.real import real_script, real_vehicle
     from sitl.uav.uav import Uav
     from sitl.uav.udp import parse_url
 
     script = _script(args, given)
+    try:
+        script = real_script(script, given) if args.vehicle else script
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
     config = at_own_home(script.vehicle_config(args.sysid or args.instance + 1), args.instance)
     outs = [parse_url(url, args.instance) for url in args.out]
     release = script.release()
     inbox = Inbox()
     namespace = args.namespace or f"uav/{args.instance + 1}"
     log = Log("uav", namespace, Tally(), args.log_level)
-    if not args.out and not args.connect:
+    if not args.out and not args.connect and not args.vehicle:
         usual = parse_url("udpout:127.0.0.1", args.instance)
         log.info(f"no client can connect by UDP without --out; --out {usual.text} is for {usual.counterpart}; QGroundControl: port 14550")
     with contextlib.ExitStack() as stack:
         bus = None
-        if args.connect or not args.out:  # with --out alone it is a plain MAVLink vehicle, without a bus
+        if args.connect or args.vehicle or not args.out:  # with --out alone it is a plain MAVLink vehicle, without a bus
             endpoint = args.connect or DEFAULT_ROUTER
             bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox, args.log_level))
             log = bus.log
-            log.info(f"on the bus at {endpoint} as {namespace}; takes off when estimator and agent are there")
+            needed = "payload, estimator and agent" if args.vehicle else "estimator and agent"
+            log.info(f"on the bus at {endpoint} as {namespace}; takes off when {needed} are there")
             joining = f"--connect {endpoint} --namespace {namespace}"
             chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
             chosen += "" if script.estimator.assume == "field" else f" --assume {script.estimator.assume}"
@@ -294,9 +306,17 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
             log.info(f"its estimator: plumeward estimator {joining} --rate {release.q!r} --diffusivity {release.d!r}{chosen}{who}")
             log.info(f"its agent: plumeward agent {joining} --sysid {config.sysid}")
         events = [event for event in script.events if isinstance(event, OnBoard)]
+        vehicle: Vehicle | RemoteVehicle = Vehicle(config)
+        if args.vehicle:
+            try:
+                vehicle, connection = real_vehicle(args.vehicle, config, script.speedup, args.sysid, log)
+            except ValueError as error:
+                print(f"error: --vehicle: {error}", file=sys.stderr)
+                return cli.BAD_INPUT
+            stack.callback(connection.close)
         try:
             uav = Uav(
-                config,
+                vehicle,
                 script.simulated(),
                 Clock(script.speedup),
                 inbox,
@@ -311,7 +331,11 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
             return cli.BAD_INPUT
         for out in outs:
             log.info(f"MAVLink to {out.text}; {out.counterpart}")
-        uav.run()
+        try:
+            uav.run()
+        except VehicleFailed as failure:
+            print(f"error: {failure}", file=sys.stderr)
+            return cli.FAILED
     return 0
 
 

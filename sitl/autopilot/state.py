@@ -169,6 +169,11 @@ def not_now(reason: str) -> Result:
     return Result(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, reason)
 
 
+def going_on(what: str) -> Result:
+    """What is asked for takes its time (MAV_RESULT_IN_PROGRESS): it has to be asked again."""
+    return Result(mavlink.MAV_RESULT_IN_PROGRESS, what)
+
+
 def denied(reason: str, kind: str = "") -> Result:
     """A refusal because the request itself is invalid (MAV_RESULT_DENIED)."""
     return Result(mavlink.MAV_RESULT_DENIED, reason, kind)

@@ -18,7 +18,7 @@ from sitl.protocol import clocks, files, logs, refused, setpoints
 from sitl.protocol.missions import PlanService
 from sitl.protocol.modes import available_modes
 from sitl.protocol.parameters import Parameters
-from sitl.protocol.service import Craft, Microservice
+from sitl.protocol.service import AnyVehicle, Microservice
 
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FORCE = 21196.0
@@ -89,7 +89,7 @@ class Params(NamedTuple):
 class MavlinkProtocol:
     """Handles the MAVLink messages of all clients of one vehicle and builds the answers."""
 
-    def __init__(self, vehicle: Craft, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, vehicle: AnyVehicle, clock: Callable[[], float] = time.monotonic) -> None:
         """Serve one vehicle. `clock` is real time, s: clients live in it."""
         self.refused: Counter[str] = Counter()
         """Refused setpoints, by kind of reason."""

@@ -11,7 +11,7 @@ from sitl.autopilot.setpoint import Answers, Companion, Setpoint
 from sitl.autopilot.state import Mode, Result, State, VehicleEvent
 
 
-class Craft(Protocol):
+class AnyVehicle(Protocol):
     """A vehicle as its protocol and its search know it: the simulated `Vehicle`, which says what all this is, or a real one."""
 
     config: VehicleConfig

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from sitl.autopilot.motion import Ned
 
 
-class Arrival(NamedTuple):
+class ArrivalRule(NamedTuple):
     """It arrives once it has stayed within `radius_m` of its target, no faster than `speed_mps`, for `settle_s`."""
 
     radius_m: float = 0.3
@@ -21,10 +21,10 @@ class Arrival(NamedTuple):
         return now_s + math.dist(position, target) / self.slowest_mps + self.grace_s
 
 
-class Leg:
+class Approach:
     """The way to one target, judged by telemetry. Positions NED in m, times in s."""
 
-    def __init__(self, arrival: Arrival, target: Ned, deadline_s: float) -> None:
+    def __init__(self, arrival: ArrivalRule, target: Ned, deadline_s: float) -> None:
         """Begin: not yet near."""
         self.target, self.deadline_s = target, deadline_s
         self._arrival = arrival

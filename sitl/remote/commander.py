@@ -1,5 +1,6 @@
 """The conversation with one autopilot: it is found, asked for telemetry, and commanded until it acknowledges."""
 
+import itertools
 import math
 from collections.abc import Callable, Generator
 from typing import Protocol, TypeVar
@@ -66,20 +67,20 @@ class Commander:
         self.now_s = 0.0
         self.radio = radio
         self._wanted = system
-        self._speedup = speedup
+        self.speedup = speedup
         self._acknowledged: dict[int, Message] = {}
         self._beat_s = self._streams_s = -math.inf
 
     def patient(self, seconds: float) -> float:
         """Return a time for an answer: at least `SHORTEST_S` of real time."""
-        return max(seconds, SHORTEST_S * self._speedup)
+        return max(seconds, SHORTEST_S * self.speedup)
 
     # ---- what goes in and out all the time ----
 
     def poll(self, now_s: float) -> None:
         """Take what has come, and send what is due. Raises VehicleFailed if this is no vehicle for a search."""
         self.now_s = now_s
-        if now_s - self._beat_s >= self._speedup:  # once a second of real time: some failsafes watch it
+        if now_s - self._beat_s >= self.speedup:  # once a second of real time: some failsafes watch it
             self._beat_s = now_s
             kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
             self.radio.send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
@@ -157,10 +158,13 @@ class Commander:
         return so
 
     def read_parameters(self, names: tuple[str, ...]) -> Steps[None]:
-        """Read parameters into `known`; those that are not answered stay unknown."""
+        """Read parameters into `known`; those that are not answered stay unknown. `A|B`: one or the other, whichever there is."""
+
+        def missing() -> list[list[str]]:
+            return [either for name in names if not self.known.parameters.keys() & (either := name.split("|"))]
+
         for _ in range(TRIES):
-            missing = [name for name in names if name not in self.known.parameters]
-            for name in missing:
+            for name in itertools.chain(*missing()):
                 self.radio.send(mavlink.MAVLink_param_request_read_message(self.system, AUTOPILOT, name.encode(), -1))
-            if (yield from self.until(lambda: all(name in self.known.parameters for name in names), self.patient(AGAIN_S))):
+            if (yield from self.until(lambda: not missing(), self.patient(AGAIN_S))):
                 return

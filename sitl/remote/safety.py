@@ -7,10 +7,10 @@ from typing import NamedTuple
 from sitl.remote.firmware import Firmware
 
 ASKED = {
-    "ArduCopter": ("FS_GCS_ENABLE", "SYSID_MYGCS", "MAV_GCS_SYSID", "FS_GCS_TIMEOUT"),
+    "ArduCopter": ("FS_GCS_ENABLE", "SYSID_MYGCS|MAV_GCS_SYSID", "FS_GCS_TIMEOUT"),
     "PX4": ("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "NAV_DLL_ACT", "COM_RCL_EXCEPT"),
 }
-"""The parameters to read. SYSID_MYGCS is called MAV_GCS_SYSID in newer versions: one of them answers."""
+"""The parameters to read. One has another name in newer versions: either of them answers."""
 OFFBOARD_LOSS = {0: "POSITION", 1: "ALTITUDE", 2: "STABILIZED", 3: "RETURN", 4: "LAND", 5: "HOLD", 6: "TERMINATE", 7: "DISARM"}
 BY_HAND = {0, 1, 2}
 """What COM_OBL_RC_ACT chooses that a pilot flies: without one PX4 goes on to RETURN."""

@@ -10,12 +10,12 @@ from sitl.autopilot.config import VehicleConfig, metres
 from sitl.autopilot.motion import ZERO, Ned, as_float32, wrapped
 from sitl.autopilot.plan import FlightPlan, MissionProgress, MissionStep
 from sitl.autopilot.setpoint import Answers, Companion, Setpoint
-from sitl.autopilot.state import ACCEPTED, Arrived, Mode, Result, State, VehicleEvent, denied, not_now
-from sitl.remote.arrival import Arrival, Leg
+from sitl.autopilot.state import ACCEPTED, Arrived, Mode, Result, State, VehicleEvent, denied, going_on, not_now
+from sitl.remote.arrival import Approach, ArrivalRule
 from sitl.remote.commander import AUTOPILOT, Commander
-from sitl.remote.flight import Flight
-from sitl.remote.guard import Guard
 from sitl.remote.known import Known
+from sitl.remote.procedures import Procedures
+from sitl.remote.watch import Watch
 
 STREAM_HZ = 10.0
 """Setpoints a second of the vehicle's time, from before OFFBOARD on. PX4 wants more than 2."""
@@ -25,7 +25,7 @@ IGNORED_M = 0.5
 ELSEWHERE = "a ground station sends it to the autopilot itself"
 
 
-ARRIVAL = Arrival()
+ARRIVAL = ArrivalRule()
 
 
 class RemoteVehicle:
@@ -36,22 +36,23 @@ class RemoteVehicle:
     hangs, the autopilot's failsafe sees that they have stopped.
     """
 
-    def __init__(self, config: VehicleConfig, commander: Commander, arrival: Arrival = ARRIVAL) -> None:
+    def __init__(self, config: VehicleConfig, commander: Commander, arrival: ArrivalRule = ARRIVAL) -> None:
         """Take the conversation with a vehicle, which need not be there yet; `config` says how high and how far it may fly."""
         self.config = config
         self.mission = FlightPlan()
         self.companion = Companion()
         self.answers = Answers()
         """The readings, and whether the newest is answered: the first waypoint with its time answers it."""
-        self.flight = Flight(commander)
-        self._guard = Guard(self.flight)
+        self.flight = Procedures(commander)
+        self._guard = Watch(self.flight)
         self._commander, self._arrival = commander, arrival
         self._now = 0.0
         self._corner: Ned | None = None  # of the area in the EKF's frame; known once home and origin are
         self._follows = False  # whether the companion's mode means OFFBOARD, not HOLD
         self._setpoint: Ned | None = None
-        self._leg: Leg | None = None  # to the setpoint, until it is reached
+        self._leg: Approach | None = None  # to the setpoint, until it is reached
         self._streamed_s = -math.inf
+        self._heard_s = math.inf  # when the last waypoint came, or was reached
 
     # ---- time ----
 
@@ -79,9 +80,12 @@ class RemoteVehicle:
         if self._leg and self._flies_leg:
             if self._leg.arrived(self._now, self._position, self._known.velocity, self._known.knows_place(self._now)):
                 self._leg = None
+                self._heard_s = self._now
                 events.append(Arrived(self._now, self._position))
             elif self._now > self._leg.deadline_s and not self._known.lost(self._now):
                 self.flight.fail(self._stuck())
+        elif self._mode is Mode.OFFBOARD and self._now - self._heard_s > self.config.silence_s:
+            self.flight.fail(f"No waypoint for {self.config.silence_s / self._commander.speedup:g} s")
         return events
 
     def next_event_s(self) -> float | None:
@@ -150,14 +154,14 @@ class RemoteVehicle:
         if self._known.armed:
             return ACCEPTED
         if not self._commander.system:
-            return not_now(f"Waiting for the HEARTBEAT of an autopilot {self._commander.radio.state}".rstrip())
+            return going_on(f"Waiting for the HEARTBEAT of an autopilot {self._commander.radio.state}".rstrip())
         if missing := self._known.missing(self._now):
-            return not_now(f"Waiting for the autopilot: {missing}")
+            return going_on(f"Waiting for the autopilot: {missing}")
         if self.flight.theirs and self._known.custom_mode != self.flight.start:
-            return not_now(f"Waiting for a pilot, who has chosen {self._mode_name}")
+            return going_on(f"Waiting for a pilot, who has chosen {self._mode_name}")
         if not self.flight.arming:
             self.flight.arm()
-        return not_now("Arming")
+        return going_on("Arming")
 
     def disarm(self, t_s: float, force: bool = False) -> Result:
         """Disarm a vehicle that stands on the ground."""
@@ -224,9 +228,9 @@ class RemoteVehicle:
             self._setpoint = as_float32((north, east, down))
         deadline_s = self._arrival.deadline_s(self._now, self._position, self._setpoint)
         if self._leg is None or answers or self._leg.target != self._setpoint:
-            self._leg = Leg(self._arrival, self._setpoint, deadline_s)
+            self._leg = Approach(self._arrival, self._setpoint, deadline_s)
         self._leg.deadline_s = deadline_s
-        self._streamed_s = -math.inf
+        self._heard_s, self._streamed_s = self._now, -math.inf
         self._stream()
         return ACCEPTED
 

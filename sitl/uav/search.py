@@ -16,7 +16,7 @@ from sitl.autopilot.motion import Ned
 from sitl.autopilot.state import Mode, Result, denied, not_now
 from sitl.autopilot.telemetry import Telemetry
 from sitl.protocol.protocol import MavlinkProtocol
-from sitl.protocol.service import Craft
+from sitl.protocol.service import AnyVehicle
 from sitl.protocol.setpoints import GLOBAL, LOCAL
 from sitl.script.script import AfterStop
 
@@ -37,7 +37,7 @@ class Search:
 
     def __init__(
         self,
-        vehicle: Craft,
+        vehicle: AnyVehicle,
         protocol: MavlinkProtocol,
         start: tuple[float, float],
         after_stop: AfterStop,
@@ -145,13 +145,14 @@ class Search:
 
     def _obeyed(self, result: Result) -> bool:
         if not result.accepted:
-            self._say_once(result.reason)
+            going_on = result.code == mavlink.MAV_RESULT_IN_PROGRESS
+            self._say_once(result.reason, mavlink.MAV_SEVERITY_INFO if going_on else mavlink.MAV_SEVERITY_WARNING)
         return result.accepted
 
-    def _say_once(self, text: str) -> None:
+    def _say_once(self, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING) -> None:
         if text != self._said:
             self._said = text
-            self._say(mavlink.MAV_SEVERITY_WARNING, text)
+            self._say(severity, text)
 
     # ---- what others ask ----
 

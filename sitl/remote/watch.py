@@ -6,7 +6,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.autopilot.state import LOW_BATTERY, Mode
 from sitl.remote.commander import VehicleFailed
-from sitl.remote.flight import Flight
+from sitl.remote.procedures import Procedures
 
 GIVEN_UP_S = 60.0
 """A link that is lost for so long is given up."""
@@ -19,10 +19,10 @@ SAME_TIME_S = 3.0
 CRITICAL, WARNING, INFO = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_INFO
 
 
-class Guard:
+class Watch:
     """Watches a flight. Times in s."""
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: Procedures) -> None:
         """Begin without a trouble."""
         self._flight, self._known = flight, flight.known
         self._lost_since_s = math.inf

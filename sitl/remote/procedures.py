@@ -26,7 +26,7 @@ AGAIN_S = 1.0
 ENDED = object()
 
 
-class Flight:
+class Procedures:
     """The procedures of one vehicle. Times in s of its clock, heights in m above home."""
 
     def __init__(self, commander: Commander) -> None:

@@ -1,0 +1,47 @@
+"""The flag for a real autopilot, and the vehicle behind it."""
+
+import argparse
+
+from link import cli
+from link.bus.log import Log
+from sitl.autopilot.config import VehicleConfig
+from sitl.bridge.address import ALLOWED, parse_address
+from sitl.remote.commander import Commander
+from sitl.remote.connection import Connection
+from sitl.remote.vehicle import RemoteVehicle
+from sitl.script.script import Script, Wind
+
+SIMULATED_ONLY = {
+    "home": "a real vehicle's home is where it stands",
+    "strict": "a real autopilot has its own rules for OFFBOARD",
+}
+"""Flags that only the simulated vehicle takes, and why."""
+
+
+def add_vehicle_url(parser: argparse.ArgumentParser) -> None:
+    """Add `--vehicle`."""
+    parser.add_argument(
+        "--vehicle", type=cli.checked(parse_address), metavar="URL",
+        help=f"fly a real autopilot, ArduCopter or PX4, or its own simulator: {ALLOWED}; --speedup is then that of its simulator "
+        "(default: 1), --sysid its system id (default: the first heard)",
+    )  # fmt: skip
+
+
+def real_script(script: Script, given: argparse.Namespace) -> Script:
+    """Return the script at the vehicle's own speed. Raises ValueError with the flag that a real vehicle cannot take, and why."""
+    for flag, reason in SIMULATED_ONLY.items():
+        if flag in given:
+            raise ValueError(f"--{flag}: not with --vehicle: {reason}")
+    speedup = getattr(given, "speedup", 1.0)
+    if not speedup:
+        raise ValueError("--speedup: 0 is not allowed with --vehicle; wanted how fast its simulator runs, 1 for an aircraft")
+    if any(isinstance(event, Wind) for event in script.events):
+        raise ValueError("MISSION: a wind event is not allowed with --vehicle: its wind is measured")
+    return script.changed({"speedup": speedup})
+
+
+def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | None, log: Log) -> tuple[RemoteVehicle, Connection]:
+    """Return the vehicle at a URL, and the connection to close in the end. Raises ValueError if the URL cannot be used."""
+    connection = Connection(parse_address(url), log)
+    log.info(f"vehicle at {connection.address.text}; the other side: {connection.address.other_side}")
+    return RemoteVehicle(config, Commander(connection, speedup, sysid)), connection
