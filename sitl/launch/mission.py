@@ -1,15 +1,19 @@
 """What a launcher is to fly, and the command lines of the services that fly it."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from plume.randomness import derived_seed
 from plume.scenario import Scenario
+from plume.worlds import AS_MODELLED
 from sitl.launch.watchdog import PATIENCE_S
-from sitl.payload.drivers import SIMULATED
-from sitl.script.script import Script
+from sitl.payload.options import SIMULATED
+from sitl.script.script import Expectation, Script
+
+TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})
+"""Expectations that need the source's true position."""
 
 
 class Launch(NamedTuple):
@@ -50,6 +54,23 @@ class Launch(NamedTuple):
     def namespace(self) -> str:
         """The vehicle's key prefix."""
         return f"uav/{self.instance + 1}"
+
+
+def unfit_for_payload(script: Script, vehicle: str | None, payload: str, given: Collection[str]) -> str | None:
+    """Return why a script cannot be flown with a payload, or None. `given`: the names of the flags on the command line."""
+    if vehicle is None:
+        return "--payload: only with --vehicle; the simulated vehicle has a sensor of its own" if "payload" in given else None
+    if payload == SIMULATED:
+        return None
+    real = f"--payload {payload}"
+    if script.world != AS_MODELLED:
+        return f"--world: {script.world!r} is not allowed with {real}: its plume is real"
+    release = script.scenario
+    if drawn := [name for name in release.__struct_fields__ if name != "start" and getattr(release, name) is not None]:
+        return f"MISSION: scenario.{drawn[0]} is not allowed with {real}: its plume is real; what the estimator is told is in its own part"
+    if judged := sorted(TRUTH_NEEDED & {*script.expectations}):
+        return f"MISSION: expect: {judged[0]!r} is not allowed with {real}: nobody knows where the source is"
+    return None
 
 
 def estimator_arguments(mission: Launch) -> list[str]:
