@@ -51,6 +51,7 @@ class Procedures:
         self._asked: set[int] = set()
         self._mode: int | None = None
         self._boots = 0
+        self._flew = False
         self._told = ""
 
     @property
@@ -113,7 +114,11 @@ class Procedures:
         if self.known.boots != self._boots:
             self._boots, self.theirs = self.known.boots, False
             self._stop()
-            self.say(mavlink.MAV_SEVERITY_WARNING, f"{self.firmware.name} has started again")
+            where = " in flight" if self._flew else ""
+            self.say(mavlink.MAV_SEVERITY_WARNING, f"{self.firmware.name} has started again{where}")
+            self.failure = self.failure or (where and f"{self.firmware.name} has started again{where}")
+        if self.known.boots == self._boots:
+            self._flew = self.flying
         self._mode = mode
         if before is None or mode == before or (mode in self._asked and not self.theirs):
             return

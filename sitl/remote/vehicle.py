@@ -62,8 +62,10 @@ class RemoteVehicle:
         return self._now
 
     def catch_up(self, t_s: float) -> None:
-        """Take what the vehicle has said. Raises VehicleFailed if it cannot fly the search, or no longer."""
-        self._now = max(t_s, self._now)
+        """Take what the vehicle has said; once for each time. Raises VehicleFailed if it cannot fly the search, or no longer."""
+        if t_s <= self._now:
+            return
+        self._now = t_s
         self.flight.poll(self._now)
         self._place_area()
         self._guard.look(self._now)

@@ -1,0 +1,301 @@
+"""Protects the reactions to refusals and failsafes: each is told, none is waited out, and the vehicle is never left with nobody in charge."""
+
+from typing import Any
+
+import pytest
+
+from sitl.autopilot.state import Mode
+from sitl.remote.commander import VehicleFailed
+from sitl.uav.search import LANDED, PAUSED, RETURNING, SEARCHING
+from tests.sitl.remote.cockpit import Cockpit
+
+KINDS = ("ardupilot", "px4")
+both = pytest.mark.parametrize("kind", KINDS)
+HOME_MODES = ("RTL", "LAND", "DESCEND")
+
+
+def searching(kind: str, *faults: str, readings: int = 2, **settings: Any) -> Cockpit:
+    """A search that has taken some readings."""
+    cockpit = Cockpit(kind, *faults, **settings)
+    cockpit.reads(readings)
+    return cockpit
+
+
+# ---- before it flies ----
+
+
+@both
+def test_a_refused_arming_is_told_with_its_reason_and_fails_the_mission_after_a_minute(kind: str) -> None:
+    cockpit = Cockpit(kind, "arm")
+    assert "Compass not healthy" in cockpit.fails()
+    assert cockpit.vehicle.failure.startswith("Arming refused: ")
+    assert 60.0 < cockpit.now_s < 90.0
+    assert sum(said.endswith("; tried again") for said in cockpit.said) == 1, "told once"
+
+
+@both
+def test_arming_that_is_refused_for_a_while_is_tried_again(kind: str) -> None:
+    cockpit = searching(kind, "arm:30")
+    assert cockpit.heard("Compass not healthy")
+    assert not cockpit.vehicle.failure
+
+
+@pytest.mark.parametrize(("kind", "reason"), [("ardupilot", "init failed"), ("px4", "Offboard is currently not available")])
+def test_a_refused_mode_fails_the_mission_and_a_vehicle_in_the_air_comes_home(kind: str, reason: str) -> None:
+    cockpit = Cockpit(kind, "mode")
+    assert reason in cockpit.fails()
+    assert cockpit.ap.landed
+    assert not cockpit.readings
+
+
+@both
+def test_a_refused_take_off_fails_the_mission_and_the_motors_stop(kind: str) -> None:
+    cockpit = Cockpit(kind, "takeoff")
+    assert cockpit.fails(60.0).startswith("Take-off refused: ")
+    assert not cockpit.ap.armed
+
+
+@both
+def test_a_vehicle_that_accepts_the_take_off_and_stays_fails_the_mission(kind: str) -> None:
+    cockpit = Cockpit(kind, "stuck")
+    assert "Take-off" in cockpit.fails(60.0)
+    assert not cockpit.ap.armed
+
+
+def test_px4_that_wants_a_ground_station_says_so() -> None:
+    cockpit = Cockpit("px4", parameters={"NAV_DLL_ACT": 2})
+    cockpit.run(20.0)
+    assert cockpit.heard("NAV_DLL_ACT is above 0")
+    assert not cockpit.ap.armed
+    assert cockpit.heard("Waiting for the autopilot: a check before arming fails")
+
+
+def test_a_vehicle_that_a_pilot_has_armed_is_left_to_him() -> None:
+    cockpit = Cockpit("ardupilot", "pilot@1:STABILIZE", ready_s=10.0)
+    cockpit.until(lambda: cockpit.ap.origin_set)
+    cockpit.ap.armed = True
+    cockpit.ap.armed_s = cockpit.ap.now_s
+    cockpit.run(5.0)
+    assert cockpit.heard("a pilot has armed it")
+    assert cockpit.ap.mode == "STABILIZE"
+
+
+# ---- in the air: the autopilot acts ----
+
+
+@both
+def test_a_failed_ekf_stops_the_readings_and_the_landing_is_told(kind: str) -> None:
+    cockpit = searching(kind, "ekf@#3")
+    count = len(cockpit.readings)
+    cockpit.until(lambda: cockpit.search.state == RETURNING)
+    assert cockpit.ap.mode in HOME_MODES
+    cockpit.until(lambda: cockpit.search.state == LANDED)
+    assert cockpit.heard("Position lost")
+    assert "by its failsafe" in cockpit.vehicle.failure
+    assert len(cockpit.readings) <= count + 1
+
+
+@both
+def test_a_position_without_gps_is_not_read_though_it_flows_on(kind: str) -> None:
+    cockpit = searching(kind, "gps@#3")
+    cockpit.until(lambda: cockpit.search.state == LANDED)
+    lost_s = next(one.struck_s for one in cockpit.ap.faults.all) + 5.0
+    assert all(at_s < lost_s + 0.5 for at_s, _ in cockpit.readings)
+
+
+@both
+def test_a_critical_battery_ends_the_mission_on_the_ground(kind: str) -> None:
+    cockpit = searching(kind, "critical@#3")
+    assert cockpit.fails()
+    assert cockpit.ap.landed
+    assert cockpit.search.state == LANDED
+
+
+# ---- in the air: the search acts ----
+
+
+@both
+def test_a_low_battery_brings_it_home_even_if_the_autopilot_only_warns(kind: str) -> None:
+    """10% with a failsafe that does nothing: PX4's default, and ArduCopter's with BATT_FS_LOW_ACT 0."""
+    cockpit = searching(kind, parameters={"BATT_FS_LOW_ACT": 0, "COM_LOW_BAT_ACT": 0})
+    cockpit.ap.battery_percent = 10
+    assert cockpit.fails() == "Battery low: 10%"
+    assert cockpit.heard("Returning home")
+    assert cockpit.ap.landed
+
+
+@pytest.mark.parametrize(("kind", "holds"), [("ardupilot", {"FENCE_ACTION": 4}), ("px4", {"GF_ACTION": 2})])
+def test_a_breached_fence_that_only_stops_the_vehicle_brings_it_home(kind: str, holds: dict[str, float]) -> None:
+    """BRAKE or HOLD by a failsafe would hover for ever: no pilot has chosen it."""
+    cockpit = searching(kind, "fence@#3", parameters=holds)
+    reason = cockpit.fails()
+    assert "by its failsafe" in reason
+    assert cockpit.heard("Returning home")
+    assert cockpit.ap.landed
+
+
+def test_a_breached_fence_that_is_only_reported_brings_it_home() -> None:
+    cockpit = searching("ardupilot", "fence@#3", parameters={"FENCE_ACTION": 0})
+    assert cockpit.fails().startswith("Geofence breached: ")
+
+
+def test_a_breached_fence_that_returns_ends_the_mission() -> None:
+    cockpit = searching("ardupilot", "fence@#3", parameters={"FENCE_ACTION": 1})
+    assert "changed to RTL by its failsafe: Circle breached" in cockpit.fails()
+
+
+@both
+def test_targets_that_are_ignored_silently_end_the_mission_in_bounded_time(kind: str) -> None:
+    cockpit = searching(kind, "ignore@#3")
+    began_s = cockpit.now_s
+    if kind == "px4":  # targets that it ignores are none: its own failsafe acts within a second
+        cockpit.until(lambda: cockpit.search.state in (RETURNING, PAUSED))
+    assert cockpit.fails()
+    assert cockpit.now_s - began_s < 100.0
+    assert cockpit.ap.landed
+
+
+@both
+def test_an_agent_that_does_not_answer_for_30_s_brings_it_home(kind: str) -> None:
+    cockpit = Cockpit(kind)
+    cockpit.answers = lambda _: None
+    assert cockpit.fails() == "No waypoint for 30 s"
+    assert cockpit.ap.landed
+
+
+@both
+def test_a_position_that_stays_lost_is_landed_if_the_autopilot_only_hovers(kind: str) -> None:
+    cockpit = searching(kind)
+    cockpit.vehicle.flight.known.take = forgetful(cockpit.vehicle.flight.known.take)
+    assert cockpit.fails().startswith("Position lost for 1")
+    assert cockpit.ap.landed
+
+
+def forgetful(take: Any) -> Any:
+    """Telemetry whose flags say that the position is bad, of a vehicle that does nothing about it."""
+
+    def taken(message: Any, now_s: float) -> None:
+        if message.get_type() in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
+            message.flags &= ~16
+        take(message, now_s)
+
+    return taken
+
+
+# ---- the pilot ----
+
+
+@pytest.mark.parametrize(("kind", "mode", "back"), [("ardupilot", "LOITER", "GUIDED"), ("px4", "POSCTL", "OFFBOARD")])
+def test_a_pilot_takes_over_at_once_and_gives_the_search_back(kind: str, mode: str, back: str) -> None:
+    cockpit = searching(kind, "pilot@#3", radio=True)
+    cockpit.until(lambda: cockpit.search.state == PAUSED)
+    assert cockpit.heard("Search gives way: " + {"POSCTL": "POSITION"}.get(mode, mode))
+    count = len(cockpit.readings)
+    cockpit.run(20.0)
+    assert cockpit.ap.mode == mode
+    assert len(cockpit.readings) == count
+    (cockpit.ap.change if kind == "ardupilot" else cockpit.ap._wish)(back)
+    cockpit.reads(count + 2)
+    assert cockpit.search.state == SEARCHING
+    assert cockpit.heard("Search resumed: ")
+
+
+@both
+def test_a_pilot_who_stops_the_take_off_keeps_the_vehicle(kind: str) -> None:
+    cockpit = Cockpit(kind, f"pilot@+1:{'LOITER' if kind == 'ardupilot' else 'POSCTL'}", radio=True)
+    cockpit.until(lambda: cockpit.search.state == PAUSED)
+    cockpit.run(20.0)
+    assert cockpit.ap.mode in ("LOITER", "POSCTL")
+    assert not cockpit.readings
+
+
+@both
+def test_a_pilot_who_returns_or_lands_is_left_alone(kind: str) -> None:
+    cockpit = searching(kind, "pilot@#3:RTL", radio=True)
+    cockpit.until(lambda: cockpit.search.state == LANDED)
+    assert not cockpit.vehicle.failure
+
+
+# ---- the link ----
+
+
+@both
+def test_a_short_silence_is_told_and_the_search_goes_on(kind: str) -> None:
+    """10 s: PX4 returns meanwhile, and takes OFFBOARD again when the setpoints are back, as its failsafe says."""
+    cockpit = searching(kind, "silence@#3:6")
+    cockpit.until(lambda: cockpit.heard("Link lost"))
+    cockpit.until(lambda: cockpit.heard("Link is back"))
+    cockpit.reads(4)
+    assert not cockpit.vehicle.failure
+
+
+@both
+def test_a_link_that_stays_lost_ends_the_mission_after_a_minute(kind: str) -> None:
+    cockpit = searching(kind, "silence@#3")
+    with pytest.raises(VehicleFailed, match="link lost for 6[0-9] s: the autopilot's own failsafe is in charge"):
+        cockpit.run(100.0)
+
+
+def test_px4_that_no_longer_hears_us_returns_by_itself() -> None:
+    cockpit = searching("px4", "deaf@#3")
+    cockpit.until(lambda: cockpit.search.state == LANDED)
+    assert "by its failsafe" in cockpit.vehicle.failure
+
+
+@both
+def test_an_autopilot_that_starts_again_before_the_flight_is_asked_for_telemetry_again(kind: str) -> None:
+    cockpit = searching(kind, "reboot@5")
+    assert not cockpit.vehicle.failure
+
+
+@both
+def test_an_autopilot_that_starts_again_in_flight_ends_the_mission(kind: str) -> None:
+    cockpit = searching(kind, "reboot@#3")
+    assert cockpit.fails().endswith("has started again in flight")
+
+
+# ---- the end ----
+
+
+@both
+def test_a_program_that_ends_sends_the_vehicle_home(kind: str) -> None:
+    cockpit = searching(kind)
+    assert cockpit.vehicle.leave() == "The vehicle is told to return home"
+    for _ in range(10):  # 0.8 s
+        cockpit.radio.advance()
+        cockpit.now_s += 0.08
+        cockpit.vehicle.catch_up(cockpit.now_s)
+    assert cockpit.vehicle.left
+    assert cockpit.ap.mode == "RTL"
+
+
+@both
+def test_a_program_that_ends_while_it_holds_sends_it_home_too(kind: str) -> None:
+    cockpit = searching(kind, after_stop="hold")
+    cockpit.finds()
+    cockpit.run(5.0)
+    assert cockpit.vehicle.leave() == "The vehicle is told to return home"
+
+
+@both
+def test_a_program_that_ends_leaves_the_vehicle_to_its_pilot(kind: str) -> None:
+    cockpit = searching(kind, "pilot@#3", radio=True)
+    cockpit.until(lambda: cockpit.search.state == PAUSED)
+    assert cockpit.vehicle.leave().startswith("The vehicle is left to its pilot: ")
+    cockpit.run(3.0)
+    assert cockpit.ap.mode in ("LOITER", "POSCTL")
+
+
+def test_a_program_that_ends_on_the_ground_stops_the_motors() -> None:
+    cockpit = Cockpit("ardupilot", "stuck")
+    cockpit.until(lambda: cockpit.ap.armed)
+    cockpit.run(0.5)
+    assert cockpit.vehicle.leave() == ""
+    cockpit.radio.advance()
+    assert not cockpit.ap.armed
+
+
+def test_the_mode_that_is_asked_for_is_told_at_once() -> None:
+    cockpit = searching("ardupilot")
+    cockpit.vehicle.set_mode(cockpit.now_s, Mode.RETURN)
+    assert cockpit.mode is Mode.RETURN
