@@ -219,13 +219,13 @@ class _Watch:
 
     def _reason(self) -> str:
         """Return what the first belief waits for."""
-        state = self._compute["uav"].state if "uav" in self._compute else "standby"
-        if state != "standby":
-            return "flying to the start" if state == "searching" else state
+        uav = self._compute.get("uav")
+        if uav and uav.state != "standby":
+            return "flying to the start" if uav.state == "searching" else uav.state
         missing = sorted({*SEARCHERS, "uav", *[PAYLOAD] * bool(self._mission.vehicle)} - set(self._compute))
         if self._compiling and SEARCHERS & set(missing):
             return COMPILING
-        return f"waiting for {', '.join(missing or ['takeoff'])}"
+        return f"waiting for {', '.join(missing)}" if missing or uav is None else "; ".join(uav.warnings) or "waiting for takeoff"
 
     def _take(self, item: Any) -> None:
         match item:
