@@ -17,7 +17,8 @@ from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING
 from link.bus.mavlink import unpack_reading
 from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus
-from sitl.launch.launcher import Launch, start_parts
+from sitl.launch.launcher import start_parts
+from sitl.launch.mission import Launch
 from sitl.launch.processes import Processes
 from sitl.script.script import Script
 

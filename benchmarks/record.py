@@ -20,7 +20,8 @@ from link.bus.inbox import Inbox
 from link.bus.keys import READING
 from link.bus.mavlink import unpack_reading
 from link.bus.session import Bus
-from sitl.launch.launcher import Launch, start_parts
+from sitl.launch.launcher import start_parts
+from sitl.launch.mission import Launch
 from sitl.launch.processes import Processes
 from sitl.script.script import load
 

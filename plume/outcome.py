@@ -28,13 +28,13 @@ class Outcome(msgspec.Struct, frozen=True):
     policy: str
     ceased: bool
     """AGDC declared a stop within the step budget."""
-    located: bool
-    """Ceased, and the estimate is within the success radius of the source."""
+    located: bool | None
+    """Ceased, and the estimate is within the success radius of the source; None, as the next ones, if nobody knows where that is."""
     estimate: tuple[float, float]
-    source: tuple[float, float]
-    scenario: Scenario
+    source: tuple[float, float] | None
+    scenario: Scenario | None
     """The truth; in most worlds it is not what the estimator was told."""
-    error_m: float
+    error_m: float | None
     spread_m: float
     steps: int
     distance_m: float
@@ -48,19 +48,19 @@ class Outcome(msgspec.Struct, frozen=True):
 
 
 def outcome(
-    seed: int, policy: str, scenario: Scenario, trace: Sequence[TracePoint], ceased: bool, search_time_s: float, assume: str, stop: str,
-    world: str = AS_MODELLED,
+    seed: int, policy: str, scenario: Scenario | None, trace: Sequence[TracePoint], ceased: bool, search_time_s: float, assume: str,
+    stop: str, world: str = AS_MODELLED,
 ) -> Outcome:  # fmt: skip
-    """Judge a mission by its true scenario and its trace, whose first point is the reading before any move."""
+    """Judge a mission by its true scenario, None if it is not known, and its trace, whose first point is the reading before any move."""
     last = trace[-1]
-    error_m = math.dist(last.mean, scenario.source)
+    error_m = math.dist(last.mean, scenario.source) if scenario else None
     return Outcome(
         seed=seed,
         policy=policy,
         ceased=ceased,
-        located=ceased and error_m <= SUCCESS_RADIUS_M,
+        located=None if error_m is None else ceased and error_m <= SUCCESS_RADIUS_M,
         estimate=last.mean,
-        source=scenario.source,
+        source=scenario.source if scenario else None,
         scenario=scenario,
         error_m=error_m,
         spread_m=last.spread,
@@ -76,21 +76,24 @@ def outcome(
 def outcome_json(result: Outcome, trace: Sequence[TracePoint] | None, more: Mapping[str, Any] = MappingProxyType({})) -> str:
     """One line of JSON, with the trace if given, and `more` fields."""
     fields = {**msgspec.to_builtins(result), **more}
-    del fields["scenario"]["source"]  # it stands beside the estimate
+    if result.scenario:
+        del fields["scenario"]["source"]  # it stands beside the estimate
     if trace is not None:
         fields["trace"] = trace
     return msgspec.json.encode(fields).decode()
 
 
 def outcome_text(result: Outcome) -> str:
-    """Four lines for people, each within 60 characters."""
-    verdict = ("located" if result.located else "FALSE STOP") if result.ceased else "not ceased"
-    (x, y), (source_x, source_y) = result.estimate, result.source
+    """Four lines for people, each within 60 characters; three if the source is not known."""
+    verdict = "not ceased" if not result.ceased else {True: "located", False: "FALSE STOP", None: "ceased"}[result.located]
+    x, y = result.estimate
+    source = ""
+    if result.source is not None:
+        source = f"source   ({result.source[0]:.2f}, {result.source[1]:.2f}), error {result.error_m:.2f} m\n"
     return (
         f"{verdict} after {result.steps} steps, {result.distance_m:.1f} m\n"
         f"estimate ({x:.2f}, {y:.2f}) ± {result.spread_m:.2f} m\n"
-        f"source   ({source_x:.2f}, {source_y:.2f}), error {result.error_m:.2f} m\n"
-        f"{assumed_text(result.assume, result.stop, result.world)}"
+        f"{source}{assumed_text(result.assume, result.stop, result.world)}"
     )
 
 

@@ -15,6 +15,7 @@ from link.bus.session import DEFAULT_ROUTER
 from plume.scenario import BUDGET_STEPS
 from sitl.launch import viewing
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
+from sitl.payload.options import SIMULATED, add_payload_argument
 from sitl.script.script import AgentPart, OnBoard, Script, find, load, shipped
 from sitl.script.typed_yaml import Document, FileError
 from sitl.uav.options import add_vehicle_arguments, at_own_home
@@ -135,6 +136,8 @@ def _parse(
     )
     fly.add_argument("--no-record", action="store_true", help="record nothing")
     viewing.add_arguments(fly)
+    add_vehicle_url(fly)
+    add_payload_argument(fly, "with --vehicle, ")
     cli.add_output_guard(fly)
     fly.add_argument(
         "--patience", type=cli.number(WARN_S, math.inf), default=PATIENCE_S, metavar="S",
@@ -165,31 +168,43 @@ def _parse(
     return args, parser.parse_args(arguments)
 
 
+def _words(given: argparse.Namespace, *names: str) -> list[str]:
+    """Return the mission and the flags of these names as they were given."""
+    words = [given.mission] if getattr(given, "mission", None) else []
+    for name in names:
+        if name in given:
+            words += [f"--{name.replace('_', '-')}", str(getattr(given, name))]
+    return words
+
+
 def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]:
     """Return the words of the command line that the uav has to know, too."""
-    words = [args.mission] if args.mission else []
-    changed = vars(given)
-    for name in ("seed", "sensor", "world", "silence", "after_stop", "sysid"):
-        if name in changed:
-            words += [f"--{name.replace('_', '-')}", str(changed[name])]
+    words, changed = _words(given, "seed", "sensor", "world", "silence", "after_stop", "sysid"), vars(given)
     if "strict" in changed:
         words.append("--strict")
     if args.home:
         words.append("--home=" + ",".join(map(repr, args.home)))
-    if "speedup" in changed or not args.mission:
+    if "speedup" in changed or not (args.mission or args.vehicle):
         words += ["--speedup", repr(args.speedup)]
     return words + [word for url in args.out for word in ("--out", url)]
 
 
 def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from plume.outcome import outcome_text
-    from sitl.launch.launcher import Launch, fly
+    from sitl.launch.launcher import fly
+    from sitl.launch.mission import Launch, unfit_for_payload
     from sitl.launch.processes import MissionFailed
     from sitl.launch.recording import RecordFiles
     from sitl.launch.summary import run_name, write_summary
+    from sitl.uav.real import real_script
 
     script = _script(args, given)
-    if args.connect and (reason := _unfit_for_connect(script, given)):
+    reason = _unfit_for_connect(script, given) if args.connect else None
+    try:
+        script = real_script(script, given) if args.vehicle else script
+    except ValueError as error:
+        reason = str(error)
+    if reason := reason or unfit_for_payload(script, args.vehicle, args.payload, vars(given)):
         print(f"error: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
     summary = Path("runs") / f"{run_name('connected' if args.connect else script.agent.policy, script.seed)}.json"
@@ -197,8 +212,10 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     if record and (reason := record.refusal(args.force)):
         print(f"error: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
+    plume = _words(given, "seed", "sensor", "world") if args.payload == SIMULATED else []
     launch = Launch(
-        script, args.instance, args.listen, _handed_on(args, given), None, args.connect, args.log_level, args.patience, args.sysid
+        script, args.instance, args.listen, _handed_on(args, given), None, args.connect, args.log_level, args.patience, args.sysid,
+        args.vehicle, args.payload, plume,
     )  # fmt: skip
     page = viewing.page_of(args)
     try:

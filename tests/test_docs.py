@@ -73,6 +73,8 @@ INSTEAD = {
     "plumeward uav --out udpin:127.0.0.1:14550": "plumeward uav --out udpin:127.0.0.1:7447",
     "plumeward bridge udpin:127.0.0.1:14550 tcp:127.0.0.1:5760 --connect tcp/127.0.0.1:7447":
         "plumeward bridge udpin:127.0.0.1:7447 tcp:127.0.0.1:1 --connect tcp/127.0.0.1:7447",
+    "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447":
+        "plumeward payload --payload serial:nothing:9600 --connect tcp/127.0.0.1:7447",
     "plumeward replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "plumeward replay flight.tlog --gas gas*1.0 --wind 2.5,270",
     "tensorboard --logdir runs/train": "tensorboard --logdir runs/train --port 0",
 }  # fmt: skip
@@ -83,6 +85,8 @@ STAYS = {
     "plumeward uav --out udpout:127.0.0.1:14540": "MAVLink to ",
     "plumeward uav --out udpin:127.0.0.1:14550": "MAVLink to ",
     "plumeward bridge udpin:127.0.0.1:14550 tcp:127.0.0.1:5760 --connect tcp/127.0.0.1:7447": "it is tried again",
+    "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447": "ready: serial:",
+    "plumeward payload --payload iio:gas --connect tcp/127.0.0.1:7447": "ready: iio:gas",
     "plumeward record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
     "plumeward fly --seed 11 --view": "page stays open at",
     "plumeward fly --view": "page stays open at",

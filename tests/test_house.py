@@ -138,7 +138,8 @@ def test_the_services_get_neither_the_missions_seed_nor_its_source(monkeypatch: 
     import queue
 
     from plume.scenario import draw
-    from sitl.launch.launcher import Launch, start_parts
+    from sitl.launch.launcher import start_parts
+    from sitl.launch.mission import Launch
     from sitl.launch.processes import Processes
     from sitl.script.script import Script
 

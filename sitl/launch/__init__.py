@@ -1,1 +1,4 @@
-"""Missions as processes: started, watched, disturbed and ended. Imports: plume, link, link.bus, sitl.autopilot, sitl.script."""
+"""Missions as processes: started, watched, disturbed and ended.
+
+Imports: plume, link, link.bus, sitl.autopilot, sitl.script, sitl.payload.
+"""

@@ -1,11 +1,9 @@
 """One whole mission: router, uav, estimator and agent as processes, watched until the search ends."""
 
 import contextlib
-import itertools
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import msgspec
@@ -19,19 +17,20 @@ from link.bus.messages import Belief, Health, Stop
 from link.bus.session import Arrival, Bus, LivelinessChange
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
-from plume.randomness import derived_seed
 from plume.worlds import AS_MODELLED
 from sitl.autopilot.operator import OPERATOR, command
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.joining import await_services
+from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
 from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes, raise_for
 from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
 from sitl.launch.viewing import MissionPage
-from sitl.launch.watchdog import LOOK_S, PATIENCE_S, RECORDER, ROUTER, Watchdog
+from sitl.launch.watchdog import LOOK_S, RECORDER, ROUTER, Watchdog
 from sitl.script.script import Cut, Expectation, Kill, Script
 
+PAYLOAD = "payload"
 CALL_EVERY_S = 1.0
 """Real time between two commands to return home."""
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
@@ -39,35 +38,6 @@ LATE_STOP_S = 2.0
 """A stop may reach us so much later than the vehicle, which lands because of it."""
 RECORD_TIMEOUT_S = 5.0
 """Real time that the record may lag behind the mission's end: a recorder whose link was down first receives what it missed."""
-
-
-class Launch(NamedTuple):
-    """What to fly, and with what."""
-
-    script: Script
-    instance: int = 0
-    listen: str = "tcp/127.0.0.1:0"
-    uav_arguments: Sequence[str] = ()
-    """The script's file and the flags that change it: the uav reads them itself."""
-    record: Path | None = None
-    """The MCAP file to record to."""
-    connect: str | None = None
-    """A router whose estimator and agent fly it; None starts them."""
-    log_level: str = "warning"
-    patience_s: float = PATIENCE_S
-    """Real time after which a silent part counts as hung."""
-    sysid: int | None = None
-    """MAVLink system id; None: that of the instance."""
-
-    @property
-    def system(self) -> int:
-        """The vehicle's MAVLink system id."""
-        return self.sysid or self.instance + 1
-
-    @property
-    def namespace(self) -> str:
-        """The vehicle's key prefix."""
-        return f"uav/{self.instance + 1}"
 
 
 class Flown(NamedTuple):
@@ -95,7 +65,8 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
         mission = mission._replace(record=files.path)
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
-        progress = stack.enter_context(Progress(mission.script.budget, "uav" if mission.connect else "router, uav, estimator, agent"))
+        starting = ["uav"] if mission.connect else ["router", "uav", "estimator", "agent"]
+        progress = stack.enter_context(Progress(mission.script.budget, ", ".join([*starting, *[PAYLOAD] * bool(mission.vehicle)])))
         processes = stack.enter_context(Processes(inbox))
         if page:
             stack.callback(page.over, processes)
@@ -122,7 +93,7 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
             bus = join(endpoint)
         for relay in relays.values():
             stack.callback(relay.close)
-        parts = [ROUTER, "uav", *SEARCHERS, *[RECORDER] * bool(mission.record)]
+        parts = [ROUTER, "uav", *SEARCHERS, *[PAYLOAD] * bool(mission.vehicle), *[RECORDER] * bool(mission.record)]
         watchdog = Watchdog(parts, mission.patience_s, time.monotonic(), progress.say)
         events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
         disturbances = Disturbances(events, processes, relays, watchdog, progress.say)
@@ -148,8 +119,12 @@ def start_parts(
     services = {} if mission.connect else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
     about = {
         "namespace": mission.namespace, "mission": script, "seed": script.seed, "policy": script.agent.policy, "budget": script.budget,
-        "scenario": script.simulated().truth, "parts": services,
+        "parts": services,
     }  # fmt: skip
+    if truth := mission.truth:
+        about["scenario"] = truth
+    if mission.vehicle:
+        about |= {"vehicle": mission.vehicle, "payload": mission.payload}
     about_json = msgspec.json.encode(about).decode()
     recording = None
     if mission.record:
@@ -162,46 +137,13 @@ def start_parts(
         processes.answer(recording)  # it records everything from now on
     if page:
         page.await_start(say)
-    processes.start("uav", "sitl", "uav", *mission.uav_arguments, *joining("uav"), "-I", str(mission.instance))
+    words = [*mission.uav_arguments, *joining("uav"), "-I", str(mission.instance)]
+    if mission.vehicle:
+        processes.start(PAYLOAD, "sitl", "payload", "--payload", mission.payload, *mission.payload_arguments, *joining(PAYLOAD))
+        processes.start("uav", "sitl", "uav", "--vehicle", mission.vehicle, *words).flies = True
+    else:
+        processes.start("uav", "sitl", "uav", *words)
     return endpoint
-
-
-def estimator_arguments(mission: Launch) -> list[str]:
-    """Return the estimator's flags: what it is told and assumes, and a seed of its own. The mission's seed would reveal the source."""
-    script, told = mission.script, mission.script.estimator
-    release = script.release()
-    flags = {
-        "--particles": told.particles, "--assume": told.assume, "--stop": told.criterion, "--sensor": script.sensor,
-        "--stop-on": told.stop_on,
-        "--rate": told.rate or release.q, "--diffusivity": told.diffusivity or release.d, "--lifetime": told.lifetime or release.tau,
-        "--seed": derived_seed(script.seed, "estimator"), "--sysid": mission.system,
-    }  # fmt: skip
-    priors = [word for name, prior in told.prior.items() for word in ("--prior", f"{name}={prior}" if prior else name)]
-    return [*_words(flags), *priors]
-
-
-def agent_arguments(mission: Launch) -> list[str]:
-    """Return the agent's flags."""
-    script, agent = mission.script, mission.script.agent
-    flags = {
-        "--policy": None if agent.policy == "none" else agent.policy, "--budget": script.budget, "--headings": agent.headings,
-        "--step": agent.step_m, "--measurements": agent.measurements, "--seed": derived_seed(script.seed, "agent"),
-        "--sysid": mission.system,
-    }  # fmt: skip
-    scripted = script.scripted()
-    starts = [step for step in scripted if step - 1 not in scripted]
-    paths = [_path(scripted, step) for step in sorted(starts)]
-    return [*_words(flags), *(word for path in paths for word in ("--waypoints", path))]
-
-
-def _path(scripted: Mapping[int, tuple[float, float]], start: int) -> str:
-    """Format the waypoints from a step up to the first gap for the agent's --waypoints."""
-    points = [scripted[step] for step in itertools.takewhile(scripted.__contains__, itertools.count(start))]
-    return f"{start}:" + ";".join(f"{x:.9g},{y:.9g}" for x, y in points)  # 9 digits tell one float32 from the next
-
-
-def _words(flags: Mapping[str, Any]) -> list[str]:
-    return [word for flag, value in flags.items() if value is not None for word in (flag, str(value))]
 
 
 class _Watch:
@@ -277,13 +219,13 @@ class _Watch:
 
     def _reason(self) -> str:
         """Return what the first belief waits for."""
-        state = self._compute["uav"].state if "uav" in self._compute else "standby"
-        if state != "standby":
-            return "flying to the start" if state == "searching" else state
-        missing = sorted({*SEARCHERS, "uav"} - set(self._compute))
+        uav = self._compute.get("uav")
+        if uav and uav.state != "standby":
+            return "flying to the start" if uav.state == "searching" else uav.state
+        missing = sorted({*SEARCHERS, "uav", *[PAYLOAD] * bool(self._mission.vehicle)} - set(self._compute))
         if self._compiling and SEARCHERS & set(missing):
             return COMPILING
-        return f"waiting for {', '.join(missing or ['takeoff'])}"
+        return f"waiting for {', '.join(missing)}" if missing or uav is None else "; ".join(uav.warnings) or "waiting for takeoff"
 
     def _take(self, item: Any) -> None:
         match item:
@@ -384,10 +326,11 @@ class _Watch:
                 self._progress.say(f"warning: events[{number}] of step {event.step} did not happen: the search ended at step {last.step}")
         search_time_s = sum(self._compute[service].compute_s for service in ("estimator", "agent") if service in self._compute)
         said = last.ceased, search_time_s, last.assume, last.stop, script.world
-        result = outcome(script.seed, script.agent.policy, script.simulated().truth, points, *said)
+        result = outcome(script.seed, script.agent.policy, self._mission.truth, points, *said)
+        located = bool(result.located)
         so = {
-            "ceased": result.ceased, "not ceased": not result.ceased, "located": result.located, "not located": not result.located,
-            "false stop": result.ceased and not result.located, "warned": self._warned, "landed": self._landed,
+            "ceased": result.ceased, "not ceased": not result.ceased, "located": located, "not located": not located,
+            "false stop": result.ceased and not located, "warned": self._warned, "landed": self._landed,
             "returned home": self._landed and math.hypot(*self._landed_at) < AT_HOME_M,
         }  # fmt: skip
         return Flown(script, result, points, {expected: so[expected] for expected in script.expectations})

@@ -19,8 +19,9 @@ from link.bus.session import SIGNAL_POLL_S
 from link.cli import BAD_INPUT, FAILED, INTERRUPTED, LAUNCHER, uninterrupted
 from sitl.launch.output import Lines
 
-STOP_TIMEOUT_S, RECORDER_STOP_TIMEOUT_S = 1.0, 20.0
-"""How long a part may take to end, and how much longer the recorder, which writes the end of the record at low priority."""
+STOP_TIMEOUT_S, RECORDER_STOP_TIMEOUT_S, FLYING_STOP_TIMEOUT_S = 1.0, 20.0, 10.0
+"""How long a part may take to end, and how much longer the recorder, which writes the end of the record at low priority, and a part
+that flies a real vehicle."""
 LAST = ("recorder", "router")
 """Ended after the others, in this order, so that the record holds their last words."""
 ROOT = Path(__file__).parents[2]
@@ -85,6 +86,8 @@ class Child:
         self.part = part
         self.killed = False
         """Whether its end is intended: then it is not reported."""
+        self.flies = False
+        """Whether it flies a real vehicle: it then ends before all others, with the time to send it home, and is never suspended."""
         self._inbox = inbox
         self._answer: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._awaited = part in ANSWERING
@@ -229,7 +232,8 @@ class Processes:
     def _suspend(self, *_: object) -> None:
         """Ctrl-Z reaches only the launcher: pass it on to all."""
         for child in self._children.values():
-            child.signal(signal.SIGSTOP)
+            if not child.flies:
+                child.signal(signal.SIGSTOP)
         os.kill(os.getpid(), signal.SIGSTOP)  # continues here after SIGCONT
         for child in self._children.values():
             child.signal(signal.SIGCONT)
@@ -237,7 +241,8 @@ class Processes:
     def stop(self) -> None:
         """End all of them: SIGTERM first, then SIGKILL. None is left, even if Ctrl-C is pressed meanwhile."""
         with contextlib.suppress(KeyboardInterrupt), uninterrupted():
-            for group in (set(self._children) - set(LAST), *({part} for part in LAST)):
+            first = {part for part, child in self._children.items() if child.flies}
+            for group in (first, set(self._children) - first - set(LAST), *({part} for part in LAST)):
                 self._end([child for part, child in self._children.items() if part in group])
             for child in self._all:
                 child.join()
@@ -250,11 +255,19 @@ class Processes:
         deadline = time.monotonic() + STOP_TIMEOUT_S
         for child in children:
             ended = child.wait(max(deadline - time.monotonic(), 0.0))
-            if not ended and child.part == "recorder":
-                print("waiting for the recorder to write the end of the record", file=sys.stderr)
-                ended = child.wait(RECORDER_STOP_TIMEOUT_S)
-                if not ended:
-                    print("warning: the recorder hangs and is killed: the record may lack its end", file=sys.stderr)
+            if not ended and child.flies:
+                ended = _await_end(child, FLYING_STOP_TIMEOUT_S, "send the vehicle home", "the vehicle may still fly")
+            elif not ended and child.part == "recorder":
+                ended = _await_end(child, RECORDER_STOP_TIMEOUT_S, "write the end of the record", "the record may lack its end")
             if not ended:
                 child.kill()
                 child.wait(STOP_TIMEOUT_S)
+
+
+def _await_end(child: Child, timeout_s: float, what: str, or_else: str) -> bool:
+    """Give a part more time to end, and say what for; returns whether it has ended."""
+    print(f"waiting for the {child.part} to {what}", file=sys.stderr)
+    if child.wait(timeout_s):
+        return True
+    print(f"warning: the {child.part} hangs and is killed: {or_else}", file=sys.stderr)
+    return False

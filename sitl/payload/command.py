@@ -8,7 +8,8 @@ from link import cli
 from link.bus.inbox import Inbox
 from link.bus.session import Bus
 from sitl.payload import service
-from sitl.payload.drivers import SIMULATED, WANTED_SERIAL, Driven, Measure, check, kinds, make, said
+from sitl.payload.drivers import Driven, Measure, make, said
+from sitl.payload.options import SIMULATED, add_payload_argument
 from sitl.payload.simulated import Simulated
 from sitl.script.options import add_mission_argument, add_seed_argument, add_world_arguments
 from sitl.script.script import Script
@@ -19,11 +20,7 @@ OF_THE_PLUME = ("mission", "seed", "sensor", "world")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
-    kind = parser.add_argument(
-        "--payload", type=cli.checked(check), default=SIMULATED, metavar="KIND",
-        help=f"the gas sensor: {SIMULATED}, {WANTED_SERIAL} for a line of numbers, or a plug-in, NAME[:TEXT] (default: %(default)s)",
-    )  # fmt: skip
-    cli.completed(kind, kinds)
+    add_payload_argument(parser)
     add_mission_argument(parser)
     add_seed_argument(parser)
     add_world_arguments(parser)

@@ -8,11 +8,10 @@ from typing import Protocol
 from link import cli
 from link.bus.log import Log
 from sitl.payload.messages import Question, Sample
+from sitl.payload.options import SERIAL, SIMULATED, WANTED_SERIAL
 
-SIMULATED, SERIAL = "simulated", "serial"
 PLUGINS = "plumeward.payloads"
 """Entry points of this group are drivers of other packages: docs/payload.md."""
-WANTED_SERIAL = "serial:PATH[:BAUD]"
 TIMEOUT_S = 5.0
 """Real time that a sensor may take for a value; after that it has none (NaN), and the vehicle asks again."""
 LARGEST = 3.4028234e38

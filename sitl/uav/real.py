@@ -1,21 +1,25 @@
 """The flag for a real autopilot, and the vehicle behind it."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from link import cli
 from link.bus.log import Log
 from sitl.autopilot.config import VehicleConfig
 from sitl.bridge.address import ALLOWED, parse_address
-from sitl.remote.commander import Commander
-from sitl.remote.connection import Connection
-from sitl.remote.vehicle import RemoteVehicle
-from sitl.script.script import Script, Wind
+from sitl.script.script import Script, VehiclePart, Wind
+
+if TYPE_CHECKING:
+    from sitl.remote.connection import Connection
+    from sitl.remote.vehicle import RemoteVehicle
 
 SIMULATED_ONLY = {
     "home": "a real vehicle's home is where it stands",
     "strict": "a real autopilot has its own rules for OFFBOARD",
 }
 """Flags that only the simulated vehicle takes, and why."""
+TAKEN = ("takeoff_altitude_m", "silence_s", "after_stop")
+"""Fields of a script's vehicle that a real one takes."""
 
 
 def add_vehicle_url(parser: argparse.ArgumentParser) -> None:
@@ -37,11 +41,19 @@ def real_script(script: Script, given: argparse.Namespace) -> Script:
         raise ValueError("--speedup: 0 is not allowed with --vehicle; wanted how fast its simulator runs, 1 for an aircraft")
     if any(isinstance(event, Wind) for event in script.events):
         raise ValueError("MISSION: a wind event is not allowed with --vehicle: its wind is measured")
+    usual = VehiclePart()
+    for field in usual.__struct_fields__:
+        if field not in TAKEN and getattr(script.vehicle, field) != getattr(usual, field):
+            raise ValueError(f"MISSION: vehicle.{field} is not allowed with --vehicle: the autopilot has a setting of its own")
     return script.changed({"speedup": speedup})
 
 
-def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | None, log: Log) -> tuple[RemoteVehicle, Connection]:
+def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | None, log: Log) -> "tuple[RemoteVehicle, Connection]":
     """Return the vehicle at a URL, and the connection to close in the end. Raises ValueError if the URL cannot be used."""
+    from sitl.remote.commander import Commander  # all of pymavlink's dialects: only a real vehicle takes the time to load them
+    from sitl.remote.connection import Connection
+    from sitl.remote.vehicle import RemoteVehicle
+
     connection = Connection(parse_address(url), log)
     log.info(f"vehicle at {connection.address.text}; the other side: {connection.address.other_side}")
     return RemoteVehicle(config, Commander(connection, speedup, sysid)), connection

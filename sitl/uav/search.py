@@ -67,6 +67,11 @@ class Search:
         self._vehicle.companion.is_own_search = leads
 
     @property
+    def waits_for(self) -> str:
+        """Why it has not begun, in words; empty if it has, or if only the services are missing."""
+        return "" if self._begun else self._said
+
+    @property
     def measures(self) -> bool:
         """True if the vehicle's arrival is one at a waypoint of the search: only there readings are taken, one at each."""
         return self.leads and self.state == SEARCHING and not self._vehicle.answers.awaited

@@ -256,6 +256,7 @@ class Uav:
 
     def _go_on_with_the_search(self) -> None:
         self._search.go_on(self._searchers >= (SENSING if self._remote else SEARCHERS))
+        self._tally.warnings = (self._search.waits_for,) if self._search.waits_for else ()
         if self._tally.state != self._search.state:
             self._tally.state = self._search.state
             for port in self._ports:  # stations see at once what has changed: after the landing the process may end

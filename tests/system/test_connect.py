@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from link.bus.session import Bus
-from sitl.launch.launcher import Launch, agent_arguments, estimator_arguments
+from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
 from sitl.script.script import load
 from tests.system.live import run_sitl
 from tests.system.stranger import Stranger

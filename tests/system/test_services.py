@@ -5,6 +5,7 @@ import math
 import queue
 import struct
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -16,6 +17,7 @@ from plume.dispersion import concentration
 from plume.sensor import Gaussian
 from sitl.autopilot.telemetry import STREAMS
 from tests.system.stranger import Stranger, belief, messages, nothing_more, particles
+from tests.system.wires import SerialWire
 
 WAIT_S = 30.0
 
@@ -322,3 +324,63 @@ class TestUav:
         seen: set[str] = set()
         while not wanted <= seen:
             seen |= set(messages(get(out)))
+
+
+class TestPayload:
+    """`python -m sitl payload`."""
+
+    @staticmethod
+    def question(stranger: Stranger, time_boot_ms: int, number: int, north: float = 4.0, east: float = 3.0, west_mps: float = 0.0) -> bytes:
+        wind = [mavlink.MAVLink_wind_cov_message(time_boot_ms * 1000, 0.0, -west_mps, 0.0, 0.0, 0.0, math.nan, 0.0, 0.0)]
+        return stranger.frames(
+            mavlink.MAVLink_local_position_ned_message(time_boot_ms, north, east, -5.0, 0.0, 0.0, 0.0),
+            *wind * bool(west_mps),
+            mavlink.MAVLink_named_value_int_message(time_boot_ms, b"sample", number),
+        )
+
+    def test_it_answers_questions_for_the_plume_and_repeats_what_was_lost_and_another_one_answers_alike(
+        self, start, router: str, stranger: Stranger, wait_until: Callable
+    ) -> None:
+        part = start("sitl", "payload", "--connect", router, "--seed", "7")
+        wait_until(lambda: part.says("ready"))
+        answers, publish = stranger.subscribe("payload/out"), stranger.publisher("payload/in")
+        heard = []
+        for number, west_mps in enumerate((0.0, 2.0, 3.0)):
+            publish(self.question(stranger, 1000 + number, number, west_mps=west_mps))
+            heard.append(messages(get(answers)))
+            assert heard[-1]["NAMED_VALUE_FLOAT"].time_boot_ms == 1000 + number
+            if west_mps:  # it blows as the vehicle says: the air moves west
+                assert (heard[-1]["WIND_COV"].wind_x, heard[-1]["WIND_COV"].wind_y) == (0.0, -west_mps)
+        again = self.question(stranger, 1002, 2, west_mps=3.0)
+        for payload in (b"noise", again[:-1], again, again):
+            publish(payload)
+        assert [messages(get(answers))["NAMED_VALUE_FLOAT"].value for _ in range(2)] == [heard[-1]["NAMED_VALUE_FLOAT"].value] * 2
+        assert nothing_more(answers)
+        assert stranger.has_service("payload")
+        part.kill()
+        other = start("sitl", "payload", "--connect", router, "--seed", "7")
+        wait_until(lambda: other.says("ready"))
+        publish(self.question(stranger, 5000, 1, west_mps=2.0))  # the same reading at another time
+        assert messages(get(answers))["NAMED_VALUE_FLOAT"].value == heard[1]["NAMED_VALUE_FLOAT"].value
+
+    def test_a_sensor_on_a_serial_line_is_asked_and_one_that_is_not_there_has_no_value(
+        self, start, router: str, stranger: Stranger, wait_until: Callable, tmp_path: Path
+    ) -> None:
+        part = start("sitl", "payload", "--connect", router, "--payload", f"serial:{tmp_path / 'sensor'}:9600")
+        wait_until(lambda: part.says("ready"))
+        assert part.says("No such file or directory; it is tried again")
+        answers, publish = stranger.subscribe("payload/out"), stranger.publisher("payload/in")
+        publish(self.question(stranger, 1000, 0))
+        assert math.isnan(messages(get(answers))["NAMED_VALUE_FLOAT"].value)
+        with SerialWire(tmp_path / "sensor") as sensor:
+            publish(self.question(stranger, 2000, 0))
+
+            def answered() -> bool:
+                sensor.say(b"warming up\n0.75\n")
+                return not answers.empty()
+
+            wait_until(answered)
+            value = messages(get(answers))
+            assert value["NAMED_VALUE_FLOAT"].time_boot_ms == 2000
+            assert value["NAMED_VALUE_FLOAT"].value == 0.75
+            assert "WIND_COV" not in value

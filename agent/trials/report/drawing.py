@@ -141,6 +141,8 @@ def trajectories(flights: Sequence[Flight]) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 0.4 + rows * (0.5 + 0.86 * WIDTH_IN / columns)), layout="compressed")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for ax, (result, trace) in zip(grid.ravel(), flights, strict=False):
+        assert result.scenario is not None  # an in-process mission knows it
+        assert result.source is not None
         shades = plume(ax, Release.of(result.scenario), AREA_M)
         ax.plot(*_places(trace, "position").T, **PATH)
         ax.plot(*trace[0].position, color=INK, **START)
@@ -174,6 +176,7 @@ def many(flights: Sequence[Flight]) -> Figure:
     grid = figure.subplots(2, 2, sharex="row", sharey="row")
     for (whole, last), (name, what, colour) in zip(grid.T, NAMED, strict=True):
         for result, trace in flights:
+            assert result.source is not None
             path = _places(trace, name) - result.source
             whole.plot(*path.T, color=colour, linewidth=0.7, alpha=0.4)
             last.plot(*path[-LAST_STEPS - 1 :].T, color=colour, linewidth=0.7, alpha=0.4)
