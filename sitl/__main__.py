@@ -23,6 +23,7 @@ from sitl.uav.real import add_vehicle_url
 
 if TYPE_CHECKING:
     from sitl.launch.recording import RecordFiles
+    from sitl.remote.vehicle import RemoteVehicle
 
 
 def _record(text: str) -> Path:
@@ -284,9 +285,8 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from link.bus.log import Log
     from link.bus.session import Bus
     from link.bus.tally import Tally
+    from sitl.autopilot.state import VehicleFailed
     from sitl.autopilot.vehicle import Vehicle
-    from sitl.remote.commander import VehicleFailed
-    from sitl.remote.vehicle import RemoteVehicle
     from sitl.uav.clock import Clock
     from sitl.uav.real import real_script, real_vehicle
     from sitl.uav.uav import Uav

@@ -146,6 +146,10 @@ class Led(NamedTuple):
 VehicleEvent = Arrived | Said | Reached | Led
 
 
+class VehicleFailed(Exception):
+    """The vehicle cannot fly the search, or no longer; the text is the reason."""
+
+
 class Result(NamedTuple):
     """The result of a command: a MAV_RESULT, and the reason if it was refused."""
 

@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 from pymavlink.dialects.v20 import all as mavlink
 
 from link.bus.mavlink import Message
-from sitl.autopilot.state import ACCEPTED, Result, not_now
+from sitl.autopilot.state import ACCEPTED, Result, VehicleFailed, not_now
 from sitl.bridge.links import Channel
 from sitl.remote.connection import Heard
 from sitl.remote.firmware import unfit
@@ -50,10 +50,6 @@ class Radio(Protocol):
     @property
     def state(self) -> str:
         """How the connection is doing."""
-
-
-class VehicleFailed(Exception):
-    """The vehicle cannot fly the search, or no longer; the text is the reason."""
 
 
 class Commander:

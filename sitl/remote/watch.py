@@ -4,8 +4,7 @@ import math
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.autopilot.state import LOW_BATTERY, Mode
-from sitl.remote.commander import VehicleFailed
+from sitl.autopilot.state import LOW_BATTERY, Mode, VehicleFailed
 from sitl.remote.procedures import Procedures
 
 GIVEN_UP_S = 60.0

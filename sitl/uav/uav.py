@@ -5,7 +5,7 @@ import math
 import queue
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
@@ -20,14 +20,11 @@ from link.bus.px4 import MissionCurrent
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from plume.world import World
 from sitl.autopilot.operator import OPERATOR, change_mode, command
-from sitl.autopilot.state import Arrived, Led, Mode, Reached, Snapshot
+from sitl.autopilot.state import Arrived, Led, Mode, Reached, Snapshot, VehicleFailed
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from sitl.payload.asking import Asking, Sample
 from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
-from sitl.remote.commander import VehicleFailed
-from sitl.remote.refused import not_served
-from sitl.remote.vehicle import RemoteVehicle
 from sitl.script.script import Abort, AfterStop, Delay, Dropout, Duplicate, Lose, OnBoard, Pause, Resume, Spike, Stuck, Wind
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
@@ -36,14 +33,15 @@ from sitl.uav.search import PAUSED, SEARCHING, SETPOINTS, Search
 from sitl.uav.timeline import Timeline
 from sitl.uav.udp import UdpLink
 
+if TYPE_CHECKING:
+    from sitl.remote.vehicle import RemoteVehicle
+
 TRY_AGAIN_S = 1.0
 """Simulation time after which a sensor without a value is read again."""
-
-
 SENSING = SEARCHERS | {"payload"}
 """A real vehicle takes off when these services have joined the bus."""
-LEAVE_S, LEAVE_POLL_S = 0.7, 0.02
-"""Real time in which a real vehicle is told to return home when this program ends: a launcher waits for a second."""
+LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
+"""Longest real time in which a real vehicle is told to return home when this program ends. A launcher waits longer."""
 
 
 class Uav:
@@ -51,7 +49,7 @@ class Uav:
 
     def __init__(
         self,
-        vehicle: Vehicle | RemoteVehicle,
+        vehicle: "Vehicle | RemoteVehicle",
         world: World,
         clock: Clock,
         inbox: Inbox,
@@ -67,10 +65,12 @@ class Uav:
         events: the script events that happen on board; after_stop: what the vehicle does once the source is found.
         """
         config = vehicle.config
-        self._vehicle: Vehicle | RemoteVehicle = vehicle
-        self._remote = vehicle if isinstance(vehicle, RemoteVehicle) else None
+        self._vehicle = vehicle
+        self._remote = None if isinstance(vehicle, Vehicle) else vehicle
         self._protocol = MavlinkProtocol(vehicle)
         if self._remote:
+            from sitl.remote.refused import not_served  # a simulated vehicle starts without all of MAVLink's dialects
+
             self._protocol.services |= {service.request: service for service in not_served()}
         self._search = Search(self._vehicle, self._protocol, world.start, after_stop, self._tell)
         self._world = world
@@ -120,7 +120,6 @@ class Uav:
         if self._bus:
             self._bus.subscribe(MAVLINK_IN, STOP, *[PAYLOAD_OUT] * bool(self._asking))
             self._bus.watch_services()
-        if self._bus:
             self._bus.publish_health()
         try:
             while True:
@@ -151,7 +150,7 @@ class Uav:
         if self._remote and self._remote.failure and not self._remote.state(self._remote.now_s).armed:
             raise VehicleFailed(self._remote.failure)
 
-    def _leave(self, vehicle: RemoteVehicle) -> None:
+    def _leave(self, vehicle: "RemoteVehicle") -> None:
         """See to it that a real vehicle in the air has someone in charge when this program ends."""
         until_s = time.monotonic() + LEAVE_S
         with contextlib.suppress(VehicleFailed):

@@ -11,10 +11,10 @@ from link.bus.mavlink import Codec, Message, unpack, waypoint_message
 from link.bus.messages import Stop
 from link.bus.tally import Tally
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Arrived, Led, Mode, Said
+from sitl.autopilot.state import Arrived, Led, Mode, Said, VehicleFailed
 from sitl.bridge.links import Channel, Traffic
 from sitl.protocol.protocol import MavlinkProtocol
-from sitl.remote.commander import Commander, VehicleFailed
+from sitl.remote.commander import Commander
 from sitl.remote.connection import Heard
 from sitl.remote.refused import not_served
 from sitl.remote.vehicle import RemoteVehicle

@@ -4,8 +4,7 @@ from typing import Any
 
 import pytest
 
-from sitl.autopilot.state import Mode
-from sitl.remote.commander import VehicleFailed
+from sitl.autopilot.state import Mode, VehicleFailed
 from sitl.uav.search import LANDED, PAUSED, RETURNING, SEARCHING
 from tests.sitl.remote.cockpit import Cockpit
 

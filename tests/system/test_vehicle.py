@@ -1,0 +1,158 @@
+"""Protects whole missions on a real autopilot, of which a double takes the place: flown, recorded, replayed, and ended in mid-air."""
+
+import json
+import math
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from link.record.reader import read
+from plume.scenario import draw
+from tests.autopilots.settings import Settings
+from tests.autopilots.wire import Double
+from tests.system.conftest import Part
+from tests.system.live import run_sitl
+from tests.system.wires import SerialWire
+
+FAST, STEADY = 10.0, 5.0
+"""Speed-ups. PX4 wants setpoints all the time: its companion must not be late by a second of simulation time on a busy machine."""
+SEED = 7
+SHORT = ("--seed", str(SEED), "--particles", "100", "--budget", "2", "--json", "--trace")
+
+
+@pytest.fixture
+def ardupilot() -> Iterator[Double]:
+    """An ArduCopter over TCP, ready to fly 12 s after its boot, that says it feels a wind of 2 m/s from the east."""
+    with Double("ardupilot", settings=Settings(ready_s=12.0, wind=(90.0, 2.0)), speedup=FAST) as double:
+        yield double
+
+
+@pytest.fixture
+def px4() -> Iterator[Double]:
+    """A PX4 over UDP that says nothing about the wind."""
+    with Double("px4", "udpin:127.0.0.1:0", Settings(ready_s=12.0), STEADY) as double:
+        yield double
+
+
+def replayed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], record: Path) -> dict:
+    status, out, err = run_sitl(monkeypatch, capsys, "replay", str(record), "--verify", "--speedup", "0", "--json")
+    assert status == 0, err
+    return json.loads(out[-1])
+
+
+def by_hand(x: float, y: float, wind: tuple[float, float]) -> float:
+    """The mean concentration of the mission's plume, Vergassola et al. 2007, eq. (S5), g/m³."""
+    s = draw(SEED)
+    east, north, u = x - s.source[0], y - s.source[1], math.hypot(*wind)
+    r = math.hypot(east, north)
+    decay = math.sqrt(s.d * s.tau / (1 + u * u * s.tau / (4 * s.d)))
+    return s.q / (4 * math.pi * s.d * r) * math.exp(-r / decay - (east * wind[0] + north * wind[1]) / (2 * s.d))
+
+
+def test_a_mission_on_ardupilot_reads_the_plume_where_it_reports_to_be_in_the_wind_that_it_reports_and_replays(
+    start: type[Part], ardupilot: Double, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--sensor", "gaussian:0,0.000001", "--record", "flight.mcap")  # a sensor with next to no noise
+    flight = start("sitl", "fly", "--vehicle", ardupilot.url, "--speedup", f"{FAST:g}", *SHORT, *words, cwd=tmp_path)
+    assert flight.ended(120) == 0, flight.err
+    said = json.loads(flight.out[-1])
+    assert (said["ceased"], said["steps"], said["located"]) == (False, 2, False)
+    assert said["source"] == pytest.approx(draw(SEED).source)
+    for step in said["trace"]:
+        assert step["reading"] == pytest.approx(by_hand(*step["position"], (2.0, 0.0)), rel=1e-4, abs=1e-4)
+    assert math.dist(said["trace"][0]["position"], draw(SEED).start) < 0.5
+    assert not ardupilot.wire.autopilot.armed  # it has landed at home
+    about = read(tmp_path / "flight.mcap").about
+    assert (about["vehicle"], about["payload"]) == (ardupilot.url, "simulated")
+    verified = replayed(monkeypatch, capsys, tmp_path / "flight.mcap")
+    assert (verified["verified"], verified["beliefs"], verified["waypoints"]) == (True, 3, 2)
+    assert verified["estimate"] == said["estimate"]
+
+
+def test_a_mission_on_px4_with_a_sensor_on_a_serial_line_claims_nothing_about_a_source_that_nobody_knows(
+    start: type[Part], px4: Double, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    wait_until: Callable[..., None],
+) -> None:  # fmt: skip
+    sensor = f"serial:{tmp_path / 'sensor'}:9600"
+    with SerialWire(tmp_path / "sensor") as wire:
+        words = ("--payload", sensor, "--record", "flight.mcap")
+        flight = start("sitl", "fly", "--vehicle", px4.url, "--speedup", f"{STEADY:g}", *SHORT, *words, cwd=tmp_path)
+
+        def over() -> bool:
+            wire.say(b"0.25\n")
+            return flight.process.poll() is not None
+
+        wait_until(over, 120.0)
+    assert flight.ended() == 0, flight.err
+    said = json.loads(flight.out[-1])
+    assert [said[name] for name in ("located", "error_m", "source", "scenario")] == [None] * 4
+    assert [step["reading"] for step in said["trace"]] == [0.25] * 3
+    assert not any("source" in line for line in flight.err)
+    about = read(tmp_path / "flight.mcap").about
+    assert "scenario" not in about
+    assert about["payload"] == sensor
+    estimator = about["parts"]["estimator"]
+    assert not {"--rate", "--diffusivity", "--lifetime"} & set(estimator)  # nobody knows them
+    assert replayed(monkeypatch, capsys, tmp_path / "flight.mcap")["verified"]
+    for words in (("log",), ("draw", "--out", str(tmp_path / "flight.svg"))):
+        status, _, err = run_sitl(monkeypatch, capsys, words[0], str(tmp_path / "flight.mcap"), *words[1:])
+        assert status == 0, err
+    (summary,) = (tmp_path / "runs").glob("*.json")
+    assert json.loads(summary.read_text())["outcome"]["source"] is None
+
+
+def test_ctrl_c_in_mid_air_sends_the_vehicle_home_before_the_parts_end(
+    start: type[Part], ardupilot: Double, tmp_path: Path, wait_until: Callable[..., None]
+) -> None:
+    flight = start(
+        "sitl", "fly", "--vehicle", ardupilot.url, "--speedup", f"{FAST:g}", *SHORT, "--budget", "300", "--no-record", cwd=tmp_path
+    )
+    wait_until(lambda: flight.says("step   0/300"), 120.0)
+    flight.process.send_signal(signal.SIGINT)
+    assert flight.ended() == 130
+    autopilot = ardupilot.wire.autopilot
+    wait_until(lambda: not autopilot.armed, 60.0)
+    assert not flight.says("hangs and is killed")
+    assert flight.says("interrupted")
+
+
+def test_a_vehicle_that_is_not_ready_keeps_the_mission_waiting_and_the_reason_is_shown(
+    start: type[Part], tmp_path: Path, wait_until: Callable[..., None]
+) -> None:
+    with Double("ardupilot", settings=Settings(ready_s=100_000.0), speedup=FAST) as double:
+        words = ("--patience", "5", "--no-record")  # shorter than the wait
+        flight = start("sitl", "fly", "--vehicle", double.url, "--speedup", f"{FAST:g}", *SHORT, *words, cwd=tmp_path)
+        wait_until(lambda: flight.says("Waiting for the autopilot"), 60.0)
+        began = double.wire.autopilot.now_s
+        wait_until(lambda: double.wire.autopilot.now_s - began > 7 * FAST, 60.0)
+        assert flight.process.poll() is None
+        flight.process.send_signal(signal.SIGINT)
+        assert flight.ended() == 130
+        assert not double.wire.autopilot.armed
+
+
+REFUSED = {
+    ("--payload", "simulated"): "--payload: only with --vehicle; the simulated vehicle has a sensor of its own",
+    ("--vehicle", "tcp:127.0.0.1"): "--vehicle: 'tcp:127.0.0.1' is not a MAVLink endpoint; wanted udpin:HOST:PORT, ",
+    ("--vehicle", "tcp:127.0.0.1:9", "--payload", "serial"): "--payload: 'serial' is not allowed; wanted serial:PATH[:BAUD]",
+    ("--vehicle", "tcp:127.0.0.1:9", "--speedup", "0"): "--speedup: 0 is not allowed with --vehicle; wanted ",
+    ("--vehicle", "tcp:127.0.0.1:9", "--home", "1,2,3,4"): "--home: not with --vehicle: ",
+    ("--vehicle", "tcp:127.0.0.1:9", "--strict"): "--strict: not with --vehicle: ",
+    ("wind-shift", "--vehicle", "tcp:127.0.0.1:9"): "MISSION: a wind event is not allowed with --vehicle: ",
+    ("flat-battery", "--vehicle", "tcp:127.0.0.1:9"): "MISSION: vehicle.endurance_s is not allowed with --vehicle: ",
+    ("--vehicle", "tcp:127.0.0.1:9", "--payload", "serial:/x", "--world", "wind-10"): "--world: 'wind-10' is not allowed with --payload ",
+    ("default-release", "--vehicle", "tcp:127.0.0.1:9", "--payload", "serial:/dev/x"): "MISSION: ",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", REFUSED, ids=" ".join)
+def test_what_cannot_be_flown_is_refused_in_one_line_before_anything_starts(
+    words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, err = run_sitl(monkeypatch, capsys, "fly", *words)
+    assert (status, out, len(err)) == (2, [], 1)
+    assert f"error: {REFUSED[words]}" in err[0]
+    assert not [*tmp_path.iterdir()]
