@@ -96,10 +96,10 @@ class _Packed(NamedTuple):
 class History:
     """What was said on the bus of one vehicle. A message that breaks the contract is left out: the services count and refuse it."""
 
-    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, turns: Sequence[WindTurn] = (), whole: bool = True) -> None:
+    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, turns: Sequence[WindTurn] | None = (), whole: bool = True) -> None:
         """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the newest ones.
 
-        turns: the changes of the backdrop's wind, in order.
+        turns: the changes of the backdrop's wind, in order; None: it is the wind that the readings have.
         """
         self.backdrop = backdrop
         """As it is at first."""
@@ -291,6 +291,8 @@ class History:
         """Return the backdrop with the wind at a time, after the belief of a step."""
         if (release := self.backdrop.release) is None:
             return self.backdrop
+        if self._turns is None:
+            return replace(self.backdrop, release=replace(release, wind=self._winds.at(time_s) or release.wind))
         for turn in self._turns:
             if step >= turn.step if turn.step is not None else time_s >= turn.time_s:
                 u = math.hypot(*release.wind) if turn.u is None else turn.u

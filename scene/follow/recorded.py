@@ -22,8 +22,10 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
     return Backdrop(name, title=title, release=release), budget if isinstance(budget, int) else None
 
 
-def turns_of(about: dict[str, Any]) -> list[WindTurn]:
-    """Return the changes of the wind that a run's mission script has."""
+def turns_of(about: dict[str, Any]) -> list[WindTurn] | None:
+    """Return the changes of the wind that a run's mission script has; None if its plume blew with the wind that a real vehicle reported."""
+    if "vehicle" in about:
+        return None
     mission = about.get("mission")
     events = mission.get("events") if isinstance(mission, dict) else None
     winds = [event for event in events or () if isinstance(event, dict) and event.get("do") == "wind"]

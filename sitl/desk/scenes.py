@@ -36,9 +36,11 @@ class RecordedScene:
 
     def _take(self, entry: Entry, stamp_ns: int) -> list[Encoded]:
         news = self._news(entry) if entry.key == MAVLINK_OUT.name else ()
-        if entry.key == READING.name or (entry.key == MAVLINK_OUT.name and not news):
+        if entry.key == MAVLINK_OUT.name and not news:
             return []
         self._history.take(entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9)
+        if entry.key == READING.name:
+            return []  # its belief shows it
         happening = self._history.happenings.at(math.inf)
         if entry.key == BELIEF.name or happening is not self._happening:
             self._happening = happening

@@ -32,7 +32,7 @@ class Described(NamedTuple):
     """None: the first vehicle that appears."""
     backdrop: Backdrop
     budget: int | None
-    turns: Sequence[WindTurn] = ()
+    turns: Sequence[WindTurn] | None = ()
 
 
 class LiveVehicle:

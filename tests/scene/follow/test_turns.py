@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from link.bus.keys import BELIEF
+from link.bus.keys import BELIEF, READING
+from link.bus.mavlink import Codec, Reading, pack_reading
 from scene.follow.history import History, WindTurn
 from scene.follow.recorded import turns_of
 from scene.scene import Backdrop, Release
@@ -28,6 +29,15 @@ def wind_after(turns: list[WindTurn], step: int, time_s: float) -> tuple[float, 
 def test_the_wind_turns_at_a_step_or_a_time(step: int, time_s: float, wind: tuple[float, float]) -> None:
     turns = [WindTurn(12, 0.0, 3.0, math.pi / 2), WindTurn(None, 50.0, 1.0, None)]
     assert wind_after(turns, step, time_s) == pytest.approx(wind, abs=1e-12)
+
+
+def test_the_plume_of_a_real_vehicle_blows_with_the_wind_of_its_readings() -> None:
+    history = History(Backdrop("uav/1", release=RELEASE), turns=turns_of({"vehicle": "tcp:127.0.0.1:5760"}))
+    assert history.at().backdrop.release.wind == RELEASE.wind  # as long as none is known
+    for second, wind in enumerate([(0.5, 1.5), (-1.0, 0.25)]):
+        history.take(READING.name, pack_reading(Codec(1, 1), Reading(1000 * second, (1.0, 2.0), 5.0, wind, 0.5)), b"", float(second), 0.0)
+        assert history.at().backdrop.release.wind == wind
+    assert history.at(0.0).backdrop.release.wind == (0.5, 1.5)
 
 
 def test_the_turns_are_read_from_the_script_in_a_runs_description() -> None:
