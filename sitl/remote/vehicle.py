@@ -20,6 +20,8 @@ from sitl.remote.watch import Watch
 STREAM_HZ = 10.0
 """Setpoints a second of the vehicle's time, from before OFFBOARD on. PX4 wants more than 2."""
 POLL_S = 0.05
+INSIDE_M = 0.05
+"""A reading is taken at least this far inside the area's edge."""
 IGNORED_M = 0.5
 """A target that the autopilot reads back so far from the setpoint is not the setpoint."""
 ELSEWHERE = "a ground station sends it to the autopilot itself"
@@ -46,6 +48,7 @@ class RemoteVehicle:
         self.flight = Procedures(commander)
         self._guard = Watch(self.flight)
         self._commander, self._arrival = commander, arrival
+        self._inset_m = arrival.radius_m + INSIDE_M
         self._now = 0.0
         self._corner: Ned | None = None  # of the area in the EKF's frame; known once home and origin are
         self._follows = False  # whether the companion's mode means OFFBOARD, not HOLD
@@ -212,7 +215,8 @@ class RemoteVehicle:
         """Take a waypoint as the simulated vehicle does: fly there in OFFBOARD, else remember it. The yaw is the autopilot's.
 
         The agent answers with the altitude that it has read, which is never exactly the one flown: the search's altitude is kept, or
-        the vehicle would drift up or down from reading to reading.
+        the vehicle would drift up or down from reading to reading. A waypoint on the area's edge is flown a little inside, so that the
+        reading is taken inside, wherever around it the vehicle comes to rest.
         """
         setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted))
         answers = self.answers.wants(time_boot_ms)
@@ -222,7 +226,8 @@ class RemoteVehicle:
             return denied("Setpoint refused: only positions are handed on to a real autopilot", "no position")
         if refusal := setpoint.refusal(self.config):
             return refusal
-        north, east, down = setpoint.position
+        north, east = (min(max(along_m, self._inset_m), self.config.area_m - self._inset_m) for along_m in setpoint.position[:2])
+        down = setpoint.position[2]
         if answers:
             self.answers.awaited = False
             down = -self.config.takeoff_altitude_m
