@@ -15,7 +15,7 @@ from sitl.remote.arrival import Approach, ArrivalRule
 from sitl.remote.commander import AUTOPILOT, Commander
 from sitl.remote.known import Known
 from sitl.remote.procedures import Procedures
-from sitl.remote.watch import Watch
+from sitl.remote.watch import COMING_DOWN, Watch
 
 STREAM_HZ = 10.0
 """Setpoints a second of the vehicle's time, from before OFFBOARD on. PX4 wants more than 2."""
@@ -247,19 +247,19 @@ class RemoteVehicle:
         return self._setpoint
 
     def leave(self) -> str:
-        """Send a vehicle home that nobody else is in charge of; returns what is done about it, nothing if there is nothing to do.
+        """Send a vehicle home that nobody else is in charge of; returns what becomes of it, nothing if it stands on the ground.
 
-        Call it, and go on calling `catch_up` until `left`.
+        Call it, and `catch_up`, again and again until `left`.
         """
         if not self.flight.flying:
             if (self._known.armed or self.flight.arming) and not self.flight.theirs:
                 self._commander.send(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
             return ""
-        if self.flight.theirs:
-            return f"The vehicle is left to its pilot: {self._mode_name}"
-        if self._mode not in (Mode.RETURN, Mode.LAND):
+        if self.flight.theirs or self.left:
+            return f"The vehicle is left in {self._mode_name}"
+        if self.flight.doing not in COMING_DOWN:
             self.flight.go_home()
-        return "The vehicle is told to return home" if self.flight.doing else f"The vehicle is left in {self._mode_name}"
+        return "The vehicle is told to return home"
 
     @property
     def failure(self) -> str:
@@ -268,8 +268,8 @@ class RemoteVehicle:
 
     @property
     def left(self) -> bool:
-        """True unless a command of ours is still on its way."""
-        return self.flight.doing is None
+        """Whether someone else is in charge of it: a pilot, or the autopilot, which returns or lands by itself."""
+        return not self.flight.flying or self.flight.theirs or self.flight.firmware.reports.get(self._known.custom_mode) in COMING_DOWN
 
     # ---- flight ----
 
