@@ -15,11 +15,13 @@ from sitl.remote.arrival import Approach, ArrivalRule
 from sitl.remote.commander import AUTOPILOT, Commander
 from sitl.remote.known import Known
 from sitl.remote.procedures import Procedures
-from sitl.remote.watch import Watch
+from sitl.remote.watch import COMING_DOWN, Watch
 
 STREAM_HZ = 10.0
 """Setpoints a second of the vehicle's time, from before OFFBOARD on. PX4 wants more than 2."""
 POLL_S = 0.05
+INSIDE_M = 0.05
+"""A reading is taken at least this far inside the area's edge."""
 IGNORED_M = 0.5
 """A target that the autopilot reads back so far from the setpoint is not the setpoint."""
 ELSEWHERE = "a ground station sends it to the autopilot itself"
@@ -46,6 +48,7 @@ class RemoteVehicle:
         self.flight = Procedures(commander)
         self._guard = Watch(self.flight)
         self._commander, self._arrival = commander, arrival
+        self._inset_m = arrival.radius_m + INSIDE_M
         self._now = 0.0
         self._corner: Ned | None = None  # of the area in the EKF's frame; known once home and origin are
         self._follows = False  # whether the companion's mode means OFFBOARD, not HOLD
@@ -212,7 +215,8 @@ class RemoteVehicle:
         """Take a waypoint as the simulated vehicle does: fly there in OFFBOARD, else remember it. The yaw is the autopilot's.
 
         The agent answers with the altitude that it has read, which is never exactly the one flown: the search's altitude is kept, or
-        the vehicle would drift up or down from reading to reading.
+        the vehicle would drift up or down from reading to reading. A waypoint on the area's edge is flown a little inside, so that the
+        reading is taken inside, wherever around it the vehicle comes to rest.
         """
         setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted))
         answers = self.answers.wants(time_boot_ms)
@@ -222,7 +226,8 @@ class RemoteVehicle:
             return denied("Setpoint refused: only positions are handed on to a real autopilot", "no position")
         if refusal := setpoint.refusal(self.config):
             return refusal
-        north, east, down = setpoint.position
+        north, east = (min(max(along_m, self._inset_m), self.config.area_m - self._inset_m) for along_m in setpoint.position[:2])
+        down = setpoint.position[2]
         if answers:
             self.answers.awaited = False
             down = -self.config.takeoff_altitude_m
@@ -242,19 +247,19 @@ class RemoteVehicle:
         return self._setpoint
 
     def leave(self) -> str:
-        """Send a vehicle home that nobody else is in charge of; returns what is done about it, nothing if there is nothing to do.
+        """Send a vehicle home that nobody else is in charge of; returns what becomes of it, nothing if it stands on the ground.
 
-        Call it, and go on calling `catch_up` until `left`.
+        Call it, and `catch_up`, again and again until `left`.
         """
         if not self.flight.flying:
             if (self._known.armed or self.flight.arming) and not self.flight.theirs:
                 self._commander.send(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
             return ""
-        if self.flight.theirs:
-            return f"The vehicle is left to its pilot: {self._mode_name}"
-        if self._mode not in (Mode.RETURN, Mode.LAND):
+        if self.flight.theirs or self.left:
+            return f"The vehicle is left in {self._mode_name}"
+        if self.flight.doing not in COMING_DOWN:
             self.flight.go_home()
-        return "The vehicle is told to return home" if self.flight.doing else f"The vehicle is left in {self._mode_name}"
+        return "The vehicle is told to return home"
 
     @property
     def failure(self) -> str:
@@ -263,8 +268,8 @@ class RemoteVehicle:
 
     @property
     def left(self) -> bool:
-        """True unless a command of ours is still on its way."""
-        return self.flight.doing is None
+        """Whether someone else is in charge of it: a pilot, or the autopilot, which returns or lands by itself."""
+        return not self.flight.flying or self.flight.theirs or self.flight.firmware.reports.get(self._known.custom_mode) in COMING_DOWN
 
     # ---- flight ----
 

@@ -154,9 +154,12 @@ class Uav:
         """See to it that a real vehicle in the air has someone in charge when this program ends."""
         until_s = time.monotonic() + LEAVE_S
         with contextlib.suppress(VehicleFailed):
-            if said := vehicle.leave():
+            said = vehicle.leave()
+            vehicle.catch_up(self._clock.now_s())
+            if said:
                 self._tell(mavlink.MAV_SEVERITY_WARNING, said)
             while not vehicle.left and time.monotonic() < until_s:
+                vehicle.leave()
                 vehicle.catch_up(self._clock.now_s())
                 time.sleep(LEAVE_POLL_S)
         if not vehicle.left:

@@ -51,6 +51,17 @@ def test_the_altitude_is_kept_over_many_waypoints(kind: str) -> None:
 
 
 @both
+def test_readings_at_the_edge_of_the_area_are_taken_inside_it(kind: str) -> None:
+    """The estimator refuses readings from outside."""
+    cockpit = Cockpit(kind)
+    corners = iter([(0.0, 0.0), (0.0, 5.0), (6.0, 0.0)])
+    cockpit.answers = lambda _: next(corners)
+    cockpit.reads(4)
+    assert all(0.0 < place[0] <= 30.0 and 0.0 < place[1] <= 30.0 for _, place in cockpit.readings)
+    assert away_m(cockpit.readings[1][1][:2], (0.0, 0.0)) < 0.6 + 0.3
+
+
+@both
 def test_readings_are_taken_at_rest(kind: str) -> None:
     cockpit = Cockpit(kind)
     for number in range(1, 5):

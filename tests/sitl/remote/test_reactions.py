@@ -263,6 +263,7 @@ def test_a_program_that_ends_sends_the_vehicle_home(kind: str) -> None:
     for _ in range(10):  # 0.8 s
         cockpit.radio.advance()
         cockpit.now_s += 0.08
+        cockpit.vehicle.leave()
         cockpit.vehicle.catch_up(cockpit.now_s)
     assert cockpit.vehicle.left
     assert cockpit.ap.mode == "RTL"
@@ -277,10 +278,26 @@ def test_a_program_that_ends_while_it_holds_sends_it_home_too(kind: str) -> None
 
 
 @both
+def test_a_program_that_is_interrupted_within_a_procedure_still_sends_it_home(kind: str) -> None:
+    """Ctrl-C ends a procedure where it stands, as a KeyboardInterrupt in it does."""
+    cockpit = searching(kind)
+    cockpit.vehicle.set_mode(cockpit.now_s, Mode.RETURN)
+    procedure = cockpit.vehicle.flight._procedure
+    assert procedure is not None
+    procedure.close()
+    for _ in range(10):
+        cockpit.vehicle.leave()
+        cockpit.radio.advance()
+        cockpit.now_s += 0.08
+        cockpit.vehicle.catch_up(cockpit.now_s)
+    assert cockpit.ap.mode == "RTL"
+
+
+@both
 def test_a_program_that_ends_leaves_the_vehicle_to_its_pilot(kind: str) -> None:
     cockpit = searching(kind, "pilot@#3", radio=True)
     cockpit.until(lambda: cockpit.search.state == PAUSED)
-    assert cockpit.vehicle.leave().startswith("The vehicle is left to its pilot: ")
+    assert cockpit.vehicle.leave().startswith("The vehicle is left in ")
     cockpit.run(3.0)
     assert cockpit.ap.mode in ("LOITER", "POSCTL")
 

@@ -1,0 +1,103 @@
+"""Protects the connection to an autopilot: TCP and UDP, both autopilots, in real time, and an endpoint that goes and comes."""
+
+import math
+import time
+from collections.abc import Callable
+
+import pytest
+
+from link.bus.log import Log
+from link.bus.tally import Tally
+from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.state import Arrived, Mode
+from sitl.bridge.address import parse_address
+from sitl.remote.commander import Commander, VehicleFailed
+from sitl.remote.connection import Connection
+from sitl.remote.vehicle import RemoteVehicle
+from tests.autopilots.settings import Settings
+from tests.autopilots.wire import Double
+
+SPEEDUP = 10.0
+KINDS = ("ardupilot", "px4")
+
+
+class Flown:
+    """A vehicle behind a connection, in real time."""
+
+    def __init__(self, double: Double, sysid: int | None = None) -> None:
+        self.connection = Connection(parse_address(double.url), Log("uav", "test", Tally(), "error"))
+        self.vehicle = RemoteVehicle(VehicleConfig(), Commander(self.connection, SPEEDUP, sysid))
+        self.arrived: list[tuple[float, float, float]] = []
+        self._began = time.monotonic()
+
+    @property
+    def now_s(self) -> float:
+        return (time.monotonic() - self._began) * SPEEDUP
+
+    def look(self) -> None:
+        """One look, when something has come."""
+        self.connection.selector.select(0.01)
+        self.arrived += [event.position for event in self.vehicle.advance(self.now_s) if isinstance(event, Arrived)]
+
+    def until(self, holds: Callable[[], object], timeout_s: float = 40.0) -> None:
+        """Look until something holds."""
+        deadline = time.monotonic() + timeout_s
+        while not holds():
+            assert time.monotonic() < deadline
+            self.look()
+
+
+@pytest.mark.parametrize("listen", ["tcp:127.0.0.1:0", "udpin:127.0.0.1:0"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_vehicle_flies_over_tcp_and_udp(kind: str, listen: str) -> None:
+    with Double(kind, listen, Settings(ready_s=5.0), SPEEDUP) as double:
+        flown = Flown(double)
+        vehicle = flown.vehicle
+        flown.until(lambda: vehicle.arm(flown.now_s).accepted)
+        assert vehicle.take_off(flown.now_s).accepted
+        flown.until(lambda: vehicle.state(0.0).mode is Mode.HOLD)
+        assert vehicle.setpoint(flown.now_s, (3.0, 2.0, -5.0)).accepted
+        assert vehicle.set_mode(flown.now_s, Mode.OFFBOARD).accepted
+        flown.until(lambda: flown.arrived)
+        assert math.dist(flown.arrived[0], (3.0, 2.0, -5.0)) < 0.3 + 0.01
+        assert vehicle.set_mode(flown.now_s, Mode.LAND).accepted
+        flown.until(lambda: not vehicle.state(0.0).armed)
+        flown.connection.close()
+
+
+def test_px4s_own_ports_are_udpin_here() -> None:
+    with Double("px4", "udp", Settings(instance=41, ready_s=5.0), SPEEDUP) as double:
+        flown = Flown(double)
+        flown.until(lambda: flown.vehicle.arm(flown.now_s).accepted)
+        assert flown.vehicle.flight.commander.system == 42
+        flown.connection.close()
+
+
+def test_a_connection_that_is_lost_comes_back() -> None:
+    with Double("ardupilot", settings=Settings(ready_s=5.0), speedup=SPEEDUP) as double:
+        flown = Flown(double)
+        flown.until(lambda: flown.vehicle.flight.commander.system)
+        client = double.wire.autopilot
+        double._hang_up()
+        heard_s = flown.vehicle.flight.known.heard_s
+        flown.until(lambda: flown.vehicle.flight.known.heard_s > heard_s + 10.0)
+        assert client is double.wire.autopilot
+        flown.connection.close()
+
+
+def test_another_system_than_the_one_that_is_wanted_is_not_flown() -> None:
+    with Double("ardupilot", settings=Settings(ready_s=5.0), speedup=SPEEDUP) as double:
+        flown = Flown(double, sysid=7)
+        began = time.monotonic()
+        flown.until(lambda: time.monotonic() > began + 1.0)
+        assert not flown.vehicle.flight.commander.system
+        flown.connection.close()
+
+
+def test_an_autopilot_of_another_kind_fails_in_one_line() -> None:
+    with Double("ardupilot", speedup=SPEEDUP) as double:
+        double.wire.autopilot.autopilot = 0
+        flown = Flown(double)
+        with pytest.raises(VehicleFailed, match=r"^system 1: autopilot GENERIC \(0\) is not supported; wanted an ArduCopter or a PX4"):
+            flown.until(lambda: False, 10.0)
+        flown.connection.close()
