@@ -146,6 +146,47 @@ time.sleep(600)
     assert told == "waiting for the recorder to write the end of the record\n" + warning * hangs
 
 
+FLIES = """
+import signal, sys, time, pathlib
+def home(*_):
+    alive = pathlib.Path("/proc/{other}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    time.sleep({takes_s})
+    print("home, and the estimator is", "there" if alive else "gone", flush=True)
+    sys.exit()
+signal.signal(signal.SIGTERM, home)
+print("flying", flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_part_that_flies_a_real_vehicle_ends_first_and_has_time_to_send_it_home(
+    launched: Launched, wait_until: Callable, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(module, "STOP_TIMEOUT_S", 0.2)
+    estimator = launched.processes.start("estimator", TOLD, "import os, time; print(os.getpid(), flush=True); time.sleep(600)")
+    wait_until(launched.lines)
+    other = int(launched.lines()[0].split()[1])
+    launched.processes.start("uav", TOLD, FLIES.format(other=other, takes_s=0.6)).flies = True
+    wait_until(lambda: "uav: flying" in launched.lines())
+    launched.processes.stop()
+    assert estimator.wait(0.0)
+    assert "uav: home, and the estimator is there" in launched.lines()
+    assert capsys.readouterr().err == "waiting for the uav to send the vehicle home\n"
+
+
+def test_a_part_that_flies_a_real_vehicle_and_hangs_is_killed_in_the_end_and_people_are_told(
+    launched: Launched, wait_until: Callable, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(module, "STOP_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(module, "FLYING_STOP_TIMEOUT_S", 0.2)
+    child = launched.processes.start("uav", TOLD, FLIES.format(other=os.getpid(), takes_s=600))
+    child.flies = True
+    wait_until(launched.lines)
+    launched.processes.stop()
+    assert child.wait(0.0)
+    assert "warning: the uav hangs and is killed: the vehicle may still fly" in capsys.readouterr().err
+
+
 def test_a_part_that_answers_is_waited_for_and_its_answer_is_not_shown(launched: Launched, wait_until: Callable) -> None:
     child = launched.processes.start("recorder", TOLD, "print('recording'); print('more')")
     assert launched.processes.answer(child) == "recording"
