@@ -56,3 +56,13 @@ def test_the_text_names_verdict_estimate_and_source(estimate: tuple[float, float
 def test_the_text_names_a_world_that_is_not_what_the_estimator_was_told() -> None:
     result = outcome(1, "random", SCENARIO, flown((3.0, 3.1)), True, 0.1, "paper", "within:1,0.99", "wind-30")
     assert outcome_text(result).splitlines()[3] == "assumed  paper, stop within:1,0.99, world wind-30"
+
+
+@pytest.mark.parametrize(("ceased", "verdict"), [(True, "ceased"), (False, "not ceased")])
+def test_of_a_source_that_nobody_knows_nothing_is_claimed(ceased: bool, verdict: str) -> None:
+    result = outcome(1, "random", None, flown((3.0, 4.0)), ceased, 0.1, "field", "spread:0.5")
+    fields = json.loads(outcome_json(result, None))
+    assert [fields[name] for name in ("located", "error_m", "source", "scenario")] == [None] * 4
+    assert fields["ceased"] is ceased
+    lines = outcome_text(result).splitlines()
+    assert lines == [f"{verdict} after 2 steps, 2.0 m", "estimate (3.00, 4.00) ± 0.40 m", "assumed  field, stop spread:0.5"]
