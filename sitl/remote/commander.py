@@ -25,6 +25,8 @@ REASONS_S = 0.3
 """Time in which the text with the reason follows a refusal."""
 SHORTEST_S = 0.25
 """Shortest real time for any answer, however fast the vehicle's simulator runs."""
+SLOWEST_S = 2.0
+"""Shortest real time after which a vehicle that says nothing counts as lost, however fast its simulator runs."""
 STREAMS_S = 2.0
 """Time between two looks at which streams are missing."""
 NO_ANSWER = "no answer"
@@ -57,7 +59,7 @@ class Commander:
 
     def __init__(self, radio: Radio, speedup: float = 1.0, system: int | None = None) -> None:
         """Take the connection. speedup: how fast the vehicle's simulator runs. system: the vehicle's id; None takes the first heard."""
-        self.known = Known(slowest_s=4 * SHORTEST_S * speedup)
+        self.known = Known(slowest_s=SLOWEST_S * speedup)
         self.system = 0
         """The vehicle's system id; 0 until it is found."""
         self.now_s = 0.0

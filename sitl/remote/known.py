@@ -159,9 +159,14 @@ class Known:
         """True if the vehicle has not been heard for `LOST_S`."""
         return now_s - self.heard_s > max(LOST_S, self.slowest_s)
 
+    @property
+    def stale_s(self) -> float:
+        """Time after which what comes several times a second is too old to act on."""
+        return max(STALE_S, self.slowest_s)
+
     def knows_place(self, now_s: float) -> bool:
         """True if the position is fresh and the EKF stands by it: after a loss of GPS positions keep coming, but the flag goes."""
-        return now_s - self.position_s <= max(STALE_S, self.slowest_s) and bool(self.flags & ESTIMATES)
+        return now_s - self.position_s <= self.stale_s and bool(self.flags & ESTIMATES)
 
     def missing(self, now_s: float) -> str:
         """Return what is still missing to fly by setpoints; empty if nothing is. Arming may be accepted long before that."""

@@ -24,6 +24,8 @@ INSIDE_M = 0.05
 """A reading is taken at least this far inside the area's edge."""
 IGNORED_M = 0.5
 """A target that the autopilot reads back so far from the setpoint is not the setpoint."""
+IGNORED_S = 5.0
+"""A setpoint that is not read back for so long is ignored."""
 ELSEWHERE = "a ground station sends it to the autopilot itself"
 
 
@@ -55,6 +57,7 @@ class RemoteVehicle:
         self._setpoint: Ned | None = None
         self._leg: Approach | None = None  # to the setpoint, until it is reached
         self._streamed_s = -math.inf
+        self._ignored_since_s = math.inf
         self._heard_s = math.inf  # when the last waypoint came, or was reached
 
     # ---- time ----
@@ -83,12 +86,7 @@ class RemoteVehicle:
         self._known.texts.clear()
         self.flight.events.clear()
         if self._leg and self._flies_leg:
-            if self._leg.arrived(self._now, self._position, self._known.velocity, self._known.knows_place(self._now)):
-                self._leg = None
-                self._heard_s = self._now
-                events.append(Arrived(self._now, self._position))
-            elif self._now > self._leg.deadline_s and not self._known.lost(self._now):
-                self.flight.fail(self._stuck())
+            self._go_on_with(self._leg, events)
         elif self._mode is Mode.OFFBOARD and self._now - self._heard_s > self.config.silence_s:
             self.flight.fail(f"No waypoint for {self.config.silence_s / self._commander.speedup:g} s")
         return events
@@ -317,14 +315,26 @@ class RemoteVehicle:
                     f"home is ({north:.2f}, {east:.2f}) m north, east of the EKF's origin",
                 )
 
-    def _stuck(self) -> str:
-        assert self._leg is not None
-        (north, east, _), away_m = self._leg.target, math.dist(self._position, self._leg.target)
-        reason = f"Waypoint ({east:.2f}, {north:.2f}) m not reached in time: {away_m:.1f} m away"
-        wanted = self._in_ekf_frame(self._leg.target)
-        if self._known.target and math.dist(self._known.target, wanted) > IGNORED_M:
-            reason += "; the autopilot flies to another target"
-        return reason
+    def _go_on_with(self, leg: Approach, events: list[VehicleEvent]) -> None:
+        """Judge the way to the setpoint by what the vehicle says."""
+        (north, east, _), away_m = leg.target, math.dist(self._position, leg.target)
+        if self._known.lost(self._now):  # nothing can be said about it meanwhile
+            leg.deadline_s = max(leg.deadline_s, self._arrival.deadline_s(self._now, self._position, leg.target))
+        if leg.arrived(self._now, self._position, self._known.velocity, self._known.knows_place(self._now)):
+            self._leg, self._heard_s = None, self._now
+            events.append(Arrived(self._now, self._position))
+        elif self._is_ignored(leg.target):
+            self.flight.fail(f"Waypoint ({east:.2f}, {north:.2f}) m is ignored by the autopilot: is it outside its geofence?")
+        elif self._now > leg.deadline_s:
+            self.flight.fail(f"Waypoint ({east:.2f}, {north:.2f}) m not reached in time: {away_m:.1f} m away")
+
+    def _is_ignored(self, target: Ned) -> bool:
+        """Whether ArduPilot reads back another target: it ignores what it does not take without a word."""
+        said_s = self._known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, -math.inf)
+        reads_back = self.flight.firmware.is_ardupilot and self._now - said_s <= self._known.stale_s
+        taken = self._known.target is not None and math.dist(self._known.target, self._in_ekf_frame(target)) <= IGNORED_M
+        self._ignored_since_s = min(self._ignored_since_s, self._now) if reads_back and not taken else math.inf
+        return self._now - self._ignored_since_s > self._commander.patient(IGNORED_S)
 
     def _in_ekf_frame(self, position: Ned) -> Ned:
         north, east, down = (there + at for there, at in zip(position, self._corner or ZERO, strict=True))

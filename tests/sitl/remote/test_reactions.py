@@ -143,15 +143,44 @@ def test_a_breached_fence_that_returns_ends_the_mission() -> None:
     assert "changed to RTL by its failsafe: Circle breached" in cockpit.fails()
 
 
-@both
-def test_targets_that_are_ignored_silently_end_the_mission_in_bounded_time(kind: str) -> None:
-    cockpit = searching(kind, "ignore@#3")
-    began_s = cockpit.now_s
-    if kind == "px4":  # targets that it ignores are none: its own failsafe acts within a second
-        cockpit.until(lambda: cockpit.search.state in (RETURNING, PAUSED))
-    assert cockpit.fails()
-    assert cockpit.now_s - began_s < 100.0
+def test_targets_that_arducopter_ignores_silently_are_seen_in_what_it_reads_back() -> None:
+    cockpit = searching("ardupilot", "ignore@#3")
+    ignored_s = cockpit.now_s
+    assert "is ignored by the autopilot" in cockpit.fails()
+    assert cockpit.heard("Returning home")
+    assert cockpit.now_s - ignored_s < 60.0, "6 s, and the way home"
+
+
+def test_a_waypoint_outside_the_autopilots_own_fence_ends_the_mission() -> None:
+    cockpit = searching("ardupilot", parameters={"FENCE_ENABLE": 1, "FENCE_RADIUS": 8.0}, readings=4)
+    assert "outside its geofence?" in cockpit.fails()
+    assert max(place[1] for _, place in cockpit.readings) < 8.0
+
+
+def test_targets_that_px4_ignores_are_none_so_that_its_failsafe_acts() -> None:
+    cockpit = searching("px4", "ignore@#3")
+    assert "by its failsafe" in cockpit.fails()
     assert cockpit.ap.landed
+
+
+@both
+def test_a_waypoint_that_is_not_reached_in_time_ends_the_mission(kind: str) -> None:
+    """A storm that it cannot fly against: it hovers 2 m away. 1 m at 1 m/s, and 30 s."""
+    cockpit = searching(kind)
+    fly = cockpit.ap.fly
+    cockpit.ap.fly = lambda place, *rest, **more: fly((place[0] - 2.0, *place[1:]), *rest, **more)
+    began_s = cockpit.now_s
+    cockpit.until(lambda: cockpit.heard("not reached in time: 2."))
+    assert 30.0 < cockpit.now_s - began_s < 40.0
+    cockpit.ap.fly = fly
+    assert cockpit.fails()
+
+
+@both
+def test_a_link_that_is_lost_on_the_way_takes_no_time_from_it(kind: str) -> None:
+    cockpit = searching(kind, "mute@#3:40")
+    cockpit.reads(4)
+    assert not cockpit.vehicle.failure
 
 
 @both
