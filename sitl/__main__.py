@@ -74,6 +74,8 @@ def _script(args: argparse.Namespace, given: argparse.Namespace) -> Script:
         changes = {"estimator.threshold_m": None, "estimator.stop": None, **changes}
     if "home" in flags:
         changes |= {f"vehicle.{field}": value for field, value in zip(HOME, given.home, strict=True)}
+    if args.sign and not args.out:
+        raise FileError("--sign: there is nothing to sign; wanted it with --out")
     script = script.changed(changes)
     if script.agent.policy == "none" and not script.scripted():
         raise FileError("--policy: 'none' is not allowed; wanted a policy, or a mission that scripts all its waypoints")
@@ -166,7 +168,7 @@ def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]
     """Return the words of the command line that the uav has to know, too."""
     words = [args.mission] if args.mission else []
     changed = vars(given)
-    for name in ("seed", "sensor", "world", "silence", "after_stop", "sysid"):
+    for name in ("seed", "sensor", "world", "silence", "after_stop", "sysid", "sign"):
         if name in changed:
             words += [f"--{name.replace('_', '-')}", str(changed[name])]
     if "strict" in changed:
@@ -264,6 +266,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from link.bus.log import Log
     from link.bus.session import Bus
     from link.bus.tally import Tally
+    from link.signing.signer import Signing
     from sitl.uav.clock import Clock
     from sitl.uav.uav import Uav
     from sitl.uav.udp import parse_url
@@ -293,6 +296,11 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
             log.info(f"its agent: plumeward agent {joining} --sysid {config.sysid}")
         events = [event for event in script.events if isinstance(event, OnBoard)]
         try:
+            signing = stack.enter_context(contextlib.closing(Signing(args.sign, f"uav-{config.sysid}", log))) if args.sign else None
+        except ValueError as error:
+            print(f"error: --sign: {error}", file=sys.stderr)
+            return cli.BAD_INPUT
+        try:
             uav = Uav(
                 config,
                 script.simulated(),
@@ -303,6 +311,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
                 log,
                 events,
                 script.vehicle.after_stop,
+                signing,
             )
         except ValueError as error:
             print(f"error: --out: {error}", file=sys.stderr)

@@ -1,4 +1,4 @@
 """The UAV service: one vehicle in one world, on the bus and over UDP.
 
-Imports: plume, link, link.bus, sitl.autopilot, sitl.protocol, sitl.script.
+Imports: plume, link, link.bus, link.signing, sitl.autopilot, sitl.protocol, sitl.script.
 """

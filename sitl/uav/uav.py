@@ -16,6 +16,7 @@ from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, un
 from link.bus.messages import Stop
 from link.bus.px4 import MissionCurrent
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
+from link.signing.signer import Signing
 from plume.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.operator import OPERATOR, change_mode, command
@@ -82,11 +83,12 @@ class Uav:
         log: Log,
         events: Sequence[OnBoard] = (),
         after_stop: AfterStop = "return",
+        signing: Signing | None = None,
     ) -> None:
         """Open the links; raises ValueError for a UDP URL that cannot be used.
 
         outs: UDP URLs; log: the bus's own log if there is a bus; events: the script events that happen on board; after_stop: what
-        the vehicle does once the source is found.
+        the vehicle does once the source is found; signing: what signs its UDP links.
         """
         self._vehicle = Vehicle(config)
         self._protocol = MavlinkProtocol(self._vehicle)
@@ -117,10 +119,11 @@ class Uav:
         self._udp: list[UdpLink] = []
         if bus is not None:
             self._ports.append(Port(BusLink(bus, config.sysid), self._telemetry()))
-        for url in outs:
+        for number, url in enumerate(outs):
             index = len(self._ports)
             put = inbox.lane(url)
-            link = UdpLink(url, lambda message, index=index, put=put: put(FromUdp(index, message), 0), config.sysid, COMPONENT)  # type: ignore[misc]
+            signer = signing.link(number % 256, url) if signing else None
+            link = UdpLink(url, lambda message, index=index, put=put: put(FromUdp(index, message), 0), config.sysid, COMPONENT, signer)  # type: ignore[misc]
             self._udp.append(link)
             self._ports.append(Port(link, self._telemetry()))
 
@@ -150,6 +153,8 @@ class Uav:
                 if self._bus:
                     self._bus.keep_health()
                 self._inbox.tell_dropped(self._log)
+                for link in self._udp:
+                    link.tell_refused(self._log)
                 self._handle(self._receive())
         finally:
             for link in self._udp:
