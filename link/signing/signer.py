@@ -3,6 +3,7 @@
 import threading
 from collections import Counter
 from pathlib import Path
+from zlib import crc32
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -16,6 +17,8 @@ UNSIGNED, WRONG, OLD = "without a signature", "with a wrong signature", "with an
 """Why a frame is refused."""
 FREE = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
 """Types that need no signature: radios add them to the link, and have no key. The standard lets them through."""
+SYSTEM_AT = 5
+"""Offset of the system id in a frame of MAVLink 2; the component id follows."""
 MOST_TOLD = 16
 """Senders of a link that are told of, each once for each reason. It is bounded because source addresses are easily forged."""
 
@@ -31,6 +34,8 @@ class Signing:
         key = read_key(path)
         self._secret = key.secret
         file = Path(path).resolve()
+        self._who = who
+        self._numbers: set[int] = set()
         self.timestamps = Timestamps(file.with_name(f"{file.name}.{who}"))
         log.info(f"signs MAVLink by {path!r}, which holds {key.made_from}")
         if key.open_to_all:
@@ -38,8 +43,12 @@ class Signing:
         if (ahead_s := self.timestamps.ahead_s) > MINUTE / UNITS_A_S:
             log.warning(f"the last timestamp is {ahead_s:.0f} s later than the clock: who signs by the right time is refused")
 
-    def link(self, number: int, url: str) -> "Signer":
-        """Return what signs a link. number: its link id, 0 to 255."""
+    def link(self, url: str) -> "Signer":
+        """Return what signs a link. Its link id comes from its URL and whose it is: two processes should not speak with the same ids."""
+        number = crc32(f"{self._who} {url}".encode()) % 256
+        while number in self._numbers and len(self._numbers) < 256:
+            number = (number + 1) % 256
+        self._numbers.add(number)
         return Signer(self._secret, self.timestamps, number, url)
 
     def close(self) -> None:
@@ -63,7 +72,10 @@ class Signer:
 
     def sign(self, frame: bytes) -> bytes:
         """Return a frame with this link's signature; empty for MAVLink 1, which has none."""
-        return b"" if frame[0] == MAVLINK_1 else signed(frame, self._secret, self._number, self._timestamps.next())
+        if frame[0] == MAVLINK_1:
+            return b""
+        system, component = frame[SYSTEM_AT : SYSTEM_AT + 2]
+        return signed(frame, self._secret, self._number, self._timestamps.next((system, component, self._number)))
 
     def admits(self, frame: bytes, sender: str) -> bool:
         """Whether a whole frame is rightly signed and new, or needs no signature. If not, it is counted. sender: for people."""

@@ -17,10 +17,10 @@ LAST = 2**48 - 1
 """The last timestamp there is; in the year 2104."""
 MINUTE = 60 * UNITS_A_S
 """A stream that is new may be so far behind."""
-MOST_STREAMS = 64
+MOST_STREAMS = 512
 Stream = tuple[int, int, int]
 """System id, component id, link id."""
-LINE = re.compile(rb"(sent *|( *\d+) +(\d+) +(\d+)) +(\d+)\n")
+LINE = re.compile(rb"( *\d+) +(\d+) +(\d+) +(\d+)\n")
 EMPTY = b" " * 27 + b"\n"
 
 
@@ -30,7 +30,7 @@ def clock() -> int:
 
 
 class Timestamps:
-    """What a process has sent and accepted, for all its links. Safe in several threads.
+    """The last timestamp of each stream that a process has sent or accepted, for all its links. Safe in several threads.
 
     Each timestamp is in the file before it is used, in a line of its own that is written at once, so a process may be killed at any time.
     The file belongs to one process at a time.
@@ -41,10 +41,9 @@ class Timestamps:
         self._path = path
         self._now = now
         self._lock = threading.Lock()
-        self._slots: dict[Stream, int] = {}
+        self._lines: dict[Stream, int] = {}
         """The line of each stream in the file."""
-        self._accepted: dict[Stream, int] = {}
-        self._sent = 0
+        self._latest: dict[Stream, int] = {}
         self.failure = ""
         """Why the file can no longer be written, until somebody has taken notice."""
         self._failed = False
@@ -57,39 +56,39 @@ class Timestamps:
         except BaseException:
             os.close(self._file)
             raise
-        self._last = max(self._sent, *self._accepted.values(), 0)
+        self._last = max(self._latest.values(), default=0)
         self.ahead_s = (self._last - now()) / UNITS_A_S
         """By how much the last timestamp was later than the clock at the start; negative if it was earlier."""
 
     def _load(self) -> None:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            content = os.pread(self._file, len(EMPTY) * (MOST_STREAMS + 1) + 1, 0)
+            content = os.pread(self._file, len(EMPTY) * MOST_STREAMS + 1, 0)
             if not content:  # room for all, so that a full disk does no harm later
-                os.pwrite(self._file, EMPTY * (MOST_STREAMS + 1), 0)
+                os.pwrite(self._file, EMPTY * MOST_STREAMS, 0)
         except BlockingIOError:
             raise ValueError(f"{str(self._path)!r} is in use by another process; wanted one process for each vehicle or bus") from None
         except OSError as error:
             raise ValueError(f"{str(self._path)!r} keeps the last timestamps, but cannot be used: {error.strerror}") from None
         for number, start in enumerate(range(0, len(content), len(EMPTY))):
             line = content[start : start + len(EMPTY)]
-            found = LINE.fullmatch(line)
-            if found and found[2] is None and number == 0:
-                self._sent = int(found[5])
-            elif found and found[2] is not None and 0 < number <= MOST_STREAMS:
-                stream = int(found[2]), int(found[3]), int(found[4])
-                self._slots[stream], self._accepted[stream] = number, int(found[5])
+            if (found := LINE.fullmatch(line)) and number < MOST_STREAMS:
+                stream = int(found[1]), int(found[2]), int(found[3])
+                self._lines[stream], self._latest[stream] = number, int(found[4])
             elif line != EMPTY[: len(line)]:
                 raise ValueError(
                     f"{str(self._path)!r}: line {number + 1} is damaged; remove the file, at the earliest a minute after its last use"
                 )
 
-    def next(self) -> int:
-        """Return the timestamp of the next frame to send: the clock's, or one more than the last one where the clock is behind."""
+    def next(self, stream: Stream) -> int:
+        """Return the timestamp of the next frame to send: the clock's, or one more than the last one where the clock is behind.
+
+        What is sent is remembered as what is accepted: nobody can play it back.
+        """
         with self._lock:
-            self._last = self._sent = min(max(self._now(), self._last + 1), LAST)
-            self._write(0, b"%-11s %15d\n" % (b"sent", self._sent))
-            return self._sent
+            self._last = min(max(self._now(), self._last + 1), LAST)
+            self._remember(stream, self._last)
+            return self._last
 
     def accept(self, stream: Stream, timestamp: int) -> bool:
         """Whether a frame that is rightly signed is new. If so, it is remembered, and own timestamps will be later.
@@ -97,29 +96,28 @@ class Timestamps:
         It must be later than the last one of its stream. A new stream may be a minute behind, not more.
         """
         with self._lock:
-            before = self._accepted.get(stream)
-            if before is None:
+            if (before := self._latest.get(stream)) is not None:
+                new = timestamp > before
+            else:
                 ours = max(self._now(), self._last)
-                slot = self._room(ours)
-                if timestamp < ours - MINUTE or slot is None:
-                    return False
-                self._slots[stream] = slot
-            elif timestamp <= before:
-                return False
-            self._accepted[stream] = timestamp
-            self._last = max(self._last, timestamp)
-            self._write(self._slots[stream], b"%3d %3d %3d %15d\n" % (*stream, timestamp))
-            return True
+                full = len(self._lines) >= MOST_STREAMS and min(self._latest.values()) >= ours - MINUTE
+                new = timestamp >= ours - MINUTE and not full
+            if new:
+                self._last = max(self._last, timestamp)
+                self._remember(stream, timestamp)
+            return new
 
-    def _room(self, ours: int) -> int | None:
-        """Return a line for one more stream, of one that is more than a minute behind if need be; None if there is none."""
-        if len(self._slots) < MOST_STREAMS:
-            return min(set(range(1, MOST_STREAMS + 1)) - set(self._slots.values()))
-        oldest = min(self._accepted, key=self._accepted.__getitem__)
-        if self._accepted[oldest] >= ours - MINUTE:
-            return None
-        del self._accepted[oldest]
-        return self._slots.pop(oldest)
+    def _remember(self, stream: Stream, timestamp: int) -> None:
+        """Write a timestamp down; where there is no room for one more stream, the oldest is forgotten."""
+        if stream not in self._lines:
+            if len(self._lines) < MOST_STREAMS:
+                self._lines[stream] = min(set(range(MOST_STREAMS)) - set(self._lines.values()))
+            else:
+                oldest = min(self._latest, key=self._latest.__getitem__)
+                del self._latest[oldest]
+                self._lines[stream] = self._lines.pop(oldest)
+        self._latest[stream] = timestamp
+        self._write(self._lines[stream], b"%3d %3d %3d %15d\n" % (*stream, timestamp))
 
     def _write(self, number: int, line: bytes) -> None:
         try:

@@ -21,8 +21,6 @@ from sitl.bridge.udp import UdpIn, UdpOut
 ENDPOINTS: dict[str, type[Endpoint]] = {"udpin": UdpIn, "udpout": UdpOut, "tcp": TcpOut, "tcpin": TcpIn, "serial": SerialLine}
 """What opens each kind of URL."""
 TICK_S = 0.2
-FIRST_LINK_ID = 128
-"""Link id of the first URL. The vehicle's own links count from 0: a station that hears both takes them for two streams."""
 
 
 class Bridge:
@@ -49,9 +47,9 @@ class Bridge:
             end.setblocking(False)
         self.selector.register(self._woken, selectors.EVENT_READ, self._empty)
         self._endpoints = [ENDPOINTS[address.kind](address, self) for address in addresses]
-        for number, endpoint in enumerate(self._endpoints):
+        for endpoint in self._endpoints:
             if signing and endpoint.address.kind != "serial":
-                endpoint.traffic.signer = signing.link(FIRST_LINK_ID + number % (256 - FIRST_LINK_ID), endpoint.address.text)
+                endpoint.traffic.signer = signing.link(endpoint.address.text)
             endpoint.open()
         self._bus_link = BusChannel(bus, name, self.wake)
         bus.tally.state = "bridging"

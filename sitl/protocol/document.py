@@ -149,13 +149,14 @@ other programs:
 | pymavlink | `connection.setup_signing(hashlib.sha256(b"PASSPHRASE").digest())` | `connection.setup_signing(bytes.fromhex("..."))` |
 | MAVSDK 4 | cannot sign | cannot sign |
 
-One recorded frame is enough to try passphrases at home, so take a long one. Make the file readable for yourself alone (`chmod 600`); if
-every user of the machine may read it, a warning says so.
+With `udpout:`, pymavlink begins with MAVLink 1, which cannot be signed; set `MAVLINK20=1` in its environment. One recorded frame is enough
+to try passphrases at home, so take a long one. Make the file readable for yourself alone (`chmod 600`); if every user of the machine may
+read it, a warning says so.
 
 | link | with `--sign` |
 | --- | --- |
 | `--out` of `fly` and `uav` | signed in both directions |
-| UDP and TCP endpoints of the bridge | signed in both directions. Signatures are each link's own: the bridge verifies and removes them, and signs anew what it sends |
+| UDP and TCP endpoints of the bridge | signed in both directions; the bridge verifies and removes signatures, and signs anew |
 | serial lines of the bridge | not signed: they are taken for a safe cable |
 | the bus | not signed: its access is protected by TLS or not at all. Frames on it, and so records, hold no signatures |
 

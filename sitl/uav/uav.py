@@ -119,10 +119,10 @@ class Uav:
         self._udp: list[UdpLink] = []
         if bus is not None:
             self._ports.append(Port(BusLink(bus, config.sysid), self._telemetry()))
-        for number, url in enumerate(outs):
+        for url in outs:
             index = len(self._ports)
             put = inbox.lane(url)
-            signer = signing.link(number % 256, url) if signing else None
+            signer = signing.link(url) if signing else None
             link = UdpLink(url, lambda message, index=index, put=put: put(FromUdp(index, message), 0), config.sysid, COMPONENT, signer)  # type: ignore[misc]
             self._udp.append(link)
             self._ports.append(Port(link, self._telemetry()))
