@@ -134,9 +134,8 @@ Without signing, whoever reaches a UDP port of the vehicle commands it, up to mo
 valid signature is refused.
 
 ```sh
-(umask 077; openssl rand -hex 32 > fleet.key)
+(umask 077; python -c 'import secrets; print(secrets.token_hex(32))' > fleet.key)
 plumeward uav --out udpin:127.0.0.1:14550 --sign fleet.key
-plumeward bridge udpin:127.0.0.1:14551 serial:/dev/ttyACM0 --sign fleet.key
 ```
 
 The key file holds one line. 64 hexadecimal digits are the key itself. Any other line is a passphrase, and the key is its SHA-256, as in
