@@ -78,6 +78,8 @@ def _script(args: argparse.Namespace, given: argparse.Namespace) -> Script:
         changes = {"estimator.threshold_m": None, "estimator.stop": None, **changes}
     if "home" in flags:
         changes |= {f"vehicle.{field}": value for field, value in zip(HOME, given.home, strict=True)}
+    if args.sign and not args.out:
+        raise FileError("--sign: there is nothing to sign; wanted it with --out")
     script = script.changed(changes)
     if script.agent.policy == "none" and not script.scripted():
         raise FileError("--policy: 'none' is not allowed; wanted a policy, or a mission that scripts all its waypoints")
@@ -180,7 +182,7 @@ def _words(given: argparse.Namespace, *names: str) -> list[str]:
 
 def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]:
     """Return the words of the command line that the uav has to know, too."""
-    words, changed = _words(given, "seed", "sensor", "world", "silence", "after_stop", "sysid"), vars(given)
+    words, changed = _words(given, "seed", "sensor", "world", "silence", "after_stop", "sysid", "sign"), vars(given)
     if "strict" in changed:
         words.append("--strict")
     if args.home:
@@ -285,6 +287,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
     from link.bus.log import Log
     from link.bus.session import Bus
     from link.bus.tally import Tally
+    from link.signing.signer import Signing
     from sitl.autopilot.state import VehicleFailed
     from sitl.autopilot.vehicle import Vehicle
     from sitl.uav.clock import Clock
@@ -331,6 +334,11 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
                 return cli.BAD_INPUT
             stack.callback(connection.close)
         try:
+            signing = stack.enter_context(contextlib.closing(Signing(args.sign, f"uav-{config.sysid}", log))) if args.sign else None
+        except ValueError as error:
+            print(f"error: --sign: {error}", file=sys.stderr)
+            return cli.BAD_INPUT
+        try:
             uav = Uav(
                 vehicle,
                 script.simulated(),
@@ -341,6 +349,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
                 log,
                 events,
                 script.vehicle.after_stop,
+                signing,
             )
         except ValueError as error:
             print(f"error: --out: {error}", file=sys.stderr)

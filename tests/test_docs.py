@@ -71,6 +71,7 @@ INSTEAD = {
     "plumeward status": "plumeward status --connect tcp/127.0.0.1:7447",
     "plumeward view --foxglove 8765": "plumeward view --foxglove 0 --port 0",
     "plumeward uav --out udpin:127.0.0.1:14550": "plumeward uav --out udpin:127.0.0.1:7447",
+    "plumeward uav --out udpin:127.0.0.1:14550 --sign fleet.key": "plumeward uav --out udpin:127.0.0.1:7447 --sign fleet.key",
     "plumeward bridge udpin:127.0.0.1:14550 tcp:127.0.0.1:5760 --connect tcp/127.0.0.1:7447":
         "plumeward bridge udpin:127.0.0.1:7447 tcp:127.0.0.1:1 --connect tcp/127.0.0.1:7447",
     "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447":
@@ -84,6 +85,7 @@ STAYS = {
     "plumeward uav --seed 7 --connect tcp/127.0.0.1:7447": "its agent: ",
     "plumeward uav --out udpout:127.0.0.1:14540": "MAVLink to ",
     "plumeward uav --out udpin:127.0.0.1:14550": "MAVLink to ",
+    "plumeward uav --out udpin:127.0.0.1:14550 --sign fleet.key": "MAVLink to ",
     "plumeward bridge udpin:127.0.0.1:14550 tcp:127.0.0.1:5760 --connect tcp/127.0.0.1:7447": "it is tried again",
     "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447": "ready: serial:",
     "plumeward payload --payload iio:gas --connect tcp/127.0.0.1:7447": "ready: iio:gas",

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from link.bus.keys import MAVLINK_OUT
 from link.bus.session import Bus
+from link.signing.signer import Signing
 from sitl.bridge.address import Address
 from sitl.bridge.bus_link import BusChannel
 from sitl.bridge.links import Channel, Endpoint
@@ -25,8 +26,11 @@ TICK_S = 0.2
 class Bridge:
     """Joins a bus with endpoints. Use it in one thread."""
 
-    def __init__(self, addresses: Sequence[Address], bus: Bus, name: str) -> None:
-        """Open the endpoints; raises ValueError if one cannot be used on this machine. `name` is the bus's in counts and logs."""
+    def __init__(self, addresses: Sequence[Address], bus: Bus, name: str, signing: Signing | None = None) -> None:
+        """Open the endpoints; raises ValueError if one cannot be used on this machine.
+
+        name: the bus's in counts and logs; signing: what signs the links of the network. A serial line is taken for a safe cable.
+        """
         self.log = bus.log
         self.selector: selectors.BaseSelector = selectors.DefaultSelector()
         self._bus = bus
@@ -44,6 +48,8 @@ class Bridge:
         self.selector.register(self._woken, selectors.EVENT_READ, self._empty)
         self._endpoints = [ENDPOINTS[address.kind](address, self) for address in addresses]
         for endpoint in self._endpoints:
+            if signing and endpoint.address.kind != "serial":
+                endpoint.traffic.signer = signing.link(endpoint.address.text)
             endpoint.open()
         self._bus_link = BusChannel(bus, name, self.wake)
         bus.tally.state = "bridging"
@@ -128,6 +134,7 @@ class Bridge:
         self._tick_at_s = now_s + TICK_S
         for endpoint in self._endpoints:
             endpoint.tick(now_s)
+            endpoint.traffic.tell_refused()
         self._bus_link.tick()
         tally = self._bus.tally
         tally.about = ", ".join(f"{endpoint.address.text} {endpoint.state()}".rstrip() for endpoint in self._endpoints)

@@ -3,9 +3,12 @@
 import argparse
 import signal
 import sys
+from contextlib import ExitStack, closing
 
 from link import cli
 from link.bus.session import Bus
+from link.signing.key import read_key
+from link.signing.signer import Signing
 from sitl.bridge.address import ALLOWED, parse_address
 from sitl.bridge.bridge import Bridge
 
@@ -19,6 +22,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="URL",
         help=f"a MAVLink endpoint: {ALLOWED}. Ground stations and autopilots may be behind any of them",
     )
+    parser.add_argument(
+        "--sign", type=cli.checked(read_key), metavar="KEYFILE",
+        help="sign MAVLink on all UDP and TCP endpoints, and refuse frames without a valid signature; the file holds 64 hexadecimal "
+        "digits or a passphrase",
+    )  # fmt: skip
     cli.add_bus_arguments(parser)
 
 
@@ -28,16 +36,24 @@ def run(args: argparse.Namespace) -> int:
     if twice := next((address.text for at, address in enumerate(addresses) if address in addresses[:at]), None):
         print(f"error: URL: {twice} is given twice; wanted different endpoints", file=sys.stderr)
         return cli.BAD_INPUT
-    with Bus("bridge", args.connect, args.namespace, log_level=args.log_level) as bus:
+    if args.sign and all(address.kind == "serial" for address in addresses):
+        print("error: --sign: serial lines are not signed; wanted it with a UDP or TCP endpoint", file=sys.stderr)
+        return cli.BAD_INPUT
+    with ExitStack() as stack:
+        bus = stack.enter_context(Bus("bridge", args.connect, args.namespace, log_level=args.log_level))
+        flag = "--sign"
         try:
-            bridge = Bridge(addresses, bus, f"bus {args.namespace}")
+            who = f"bridge-{args.namespace.replace('/', '-')}"
+            signing = stack.enter_context(closing(Signing(args.sign, who, bus.log))) if args.sign else None
+            flag = "URL"
+            bridge = Bridge(addresses, bus, f"bus {args.namespace}", signing)
         except ValueError as error:
-            print(f"error: URL: {error}", file=sys.stderr)
+            print(f"error: {flag}: {error}", file=sys.stderr)
             return cli.BAD_INPUT
         bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
         for address in addresses:
             bus.log.info(f"{address.text}: {address.other_side}")
-            if address.open_to_all:
+            if address.open_to_all and not args.sign:
                 bus.log.warning(f"{address.text} listens on all interfaces: whoever reaches port {address.port} can command the vehicle")
         for number in (signal.SIGINT, signal.SIGTERM):  # no KeyboardInterrupt, which could strike within a frame
             signal.signal(number, lambda *_: bridge.end())

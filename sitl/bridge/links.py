@@ -9,11 +9,14 @@ from collections.abc import Callable
 from typing import Protocol
 
 from link.bus.log import Log
+from link.signing.signature import unsigned
+from link.signing.signer import Signer
 from sitl.bridge.address import Address
 from sitl.bridge.routing import DUPLICATE, UNHEARD
 from sitl.bridge.stream import FrameStream, Letter
 
 GARBAGE, OVERFLOW, AWAY = "bytes of garbage", "that came too fast", "while it was not connected"
+UNSIGNABLE = "of MAVLink 1, which cannot be signed"
 """Why something is dropped, beside routing's reasons."""
 USUAL = frozenset({DUPLICATE, UNHEARD, AWAY})
 """Reasons that do not make a bridge unwell."""
@@ -43,6 +46,8 @@ class Traffic:
         self.received = 0
         self.sent = 0
         self.dropped: Counter[str] = Counter()
+        self.signer: Signer | None = None
+        """Signs what is sent, and says what may be received; None if nothing is signed."""
 
     def drop(self, reason: str, count: int = 1) -> None:
         """Count what is dropped."""
@@ -57,27 +62,46 @@ class Traffic:
         else:
             self.log.tally.refuse(kind, count)
 
+    def tell_refused(self) -> None:
+        """Log and count the frames that had no valid signature since the last call."""
+        if self.signer:
+            self.dropped += self.signer.tell(self.log)
+
     def text(self) -> str:
         """The counts in one line."""
+        self.tell_refused()
         dropped = ", ".join(f"{count} {reason}" for reason, count in self.dropped.items())
         return f"{self.url}: {self.received} frames in, {self.sent} out; dropped: {dropped or 'nothing'}"
 
 
 class Channel:
-    """One sender and receiver of frames: a UDP peer, a TCP connection, a serial line."""
+    """One sender and receiver of frames: a UDP peer, a TCP connection, a serial line.
 
-    def __init__(self, traffic: Traffic, send: Callable[[bytes], None]) -> None:
-        """Take the counts of its URL, and the function that sends a frame."""
+    With a signer, signatures are the link's own: frames come without them out of `take`, and get them in `send`.
+    """
+
+    def __init__(self, traffic: Traffic, send: Callable[[bytes], None], who: str) -> None:
+        """Take the counts of its URL, the function that sends a frame, and who the other side is, for people."""
         self.traffic = traffic
-        self.send = send
         self.stream = FrameStream()
+        self._send = send
+        self._who = who
+
+    def send(self, frame: bytes) -> None:
+        """Send a frame, signed if the link signs."""
+        if self.traffic.signer and not (frame := self.traffic.signer.sign(frame)):
+            self.traffic.drop(UNSIGNABLE)
+        else:
+            self._send(frame)
 
     def take(self, data: bytes, *, datagram: bool = False) -> list[Letter]:
-        """Return the frames that are now complete; count them, and what belongs to none."""
+        """Return the frames that are now complete, but none without a valid signature where the link signs; count them, and garbage."""
         before = self.stream.garbage
         letters = self.stream.take(data, datagram=datagram)
-        self.traffic.received += len(letters)
         self.traffic.drop(GARBAGE, self.stream.garbage - before)
+        if signer := self.traffic.signer:
+            letters = [letter._replace(data=unsigned(letter.data)) for letter in letters if signer.admits(letter.data, self._who)]
+        self.traffic.received += len(letters)
         return letters
 
 
@@ -128,9 +152,9 @@ class Endpoint:
 class Pipe:
     """A file descriptor of a stream, with a bounded queue of frames: if too many bytes wait, the oldest frames are dropped."""
 
-    def __init__(self, descriptor: int, hub: Hub, traffic: Traffic, most_bytes: int, lost: Callable[[str], None]) -> None:
-        """Take a descriptor that does not block; `lost` is called with the reason when the other side has gone."""
-        self.link = Channel(traffic, self.send)
+    def __init__(self, descriptor: int, hub: Hub, traffic: Traffic, who: str, most_bytes: int, lost: Callable[[str], None]) -> None:
+        """Take a descriptor that does not block, and who is on the other side; `lost` is called with the reason when that has gone."""
+        self.link = Channel(traffic, self.send, who)
         self._descriptor = descriptor
         self._hub = hub
         self._most_bytes = most_bytes
@@ -246,7 +270,7 @@ class Reopened(Endpoint):
 
     def _begin(self, descriptor: int, most_bytes: int, now_s: float) -> None:
         """Begin the link over an open descriptor, in which at most so many bytes wait."""
-        self._pipe = Pipe(descriptor, self._hub, self.traffic, most_bytes, self._fail)
+        self._pipe = Pipe(descriptor, self._hub, self.traffic, self.address.host, most_bytes, self._fail)
         self._retry.succeeded(now_s)
         self._trouble = self._told = ""
         self._hub.log.info(f"{self.address.text}: {self._there}")

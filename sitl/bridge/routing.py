@@ -18,10 +18,12 @@ HOME_S = 3.0
 """A vehicle that is silent for this long on its link may turn up on another: three heartbeats."""
 MOST_HEARD = 1024
 """Most senders remembered for each link, the latest heard. It is bounded because ids are easily forged."""
+SETUP_SIGNING = 256
 AUTOPILOT = 1
 """The component id of autopilots."""
 
 DUPLICATE, ELSEWHERE, UNHEARD = "duplicate", "of a vehicle of another link", "for a target that nobody has heard"
+KEYS = "with a key (SETUP_SIGNING)"
 """Why a frame is dropped."""
 
 Sender = tuple[int, int]
@@ -73,6 +75,8 @@ class Routes:
 
     def route(self, letter: Letter, link: int, now_s: float, *, out: bool = False) -> Route:
         """Return where a frame goes that came on `link`; `out` if the bus had it on mavlink/out."""
+        if letter.message_id == SETUP_SIGNING:  # a key that came over a safe link must not leave by another one
+            return Route(dropped=KEYS)
         sender = (letter.system, letter.component)
         home, heard_s = self._homes.get(sender, (link, now_s))
         away = home != link and now_s - heard_s < HOME_S

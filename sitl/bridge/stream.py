@@ -74,6 +74,7 @@ class Letter(NamedTuple):
     """0: all components."""
     autopilot: bool = False
     """Whether it is the HEARTBEAT of a vehicle's autopilot."""
+    message_id: int = HEARTBEAT
 
 
 class FrameStream:
@@ -148,4 +149,4 @@ def _letter(data: bytes, frame: Frame) -> Letter:
         and payload[AUTOPILOT_AT] != mavlink.MAV_AUTOPILOT_INVALID
         and payload[TYPE_AT] not in NO_VEHICLES
     )
-    return Letter(data[frame.start : frame.end], frame.system, frame.component, target, part if target else 0, autopilot)
+    return Letter(data[frame.start : frame.end], frame.system, frame.component, target, part if target else 0, autopilot, frame.message_id)

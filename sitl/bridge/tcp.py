@@ -113,7 +113,7 @@ class TcpIn(Endpoint):
             self._hub.log.info(f"{who} has gone: {reason}")
 
         self._hub.log.info(f"{who} has called")
-        self._clients[connection] = Pipe(connection.fileno(), self._hub, self.traffic, MOST_BYTES, lost)
+        self._clients[connection] = Pipe(connection.fileno(), self._hub, self.traffic, f"{host}:{port}", MOST_BYTES, lost)
 
     def state(self) -> str:
         """How many clients it has."""

@@ -5,6 +5,7 @@ import selectors
 import socket
 import time
 
+from link.signing.signer import FREE
 from sitl.bridge.address import Address
 from sitl.bridge.links import AWAY, LARGEST_READ, MOST_PEERS, MOST_READS, OVERFLOW, SIGNS_OF_LIFE_S, Channel, Endpoint, Hub, peers
 
@@ -78,7 +79,7 @@ class UdpOut(_Udp):
     def open(self) -> None:
         """Connect; the link is there from now on."""
         super().open()
-        self._link = Channel(self.traffic, lambda frame: self._send(frame, None))
+        self._link = Channel(self.traffic, lambda frame: self._send(frame, None), f"{self.address.host}:{self.address.port}")
         self._hub.join(self._link)
 
     def _arrived(self, datagram: bytes, peer: tuple[str, int]) -> None:
@@ -87,7 +88,7 @@ class UdpOut(_Udp):
 
 
 class _Caller:
-    """A sender of datagrams; it has a link once it has sent a frame."""
+    """A sender of datagrams; it has a link once it has sent a frame, other than a radio's RADIO_STATUS, which needs no signature."""
 
     def __init__(self, link: Channel) -> None:
         self.link = link
@@ -105,13 +106,15 @@ class UdpIn(_Udp):
         """The latest heard is the last."""
 
     def _arrived(self, datagram: bytes, peer: tuple[str, int]) -> None:
-        caller = self._callers.get(peer) or _Caller(Channel(self.traffic, lambda frame: self._send(frame, peer)))
+        caller = self._callers.get(peer)
+        if caller is None:
+            caller = _Caller(Channel(self.traffic, lambda frame: self._send(frame, peer), f"{peer[0]}:{peer[1]}"))
         letters = caller.link.take(datagram, datagram=True)
         if letters or not caller.joined:
             caller.heard_s = time.monotonic()
             self._callers.pop(peer, None)
             self._callers[peer] = caller
-        if letters and not caller.joined:
+        if not caller.joined and any(letter.message_id not in FREE for letter in letters):
             caller.joined = True
             self._hub.join(caller.link)
             self._hub.log.info(f"{self.address.text}: {peer[0]}:{peer[1]} has called")

@@ -127,6 +127,63 @@ simulation time. What is set lasts as long as the process. Integers are packed b
 
 A value outside the range is refused: the old value comes back, and a STATUSTEXT names what is allowed.
 
+## Signing
+
+Without signing, whoever reaches a UDP port of the vehicle commands it, up to motors off in the air. `--sign KEYFILE` of `fly`, `uav` and
+`bridge` turns on [MAVLink 2 signing](https://mavlink.io/en/guide/message_signing.html): what is sent is signed, and what comes without a
+valid signature is refused.
+
+```sh
+(umask 077; python -c 'import secrets; print(secrets.token_hex(32))' > fleet.key)
+plumeward uav --out udpin:127.0.0.1:14550 --sign fleet.key
+```
+
+The key file holds one line. 64 hexadecimal digits are the key itself. Any other line is a passphrase, and the key is its SHA-256, as in
+other programs:
+
+| program | with a passphrase | with 64 digits |
+| --- | --- | --- |
+| MAVProxy | `signing key PASSPHRASE` | |
+| QGroundControl, Mission Planner | their settings of MAVLink 2 signing | |
+| pymavlink | `connection.setup_signing(hashlib.sha256(b"PASSPHRASE").digest())` | `connection.setup_signing(bytes.fromhex("..."))` |
+| MAVSDK 4 | cannot sign | cannot sign |
+
+With `udpout:`, pymavlink begins with MAVLink 1, which cannot be signed; set `MAVLINK20=1` in its environment. One recorded frame is enough
+to try passphrases at home, so take a long one. Make the file readable for yourself alone (`chmod 600`); if every user of the machine may
+read it, a warning says so.
+
+| link | with `--sign` |
+| --- | --- |
+| `--out` of `fly` and `uav` | signed in both directions |
+| UDP and TCP endpoints of the bridge | signed in both directions; the bridge verifies and removes signatures, and signs anew |
+| serial lines of the bridge | not signed: they are taken for a safe cable |
+| the bus | not signed: its access is protected by TLS or not at all. Frames on it, and so records, hold no signatures |
+
+An endpoint that cannot sign, such as a simulated autopilot on the same machine, belongs in a bridge of its own, without `--sign`. Such a
+bridge passes signed frames as they are: a station and an autopilot that share a key sign end to end.
+
+| refused | is |
+| --- | --- |
+| `without a signature` | unsigned, or MAVLink 1, which cannot be signed |
+| `with a wrong signature` | signed with another key, or changed on its way |
+| `with an old timestamp` | a frame that came before, or of a sender whose clock is more than a minute behind |
+
+Each sender is named once for each reason, up to 16 a link. All are counted, in `health`, by `plumeward status` and in the bridge's last
+lines. Only RADIO_STATUS is let through without a signature, as the standard has it: radios have no key. Its sender does not become a peer
+of `udpin`. SETUP_SIGNING (256) is never obeyed, signed or not, and no bridge passes it on: keys travel in files.
+
+Timestamps only go forward, also across restarts, kills, and clocks that step back. The last ones are in a file beside the key:
+`fleet.key.uav-1` for the vehicle with system id 1, `fleet.key.bridge-uav-1` for the bridge of `uav/1`. One process at a time uses it.
+Without it, what was recorded in the last minute before a restart would be taken again.
+
+What signing does not do:
+
+- It hides nothing. Who sees a link reads it, and a TCP client hears the telemetry without a key.
+- All who have the key are equal: each can speak for each system id. Two stations need different ids, since timestamps count for each id.
+- A frame names no receiver and has no date of expiry. One that somebody holds back is taken when it comes, as long as no later one of the
+  same sender and link has come; of a sender that is new, within a minute. So is one that was sent to another process with the same key.
+- A sender whose clock is far ahead takes all others along: who then starts with the right time is refused. Take a new key in that case.
+
 ## Who it says it is
 
 AUTOPILOT_VERSION gives the PX4 version {version} whose protocol it speaks, since stations warn of old ones. `flight_custom_version` holds
@@ -137,7 +194,6 @@ Plumeward's own version, as PX4's vendors write it (patch, minor, major), and th
 - Setpoints of attitude, body rates, thrust and actuators.
 - LOG_REQUEST_END gets no answer: it ends a download, and there is none.
 - Commands that take time get one COMMAND_ACK, without progress.
-- MAVLink signing: signed frames are read, their signature is not checked.
 - COMPONENT_METADATA: unsupported, as by a PX4 without the files. Events, as PX4 has had since 1.13: only STATUSTEXT.
 
 ## Fly it from your own code

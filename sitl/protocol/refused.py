@@ -14,6 +14,7 @@ REASONS = {
     "GIMBAL_MANAGER_SET_ATTITUDE": "Gimbal refused: there is none",
     "GIMBAL_MANAGER_SET_PITCHYAW": "Gimbal refused: there is none",
     "GIMBAL_MANAGER_SET_MANUAL_CONTROL": "Gimbal refused: there is none",
+    "SETUP_SIGNING": "Signing setup refused: no keys over a link",
     "PLAY_TUNE": "Tune refused: there is no speaker",
 }
 """Message type and the reason why it is refused."""

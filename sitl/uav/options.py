@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import get_args
 
 from link import cli
+from link.signing.key import read_key
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 from sitl.script.options import add_mission_argument, add_seed_argument, add_world_arguments
@@ -43,6 +44,11 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
         "--out", type=_udp_url, action="append", default=[], metavar="URL",
         help="also speak MAVLink: udpout:HOST:PORT sends (14540 MAVSDK and MAVROS, 14550 ground stations), udpin:HOST:PORT waits; "
         "without :PORT it is 14540 + N of -I, udpin: 14580 + N; may be given several times",
+    )  # fmt: skip
+    parser.add_argument(
+        "--sign", type=cli.checked(read_key), metavar="KEYFILE",
+        help="sign MAVLink on all --out links, and refuse frames without a valid signature; the file holds 64 hexadecimal digits or a "
+        "passphrase",
     )  # fmt: skip
     parser.add_argument(
         "--silence", type=cli.number(0, math.inf, above=True), default=30.0, metavar="S",

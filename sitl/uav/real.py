@@ -1,13 +1,20 @@
-"""The flag for a real autopilot, and the vehicle behind it."""
+"""The flag for a real autopilot, the vehicle behind it, and how it is left."""
 
 import argparse
+import contextlib
+import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
+
+from pymavlink.dialects.v20 import common as mavlink
 
 from link import cli
 from link.bus.log import Log
 from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.state import VehicleFailed
 from sitl.bridge.address import ALLOWED, parse_address
 from sitl.script.script import Script, VehiclePart, Wind
+from sitl.uav.clock import Clock
 
 if TYPE_CHECKING:
     from sitl.remote.connection import Connection
@@ -20,6 +27,8 @@ SIMULATED_ONLY = {
 """Flags that only the simulated vehicle takes, and why."""
 TAKEN = ("takeoff_altitude_m", "silence_s", "after_stop")
 """Fields of a script's vehicle that a real one takes."""
+LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
+"""Longest real time in which a real vehicle is told to return home when this program ends. A launcher waits longer."""
 
 
 def add_vehicle_url(parser: argparse.ArgumentParser) -> None:
@@ -57,3 +66,20 @@ def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | N
     connection = Connection(parse_address(url), log)
     log.info(f"vehicle at {connection.address.text}; the other side: {connection.address.other_side}")
     return RemoteVehicle(config, Commander(connection, speedup, sysid)), connection
+
+
+def leave(vehicle: "RemoteVehicle", clock: Clock, tell: Callable[[int, str], None], log: Log) -> None:
+    """See to it that a vehicle in the air has someone in charge when this program ends. Ctrl-C does not shorten it."""
+    until_s = time.monotonic() + LEAVE_S
+    with cli.uninterrupted():
+        with contextlib.suppress(VehicleFailed):
+            said = vehicle.leave()
+            vehicle.catch_up(clock.now_s())
+            if said:
+                tell(mavlink.MAV_SEVERITY_WARNING, said)
+            while not vehicle.left and time.monotonic() < until_s:
+                vehicle.leave()
+                vehicle.catch_up(clock.now_s())
+                time.sleep(LEAVE_POLL_S)
+        if not vehicle.left:
+            log.error("The vehicle has not answered: its own failsafe is in charge")

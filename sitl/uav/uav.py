@@ -1,6 +1,5 @@
 """The UAV service: flies, measures, and speaks MAVLink on the bus and over UDP."""
 
-import contextlib
 import math
 import queue
 import time
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
-from link import cli
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, PAYLOAD_IN, PAYLOAD_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP
 from link.bus.log import Log
@@ -18,6 +16,7 @@ from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, un
 from link.bus.messages import Stop
 from link.bus.px4 import MissionCurrent
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
+from link.signing.signer import Signing
 from plume.world import World
 from sitl.autopilot.operator import OPERATOR, change_mode, command
 from sitl.autopilot.state import Arrived, Led, Mode, Reached, Snapshot, VehicleFailed
@@ -29,6 +28,7 @@ from sitl.script.script import Abort, AfterStop, Delay, Dropout, Duplicate, Lose
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
 from sitl.uav.ports import BusLink, FromUdp, Port
+from sitl.uav.real import leave
 from sitl.uav.search import PAUSED, SEARCHING, SETPOINTS, Search
 from sitl.uav.timeline import Timeline
 from sitl.uav.udp import UdpLink
@@ -40,8 +40,6 @@ TRY_AGAIN_S = 1.0
 """Simulation time after which a sensor without a value is read again."""
 SENSING = SEARCHERS | {"payload"}
 """A real vehicle takes off when these services have joined the bus."""
-LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
-"""Longest real time in which a real vehicle is told to return home when this program ends. A launcher waits longer."""
 
 
 class Uav:
@@ -58,11 +56,13 @@ class Uav:
         log: Log,
         events: Sequence[OnBoard] = (),
         after_stop: AfterStop = "return",
+        signing: Signing | None = None,
     ) -> None:
         """Open the links; raises ValueError for a UDP URL that cannot be used.
 
         vehicle: a real one needs a bus, where its gas sensor answers; outs: UDP URLs; log: the bus's own log if there is a bus;
-        events: the script events that happen on board; after_stop: what the vehicle does once the source is found.
+        events: the script events that happen on board; after_stop: what the vehicle does once the source is found;
+        signing: what signs its UDP links.
         """
         config = vehicle.config
         self._vehicle = vehicle
@@ -107,7 +107,8 @@ class Uav:
         for url in outs:
             index = len(self._ports)
             put = inbox.lane(url)
-            link = UdpLink(url, lambda message, index=index, put=put: put(FromUdp(index, message), 0), config.sysid, COMPONENT)  # type: ignore[misc]
+            signer = signing.link(url) if signing else None
+            link = UdpLink(url, lambda message, index=index, put=put: put(FromUdp(index, message), 0), config.sysid, COMPONENT, signer)  # type: ignore[misc]
             self._udp.append(link)
             self._ports.append(Port(link, self._telemetry()))
 
@@ -137,11 +138,12 @@ class Uav:
                 if self._bus:
                     self._bus.keep_health()
                 self._inbox.tell_dropped(self._log)
+                for link in self._udp:
+                    link.tell_refused(self._log)
                 self._handle(self._receive())
         finally:
             if self._remote:
-                with cli.uninterrupted():
-                    self._leave(self._remote)
+                leave(self._remote, self._clock, self._tell, self._log)
             for link in self._udp:
                 link.close()
 
@@ -149,21 +151,6 @@ class Uav:
         """Raise VehicleFailed once a real vehicle has given the search up and stands on the ground again."""
         if self._remote and self._remote.failure and not self._remote.state(self._remote.now_s).armed:
             raise VehicleFailed(self._remote.failure)
-
-    def _leave(self, vehicle: "RemoteVehicle") -> None:
-        """See to it that a real vehicle in the air has someone in charge when this program ends."""
-        until_s = time.monotonic() + LEAVE_S
-        with contextlib.suppress(VehicleFailed):
-            said = vehicle.leave()
-            vehicle.catch_up(self._clock.now_s())
-            if said:
-                self._tell(mavlink.MAV_SEVERITY_WARNING, said)
-            while not vehicle.left and time.monotonic() < until_s:
-                vehicle.leave()
-                vehicle.catch_up(self._clock.now_s())
-                time.sleep(LEAVE_POLL_S)
-        if not vehicle.left:
-            self._log.error("The vehicle has not answered: its own failsafe is in charge")
 
     # ---- time ----
 

@@ -12,8 +12,10 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.frames import LAYOUTS, Frame, checksums, frame_at, frame_length
+from link.bus.log import Log
 from link.bus.mavlink import Codec, Message
 from link.bus.px4 import PX4_ONLY
+from link.signing.signer import FREE, Signer
 
 logger = logging.getLogger(__name__)
 
@@ -73,9 +75,10 @@ MOST_FALSE_STARTS = 500
 """Bytes in a datagram that look like the start of a frame and are none. Of noise one byte in 128 does; only a flood comes this far."""
 
 
-def decode(datagram: bytes) -> Datagram:
+def decode(datagram: bytes, admits: Callable[[bytes], bool] = lambda _: True) -> Datagram:
     """Return the messages in a datagram (MAVLink 1 or 2), the number of bytes that belong to none, and the beginning of a last frame.
 
+    `admits` says of each whole frame whether it may be read; those that may not are passed over.
     Garbage cannot swallow a good frame that follows it, also not a frame's beginning whose end never comes. After `MOST_FALSE_STARTS`
     the rest of the datagram is garbage.
     """
@@ -87,7 +90,8 @@ def decode(datagram: bytes) -> Datagram:
         frame = frame_at(datagram, start)
         message = _message(parser, datagram, frame) if frame else None
         if frame and message:
-            messages.append(message)
+            if admits(datagram[frame.start : frame.end]):
+                messages.append(message)
             at = frame.end
             used, rest_at = used + frame.end - start, len(datagram)
         else:
@@ -124,17 +128,23 @@ class UdpLink:
     """Sends messages to its peers and passes received ones to a callback, in a thread of its own.
 
     A `udpout` has one peer, its address, whether or not anyone answers there; a message that cannot be sent is lost, as on a radio.
-    The peers of a `udpin` are all who sent it a frame in the last minute.
+    The peers of a `udpin` are all who sent it a frame in the last minute, other than a radio's RADIO_STATUS, which needs no signature.
     """
 
-    def __init__(self, url: str, on_message: Callable[[Message], None], system: int = 1, component: int = 1) -> None:
-        """Open the link; raises ValueError if the URL is not valid or its host or port cannot be used."""
+    def __init__(
+        self, url: str, on_message: Callable[[Message], None], system: int = 1, component: int = 1, signer: Signer | None = None
+    ) -> None:
+        """Open the link; raises ValueError if the URL is not valid or its host or port cannot be used.
+
+        With a signer, what is sent is signed, and frames without a valid signature are passed over.
+        """
         self.garbage = 0
         """Received bytes that belong to no message."""
         where = parse_url(url)
         self._rests: dict[tuple[str, int], bytes] = {}
         """Of each peer, the beginning of a frame that its last datagram ended with; of strangers, the latest `MOST_PEERS`."""
         self._codec = Codec(system, component)
+        self.signer = signer
         self._on_message = on_message
         self._heard: dict[tuple[str, int], float] | None = {} if where.listens else None
         """When each peer of a `udpin` was last heard, the latest last. Replaced as a whole because two threads use it."""
@@ -157,6 +167,8 @@ class UdpLink:
         peers = self._peers()
         for message in messages:
             frame = self._codec.pack(message)
+            if self.signer:
+                frame = self.signer.sign(frame)
             for peer in peers:
                 try:
                     if peer is None:
@@ -165,6 +177,11 @@ class UdpLink:
                         self._socket.sendto(frame, peer)
                 except OSError:  # no listener there (yet), a full buffer, or a closed link
                     continue
+
+    def tell_refused(self, log: Log) -> None:
+        """Log and count the frames that had no valid signature since the last call."""
+        if self.signer:
+            self.signer.tell(log)
 
     def _peers(self) -> list[tuple[str, int] | None]:
         if self._heard is None:
@@ -182,7 +199,9 @@ class UdpLink:
 
     def _joined(self, datagram: bytes, peer: tuple[str, int]) -> list[Message]:
         """Return the messages of a peer's datagram; a frame may have begun in its last one."""
-        messages, garbage, rest = decode(self._rests.pop(peer, b"") + datagram)
+        signer, sender = self.signer, f"{peer[0]}:{peer[1]}"
+        data = self._rests.pop(peer, b"") + datagram
+        messages, garbage, rest = decode(data, lambda frame: signer.admits(frame, sender)) if signer else decode(data)
         self.garbage += garbage
         if rest:
             strangers = [other for other in self._rests if other not in (self._heard or {})]
@@ -201,7 +220,7 @@ class UdpLink:
             except OSError:  # the peer refused an earlier datagram: no listener there yet
                 continue
             messages = self._joined(datagram, peer)
-            if messages and self._heard is not None:
+            if self._heard is not None and any(message.get_msgId() not in FREE for message in messages):
                 others = [(other, heard) for other, heard in self._heard.items() if other != peer]
                 self._heard = dict([*others, (peer, time.monotonic())][-MOST_PEERS:])
             for message in messages:

@@ -3,7 +3,7 @@
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
@@ -33,12 +33,12 @@ RALLY = ("0	0	3	5100	0	0	0	0	47.397842	8.545694	6.000000	1",)
 class MavProxy:
     """MAVProxy at a port, and what it has printed."""
 
-    def __init__(self, port: int, folder: Path, wait_until: Callable) -> None:
+    def __init__(self, port: int, folder: Path, wait_until: Callable, modules: str = MODULES) -> None:
         self.folder = folder
         self.said: list[str] = []
         self.wait_until = wait_until
         python = python_of("mavproxy")
-        words = (f"--master=udpin:127.0.0.1:{port}", "--no-state", f"--default-modules={MODULES}")
+        words = (f"--master=udpin:127.0.0.1:{port}", "--no-state", f"--default-modules={modules}")
         self.process = subprocess.Popen(
             [python, "-u", str(Path(python).with_name("mavproxy.py")), *words],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, bufsize=1, cwd=folder,
@@ -156,3 +156,21 @@ def test_mavproxy_shows_what_the_vehicle_lacks(mavproxy: Callable[..., MavProxy]
     station.type("log list", "No logs")
     station.type("reboot", "COMMAND_ACK: PREFLIGHT_REBOOT_SHUTDOWN: UNSUPPORTED")
     station.type("disarm", "COMMAND_ACK: COMPONENT_ARM_DISARM: ACCEPTED")
+
+
+def test_mavproxy_commands_a_vehicle_that_signs_with_its_passphrase_only(
+    vehicle: Callable[..., int], tmp_path: Path, wait_until: Callable
+) -> None:
+    python_of("mavproxy")
+    (tmp_path / "fleet.key").write_text("correct-horse\n")
+    port = vehicle("--sign", str(tmp_path / "fleet.key"))
+    with closing(MavProxy(port, tmp_path, wait_until, f"{MODULES},signing")) as station:
+        station.until("Detected vehicle 1:1")
+        station.type("arm throttle")
+        station.type("signing key wrong-horse", "Setup signing key")
+        station.type("arm throttle")
+        station.type("signing key correct-horse", "Setup signing key")
+        station.repeat("param fetch MIS_TAKEOFF_ALT", "MIS_TAKEOFF_ALT = 5.0")
+        assert not any("ARMED" in line for line in station.said)
+        station.type("arm throttle", "ARMED")
+        station.type("signing setup wrong-horse", "Signing setup refused: no keys over a link")

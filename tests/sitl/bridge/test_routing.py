@@ -8,6 +8,7 @@ from sitl.bridge.routing import (
     DUPLICATE_S,
     ELSEWHERE,
     HOME_S,
+    KEYS,
     MOST_HEARD,
     MOST_REMEMBERED,
     UNHEARD,
@@ -228,3 +229,11 @@ def test_two_bridges_between_the_same_two_points_carry_a_frame_once_each(delay_s
 def test_a_ring_of_three_bridges_does_not_storm() -> None:
     bridges = {"one": {BUS: "x", A: "y"}, "two": {BUS: "y", A: "z"}, "three": {BUS: "z", A: "x"}}
     assert storm(bridges, ("station", "x"), 0.01) <= 6
+
+
+def test_a_key_goes_nowhere_and_its_sender_is_not_learned_from_it() -> None:
+    net = bus_vehicle()
+    for link, to in ((A, (0, 0)), (A, (1, 1)), (BUS, (255, 190))):
+        setup = Letter(bytes([link]), 9, 9, *to, message_id=256)
+        assert net.routes.route(setup, link, 0.0) == Route(dropped=KEYS)
+    assert net.says(QGC, A, to=(9, 9)) == Route(dropped=UNHEARD)

@@ -1,0 +1,4 @@
+"""MAVLink 2 signing: the key, the signatures of frames, and timestamps that only go forward.
+
+Imports: link.bus.
+"""
