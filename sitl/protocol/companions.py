@@ -59,8 +59,8 @@ TRIED = (
     (
         "MAVProxy",
         "1.8.75",
-        "`arm`, `takeoff`, `guided`, `wp`, `fence`, `rally`, `param`, `log`, `ftp`, `long`. Its `mode` fails with every PX4 vehicle; "
-        "`long DO_SET_MODE 1 4 5` returns, with the numbers of the table of modes",
+        "`arm`, `takeoff`, `guided`, `wp`, `fence`, `rally`, `param`, `log`, `ftp`, `long`, `signing`. Its `mode` fails with every "
+        "PX4 vehicle; `long DO_SET_MODE 1 4 5` returns, with the numbers of the table of modes",
     ),
     (
         "QGroundControl",

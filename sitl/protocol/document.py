@@ -148,16 +148,16 @@ other programs:
 | pymavlink | `connection.setup_signing(hashlib.sha256(b"PASSPHRASE").digest())` | `connection.setup_signing(bytes.fromhex("..."))` |
 | MAVSDK 4 | cannot sign | cannot sign |
 
-With `udpout:`, pymavlink begins with MAVLink 1, which cannot be signed; set `MAVLINK20=1` in its environment. One recorded frame is enough
-to try passphrases at home, so take a long one. Make the file readable for yourself alone (`chmod 600`); if every user of the machine may
-read it, a warning says so.
+Where pymavlink speaks first (`udpout:`), it begins with MAVLink 1, which cannot be signed: set `MAVLINK20=1` in its environment. One
+recorded frame is enough to try passphrases at home, so take a long one. Make the file readable for yourself alone (`chmod 600`); if every
+user of the machine may read it, a warning says so.
 
 | link | with `--sign` |
 | --- | --- |
 | `--out` of `fly` and `uav` | signed in both directions |
 | UDP and TCP endpoints of the bridge | signed in both directions; the bridge verifies and removes signatures, and signs anew |
 | serial lines of the bridge | not signed: they are taken for a safe cable |
-| the bus | not signed: its access is protected by TLS or not at all. Frames on it, and so records, hold no signatures |
+| the bus | not signed: access to it is a matter of TLS. A bridge that signs puts no signatures on it, so records hold none |
 
 An endpoint that cannot sign, such as a simulated autopilot on the same machine, belongs in a bridge of its own, without `--sign`. Such a
 bridge passes signed frames as they are: a station and an autopilot that share a key sign end to end.

@@ -8,8 +8,11 @@ import sys
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from link.signing.timestamps import LAST, MOST_STREAMS, Timestamps, clock
 
@@ -205,4 +208,38 @@ def test_a_process_that_is_killed_at_any_time_leaves_nothing_that_can_be_repeate
         times = Timestamps(path)
         assert all(not times.accept((255, 190, link), timestamp) for link, timestamp in said)
         assert times.next(ME) > max((timestamp for _, timestamp in said), default=0)
+        times.close()
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.tuples(st.just("send"), st.integers(0, 2)),
+            st.tuples(st.just("hear"), st.integers(0, 2), st.integers(-8_000_000, 8_000_000)),
+            st.tuples(st.just("clock"), st.integers(-20_000_000, 20_000_000)),
+            st.tuples(st.just("restart")),
+        ),
+        max_size=40,
+    )
+)
+def test_whatever_happens_what_is_sent_grows_and_what_is_taken_grows_for_each_stream(steps: list[tuple]) -> None:
+    now, sent, taken = [NOON], 0, dict[int, int]()
+    with TemporaryDirectory() as folder:
+        times = Timestamps(Path(folder) / "key", lambda: now[0])
+        for what, *numbers in steps:
+            if what == "clock":
+                now[0] += numbers[0]
+            elif what == "restart":
+                times.close()
+                times = Timestamps(Path(folder) / "key", lambda: now[0])
+            elif what == "send":
+                before, sent = sent, times.next((1, 1, numbers[0]))
+                assert sent > max(before, *taken.values(), 0)
+            else:
+                link, at = numbers[0], now[0] + numbers[1]
+                if times.accept((255, 190, link), at):
+                    assert at > taken.get(link, 0)
+                    taken[link] = at
+                elif link in taken:
+                    assert at <= taken[link]
         times.close()
