@@ -59,8 +59,8 @@ The search plane has x east and y north: (x, y) = (NED y, NED x). Its wind vecto
    stop it does what `--after-stop` says.
 
 A real autopilot has no gas sensor. Its vehicle asks the payload on `payload/in`, and takes off once `health/payload` is there, too. It asks
-again while it has no answer, at the intervals of step 4. The payload repeats its answer to the same question. A new question replaces the one
-before, whose answer no longer counts. After NaN the vehicle asks anew, with a later `time_boot_ms` and the same `sample`.
+again while it has no answer, at the intervals of step 4. The payload repeats its answer to the same question. A new question replaces the
+one before, whose answer no longer counts. After NaN the vehicle asks anew, with a later `time_boot_ms` and the same `sample`.
 
 ## Late joiners
 
