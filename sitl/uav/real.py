@@ -1,6 +1,9 @@
-"""The flag for a real autopilot, and the vehicle behind it."""
+"""The flag for a real autopilot, the vehicle behind it, and how it is left."""
 
 import argparse
+import contextlib
+import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from link import cli
@@ -8,11 +11,16 @@ from link.bus.log import Log
 from sitl.autopilot.config import VehicleConfig
 from sitl.bridge.address import ALLOWED, parse_address
 from sitl.script.script import Script, VehiclePart, Wind
+from sitl.uav.clock import Clock
 
 if TYPE_CHECKING:
     from sitl.remote.connection import Connection
     from sitl.remote.vehicle import RemoteVehicle
 
+CRITICAL, WARNING = 2, 4
+"""Of MAV_SEVERITY."""
+LEAVE_S, LEAVE_POLL_S = 0.7, 0.02
+"""Real time in which a real vehicle is told to return home when this program ends: a launcher waits for a second."""
 SIMULATED_ONLY = {
     "home": "a real vehicle's home is where it stands",
     "strict": "a real autopilot has its own rules for OFFBOARD",
@@ -57,3 +65,21 @@ def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | N
     connection = Connection(parse_address(url), log)
     log.info(f"vehicle at {connection.address.text}; the other side: {connection.address.other_side}")
     return RemoteVehicle(config, Commander(connection, speedup, sysid)), connection
+
+
+def leave(vehicle: "RemoteVehicle", clock: Clock, tell: Callable[[int, str], None]) -> None:
+    """See to it that a real vehicle in the air has someone in charge when this program ends. It takes at most `LEAVE_S`."""
+    from sitl.autopilot.state import VehicleFailed
+
+    until_s = time.monotonic() + LEAVE_S
+    with cli.uninterrupted(), contextlib.suppress(VehicleFailed):
+        said = vehicle.leave()
+        vehicle.catch_up(clock.now_s())
+        if said:
+            tell(WARNING, said)
+        while not vehicle.left and time.monotonic() < until_s:
+            vehicle.leave()
+            vehicle.catch_up(clock.now_s())
+            time.sleep(LEAVE_POLL_S)
+        if not vehicle.left:
+            tell(CRITICAL, "The vehicle has not answered: its own failsafe is in charge")

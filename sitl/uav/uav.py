@@ -1,6 +1,5 @@
 """The UAV service: flies, measures, and speaks MAVLink on the bus and over UDP."""
 
-import contextlib
 import math
 import queue
 import time
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
-from link import cli
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, PAYLOAD_IN, PAYLOAD_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP
 from link.bus.log import Log
@@ -29,6 +27,7 @@ from sitl.script.script import Abort, AfterStop, Delay, Dropout, Duplicate, Lose
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
 from sitl.uav.ports import BusLink, FromUdp, Port
+from sitl.uav.real import leave
 from sitl.uav.search import PAUSED, SEARCHING, SETPOINTS, Search
 from sitl.uav.timeline import Timeline
 from sitl.uav.udp import UdpLink
@@ -40,8 +39,6 @@ TRY_AGAIN_S = 1.0
 """Simulation time after which a sensor without a value is read again."""
 SENSING = SEARCHERS | {"payload"}
 """A real vehicle takes off when these services have joined the bus."""
-LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
-"""Longest real time in which a real vehicle is told to return home when this program ends. A launcher waits longer."""
 
 
 class Uav:
@@ -140,8 +137,7 @@ class Uav:
                 self._handle(self._receive())
         finally:
             if self._remote:
-                with cli.uninterrupted():
-                    self._leave(self._remote)
+                leave(self._remote, self._clock, self._tell)
             for link in self._udp:
                 link.close()
 
@@ -149,21 +145,6 @@ class Uav:
         """Raise VehicleFailed once a real vehicle has given the search up and stands on the ground again."""
         if self._remote and self._remote.failure and not self._remote.state(self._remote.now_s).armed:
             raise VehicleFailed(self._remote.failure)
-
-    def _leave(self, vehicle: "RemoteVehicle") -> None:
-        """See to it that a real vehicle in the air has someone in charge when this program ends."""
-        until_s = time.monotonic() + LEAVE_S
-        with contextlib.suppress(VehicleFailed):
-            said = vehicle.leave()
-            vehicle.catch_up(self._clock.now_s())
-            if said:
-                self._tell(mavlink.MAV_SEVERITY_WARNING, said)
-            while not vehicle.left and time.monotonic() < until_s:
-                vehicle.leave()
-                vehicle.catch_up(self._clock.now_s())
-                time.sleep(LEAVE_POLL_S)
-        if not vehicle.left:
-            self._log.error("The vehicle has not answered: its own failsafe is in charge")
 
     # ---- time ----
 
