@@ -35,7 +35,7 @@ RUNS = ("python ", "make ", "plumeward ", "pip ", "docker ", "podman ", "source 
 """Code spans in sentences that begin with one of these are commands, too."""
 OURS = r"(plumeward|python -m (sitl|agent))"
 SHORTER = {
-    rf"{OURS} (fly|uav)\b.*": "--speedup 0",
+    rf"{OURS} (fly|uav)\b(?!.* --vehicle).*": "--speedup 0",
     rf"{OURS} view\b(?! -).*": "--port 0",
     rf"{OURS} evaluate\b.*": "--scenarios 2",
     rf"{OURS} train\b.*": "--steps 1 --scenarios 0",
@@ -77,6 +77,8 @@ INSTEAD = {
     "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447":
         "plumeward payload --payload serial:nothing:9600 --connect tcp/127.0.0.1:7447",
     "plumeward replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "plumeward replay flight.tlog --gas gas*1.0 --wind 2.5,270",
+    "plumeward fly --vehicle tcp:127.0.0.1:5760 --seed 11": "plumeward fly --vehicle tcp:127.0.0.1:1 --seed 11",
+    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 11",
     "tensorboard --logdir runs/train": "tensorboard --logdir runs/train --port 0",
 }  # fmt: skip
 """What is run in place of a command: one that takes less time, or needs nothing that only others have."""
@@ -89,6 +91,8 @@ STAYS = {
     "plumeward bridge udpin:127.0.0.1:14550 tcp:127.0.0.1:5760 --connect tcp/127.0.0.1:7447": "it is tried again",
     "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447": "ready: serial:",
     "plumeward payload --payload iio:gas --connect tcp/127.0.0.1:7447": "ready: iio:gas",
+    "plumeward fly --vehicle tcp:127.0.0.1:5760 --seed 11": "Waiting for the HEARTBEAT",
+    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11": "Waiting for the HEARTBEAT",
     "plumeward record bus.mcap --connect tcp/127.0.0.1:7447": "bus.mcap",
     "plumeward fly --seed 11 --view": "page stays open at",
     "plumeward fly --view": "page stays open at",

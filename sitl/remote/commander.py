@@ -23,10 +23,12 @@ CONFIRMED_S = 3.0
 """Longest time until telemetry shows what an acknowledged command has changed: a HEARTBEAT comes once a second."""
 REASONS_S = 0.3
 """Time in which the text with the reason follows a refusal."""
-SHORTEST_S = 0.25
+SHORTEST_S = 0.5
 """Shortest real time for any answer, however fast the vehicle's simulator runs."""
 SLOWEST_S = 2.0
 """Shortest real time after which a vehicle that says nothing counts as lost, however fast its simulator runs."""
+BEAT_S = 1.0
+"""Longest time between two HEARTBEATs, of the vehicle's and of real time."""
 STREAMS_S = 2.0
 """Time between two looks at which streams are missing."""
 NO_ANSWER = "no answer"
@@ -78,7 +80,7 @@ class Commander:
     def poll(self, now_s: float) -> None:
         """Take what has come, and send what is due. Raises VehicleFailed if this is no vehicle for a search."""
         self.now_s = now_s
-        if now_s - self._beat_s >= self.speedup:  # once a second of real time: some failsafes watch it
+        if now_s - self._beat_s >= min(BEAT_S, self.speedup):  # the autopilot's failsafes count by its time, people by real time
             self._beat_s = now_s
             kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
             self.radio.send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))

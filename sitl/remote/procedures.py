@@ -89,7 +89,7 @@ class Procedures:
             self._reading = self._read_failsafes()
         if self.commander.system:
             self._watch_mode()
-            self.armed_by_us = self.armed_by_us and self.known.armed
+            self.armed_by_us = self.known.armed and (self.armed_by_us or self.arming)
         steps = self._procedure
         if _ended(steps) and self._procedure is steps:  # it may have begun another
             self._stop()
@@ -159,8 +159,7 @@ class Procedures:
             result = yield from self._change(self.start)
             if result.accepted:
                 result = yield from self.commander.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, seen=lambda: self.known.armed)
-            if result.accepted:
-                self.armed_by_us = True
+            if result.accepted or self.known.armed:
                 return
             reason = f"Arming refused: {result.reason}"
             if self.now_s - began_s >= ARMING_S:

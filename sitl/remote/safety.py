@@ -40,7 +40,7 @@ def _arducopter(parameters: Mapping[str, float], system: int) -> Advice:
         return Advice(True, "FS_GCS_ENABLE is 0: if this program is killed in flight, the vehicle hovers until its battery is low")
     if int(station) != system:
         return Advice(
-            True, f"FS_GCS watches system {station:.0f}, a ground station: if only this program is killed, the vehicle hovers in GUIDED"
+            True, f"FS_GCS watches system {station:.0f}, not this program, {system}: if only that is killed in flight, the vehicle hovers"
         )
     after_s = parameters.get("FS_GCS_TIMEOUT", 5.0)
     return Advice(False, f"If this program is killed, FS_GCS acts after {after_s:g} s (FS_GCS_ENABLE {enabled:.0f})")

@@ -6,12 +6,9 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from pymavlink.dialects.v20 import common as mavlink
-
 from link import cli
 from link.bus.log import Log
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import VehicleFailed
 from sitl.bridge.address import ALLOWED, parse_address
 from sitl.script.script import Script, VehiclePart, Wind
 from sitl.uav.clock import Clock
@@ -20,6 +17,10 @@ if TYPE_CHECKING:
     from sitl.remote.connection import Connection
     from sitl.remote.vehicle import RemoteVehicle
 
+CRITICAL, WARNING = 2, 4
+"""Of MAV_SEVERITY."""
+LEAVE_S, LEAVE_POLL_S = 0.7, 0.02
+"""Real time in which a real vehicle is told to return home when this program ends: a launcher waits for a second."""
 SIMULATED_ONLY = {
     "home": "a real vehicle's home is where it stands",
     "strict": "a real autopilot has its own rules for OFFBOARD",
@@ -27,8 +28,6 @@ SIMULATED_ONLY = {
 """Flags that only the simulated vehicle takes, and why."""
 TAKEN = ("takeoff_altitude_m", "silence_s", "after_stop")
 """Fields of a script's vehicle that a real one takes."""
-LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
-"""Longest real time in which a real vehicle is told to return home when this program ends. A launcher waits longer."""
 
 
 def add_vehicle_url(parser: argparse.ArgumentParser) -> None:
@@ -68,18 +67,19 @@ def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | N
     return RemoteVehicle(config, Commander(connection, speedup, sysid)), connection
 
 
-def leave(vehicle: "RemoteVehicle", clock: Clock, tell: Callable[[int, str], None], log: Log) -> None:
-    """See to it that a vehicle in the air has someone in charge when this program ends. Ctrl-C does not shorten it."""
+def leave(vehicle: "RemoteVehicle", clock: Clock, tell: Callable[[int, str], None]) -> None:
+    """See to it that a real vehicle in the air has someone in charge when this program ends. It takes at most `LEAVE_S`."""
+    from sitl.autopilot.state import VehicleFailed
+
     until_s = time.monotonic() + LEAVE_S
-    with cli.uninterrupted():
-        with contextlib.suppress(VehicleFailed):
-            said = vehicle.leave()
+    with cli.uninterrupted(), contextlib.suppress(VehicleFailed):
+        said = vehicle.leave()
+        vehicle.catch_up(clock.now_s())
+        if said:
+            tell(WARNING, said)
+        while not vehicle.left and time.monotonic() < until_s:
+            vehicle.leave()
             vehicle.catch_up(clock.now_s())
-            if said:
-                tell(mavlink.MAV_SEVERITY_WARNING, said)
-            while not vehicle.left and time.monotonic() < until_s:
-                vehicle.leave()
-                vehicle.catch_up(clock.now_s())
-                time.sleep(LEAVE_POLL_S)
+            time.sleep(LEAVE_POLL_S)
         if not vehicle.left:
-            log.error("The vehicle has not answered: its own failsafe is in charge")
+            tell(CRITICAL, "The vehicle has not answered: its own failsafe is in charge")

@@ -143,7 +143,7 @@ class Uav:
                 self._handle(self._receive())
         finally:
             if self._remote:
-                leave(self._remote, self._clock, self._tell, self._log)
+                leave(self._remote, self._clock, self._tell)
             for link in self._udp:
                 link.close()
 

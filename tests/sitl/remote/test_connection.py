@@ -9,7 +9,7 @@ import pytest
 from link.bus.log import Log
 from link.bus.tally import Tally
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Arrived, Mode
+from sitl.autopilot.state import Arrived, Mode, Said
 from sitl.bridge.address import parse_address
 from sitl.remote.commander import Commander, VehicleFailed
 from sitl.remote.connection import Connection
@@ -17,7 +17,9 @@ from sitl.remote.vehicle import RemoteVehicle
 from tests.autopilots.settings import Settings
 from tests.autopilots.wire import Double
 
-SPEEDUP = 10.0
+SPEEDUP = 5.0
+STRETCHED = (("COM_OF_LOSS_T", 1.0 * SPEEDUP),)
+"""PX4's own simulation stretches this time, too."""
 KINDS = ("ardupilot", "px4")
 
 
@@ -28,6 +30,7 @@ class Flown:
         self.connection = Connection(parse_address(double.url), Log("uav", "test", Tally(), "error"))
         self.vehicle = RemoteVehicle(VehicleConfig(), Commander(self.connection, SPEEDUP, sysid))
         self.arrived: list[tuple[float, float, float]] = []
+        self.said: list[str] = []
         self._began = time.monotonic()
 
     @property
@@ -37,20 +40,24 @@ class Flown:
     def look(self) -> None:
         """One look, when something has come."""
         self.connection.selector.select(0.01)
-        self.arrived += [event.position for event in self.vehicle.advance(self.now_s) if isinstance(event, Arrived)]
+        for event in self.vehicle.advance(self.now_s):
+            if isinstance(event, Arrived):
+                self.arrived.append(event.position)
+            elif isinstance(event, Said):
+                self.said.append(event.text)
 
     def until(self, holds: Callable[[], object], timeout_s: float = 40.0) -> None:
         """Look until something holds."""
         deadline = time.monotonic() + timeout_s
         while not holds():
-            assert time.monotonic() < deadline
+            assert time.monotonic() < deadline, f"not true within {timeout_s:g} s; said: {self.said}"
             self.look()
 
 
 @pytest.mark.parametrize("listen", ["tcp:127.0.0.1:0", "udpin:127.0.0.1:0"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_vehicle_flies_over_tcp_and_udp(kind: str, listen: str) -> None:
-    with Double(kind, listen, Settings(ready_s=5.0), SPEEDUP) as double:
+    with Double(kind, listen, Settings(ready_s=5.0, parameters=STRETCHED if kind == "px4" else ()), SPEEDUP) as double:
         flown = Flown(double)
         vehicle = flown.vehicle
         flown.until(lambda: vehicle.arm(flown.now_s).accepted)
@@ -82,6 +89,18 @@ def test_a_connection_that_is_lost_comes_back() -> None:
         heard_s = flown.vehicle.flight.known.heard_s
         flown.until(lambda: flown.vehicle.flight.known.heard_s > heard_s + 10.0)
         assert client is double.wire.autopilot
+        flown.connection.close()
+
+
+def test_heartbeats_come_once_a_second_of_the_vehicles_time() -> None:
+    """Its failsafes count by that: once a second of real time would be every 5 s, and the timeout of FS_GCS is 5 s."""
+    settings = Settings(ready_s=5.0, parameters=(("FS_GCS_ENABLE", 1.0), ("SYSID_MYGCS", 1.0)))
+    with Double("ardupilot", settings=settings, speedup=SPEEDUP) as double:
+        flown = Flown(double)
+        flown.until(lambda: double.wire.autopilot.station_seen_s)
+        began_s = double.wire.autopilot.now_s
+        flown.until(lambda: double.wire.autopilot.now_s > began_s + 12.0)
+        assert not double.wire.autopilot.station_lost
         flown.connection.close()
 
 

@@ -270,6 +270,16 @@ def test_px4_that_no_longer_hears_us_returns_by_itself() -> None:
     assert "by its failsafe" in cockpit.vehicle.failure
 
 
+def test_arducopter_whose_failsafe_watches_the_companion_returns_when_it_is_killed_and_not_before() -> None:
+    """FS_GCS_TIMEOUT is 5 s."""
+    cockpit = searching("ardupilot", readings=4, parameters={"FS_GCS_ENABLE": 1, "SYSID_MYGCS": 1})
+    assert not cockpit.heard("GCS Failsafe")
+    assert cockpit.heard("If this program is killed, FS_GCS acts after 5 s")
+    for _ in range(100):  # 8 s in which the program does nothing
+        cockpit.radio.advance()
+    assert cockpit.ap.mode == "RTL"
+
+
 @both
 def test_an_autopilot_that_starts_again_before_the_flight_is_asked_for_telemetry_again(kind: str) -> None:
     cockpit = searching(kind, "reboot@5")
