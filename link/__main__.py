@@ -148,6 +148,9 @@ The **attachment** of a belief is the particle array: N rows of little-endian fl
 the weight. If only x and y are unknown, that is (x m, y m, weight) and 12 N bytes. The weights sum to one. Payload and attachment are one
 sample: they always belong to the same step.
 
+Frames that a bridge brings to `mavlink/out` and `mavlink/in` have the attachment `bridge`. Other bridges see by it that their sender is not
+itself on the bus.
+
 Unknowns of the measurement: `wind-direction` is what has to be added to the measured direction, degrees counter-clockwise; `wind-speed`
 is a factor, true by measured speed; `gain` is a factor, reading by concentration; `noise` is a factor on the noise of `sensor`; `cv` is the
 gas's intermittency, the coefficient of variation of the concentration around the plume's mean.

@@ -10,7 +10,7 @@ from link.bus.keys import MAVLINK_OUT
 from link.bus.session import Bus
 from link.signing.signer import Signing
 from sitl.bridge.address import Address
-from sitl.bridge.bus_link import BusChannel
+from sitl.bridge.bus_link import BRIDGED, BusChannel
 from sitl.bridge.links import Channel, Endpoint
 from sitl.bridge.routing import BUS, ELSEWHERE, Routes
 from sitl.bridge.serial_line import SerialLine
@@ -74,7 +74,7 @@ class Bridge:
         for letter in letters:
             if (number := self._numbers.get(link)) is None:  # it was lost by sending on the frame before
                 return
-            self._send(letter, number, now_s, out=False)
+            self._send(letter, number, now_s)
 
     # ---- the loop ----
 
@@ -109,11 +109,11 @@ class Bridge:
         for arrival, letters in self._bus_link.take():
             now_s = time.monotonic()
             for letter in letters:
-                self._send(letter, BUS, now_s, out=arrival.key is MAVLINK_OUT)
+                self._send(letter, BUS, now_s, out=arrival.key is MAVLINK_OUT, brought=arrival.attachment == BRIDGED)
             self._bus.tally.latency_s = time.monotonic() - arrival.at
 
-    def _send(self, letter: Letter, came_on: int, now_s: float, *, out: bool) -> None:
-        route = self._routes.route(letter, came_on, now_s, out=out)
+    def _send(self, letter: Letter, came_on: int, now_s: float, *, out: bool = False, brought: bool = False) -> None:
+        route = self._routes.route(letter, came_on, now_s, out=out, brought=brought)
         if route.dropped:
             traffic = self._bus_link.traffic if came_on == BUS else self._links[came_on].traffic
             traffic.drop(route.dropped)

@@ -13,6 +13,8 @@ from sitl.bridge.stream import FrameStream, Letter
 MOST_WAITING = 4096
 """Most messages that wait in either direction."""
 CLOSE_S = 1.0
+BRIDGED = b"bridge"
+"""The attachment of what a bridge publishes: it tells other bridges that the sender itself is not on the bus."""
 
 
 class BusChannel:
@@ -81,7 +83,7 @@ class BusChannel:
     def _publish(self) -> None:
         while (item := self._leaving.get()) is not None:
             frame, vehicle = item
-            self._bus.publish(MAVLINK_OUT if vehicle else MAVLINK_IN, frame)
+            self._bus.publish(MAVLINK_OUT if vehicle else MAVLINK_IN, frame, BRIDGED)
 
     def close(self) -> None:
         """End the thread; frames that wait are sent if the router takes them."""

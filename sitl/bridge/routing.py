@@ -10,6 +10,8 @@ from sitl.bridge.stream import Letter
 
 BUS = 0
 """The link to the bus; the endpoints' links count from 1."""
+BROUGHT = -1
+"""Where frames come from that another bridge has put on the bus."""
 DUPLICATE_S = 0.5
 """A frame that came on another link less than this ago came around a loop."""
 MOST_REMEMBERED = 8192
@@ -46,7 +48,9 @@ class Routes:
     A system is a vehicle on the link on which its autopilot's HEARTBEAT has come, or if the bus has
     frames of an autopilot on mavlink/out. Each sender of a
     vehicle has one link, on which it was heard first. Frames with its ids from other links are dropped: they came around a loop that is
-    slower than DUPLICATE_S, or two vehicles have the same id. Once it is silent for HOME_S, it may move. Ground stations may share an id.
+    slower than DUPLICATE_S, or two vehicles have the same id. Once it is silent for HOME_S, it may move. A vehicle that is itself on the
+    bus is at home there, wherever it was heard first: two bridges would otherwise hand its frames around for ever, each taking the
+    other's side for its home. Ground stations may share an id.
     """
 
     def __init__(self) -> None:
@@ -73,20 +77,23 @@ class Routes:
         self._vehicles = {(at, system) for at, system in self._vehicles if at != link}
         self._homes = {sender: home for sender, home in self._homes.items() if home[0] != link}
 
-    def route(self, letter: Letter, link: int, now_s: float, *, out: bool = False) -> Route:
-        """Return where a frame goes that came on `link`; `out` if the bus had it on mavlink/out."""
+    def route(self, letter: Letter, link: int, now_s: float, *, out: bool = False, brought: bool = False) -> Route:
+        """Return where a frame goes that came on `link`; `out`: the bus had it on mavlink/out; `brought`: by another bridge."""
         if letter.message_id == SETUP_SIGNING:  # a key that came over a safe link must not leave by another one
             return Route(dropped=KEYS)
         sender = (letter.system, letter.component)
-        home, heard_s = self._homes.get(sender, (link, now_s))
-        away = home != link and now_s - heard_s < HOME_S
-        if self._came_elsewhere(letter.data, link, now_s, remember=not away):
+        came_from = BROUGHT if brought else link
+        if out and came_from == BUS:
+            self._homes[sender] = (BUS, now_s)
+        home, heard_s = self._homes.get(sender, (came_from, now_s))
+        away = home != came_from and now_s - heard_s < HOME_S
+        if self._came_elsewhere(letter.data, came_from, now_s, remember=not away):
             return Route(dropped=DUPLICATE)
         if away:
             return Route(dropped=ELSEWHERE)
         vehicle = self._is_vehicle(letter, link, out=out)
         if vehicle:
-            self._homes[sender] = (link, now_s)
+            self._homes[sender] = (came_from, now_s)
         self._hear(sender, link)
         if not letter.target_system:
             return Route(tuple(other for other in self._heard if other != link), out or vehicle)

@@ -32,10 +32,10 @@ class Net:
         self.now_s = 0.0
         self.number = 0
 
-    def says(self, sender, link, to=(0, 0), *, autopilot=False, out=False, data=b"") -> Route:
+    def says(self, sender, link, to=(0, 0), *, autopilot=False, out=False, brought=False, data=b"") -> Route:
         self.number += 1
         letter = Letter(data or self.number.to_bytes(4, "little"), *sender, *to, autopilot)
-        return self.routes.route(letter, link, self.now_s, out=out)
+        return self.routes.route(letter, link, self.now_s, out=out, brought=brought)
 
 
 def bus_vehicle() -> Net:
@@ -181,6 +181,31 @@ def test_a_vehicle_whose_link_is_lost_may_return_on_another_at_once() -> None:
     net.routes.join(C)
     assert net.says(DRONE, C, autopilot=True) == Route((BUS, B), vehicle=True)
     assert net.says(QGC, B, DRONE) == Route((C,))
+
+
+def test_two_bridges_around_a_loop_end_a_frame_whichever_way_they_heard_the_vehicle_first() -> None:
+    """Both are on one bus and joined by a wire. The vehicle is on the bus, but the second bridge hears it on the wire first."""
+    one, two = Net(A), Net(A)
+    two.says(DRONE, A, autopilot=True)
+    copies = 0
+    for beat in range(20):
+        data = f"beat {beat}".encode()
+        going = [("one", BUS, False), ("two", BUS, False)] if beat else [("one", BUS, False)]
+        while going:
+            name, link, brought = going.pop(0)
+            net, other = (one, "two") if name == "one" else (two, "one")
+            route = net.says(DRONE, link, autopilot=True, out=link == BUS, brought=brought, data=data)
+            going += [(other, A, False) if to == A else (other, BUS, True) for to in route.links]
+            copies += BUS in route.links
+            net.now_s += 0.3  # a busy machine: a frame is forgotten before it has been around twice
+            assert copies <= 1, "the second bridge brings the vehicle back to the bus before it has heard it there"
+
+
+def test_what_another_bridge_brings_is_heard_on_the_bus_and_belongs_there() -> None:
+    net = Net(A, B)
+    assert net.says(DRONE, BUS, autopilot=True, out=True, brought=True) == Route((A, B), vehicle=True)
+    assert net.says(QGC, A, DRONE) == Route((BUS,))
+    assert net.says(DRONE, B, autopilot=True) == Route(dropped=ELSEWHERE)
 
 
 def test_ground_stations_may_share_an_id() -> None:
