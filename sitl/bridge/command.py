@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     if twice := next((address.text for at, address in enumerate(addresses) if address in addresses[:at]), None):
         print(f"error: URL: {twice} is given twice; wanted different endpoints", file=sys.stderr)
         return cli.BAD_INPUT
-    with Bus("bridge", args.connect, args.namespace, log_level=args.log_level) as bus:
+    with Bus("bridge", args.connect, args.namespace, log_level=args.log_level, secure=args.secure) as bus:
         try:
             bridge = Bridge(addresses, bus, f"bus {args.namespace}")
         except ValueError as error:

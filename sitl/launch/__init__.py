@@ -1,1 +1,3 @@
-"""Missions as processes: started, watched, disturbed and ended. Imports: plume, link, link.bus, sitl.autopilot, sitl.script."""
+"""Missions as processes: started, watched, disturbed and ended.
+
+Imports: plume, link, link.access, link.bus, sitl.autopilot, sitl.script."""
