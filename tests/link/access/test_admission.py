@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 import re
+import socket
 import subprocess
 import sys
 import threading
@@ -109,16 +110,17 @@ def test_the_table_of_this_test_has_every_key() -> None:
 
 
 @pytest.mark.parametrize("key", TABLED)
-def test_only_the_roles_of_the_table_publish_a_key(clients: Clients, key: str) -> None:
+def test_only_the_roles_of_the_table_publish_a_key(clients: Clients, key: str, wait_until: Callable[..., None]) -> None:
     writers = RIGHTS[key][0]
     for name in clients.sessions:
         clients.publish(name, f"uav/1/{key}", name)
-    clients.settle("observer")
-    assert {text for _, text in clients.heard} == {name_of(role) for role in writers}
+    allowed = {name_of(role) for role in writers} - {"observer"}
+    wait_until(lambda: {text for _, text in clients.heard} >= allowed, 10)
+    assert {text for _, text in clients.heard} == allowed
 
 
 @pytest.mark.parametrize("key", TABLED)
-def test_only_the_roles_of_the_table_receive_a_key(clients: Clients, key: str) -> None:
+def test_only_the_roles_of_the_table_receive_a_key(clients: Clients, key: str, wait_until: Callable[..., None]) -> None:
     writers, readers = RIGHTS[key]
     for name, key_expr in itertools.product(clients.sessions, (f"uav/1/{key}", f"*/*/{key}", "**")):
         clients.subscribe(name, key_expr)
@@ -126,6 +128,7 @@ def test_only_the_roles_of_the_table_receive_a_key(clients: Clients, key: str) -
     for name in clients.sessions:
         clients.settle(name)
     allowed = {name_of(role) for role in (readers | {"operator", "observer"}) - {min(writers)}}
+    wait_until(lambda: {who for who, _ in clients.heard} >= allowed, 10)
     assert {who for who, _ in clients.heard} == allowed
 
 
@@ -155,6 +158,44 @@ def test_nobody_deletes_and_nobody_answers_for_another(clients: Clients, kind: s
     clients.settle("observer")
     assert clients.heard == []
     assert set(asked) <= {"uav/1/agent"}  # its own, in its own process
+
+
+@pytest.mark.parametrize("mode", ["peer", "router"])
+def test_a_certificate_has_no_more_rights_as_a_peer_or_a_router(
+    secure: str, folder: Path, clients: Clients, mode: str, wait_until: Callable[..., None]
+) -> None:
+    heard: list[str] = []
+    with session(secure, folder, "uav/1/agent", mode=mode, **{"listen/endpoints": []}) as agent:
+        agent.declare_subscriber("uav/1/reading", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE)
+        agent.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE)
+        agent.declare_subscriber("uav/1/belief", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE)
+        for _ in agent.get("uav/1/nobody", timeout=5):
+            pass
+        agent.put("uav/1/agdc/stop", "stop")
+        agent.put("uav/1/mavlink/in", "waypoint")
+        for _ in agent.get("uav/1/nobody", timeout=5):
+            pass
+        clients.publish("uav/1/vehicle", "uav/1/reading", "reading")
+        clients.publish("uav/1/estimator", "uav/1/belief", "belief")
+        for _ in agent.get("uav/1/nobody", timeout=5):
+            pass
+    wait_until(lambda: {text for _, text in clients.heard} >= {"reading", "belief"}, 10)
+    assert set(heard) <= {"uav/1/belief"}
+    assert {text for _, text in clients.heard} == {"waypoint", "reading", "belief"}
+
+
+def test_nobody_reads_the_router_s_own_settings(clients: Clients) -> None:
+    for one in clients.sessions.values():
+        assert [reply for reply in one.get("@/*/router/**", timeout=2) if reply.ok] == []
+
+
+def test_connections_that_stay_silent_keep_nobody_out(secure: str, folder: Path) -> None:
+    host, _, port = secure.removeprefix("tls/").rpartition(":")
+    with contextlib.ExitStack() as silent:
+        for _ in range(20):
+            silent.enter_context(socket.create_connection((host, int(port))))
+        with Bus("agent", secure, secure=folder) as agent:
+            assert agent.connected
 
 
 # ---- what our own sessions say ----
