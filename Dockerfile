@@ -22,7 +22,7 @@ RUN bin/python -m agent rollout \
 
 FROM ${BASE}
 RUN useradd --uid 10001 --user-group --no-log-init --home-dir /data plumeward \
-    && install --directory --owner=plumeward --group=plumeward /data /data/runs
+    && install --directory --owner=plumeward --group=plumeward /data /data/runs /data/certs
 COPY --from=build /opt /opt
 COPY entrypoint.sh /usr/local/bin/
 USER 10001:10001

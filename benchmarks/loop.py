@@ -1,17 +1,20 @@
 """Loop speed: ms per step of whole missions at --speedup 0, split into sitl, link, estimator and agent.
 
 The same run also measures the same missions in-process, and a bare Zenoh ring (three clients, one router, messages of the same size,
-no computation). The ring is the lower limit of the link's time.
+no computation). The ring is the lower limit of the link's time. With --secure the ring and each mission are also measured over mutual TLS.
 """
 
 import argparse
 import queue
 import statistics
 import sys
+import tempfile
 import time
 from collections import defaultdict
+from pathlib import Path
 
 from agent.trials.rollout import rollout
+from link.access.authority import make
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING
 from link.bus.mavlink import unpack_reading
@@ -25,15 +28,15 @@ from sitl.script.script import Script
 RING_ROUNDS = 2000
 
 
-def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
+def fly(seed: int, policy: str, particles: int, secure: Path | None = None) -> list[dict[str, float]]:
     """Fly one mission; returns the milliseconds of each step, by part."""
     processes = Processes(Inbox())
     script = Script().changed({"seed": seed, "agent.policy": policy, "estimator.particles": particles, "estimator.assume": "paper"})
     read_at: list[tuple[int, float]] = []
     compute: dict[str, dict[int, float]] = defaultdict(dict)
     try:
-        endpoint = start_parts(processes, Launch(script, uav_arguments=("--seed", str(seed), "--speedup", "0")), {})
-        with Bus("bench", endpoint) as bus:
+        endpoint = start_parts(processes, Launch(script, uav_arguments=("--seed", str(seed), "--speedup", "0"), secure=secure), {})
+        with Bus("bench", endpoint, announced=False, secure=secure) as bus:
             bus.subscribe(READING, BELIEF, HEALTH)
             last: int | None = None
             while last is None or not (last in compute["estimator"] and last - 1 in compute["agent"] and last in compute["uav"]):
@@ -70,13 +73,17 @@ def fly(seed: int, policy: str, particles: int) -> list[dict[str, float]]:
     return steps
 
 
-def ring(particles: int) -> list[float]:
+def ring(particles: int, secure: Path | None = None) -> list[float]:
     """Milliseconds of each round of the bare ring: messages of a reading's, belief's and waypoint's size through a router process."""
     processes = Processes(Inbox())
     try:
-        endpoint = processes.start("router", "sitl", "router", "--listen", "tcp/127.0.0.1:0").readline().strip()
+        endpoint = processes.start_router("tcp/127.0.0.1:0", secure)
         done: queue.SimpleQueue[None] = queue.SimpleQueue()
-        with Bus("uav", endpoint) as uav, Bus("estimator", endpoint) as estimator, Bus("agent", endpoint) as agent:
+        with (
+            Bus("uav", endpoint, secure=secure) as uav,
+            Bus("estimator", endpoint, secure=secure) as estimator,
+            Bus("agent", endpoint, secure=secure) as agent,
+        ):
             answer, array, waypoint = b"x" * 500, b"x" * 12 * particles, b"x" * 65
             estimator.on(READING, lambda _: estimator.publish(BELIEF, answer, array))
             agent.on(BELIEF, lambda _: agent.publish(MAVLINK_IN, waypoint))
@@ -93,6 +100,24 @@ def ring(particles: int) -> list[float]:
         processes.stop()
 
 
+def secured(args: argparse.Namespace, folder: Path) -> None:
+    """Fly each mission and turn the ring plain and over TLS, in turns, and print both with their ratio."""
+    ways: dict[str, Path | None] = {"plain": None, "--secure": folder}
+    rings: dict[str, list[float]] = {way: [] for way in ways}
+    totals: dict[str, list[float]] = {way: [] for way in ways}
+    for seed in range(args.first_seed, args.first_seed + args.missions):
+        for way, certificates in ways.items():
+            totals[way] += [step["total"] for step in fly(seed, "homing", args.particles, certificates)]
+            rings[way] += ring(args.particles, certificates)
+        print(f"homing seed {seed} flown", file=sys.stderr)
+    print("| ms | p50 | p99 |\n|---|---|---|")
+    for name, times in (("a step", totals), ("bare Zenoh ring", rings)):
+        for way in ways:
+            print(row(f"{name}, {way}, n = {len(times[way])}", times[way]))
+        ratio = statistics.median(times["--secure"]) / statistics.median(times["plain"])
+        print(f"| {name}, --secure by plain | {ratio:.2f} | |")
+
+
 def row(name: str, times: list[float]) -> str:
     """One line of the table."""
     return f"| {name} | {statistics.median(times):.3f} | {statistics.quantiles(times, n=100)[98]:.3f} |"
@@ -104,7 +129,13 @@ def main() -> None:
     parser.add_argument("--missions", type=int, default=10)
     parser.add_argument("--first-seed", type=int, default=1_000_000)
     parser.add_argument("--particles", type=int, default=1000)
+    parser.add_argument("--secure", action="store_true", help="measure over mutual TLS, too, in turns")
     args = parser.parse_args()
+    if args.secure:
+        with tempfile.TemporaryDirectory() as folder:
+            make(Path(folder), [1])
+            secured(args, Path(folder))
+        return
     for policy in ("infotaxis", "random"):
         seeds = range(args.first_seed, args.first_seed + args.missions)
         steps = []

@@ -1,1 +1,1 @@
-"""What commands share: flags, tables on a terminal, files written whole; and the page that documents the bus. Imports: link.bus."""
+"""What commands share: flags, tables, files written whole, certificates; and the page of the bus. Imports: link.access, link.bus."""

@@ -1,9 +1,12 @@
-"""`python -m link`: prints docs/bus.md, the bus contract, from the table of keys and the message types."""
+"""`python -m link`: prints docs/bus.md, the bus contract, from the table of keys and the message types. `certs` makes certificates."""
 
+import sys
 from typing import Any
 
 import msgspec
 
+from link import certs, cli
+from link.access.roles import EVERYBODY, MOST_VEHICLES, OF_ALL_VEHICLES, SERVICES
 from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES
 from link.bus.keys import KEYS, Key
 from link.bus.session import DEFAULT_ROUTER
@@ -119,7 +122,28 @@ def _key_tables() -> str:
         how = key.delivery
         waits, priority = "publisher waits" if how.blocking else "dropped", "real time" if how.realtime else "data"
         lines.append(f"| `{key.name}` | {_yes(how.reliable)} | {waits} | {priority} | {_yes(how.express)} | {how.kept or ''} |")
-    lines += [""] + [f"- `{key.name}`: {key.meaning}" for key in KEYS]
+    lines += ["", *(f"- `{key.name}`: {key.meaning}" for key in KEYS)]
+    return "\n".join(lines)
+
+
+ACCESS = f"""
+## Access
+
+With `--secure DIR` the router speaks mutual TLS on `tls/` endpoints, and admits each client by the common name of its certificate:
+`uav/<id>/<role>`, with an id from 1 to {MOST_VEHICLES}, or one of {" and ".join(f"`{role}`" for role in OF_ALL_VEHICLES)}, who are of all
+vehicles. Everything that this table does not allow is dropped. See [security](security.md).
+"""
+
+
+def _access_tables() -> str:
+    lines = ["| role | services |", "|---|---|"]
+    lines += [f"| {role} | {', '.join(SERVICES[role])} |" for role in EVERYBODY]
+    lines += ["", "| key | may publish | may receive |", "|---|---|---|"]
+    for key in KEYS:
+        if "<service>" in key.name:
+            lines.append(f"| `{key.name}` | each role its own services | all |")
+        else:
+            lines.append(f"| `{key.name}` | {', '.join(key.writers)} | {', '.join((*key.readers, *OF_ALL_VEHICLES))} |")
     return "\n".join(lines)
 
 
@@ -160,8 +184,34 @@ gas's intermittency, the coefficient of variation of the concentration around th
 def bus_document() -> str:
     """Return the whole page."""
     messages = [_message(key.payload) for key in KEYS if not isinstance(key.payload, str)]
-    return HEAD + "\n" + _key_tables() + "\n" + RULES + "\n" + "\n\n".join(messages) + "\n" + ATTACHMENT
+    return (
+        HEAD
+        + "\n"
+        + _key_tables()
+        + "\n"
+        + ACCESS
+        + "\n"
+        + _access_tables()
+        + "\n"
+        + RULES
+        + "\n"
+        + "\n\n".join(messages)
+        + "\n"
+        + ATTACHMENT
+    )
+
+
+def main(prog: str = "python -m link", arguments: list[str] | None = None) -> int:
+    """Parse the command line; without a command, print the page."""
+    parser = cli.Parser(prog=prog, description="Without a command: print the bus contract.")
+    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="COMMAND")
+    certs.add_arguments(commands.add_parser("certs", help="make certificates for --secure"))
+    args = parser.parse_args(sys.argv[1:] if arguments is None else arguments)
+    if args.command == "certs":
+        return certs.run(args)
+    print(bus_document(), end="")
+    return 0
 
 
 if __name__ == "__main__":
-    print(bus_document(), end="")
+    cli.run(main)

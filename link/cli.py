@@ -15,6 +15,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
+from link.access.identity import AccessError
 from link.bus.log import LEVELS
 from link.bus.session import DEFAULT_ROUTER, BusError
 
@@ -160,7 +161,15 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
         "-e", "--connect", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="the Zenoh router to join (default: %(default)s)"
     )
     parser.add_argument("--namespace", metavar="NAME", default="uav/1", help="the vehicle's key prefix (default: %(default)s)")
+    add_secure_argument(parser)
     add_log_argument(parser)
+
+
+def add_secure_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the flag that secures the bus."""
+    parser.add_argument(
+        "--secure", type=Path, metavar="DIR", help="mutual TLS, with the certificates that `plumeward certs DIR` made; tcp/ then means tls/"
+    )
 
 
 def add_log_argument(parser: argparse.ArgumentParser, default: str = "info") -> None:
@@ -321,7 +330,7 @@ def run(command: Callable[[], int | None]) -> NoReturn:
             sys.stdout.flush()
     except KeyboardInterrupt:
         status = INTERRUPTED
-    except BusError as error:
+    except (AccessError, BusError) as error:
         print(f"error: {error}", file=sys.stderr)
         status = BAD_INPUT
     except OSError as error:

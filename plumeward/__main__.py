@@ -45,6 +45,9 @@ GROUPS = {
         "estimator": Command("estimator", "the estimator: readings in, beliefs and the stop out"),
         "agent": Command("agent", "the agent: beliefs in, waypoints out"),
     },
+    "Keep strangers out": {
+        "certs": Command("link", "make the certificates that --secure takes"),
+    },
 }
 """The commands as the help shows them."""
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}

@@ -146,6 +146,7 @@ def _parse(
         "--patience", type=cli.number(WARN_S, math.inf), default=PATIENCE_S, metavar="S",
         help="fail the mission when a part is silent for S real seconds; inf waits for ever (default: %(default)g)",
     )  # fmt: skip
+    cli.add_secure_argument(fly)
     cli.add_log_argument(fly, "warning")
     cli.add_output_arguments(fly)
 
@@ -157,6 +158,7 @@ def _parse(
 
     router = commands.add_parser("router", help="a Zenoh router alone")
     router.add_argument("-l", "--listen", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="where to listen (default: %(default)s)")
+    cli.add_secure_argument(router)
 
     for command, (_, help_text) in OTHERS.items():
         other = commands.add_parser(command, help=help_text)
@@ -218,7 +220,7 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     plume = _words(given, "seed", "sensor", "world") if args.payload == SIMULATED else []
     launch = Launch(
         script, args.instance, args.listen, _handed_on(args, given), None, args.connect, args.log_level, args.patience, args.sysid,
-        args.vehicle, args.payload, plume,
+        args.vehicle, args.payload, plume, args.secure,
     )  # fmt: skip
     page = viewing.page_of(args)
     try:
@@ -314,11 +316,11 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
         bus = None
         if args.connect or args.vehicle or not args.out:  # with --out alone it is a plain MAVLink vehicle, without a bus
             endpoint = args.connect or DEFAULT_ROUTER
-            bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox, args.log_level))
+            bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox, args.log_level, secure=args.secure))
             log = bus.log
             needed = "payload, estimator and agent" if args.vehicle else "estimator and agent"
             log.info(f"on the bus at {endpoint} as {namespace}; takes off when {needed} are there")
-            joining = f"--connect {endpoint} --namespace {namespace}"
+            joining = f"--connect {endpoint} --namespace {namespace}" + (f" --secure {args.secure}" if args.secure else "")
             chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
             chosen += "" if script.estimator.assume == "field" else f" --assume {script.estimator.assume}"
             who = "" if config.sysid == 1 else f" --sysid {config.sysid}"
@@ -356,6 +358,8 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
             return cli.BAD_INPUT
         for out in outs:
             log.info(f"MAVLink to {out.text}; {out.counterpart}")
+            if out.open and not args.sign:
+                log.warning(f"{out.text} is open to other machines: whoever reaches port {out.port} can command the vehicle")
         try:
             uav.run()
         except VehicleFailed as failure:
@@ -390,7 +394,7 @@ def main(
         return int(_module(args.command).run(args))
     from sitl.launch.router import run
 
-    run(args.listen)
+    run(args.listen, args.secure)
     return 0
 
 

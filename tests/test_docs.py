@@ -62,6 +62,7 @@ INSTEAD = {
         "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
     "python -m benchmarks.trust --world wind-30 --policy homing":
         "python -m benchmarks.trust --world wind-30 --policy homing --assume paper --missions 1",
+    "python benchmarks/loop.py --secure": "python benchmarks/loop.py --secure --missions 1",
     "python -m benchmarks.record": "python -m benchmarks.record --comparisons 1 --stretch 10",
     "plumeward report":
         "mkdir few && plumeward evaluate --scenarios 2 --missions few/rows.csv && plumeward report --results few --out few",
@@ -84,6 +85,9 @@ INSTEAD = {
 """What is run in place of a command: one that takes less time, or needs nothing that only others have."""
 STAYS = {
     "plumeward router --listen tcp/127.0.0.1:7447": "tcp/127.0.0.1:",
+    "plumeward router --listen tls/127.0.0.1:7447 --secure certs": "tls/127.0.0.1:",
+    "plumeward estimator --connect tls/127.0.0.1:7447 --secure certs": "ready: ",
+    "plumeward agent --connect tls/127.0.0.1:7447 --secure certs": "ready: ",
     "plumeward uav --seed 7 --connect tcp/127.0.0.1:7447": "its agent: ",
     "plumeward uav --out udpout:127.0.0.1:14540": "MAVLink to ",
     "plumeward uav --out udpin:127.0.0.1:14550": "MAVLink to ",

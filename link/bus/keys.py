@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from link.access.roles import AGENT, BRIDGE, ESTIMATOR, EVERYBODY, OPERATOR, PAYLOAD, VEHICLE, Rights
 from link.bus.messages import Belief, Health, Stop
 
 FRAMES = "MAVLink 2 frames"
@@ -33,6 +34,15 @@ class Key:
     delivery: Delivery
     rate: str
     meaning: str
+    writers: tuple[str, ...] = ()
+    """The roles that may publish it, with --secure."""
+    readers: tuple[str, ...] = ()
+    """The roles that may receive it, with --secure; operators and observers always may."""
+
+    @property
+    def rights(self) -> Rights:
+        """Its row of the router's rules."""
+        return Rights(self.name, self.writers, self.readers)
 
 
 MAVLINK_OUT = Key(
@@ -40,18 +50,21 @@ MAVLINK_OUT = Key(
     Delivery(reliable=False),
     "PX4's onboard rates",
     "All MAVLink output of the vehicle. Newest wins: frames are dropped rather than queued for a slow reader.",
+    writers=(VEHICLE, BRIDGE), readers=(BRIDGE,),
 )  # fmt: skip
 MAVLINK_IN = Key(
     "mavlink/in", FRAMES, "agent, GCS bridge", "vehicle",
     Delivery(blocking=True, express=True),
     "1 per belief; commands as they come",
     "Waypoints (SET_POSITION_TARGET_LOCAL_NED) and commands to the vehicle. A bridge passes MAVLink 1 frames as they are.",
+    writers=(AGENT, BRIDGE, OPERATOR), readers=(VEHICLE, BRIDGE),
 )  # fmt: skip
 READING = Key(
     "reading", FRAMES, "vehicle", "estimator",
     Delivery(blocking=True, express=True, kept=100_000),
     "1 per waypoint; repeated while unanswered",
     "One sample: LOCAL_POSITION_NED, WIND_COV, NAMED_VALUE_FLOAT `gas`, with one time_boot_ms. All readings are kept for late joiners.",
+    writers=(VEHICLE,), readers=(ESTIMATOR,),
 )  # fmt: skip
 PAYLOAD_IN = Key(
     "payload/in", FRAMES, "vehicle", "payload",
@@ -59,30 +72,35 @@ PAYLOAD_IN = Key(
     "1 per waypoint; repeated while unanswered",
     "Of a real autopilot only: measure here, now. LOCAL_POSITION_NED, WIND_COV if the autopilot reports a wind, and NAMED_VALUE_INT "
     "`sample`, the number of the reading, with one time_boot_ms.",
+    writers=(VEHICLE,), readers=(PAYLOAD,),
 )  # fmt: skip
 PAYLOAD_OUT = Key(
     "payload/out", FRAMES, "payload", "vehicle",
     Delivery(blocking=True, express=True),
     "1 per question",
     "The answer, with the question's time_boot_ms: NAMED_VALUE_FLOAT `gas`, NaN for no value, and WIND_COV if the payload knows the wind.",
+    writers=(PAYLOAD,), readers=(VEHICLE,),
 )  # fmt: skip
 BELIEF = Key(
     "belief", Belief, "estimator", "agent, viewers",
     Delivery(express=True, kept=1),
     "1 per reading",
     "The belief after a reading; the attachment is the particle array. A subscriber needs only the newest.",
+    writers=(ESTIMATOR,), readers=(AGENT, VEHICLE),
 )  # fmt: skip
 STOP = Key(
     "agdc/stop", Stop, "estimator", "all",
     Delivery(blocking=True, realtime=True, express=True, kept=1),
     "once per mission",
     "The search has ceased. Kept for late joiners.",
+    writers=(ESTIMATOR,), readers=(VEHICLE, AGENT, PAYLOAD, BRIDGE),
 )  # fmt: skip
 HEALTH = Key(
     "health/<service>", Health, "all", "all",
     Delivery(kept=1),
     "1 per step, at least 1 per second",
     "The status of a service. A liveliness token on the same key shows that its process is running.",
+    writers=EVERYBODY, readers=EVERYBODY,
 )  # fmt: skip
 
 KEYS = (MAVLINK_OUT, MAVLINK_IN, READING, PAYLOAD_IN, PAYLOAD_OUT, BELIEF, STOP, HEALTH)

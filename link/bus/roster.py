@@ -1,6 +1,7 @@
 """Which vehicles are on a router: the services of every namespace, by their liveliness tokens."""
 
 from collections import deque
+from pathlib import Path
 from typing import NamedTuple
 
 import zenoh
@@ -23,9 +24,9 @@ class Presence(NamedTuple):
 class Roster(Bus):
     """An observer of a whole router, without a namespace of its own."""
 
-    def __init__(self, service: str, connect: str, connect_timeout_s: float) -> None:
+    def __init__(self, service: str, connect: str, connect_timeout_s: float, secure: Path | None = None) -> None:
         """Join a router as a client; raises what `Bus` raises."""
-        super().__init__(service, connect, None, announced=False, connect__timeout_ms=round(1000 * connect_timeout_s))
+        super().__init__(service, connect, None, announced=False, secure=secure, connect__timeout_ms=round(1000 * connect_timeout_s))
         self._changes: deque[Presence] = deque(maxlen=MOST_CHANGES)
         name = HEALTH.name.replace("<service>", "*")
         self._subscribers["liveliness"] = self._session.liveliness().declare_subscriber(f"**/{name}", self._changed, history=True)

@@ -7,12 +7,15 @@ import re
 import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeVar
 
 import msgspec
 import zenoh
 import zenoh.ext
 
+from link.access.identity import secured, why_not
+from link.access.roles import OF_ALL_VEHICLES, ROUTER, access_control
 from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
@@ -111,12 +114,15 @@ def _config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zeno
     return config
 
 
-def open_router(endpoint: str) -> tuple[zenoh.Session, str]:
+def open_router(endpoint: str, secure: Path | None = None) -> tuple[zenoh.Session, str]:
     """Open a Zenoh router in this process. Returns it and its endpoint, which names the chosen port if port 0 was asked for.
 
-    Raises BusError if it cannot listen on `endpoint`.
+    secure: the folder of its certificate; it then admits per role and vehicle. Raises BusError if it cannot listen on `endpoint`,
+    AccessError if it cannot be secured.
     """
-    config = _config("router", {"listen": [endpoint]}, adminspace__enabled=True)
+    endpoint, known = secured("--listen", endpoint, secure, ROUTER, None)
+    rules = {"transport__link__tls": known.tls, "access_control": access_control(key.rights for key in KEYS)} if known else {}
+    config = _config("router", {"listen": [endpoint]}, adminspace__enabled=True, **rules)
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
@@ -140,6 +146,7 @@ class Bus:
         inbox: Inbox | None = None,
         log_level: str = "info",
         announced: bool = True,
+        secure: Path | None = None,
         **settings: Any,
     ) -> None:
         """Join a router as a client.
@@ -147,10 +154,14 @@ class Bus:
         namespace: the vehicle's key prefix; None: keys are those of the router, with every vehicle's prefix.
         inbox: receives all messages; pass your own if other sources fill it too. If too many messages wait, some are dropped and counted.
         announced: if False, the service has no liveliness token (observer).  settings: Zenoh's, beside these or instead of them.
+        secure: the folder of certificates; the connection is then mutual TLS, with the certificate of the service's role.
 
-        Raises NoRouter if no router answers within CONNECT_TIMEOUT_S, BusError if `connect` is not an endpoint.
+        Raises NoRouter if no router admits us within CONNECT_TIMEOUT_S, BusError if `connect` is not an endpoint, AccessError if we have no
+        certificate that is fit.
         """
+        connect, self._identity = secured("--connect", connect, secure, service, namespace)
         usual = {
+            **({"transport__link__tls": self._identity.tls} if self._identity else {}),
             **({} if namespace is None else {"namespace": namespace}),
             "timestamping__enabled": True,  # otherwise the router's clock stamps the messages
             "connect__timeout_ms": int(CONNECT_TIMEOUT_S * 1000),
@@ -161,7 +172,9 @@ class Bus:
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError:
-            raise NoRouter(f"--connect: no router at {connect} (start one with: plumeward router)") from None
+            reason = why_not(connect, self._identity)
+            nobody = f"no router at {connect} (start one with: plumeward router)"
+            raise NoRouter(f"--connect: {f'the router at {connect} cannot be joined: {reason}' if reason else nobody}") from None
         self.service = service
         self.tally = Tally()
         self.log = Log(service, namespace or "-", self.tally, log_level)
@@ -173,7 +186,14 @@ class Bus:
         self._ready: deque[Any] = deque()
         self._given_at = time.monotonic()
         self._health_at = math.inf
+        if announced:
+            self._look_for_rights(HEALTH, HEALTH.writers, "publish", service)
         self._token = self._session.liveliness().declare_token(self._own_health()) if announced else None
+
+    def _look_for_rights(self, key: Key, roles: tuple[str, ...], verb: str, service: str | None = None) -> None:
+        """Say which right our certificate lacks: the router drops what it does not allow without a word."""
+        if self._identity and (reason := self._identity.lack(roles, f"{verb} {key.name.replace('<service>', service or '*')}", service)):
+            self.log.warning(reason)
 
     def _own_health(self) -> str:
         return HEALTH.name.replace("<service>", self.service)
@@ -181,6 +201,7 @@ class Bus:
     def _publisher(self, key: Key) -> Any:
         if key.name not in self._publishers:
             name = self._own_health() if key is HEALTH else key.name
+            self._look_for_rights(key, key.writers, "publish", self.service if key is HEALTH else None)
             how = key.delivery
             options: dict[str, Any] = {
                 "reliability": zenoh.Reliability.RELIABLE if how.reliable else zenoh.Reliability.BEST_EFFORT,
@@ -240,6 +261,7 @@ class Bus:
         self._declare(key, received, zenoh.Locality.ANY if own else zenoh.Locality.REMOTE)
 
     def _declare(self, key: Key, handler: Any, origin: zenoh.Locality = zenoh.Locality.ANY) -> None:
+        self._look_for_rights(key, (*key.readers, *OF_ALL_VEHICLES), "receive")
         name = key.name.replace("<service>", "*")
         if key.delivery.kept:
             subscriber: Any = zenoh.ext.declare_advanced_subscriber(

@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         print("error: --sign: serial lines are not signed; wanted it with a UDP or TCP endpoint", file=sys.stderr)
         return cli.BAD_INPUT
     with ExitStack() as stack:
-        bus = stack.enter_context(Bus("bridge", args.connect, args.namespace, log_level=args.log_level))
+        bus = stack.enter_context(Bus("bridge", args.connect, args.namespace, log_level=args.log_level, secure=args.secure))
         flag = "--sign"
         try:
             who = f"bridge-{args.namespace.replace('/', '-')}"

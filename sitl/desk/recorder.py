@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     if reason := cli.existing("FILE.mcap", _files(args.file), args.force):
         print(f"error: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
-    with Tap("recorder", args.connect, args.namespace, args.log_level) as bus:
+    with Tap("recorder", args.connect, args.namespace, args.log_level, secure=args.secure) as bus:
         try:
             writer = _begin(args.file, args.force, {**args.about, **surroundings(args.namespace)})
         except OSError as error:

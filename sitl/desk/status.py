@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     with Live(console=Console(highlight=False), auto_refresh=False) if live else _Printer() as shown:
         while True:
             try:
-                with Bus("status", args.connect, args.namespace, log_level=args.log_level, announced=False) as bus:
+                with Bus("status", args.connect, args.namespace, log_level=args.log_level, announced=False, secure=args.secure) as bus:
                     well = _look(bus, args, shown)
             except NoRouter as error:
                 well = _show(args, shown, str(error), {name: {"status": MISSING} for name in args.parts or PARTS})

@@ -22,7 +22,7 @@ from sitl.autopilot.operator import OPERATOR, command
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.joining import await_services
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
-from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes, raise_for
+from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes, raise_for, secure_words
 from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
@@ -73,7 +73,7 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
         relays: dict[str, Relay] = {}
 
         def join(endpoint: str) -> Bus:
-            bus = stack.enter_context(Bus("mission", endpoint, mission.namespace, inbox, announced=False))
+            bus = stack.enter_context(Bus("mission", endpoint, mission.namespace, inbox, announced=False, secure=mission.secure))
             bus.subscribe(BELIEF, STOP, HEALTH)
             return bus
 
@@ -108,13 +108,15 @@ def start_parts(
     Raises MissionFailed if the router or the recorder cannot start.
     """
     script = mission.script
-    endpoint = mission.connect or processes.start_router(mission.listen)
+    endpoint = mission.connect or processes.start_router(mission.listen, mission.secure)
     level = "debug" if mission.log_level == "debug" else "info"  # the launcher filters what it shows
     relays |= {part: Relay(endpoint) for part in sorted({event.part for event in script.events if isinstance(event, Cut)})}
 
+    secured = secure_words(mission.secure)
+
     def joining(part: str) -> tuple[str, ...]:
         router = relays[part].endpoint if part in relays else endpoint
-        return "--connect", router, "--namespace", mission.namespace, "--log-level", level
+        return "--connect", router, "--namespace", mission.namespace, "--log-level", level, *secured
 
     services = {} if mission.connect else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
     about = {
@@ -130,7 +132,7 @@ def start_parts(
     if mission.record:
         recording = processes.start("recorder", "sitl", "record", str(mission.record), *joining("recorder"), "--about", about_json)
     if page:
-        page.start(processes, endpoint, about_json)
+        page.start(processes, ("--connect", endpoint, *secured), about_json)
     for service, words in services.items():
         processes.start(service, service, *joining(service), *words)
     if recording:
@@ -150,15 +152,9 @@ class _Watch:
     """Watches one mission until its end."""
 
     def __init__(
-        self,
-        mission: Launch,
-        bus: Bus,
-        progress: Progress,
-        watchdog: Watchdog,
-        disturbances: Disturbances,
-        endpoint: str,
+        self, mission: Launch, bus: Bus, progress: Progress, watchdog: Watchdog, disturbances: Disturbances, endpoint: str,
         files: RecordFiles | None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._mission = mission
         self._script = mission.script
         self._bus = bus

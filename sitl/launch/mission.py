@@ -39,6 +39,8 @@ class Launch(NamedTuple):
     """The gas sensor of a real autopilot, in the form of --payload."""
     payload_arguments: Sequence[str] = ()
     """The arguments that say which plume a simulated one reads."""
+    secure: Path | None = None
+    """The folder of certificates; None: nothing is secured."""
 
     @property
     def system(self) -> int:

@@ -78,6 +78,11 @@ def environment() -> dict[str, str]:
     return found
 
 
+def secure_words(secure: Path | None) -> tuple[str, ...]:
+    """Return the flag that tells a part where the certificates are."""
+    return () if secure is None else ("--secure", str(secure))
+
+
 class Child:
     """One part as a process. It leads a process group: its children end with it, and a terminal's Ctrl-C reaches only the launcher."""
 
@@ -190,10 +195,11 @@ class Processes:
             self._all.append(child)
         return child
 
-    def start_router(self, listen: str) -> str:
+    def start_router(self, listen: str, secure: Path | None = None) -> str:
         """Start a router; returns its endpoint, which a restart uses again. Raises MissionFailed if it cannot listen."""
-        endpoint = self.answer(self.start("router", "sitl", "router", "--listen", listen))
-        self._commands["router"] = ("sitl", "router", "--listen", endpoint)
+        words = ("sitl", "router", *secure_words(secure), "--listen")
+        endpoint = self.answer(self.start("router", *words, listen))
+        self._commands["router"] = (*words, endpoint)
         return endpoint
 
     def answer(self, child: Child) -> str:

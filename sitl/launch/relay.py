@@ -1,4 +1,4 @@
-"""A link that can be cut: forwards TCP between a part and the router."""
+"""A link that can be cut: forwards TCP, and TLS within it, between a part and the router."""
 
 import contextlib
 import selectors
@@ -15,15 +15,15 @@ class Relay:
     """
 
     def __init__(self, router: str) -> None:
-        """Listen on a free local port; raises ValueError if the router's endpoint is not TCP."""
+        """Listen on a free local port; raises ValueError if the router's endpoint is neither TCP nor TLS."""
         protocol, _, address = router.partition("/")
         host, _, port = address.rpartition(":")
-        if protocol != "tcp":
+        if protocol not in ("tcp", "tls"):
             raise ValueError(f"--listen: {router!r} is not allowed where links are cut; wanted tcp/HOST:PORT")
         self._router = (host.strip("[]"), int(port))
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.setblocking(False)
-        self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
+        self.endpoint = f"{protocol}/127.0.0.1:{self._listener.getsockname()[1]}"
         """Where the part connects to."""
         self._peers: dict[socket.socket, socket.socket] = {}
         self._selector = selectors.DefaultSelector()

@@ -1,14 +1,28 @@
 """A Zenoh router in this process: no other software is needed to fly."""
 
 import time
+from pathlib import Path
 
+from link.access.identity import is_open
+from link.access.refusals import Refusals
+from link.bus.log import Log
 from link.bus.session import SIGNAL_POLL_S, open_router
+from link.bus.tally import Tally
 
 
-def run(endpoint: str) -> None:
-    """Route until interrupted. Prints the endpoint on stdout; port 0 is replaced by the chosen port."""
-    session, listening = open_router(endpoint)
+def run(endpoint: str, secure: Path | None = None) -> None:
+    """Route until interrupted. Prints the endpoint on stdout; port 0 is replaced by the chosen port.
+
+    With `secure`, the folder of its certificate, it says on stderr who joins and what it refuses.
+    """
+    log = Log("router", "-", Tally())
+    refusals = Refusals() if secure else None
+    session, listening = open_router(endpoint, secure)
     with session:
         print(listening, flush=True)
+        if not secure and is_open(endpoint):
+            log.warning(f"{endpoint} is open to other machines: whoever reaches it can command the vehicle (--secure DIR admits by role)")
         while True:
             time.sleep(SIGNAL_POLL_S)  # all the work is in Zenoh's threads
+            for level, line in refusals.news(time.monotonic()) if refusals else ():
+                log.log(level, line)

@@ -5,7 +5,7 @@ import contextlib
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from sitl.launch.processes import STOP_TIMEOUT_S, Child, MissionFailed, Processes
 
@@ -37,11 +37,11 @@ class MissionPage:
         self._child: Child | None = None
         self._address = ""
 
-    def start(self, processes: Processes, router: str, about_json: str) -> None:
-        """Start it; `about_json` describes the mission."""
+    def start(self, processes: Processes, joining: Sequence[str], about_json: str) -> None:
+        """Start it; `joining` are the flags that name the router, `about_json` describes the mission."""
         if not self._wanted:
             return
-        words = ["--connect", router, "--port", "0", "--about", about_json, *["--open"] * self._opened]
+        words = [*joining, "--port", "0", "--about", about_json, *["--open"] * self._opened]
         self._child = processes.start(VIEW, "sitl", "view", *words)
 
     def await_start(self, say: Callable[[str], None]) -> None:

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
         return cli.BAD_INPUT
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
-        bus = stack.enter_context(Bus("payload", args.connect, args.namespace, inbox, args.log_level))
+        bus = stack.enter_context(Bus("payload", args.connect, args.namespace, inbox, args.log_level, secure=args.secure))
         bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
         bus.tally.about = args.payload
         measure: Measure

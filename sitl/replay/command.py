@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="act only as the vehicle, on this router (default: also start router, estimator and agent with their recorded flags)",
     )  # fmt: skip
     parser.add_argument("--namespace", metavar="NAME", help="the vehicle's key prefix (default: the recorded one)")
+    cli.add_secure_argument(parser)
     parser.add_argument(
         "--speedup",
         type=cli.number(0, 1000),
@@ -130,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         while True:
             began = time.monotonic()
-            result = replay(source, rules, args.speedup, args.connect)
+            result = replay(source, rules, args.speedup, args.connect, args.secure)
             tell(_text(result, source, rules, time.monotonic() - began), sys.stderr if args.json else sys.stdout)
             if result.difference or not args.loop:
                 break

@@ -4,6 +4,7 @@ import contextlib
 import math
 import time
 from collections import deque
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from link.bus.inbox import Inbox
@@ -11,7 +12,7 @@ from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING, RESEND_FIRST_S, R
 from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.record.record import Entry
-from sitl.launch.processes import Ended, LogLine, Processes, raise_for
+from sitl.launch.processes import Ended, LogLine, Processes, raise_for, secure_words
 from sitl.launch.progress import Progress, pace
 from sitl.replay import verify
 from sitl.replay.source import SERVICES, VEHICLE_KEYS, Source, reading_time
@@ -34,15 +35,15 @@ class Replayed(NamedTuple):
     difference: Difference | None
 
 
-def replay(source: Source, rules: Rules | None, speedup: float, connect: str | None) -> Replayed:
+def replay(source: Source, rules: Rules | None, speedup: float, connect: str | None, secure: Path | None = None) -> Replayed:
     """Replay once. Every process started for it has ended when this returns or raises. Raises MissionFailed."""
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
         readings = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
         started = ", ".join(["router", *source.parts]) if connect is None else "replay"
         progress = stack.enter_context(Progress(max(len(readings) - 1, 0), started))
-        endpoint = connect or _start(stack.enter_context(Processes(inbox)), source)
-        bus = stack.enter_context(Bus("uav", endpoint, source.namespace, inbox))
+        endpoint = connect or _start(stack.enter_context(Processes(inbox)), source, secure)
+        bus = stack.enter_context(Bus("uav", endpoint, source.namespace, inbox, secure=secure))
         bus.subscribe(BELIEF, STOP, MAVLINK_IN, HEALTH)
         bus.watch_services()
         progress.say(f"replay: {source.path} as {source.namespace}, {pace(speedup)}, router at {endpoint}")
@@ -52,11 +53,11 @@ def replay(source: Source, rules: Rules | None, speedup: float, connect: str | N
         return player.result()
 
 
-def _start(processes: Processes, source: Source) -> str:
+def _start(processes: Processes, source: Source, secure: Path | None) -> str:
     """Start a router and the services; returns the router's endpoint."""
-    endpoint = processes.start_router("tcp/127.0.0.1:0")
+    endpoint = processes.start_router("tcp/127.0.0.1:0", secure)
     for part, words in source.parts.items():
-        processes.start(part, part, "--connect", endpoint, "--namespace", source.namespace, *words)
+        processes.start(part, part, "--connect", endpoint, "--namespace", source.namespace, *secure_words(secure), *words)
     return endpoint
 
 

@@ -43,6 +43,11 @@ class Url(NamedTuple):
         return f"udp{'in' if self.listens else 'out'}:{self.host}:{self.port}"
 
     @property
+    def open(self) -> bool:
+        """Whether it listens to other machines."""
+        return self.listens and not (self.host.startswith("127.") or self.host == "localhost")
+
+    @property
     def counterpart(self) -> str:
         """The URL that a client needs to reach this link."""
         if self.listens:

@@ -45,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=DEFAULT_ROUTER,
         help="the Zenoh router of the vehicles to show (default: %(default)s)",
     )
+    cli.add_secure_argument(parser)
     parser.add_argument("--host", metavar="ADDRESS", default="127.0.0.1", help="where to serve the page (default: %(default)s)")
     parser.add_argument("--port", type=cli.whole(0, 65535), default=PORT, metavar="N", help="0: a free port (default: %(default)s)")
     parser.add_argument("--token", default="", metavar="WORD", help="allow commands only where the page's address ends in ?token=WORD")
@@ -134,7 +135,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
             described = None
             if args.about:
                 described = Described(args.about["namespace"], *backdrop_of(args.about), turns_of(args.about))
-            shown = LiveFleet(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True))
+            shown = LiveFleet(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True), args.secure)
     except RecordError as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT

@@ -1,11 +1,11 @@
 """Vehicles on a router, followed as they appear and go. One thread talks to the bus; scenes may be asked for from any other."""
 
-import contextlib
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from link.bus.frames import frame_at
@@ -38,7 +38,7 @@ class Described(NamedTuple):
 class LiveVehicle:
     """One vehicle on the bus and its history since it was first seen."""
 
-    def __init__(self, name: str, router: str, described: Described | None) -> None:
+    def __init__(self, name: str, router: str, described: Described | None, secure: Path | None = None) -> None:
         """Join its bus; raises NoRouter."""
         self.name = name
         self.here = True
@@ -54,7 +54,9 @@ class LiveVehicle:
         self._frozen_s: float | None = None
         self._lock = threading.Lock()
         self._alive: dict[str, bool] = {}
-        self._bus = Tap("view", router, name, "error", announced=False, connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S))
+        self._bus = Tap(
+            "view", router, name, "error", announced=False, secure=secure, connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S),
+        )  # fmt: skip
         self._bus.subscribe(*KEYS)
 
     def entry(self) -> dict[str, Any]:
@@ -117,11 +119,14 @@ class LiveVehicle:
 class LiveFleet:
     """All vehicles on a router."""
 
-    def __init__(self, router: str, described: Described | None, changed: Callable[[], None], say: Callable[[str], None]) -> None:
+    def __init__(
+        self, router: str, described: Described | None, changed: Callable[[], None], say: Callable[[str], None],
+        secure: Path | None = None,
+    ) -> None:  # fmt: skip
         """Begin to follow.
 
         changed: called in the bus's thread when there is something new to see; say: told, in a line, of what is wrong.
-        Raises BusError if `router` is not an endpoint.
+        secure: the folder of certificates. Raises BusError if `router` is not an endpoint.
         """
         self.vehicles: dict[str, LiveVehicle] = {}
         """In the order in which they appeared."""
@@ -130,14 +135,16 @@ class LiveFleet:
         self.notice = ""
         """What people should know of the bus: no router, too many vehicles."""
         self._router, self._described, self._changed, self._say = router, described, changed, say
+        self._secure = secure
         self._ended = threading.Event()
         self._pending: dict[tuple[str, str], float] = {}
         self._crowded = False
+        roster, trouble = None, ""
         try:
-            roster: Roster | None = Roster("view", router, CONNECT_TIMEOUT_S)
-        except NoRouter:
-            roster = None
-        self._thread = threading.Thread(target=self._run, args=(roster,), name="bus", daemon=True)
+            roster = Roster("view", router, CONNECT_TIMEOUT_S, secure)
+        except NoRouter as error:
+            trouble = str(error)
+        self._thread = threading.Thread(target=self._run, args=(roster, trouble), name="bus", daemon=True)
         self._thread.start()
 
     def entries(self) -> list[dict[str, Any]]:
@@ -149,11 +156,14 @@ class LiveFleet:
         self._ended.set()
         self._thread.join(CONNECT_TIMEOUT_S + 1.0)
 
-    def _run(self, roster: Roster | None) -> None:
+    def _run(self, roster: Roster | None, trouble: str) -> None:
         while roster is None and not self._ended.wait(EVERY_S):
-            self._tell(f"no router at {self._router}: waiting for one")
-            with contextlib.suppress(NoRouter):
-                roster = Roster("view", self._router, CONNECT_TIMEOUT_S)
+            refused = "cannot be joined" in trouble
+            self._tell(trouble.removeprefix("--connect: ") if refused else f"no router at {self._router}: waiting for one")
+            try:
+                roster = Roster("view", self._router, CONNECT_TIMEOUT_S, self._secure)
+            except NoRouter as error:
+                trouble = str(error)
         if roster is None:
             return
         with roster:
@@ -206,7 +216,7 @@ class LiveFleet:
                 self._crowded = True
                 return True
             try:
-                self.vehicles = {**self.vehicles, name: LiveVehicle(name, self._router, self._told_of(name))}
+                self.vehicles = {**self.vehicles, name: LiveVehicle(name, self._router, self._told_of(name), self._secure)}
             except NoRouter:
                 return False
             self._list_changed()

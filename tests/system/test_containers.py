@@ -93,7 +93,7 @@ class TestTheFiles:
 
     def test_the_port_that_a_ground_station_calls_is_the_vehicles(self) -> None:
         assert "udpin:0.0.0.0:14550" in SERVICES["uav"]["command"]
-        assert SERVICES["uav"]["ports"] == ["${MAVLINK_PORT:-14550}:14550/udp"]
+        assert SERVICES["uav"]["ports"] == ["127.0.0.1:${MAVLINK_PORT:-14550}:14550/udp"]
 
 
 def said(*command: str, **more: Any) -> str:

@@ -1,0 +1,181 @@
+"""The development CA: makes certificates for the router and all roles, each with a key of its own."""
+
+import datetime
+import ipaddress
+import os
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from link.access.roles import OF_A_VEHICLE, OF_ALL_VEHICLES, ROUTER, common_name
+
+CA = "ca"
+CA_DAYS = 3650
+EARLIER = datetime.timedelta(minutes=5)
+"""Certificates hold from a little before now: the clocks of two machines differ."""
+ROUTER_NAMES = ("localhost", "127.0.0.1", "::1", "router")
+HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?<!-)(\.(?!-)[A-Za-z0-9-]{1,63}(?<!-))*")
+
+
+class Made(NamedTuple):
+    """One certificate and whether it is new."""
+
+    name: str
+    until: datetime.datetime
+    new: bool
+
+
+class CertificateError(Exception):
+    """Certificates cannot be made; the text is one line."""
+
+
+class _Issuer(NamedTuple):
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+
+def host(text: str) -> str:
+    """Return a host name or an IP address as it is; raises ValueError if it is neither."""
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        if not HOST.fullmatch(text) or re.fullmatch(r"[\d.]+", text):
+            raise ValueError(f"{text!r} is not allowed; wanted a host name or an IP address") from None
+    return text
+
+
+def make(
+    folder: Path, vehicles: Iterable[int], hosts: Sequence[str] = ROUTER_NAMES, days: int = 365, *, force: bool = False,
+    now: datetime.datetime | None = None,
+) -> list[Made]:  # fmt: skip
+    """Make the CA and all certificates that are not there yet; with `force` all but the CA anew. Returns all of them.
+
+    hosts: names and addresses at which clients reach the router.  days: how long the certificates hold.
+    Raises CertificateError if files are damaged or half there, OSError if they cannot be read or written.
+    """
+    begins = (now or datetime.datetime.now(datetime.UTC)) - EARLIER
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    made = []
+    if new := not _there(folder / CA, force=False):
+        _make_ca(folder, begins)
+    ca = _read_ca(folder)
+    made.append(Made(CA, ca.certificate.not_valid_after_utc, new))
+    names = [ROUTER, *OF_ALL_VEHICLES, *(common_name(role, f"uav/{number}") for number in vehicles for role in OF_A_VEHICLE)]
+    until = min(begins + datetime.timedelta(days=days) + EARLIER, ca.certificate.not_valid_after_utc)
+    if until <= begins:
+        raise CertificateError(f"{folder / 'ca.pem'} has expired: make a new CA, in another folder")
+    for name in names:
+        path = folder / name
+        if not _there(path, force=force):
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            _issue(path, name, hosts, ca, begins, until)
+            made.append(Made(name, until, True))
+        else:
+            made.append(Made(name, _read(path).not_valid_after_utc, False))
+    return made
+
+
+def files(path: Path) -> tuple[Path, Path]:
+    """Return the files of a certificate and of its key; `path` is without ending."""
+    return path.with_name(f"{path.name}.pem"), path.with_name(f"{path.name}.key")
+
+
+def _there(path: Path, *, force: bool) -> bool:
+    """Return whether a certificate and its key are there and stay."""
+    there = [file for file in files(path) if os.path.lexists(file)]
+    if len(there) == 1 and not force:
+        missing = next(file for file in files(path) if file != there[0])
+        raise CertificateError(f"{there[0]} is there without {missing.name}: delete it, or give --force")
+    return bool(there) and not force
+
+
+def _read(path: Path) -> x509.Certificate:
+    pem = files(path)[0]
+    try:
+        return x509.load_pem_x509_certificate(pem.read_bytes())
+    except ValueError:
+        raise CertificateError(f"{pem} is not a certificate: delete it and its key, or give --force") from None
+
+
+def _read_ca(folder: Path) -> _Issuer:
+    certificate, file = _read(folder / CA), files(folder / CA)[1]
+    try:
+        key = serialization.load_pem_private_key(file.read_bytes(), None)
+    except (ValueError, TypeError):
+        key = None
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
+        raise CertificateError(f"{file} is not the key of ca.pem")
+    return _Issuer(certificate, key)
+
+
+def _name(text: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
+
+
+def _make_ca(folder: Path, begins: datetime.datetime) -> None:
+    key, number = ec.generate_private_key(ec.SECP256R1()), x509.random_serial_number()
+    name = _name(f"Plumeward development CA {number:x}"[:40])  # a name of its own: another CA is told apart by it
+    certificate = (
+        x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key()).serial_number(number)
+        .not_valid_before(begins).not_valid_after(begins + datetime.timedelta(days=CA_DAYS))
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(_usage(signs=True), critical=True)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        .sign(key, hashes.SHA256())
+    )  # fmt: skip
+    _write(folder / CA, key, certificate)
+
+
+def _issue(path: Path, name: str, hosts: Sequence[str], ca: _Issuer, begins: datetime.datetime, until: datetime.datetime) -> None:
+    """Make a certificate. A router's serves only for a router, another's only for a client: none can pose as the other."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    serves = ExtendedKeyUsageOID.SERVER_AUTH if name == ROUTER else ExtendedKeyUsageOID.CLIENT_AUTH
+    builder = (
+        x509.CertificateBuilder().subject_name(_name(name)).issuer_name(ca.certificate.subject).public_key(key.public_key())
+        .serial_number(x509.random_serial_number()).not_valid_before(begins).not_valid_after(until)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_usage(signs=False), critical=True)
+        .add_extension(x509.ExtendedKeyUsage([serves]), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key()), critical=False)
+    )  # fmt: skip
+    if name == ROUTER:
+        builder = builder.add_extension(x509.SubjectAlternativeName([_alternative(text) for text in hosts]), critical=False)
+    _write(path, key, builder.sign(ca.key, hashes.SHA256()))
+
+
+def _alternative(text: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(text))
+    except ValueError:
+        return x509.DNSName(text)
+
+
+def _usage(*, signs: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs, content_commitment=False, key_encipherment=False, data_encipherment=False, key_agreement=False,
+        key_cert_sign=signs, crl_sign=signs, encipher_only=False, decipher_only=False,
+    )  # fmt: skip
+
+
+def _write(path: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
+    pem, secret = files(path)
+    unlocked = serialization.NoEncryption()
+    _put(secret, key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, unlocked), 0o600)
+    _put(pem, certificate.public_bytes(serialization.Encoding.PEM), 0o644)
+
+
+def _put(path: Path, data: bytes, mode: int) -> None:
+    """Write a file whole; nobody else can ever read a key."""
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    try:
+        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+            file.write(data)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)

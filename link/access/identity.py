@@ -1,0 +1,163 @@
+"""A service's own certificate: found, checked before it is used, and given to Zenoh; and why a router was not reached with it."""
+
+import datetime
+import socket
+import ssl
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from link.access.roles import MOST_VEHICLES, OF_A_VEHICLE, ROUTER, SERVICES, common_name, role_of
+
+PROBE_S = 1.0
+"""How long a router that does not answer is asked why."""
+LOOPBACK = ("127.", "localhost", "[::1]")
+
+
+class AccessError(Exception):
+    """A certificate is missing or cannot be used; the text is one line."""
+
+
+class Identity(NamedTuple):
+    """A certificate that may be used now."""
+
+    folder: Path
+    role: str
+    name: str
+    """Its common name, such as uav/1/agent."""
+    tls: dict[str, Any]
+    """Zenoh's `transport/link/tls`."""
+
+    def lack(self, roles: tuple[str, ...], what: str, service: str | None = None) -> str:
+        """Return which right it lacks if only these roles may do something; with a service, it must be of its role too. Empty if none."""
+        if self.role in roles and (service is None or service in SERVICES[self.role]):
+            return ""
+        return f"the certificate {self.name} has no right to {what}: the router drops it"
+
+
+def secured(flag: str, endpoint: str, folder: Path | None, service: str, namespace: str | None) -> tuple[str, Identity | None]:
+    """Return the endpoint and the certificate to use for it, None without --secure; raises AccessError if they do not fit."""
+    if folder is None:
+        if endpoint.startswith("tls/"):
+            raise AccessError(f"{flag}: {endpoint!r} is not allowed without --secure DIR")
+        return endpoint, None
+    protocol, _, address = endpoint.partition("/")
+    if protocol not in ("tcp", "tls"):
+        raise AccessError(f"{flag}: {endpoint!r} is not allowed with --secure; wanted tls/HOST:PORT")
+    return f"tls/{address}", identity(folder, service, namespace)
+
+
+def identity(folder: Path, service: str, namespace: str | None) -> Identity:
+    """Return the certificate of a service, or of the router; raises AccessError if it cannot be used."""
+    role = ROUTER if service == ROUTER else role_of(service)
+    if role in OF_A_VEHICLE and not _is_a_vehicles(namespace):
+        raise AccessError(f"--namespace: {namespace!r} is not allowed with --secure; wanted uav/1 to uav/{MOST_VEHICLES}")
+    name = common_name(role, namespace)
+    _check(folder, name, namespace if role in OF_A_VEHICLE else None)
+    side = "listen" if role == ROUTER else "connect"
+    tls = {
+        "root_ca_certificate": str(folder / "ca.pem"), f"{side}_certificate": str(folder / f"{name}.pem"),
+        f"{side}_private_key": str(folder / f"{name}.key"), "enable_mtls": True, "close_link_on_expiration": True,
+        # Zenoh's clients also trust the public CAs of browsers: only the router's name keeps their certificates out.
+        "verify_name_on_connect": True,
+    }  # fmt: skip
+    return Identity(folder, role, name, tls)
+
+
+def _is_a_vehicles(namespace: str | None) -> bool:
+    return namespace in {f"uav/{number}" for number in range(1, MOST_VEHICLES + 1)}
+
+
+def _check(folder: Path, name: str, namespace: str | None) -> None:
+    """Raise AccessError if a certificate is missing, another's, of another CA or not valid now."""
+    from cryptography import x509  # takes time to load, and only --secure needs it
+    from cryptography.exceptions import InvalidSignature
+    from cryptography.x509.oid import NameOID
+
+    read = {}
+    for file in ("ca.pem", f"{name}.pem", f"{name}.key"):
+        path = folder / file
+        try:
+            read[file] = path.read_bytes()
+        except OSError as error:
+            more = f" --vehicles {namespace.removeprefix('uav/')}" if namespace else ""
+            raise AccessError(f"--secure: cannot read {path}: {error.strerror} (make it with: plumeward certs {folder}{more})") from None
+    path = folder / f"{name}.pem"
+    try:
+        ca, own = (x509.load_pem_x509_certificate(read[file]) for file in ("ca.pem", f"{name}.pem"))
+        (named,) = own.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    except ValueError:
+        raise AccessError(f"--secure: {path} or ca.pem beside it is not a certificate") from None
+    if named.value != name:
+        raise AccessError(f"--secure: {path} is the certificate of {named.value!r}; wanted that of {name!r}")
+    try:
+        own.verify_directly_issued_by(ca)
+    except (ValueError, TypeError, InvalidSignature):
+        raise AccessError(f"--secure: {path} is not from the CA of {folder / 'ca.pem'}") from None
+    now = datetime.datetime.now(datetime.UTC)
+    for certificate, where in ((ca, folder / "ca.pem"), (own, path)):
+        if now > certificate.not_valid_after_utc:
+            renewed = "make a new CA, in another folder" if certificate is ca else f"delete it and run: plumeward certs {folder}"
+            raise AccessError(f"--secure: {where} expired on {certificate.not_valid_after_utc:%Y-%m-%d} ({renewed})")
+        if now < certificate.not_valid_before_utc:
+            raise AccessError(f"--secure: {where} is not valid before {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC")
+
+
+def is_open(endpoint: str) -> bool:
+    """Whether an endpoint to listen on is reached from other machines."""
+    protocol, _, address = endpoint.partition("/")
+    return not address.startswith(LOOPBACK) and not protocol.startswith("unixsock")
+
+
+# ---- why a router was not reached ----
+
+
+def why_not(endpoint: str, known: Identity | None) -> str:
+    """Return why a router cannot be joined that somebody answers for; empty if nobody answers."""
+    host, _, port = endpoint.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")
+    host = host.strip("[]")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = known is not None
+    context.verify_mode = ssl.CERT_NONE if known is None else ssl.CERT_REQUIRED
+    if known:
+        context.load_verify_locations(known.tls["root_ca_certificate"])
+        context.load_cert_chain(known.tls["connect_certificate"], known.tls["connect_private_key"])
+    try:
+        with socket.create_connection((host, int(port)), timeout=PROBE_S) as plain:
+            return _handshake(context, plain, host, known)
+    except (OSError, ValueError):
+        return ""
+
+
+def _handshake(context: ssl.SSLContext, plain: socket.socket, host: str, known: Identity | None) -> str:
+    try:
+        secret = context.wrap_socket(plain, server_hostname=host)
+    except ssl.SSLCertVerificationError as error:
+        return _of_the_router(error.verify_message, host, known) if known else ""
+    except OSError as error:
+        if known is None:
+            return ""
+        return _refusal(error, known) or "it does not speak TLS: start it with --secure too"
+    with secret:
+        if known is None:
+            return "it wants TLS: give --secure DIR"
+        try:
+            secret.recv(1)  # a refusal comes after the handshake
+        except OSError as error:
+            return _refusal(error, known)
+        return ""
+
+
+def _refusal(error: OSError, known: Identity) -> str:
+    """Return what a router's alert says of our certificate; empty if there is none."""
+    _, alert, said = (getattr(error, "reason", None) or "").partition("ALERT_")
+    return f"it refuses the certificate {known.name}: {said.lower().replace('_', ' ')}" if alert else ""
+
+
+def _of_the_router(said: str, host: str, known: Identity) -> str:
+    if "mismatch" in said:
+        return f"its certificate is not for {host} (make one with: plumeward certs {known.folder} --router {host}, after deleting it)"
+    if "purpose" in said:
+        return "its certificate is not a router's"
+    if "expired" in said:
+        return "its certificate has expired"
+    return f"its certificate is not from the CA of {known.folder / 'ca.pem'}"

@@ -1,0 +1,82 @@
+"""A router's own log, turned into lines for people: who joins, and what is refused. Zenoh tells neither client nor router otherwise."""
+
+import contextlib
+import fcntl
+import logging
+import os
+import re
+import sys
+
+import zenoh
+
+FILTER = "off,zenoh_link_tls=debug,zenoh::net::routing::interceptor=trace,zenoh::net::routing::interceptor::access_control=off"
+"""Lines only for connections and for refused messages. With `access_control=trace` a line would also say which message, but there would
+be lines for every message that is allowed, too: that stalls a busy router."""
+PIPE_BYTES = 1 << 20
+EVERY_S = 10.0
+"""The same refusal is told at most so often: a client that is refused tries again and again."""
+MOST_KINDS = 100
+JOINS = re.compile(r"Accepted TLS connection on \S+: (\S+?)\. Common Name: (\S*?)\.?$")
+REFUSES = re.compile(r"zenoh_link_tls\S*: (.+?)\.? Hint: ")
+DROPS = "Msg intercepted!"
+MEANING = (
+    ("InvalidContentType", "does not speak TLS"),
+    ("UnknownIssuer", "has a certificate of another CA"),
+    ("BadSignature", "has a certificate of another CA"),
+    ("peer sent no certificates", "has no certificate"),
+    ("for client authentication", "has a certificate that is not a client's"),
+    ("certificate expired", "has an expired certificate"),
+    ("fatal alert", "does not accept our certificate"),
+)
+"""What Zenoh's words mean."""
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+
+
+class Refusals:
+    """Reads what Zenoh logs in this process. Make it before the router: Zenoh's log goes to stdout, which from then on is another one."""
+
+    def __init__(self) -> None:
+        """Take over stdout for Zenoh; `sys.stdout` goes where it went before."""
+        ours = os.dup(1)
+        self._reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)  # a full pipe loses lines, and holds up no router
+        with contextlib.suppress(OSError):
+            fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+        sys.stdout.flush()
+        os.dup2(writer, 1)
+        os.close(writer)
+        sys.stdout = os.fdopen(ours, "w")
+        os.environ["RUST_LOG"] = FILTER
+        zenoh.init_log_from_env_or("off")
+        self._begun = ""
+        self._counts: dict[tuple[str, str], int] = {}
+        self._told_at: dict[tuple[str, str], float] = {}
+
+    def news(self, now_s: float) -> list[tuple[int, str]]:
+        """Return what has happened since the last call, as levels of `logging` and lines; now_s: any monotonic clock."""
+        lines: list[tuple[int, str]] = []
+        for line in self._lines():
+            if joins := JOINS.search(line):
+                lines.append((logging.INFO, f"{joins[2] or 'a nameless client'} joins from {joins[1]}"))
+            elif DROPS in line:
+                self._count("messages", "the certificates of their senders give no right to them")
+            elif refused := REFUSES.search(line):
+                meant = next((meaning for words, meaning in MEANING if words in refused[1]), f"is refused: {refused[1]}")
+                self._count("connections", f"the client {meant}")
+        for (what, why), count in list(self._counts.items()):
+            if now_s - self._told_at.get((what, why), -EVERY_S) >= EVERY_S:
+                del self._counts[what, why]
+                self._told_at[what, why] = now_s
+                lines.append((logging.WARNING, f"refused {what} ({count}): {why}"))
+        return lines
+
+    def _lines(self) -> list[str]:
+        try:
+            text = self._begun + os.read(self._reader, PIPE_BYTES).decode(errors="replace")
+        except BlockingIOError:
+            return []
+        *lines, self._begun = COLOUR.sub("", text).split("\n")
+        return lines
+
+    def _count(self, what: str, why: str) -> None:
+        if len(self._told_at) < MOST_KINDS or (what, why) in self._told_at:
+            self._counts[what, why] = self._counts.get((what, why), 0) + 1

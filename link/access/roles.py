@@ -1,0 +1,82 @@
+"""The roles: whom a certificate names, and which rules of the router follow from the table of keys."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+ROUTER = "router"
+VEHICLE, ESTIMATOR, AGENT, PAYLOAD, BRIDGE = "vehicle", "estimator", "agent", "payload", "bridge"
+OPERATOR, OBSERVER = "operator", "observer"
+OF_A_VEHICLE = (VEHICLE, ESTIMATOR, AGENT, PAYLOAD, BRIDGE)
+"""Roles of one vehicle: each vehicle has a certificate for each of them. The others are one for all vehicles."""
+OF_ALL_VEHICLES = (OPERATOR, OBSERVER)
+"""Roles that may read every key of every vehicle. Only operators command."""
+EVERYBODY = (*OF_A_VEHICLE, *OF_ALL_VEHICLES)
+SERVICES = {
+    VEHICLE: ("uav",), ESTIMATOR: ("estimator",), AGENT: ("agent",), PAYLOAD: ("payload",), BRIDGE: ("bridge",),
+    OPERATOR: ("view", "mission"), OBSERVER: ("recorder", "status"),
+}  # fmt: skip
+"""The services of each role: those whose health it may publish."""
+MOST_VEHICLES = 64
+"""The rules admit uav/1 to uav/64; the CA decides which of them there are. Each takes a router about 1 ms to start, and 0.2 MB."""
+HEALTH = "health/"
+"""The keys of health: one for each service."""
+WRITING = ("put", "declare_queryable", "liveliness_token", "reply")
+READING = ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query")
+"""Kinds of Zenoh messages that publishers and subscribers send, advanced ones and liveliness included."""
+
+
+class Rights(NamedTuple):
+    """A key and the roles that may publish and receive it; OF_ALL_VEHICLES may always receive it."""
+
+    key: str
+    writers: tuple[str, ...]
+    readers: tuple[str, ...]
+
+
+def role_of(service: str) -> str:
+    """Return the role of a service; a stranger is an observer."""
+    return next((role for role, services in SERVICES.items() if service in services), OBSERVER)
+
+
+def common_name(role: str, namespace: str | None) -> str:
+    """Return the name in a role's certificate, such as uav/1/agent or operator. It is also where its files are."""
+    return f"{namespace}/{role}" if role in OF_A_VEHICLE else role
+
+
+def access_control(table: Iterable[Rights]) -> Mapping[str, Any]:
+    """Return Zenoh's `access_control` for a router: what is not allowed here is denied.
+
+    What comes in is checked; what goes out was asked for by a subscription that has been checked.
+    """
+    rights = tuple(table)
+    everything = (*WRITING, *READING, "delete")
+    rules: list[Any] = [_rule("out", "egress", everything, ["**", "**/@adv/**"])]
+    subjects, policies = [], []
+    for role in EVERYBODY:
+        for space in [f"uav/{number}" for number in range(1, MOST_VEHICLES + 1)] if role in OF_A_VEHICLE else ["uav/*"]:
+            name = common_name(role, space)
+            written = [key for right in rights if role in right.writers for key in _written(right.key, role)]
+            read = [right.key.replace("<service>", "*") for right in rights if role in (*right.readers, *OF_ALL_VEHICLES)]
+            rules.append(_rule(f"{name} writes", "ingress", WRITING, _within(space, written)))
+            rules.append(_rule(f"{name} reads", "ingress", READING, [*_within(space, read), f"{space}/nobody", *_roster(role)]))
+            subjects.append({"id": name, "cert_common_names": [name]})
+            policies.append({"subjects": [name], "rules": ["out", f"{name} writes", f"{name} reads"]})
+    return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
+
+
+def _rule(name: str, flow: str, messages: Iterable[str], keys: list[str]) -> dict[str, Any]:
+    return {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": keys}
+
+
+def _written(key: str, role: str) -> list[str]:
+    return [key.replace("<service>", service) for service in SERVICES[role]] if "<service>" in key else [key]
+
+
+def _within(space: str, keys: list[str]) -> list[str]:
+    """Return the keys in a namespace, and those on which their advanced publishers and subscribers speak, which ** does not match."""
+    return [f"{space}/{key}{more}" for key in keys for more in ("", "/@adv/**")]
+
+
+def _roster(role: str) -> list[str]:
+    """Return the key that shows which vehicles there are."""
+    return [f"**/{HEALTH}*"] if role in OF_ALL_VEHICLES else []

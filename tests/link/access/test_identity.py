@@ -1,0 +1,106 @@
+"""Protects the checks before a connection: a certificate that cannot be used is refused in one line that names it."""
+
+import datetime
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from link.access.authority import make
+from link.access.identity import AccessError, is_open, secured
+
+LONG_AGO = datetime.datetime(2000, 1, 1, tzinfo=datetime.UTC)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    make(tmp_path / "good", [1])
+    return tmp_path / "good"
+
+
+def copied(source: Path, folder: Path, name: str) -> None:
+    for ending in ("pem", "key"):
+        shutil.copy(source.with_name(f"{source.name}.{ending}"), folder / f"{name}.{ending}")
+
+
+def anothers(folder: Path) -> None:
+    copied(folder / "uav" / "1" / "estimator", folder, "uav/1/agent")
+
+
+def of_another_ca(folder: Path) -> None:
+    make(folder.parent / "other", [1])
+    copied(folder.parent / "other" / "uav" / "1" / "agent", folder, "uav/1/agent")
+
+
+def expired(folder: Path) -> None:
+    shutil.rmtree(folder)
+    make(folder, [1], now=datetime.datetime.now(datetime.UTC) - datetime.timedelta(days=400))
+
+
+def expired_with_its_ca(folder: Path) -> None:
+    shutil.rmtree(folder)
+    make(folder, [1], now=LONG_AGO)
+
+
+def of_tomorrow(folder: Path) -> None:
+    shutil.rmtree(folder)
+    make(folder, [1], now=datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=1))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda folder: (folder / "uav/1/agent.pem").unlink(), r"cannot read .*uav/1/agent\.pem: No such file .*certs .* --vehicles 1\)"),
+        (lambda folder: (folder / "uav/1/agent.key").unlink(), r"cannot read .*uav/1/agent\.key: No such file"),
+        (lambda folder: (folder / "ca.pem").unlink(), r"cannot read .*ca\.pem: No such file"),
+        (lambda folder: (folder / "uav/1/agent.pem").write_text("-"), r"uav/1/agent\.pem or ca\.pem beside it is not a certificate"),
+        (anothers, r"uav/1/agent\.pem is the certificate of 'uav/1/estimator'; wanted that of 'uav/1/agent'"),
+        (of_another_ca, r"uav/1/agent\.pem is not from the CA of .*ca\.pem"),
+        (expired, r"uav/1/agent\.pem expired on \d{4}-\d\d-\d\d \(delete it and run: plumeward certs "),
+        (expired_with_its_ca, r"ca\.pem expired on 2009-12-2\d \(make a new CA"),
+        (of_tomorrow, r"ca\.pem is not valid before "),
+    ],
+)
+def test_a_certificate_that_cannot_be_used_is_named(folder: Path, spoil: Callable[[Path], None], reason: str) -> None:
+    assert secured("--connect", "tls/127.0.0.1:7447", folder, "agent", "uav/1")[1]
+    spoil(folder)
+    with pytest.raises(AccessError, match=rf"^--secure: .*{reason}"):
+        secured("--connect", "tls/127.0.0.1:7447", folder, "agent", "uav/1")
+
+
+@pytest.mark.parametrize("namespace", ["fleet/uav/1", "uav", "uav/0", "uav/65", "uav/01", ""])
+def test_a_vehicle_has_a_number(folder: Path, namespace: str) -> None:
+    with pytest.raises(AccessError, match=r"^--namespace: .* is not allowed with --secure; wanted uav/1 to uav/64"):
+        secured("--connect", "tls/127.0.0.1:7447", folder, "agent", namespace)
+
+
+@pytest.mark.parametrize(
+    ("service", "name"),
+    [
+        ("uav", "uav/1/vehicle"), ("estimator", "uav/1/estimator"), ("agent", "uav/1/agent"), ("payload", "uav/1/payload"),
+        ("bridge", "uav/1/bridge"), ("view", "operator"), ("mission", "operator"), ("recorder", "observer"), ("status", "observer"),
+        ("stranger", "observer"), ("router", "router"),
+    ],
+)  # fmt: skip
+def test_each_service_shows_the_certificate_of_its_role(folder: Path, service: str, name: str) -> None:
+    known = secured("--connect", "tls/127.0.0.1:7447", folder, service, "uav/1")[1]
+    assert known
+    assert known.name == name
+
+
+def test_with_certificates_tcp_means_tls(folder: Path) -> None:
+    assert secured("--connect", "tcp/127.0.0.1:7447", folder, "agent", "uav/1")[0] == "tls/127.0.0.1:7447"
+    for endpoint in ("udp/127.0.0.1:7447", "quic/127.0.0.1:7447", "7447"):
+        with pytest.raises(AccessError, match="is not allowed with --secure; wanted tls/HOST:PORT"):
+            secured("--connect", endpoint, folder, "agent", "uav/1")
+
+
+def test_tls_needs_certificates() -> None:
+    with pytest.raises(AccessError, match=r"^--listen: 'tls/127\.0\.0\.1:7447' is not allowed without --secure DIR"):
+        secured("--listen", "tls/127.0.0.1:7447", None, "router", None)
+
+
+def test_which_endpoints_other_machines_reach() -> None:
+    assert not any(map(is_open, ("tcp/127.0.0.1:7447", "tcp/localhost:0", "tcp/[::1]:7447", "unixsock-stream/router.sock")))
+    assert all(map(is_open, ("tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.168.1.2:7447", "tcp/example.org:7447")))

@@ -1,0 +1,47 @@
+"""Protects `plumeward certs`: what it prints, and what it refuses."""
+
+from pathlib import Path
+
+import pytest
+
+from link.__main__ import main
+
+
+def made(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, list[str], str]:
+    status = main(arguments=["certs", *words])
+    out, err = capsys.readouterr()
+    return status, out.splitlines(), err
+
+
+def test_it_says_what_it_made_and_what_it_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "certificates"
+    status, lines, _ = made(capsys, str(folder), "--vehicles", "1,3")
+    assert status == 0
+    assert [line.split("  ")[0] for line in lines[:-1]] == ["made"] * 4
+    assert [line.partition(f"{folder}")[2] for line in lines[:4]] == [
+        ": ca", ": router, operator, observer", "/uav/1: vehicle, estimator, agent, payload, bridge",
+        "/uav/3: vehicle, estimator, agent, payload, bridge",
+    ]  # fmt: skip
+    assert lines[-1].endswith("never ca.key.")
+    _, lines, _ = made(capsys, str(folder), "--vehicles", "1,2")
+    assert [line.split("  ")[0] for line in lines[:-1]] == ["kept", "kept", "kept", "made"]
+    assert lines[3].endswith("/uav/2: vehicle, estimator, agent, payload, bridge")
+
+
+def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words, said in (
+        (["--vehicles", "65"], "--vehicles: '65' is not allowed; wanted a whole number from 1 to 64"),
+        (["--router", "a,b c"], "--router: 'b c' is not allowed; wanted a host name or an IP address"),
+        (["--days", "0"], "--days: '0' is not allowed; wanted a whole number from 1 to 3650"),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main(arguments=["certs", str(tmp_path), *words])
+        assert end.value.code == 2
+        assert capsys.readouterr().err.splitlines() == [f"python -m link certs: error: {said}"]
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    status, out, err = made(capsys, str(tmp_path / "file"))
+    assert (status, out) == (2, [])
+    assert err.splitlines() == [f"error: DIR: cannot write {tmp_path / 'file'}: File exists"]
