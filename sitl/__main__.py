@@ -16,14 +16,13 @@ from plume.scenario import BUDGET_STEPS
 from sitl.launch import viewing
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
 from sitl.payload.options import SIMULATED, add_payload_argument
-from sitl.script.script import AgentPart, OnBoard, Script, find, load, shipped
+from sitl.script.script import AgentPart, Script, find, load, shipped
 from sitl.script.typed_yaml import Document, FileError
-from sitl.uav.options import add_vehicle_arguments, at_own_home
+from sitl.uav.options import add_vehicle_arguments
 from sitl.uav.real import add_vehicle_url
 
 if TYPE_CHECKING:
     from sitl.launch.recording import RecordFiles
-    from sitl.remote.vehicle import RemoteVehicle
 
 
 def _record(text: str) -> Path:
@@ -78,7 +77,7 @@ def _script(args: argparse.Namespace, given: argparse.Namespace) -> Script:
         changes = {"estimator.threshold_m": None, "estimator.stop": None, **changes}
     if "home" in flags:
         changes |= {f"vehicle.{field}": value for field, value in zip(HOME, given.home, strict=True)}
-    if args.sign and not args.out:
+    if "sign" in given and not args.out:
         raise FileError("--sign: there is nothing to sign; wanted it with --out")
     script = script.changed(changes)
     if script.agent.policy == "none" and not script.scripted():
@@ -282,92 +281,6 @@ def _in_script(refusal: str, args: argparse.Namespace, given: argparse.Namespace
     return refusal
 
 
-def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
-    import contextlib
-
-    from link.bus.inbox import Inbox
-    from link.bus.log import Log
-    from link.bus.session import Bus
-    from link.bus.tally import Tally
-    from link.signing.signer import Signing
-    from sitl.autopilot.state import VehicleFailed
-    from sitl.autopilot.vehicle import Vehicle
-    from sitl.uav.clock import Clock
-    from sitl.uav.real import real_script, real_vehicle
-    from sitl.uav.uav import Uav
-    from sitl.uav.udp import parse_url
-
-    script = _script(args, given)
-    try:
-        script = real_script(script, given) if args.vehicle else script
-    except ValueError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return cli.BAD_INPUT
-    config = at_own_home(script.vehicle_config(args.sysid or args.instance + 1), args.instance)
-    outs = [parse_url(url, args.instance) for url in args.out]
-    release = script.release()
-    inbox = Inbox()
-    namespace = args.namespace or f"uav/{args.instance + 1}"
-    log = Log("uav", namespace, Tally(), args.log_level)
-    if not args.out and not args.connect and not args.vehicle:
-        usual = parse_url("udpout:127.0.0.1", args.instance)
-        log.info(f"no client can connect by UDP without --out; --out {usual.text} is for {usual.counterpart}; QGroundControl: port 14550")
-    with contextlib.ExitStack() as stack:
-        bus = None
-        if args.connect or args.vehicle or not args.out:  # with --out alone it is a plain MAVLink vehicle, without a bus
-            endpoint = args.connect or DEFAULT_ROUTER
-            bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox, args.log_level, secure=args.secure))
-            log = bus.log
-            needed = "payload, estimator and agent" if args.vehicle else "estimator and agent"
-            log.info(f"on the bus at {endpoint} as {namespace}; takes off when {needed} are there")
-            joining = f"--connect {endpoint} --namespace {namespace}" + (f" --secure {args.secure}" if args.secure else "")
-            chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
-            chosen += "" if script.estimator.assume == "field" else f" --assume {script.estimator.assume}"
-            who = "" if config.sysid == 1 else f" --sysid {config.sysid}"
-            log.info(f"its estimator: plumeward estimator {joining} --rate {release.q!r} --diffusivity {release.d!r}{chosen}{who}")
-            log.info(f"its agent: plumeward agent {joining} --sysid {config.sysid}")
-        events = [event for event in script.events if isinstance(event, OnBoard)]
-        vehicle: Vehicle | RemoteVehicle = Vehicle(config)
-        if args.vehicle:
-            try:
-                vehicle, connection = real_vehicle(args.vehicle, config, script.speedup, args.sysid, log)
-            except ValueError as error:
-                print(f"error: --vehicle: {error}", file=sys.stderr)
-                return cli.BAD_INPUT
-            stack.callback(connection.close)
-        try:
-            signing = stack.enter_context(contextlib.closing(Signing(args.sign, f"uav-{config.sysid}", log))) if args.sign else None
-        except ValueError as error:
-            print(f"error: --sign: {error}", file=sys.stderr)
-            return cli.BAD_INPUT
-        try:
-            uav = Uav(
-                vehicle,
-                script.simulated(),
-                Clock(script.speedup),
-                inbox,
-                bus,
-                [out.text for out in outs],
-                log,
-                events,
-                script.vehicle.after_stop,
-                signing,
-            )
-        except ValueError as error:
-            print(f"error: --out: {error}", file=sys.stderr)
-            return cli.BAD_INPUT
-        for out in outs:
-            log.info(f"MAVLink to {out.text}; {out.counterpart}")
-            if out.open and not args.sign:
-                log.warning(f"{out.text} is open to other machines: whoever reaches port {out.port} can command the vehicle")
-        try:
-            uav.run()
-        except VehicleFailed as failure:
-            print(f"error: {failure}", file=sys.stderr)
-            return cli.FAILED
-    return 0
-
-
 def main(
     prog: str = "python -m sitl",
     arguments: list[str] | None = None,
@@ -384,9 +297,10 @@ def main(
         try:
             if args.command == "fly" and check_policy:
                 _check_policy(args, given, check_policy)
-            if args.command == "payload":
-                return int(_module(args.command).run(args, given, _script(args, given)))
-            return {"fly": _fly, "uav": _uav}[args.command](args, given)
+            if args.command == "fly":
+                return _fly(args, given)
+            run = importlib.import_module("sitl.uav.command").run if args.command == "uav" else _module("payload").run
+            return int(run(args, given, _script(args, given)))
         except FileError as error:
             print(f"error: {error}", file=sys.stderr)
             return cli.BAD_INPUT
