@@ -41,6 +41,8 @@ class Procedures:
         self.theirs = False
         """True since someone else has changed the mode: a pilot, or the autopilot by itself."""
         self.theirs_s = -math.inf
+        self.begun = False
+        """Whether we have begun this flight: one that was under way before us, or begins after ours, is someone else's."""
         self.armed_by_us = False
         self.streams = False
         """Whether setpoints are to go out."""
@@ -70,6 +72,11 @@ class Procedures:
         return self.known.armed and not self.known.on_ground
 
     @property
+    def in_charge(self) -> bool:
+        """Whether the flight is ours, and nobody has taken it over."""
+        return self.begun and not self.theirs
+
+    @property
     def start(self) -> int:
         """The custom mode in which it is armed."""
         return self.firmware.modes[Mode.OFFBOARD if self.firmware.is_ardupilot else Mode.HOLD]
@@ -93,6 +100,7 @@ class Procedures:
         steps = self._procedure
         if _ended(steps) and self._procedure is steps:  # it may have begun another
             self._stop()
+        self.begun = self.begun and (self.known.armed or self._procedure is not None)
         if _ended(self._reading):
             self._reading = None
 
@@ -132,7 +140,7 @@ class Procedures:
     def begin(self, procedure: Steps[None], doing: Mode | None, *asked: int) -> None:
         """Do something instead of what was being done; `asked`: the custom modes that come of it."""
         self._procedure, self.doing, self.arming = procedure, doing, False
-        self.theirs = False
+        self.theirs, self.begun = False, True
         self._asked = {*asked}
 
     def fail(self, reason: str) -> None:
@@ -140,7 +148,7 @@ class Procedures:
         self.failure = self.failure or reason
         self.say(mavlink.MAV_SEVERITY_CRITICAL, reason)
         self._stop()
-        if self.flying and not self.theirs:
+        if self.flying and self.in_charge:
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "Returning home")
             self.go_home()
         elif self.known.armed and not self.flying:

@@ -250,10 +250,10 @@ class RemoteVehicle:
         Call it, and `catch_up`, again and again until `left`.
         """
         if not self.flight.flying:
-            if (self._known.armed or self.flight.arming) and not self.flight.theirs:
+            if (self._known.armed or self.flight.arming) and self.flight.in_charge:
                 self._commander.send(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
             return ""
-        if self.flight.theirs or self.left:
+        if self.left:
             return f"The vehicle is left in {self._mode_name}"
         if self.flight.doing not in COMING_DOWN:
             self.flight.go_home()
@@ -267,7 +267,9 @@ class RemoteVehicle:
     @property
     def left(self) -> bool:
         """Whether someone else is in charge of it: a pilot, or the autopilot, which returns or lands by itself."""
-        return not self.flight.flying or self.flight.theirs or self.flight.firmware.reports.get(self._known.custom_mode) in COMING_DOWN
+        return (
+            not (self.flight.flying and self.flight.in_charge) or self.flight.firmware.reports.get(self._known.custom_mode) in COMING_DOWN
+        )
 
     # ---- flight ----
 

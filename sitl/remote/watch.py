@@ -55,7 +55,7 @@ class Watch:
     def _mode(self, now_s: float) -> None:
         """A failsafe that only hovers leaves nobody in charge: then it is flown home. A pilot is left alone."""
         flight, changed_s = self._flight, self._flight.theirs_s
-        if not flight.theirs or changed_s == self._judged_s:
+        if not flight.begun or not flight.theirs or changed_s == self._judged_s:
             return
         breached = self._known.breach_s >= changed_s - SAME_TIME_S
         if self._known.failsafe or breached:
@@ -100,7 +100,7 @@ class Watch:
     @property
     def _ours(self) -> bool:
         """Whether it does what we last asked, and that is not to come down."""
-        return not self._flight.theirs and self._flight.doing not in COMING_DOWN and self._reported not in COMING_DOWN
+        return self._flight.in_charge and self._flight.doing not in COMING_DOWN and self._reported not in COMING_DOWN
 
     @property
     def _reported(self) -> Mode | None:

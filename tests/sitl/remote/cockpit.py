@@ -98,7 +98,7 @@ class Cockpit:
                 self.vehicle.answers.sampled(round(self.now_s * 1000))
                 self._answer_at = self.now_s + self.thinks_s
         self.search.go_on(searchers=True)
-        if self._answer_at and self.now_s >= self._answer_at:
+        if self._answer_at is not None and self.now_s >= self._answer_at:
             self._answer_at = None
             if (place := self.answers(self)) is not None:
                 newest = self.vehicle.answers.newest

@@ -4,8 +4,12 @@ from typing import Any
 
 import pytest
 
+from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.state import Mode, VehicleFailed
-from sitl.uav.search import LANDED, PAUSED, RETURNING, SEARCHING
+from sitl.protocol.protocol import MavlinkProtocol
+from sitl.remote.commander import Commander
+from sitl.remote.vehicle import RemoteVehicle
+from sitl.uav.search import LANDED, PAUSED, RETURNING, SEARCHING, Search
 from tests.sitl.remote.cockpit import Cockpit
 
 KINDS = ("ardupilot", "px4")
@@ -339,6 +343,24 @@ def test_a_program_that_ends_leaves_the_vehicle_to_its_pilot(kind: str) -> None:
     assert cockpit.vehicle.leave().startswith("The vehicle is left in ")
     cockpit.run(3.0)
     assert cockpit.ap.mode in ("LOITER", "POSCTL")
+
+
+@both
+def test_a_flight_that_was_under_way_before_the_program_is_someone_elses(kind: str) -> None:
+    cockpit = searching(kind)
+    cockpit._answer_at = None
+    cockpit.vehicle = RemoteVehicle(VehicleConfig(), Commander(cockpit.radio))
+    cockpit.search = Search(
+        cockpit.vehicle, MavlinkProtocol(cockpit.vehicle), (1.0, 1.0), "return", lambda _, text: cockpit.said.append(text)
+    )
+    cockpit.ap.parameters["BATT_FS_LOW_ACT"] = cockpit.ap.parameters["COM_LOW_BAT_ACT"] = 0
+    cockpit.ap.parameters["COM_OBL_RC_ACT"] = 5
+    cockpit.ap.battery_percent = 10
+    cockpit.run(10.0)
+    assert cockpit.heard("Search waits: a pilot flies the vehicle")
+    assert cockpit.ap.mode not in HOME_MODES
+    assert cockpit.vehicle.leave().startswith("The vehicle is left in ")
+    assert cockpit.vehicle.left
 
 
 def test_a_program_that_ends_on_the_ground_stops_the_motors() -> None:
