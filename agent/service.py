@@ -1,5 +1,6 @@
 """The agent service: takes beliefs, answers each with one waypoint."""
 
+import math
 import time
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -15,6 +16,8 @@ from plume.parameters import PARAMETERS
 from plume.sensor import parse
 from plume.world import float32
 
+MOST = 1e9
+"""Greatest number of a belief that is believed, in its own unit; squares and products of such numbers are finite."""
 NONE: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
 
@@ -91,3 +94,10 @@ def _check(belief: Belief, area_m: float) -> None:
         raise ValueError(f"{len(belief.means)} means and {len(belief.stds)} stds of {len(names)} unknowns")
     if not all(0.0 <= value <= area_m for value in belief.position):
         raise ValueError(f"position {belief.position} is outside the area [0, {area_m:g}] x [0, {area_m:g}] m")
+    positive = belief.rate, belief.diffusivity, belief.lifetime
+    others = (*belief.wind, belief.gas, belief.altitude_m, belief.z, *belief.mean, *belief.covariance, belief.spread)
+    if max(map(abs, (*positive, *others))) > MOST or min(positive) < 1 / MOST:
+        raise ValueError(f"the belief holds a number beyond ±{MOST:g}, or one within {1 / MOST:g} of 0 that must be above 0")
+    xx, xy, yy = belief.covariance
+    if min(xx, yy) < 0 or abs(xy) > 1.001 * math.sqrt(xx * yy) + 1e-9:
+        raise ValueError(f"{belief.covariance} is not a covariance (xx, xy, yy)")
