@@ -135,7 +135,7 @@ def _schema_of(page: Page) -> "Schema":
 
     schema = SCHEMAS.get(page.schema)
     if schema is None:
-        raise BundleError(f"observation {page.schema!r} is not known; wanted {' or '.join(SCHEMAS)}")
+        raise BundleError(f"observation {page.schema[:60]!r} is not known; wanted {' or '.join(SCHEMAS)}")
     if (page.schema_version, page.observation) != (schema.version, schema.size):
         raise BundleError(
             f"observation {page.schema!r} version {page.schema_version} of {page.observation} numbers; "

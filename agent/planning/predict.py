@@ -169,8 +169,8 @@ def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
     rows -= rows.min()
     numbers = (columns - columns.min()) * (1 + rows.max()) + rows
     if numbers.max() > MOST_CELLS:  # particles that are far apart: only cells that hold some are counted
-        numbers = np.unique(numbers, return_inverse=True)[1]
-    shares: Array = np.bincount(numbers, hypotheses.weights)
+        numbers = np.unique(numbers, return_inverse=True)[1].astype(np.int64)
+    shares: Array = np.asarray(np.bincount(numbers, hypotheses.weights), np.float64)
     return shares[shares > 0]
 
 

@@ -381,7 +381,10 @@ def test_a_graph_that_could_take_all_time_or_memory_is_not_opened(tmp_path: Path
 
 def test_small_weights_that_are_used_again_and_again_count_each_time(tmp_path: Path) -> None:
     square = numpy_helper.from_array(np.zeros((600, 600), np.float32), "w1")
-    wide, narrow = numpy_helper.from_array(np.zeros((5, 600), np.float32), "w0"), numpy_helper.from_array(np.zeros((600, 4), np.float32), "w2")
+    wide, narrow = (
+        numpy_helper.from_array(np.zeros((5, 600), np.float32), "w0"),
+        numpy_helper.from_array(np.zeros((600, 4), np.float32), "w2"),
+    )
     names = ["observation", *(f"h{k}" for k in range(50)), "said"]
     nodes = [helper.make_node("Gemm", [a, f"w{(k > 0) + (k == 50)}"], [b]) for k, (a, b) in enumerate(pairwise(names[:51] + names[-1:]))]
     write(tmp_path / "a.zip", page_of(), onnx_of(nodes, [1, 5], [1, 4], [wide, square, narrow]))

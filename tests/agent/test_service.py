@@ -22,10 +22,12 @@ def said(**changed: object) -> bytes:
     [
         ({"time_boot_ms": 2**32}, "Expected `int` <= 4294967295 - at `$.time_boot_ms`"),
         ({"step": 10**30}, "Expected `int` <= 4294967295 - at `$.step`"),
-        ({"altitude_m": 1e39}, "a number beyond ±1e+09"),
+        ({"altitude_m": 1e39}, "a number beyond ±1e+12"),
+        ({"sensor": "hits:3.5e38,0.1"}, "a number beyond ±1e+12"),
+        ({"sensor": "hits:1e12,0.1", "wind": [1e300, 0.0]}, "a number beyond ±1e+12"),
         ({"covariance": [-1.0, 0.0, 1.0]}, "(-1.0, 0.0, 1.0) is not a covariance (xx, xy, yy)"),
         ({"covariance": [1.0, 2.0, 1.0]}, "(1.0, 2.0, 1.0) is not a covariance (xx, xy, yy)"),
-        ({"diffusivity": 1e-300}, "one within 1e-09 of 0 that must be above 0"),
+        ({"diffusivity": 1e-300}, "one within 1e-12 of 0 that must be above 0"),
     ],
 )
 def test_a_belief_that_no_estimator_can_mean_is_refused_and_the_next_one_answered(changed: dict[str, object], reason: str) -> None:

@@ -47,8 +47,9 @@ def _file(name: str, data: bytes) -> Path:
     return path
 
 
-def _is_one_line(error: Exception) -> None:
+def _is_one_line(error: Exception, begin: str = "") -> None:
     text = str(error)
+    assert text.startswith(begin)
     assert text
     assert len(text.splitlines()) == 1
     assert len(text) < LONGEST
@@ -175,8 +176,7 @@ def script(data: bytes) -> None:
     try:
         load(path)
     except FileError as error:
-        _is_one_line(error)
-        assert str(error).startswith(str(path))
+        _is_one_line(error, f"{path}:")
 
 
 # ---- bundles ----
@@ -270,5 +270,4 @@ def rows(data: bytes) -> None:
     try:
         assert all(isinstance(row, MissionRow) for row in read_csv(path))
     except ValueError as error:
-        _is_one_line(error)
-        assert str(error).startswith(f"{path}: line ")
+        _is_one_line(error, f"{path}: line ")

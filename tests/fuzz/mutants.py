@@ -71,15 +71,14 @@ def as_sent(data: bytes, stamp: int = 0) -> bytes:
     """
     if zlib.crc32(data) % 8 == 0:
         return data
-    mended = bytearray(data)
-    at = 0
-    while at + stamp + 3 <= len(mended):
-        frame = frame_at(bytes(mended), at + stamp)
+    mended, at = bytearray(data), 0
+    while at + stamp + 3 <= len(data):
+        frame = frame_at(data, at + stamp)
         if frame is None:
-            at += frame_length(bytes(mended), at + stamp) or 1
+            at += frame_length(data, at + stamp) or 1
             continue
         if (layout := LAYOUTS.get(frame.message_id)) is not None:
-            right = crc16(bytes(mended[frame.start + 1 : frame.checksum]) + layout.seed)
+            right = crc16(data[frame.start + 1 : frame.checksum] + layout.seed)
             mended[frame.checksum : frame.checksum + 2] = right.to_bytes(2, "little")
         at = frame.end
     return bytes(mended)

@@ -87,7 +87,8 @@ def health() -> bytes:
 
 # ---- readings: the estimator ----
 
-FIRST, LAST = Reading(1000, (2.0, 3.0), 5.0, (1.5, 0.5), 0.5), Reading(9000, (3.0, 3.0), 5.0, (1.5, 0.5), 0.25)
+FIRST = pack_reading(Codec(1, 1), Reading(1000, (2.0, 3.0), 5.0, (1.5, 0.5), 0.5))
+LAST = pack_reading(Codec(1, 1), Reading(9000, (3.0, 3.0), 5.0, (1.5, 0.5), 0.25))
 
 
 def reading_seeds() -> list[bytes]:
@@ -108,15 +109,13 @@ def _estimated(assume: str, *payloads: bytes) -> QuietBus:
 
 @cache
 def _undisturbed(assume: str) -> list[tuple[Key, bytes, bytes]]:
-    codec = Codec(1, 1)
-    return _estimated(assume, pack_reading(codec, FIRST), pack_reading(codec, LAST)).published
+    return _estimated(assume, FIRST, LAST).published
 
 
 def reading(data: bytes) -> None:
     """A refused reading leaves the belief as it is, to the last bit; after any other, beliefs are valid, and the service goes on."""
     assume = "field" if len(data) % 8 == 0 else "paper"
-    codec = Codec(1, 1)
-    bus = _estimated(assume, pack_reading(codec, FIRST), as_sent(data), pack_reading(codec, LAST))
+    bus = _estimated(assume, FIRST, as_sent(data), LAST)
     refused = set(bus.tally.refused)
     if refused and not refused & {REPEATED, "late", "conflicting"}:  # else it was an honest reading, and the last one came late
         assert bus.published == _undisturbed(assume)
@@ -179,9 +178,14 @@ def belief(data: bytes) -> None:
 # ---- the vehicle: mavlink/in, UDP and the stop ----
 
 
+@cache
+def _world() -> World:
+    return World(draw(1_000_000), 1, GAUSSIAN)
+
+
 def _uav(*, searching: bool) -> tuple[Uav, QuietBus]:
     bus = QuietBus()
-    uav = Uav(VehicleConfig(), World(draw(1_000_000), 1, GAUSSIAN, "as-modelled"), Clock(0.0), Inbox(), bus, (), bus.log)
+    uav = Uav(VehicleConfig(), _world(), Clock(0.0), Inbox(), bus, (), bus.log)
     if searching:
         uav._searchers = {"estimator", "agent"}
         for _ in range(2):

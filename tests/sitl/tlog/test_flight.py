@@ -454,7 +454,7 @@ def test_readings_later_than_their_time_can_say_are_left_out(tmp_path: Path) -> 
         for n in range(8):
             log.hear(begin_s + n, local(boot_ms + 1000 * n, 1.0, 1.0))
             log.hear(begin_s + n, gas(boot_ms + 1000 * n, 0.5))
-    flight = read(log.write(tmp_path))
+    flight = read(log.write(tmp_path), wind=WESTERLY)
     assert readings(flight)
     assert "later than time_boot_ms can say" in noted(flight, "left out")
 
