@@ -1,11 +1,8 @@
-"""Mutants of real messages: what hypothesis draws them by, and the checksums without which nothing of a changed frame is read."""
+"""Mutants of real messages, and the checksums without which nothing of a changed frame is read."""
 
 import re
 import struct
 import zlib
-from collections.abc import Sequence
-
-from hypothesis import strategies as st
 
 from link.bus.frames import LAYOUTS, crc16, frame_at, frame_length
 
@@ -23,11 +20,6 @@ NUMBERS = (
 FLOATS = (0.0, -0.0, 1e-45, 1e30, 3.4e38, -3.4e38, float("inf"), float("nan"), 1e6, -1.0)
 EDIT = 5
 """Bytes that say one edit."""
-
-
-def mutants(seeds: Sequence[bytes]) -> st.SearchStrategy[bytes]:
-    """Draw a seed and up to six edits of it. An example shrinks to fewer edits, and at last to the seed."""
-    return st.builds(edited, st.sampled_from(seeds), st.binary(max_size=6 * EDIT))
 
 
 def edited(seed: bytes, edits: bytes) -> bytes:
