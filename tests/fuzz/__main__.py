@@ -18,7 +18,7 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 RUNS = 100_000
-LONGEST_S, MOST_MIB, LONGEST_INPUT = 20, 2048, 20_000
+LONGEST_S, MOST_MIB, LONGEST_INPUT = 20, 2048, 4_096
 FOLLOWED = ("link", "scene", "sitl", "estimator", "agent", "mcap", "ruamel")
 """Packages whose branches guide the search, except modules with kernels: those are compiled from their bytecode."""
 FOUND = 77
