@@ -10,7 +10,7 @@ LEARNED := infotaxis,ppo,dqn,ddpg
 # More flags for what a target runs, such as: make results FLAGS='--scenarios 20'
 FLAGS ?=
 
-.PHONY: setup chromium clients mission test lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch golden clean
+.PHONY: setup chromium clients mission test fuzz lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch golden clean
 
 # Left behind by an install that did not finish. Then .venv is made anew: pip may take a half-written package for a whole one.
 UNFINISHED := .venv/.unfinished
@@ -54,6 +54,11 @@ mission: $(FLIGHT)
 # Three processes on a small machine's two cores: missions spend about half of their time waiting.
 test: setup
 	$(BIN)/pytest -n 3 --dist worksteal $(FLAGS)
+
+# Takes hours; `make fuzz FLAGS='belief --runs 1000'` fuzzes one decoder for less. It needs Linux on x86-64.
+fuzz: setup
+	$(INSTALL) -e '.[fuzz]'
+	$(BIN)/python -m tests.fuzz $(FLAGS)
 
 lint: setup
 	$(BIN)/ruff check .

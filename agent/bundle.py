@@ -3,7 +3,7 @@
 Flying a bundle needs onnxruntime, but neither torch nor pickle: a file from a stranger can only steer, not run code.
 """
 
-import os
+import threading
 import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 FORMAT = 1
 GRAPH, PAGE = "policy.onnx", "bundle.json"
 MOST_BYTES = 64 * 2**20
-"""Most bytes of either part; a bundle that claims more is refused."""
+"""Most bytes of the graph; a bundle that claims more is refused."""
+MOST_PAGE_BYTES = 4 * 2**20
+"""Most bytes of the page; in memory it takes many times that."""
+LONGEST_DECISION_S = 5.0
+"""Most time for the trial run of a graph. It takes milliseconds, unless the graph has more work than it should."""
 MOST_HEADINGS = 1024
 MOST_STEP_M = 10.0
 
@@ -68,15 +72,19 @@ class Bundle:
         """Open the graph. Raises BundleError if it does not match its page, or this version of the project."""
         import onnxruntime
 
+        from agent.graphs import GraphError, checked
+
         self.page = page
         self._schema = _schema_of(page)
         _check(page.move)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1  # a decision is too small to share
         options.log_severity_level = 4  # the exception tells what is wrong
-        options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)  # no weights from other files
+        options.add_session_config_entry("session.load_model_format", "ONNX")  # it knows others, which are not checked
         try:
-            self._session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+            self._session = onnxruntime.InferenceSession(checked(graph), options, providers=["CPUExecutionProvider"])
+        except GraphError as error:
+            raise BundleError(f"{GRAPH} {error}") from error
         except Exception as error:  # onnxruntime's exceptions have no common base
             raise BundleError(f"{GRAPH} is not a graph that onnxruntime can run: {_line(error)}") from error
         ports = (("takes", self._session.get_inputs(), page.observation), ("gives", self._session.get_outputs(), page.move.outputs))
@@ -85,12 +93,26 @@ class Bundle:
             if len(shapes) != 1 or len(shapes[0]) != 2 or shapes[0][1] != size:
                 raise BundleError(f"{GRAPH} {verb} arrays of {shapes}; wanted one, of [1, {size}]")
         self._input = self._session.get_inputs()[0].name
-        self._output(np.zeros(page.observation, np.float32))
+        self._try(onnxruntime.RunOptions())
 
-    def _output(self, observation: NDArray[np.float32]) -> NDArray[np.float64]:
+    def _try(self, options: Any) -> None:
+        """Decide once, for at most LONGEST_DECISION_S."""
+        watch = threading.Timer(LONGEST_DECISION_S, setattr, (options, "terminate", True))
+        watch.daemon = True
+        watch.start()
+        try:
+            self._output(np.zeros(self.page.observation, np.float32), options)
+        except BundleError as error:
+            if options.terminate:
+                raise BundleError(f"{GRAPH} takes more than {LONGEST_DECISION_S:g} s for a decision") from error
+            raise
+        finally:
+            watch.cancel()
+
+    def _output(self, observation: NDArray[np.float32], options: Any = None) -> NDArray[np.float64]:
         """Return the network's output, (1, A). Raises BundleError on NaN: argmax would silently pick one."""
         try:
-            output = np.asarray(self._session.run(None, {self._input: observation[None]})[0], np.float64)
+            output = np.asarray(self._session.run(None, {self._input: observation[None]}, options)[0], np.float64)
         except Exception as error:
             raise BundleError(f"{GRAPH} does not run: {_line(error)}") from error
         if output.shape != (1, self.page.move.outputs):
@@ -113,7 +135,7 @@ def _schema_of(page: Page) -> "Schema":
 
     schema = SCHEMAS.get(page.schema)
     if schema is None:
-        raise BundleError(f"observation {page.schema!r} is not known; wanted {' or '.join(SCHEMAS)}")
+        raise BundleError(f"observation {page.schema[:60]!r} is not known; wanted {' or '.join(SCHEMAS)}")
     if (page.schema_version, page.observation) != (schema.version, schema.size):
         raise BundleError(
             f"observation {page.schema!r} version {page.schema_version} of {page.observation} numbers; "
@@ -159,8 +181,9 @@ def _member(file: zipfile.ZipFile, name: str) -> bytes:
     info = file.getinfo(name)
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise BundleError(f"{name} is compressed by method {info.compress_type}; wanted deflate, or none")
-    if info.file_size > MOST_BYTES:
-        raise BundleError(f"{name} is larger than {MOST_BYTES >> 20} MiB")
+    most = MOST_PAGE_BYTES if name == PAGE else MOST_BYTES
+    if info.file_size > most:
+        raise BundleError(f"{name} is larger than {most >> 20} MiB")
     with file.open(info) as member:
         return member.read(info.file_size)  # without a size, a member that is larger than it claims would be unpacked in full
 

@@ -1,8 +1,12 @@
 """The agent service: takes beliefs, answers each with one waypoint."""
 
+import math
 import time
 from collections.abc import Mapping
+from dataclasses import astuple
 from types import MappingProxyType
+
+import numpy as np
 
 from agent.planning.moves import Reach
 from agent.policies import choose
@@ -15,6 +19,8 @@ from plume.parameters import PARAMETERS
 from plume.sensor import parse
 from plume.world import float32
 
+MOST = 1e12
+"""Greatest number of a belief that is believed, in its own unit; squares and products of such numbers are finite."""
 NONE: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
 
@@ -75,9 +81,11 @@ def _next_belief(bus: Bus, area_m: float) -> tuple[Belief, Particles] | None:
     if belief is None:
         return None
     try:
-        parse(belief.sensor)
         _check(belief, area_m)
-        return belief, unpack_particles(arrival.attachment, len(belief.unknowns))
+        particles = unpack_particles(arrival.attachment, len(belief.unknowns))
+        if np.abs(particles).max() > MOST:
+            raise ValueError(f"a particle holds a number beyond ±{MOST:g}")
+        return belief, particles
     except ValueError as error:
         bus.refuse(BELIEF, str(error), "malformed")
         return None
@@ -91,3 +99,19 @@ def _check(belief: Belief, area_m: float) -> None:
         raise ValueError(f"{len(belief.means)} means and {len(belief.stds)} stds of {len(names)} unknowns")
     if not all(0.0 <= value <= area_m for value in belief.position):
         raise ValueError(f"position {belief.position} is outside the area [0, {area_m:g}] x [0, {area_m:g}] m")
+    positive = belief.rate, belief.diffusivity, belief.lifetime
+    others = (
+        *astuple(parse(belief.sensor)),
+        *belief.wind,
+        belief.gas,
+        belief.altitude_m,
+        belief.z,
+        *belief.mean,
+        *belief.covariance,
+        belief.spread,
+    )
+    if max(map(abs, (*positive, *others))) > MOST or min(positive) < 1 / MOST:
+        raise ValueError(f"the belief holds a number beyond ±{MOST:g}, or one within {1 / MOST:g} of 0 that must be above 0")
+    xx, xy, yy = belief.covariance
+    if min(xx, yy) < 0 or abs(xy) > 1.001 * math.sqrt(xx * yy) + 1e-9:
+        raise ValueError(f"{belief.covariance} is not a covariance (xx, xy, yy)")

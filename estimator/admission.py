@@ -10,12 +10,21 @@ from plume.dispersion import SOURCE_RADIUS_M
 from plume.parameters import GREATEST_CV, PARAMETERS
 from plume.sensor import Hits, Sensor
 
+STRONGEST_WIND_MPS = 120.0
+"""No instrument has measured more outside of tornadoes: 113 m/s on Barrow Island (WMO, 1996)."""
+HIGHEST_M = 10_000.0
+"""Altitude above or below home. Drones fly lower, and gas is nowhere near."""
+
 
 def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[str, str] | None:
     """Return kind and text of the reason to refuse a reading; None if it is admitted. `latest` is the last reading admitted."""
     if not all(0.0 <= value <= config.area_m for value in reading.position):
         area = f"[0, {config.area_m:g}] x [0, {config.area_m:g}] m"
         return "outside", f"position {reading.position} is outside the area {area}"
+    if math.hypot(*reading.wind) > STRONGEST_WIND_MPS:
+        return "absurd", f"wind {reading.wind} is absurd; allowed is up to {STRONGEST_WIND_MPS:g} m/s"
+    if abs(reading.altitude_m) > HIGHEST_M:
+        return "absurd", f"altitude {reading.altitude_m:g} m is absurd; allowed is from {-HIGHEST_M:g} to {HIGHEST_M:g} m"
     absurd = _noisiest(config).refusal(reading.gas, greatest_concentration(config))
     if absurd:
         return "absurd", absurd

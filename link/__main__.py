@@ -90,7 +90,7 @@ with key and reason (`overflow`: once per burst). A reading that overflowed is f
 | `not finite` | a reading with NaN or infinity |
 | `other vehicle` | a reading of another system |
 | `outside` | a reading from outside the area |
-| `absurd` | a gas value that the sensor cannot give, however strong the source |
+| `absurd` | a gas value that the sensor cannot give, however strong the source; a wind above 120 m/s; an altitude beyond ±10 km |
 | `late` | a reading older than the newest one |
 | `conflicting` | a different reading with the newest one's time |
 | `repeated` | the newest reading again: it is not assimilated twice, but the belief is published again |

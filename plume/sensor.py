@@ -192,6 +192,10 @@ class Threshold:
         return f"gas {reading:g} is absurd; allowed is 0 or {self.threshold:g} to {high:g} g/m³"
 
 
+MOST_HITS = 1e15
+"""Greatest mean count: of more, numpy draws none."""
+
+
 @dataclass(frozen=True)
 class Hits:
     """A hit counter: the reading is a count k ~ Poisson(e m + b) (Vergassola et al. 2007; OTTO, Loisy and Eloy 2022)."""
@@ -207,7 +211,7 @@ class Hits:
         concentration: the gas that is there, g/m³, if it was drawn elsewhere.  A count has no noise of its own to scale.
         """
         there = np.asarray(mean if concentration is None else concentration, np.float64)
-        return np.asarray(rng.poisson(self.efficiency * there + self.background), np.float64)
+        return np.asarray(rng.poisson(np.minimum(self.efficiency * there + self.background, MOST_HITS)), np.float64)
 
     def log_likelihood(self, reading: ArrayLike, mean: ArrayLike) -> Array:
         """log P(k; e m + b)."""

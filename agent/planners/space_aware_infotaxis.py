@@ -3,7 +3,7 @@
 import numpy as np
 
 from agent.planning.moves import Reach
-from agent.planning.predict import cloud, imagine
+from agent.planning.predict import cloud, imagine, shares_of_cells
 from link.bus.messages import Belief, Particles
 
 CELL_M = 1.0
@@ -20,9 +20,8 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     hypotheses = cloud(belief, particles)
     distances = np.abs(moves[:, :, None] - hypotheses.places).sum(axis=1) / CELL_M  # (A, N)
     imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, distances[:, None])
-    columns, rows = (hypotheses.places // CELL_M).astype(np.int64)
-    shares = np.bincount(columns * (1 + rows.max()) + rows, hypotheses.weights)
-    entropy = -np.sum(shares[shares > 0] * np.log2(shares[shares > 0]))
+    shares = shares_of_cells(hypotheses, CELL_M)
+    entropy = -np.sum(shares * np.log2(shares))
     entropies = np.maximum(entropy - imagined.gains / np.log(2), 0.0)  # (A, K)
     scores = np.log2(imagined.expectations[:, :, 0] + (np.exp2(entropies) - 1) / 2)
     return int(np.argmin(scores.mean(axis=1)))

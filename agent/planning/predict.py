@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 CELLS_A_SPREAD = 4
 """Cells per spread in `entropy_spread`."""
+MOST_CELLS, FAR = 1_000_000, 2.0**30
+"""Most cells of a grid that is counted in whole; cells beyond ±FAR count as those at ±FAR."""
 
 
 @dataclass(frozen=True)
@@ -157,11 +159,19 @@ def entropy_spread(hypotheses: Cloud, spread: float) -> float:
     spread itself need not.
     """
     cell = max(spread, SOURCE_RADIUS_M) / CELLS_A_SPREAD
-    columns, rows = np.floor(hypotheses.places / cell).astype(np.int64)
-    rows -= rows.min()
-    shares = np.bincount((columns - columns.min()) * (1 + rows.max()) + rows, hypotheses.weights)
-    shares = shares[shares > 0]
+    shares = shares_of_cells(hypotheses, cell)
     return float(cell * np.sqrt(np.exp(-np.sum(shares * np.log(shares))) / (np.pi * np.e)))
+
+
+def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
+    """Return the belief's weight in each square cell of this side (m) that has any, in order of column and row."""
+    columns, rows = np.clip(np.floor(hypotheses.places / cell), -FAR, FAR).astype(np.int64)
+    rows -= rows.min()
+    numbers = (columns - columns.min()) * (1 + rows.max()) + rows
+    if numbers.max() > MOST_CELLS:  # particles that are far apart: only cells that hold some are counted
+        numbers = np.unique(numbers, return_inverse=True)[1].astype(np.int64)
+    shares: Array = np.asarray(np.bincount(numbers, hypotheses.weights), np.float64)
+    return shares[shares > 0]
 
 
 def variances(belief: Belief, hypotheses: Cloud, places: Array, number: int, rng: np.random.Generator) -> Array:

@@ -8,7 +8,7 @@ import os
 import re
 import sys
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from itertools import groupby
 from pathlib import Path
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 FIRST_TEST_SEED = 1_000_000
 KEPT_IN = Path("runs")
+LONGEST_LINE, MOST_ROWS = 10_000, 1_000_000
 CUT_OFF = "\0"
 """Stands for a value that a line of a table lacks."""
 SHOWN = {
@@ -215,11 +216,19 @@ def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
 def read_csv(path: Path) -> list[MissionRow]:
     """Read a file that this or an older version of `write_csv` wrote. Raises ValueError on anything else."""
     with _open(path, "rt", compressed=path.suffix == ".gz") as file:
-        reader = csv.DictReader(file, restval=CUT_OFF)
+        reader = csv.DictReader(_lines(file), restval=CUT_OFF)
         try:
             return [_row(said) for said in reader]
         except (ValueError, csv.Error, OSError, EOFError, zlib.error) as error:
             raise ValueError(f"{path}: line {reader.line_num}: {error}") from error
+
+
+def _lines(file: IO[str]) -> Iterator[str]:
+    """Yield the lines of a file; raises ValueError on more than such a file can have. A small .gz file may hold gigabytes."""
+    for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), "")):
+        if len(line) == LONGEST_LINE or number > MOST_ROWS:
+            raise ValueError(f"wanted lines of less than {LONGEST_LINE:,} characters, and at most {MOST_ROWS:,} missions")
+        yield line
 
 
 def _row(said: dict[str | None, str]) -> MissionRow:

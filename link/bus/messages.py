@@ -8,10 +8,12 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 Pair = tuple[float, float]
-Count = Annotated[int, Meta(ge=0)]
+Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Covariance = Annotated[tuple[float, float, float], Meta(description="(xx, xy, yy) of the source's position, m²")]
-TimeBootMs = Annotated[int, Meta(ge=0, description="time_boot_ms of the reading that this answers")]
-Step = Annotated[int, Meta(ge=0, description="number of the reading, 0 at the start; equals the number of moves before it")]
+MOST = 2**32 - 1
+"""Greatest number that MAVLink's time_boot_ms can say; no mission has more steps."""
+TimeBootMs = Annotated[int, Meta(ge=0, le=MOST, description="time_boot_ms of the reading that this answers")]
+Step = Annotated[int, Meta(ge=0, le=MOST, description="number of the reading, 0 at the start; equals the number of moves before it")]
 Particles = NDArray[np.float32]
 """(N, D + 1): a column for each unknown of the belief (x and y by default), then the weights, which sum to one."""
 
@@ -70,7 +72,7 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     service: str
     state: Annotated[str, Meta(description="what it is doing; uav: standby, taking off, searching, paused, returning, holding, landed")]
-    step: Annotated[int, Meta(ge=-1, description="last step finished; -1 before the first")]
+    step: Annotated[int, Meta(ge=-1, le=MOST, description="last step finished; -1 before the first")]
     compute_s: Annotated[float, Meta(ge=0, description="compute time of the steps so far, s; only the uav's includes the bus")]
     uptime_s: Annotated[float, Meta(ge=0, description="time since it joined the bus, s")]
     refused: Annotated[dict[str, Count], Meta(description="messages dropped so far, by kind")]

@@ -37,9 +37,12 @@ LARGEST_PIECE = 256 << 20
 small messages take ten times their bytes there."""
 LARGEST_RECORD = 4 << 30
 """Most bytes of memory for all messages: they are read at once."""
+MOST_RATIO, SMALL = 100, 1 << 20
+"""Chunks may unpack to so many times the size of the file, or to SMALL bytes. Real missions pack to a third; a file that unpacks to a
+thousand times its size was made to exhaust memory."""
 MESSAGE_BYTES = 400
 """Memory overhead of a message, bytes."""
-DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, LookupError, RuntimeError, EOFError)
+DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, LookupError, RuntimeError, EOFError, ArithmeticError)
 """What reading damaged bytes can raise."""
 
 
@@ -78,7 +81,7 @@ def is_record(path: Path) -> bool:
 def read(path: Path | str) -> Recording:
     """Read a log, also one that is truncated or still being written.
 
-    Raises RecordError if the file is not a log of ours, its format is unknown, or it holds more than LARGEST_RECORD.
+    Raises RecordError if the file is not a log of ours, its format is unknown, or it holds more than LARGEST_RECORD or MOST_RATIO allow.
 
     Example:
         ```python
@@ -90,9 +93,9 @@ def read(path: Path | str) -> Recording:
     path = Path(path)
     if not is_record(path):
         raise RecordError(f"{path} is not an MCAP file")
-    reader = _Reader(path)
     whole = False
     try:
+        reader = _Reader(path)
         with path.open("rb") as file:
             whole = _read(_Whole(file, path.stat().st_size), reader)
     except OSError as error:
@@ -107,16 +110,18 @@ def _read(file: "_Whole", reader: "_Reader") -> bool:
     records = StreamReader(cast(IO[bytes], file), emit_chunks=True, record_size_limit=LARGEST_PIECE).records
     with contextlib.suppress(*DAMAGE):
         for record in records:
-            for piece in _unpacked(record) if isinstance(record, Chunk) else (record,):
+            for piece in _unpacked(record, reader) if isinstance(record, Chunk) else (record,):
                 reader.take(piece)
         return file.left == 0
     return False
 
 
-def _unpacked(chunk: Chunk) -> list[McapRecord]:
+def _unpacked(chunk: Chunk, reader: "_Reader") -> list[McapRecord]:
     """Return the records of a chunk. The size that it claims is not trusted."""
     if chunk.uncompressed_size > LARGEST_PIECE:
         raise McapError(f"a chunk that claims {chunk.uncompressed_size} bytes")
+    if chunk.compression:
+        reader.unpack(chunk.uncompressed_size)
     data = UNPACK[chunk.compression](chunk.data, chunk.uncompressed_size)
     return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
 
@@ -154,6 +159,14 @@ class _Reader:
         self._sequence = -1
         self._timed = False
         self._bytes = 0
+        self._unpacked = 0
+        self._may_unpack = max(SMALL, MOST_RATIO * path.stat().st_size)
+
+    def unpack(self, count: int) -> None:
+        """Count bytes that are about to be unpacked; raises RecordError if they are too many for the file."""
+        self._unpacked += count
+        if self._unpacked > self._may_unpack:
+            raise RecordError(f"{self._path} unpacks to more than {MOST_RATIO} times its size: damaged, or made to exhaust memory")
 
     def take(self, record: McapRecord) -> None:
         match record:

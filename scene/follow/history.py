@@ -29,6 +29,8 @@ MOST = 100_000
 """Most readings, points of the track and happenings that are kept where not all is; then the older half goes."""
 LONGEST = 300
 """Characters of a text that are kept: it may quote a stranger."""
+MOST_PARTS = 64
+"""Most parts that are followed; health messages of more are left out. Names are easily forged."""
 
 T = TypeVar("T")
 
@@ -167,6 +169,8 @@ class History:
         """Take that a part appeared on the bus or is gone."""
         self.wall_s = max(self.wall_s, wall_s)
         known = self._sign(service)
+        if self._is_crowded(service):
+            return
         if known is None or known.alive != alive:
             self._signed(service, _Sign(wall_s, alive, None if alive or known is None else known.health), self.time_s)
             self._happened(self.time_s, INFO if alive else WARNING, service, "joined" if alive else "is gone")
@@ -225,7 +229,7 @@ class History:
     def _take_health(self, said: Health, time_s: float, wall_s: float) -> bool:
         known = self._sign(said.service)
         before = known.health if known else None
-        if before == said:
+        if before == said or self._is_crowded(said.service):
             return False  # repeated to a late joiner
         if restarted(before, said):
             self._happened(time_s, WARNING, said.service, "was restarted")
@@ -241,6 +245,10 @@ class History:
 
     def _sign(self, service: str) -> _Sign | None:
         return self._signs[service].at(math.inf) if service in self._signs else None
+
+    def _is_crowded(self, service: str) -> bool:
+        """Whether there is no room for a part of this name."""
+        return len(service) > LONGEST or (service not in self._signs and len(self._signs) >= MOST_PARTS)
 
     def _signed(self, service: str, sign: _Sign, time_s: float) -> None:
         self._signs.setdefault(service, Timed(self._whole)).add(time_s, sign)

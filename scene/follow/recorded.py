@@ -1,5 +1,7 @@
 """A record of a mission as a history."""
 
+import math
+from contextlib import suppress
 from typing import Any
 
 import msgspec
@@ -23,13 +25,22 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
 
 
 def turns_of(about: dict[str, Any]) -> list[WindTurn] | None:
-    """Return the changes of the wind that a run's mission script has; None if its plume blew with the wind that a real vehicle reported."""
+    """Return the changes of the wind that a run's mission script has; one that is not as scripts have it is left out.
+
+    None if the plume blew with the wind that a real vehicle reported.
+    """
     if "vehicle" in about:
         return None
     mission = about.get("mission")
     events = mission.get("events") if isinstance(mission, dict) else None
     winds = [event for event in events or () if isinstance(event, dict) and event.get("do") == "wind"]
-    return [WindTurn(event.get("step"), event.get("time_s") or 0.0, event.get("u"), event.get("phi")) for event in winds]
+    turns = []
+    for event in winds:
+        with suppress(msgspec.ValidationError):
+            turn = msgspec.convert((event.get("step"), event.get("time_s") or 0.0, event.get("u"), event.get("phi")), WindTurn)
+            if all(math.isfinite(value) for value in turn if value is not None):
+                turns.append(turn)
+    return turns
 
 
 def history_of(recording: Recording, vehicle: str = "") -> History:

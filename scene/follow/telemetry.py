@@ -72,7 +72,7 @@ class Texts:
         number, text = fields["id"], fields["text"]
         if number:
             text = (self._begun.pop(number, "") if fields["chunk_seq"] else "") + text
-            if len(fields["text"]) == CHUNK and fields["chunk_seq"] < 255:
+            if len(fields["text"]) == CHUNK and fields["chunk_seq"] < 255 and len(text) < 256 * CHUNK:
                 self._begun = {number: text}  # one text at a time: what is cut off is dropped
                 return None
         severity = fields["severity"]

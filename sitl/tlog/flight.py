@@ -218,6 +218,9 @@ def _readings(
     first_ms = 0 if fits or not taken else taken[0].sample.time_ms
     readings: list[tuple[Reading, LoggedGas]] = []
     for sample, (north, east, up), wind in taken:
+        if sample.time_ms - first_ms >= WRAP:
+            left_out["later than time_boot_ms can say"] += 1
+            continue
         position = float32(east - corner[1]), float32(north - corner[0])
         if not all(0.0 <= value <= side_m for value in position):
             left_out["outside the area"] += 1

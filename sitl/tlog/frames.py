@@ -109,7 +109,7 @@ def log_clock(logged_us: Integers) -> LogClock:
     newest = next((stamp for stamp in stamps if stamp != NO_STAMP), 0)
     for index, stamp in enumerate(stamps):
         now = stamp + offset
-        if stamp == NO_STAMP:
+        if stamp == NO_STAMP or now > LATEST_US:
             damaged += 1
         elif not abs(now - newest) <= SURE_US:
             following = next((later + offset for later in stamps[index + 1 : index + 3] if later != NO_STAMP), newest)

@@ -12,7 +12,7 @@ from link.bus.mavlink import Message
 from plume.world import float32
 from sitl.tlog.clock import Floats, VehicleClock
 from sitl.tlog.frames import Integers
-from sitl.tlog.sender import Autopilot, FlightError, FlightLog, counted
+from sitl.tlog.sender import Autopilot, FlightError, FlightLog, counted, few
 from sitl.tlog.track import Told
 
 Pair = tuple[float, float]
@@ -130,7 +130,7 @@ def _no_gas(log: FlightLog, autopilot: Autopilot, source: GasSource) -> str:
     names: dict[int, set[str]] = defaultdict(set)
     for _, m in log.messages(log.select(None, NAMED)):
         names[m.get_srcSystem()].add(m.name)
-    there = ", ".join(sorted(names[autopilot.system])) or "none"
+    there = few([name if name.isprintable() else repr(name) for name in sorted(names[autopilot.system])]) or "none"
     elsewhere = "".join(f"; system {system} did" for system in sorted(names) if source.name in names[system])
     return (
         f"system {autopilot.system} sent no {source.text}{elsewhere}; its named values: {there}; "

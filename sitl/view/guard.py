@@ -71,7 +71,7 @@ def _split(host: str) -> tuple[str, int]:
     name, colon, port = host.rpartition(":")
     if not colon or "]" in port:
         name, port = host, "80"
-    return name.lower().removeprefix("[").removesuffix("]"), int(port) if port.isascii() and port.isdigit() else -1
+    return name.lower().removeprefix("[").removesuffix("]"), int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else -1
 
 
 def guarded(app: Asgi, rules: AccessRules) -> Asgi:

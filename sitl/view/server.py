@@ -124,7 +124,9 @@ class PageServer:
             WebSocketRoute("/scenes", self._scenes),
             Mount("/static", StaticFiles(directory=self._page, check_dir=False)),
         ]
-        return guarded(Starlette(routes=routes), self._rules)
+        app = Starlette(routes=routes)
+        app.router.redirect_slashes = False  # it fails on a query that is not UTF-8
+        return guarded(app, self._rules)
 
     @property
     def watched(self) -> bool:

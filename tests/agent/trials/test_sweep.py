@@ -3,6 +3,7 @@
 import gzip
 import itertools
 import math
+import tracemalloc
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -169,6 +170,19 @@ def test_a_table_of_something_else_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "other.csv").write_text("policy,particles\ngreedy,many\n")
     with pytest.raises(ValueError, match=r"other\.csv: .*particles"):
         read_csv(tmp_path / "other.csv")
+
+
+def test_a_small_table_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
+    packed = gzip.compress(b"policy\n" + bytes(200_000_000))
+    assert len(packed) < 200_000
+    (tmp_path / "bomb.csv.gz").write_bytes(packed)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=r"bomb\.csv\.gz: line 1: wanted lines of less than 10,000 characters"):
+            read_csv(tmp_path / "bomb.csv.gz")
+        assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    finally:
+        tracemalloc.stop()
 
 
 def test_rows_carry_the_floor_of_their_scenario_where_it_is_known() -> None:

@@ -2,6 +2,7 @@
 
 import io
 import os
+import random
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
-from mcap.records import Chunk, Metadata
+from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.writer import MCAP0_MAGIC, CompressionType
 from mcap.writer import Writer as OthersWriter
 
@@ -206,12 +207,38 @@ def test_a_chunk_that_comes_to_far_too_much_ends_the_record(tmp_path: Path, comp
 def test_a_record_that_would_fill_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reader, "LARGEST_RECORD", 1 << 20)
     log = tmp_path / "run.mcap"
-    particles = Entry("belief", 0, 0.0, b"", bytes(100_000))  # zeros: the file itself is small
-    written(log, [particles._replace(published_ns=number) for number in range(10)])
+    beliefs = [Entry("belief", number, 0.0, b"", random.Random(number).randbytes(5_000) * 20) for number in range(11)]
+    written(log, beliefs[:10])
     assert len(read(log).entries) == 10
-    written(log, [particles._replace(published_ns=number) for number in range(11)])
+    written(log, beliefs)
     assert log.stat().st_size < 100_000
     assert refused(log) == f"{log} holds more than 0.000976562 GiB of messages; cut out a part of it with `mcap filter`"
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_small_file_that_unpacks_without_end_is_refused_before_it_fills_the_memory(tmp_path: Path, compression: CompressionType) -> None:
+    pack = {CompressionType.ZSTD: zstandard.compress, CompressionType.LZ4: lz4.frame.compress}[compression]
+    name = compression.name.lower()
+    mebibyte = as_record(Channel(0, "mavlink/out", "", {}, 0), Message(0, 5, bytes(1 << 20), 5, 0))
+    chunk = as_record(Chunk(name, pack(mebibyte), 0, 0, 0, len(mebibyte)))
+    (tmp_path / "run.mcap").write_bytes(MCAP0_MAGIC + chunk * 100)
+    assert (tmp_path / "run.mcap").stat().st_size < 500_000
+    tracemalloc.start()
+    try:
+        line = refused(tmp_path / "run.mcap")
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert line == f"{tmp_path / 'run.mcap'} unpacks to more than 100 times its size: damaged, or made to exhaust memory"
+    assert peak < 60_000_000
+
+
+def test_a_length_that_no_computer_can_hold_is_damage(tmp_path: Path) -> None:
+    strange = b"\x60" + (2**64 - 1).to_bytes(8, "little")  # a record of an unknown kind
+    whole = written(tmp_path / "run.mcap").read_bytes()
+    damaged = whole[: whole.rindex(b"\x0f" + (4).to_bytes(8, "little"))] + as_record(Chunk("", strange, 0, 0, 0, len(strange)))
+    (tmp_path / "run.mcap").write_bytes(damaged)
+    assert (read(tmp_path / "run.mcap").entries, read(tmp_path / "run.mcap").complete) == (ENTRIES, False)
 
 
 def test_json_that_is_nested_without_end_stops_neither_the_recorder_nor_the_reader(tmp_path: Path) -> None:

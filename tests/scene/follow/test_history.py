@@ -90,6 +90,25 @@ def test_changes_of_mode_arming_and_long_texts_are_told_once(history: History) -
     ]
 
 
+def test_a_text_whose_end_never_comes_does_not_grow_without_end(history: History) -> None:
+    for _ in range(1000):
+        history.take("mavlink/out", UAV.pack(mavlink.MAVLink_statustext_message(4, b"a" * 50, 1, 1)), b"", 1.0, 100.0)
+    assert len(history._texts._begun[1]) <= 256 * 50
+
+
+def test_parts_with_forged_names_are_not_followed_without_end(history: History) -> None:
+    history.take("health/uav", health("uav", 1.0), b"", 1.0, 100.0)
+    for number in range(1000):
+        history.take(f"health/{number}", health(f"forged {number}", 1.0), b"", 1.0, 100.0)
+        history.lives(f"other {number}", True, 100.0)
+    history.take("health/x", health("x" * 100_000, 1.0), b"", 1.0, 100.0)
+    assert history.take("health/uav", health("uav", 2.0), b"", 1.0, 100.0)
+    services = history.at().services
+    assert len(services) == 64
+    assert services[0].name == "uav"
+    assert max(len(service.name) for service in services) < 300
+
+
 def test_readings_and_waypoints_are_shown(history: History) -> None:
     history.take("reading", pack_reading(UAV, Reading(1000, (2.0, 3.0), 5.0, (1.5, -0.5), 0.25)), b"", 1.0, 100.0)
     history.take("mavlink/in", Codec(1, 191).pack(waypoint_message(1, 1000, (2.5, 4.0), 5.0)), b"", 1.1, 100.0)

@@ -44,3 +44,10 @@ def test_the_turns_are_read_from_the_script_in_a_runs_description() -> None:
     events = [{"do": "wind", "step": 12, "u": 3.0, "phi": 2.1}, {"do": "pause", "step": 3}, {"do": "wind", "time_s": 7.5, "u": 1.0}]
     assert turns_of({"mission": {"events": events}}) == [WindTurn(12, 0.0, 3.0, 2.1), WindTurn(None, 7.5, 1.0, None)]
     assert turns_of({}) == turns_of({"mission": "odd"}) == []
+
+
+@pytest.mark.parametrize("turn", [{"time_s": "soon", "u": 1.0}, {"step": "2"}, {"step": 1, "phi": math.inf}, {"step": 1, "u": [1]}])
+def test_a_turn_that_no_script_can_have_is_left_out(turn: dict[str, object]) -> None:
+    honest = {"do": "wind", "step": 4, "u": 2.0, "phi": None}
+    (left,) = turns_of({"mission": {"events": [{"do": "wind", **turn}, honest]}})
+    assert left == (4, 0.0, 2.0, None)

@@ -447,6 +447,28 @@ def test_a_bad_gas_mapping_is_refused_with_what_is_allowed(text: str, wanted: st
     assert "\n" not in str(refusal.value)
 
 
+def test_readings_later_than_their_time_can_say_are_left_out(tmp_path: Path) -> None:
+    log = Recorder()
+    fly(log, 0.0, 4.0)
+    for begin_s, boot_ms in ((5.0, 4_000_000_000), (15.0, 500_000_000), (25.0, 4_000_000_000)):  # on the way, it adds up to 85 days
+        for n in range(8):
+            log.hear(begin_s + n, local(boot_ms + 1000 * n, 1.0, 1.0))
+            log.hear(begin_s + n, gas(boot_ms + 1000 * n, 0.5))
+    flight = read(log.write(tmp_path), wind=WESTERLY)
+    assert readings(flight)
+    assert "later than time_boot_ms can say" in noted(flight, "left out")
+
+
+def test_a_name_that_would_break_the_line_or_the_terminal_is_quoted(tmp_path: Path) -> None:
+    log = Recorder()
+    log.hear(0.0, heartbeat())
+    log.hear(0.0, local(0, 1.0, 1.0))
+    log.hear(0.5, gas(500, 1.0, b"a\n\x1b[2J"))
+    with pytest.raises(FlightError) as refused:
+        read(log.write(tmp_path))
+    assert r"its named values: 'a\n\x1b[2J'; " in str(refused.value)
+
+
 def test_without_gas_the_names_that_are_there_are_told(tmp_path: Path) -> None:
     log = Recorder()
     for n in range(3):

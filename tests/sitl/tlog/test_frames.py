@@ -150,6 +150,13 @@ class TestTheLogsClock:
         assert clock.times_us.tolist() == [10 * SECOND, 10 * SECOND, 10_500_000, 30 * SECOND, 8000 * SECOND, 8001 * SECOND]
         assert (clock.damaged, clock.jumps) == (0, [])
 
+    def test_jumps_that_add_up_to_more_than_a_clock_can_say_are_damage(self) -> None:
+        late = 130 * 365 * 24 * 3600.0  # in the year 2099
+        clock = self.clock(*[late, late, late, 0, 0, 0] * 3000)
+        assert clock.times_us[-1] < 2**63
+        assert clock.times_us.tolist() == sorted(clock.times_us.tolist())
+        assert clock.damaged == 3 * 2999  # 2099 added to itself is in no calendar; the first three are right
+
     def test_a_little_back_is_two_links_at_once(self) -> None:
         clock = self.clock(10, 10.5, 10.2, 10.6)
         assert clock.times_us.tolist() == [10 * SECOND, 10_500_000, 10_500_000, 10_600_000]

@@ -22,6 +22,7 @@ EVERYWHERE = AccessRules("0.0.0.0", 8447)
         (LOCAL, "127.0.0.1:8447@evil.example", False),
         (LOCAL, "", False),
         (LOCAL, "127.0.0.1:²", False),
+        (LOCAL, "127.0.0.1:" + "9" * 5000, False),  # Python reads no number of so many digits
         (AccessRules("127.0.0.1", 80), "127.0.0.1", True),
         (AccessRules("::1", 8447), "[::1]:8447", True),
         (AccessRules("::1", 80), "[::1]", True),

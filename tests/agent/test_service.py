@@ -1,0 +1,46 @@
+"""Protects the agent from beliefs that no estimator can mean: each is refused for its own reason, and the next one is answered."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from link.bus.messages import Belief
+from tests.fuzz.services import BETWEEN, answered, belief_seeds
+
+POLICY = "space-aware-infotaxis"
+
+
+def said(**changed: object) -> bytes:
+    """A real belief with these changes, and its particles."""
+    payload, _, particles = belief_seeds()[0][1:].partition(BETWEEN)
+    fields = msgspec.json.decode(payload) | {"ceased": False} | changed
+    return msgspec.json.encode(fields) + BETWEEN + particles
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"time_boot_ms": 2**32}, "Expected `int` <= 4294967295 - at `$.time_boot_ms`"),
+        ({"step": 10**30}, "Expected `int` <= 4294967295 - at `$.step`"),
+        ({"altitude_m": 1e39}, "a number beyond ±1e+12"),
+        ({"sensor": "hits:3.5e38,0.1"}, "a number beyond ±1e+12"),
+        ({"sensor": "hits:1e12,0.1", "wind": [1e300, 0.0]}, "a number beyond ±1e+12"),
+        ({"covariance": [-1.0, 0.0, 1.0]}, "(-1.0, 0.0, 1.0) is not a covariance (xx, xy, yy)"),
+        ({"covariance": [1.0, 2.0, 1.0]}, "(1.0, 2.0, 1.0) is not a covariance (xx, xy, yy)"),
+        ({"diffusivity": 1e-300}, "one within 1e-12 of 0 that must be above 0"),
+    ],
+)
+def test_a_belief_that_no_estimator_can_mean_is_refused_and_the_next_one_answered(changed: dict[str, object], reason: str) -> None:
+    bus = answered("ppo", said(**changed), said())
+    assert reason in bus.tally.last_error
+    assert bus.tally.refused == {"malformed": 1}
+    assert len(bus.published) == 1
+
+
+def test_particles_that_are_far_apart_need_no_grid_between_them() -> None:
+    rows = np.array([[1.0, 1.0, 0.5], [1e6, 1e6, 0.5]], np.float32)  # 10¹² cells of one metre
+    fields = msgspec.structs.asdict(msgspec.json.decode(said().partition(BETWEEN)[0], type=Belief))
+    narrow = fields | {"unknowns": ("x", "y"), "means": (1.0, 1.0), "stds": (0.1, 0.1)}
+    for policy in (POLICY, "homing"):
+        bus = answered(policy, msgspec.json.encode(narrow) + BETWEEN + rows.tobytes())
+        assert len(bus.published) == 1

@@ -1,0 +1,35 @@
+"""The decoders that are fuzzed: each with real inputs to begin with, and a check that holds for any bytes."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from tests.fuzz import files, services, watchers
+
+
+class Decoder(NamedTuple):
+    """One decoder."""
+
+    seeds: Callable[[], Sequence[bytes]]
+    check: Callable[[bytes], None]
+    """Raises on any input for which a promise is broken: whatever it raises is a find."""
+
+
+DECODERS = {
+    "reading": Decoder(services.reading_seeds, services.reading),
+    "belief": Decoder(services.belief_seeds, services.belief),
+    "stop": Decoder(services.stop_seeds, services.stop),
+    "mavlink-in": Decoder(services.mavlink_in_seeds, services.mavlink_in),
+    "frames": Decoder(services.frames_seeds, services.frames),
+    "health": Decoder(watchers.health_seeds, watchers.heard),
+    "messages": Decoder(watchers.messages_seeds, watchers.messages),
+    "recording": Decoder(watchers.messages_seeds, watchers.recording),
+    "browser": Decoder(watchers.browser_seeds, watchers.browser),
+    "record": Decoder(files.record_seeds, files.record),
+    "tlog": Decoder(files.tlog_seeds, files.tlog),
+    "script": Decoder(files.script_seeds, files.script),
+    "bundle": Decoder(files.bundle_seeds, files.zipped),
+    "bundle-page": Decoder(files.page_of_bundle_seeds, files.page_of_bundle),
+    "bundle-graph": Decoder(files.graph_seeds, files.graph),
+    "rows": Decoder(files.rows_seeds, files.rows),
+}
+"""By name."""

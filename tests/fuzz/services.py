@@ -1,0 +1,293 @@
+"""What services read from the bus and from UDP: hostile bytes go through the services' own loops, which must go on as before."""
+
+import contextlib
+import logging
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from pymavlink.dialects.v20 import common as mavlink
+
+from agent import service as agent
+from agent.policies import OURS, reach
+from estimator import service as estimator
+from estimator.filter import Config
+from link.bus.inbox import Inbox
+from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING, STOP, Key
+from link.bus.log import LOGGER, Log
+from link.bus.mavlink import Codec, Reading, pack_reading, split, waypoint_message
+from link.bus.messages import Belief, Health, Stop, unpack_particles
+from link.bus.session import Arrival, Bus
+from link.bus.tally import REPEATED, Tally
+from link.record.reader import read
+from plume.scenario import AREA_M, draw
+from plume.sensor import GAUSSIAN
+from plume.world import World
+from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.operator import OPERATOR, change_mode, command
+from sitl.autopilot.state import Mode
+from sitl.bridge.routing import Routes
+from sitl.bridge.stream import FrameStream
+from sitl.uav import udp
+from sitl.uav.clock import Clock
+from sitl.uav.uav import FromUdp, Uav
+from tests.fuzz.mutants import as_sent
+
+LOGGER.setLevel(logging.CRITICAL)
+logging.getLogger("sitl.uav.udp").setLevel(logging.CRITICAL)
+GOLDEN = Path(__file__).parents[1] / "golden"
+BETWEEN = b"\xff\xff\xff"
+"""Parts the payload of a message from its attachment: no JSON holds it."""
+PARTICLES = 20
+
+
+class _End(Exception):
+    """All messages have been taken."""
+
+
+class QuietBus(Bus):
+    """A bus without a router: it delivers what it is given and keeps what is published."""
+
+    def __init__(self, *arrivals: Arrival) -> None:
+        self.service, self.tally = "fuzzed", Tally()
+        self.log = Log(self.service, "-", self.tally)
+        self._arrivals, self._given_at = list(arrivals), 0.0
+        self.published: list[tuple[Key, bytes, bytes]] = []
+
+    def subscribe(self, *keys: Key, newest: bool = False) -> None: ...
+    def watch_services(self) -> None: ...
+    def publish_health(self) -> None: ...
+    def keep_health(self) -> None: ...
+
+    def receive(self, timeout_s: float | None = None) -> Any:
+        if not self._arrivals:
+            raise _End
+        return self._arrivals.pop(0)
+
+    def publish(self, key: Key, message: bytes | msgspec.Struct, attachment: bytes | None = None) -> None:
+        payload = message if isinstance(message, bytes) else msgspec.json.encode(message)
+        self.published.append((key, payload, attachment or b""))
+
+
+@cache
+def recorded(name: str = "homing-gaussian-field") -> dict[str, list[bytes]]:
+    """Return real messages by key, each with its attachment."""
+    said: dict[str, list[bytes]] = {}
+    for entry in read(GOLDEN / f"{name}.mcap").entries:
+        said.setdefault(entry.key, []).append(entry.payload + (BETWEEN + entry.attachment if entry.attachment else b""))
+    return said
+
+
+def health() -> bytes:
+    """Return a health message as services publish it."""
+    return msgspec.json.encode(Health("estimator", "ready", 3, 0.1, 9.0, {"malformed": 2}, ("w",), 1, "e", 1.0, 0.1, "20 particles"))
+
+
+# ---- readings: the estimator ----
+
+FIRST = pack_reading(Codec(1, 1), Reading(1000, (2.0, 3.0), 5.0, (1.5, 0.5), 0.5))
+LAST = pack_reading(Codec(1, 1), Reading(9000, (3.0, 3.0), 5.0, (1.5, 0.5), 0.25))
+
+
+def reading_seeds() -> list[bytes]:
+    return [pack_reading(Codec(1, 1), Reading(5000, (2.5, 3.5), 5.0, (1.0, 0.5), 0.75)), *recorded()["reading"][:3]]
+
+
+@cache
+def _config(assume: str) -> Config:
+    return Config(PARTICLES, assume=assume)
+
+
+def _estimated(assume: str, *payloads: bytes) -> QuietBus:
+    bus = QuietBus(*(Arrival(READING, payload, b"") for payload in payloads))
+    with contextlib.suppress(_End):
+        estimator.run(bus, _config(assume), 1)
+    return bus
+
+
+@cache
+def _undisturbed(assume: str) -> list[tuple[Key, bytes, bytes]]:
+    return _estimated(assume, FIRST, LAST).published
+
+
+def reading(data: bytes) -> None:
+    """A refused reading leaves the belief as it is, to the last bit; after any other, beliefs are valid, and the service goes on."""
+    assume = "field" if len(data) % 8 == 0 else "paper"
+    bus = _estimated(assume, FIRST, as_sent(data), LAST)
+    refused = set(bus.tally.refused)
+    if refused and not refused & {REPEATED, "late", "conflicting"}:  # else it was an honest reading, and the last one came late
+        assert bus.published == _undisturbed(assume)
+    answers = [(said, attachment) for key, said, attachment in bus.published if key is BELIEF]
+    assert len(answers) + bus.tally.refused.total() - bus.tally.refused[REPEATED] == 3
+    for said, attachment in answers:
+        belief = msgspec.json.decode(said, type=Belief)
+        agent._check(belief, AREA_M)
+        unpack_particles(attachment, len(belief.unknowns))
+
+
+# ---- beliefs: the agent ----
+
+
+@cache
+def belief_seeds() -> list[bytes]:
+    seeds = []
+    for name in ("homing-gaussian-field", "ppo-hits", "greedy-threshold"):
+        for said in recorded(name)["belief"][3:8:4]:
+            payload, _, particles = said.partition(BETWEEN)
+            row = 4 * (len(msgspec.json.decode(payload, type=Belief).unknowns) + 1)
+            seeds.append(payload + BETWEEN + particles[: 8 * row])
+    return [bytes([number]) + seed for seed in seeds for number in range(len(OURS))]
+
+
+def answered(policy: str, *messages: bytes) -> QuietBus:
+    """Return the bus of an agent that has taken these beliefs, each with its particles."""
+    parts = [message.partition(BETWEEN) for message in messages]
+    bus = QuietBus(*(Arrival(BELIEF, payload, attachment) for payload, _, attachment in parts))
+    with contextlib.suppress(_End):
+        agent.run(bus, policy, 3, 300, 1, reach(policy))
+    return bus
+
+
+@cache
+def _last_answer(policy: str) -> tuple[bytes, bytes]:
+    """Return a belief that comes after all others, and its waypoint."""
+    payload, _, particles = belief_seeds()[0][1:].partition(BETWEEN)
+    last = msgspec.structs.replace(msgspec.json.decode(payload, type=Belief), time_boot_ms=2**32 - 1, ceased=False)
+    message = msgspec.json.encode(last) + BETWEEN + particles
+    return message, answered(policy, message).published[-1][1]
+
+
+def belief(data: bytes) -> None:
+    """Whatever came before, the agent answers the next belief as always; a waypoint that it gives lies in the area."""
+    policy = OURS[data[0] % len(OURS)] if data else OURS[0]
+    message, answer = _last_answer(policy)
+    bus = answered(policy, data[1:], message)
+    if b'"time_boot_ms":4294967295' not in data:
+        place = slice(10, -2)  # the number of the frame and the checksum differ
+        assert bus.published[-1][1][place] == answer[place]
+    for key, frames, _ in bus.published:
+        assert key is MAVLINK_IN
+        (waypoint,) = (mavlink.MAVLink(None).decode(bytearray(frames[frame.start : frame.end])) for frame in split(frames))
+        assert 0.0 <= waypoint.x <= AREA_M
+        assert 0.0 <= waypoint.y <= AREA_M
+        assert math.isfinite(waypoint.z)
+
+
+# ---- the vehicle: mavlink/in, UDP and the stop ----
+
+
+@cache
+def _world() -> World:
+    return World(draw(1_000_000), 1, GAUSSIAN)
+
+
+def _uav(*, searching: bool) -> tuple[Uav, QuietBus]:
+    bus = QuietBus()
+    uav = Uav(VehicleConfig(), _world(), Clock(0.0), Inbox(), bus, (), bus.log)
+    if searching:
+        uav._searchers = {"estimator", "agent"}
+        for _ in range(2):
+            uav._go_on_with_the_search()
+            _pass(uav, 60.0)
+    return uav, bus
+
+
+def _pass(uav: Uav, for_s: float) -> None:
+    uav._clock._jumped_s += for_s
+    uav._live_until(uav._clock.now_s())
+
+
+ASKED = command(1, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+
+
+def _lives_on(uav: Uav, bus: QuietBus) -> None:
+    """The vehicle flies on for a while, and answers."""
+    uav._go_on_with_the_search()
+    for for_s in (0.1, 1.0, 30.0):
+        _pass(uav, for_s)
+    state = uav._vehicle.state(uav._vehicle.now_s)
+    assert all(map(math.isfinite, (*state.position, *state.velocity)))
+    bus.published.clear()
+    uav._handle(Arrival(MAVLINK_IN, Codec(*OPERATOR).pack(ASKED), b""))
+    ids = {frame.message_id for key, payload, _ in bus.published if key is MAVLINK_OUT for frame in split(payload)}
+    assert mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION in ids
+
+
+@cache
+def mavlink_in_seeds() -> list[bytes]:
+    said = Codec(*OPERATOR).pack
+    modes = [said(change_mode(1, mode)) for mode in (Mode.HOLD, Mode.OFFBOARD, Mode.MISSION, Mode.LAND)]
+    numbers = (400, 22, 176, 178, 192, 300, 224, 193, 511, 510, 512, 520, 519, 410)
+    orders = [said(command(1, number, 1.0)) for number in numbers]
+    whole = [
+        mavlink.MAVLink_command_int_message(1, 1, 3, 192, 0, 0, -1.0, 1.0, 0.0, math.nan, 473977420, 85455940, 10.0),
+        mavlink.MAVLink_mission_count_message(1, 1, 1, 0),
+        mavlink.MAVLink_mission_item_int_message(1, 1, 0, 6, 16, 0, 1, 0.0, 0.0, 0.0, math.nan, 473977420, 85455940, 10.0, 0),
+        mavlink.MAVLink_mission_request_list_message(1, 1, 0),
+        mavlink.MAVLink_param_set_message(1, 1, b"MPC_XY_CRUISE", 3.0, 9),
+        mavlink.MAVLink_param_request_read_message(1, 1, b"MPC_XY_CRUISE", -1),
+        mavlink.MAVLink_param_request_list_message(1, 1),
+        mavlink.MAVLink_set_position_target_global_int_message(0, 1, 1, 6, 0x0DF8, 473977420, 85455940, 10.0, 0, 0, 0, 0, 0, 0, 0, 0),
+        mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, [0] * 251),
+        mavlink.MAVLink_timesync_message(0, 5),
+        mavlink.MAVLink_manual_control_message(1, 100, 100, 500, 0, 1),
+    ]
+    waypoint = said(waypoint_message(1, 0, (5.0, 6.0), 5.0))
+    upload = said(*whole[1:3]) + orders[5]
+    return [*orders, *modes, waypoint, upload, *map(said, whole), orders[0] + orders[1] + modes[1], *recorded()["mavlink/in"][:2]]
+
+
+def mavlink_in(data: bytes) -> None:
+    """The vehicle takes any payload, from the bus or decoded from UDP, flies on and answers."""
+    payload = as_sent(data)
+    uav, bus = _uav(searching=len(data) % 2 == 0)
+    uav._handle(Arrival(MAVLINK_IN, payload, b""))
+    for message in udp.decode(payload).messages:
+        uav._handle(FromUdp(0, message))
+    _lives_on(uav, bus)
+
+
+def stop_seeds() -> list[bytes]:
+    return [recorded("greedy-gaussian")["agdc/stop"][0], msgspec.json.encode(Stop(5, 1, (1.0, 2.0), (0.1, 0.0, 0.1), 0.4, 0.5, "spread"))]
+
+
+def stop(data: bytes) -> None:
+    """The vehicle takes any payload as a stop; one that is refused does not end the search."""
+    uav, bus = _uav(searching=True)
+    uav._handle(Arrival(STOP, data, b""))
+    assert uav._search.found != bool(bus.tally.refused)
+    _lives_on(uav, bus)
+
+
+# ---- frames in a stream: UDP and the bridge ----
+
+
+def frames_seeds() -> list[bytes]:
+    unknown = bytes([0xFD, 1, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0x7F, 5, 0, 0])
+    one = mavlink_in_seeds()
+    return [*recorded()["mavlink/out"][:4], one[0] + one[3] + unknown + one[14], b"\xfd" * 40 + one[2], one[1][:-3] + one[2]]
+
+
+GOOD = Codec(7, 7).pack(mavlink.MAVLink_system_time_message(1, 1))
+
+
+def frames(data: bytes) -> None:
+    """Every byte is in a frame, garbage or kept for later, and a good frame behind is found."""
+    payload = as_sent(data)
+    heard = udp.decode(payload)
+    lengths = sum(len(message.get_msgbuf()) for message in heard.messages)
+    assert lengths + heard.garbage + len(heard.rest) == len(payload)
+    assert len(heard.rest) <= 280
+    if payload.count(b"\xfd") + payload.count(b"\xfe") < udp.MOST_FALSE_STARTS:
+        assert bytes(udp.decode(payload + GOOD).messages[-1].get_msgbuf()) == GOOD
+    for datagram in (False, True):
+        stream, routes = FrameStream(), Routes()
+        routes.join(1)
+        half = len(payload) // 2
+        letters = [letter for part in (payload[:half], payload[half:]) for letter in stream.take(part, datagram=datagram)]
+        assert sum(len(letter.data) for letter in letters) + stream.garbage + len(stream._rest) == len(payload)
+        assert len(stream._rest) <= 280
+        for letter in letters:
+            routes.route(letter, 1, 0.0)
