@@ -15,6 +15,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
+from link.bus import shared_memory
 from link.bus.log import LEVELS
 from link.bus.session import DEFAULT_ROUTER, BusError
 
@@ -329,6 +330,7 @@ def run(command: Callable[[], int | None]) -> NoReturn:
     if status == INTERRUPTED:
         _leave(status)
     gc.freeze()  # skips a last look through all objects
+    shared_memory.release()
     sys.exit(status)
 
 
@@ -337,6 +339,7 @@ def _leave(status: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it, or it is closed
             stream.flush()
+    shared_memory.release()
     os._exit(status)
 
 

@@ -282,7 +282,7 @@ def _uav(args: argparse.Namespace, given: argparse.Namespace) -> int:
         bus = None
         if args.connect or not args.out:  # with --out alone it is a plain MAVLink vehicle, without a bus
             endpoint = args.connect or DEFAULT_ROUTER
-            bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox, args.log_level))
+            bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox, args.log_level, sole=True))
             log = bus.log
             log.info(f"on the bus at {endpoint} as {namespace}; takes off when estimator and agent are there")
             joining = f"--connect {endpoint} --namespace {namespace}"

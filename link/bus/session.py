@@ -18,6 +18,7 @@ from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
 from link.bus.messages import Health
 from link.bus.sequence import Sequence
+from link.bus.sole import Sole
 from link.bus.tally import REPEATED, Tally
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
@@ -140,6 +141,7 @@ class Bus:
         inbox: Inbox | None = None,
         log_level: str = "info",
         announced: bool = True,
+        sole: bool = False,
         **settings: Any,
     ) -> None:
         """Join a router as a client.
@@ -147,8 +149,9 @@ class Bus:
         namespace: the vehicle's key prefix; None: keys are those of the router, with every vehicle's prefix.
         inbox: receives all messages; pass your own if other sources fill it too. If too many messages wait, some are dropped and counted.
         announced: if False, the service has no liveliness token (observer).  settings: Zenoh's, beside these or instead of them.
+        sole: refuse to be here beside an older service of the same name, now and later on.
 
-        Raises NoRouter if no router answers within CONNECT_TIMEOUT_S, BusError if `connect` is not an endpoint.
+        Raises NoRouter if no router answers within CONNECT_TIMEOUT_S, BusError if `connect` is not an endpoint or an older one is here.
         """
         usual = {
             **({} if namespace is None else {"namespace": namespace}),
@@ -163,6 +166,7 @@ class Bus:
         except zenoh.ZError:
             raise NoRouter(f"--connect: no router at {connect} (start one with: plumeward router)") from None
         self.service = service
+        self._namespace = namespace
         self.tally = Tally()
         self.log = Log(service, namespace or "-", self.tally, log_level)
         self._inbox = Inbox() if inbox is None else inbox
@@ -173,7 +177,18 @@ class Bus:
         self._ready: deque[Any] = deque()
         self._given_at = time.monotonic()
         self._health_at = math.inf
-        self._token = self._session.liveliness().declare_token(self._own_health()) if announced else None
+        self._token: Any = None
+        self._sole = Sole(self._session, self._own_health(), lambda: self.tally.uptime_s) if sole else None
+        if self._sole:
+            self._subscribers["own health"] = self._sole.subscriber
+            if service in self.services() and self._sole.await_elder():
+                self.close()
+                raise self._superfluous()
+        if announced:
+            self._token = self._session.liveliness().declare_token(self._own_health())
+
+    def _superfluous(self) -> BusError:
+        return BusError(f"another {self.service} is already on {self._namespace or 'the bus'}")
 
     def _own_health(self) -> str:
         return HEALTH.name.replace("<service>", self.service)
@@ -357,7 +372,9 @@ class Bus:
         self._health_at = time.monotonic() + HEALTH_EVERY_S
 
     def keep_health(self) -> None:
-        """Publish the service's health if HEALTH_EVERY_S have passed since the last time."""
+        """Publish the service's health if HEALTH_EVERY_S have passed since the last time. Raises BusError beside an older one, if sole."""
+        if self._sole and self._sole.has_elder:
+            raise self._superfluous()
         if time.monotonic() >= self._health_at:
             self.publish_health()
 
@@ -366,7 +383,7 @@ class Bus:
         for subscriber in self._subscribers.values():
             subscriber.undeclare()
         if self._token:
-            self._token.undeclare()  # type: ignore[no-untyped-call]
+            self._token.undeclare()
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:

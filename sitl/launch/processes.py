@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, Self
 
-from link.bus import log
+from link.bus import log, shared_memory
 from link.bus.inbox import Inbox
 from link.bus.session import SIGNAL_POLL_S
 from link.cli import BAD_INPUT, FAILED, INTERRUPTED, LAUNCHER, uninterrupted
@@ -241,6 +241,7 @@ class Processes:
                 self._end([child for part, child in self._children.items() if part in group])
             for child in self._all:
                 child.join()
+            shared_memory.sweep()
 
     @staticmethod
     def _end(children: list[Child]) -> None:

@@ -1,0 +1,45 @@
+"""One service of a name on the bus of a vehicle: a second one, started by mistake, is refused before it says anything."""
+
+import time
+from collections.abc import Callable
+
+import msgspec
+import zenoh
+
+from link.bus.messages import Health
+
+WAIT_S = 3.5
+"""How long a new service waits for the health of one that is said to be there. A service that was killed leaves a token for 2 s at most."""
+LOOK_S = 0.02
+APART_S = 0.5
+"""An elder is one whose health shows so much more uptime than before: a message still on its way may be the last one of the dead."""
+
+
+class Sole:
+    """Listens for a service of the same name that has been there for longer."""
+
+    def __init__(self, session: zenoh.Session, key: str, uptime_s: Callable[[], float]) -> None:
+        """Take the key of its own health within the namespace, and its own uptime, s."""
+        self.has_elder = False
+        """True once another is known to be there. Of the two, the younger has to go."""
+        self._uptime_s = uptime_s
+        self._first_s: float | None = None
+        self.subscriber = session.declare_subscriber(key, self._heard, allowed_origin=zenoh.Locality.REMOTE)
+
+    def await_elder(self) -> bool:
+        """Return whether one is there; a hung or dead one says nothing."""
+        deadline = time.monotonic() + WAIT_S
+        while not self.has_elder and time.monotonic() < deadline:
+            time.sleep(LOOK_S)
+        return self.has_elder
+
+    def _heard(self, sample: zenoh.Sample) -> None:
+        try:
+            uptime_s = msgspec.json.decode(sample.payload.to_bytes(), type=Health).uptime_s
+        except (msgspec.DecodeError, UnicodeDecodeError):
+            return
+        if uptime_s <= self._uptime_s():
+            return
+        if self._first_s is None or uptime_s < self._first_s:
+            self._first_s = uptime_s
+        self.has_elder = self.has_elder or uptime_s - self._first_s >= APART_S
