@@ -79,18 +79,11 @@ def main() -> int:
         print(f"warning: {kind or 'missions side by side share ports and shared memory'}: {reason}", file=sys.stderr)
     seeds = [seed for seed in range(args.first_seed, args.first_seed + args.missions) if not _skipped(seed, args.only, missing)]
     broken = 0
-    rows = {} if args.json else read(args.results)
     for number, said in enumerate(fly_all(seeds, args.only, args.workers if isolated else 1, isolated), 1):
         broken += said["outcome"] == BROKEN
         _tell(number, len(seeds), said, args)
         if not args.json:
-            row = Row.of(said, args.only or "")
-            rows[row.seed, row.only] = row
-            _write(rows, args.results)
-    if not args.json:
-        with whole(args.page) as partial:
-            partial.write_text(page(args.page.read_text(), rows.values()))
-        print(args.page)
+            _keep(Row.of(said, args.only or ""), args.results, args.page)
     return cli.FAILED if broken else 0
 
 
@@ -110,12 +103,17 @@ def _tell(number: int, count: int, said: Mapping[str, Any], args: argparse.Names
             print(f"    {line.strip()}", file=sys.stderr, flush=True)
 
 
-def _write(rows: Mapping[Any, Row], path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole(path) as partial, partial.open("w", newline="") as file:
+def _keep(row: Row, results: Path, document: Path) -> None:
+    """Write a row in place of its earlier one, and the page."""
+    rows = read(results) | {(row.seed, row.only): row}
+    results.parent.mkdir(parents=True, exist_ok=True)
+    with whole(results) as partial, partial.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows(rows[key].cells() for key in sorted(rows))
+    text = page(document.read_text(), rows.values())
+    with whole(document) as partial:
+        partial.write_text(text)
 
 
 def _is_kind(name: str) -> None:

@@ -23,7 +23,7 @@ def lacking() -> dict[str, str]:
     missing: dict[str, str] = {}
     tries = (
         ("", ("true",), "no namespaces: `unshare --user --net` is not permitted"),
-        ("split", ("sh", "-c", "ip link add a type veth peer name b && nft add table inet a"), "needs ip and nft, and leave to use them"),
+        ("split", ("sh", "-c", "ip link add one type veth peer name two && nft add table inet x"), "needs ip and nft, and their rights"),
         ("disk", ("mount", "-t", "tmpfs", "tmpfs", "/mnt"), "needs leave to mount a small disk"),
     )  # fmt: skip
     for what, command, reason in tries:

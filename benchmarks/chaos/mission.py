@@ -39,7 +39,7 @@ SPEEDUP = 20.0
 MISSION_LIMIT_S = 240.0
 """Far beyond any mission with its faults: one that takes longer hangs."""
 LOOK_S = 0.05
-END_S = 5.0
+END_S = 20.0
 """How long processes may take to end once the mission is over."""
 STATION_PORT = 14551
 
@@ -68,7 +68,7 @@ class Part:
         """Wait for its first line on stdout."""
         while not self.out:
             if self.process.poll() is not None:
-                raise RuntimeError(f"{self.process.args} ended: {''.join(self.err[-5:])}")
+                raise RuntimeError(f"{self.process.args!r} ended: {''.join(self.err[-5:])}")
             time.sleep(LOOK_S)
         return self.out[0].strip()
 

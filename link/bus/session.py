@@ -181,7 +181,7 @@ class Bus:
         self._sole = Sole(self._session, self._own_health(), lambda: self.tally.uptime_s) if sole else None
         if self._sole:
             self._subscribers["own health"] = self._sole.subscriber
-            if service in self.services() and self._sole.await_elder():
+            if self._sole.await_elder(lambda: service in self.services()):
                 self.close()
                 raise self._superfluous()
         if announced:

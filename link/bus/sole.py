@@ -8,11 +8,11 @@ import zenoh
 
 from link.bus.messages import Health
 
-WAIT_S = 3.5
-"""How long a new service waits for the health of one that is said to be there. A service that was killed leaves a token for 2 s at most."""
+WAIT_S = 2.5
+"""How long a new service waits for the health of one that is said to be there: each publishes it every second."""
 LOOK_S = 0.02
 APART_S = 0.5
-"""An elder is one whose health shows so much more uptime than before: a message still on its way may be the last one of the dead."""
+"""Time after which an elder that was heard must still be there: a message on its way may be the last one of the dead."""
 
 
 class Sole:
@@ -26,12 +26,15 @@ class Sole:
         self._first_s: float | None = None
         self.subscriber = session.declare_subscriber(key, self._heard, allowed_origin=zenoh.Locality.REMOTE)
 
-    def await_elder(self) -> bool:
-        """Return whether one is there; a hung or dead one says nothing."""
+    def await_elder(self, is_there: Callable[[], bool]) -> bool:
+        """Return whether one is there and speaks; a hung or dead one says nothing. `is_there`: whether its token is."""
         deadline = time.monotonic() + WAIT_S
-        while not self.has_elder and time.monotonic() < deadline:
+        while is_there() and time.monotonic() < deadline:
+            if self._first_s is not None:
+                time.sleep(APART_S)
+                return is_there()
             time.sleep(LOOK_S)
-        return self.has_elder
+        return False
 
     def _heard(self, sample: zenoh.Sample) -> None:
         try:
