@@ -330,7 +330,7 @@ def run(command: Callable[[], int | None]) -> NoReturn:
     if status == INTERRUPTED:
         _leave(status)
     gc.freeze()  # skips a last look through all objects
-    shared_memory.release()
+    shared_memory.tidy()
     sys.exit(status)
 
 
@@ -339,7 +339,7 @@ def _leave(status: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it, or it is closed
             stream.flush()
-    shared_memory.release()
+    shared_memory.tidy()
     os._exit(status)
 
 

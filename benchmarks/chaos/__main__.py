@@ -1,7 +1,7 @@
 """The fault campaign: flies seeded missions with faults, judges each, and writes the table of docs/faults.md.
 
-    python -m benchmarks.chaos                            # 200 missions, two at a time
-    python -m benchmarks.chaos --missions 1 --first-seed 17 --only hang
+    python -m benchmarks.chaos                                                      # 200 missions, two at a time
+    python -m benchmarks.chaos --missions 1 --first-seed 17 --only hang --json      # one of them again; writes nothing
 
 Each mission is reproducible from its seed. results/chaos.csv has a row for each; those flown again replace their earlier ones.
 docs/faults.md keeps its prose.
@@ -96,7 +96,7 @@ def _skipped(seed: int, only: str | None, missing: Mapping[str, str]) -> bool:
 def _tell(number: int, count: int, said: Mapping[str, Any], args: argparse.Namespace) -> None:
     if args.json:
         print(json.dumps(said), flush=True)
-    again = f"python -m benchmarks.chaos --missions 1 --first-seed {said['seed']}" + (f" --only {args.only}" if args.only else "")
+    again = f"python -m benchmarks.chaos --missions 1 --first-seed {said['seed']}{' --only ' + args.only if args.only else ''} --json"
     print(f"{number}/{count} seed {said['seed']}: {said['words']}: {said['outcome']}, {said['wall_s']:.0f} s", file=sys.stderr, flush=True)
     if said["outcome"] == BROKEN:
         for line in (*said["reasons"], *said["said"], again):

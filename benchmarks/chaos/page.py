@@ -65,7 +65,8 @@ def table(rows: Collection[Row]) -> str:
     for kind, (what, promise, *_) in KINDS.items():
         for part in KINDS[kind].parts or ("",):
             hit = [row for row in rows if f"{kind} {part}".strip() in row.happened.split(";")]
-            lines.append([f"`{kind}`{' ' * bool(part)}{part}", what, promise, *_counts(hit)])
+            first = part in ("", *KINDS[kind].parts[:1])
+            lines.append([f"`{kind}`{' ' * bool(part)}{part}", *((what, promise) if first else ("", "")), *_counts(hit)])
     lines.append(["all", "", "", *_counts(rows)])
     heads = ["fault", "what happens", "promise", "missions", AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN]
     told = "".join(f"| {' | '.join(line)} |\n" for line in (heads, ["---"] * len(heads), *lines))

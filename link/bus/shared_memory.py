@@ -7,31 +7,34 @@ session any more. Files that nobody has locked it removes when the next process 
 import contextlib
 import fcntl
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 FOLDER = Path("/dev/shm")
 ENDING = ".zenoh"
 
 
-def release() -> None:
-    """Remove the files that only this process uses. Call it last: its sessions are of no use afterwards."""
-    with contextlib.suppress(OSError):  # there is no /proc: not Linux
-        for descriptor in Path("/proc/self/fd").iterdir():
-            with contextlib.suppress(OSError):
-                path = Path(os.readlink(descriptor))
-                if path.parent == FOLDER and path.suffix == ENDING:
-                    _remove(int(descriptor.name), path)
-
-
-def sweep() -> None:
-    """Remove the files that no process uses, where this user may."""
-    for path in FOLDER.glob(f"*{ENDING}"):
+def tidy() -> None:
+    """Remove the files that only this process uses, and, if it has used any, those of the dead. Call it last: it ends all sessions here."""
+    own = [(number, path) for number, path in _open_files() if path.parent == FOLDER and path.suffix == ENDING]
+    for number, path in own:
         with contextlib.suppress(OSError):
+            _remove(number, path)
+    for path in FOLDER.glob(f"*{ENDING}") if own else ():
+        with contextlib.suppress(OSError):  # another user's
             descriptor = os.open(path, os.O_RDWR)
             try:
                 _remove(descriptor, path)
             finally:
                 os.close(descriptor)
+
+
+def _open_files() -> Iterator[tuple[int, Path]]:
+    """Yield the files that this process has open, with their descriptors; none where there is no /proc."""
+    with contextlib.suppress(OSError):
+        for link in Path("/proc/self/fd").iterdir():
+            with contextlib.suppress(OSError):
+                yield int(link.name), Path(os.readlink(link))
 
 
 def _remove(descriptor: int, path: Path) -> None:

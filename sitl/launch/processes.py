@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, Self
 
-from link.bus import log, shared_memory
+from link.bus import log
 from link.bus.inbox import Inbox
 from link.bus.session import SIGNAL_POLL_S
 from link.cli import BAD_INPUT, FAILED, INTERRUPTED, LAUNCHER, uninterrupted
@@ -242,7 +242,6 @@ class Processes:
             for child in self._all:
                 child.join()
             self._tell_what_the_recorder_lacks()
-            shared_memory.sweep()
 
     def _tell_what_the_recorder_lacks(self) -> None:
         """Tell what stopped the recording at the mission's end, when nobody reads the inbox any more: a full disk, for example."""

@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import pytest
 import zenoh
 
 from link.bus.inbox import WAITING_MESSAGES
-from link.bus.keys import BELIEF, MAVLINK_IN, READING, STOP
-from link.bus.messages import Stop
+from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING, STOP
+from link.bus.messages import Health, Stop
 from link.bus.session import Arrival, Bus, BusError, LivelinessChange, _Numbered, open_router
 
 CLAIM = Stop(time_boot_ms=5, step=3, estimate=(1.0, 2.0), covariance=(0.1, 0.0, 0.1), spread=0.4, threshold=0.5)
@@ -224,3 +225,48 @@ def test_what_cannot_be_opened_is_said_in_one_line(router: str, attempt: Callabl
     with pytest.raises(BusError, match=said) as refusal:
         attempt(router)
     assert len(str(refusal.value).splitlines()) == 1
+
+
+def test_of_two_services_of_a_name_the_second_is_refused_and_says_nothing(router: str) -> None:
+    with Bus("viewer", router, announced=False) as viewer, Bus("estimator", router, sole=True) as first:
+        first.publish_health()
+        viewer.subscribe(HEALTH)
+        refusals: list[str] = []
+
+        def second() -> None:
+            with pytest.raises(BusError) as refused:
+                Bus("estimator", router, sole=True)
+            refusals.append(str(refused.value))
+
+        attempt = threading.Thread(target=second)
+        attempt.start()
+        while attempt.is_alive():
+            assert first.receive(timeout_s=0.05) is None  # it goes on, and publishes its health
+        attempt.join()
+        assert refusals == ["another estimator is already on uav/1"]
+        assert viewer.services() == {"estimator"}
+        Bus("agent", router, sole=True).close()
+        Bus("estimator", router, "uav/2", sole=True).close()
+
+
+def test_a_service_that_was_killed_is_followed_at_once(router: str, stranger: zenoh.Session) -> None:
+    stranger.liveliness().declare_token("uav/1/health/estimator")  # what a dead one leaves for a while: a token, and no health
+    Bus("estimator", router, sole=True).close()
+
+
+@pytest.mark.parametrize(("uptime_s", "goes"), [(1000.0, True), (0.0, False)], ids=["older", "younger"])
+def test_of_two_that_are_there_the_younger_goes(router: str, wait_until: Callable[..., None], uptime_s: float, goes: bool) -> None:
+    """As when one that hung while the other started comes back."""
+    with Bus("estimator", router, sole=True) as bus, Bus("other", router, announced=False) as other:
+        publisher = other._session.declare_publisher("health/estimator")
+        wait_until(lambda: publisher.matching_status.matching)
+        for more_s in (0.0, 1.0):
+            publisher.put(msgspec.json.encode(Health("estimator", "ready", -1, 0.0, uptime_s + more_s, {})))
+        publisher.put(b"noise")
+        other.settle(10.0)
+        bus.settle(10.0)
+        if goes:
+            with pytest.raises(BusError, match=r"^another estimator is already on uav/1$"):
+                bus.keep_health()
+        else:
+            bus.keep_health()
