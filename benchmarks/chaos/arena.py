@@ -123,6 +123,16 @@ def shared_memory() -> list[str]:
     return sorted(str(path) for path in SHARED_MEMORY.iterdir() if str(path) not in used) if os.environ.get(ISOLATED) else []
 
 
+def open_files(pid: int) -> set[str]:
+    """Return the files that a process has open."""
+    found = set()
+    with contextlib.suppress(OSError):
+        for link in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(OSError):
+                found.add(os.readlink(link))
+    return found
+
+
 def send(pid: int, number: signal.Signals) -> None:
     """Signal a process, if it is still there."""
     with contextlib.suppress(ProcessLookupError):

@@ -15,6 +15,7 @@ PARTS = (*RESTARTED, "uav", "recorder", "launcher", "bridge", "station")
 LAST_STEP = 15
 """Latest step at which a fault begins: few searches are over before."""
 MOST_FAULTS = 3
+SILENCES = ("kill", "hang", "cut", "unplug")
 
 
 class Fault(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -85,7 +86,10 @@ def plan(seed: int, only: str | None = None) -> list[Fault]:
     others = [str(kind) for kind in rng.permutation(others)][: count - 1]
     if split:
         others = [kind for kind in others if not KINDS[kind].split]
-    return sorted((_draw(kind, rng) for kind in (first, *others)), key=lambda fault: fault.step)
+    drawn = [_draw(kind, rng) for kind in (first, *others)]
+    twice = {fault.part for fault in drawn if fault.kind == "second"}
+    # Of a part that is gone for a while the second one takes the place: nobody can tell which of them is meant.
+    return sorted((it for it in drawn if it.kind not in SILENCES or it.part not in twice), key=lambda fault: fault.step)
 
 
 def is_split(faults: list[Fault]) -> bool:

@@ -19,6 +19,7 @@ from benchmarks.chaos.arena import (
     FarMachine,
     SteppedClock,
     enter,
+    open_files,
     processes,
     send,
     shared_memory,
@@ -158,6 +159,10 @@ class Mission:
         """End what this program started; returns what is left of the launcher's processes, and then of all."""
         own = {part.process.pid for part in self.parts.values()}
         left = self._left(own)
+        held: set[str] = set()
+        if deaf := self.parts.get("deaf"):  # its session, which takes nothing more, would wait for ever
+            held = open_files(deaf.process.pid)
+            deaf.process.kill()
         for part in reversed(self.parts.values()):
             send(part.process.pid, signal.SIGCONT)
             part.process.terminate()
@@ -169,7 +174,7 @@ class Mission:
         left += self._left(set()) + sockets(self.port)
         if self.far:
             self.far.close()
-        return left + shared_memory()
+        return left + [path for path in shared_memory() if path not in held]
 
     def _left(self, but: set[int]) -> list[str]:
         """Wait for the processes of this mission to end, but for some; returns those that do not."""

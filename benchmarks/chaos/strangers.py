@@ -15,8 +15,6 @@ from plume.randomness import keyed
 from sitl.uav.udp import UdpLink
 
 MOST_COPIES, LATEST_S = 3, 3.0
-HELD: list[Bus] = []
-"""Sessions that must not be closed at the end: one that takes nothing more would wait for ever."""
 BEAT_S = 0.5
 
 
@@ -33,7 +31,6 @@ def deaf(endpoint: str, seed: int) -> None:
     """Never read."""
     bus = Deaf("deaf", endpoint, announced=False)
     bus.listen()
-    HELD.append(bus)
     _ready()
     while True:
         time.sleep(BEAT_S)

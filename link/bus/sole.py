@@ -8,8 +8,8 @@ import zenoh
 
 from link.bus.messages import Health
 
-WAIT_S = 2.5
-"""How long a new service waits for the health of one that is said to be there: each publishes it every second."""
+WAIT_S = 5.0
+"""How long a new service waits for the token of another to go: that of one that was killed, hangs or is cut off goes within 2 s."""
 LOOK_S = 0.02
 APART_S = 0.5
 """Time after which an elder that was heard must still be there: a message on its way may be the last one of the dead."""
@@ -27,12 +27,13 @@ class Sole:
         self.subscriber = session.declare_subscriber(key, self._heard, allowed_origin=zenoh.Locality.REMOTE)
 
     def await_elder(self, is_there: Callable[[], bool]) -> bool:
-        """Return whether one is there and speaks; a hung or dead one says nothing. `is_there`: whether its token is."""
+        """Return whether one is there and stays. `is_there`: whether its token is."""
         deadline = time.monotonic() + WAIT_S
-        while is_there() and time.monotonic() < deadline:
+        while is_there():
             if self._first_s is not None:
-                time.sleep(APART_S)
-                return is_there()
+                deadline = min(deadline, time.monotonic() + APART_S)
+            if time.monotonic() >= deadline:
+                return True
             time.sleep(LOOK_S)
         return False
 

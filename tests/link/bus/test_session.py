@@ -249,9 +249,20 @@ def test_of_two_services_of_a_name_the_second_is_refused_and_says_nothing(router
         Bus("estimator", router, "uav/2", sole=True).close()
 
 
-def test_a_service_that_was_killed_is_followed_at_once(router: str, stranger: zenoh.Session) -> None:
-    stranger.liveliness().declare_token("uav/1/health/estimator")  # what a dead one leaves for a while: a token, and no health
-    Bus("estimator", router, sole=True).close()
+def test_a_service_that_was_cut_off_is_followed_when_its_token_is_gone(router: str, stranger: zenoh.Session) -> None:
+    token = stranger.liveliness().declare_token("uav/1/health/estimator")  # what a dead one leaves for a while
+    gone = threading.Timer(0.5, token.undeclare)
+    gone.start()
+    with Bus("estimator", router, sole=True):
+        gone.join()
+
+
+def test_one_that_is_there_and_says_nothing_is_not_followed(router: str, stranger: zenoh.Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("link.bus.sole.WAIT_S", 0.2)
+    token = stranger.liveliness().declare_token("uav/1/health/estimator")
+    with pytest.raises(BusError, match=r"^another estimator is already on uav/1$"), Bus("estimator", router, sole=True):
+        pass
+    token.undeclare()
 
 
 @pytest.mark.parametrize(("uptime_s", "goes"), [(1000.0, True), (0.0, False)], ids=["older", "younger"])
