@@ -22,6 +22,8 @@ GAVE_UP = "the uav landed before the search was over; its last words: "
 REASON = "No setpoint for "
 """What the vehicle says before it returns home for want of waypoints."""
 SILENT = " has said nothing for "
+LACKS = ("warning: the record lacks the last readings", "warning: the recorder hangs and is killed")
+"""What the launcher says of a recorder that does not keep up: the flight has priority over its record."""
 
 
 class Evidence(msgspec.Struct, frozen=True):
@@ -134,9 +136,10 @@ def _record(evidence: Evidence, trace: list[TracePoint], ceased: bool, ended: st
         return wrong
     if full and not recording.complete:
         return wrong if any("recording stopped" in line for line in evidence.err) else [*wrong, "the full disk is not told"]
-    if not recording.complete:
+    told = any(words in line for words in LACKS for line in evidence.err)
+    if not (recording.complete or told):
         wrong.append("the record is not complete")
-    if ended == AS_UNDISTURBED and len(readings) != len(trace):
+    if ended == AS_UNDISTURBED and len(readings) != len(trace) and not told:
         wrong.append(f"the record has {len(readings)} of {len(trace)} readings")
     if ended == FAILSAFE and not any(REASON in text for text in _texts(payloads.get(MAVLINK_OUT.name, []))):
         wrong.append("the reason of the failsafe is not on record")
