@@ -208,7 +208,7 @@ class Bus:
                     self._session,
                     name,
                     cache=zenoh.ext.CacheConfig(
-                        max_samples=how.kept,
+                        max_samples=max(how.kept, how.recovered),
                         # By default replies are dropped if history is requested while many new messages are published.
                         replies_config=zenoh.ext.RepliesConfig(congestion_control=zenoh.CongestionControl.BLOCK),
                     ),
@@ -262,7 +262,8 @@ class Bus:
                 name,
                 handler,
                 allowed_origin=origin,
-                history=zenoh.ext.HistoryConfig(),  # detect_late_publishers loses history in half of the joins to a busy publisher
+                # detect_late_publishers loses history in half of the joins to a busy publisher
+                history=zenoh.ext.HistoryConfig(max_samples=key.delivery.kept if key.delivery.recovered else None),
                 recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
             )
         else:

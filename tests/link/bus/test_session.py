@@ -14,6 +14,7 @@ from link.bus.inbox import WAITING_MESSAGES
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING, STOP
 from link.bus.messages import Health, Stop
 from link.bus.session import Arrival, Bus, BusError, LivelinessChange, _Numbered, open_router
+from sitl.launch.relay import Relay
 
 CLAIM = Stop(time_boot_ms=5, step=3, estimate=(1.0, 2.0), covariance=(0.1, 0.0, 0.1), spread=0.4, threshold=0.5)
 
@@ -281,3 +282,27 @@ def test_of_two_that_are_there_the_younger_goes(router: str, wait_until: Callabl
                 bus.keep_health()
         else:
             bus.keep_health()
+
+
+def test_who_was_cut_off_gets_the_beliefs_that_it_has_missed_and_who_joins_late_only_the_newest(
+    router: str, wait_until: Callable[..., None]
+) -> None:
+    relay = Relay(router)
+    try:
+        with Bus("estimator", router) as estimator, Bus("viewer", relay.endpoint) as viewer:
+            viewer.subscribe(BELIEF)
+            estimator.publish(BELIEF, b"0")
+            assert arrivals(viewer, 1) == [b"0"]
+            relay.cut()
+            wait_until(lambda: not viewer.connected)
+            for number in range(1, 6):
+                estimator.publish(BELIEF, b"%d" % number)
+            relay.restore()
+            wait_until(lambda: viewer.connected)
+            estimator.publish(BELIEF, b"6")
+            assert arrivals(viewer, 6) == [b"1", b"2", b"3", b"4", b"5", b"6"]
+            with Bus("late", router) as late:
+                late.subscribe(BELIEF)
+                assert arrivals(late, 1) == [b"6"]
+    finally:
+        relay.close()
