@@ -107,7 +107,7 @@ report: setup
 mismatch: setup
 	$(BIN)/python -m benchmarks.trust --resume $(FLAGS)
 
-# About an hour. Some faults need namespaces, nft and a C compiler (Debian: iproute2 nftables gcc); without them fewer missions are flown.
+# Takes long; rows of earlier calls stay. Some faults need namespaces, nft and a C compiler (Debian: iproute2 nftables gcc); without them fewer missions are flown.
 chaos: setup
 	$(BIN)/python -m benchmarks.chaos $(FLAGS)
 
