@@ -10,7 +10,7 @@ LEARNED := infotaxis,ppo,dqn,ddpg
 # More flags for what a target runs, such as: make results FLAGS='--scenarios 20'
 FLAGS ?=
 
-.PHONY: setup chromium clients mission test fuzz lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch golden clean
+.PHONY: setup chromium clients mission test fuzz lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch chaos golden clean
 
 # Left behind by an install that did not finish. Then .venv is made anew: pip may take a half-written package for a whole one.
 UNFINISHED := .venv/.unfinished
@@ -111,6 +111,10 @@ report: setup
 # Takes hours; if interrupted, run the command again: it resumes.
 mismatch: setup
 	$(BIN)/python -m benchmarks.trust --resume $(FLAGS)
+
+# Takes long; rows of earlier calls stay. Some faults need namespaces, nft and a C compiler (Debian: iproute2 nftables gcc); without them fewer missions are flown.
+chaos: setup
+	$(BIN)/python -m benchmarks.chaos $(FLAGS)
 
 # After an intended change of behaviour: shows which golden missions differ, and records them again.
 golden: setup

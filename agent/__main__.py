@@ -99,7 +99,7 @@ def _rollout(args: argparse.Namespace) -> None:
 def _serve(args: argparse.Namespace) -> None:
     from agent.service import run
 
-    with Bus("agent", args.connect, args.namespace, log_level=args.log_level, secure=args.secure) as bus:
+    with Bus("agent", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True) as bus:
         run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, args.scripted)
 
 

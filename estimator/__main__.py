@@ -36,7 +36,7 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
 
     told = (args.seed, args.rate, args.diffusivity, args.lifetime, args.area)
     config = Config(args.particles, stop.threshold_m, *told, within=stop.within, **known)
-    with Bus("estimator", args.connect, args.namespace, log_level=args.log_level, secure=args.secure) as bus:
+    with Bus("estimator", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True) as bus:
         run(bus, config, args.sysid)
 
 

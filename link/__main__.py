@@ -8,8 +8,8 @@ import msgspec
 from link import certs, cli
 from link.access.roles import EVERYBODY, MOST_VEHICLES, OF_ALL_VEHICLES, SERVICES
 from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES
-from link.bus.keys import KEYS, Key
-from link.bus.session import DEFAULT_ROUTER
+from link.bus.keys import BELIEF, KEYS, Key
+from link.bus.opening import DEFAULT_ROUTER
 
 HEAD = f"""# The bus
 
@@ -72,7 +72,8 @@ detection by heartbeat). An advanced subscriber with history and recovery receiv
 subscriber receives only what is published from then on. Let the cache reply with congestion control BLOCK, and leave late-publisher
 detection off: with zenoh 1.10.2, the default reply or the detection loses kept messages when one joins a busy publisher. Even then some
 history can be missing. Check the source sequence number of the samples, which counts from 0: if one is missing, subscribe again and
-drop duplicates. An estimator that starts late, or again, rebuilds its belief from the kept readings.
+drop duplicates. The last {BELIEF.delivery.recovered} beliefs are kept for who finds a gap after its link was down; ask for a history of one
+(`max_samples`) to join with the newest alone. An estimator that starts late, or again, rebuilds its belief from the kept readings.
 
 ## Floats
 

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, TextIO
 
 from link import cli
-from link.bus.session import DEFAULT_ROUTER
+from link.bus.opening import DEFAULT_ROUTER
 from plume.scenario import BUDGET_STEPS
 from sitl.launch import viewing
 from sitl.launch.watchdog import PATIENCE_S, WARN_S

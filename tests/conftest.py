@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from link.bus.session import open_router
+from link.bus.opening import open_router
 
 # The same examples on every run, and no time limit per example: the machine may be busy.
 settings.register_profile("plumeward", derandomize=True, deadline=None)

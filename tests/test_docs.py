@@ -55,6 +55,7 @@ INSTEAD = {
     "make train": "make train LEARNERS=ddpg FLAGS='--steps 1 --scenarios 0'",
     "make results": "make results POLICIES=greedy LEARNED=ppo FLAGS='--scenarios 2'",
     "make mismatch": "make mismatch FLAGS='--missions 1 --policy homing --assume paper --world as-modelled'",
+    "make chaos": "make chaos FLAGS='--missions 1 --first-seed 5 --json'",
     "make golden": "python -c 'from tests.golden import __main__ as g; g.GOLDEN = {k: g.GOLDEN[k] for k in [\"greedy-hits\"]}; g.main()'",
     "python benchmarks/floor.py": "python benchmarks/floor.py --missions 2 --threshold 0.9",
     "python benchmarks/floor.py --fly": "python benchmarks/floor.py --missions 2 --threshold 0.9 --fly",

@@ -21,6 +21,8 @@ class Delivery:
     """Sent at once, never batched with later messages."""
     kept: int = 0
     """The publisher keeps this many messages for late and returning subscribers."""
+    recovered: int = 0
+    """It keeps this many for subscribers that find a gap, such as those whose link was down; late ones do not get them."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ PAYLOAD_OUT = Key(
 )  # fmt: skip
 BELIEF = Key(
     "belief", Belief, "estimator", "agent, viewers",
-    Delivery(express=True, kept=1),
+    Delivery(express=True, kept=1, recovered=32),
     "1 per reading",
     "The belief after a reading; the attachment is the particle array. A subscriber needs only the newest.",
     writers=(ESTIMATOR,), readers=(AGENT, VEHICLE),

@@ -1,9 +1,7 @@
 """A session on the bus: publishers and subscribers made from the table of keys, and one inbox for all messages that arrive."""
 
-import json
 import math
 import queue
-import re
 import time
 from collections import deque
 from collections.abc import Callable
@@ -15,15 +13,16 @@ import zenoh
 import zenoh.ext
 
 from link.access.identity import secured, why_not
-from link.access.roles import OF_ALL_VEHICLES, ROUTER, access_control
+from link.access.roles import OF_ALL_VEHICLES
 from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
 from link.bus.messages import Health
+from link.bus.opening import DEFAULT_ROUTER, BusError, NoRouter, zenoh_config
 from link.bus.sequence import Sequence
+from link.bus.sole import Sole
 from link.bus.tally import REPEATED, Tally
 
-DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
 MOST_REASON = 300
 """Longest reason that is logged, characters: a reason may quote a stranger's message."""
@@ -33,14 +32,6 @@ SIGNAL_POLL_S = 0.2
 """Waits are cut into slices of this length: the system may deliver a signal to one of Zenoh's threads, which does not wake ours."""
 
 T = TypeVar("T", bound=msgspec.Struct)
-
-
-class BusError(Exception):
-    """The bus cannot be joined or opened; the text is one line."""
-
-
-class NoRouter(BusError):
-    """No router answers at the given endpoint."""
 
 
 class Arrival(NamedTuple):
@@ -91,50 +82,6 @@ class LivelinessChange(NamedTuple):
     alive: bool
 
 
-def _config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zenoh.Config:
-    config = zenoh.Config()
-    config.insert_json5("mode", json.dumps(mode))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    config.insert_json5("scouting/gossip/enabled", "false")
-    config.insert_json5("scouting/delay", "0")  # nobody to scout for: a router opens at once instead of after 0.5 s
-    config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
-    # A belief of 4,000 particles is larger than the two batches that wait by default: where the other side is slow, it would be dropped.
-    config.insert_json5("transport/link/tx/queue/size/data", "16")
-    for kind, urls in endpoints.items():
-        try:
-            config.insert_json5(f"{kind}/endpoints", json.dumps(urls))
-        except zenoh.ZError:
-            raise BusError(f"--{kind}: {', '.join(urls)!r} is not a Zenoh endpoint; wanted one like {DEFAULT_ROUTER}") from None
-    for name, value in settings.items():
-        try:
-            config.insert_json5(name.replace("__", "/"), json.dumps(value))
-        except zenoh.ZError:
-            words = "words separated by single slashes, without * $ ? #"
-            raise BusError(f"--{name}: {value!r} is not allowed; wanted {words}, like uav/1") from None
-    return config
-
-
-def open_router(endpoint: str, secure: Path | None = None) -> tuple[zenoh.Session, str]:
-    """Open a Zenoh router in this process. Returns it and its endpoint, which names the chosen port if port 0 was asked for.
-
-    secure: the folder of its certificate; it then admits per role and vehicle. Raises BusError if it cannot listen on `endpoint`,
-    AccessError if it cannot be secured.
-    """
-    endpoint, known = secured("--listen", endpoint, secure, ROUTER, None)
-    rules = {"transport__link__tls": known.tls, "access_control": access_control(key.rights for key in KEYS)} if known else {}
-    config = _config("router", {"listen": [endpoint]}, adminspace__enabled=True, **rules)
-    try:
-        session = zenoh.open(config)
-    except zenoh.ZError as error:
-        reason = re.search(r"(Address already in use|Permission denied|Cannot assign requested address|[Ff]ailed to lookup)", str(error))
-        raise BusError(f"--listen: cannot listen on {endpoint}: {reason.group(1) if reason else str(error).split(' at /')[0]}") from None
-    for reply in session.get(f"@/{session.zid()}/router"):
-        if reply.ok is not None:
-            return session, str(json.loads(reply.ok.payload.to_bytes())["locators"][0])
-    session.close()  # type: ignore[no-untyped-call]
-    raise BusError(f"--listen: the router on {endpoint} does not report its address")
-
-
 class Bus:
     """One service's connection to the bus of one vehicle."""
 
@@ -147,6 +94,7 @@ class Bus:
         log_level: str = "info",
         announced: bool = True,
         secure: Path | None = None,
+        sole: bool = False,
         **settings: Any,
     ) -> None:
         """Join a router as a client.
@@ -155,9 +103,10 @@ class Bus:
         inbox: receives all messages; pass your own if other sources fill it too. If too many messages wait, some are dropped and counted.
         announced: if False, the service has no liveliness token (observer).  settings: Zenoh's, beside these or instead of them.
         secure: the folder of certificates; the connection is then mutual TLS, with the certificate of the service's role.
+        sole: refuse to be here beside an older service of the same name, now and later on.
 
-        Raises NoRouter if no router admits us within CONNECT_TIMEOUT_S, BusError if `connect` is not an endpoint, AccessError if we have no
-        certificate that is fit.
+        Raises NoRouter if no router admits us within CONNECT_TIMEOUT_S, BusError if `connect` is not an endpoint or an older one is here,
+        AccessError if we have no certificate that is fit.
         """
         connect, self._identity = secured("--connect", connect, secure, service, namespace)
         usual = {
@@ -168,7 +117,7 @@ class Bus:
             # Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s.
             "connect__retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
         }
-        config = _config("client", {"connect": [connect]}, **usual | settings)
+        config = zenoh_config("client", {"connect": [connect]}, **usual | settings)
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError:
@@ -176,6 +125,7 @@ class Bus:
             nobody = f"no router at {connect} (start one with: plumeward router)"
             raise NoRouter(f"--connect: {f'the router at {connect} cannot be joined: {reason}' if reason else nobody}") from None
         self.service = service
+        self._namespace = namespace
         self.tally = Tally()
         self.log = Log(service, namespace or "-", self.tally, log_level)
         self._inbox = Inbox() if inbox is None else inbox
@@ -186,9 +136,19 @@ class Bus:
         self._ready: deque[Any] = deque()
         self._given_at = time.monotonic()
         self._health_at = math.inf
+        self._token: Any = None
+        self._sole = Sole(self._session, self._own_health(), lambda: self.tally.uptime_s) if sole else None
+        if self._sole:
+            self._subscribers["own health"] = self._sole.subscriber
+            if self._sole.await_elder(lambda: service in self.services()):
+                self.close()
+                raise self._superfluous()
         if announced:
             self._look_for_rights(HEALTH, HEALTH.writers, "publish", service)
-        self._token = self._session.liveliness().declare_token(self._own_health()) if announced else None
+            self._token = self._session.liveliness().declare_token(self._own_health())
+
+    def _superfluous(self) -> BusError:
+        return BusError(f"another {self.service} is already on {self._namespace or 'the bus'}")
 
     def _look_for_rights(self, key: Key, roles: tuple[str, ...], verb: str, service: str | None = None) -> None:
         """Say which right our certificate lacks: the router drops what it does not allow without a word."""
@@ -214,7 +174,7 @@ class Bus:
                     self._session,
                     name,
                     cache=zenoh.ext.CacheConfig(
-                        max_samples=how.kept,
+                        max_samples=max(how.kept, how.recovered),
                         # By default replies are dropped if history is requested while many new messages are published.
                         replies_config=zenoh.ext.RepliesConfig(congestion_control=zenoh.CongestionControl.BLOCK),
                     ),
@@ -269,7 +229,8 @@ class Bus:
                 name,
                 handler,
                 allowed_origin=origin,
-                history=zenoh.ext.HistoryConfig(),  # detect_late_publishers loses history in half of the joins to a busy publisher
+                # detect_late_publishers loses history in half of the joins to a busy publisher
+                history=zenoh.ext.HistoryConfig(max_samples=key.delivery.kept if key.delivery.recovered else None),
                 recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
             )
         else:
@@ -379,7 +340,9 @@ class Bus:
         self._health_at = time.monotonic() + HEALTH_EVERY_S
 
     def keep_health(self) -> None:
-        """Publish the service's health if HEALTH_EVERY_S have passed since the last time."""
+        """Publish the service's health if HEALTH_EVERY_S have passed since the last time. Raises BusError beside an older one, if sole."""
+        if self._sole and self._sole.has_elder:
+            raise self._superfluous()
         if time.monotonic() >= self._health_at:
             self.publish_health()
 
@@ -388,7 +351,7 @@ class Bus:
         for subscriber in self._subscribers.values():
             subscriber.undeclare()
         if self._token:
-            self._token.undeclare()  # type: ignore[no-untyped-call]
+            self._token.undeclare()
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:

@@ -6,7 +6,8 @@ from typing import Any
 import zenoh
 
 from link.bus.keys import KEYS, Key
-from link.bus.session import DEFAULT_ROUTER, Bus, Stamped, most_waiting
+from link.bus.opening import DEFAULT_ROUTER
+from link.bus.session import Bus, Stamped, most_waiting
 
 
 class Tap(Bus):

@@ -16,7 +16,8 @@ from rich.live import Live
 from link import cli
 from link.bus.keys import HEALTH
 from link.bus.messages import Health
-from link.bus.session import Arrival, Bus, LivelinessChange, NoRouter
+from link.bus.opening import NoRouter
+from link.bus.session import Arrival, Bus, LivelinessChange
 from link.terminal import Column, table, tell, width_of
 from scene.follow.parts import MISSING, OK, REFUSING, STALE, STALE_S, STARTING, verdict
 

@@ -252,6 +252,15 @@ class Processes:
                 self._end([child for part, child in self._children.items() if part in group])
             for child in self._all:
                 child.join()
+            self._tell_what_the_recorder_lacks()
+
+    def _tell_what_the_recorder_lacks(self) -> None:
+        """Tell what stopped the recording at the mission's end, when nobody reads the inbox any more: a full disk, for example."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                item = self._inbox.get(timeout=0.0)
+                if isinstance(item, Ended) and item.part == "recorder" and item.status > 0:
+                    print(f"warning: the recording stopped: {item.last_words}", file=sys.stderr)
 
     @staticmethod
     def _end(children: list[Child]) -> None:

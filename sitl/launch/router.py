@@ -6,7 +6,8 @@ from pathlib import Path
 from link.access.identity import is_open
 from link.access.refusals import Refusals
 from link.bus.log import Log
-from link.bus.session import SIGNAL_POLL_S, open_router
+from link.bus.opening import open_router
+from link.bus.session import SIGNAL_POLL_S
 from link.bus.tally import Tally
 
 

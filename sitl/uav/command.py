@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from link import cli
 from link.bus.inbox import Inbox
 from link.bus.log import Log
-from link.bus.session import DEFAULT_ROUTER, Bus
+from link.bus.opening import DEFAULT_ROUTER
+from link.bus.session import Bus
 from link.bus.tally import Tally
 from link.signing.signer import Signing
 from sitl.autopilot.state import VehicleFailed
@@ -44,7 +45,7 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
         bus = None
         if args.connect or args.vehicle or not args.out:  # with --out alone it is a plain MAVLink vehicle, without a bus
             endpoint = args.connect or DEFAULT_ROUTER
-            bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox, args.log_level, secure=args.secure))
+            bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox, args.log_level, secure=args.secure, sole=True))
             log = bus.log
             needed = "payload, estimator and agent" if args.vehicle else "estimator and agent"
             log.info(f"on the bus at {endpoint} as {namespace}; takes off when {needed} are there")

@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from link import cli
-from link.bus.session import DEFAULT_ROUTER
+from link.bus.opening import DEFAULT_ROUTER
 from plume.randomness import MAX_SEED
 from plume.worlds import WORLDS, check
 from sitl.script.script import Script, load, shipped

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 from link.bus.frames import frame_at
 from link.bus.keys import KEYS, MAVLINK_IN, MAVLINK_OUT
-from link.bus.roster import Presence, Roster
-from link.bus.session import NoRouter, Stamped
+from link.bus.opening import NoRouter
+from link.bus.session import Stamped
 from link.bus.tap import Tap
 from link.record.record import SimulationClock
 from scene.follow.history import History, WindTurn
 from scene.scene import Backdrop, Scene
+from sitl.view.roster import Presence, Roster
 
 EVERY_S = 0.01
 """How often messages are taken."""

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from link import cli
-from link.bus.session import open_router
+from link.bus.opening import open_router
 
 COMMANDS = [
     (["agent", "rollout", "--policy", "clairvoyance"], ["--policy", "'clairvoyance'", "wanted infotaxis, entrotaxis"]),

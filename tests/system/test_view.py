@@ -14,7 +14,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from link.bus.keys import BELIEF
 from link.bus.messages import Belief, pack_particles
-from link.bus.session import Bus, open_router
+from link.bus.opening import open_router
+from link.bus.session import Bus
 from tests.system.conftest import Part
 from tests.system.pages import Browser, port_of
 

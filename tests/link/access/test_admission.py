@@ -15,11 +15,12 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from link.bus.roster import Roster
 
 from link.access.authority import make
 from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, READING, STOP, Key
-from link.bus.roster import Roster
-from link.bus.session import Arrival, Bus, NoRouter, open_router
+from link.bus.opening import NoRouter, open_router
+from link.bus.session import Arrival, Bus
 from link.bus.tap import Tap
 from tests.link.access.certificates import endpoint_of, rogue, session
 

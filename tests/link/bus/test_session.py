@@ -6,13 +6,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import pytest
 import zenoh
 
 from link.bus.inbox import WAITING_MESSAGES
-from link.bus.keys import BELIEF, MAVLINK_IN, READING, STOP
-from link.bus.messages import Stop
-from link.bus.session import Arrival, Bus, BusError, LivelinessChange, _Numbered, open_router
+from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING, STOP
+from link.bus.messages import Health, Stop
+from link.bus.opening import BusError, open_router
+from link.bus.session import Arrival, Bus, LivelinessChange, _Numbered
+from sitl.launch.relay import Relay
 
 CLAIM = Stop(time_boot_ms=5, step=3, estimate=(1.0, 2.0), covariance=(0.1, 0.0, 0.1), spread=0.4, threshold=0.5)
 
@@ -224,3 +227,83 @@ def test_what_cannot_be_opened_is_said_in_one_line(router: str, attempt: Callabl
     with pytest.raises(BusError, match=said) as refusal:
         attempt(router)
     assert len(str(refusal.value).splitlines()) == 1
+
+
+def test_of_two_services_of_a_name_the_second_is_refused_and_says_nothing(router: str) -> None:
+    with Bus("viewer", router, announced=False) as viewer, Bus("estimator", router, sole=True) as first:
+        first.publish_health()
+        viewer.subscribe(HEALTH)
+        refusals: list[str] = []
+
+        def second() -> None:
+            with pytest.raises(BusError) as refused:
+                Bus("estimator", router, sole=True)
+            refusals.append(str(refused.value))
+
+        attempt = threading.Thread(target=second)
+        attempt.start()
+        while attempt.is_alive():
+            assert first.receive(timeout_s=0.05) is None  # it goes on, and publishes its health
+        attempt.join()
+        assert refusals == ["another estimator is already on uav/1"]
+        assert viewer.services() == {"estimator"}
+        Bus("agent", router, sole=True).close()
+        Bus("estimator", router, "uav/2", sole=True).close()
+
+
+def test_a_service_that_was_cut_off_is_followed_when_its_token_is_gone(router: str, stranger: zenoh.Session) -> None:
+    token = stranger.liveliness().declare_token("uav/1/health/estimator")  # what a dead one leaves for a while
+    gone = threading.Timer(0.5, token.undeclare)
+    gone.start()
+    with Bus("estimator", router, sole=True):
+        gone.join()
+
+
+def test_one_that_is_there_and_says_nothing_is_not_followed(router: str, stranger: zenoh.Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("link.bus.sole.WAIT_S", 0.2)
+    token = stranger.liveliness().declare_token("uav/1/health/estimator")
+    with pytest.raises(BusError, match=r"^another estimator is already on uav/1$"), Bus("estimator", router, sole=True):
+        pass
+    token.undeclare()
+
+
+@pytest.mark.parametrize(("uptime_s", "goes"), [(1000.0, True), (0.0, False)], ids=["older", "younger"])
+def test_of_two_that_are_there_the_younger_goes(router: str, wait_until: Callable[..., None], uptime_s: float, goes: bool) -> None:
+    """As when one that hung while the other started comes back."""
+    with Bus("estimator", router, sole=True) as bus, Bus("other", router, announced=False) as other:
+        publisher = other._session.declare_publisher("health/estimator")
+        wait_until(lambda: publisher.matching_status.matching)
+        for more_s in (0.0, 1.0):
+            publisher.put(msgspec.json.encode(Health("estimator", "ready", -1, 0.0, uptime_s + more_s, {})))
+        publisher.put(b"noise")
+        other.settle(10.0)
+        bus.settle(10.0)
+        if goes:
+            with pytest.raises(BusError, match=r"^another estimator is already on uav/1$"):
+                bus.keep_health()
+        else:
+            bus.keep_health()
+
+
+def test_who_was_cut_off_gets_the_beliefs_that_it_has_missed_and_who_joins_late_only_the_newest(
+    router: str, wait_until: Callable[..., None]
+) -> None:
+    relay = Relay(router)
+    try:
+        with Bus("estimator", router) as estimator, Bus("viewer", relay.endpoint) as viewer:
+            viewer.subscribe(BELIEF)
+            estimator.publish(BELIEF, b"0")
+            assert arrivals(viewer, 1) == [b"0"]
+            relay.cut()
+            wait_until(lambda: not viewer.connected)
+            for number in range(1, 6):
+                estimator.publish(BELIEF, b"%d" % number)
+            relay.restore()
+            wait_until(lambda: viewer.connected)
+            estimator.publish(BELIEF, b"6")
+            assert arrivals(viewer, 6) == [b"1", b"2", b"3", b"4", b"5", b"6"]
+            with Bus("late", router) as late:
+                late.subscribe(BELIEF)
+                assert arrivals(late, 1) == [b"6"]
+    finally:
+        relay.close()

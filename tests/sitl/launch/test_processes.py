@@ -210,3 +210,11 @@ def test_a_part_that_never_answers_is_told_and_given_up(
     with pytest.raises(MissionFailed, match=r"the router has said nothing in 0\.6 s since it was started"):
         launched.processes.answer(child)
     assert capsys.readouterr().err == "waiting for the router to start\n"
+
+
+def test_why_the_recording_stopped_is_told_also_at_the_missions_end(capsys: pytest.CaptureFixture[str]) -> None:
+    """A disk that is full when the end of the record is written: nobody reads the inbox any more."""
+    launched = Launched()
+    launched.inbox.put(Ended("recorder", 1, "recorder: warning: record stopped: No space left on device"))
+    launched.processes.stop()
+    assert capsys.readouterr().err == "warning: the recording stopped: recorder: warning: record stopped: No space left on device\n"

@@ -1,0 +1,67 @@
+"""How a Zenoh session is opened: its settings, and the router."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from link.access.identity import secured
+from link.access.roles import ROUTER, access_control
+from link.bus.keys import KEYS
+
+DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
+
+
+class BusError(Exception):
+    """The bus cannot be joined or opened; the text is one line."""
+
+
+class NoRouter(BusError):
+    """No router answers at the given endpoint."""
+
+
+def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zenoh.Config:
+    """Return Zenoh's configuration for a mode and what each flag names, such as `connect`. Raises BusError. settings: others of Zenoh's."""
+    config = zenoh.Config()
+    config.insert_json5("mode", json.dumps(mode))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("scouting/gossip/enabled", "false")
+    config.insert_json5("scouting/delay", "0")  # nobody to scout for: a router opens at once instead of after 0.5 s
+    config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
+    # A belief of 4,000 particles is larger than the two batches that wait by default: where the other side is slow, it would be dropped.
+    config.insert_json5("transport/link/tx/queue/size/data", "16")
+    for kind, urls in endpoints.items():
+        try:
+            config.insert_json5(f"{kind}/endpoints", json.dumps(urls))
+        except zenoh.ZError:
+            raise BusError(f"--{kind}: {', '.join(urls)!r} is not a Zenoh endpoint; wanted one like {DEFAULT_ROUTER}") from None
+    for name, value in settings.items():
+        try:
+            config.insert_json5(name.replace("__", "/"), json.dumps(value))
+        except zenoh.ZError:
+            words = "words separated by single slashes, without * $ ? #"
+            raise BusError(f"--{name}: {value!r} is not allowed; wanted {words}, like uav/1") from None
+    return config
+
+
+def open_router(endpoint: str, secure: Path | None = None) -> tuple[zenoh.Session, str]:
+    """Open a Zenoh router in this process. Returns it and its endpoint, which names the chosen port if port 0 was asked for.
+
+    secure: the folder of its certificate; it then admits per role and vehicle. Raises BusError if it cannot listen on `endpoint`,
+    AccessError if it cannot be secured.
+    """
+    endpoint, known = secured("--listen", endpoint, secure, ROUTER, None)
+    rules = {"transport__link__tls": known.tls, "access_control": access_control(key.rights for key in KEYS)} if known else {}
+    config = zenoh_config("router", {"listen": [endpoint]}, adminspace__enabled=True, **rules)
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError as error:
+        reason = re.search(r"(Address already in use|Permission denied|Cannot assign requested address|[Ff]ailed to lookup)", str(error))
+        raise BusError(f"--listen: cannot listen on {endpoint}: {reason.group(1) if reason else str(error).split(' at /')[0]}") from None
+    for reply in session.get(f"@/{session.zid()}/router"):
+        if reply.ok is not None:
+            return session, str(json.loads(reply.ok.payload.to_bytes())["locators"][0])
+    session.close()  # type: ignore[no-untyped-call]
+    raise BusError(f"--listen: the router on {endpoint} does not report its address")

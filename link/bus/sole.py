@@ -1,0 +1,49 @@
+"""One service of a name on the bus of a vehicle: a second one, started by mistake, is refused before it says anything."""
+
+import time
+from collections.abc import Callable
+
+import msgspec
+import zenoh
+
+from link.bus.messages import Health
+
+WAIT_S = 5.0
+"""How long a new service waits for the token of another to go: that of one that was killed, hangs or is cut off goes within 2 s."""
+LOOK_S = 0.02
+APART_S = 0.5
+"""Time after which an elder that was heard must still be there: a message on its way may be the last one of the dead."""
+
+
+class Sole:
+    """Listens for a service of the same name that has been there for longer."""
+
+    def __init__(self, session: zenoh.Session, key: str, uptime_s: Callable[[], float]) -> None:
+        """Take the key of its own health within the namespace, and its own uptime, s."""
+        self.has_elder = False
+        """True once another is known to be there. Of the two, the younger has to go."""
+        self._uptime_s = uptime_s
+        self._first_s: float | None = None
+        self.subscriber = session.declare_subscriber(key, self._heard, allowed_origin=zenoh.Locality.REMOTE)
+
+    def await_elder(self, is_there: Callable[[], bool]) -> bool:
+        """Return whether one is there and stays. `is_there`: whether its token is."""
+        deadline = time.monotonic() + WAIT_S
+        while is_there():
+            if self._first_s is not None:
+                deadline = min(deadline, time.monotonic() + APART_S)
+            if time.monotonic() >= deadline:
+                return True
+            time.sleep(LOOK_S)
+        return False
+
+    def _heard(self, sample: zenoh.Sample) -> None:
+        try:
+            uptime_s = msgspec.json.decode(sample.payload.to_bytes(), type=Health).uptime_s
+        except (msgspec.DecodeError, UnicodeDecodeError):
+            return
+        if uptime_s <= self._uptime_s():
+            return
+        if self._first_s is None or uptime_s < self._first_s:
+            self._first_s = uptime_s
+        self.has_elder = self.has_elder or uptime_s - self._first_s >= APART_S
