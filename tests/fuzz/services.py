@@ -28,6 +28,7 @@ from plume.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.operator import OPERATOR, change_mode, command
 from sitl.autopilot.state import Mode
+from sitl.autopilot.vehicle import Vehicle
 from sitl.bridge.routing import Routes
 from sitl.bridge.stream import FrameStream
 from sitl.uav import udp
@@ -185,7 +186,7 @@ def _world() -> World:
 
 def _uav(*, searching: bool) -> tuple[Uav, QuietBus]:
     bus = QuietBus()
-    uav = Uav(VehicleConfig(), _world(), Clock(0.0), Inbox(), bus, (), bus.log)
+    uav = Uav(Vehicle(VehicleConfig()), _world(), Clock(0.0), Inbox(), bus, (), bus.log)
     if searching:
         uav._searchers = {"estimator", "agent"}
         for _ in range(2):
