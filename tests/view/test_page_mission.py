@@ -51,26 +51,27 @@ def test_a_mission_from_the_ground_to_its_outcome_with_an_operators_commands(
     start("estimator", "--connect", router)
     start("agent", "--connect", router)
     window.until(f"{MODEL}.measurements.length >= 3")
-    assert window.text("[data-fact=mode]") == "OFFBOARD"
+    window.until("document.querySelector('[data-fact=mode]').textContent === 'OFFBOARD'")
 
     window.page.keyboard.press("p")
     window.until(f"plumeward.answers.length === 2 && {MODEL}.scene.craft.mode === 'HOLD'")
     assert "Pause accepted" in window.text(".answer")
-    # At most one waypoint is reached after the command. From then on time passes, and the vehicle stays and reads nothing.
+    # At most one waypoint is reached after the command, and the belief after one reading is under way. From then on time passes, and the
+    # vehicle stays and reads nothing.
     began_s, x, y, step = window.of(
         f"(({{ scene: {{ time_s, craft }}, measurements }}) => [time_s, craft.x, craft.y, measurements.length])({MODEL})"
     )
     window.until(f"{MODEL}.scene.time_s > {began_s} + 5")
-    assert window.model("measurements.length") == step
+    assert window.model("measurements.length") <= step + 1
     assert window.model("scene.craft.x") == pytest.approx(x, abs=1.0)
     assert window.model("scene.craft.y") == pytest.approx(y, abs=1.0)
     window.drawn()
     assert window.text("[data-fact=mode]") == "HOLD"
     window.keep("paused")
     window.page.get_by_role("button", name="Resume").click()
-    window.until(f"{MODEL}.measurements.length > {step}")
+    window.until(f"{MODEL}.measurements.length > {step} + 1")
 
-    window.until(f"{MODEL}.scene.ending", 60)
+    window.until(f"{MODEL}.scene.ending", 120)
     window.drawn()
     assert window.model("scene.ending.verdict") == "located"
     assert "Located" in window.text(".ending")
