@@ -1,10 +1,10 @@
-"""How fast the stop arrives while all else is flooded: the real vehicle and agent, 50 kB beliefs at 200 Hz, and a subscriber that never reads.
+"""How fast the stop arrives while all else is flooded: 50 kB beliefs at 200 Hz, and a subscriber that never reads.
 
     python -m benchmarks.stop                    # 1,000 stops, in quiet and in the flood
     python -m benchmarks.stop --trials 100
 
-The publisher of the beliefs also publishes the stops, as the estimator does. Other processes flood the other keys. Vehicle and agent are the
-services themselves; they tell when they have taken each stop, by the machine's monotonic clock.
+The publisher of the beliefs also publishes the stops, as the estimator does. Other processes flood the other keys. Vehicle and agent are
+the services themselves; they tell when they have taken each stop, by the machine's monotonic clock.
 """
 
 import argparse
@@ -20,11 +20,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-import zenoh
 from pymavlink.dialects.v20 import common as mavlink
 
 from link import cli
-from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, STOP, Key
+from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, STOP
 from link.bus.mavlink import Codec, Reading, pack_reading
 from link.bus.messages import Belief, Health, Stop, pack_particles
 from link.bus.session import Arrival, Bus
@@ -34,12 +33,14 @@ PARTICLES = 4167
 """Their array has 50 kB."""
 BELIEF_HZ, FLOOD_HZ = 200.0, 500.0
 FLOODS = {key.name: key for key in (MAVLINK_IN, MAVLINK_OUT, READING, HEALTH)}
-GIVE_UP_S, JOIN_EVERY = 10.0, 50
+GIVE_UP_S, EVERY = 10.0, 50
+"""Longest wait for a stop, and the number of stops after which another subscriber joins that never reads, and one that does."""
 WITNESSES = {"uav": ("sitl", "uav", "--seed", "1", "--speedup", "1"), "agent": ("agent",)}
 CLAIM = Stop(0, 0, (23.5, 24.3), (0.1, 0.0, 0.1), 0.45, 0.5, "spread:0.5")
 SAID = Belief(
-    0, 0, (10.0, 12.0), 5.0, 0.5, (2.0, 1.0), 300.0, 4.5, 10.0, 5.0, "gaussian", ("x", "y"), (15.0, 15.0), (2.0, 2.0), (15.0, 15.0),
-    (4.0, 0.0, 4.0), 2.8, 3.0, 0.5, False,
+    time_boot_ms=0, step=0, position=(10.0, 12.0), altitude_m=5.0, gas=0.5, wind=(2.0, 1.0), sensor="gaussian", rate=300.0, diffusivity=4.5,
+    lifetime=10.0, z=5.0, unknowns=("x", "y"), means=(15.0, 15.0), stds=(2.0, 2.0), mean=(15.0, 15.0), covariance=(4.0, 0.0, 4.0),
+    spread=2.8, effective_sample_size=3.0, p_value=0.5, ceased=False,
 )  # fmt: skip
 
 
@@ -100,8 +101,9 @@ class Stage:
         while not self.bus.services() >= WITNESSES.keys():
             time.sleep(0.05)
         self._over = threading.Event()
+        self._deaf: list[Any] = []
         if flooded:
-            self._start("-m", "benchmarks.chaos.strangers", "deaf", self.endpoint, "0").stdout.readline()
+            self.another_deaf()
             for name in FLOODS:
                 self._start("-m", "benchmarks.stop", "--flood", name, self.endpoint)
             beliefs = threading.Thread(target=self._believe)
@@ -109,9 +111,20 @@ class Stage:
             stack.callback(self._over.set)
             beliefs.start()
 
+    def another_deaf(self) -> None:
+        """Let another subscriber that never reads take the place of the one before: the router cuts it off once it is full."""
+        for process in self._deaf:
+            process.kill()
+        self._deaf = [self._start("-m", "benchmarks.chaos.strangers", "deaf", self.endpoint, "0")]
+        self._deaf[0].stdout.readline()
+
     def _start(self, *words: str) -> Any:
         process = subprocess.Popen(
-            [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            [sys.executable, *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
         )
         self._stack.callback(process.wait)
         self._stack.callback(process.kill)
@@ -131,7 +144,7 @@ class Stage:
             self.bus.publish(BELIEF, msgspec.structs.replace(SAID, time_boot_ms=number, step=min(number, 250)), array)
 
 
-def measure(trials: int, *, flooded: bool, settle_s: float = 3.0) -> Trials:
+def measure(trials: int, *, flooded: bool, every: int = EVERY, settle_s: float = 3.0) -> Trials:
     """Publish stops, one after the other, and take the times at which vehicle and agent have taken them."""
     rng = keyed(1, "stop benchmark")
     taken: dict[str, list[float]] = {part: [] for part in WITNESSES}
@@ -152,8 +165,10 @@ def measure(trials: int, *, flooded: bool, settle_s: float = 3.0) -> Trials:
                     taken[part].append((times[number] - began) / 1e6)
                 else:
                     lost += 1
-            if number % JOIN_EVERY == JOIN_EVERY - 1:
+            if number % every == every - 1:
                 joined.append(join(stage.endpoint, number))
+                if flooded:
+                    stage.another_deaf()
             time.sleep(float(rng.uniform(0.0, 0.03)))
     return Trials(taken, joined, lost)
 

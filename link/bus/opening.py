@@ -12,6 +12,9 @@ from link.access.roles import ROUTER, access_control
 from link.bus.keys import KEYS
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
+FULL_S = 0.02
+"""How long a router waits for a client that takes nothing and whose queue is full, before it cuts the link. Meanwhile others wait, too:
+Zenoh forwards to one client after the other (its issues 1876 and 2585). By default it waits for 5 s, and the stop with it."""
 
 
 class BusError(Exception):
@@ -54,7 +57,8 @@ def open_router(endpoint: str, secure: Path | None = None) -> tuple[zenoh.Sessio
     """
     endpoint, known = secured("--listen", endpoint, secure, ROUTER, None)
     rules = {"transport__link__tls": known.tls, "access_control": access_control(key.rights for key in KEYS)} if known else {}
-    config = zenoh_config("router", {"listen": [endpoint]}, adminspace__enabled=True, **rules)
+    full = {"transport__link__tx__queue__congestion_control__block__wait_before_close": round(1e6 * FULL_S)}
+    config = zenoh_config("router", {"listen": [endpoint]}, adminspace__enabled=True, **full, **rules)
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:

@@ -1,6 +1,7 @@
 """A Zenoh router in this process: no other software is needed to fly."""
 
 import contextlib
+import os
 import time
 from pathlib import Path
 
@@ -16,6 +17,10 @@ from link.bus.opening import open_router
 from link.bus.session import SIGNAL_POLL_S
 from link.bus.tally import Tally
 
+MORE_RECEIVERS = "(rx: (worker_threads: 8))"
+"""Zenoh's threads, read by the first session of a process. Each flood that waits for a full client holds a receiving one; by default there
+are two."""
+
 
 def _tell_stop(log: Log, sample: zenoh.Sample) -> None:
     with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError):  # whoever it is for refuses and counts it
@@ -30,6 +35,7 @@ def run(endpoint: str, secure: Path | None = None) -> None:
     """
     log = Log("router", "-", Tally())
     refusals = Refusals() if secure else None
+    os.environ.setdefault("ZENOH_RUNTIME", MORE_RECEIVERS)
     session, listening = open_router(endpoint, secure)
     with session:
         print(listening, flush=True)
