@@ -18,7 +18,7 @@ from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
 from link.bus.messages import Health, Stop, stop_text
-from link.bus.opening import DEFAULT_ROUTER, BusError, NoRouter, zenoh_config
+from link.bus.opening import DEFAULT_ROUTER, RETRY, BusError, NoRouter, zenoh_config
 from link.bus.sequence import Sequence
 from link.bus.sole import Sole
 from link.bus.tally import REPEATED, Tally
@@ -114,8 +114,7 @@ class Bus:
             **({} if namespace is None else {"namespace": namespace}),
             "timestamping__enabled": True,  # otherwise the router's clock stamps the messages
             "connect__timeout_ms": int(CONNECT_TIMEOUT_S * 1000),
-            # Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s.
-            "connect__retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+            "connect__retry": RETRY,
         }
         config = zenoh_config("client", {"connect": [connect]}, **usual | settings)
         try:

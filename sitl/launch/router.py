@@ -28,15 +28,16 @@ def _tell_stop(log: Log, sample: zenoh.Sample) -> None:
         log.info(f"{str(sample.key_expr).removesuffix(f'/{STOP.name}')}: {stop_text(stop)}")
 
 
-def run(endpoint: str, secure: Path | None = None) -> None:
+def run(endpoint: str, secure: Path | None = None, connect: str | None = None) -> None:
     """Route until interrupted. Prints the endpoint on stdout; port 0 is replaced by the chosen port.
 
-    With `secure`, the folder of its certificate, it says on stderr who joins and what it refuses.
+    connect: the router of another site, whose parts then hear ours. With `secure`, the folder of its certificate, it says on stderr
+    who joins and what it refuses.
     """
     log = Log("router", "-", Tally())
     refusals = Refusals() if secure else None
     os.environ.setdefault("ZENOH_RUNTIME", MORE_RECEIVERS)
-    session, listening = open_router(endpoint, secure)
+    session, listening = open_router(endpoint, secure, connect)
     with session:
         print(listening, flush=True)
         if not secure and is_open(endpoint):
