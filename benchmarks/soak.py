@@ -8,8 +8,8 @@ mean change from one block's mean to the next; its interval is Student's t on th
 is cautious, and for a random walk, whose steps are independent: a memory that the allocator once took stays taken. All intervals hold
 together at 95% (Bonferroni). A quantity has grown if its interval lies above zero.
 
-A mission keeps its readings by design: the vehicle for who joins late, the estimator in its posterior. Control processes keep the same
-readings and do nothing else: a bare publisher, and the filter without a bus. Their slope is subtracted. The estimator's own compute time
+A mission keeps its readings by design: the vehicle for who joins late, and their times to know late answers by; the estimator in its
+posterior. Control processes keep the same and do nothing else: a bare publisher, and the filter without a bus. Their slope is subtracted. The estimator's own compute time
 grows with the readings, too, so latency is that of a step without it.
 """
 
@@ -36,6 +36,7 @@ from link.bus.mavlink import Codec, Reading, pack_reading, unpack_reading
 from link.bus.messages import Health
 from link.bus.session import Arrival, Bus
 from plume.randomness import keyed
+from sitl.autopilot.setpoint import Answers
 from sitl.launch.launcher import start_parts
 from sitl.launch.mission import Launch
 from sitl.launch.processes import Processes
@@ -162,10 +163,11 @@ def keep(part: str, steps: int, endpoint: str) -> Iterator[int]:
             posterior = assimilate(posterior, reading, config)
             yield number
         return
-    codec = Codec(1, 1)
+    codec, answers = Codec(1, 1), Answers()
     with Bus("uav", endpoint) as bus:
         for number, reading in enumerate(readings):
             bus.publish(READING, pack_reading(codec, reading))
+            answers.sampled(reading.time_boot_ms)
             bus.publish_health()
             time.sleep(0.0005)  # a mission's step leaves the sender time to empty its queues
             yield number
