@@ -9,8 +9,8 @@ is cautious, and for a random walk, whose steps are independent: a memory that t
 together at 95% (Bonferroni). A quantity has grown if its interval lies above zero.
 
 A mission keeps its readings by design: the vehicle for who joins late, and their times to know late answers by; the estimator in its
-posterior. Control processes keep the same and do nothing else: a bare publisher, and the filter without a bus. Their slope is subtracted. The estimator's own compute time
-grows with the readings, too, so latency is that of a step without it.
+posterior. Control processes keep the same and do nothing else: a bare publisher, and the filter without a bus. Their slope is subtracted.
+The estimator's own compute time grows with the readings, too, so latency is that of a step without it.
 """
 
 import argparse
