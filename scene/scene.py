@@ -41,7 +41,8 @@ class Release:
         x, y = np.meshgrid(axis, axis)
         places = np.stack([x, y, np.zeros_like(x)], axis=-1)
         gas = concentration(places, (*self.source, self.height), self.wind, rate=self.q, diffusivity=self.d, lifetime=self.tau)
-        return gas.astype(np.float32)
+        with np.errstate(over="ignore"):  # a record may say absurd things of its source
+            return gas.astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
     python -m benchmarks.chaos                                                      # 200 missions, two at a time
     python -m benchmarks.chaos --missions 1 --first-seed 17 --only hang --json      # one of them again; writes nothing
 
-Each mission is reproducible from its seed. results/chaos.csv has a row for each; those flown again replace their earlier ones.
+Each mission is reproducible from its seed. results/faults/missions.csv has a row for each; those flown again replace their earlier ones.
 docs/faults.md keeps its prose.
 """
 
@@ -26,7 +26,7 @@ from link import cli
 from link.files import whole
 
 ROOT = Path(__file__).parents[2]
-RESULTS = ROOT / "results" / "chaos.csv"
+RESULTS = ROOT / "results" / "faults" / "missions.csv"
 PAGE = ROOT / "docs" / "faults.md"
 LIMIT_S = 400.0
 

@@ -7,6 +7,7 @@ is mended, move it into tests/fuzz/finds/NAME, where a test looks at it.
 
 import argparse
 import contextlib
+import logging
 import os
 import random
 import re
@@ -77,6 +78,10 @@ def _inside(name: str, runs: int, inputs: list[Path]) -> None:
     with atheris.instrument_imports(include=list(FOLLOWED), exclude=kernels, enable_loader_override=False):
         from tests.fuzz.decoders import DECODERS
     from tests.fuzz.mutants import EDIT, edited
+    from tests.fuzz.services import QUIET
+
+    for logger in QUIET:
+        logger.setLevel(logging.CRITICAL)
 
     seeds, check = DECODERS[name]
     draws = random.Random(1)

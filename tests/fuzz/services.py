@@ -28,6 +28,7 @@ from plume.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.operator import OPERATOR, change_mode, command
 from sitl.autopilot.state import Mode
+from sitl.autopilot.vehicle import Vehicle
 from sitl.bridge.routing import Routes
 from sitl.bridge.stream import FrameStream
 from sitl.uav import udp
@@ -35,8 +36,8 @@ from sitl.uav.clock import Clock
 from sitl.uav.uav import FromUdp, Uav
 from tests.fuzz.mutants import as_sent
 
-LOGGER.setLevel(logging.CRITICAL)
-logging.getLogger("sitl.uav.udp").setLevel(logging.CRITICAL)
+QUIET = (LOGGER, logging.getLogger("sitl.uav.udp"))
+"""What would write a line for most inputs."""
 GOLDEN = Path(__file__).parents[1] / "golden"
 BETWEEN = b"\xff\xff\xff"
 """Parts the payload of a message from its attachment: no JSON holds it."""
@@ -185,7 +186,7 @@ def _world() -> World:
 
 def _uav(*, searching: bool) -> tuple[Uav, QuietBus]:
     bus = QuietBus()
-    uav = Uav(VehicleConfig(), _world(), Clock(0.0), Inbox(), bus, (), bus.log)
+    uav = Uav(Vehicle(VehicleConfig()), _world(), Clock(0.0), Inbox(), bus, (), bus.log)
     if searching:
         uav._searchers = {"estimator", "agent"}
         for _ in range(2):

@@ -1,6 +1,7 @@
 """Protects every decoder from hostile bytes: mutants of real messages break no promise, take no time, and leave nothing in memory."""
 
 import gc
+import logging
 import random
 import time
 import tracemalloc
@@ -11,6 +12,7 @@ import pytest
 
 from tests.fuzz.decoders import DECODERS, Decoder
 from tests.fuzz.mutants import EDIT, edited
+from tests.fuzz.services import QUIET
 
 INPUTS = 2000
 SEED = 7
@@ -20,6 +22,17 @@ FINDS = Path(__file__).parent / "finds"
 """Inputs that have once broken a promise, a folder for each decoder."""
 KEPT = 64 * 1024
 """Bytes that may be kept after the same inputs a second time: logs and caches differ a little."""
+
+
+@pytest.fixture(autouse=True)
+def quiet() -> Iterator[None]:
+    """Keep the services from writing a line for most inputs; other tests in this process look at these lines."""
+    before = [logger.level for logger in QUIET]
+    for logger in QUIET:
+        logger.setLevel(logging.CRITICAL)
+    yield
+    for logger, level in zip(QUIET, before, strict=True):
+        logger.setLevel(level)
 
 
 def mutants(name: str, count: int) -> Iterator[bytes]:

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from link.bus.roster import Roster
 
 from link.access.authority import make
 from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, READING, STOP, Key
 from link.bus.opening import NoRouter, open_router
 from link.bus.session import Arrival, Bus
 from link.bus.tap import Tap
+from sitl.view.roster import Roster
 from tests.link.access.certificates import endpoint_of, rogue, session
 
 ROLES = {"vehicle": "uav", "estimator": "estimator", "agent": "agent", "payload": "payload", "bridge": "bridge"}

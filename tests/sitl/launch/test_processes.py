@@ -151,7 +151,7 @@ import signal, sys, time, pathlib
 def home(*_):
     alive = pathlib.Path("/proc/{other}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     time.sleep({takes_s})
-    print("home, and the estimator is", "there" if alive else "gone", flush=True)
+    pathlib.Path({told!r}).write_text("home, and the estimator is " + ("there" if alive else "gone"))
     sys.exit()
 signal.signal(signal.SIGTERM, home)
 print("flying", flush=True)
@@ -160,17 +160,18 @@ time.sleep(600)
 
 
 def test_a_part_that_flies_a_real_vehicle_ends_first_and_has_time_to_send_it_home(
-    launched: Launched, wait_until: Callable, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    launched: Launched, wait_until: Callable, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setattr(module, "STOP_TIMEOUT_S", 0.2)
+    said = tmp_path / "said"
     estimator = launched.processes.start("estimator", TOLD, "import os, time; print(os.getpid(), flush=True); time.sleep(600)")
     wait_until(launched.lines)
     other = int(launched.lines()[0].split()[1])
-    launched.processes.start("uav", TOLD, FLIES.format(other=other, takes_s=0.6)).flies = True
+    launched.processes.start("uav", TOLD, FLIES.format(other=other, takes_s=0.6, told=str(said))).flies = True
     wait_until(lambda: "uav: flying" in launched.lines())
     launched.processes.stop()
     assert estimator.wait(0.0)
-    assert "uav: home, and the estimator is there" in launched.lines()
+    assert said.read_text() == "home, and the estimator is there"
     assert capsys.readouterr().err == "waiting for the uav to send the vehicle home\n"
 
 
@@ -179,7 +180,7 @@ def test_a_part_that_flies_a_real_vehicle_and_hangs_is_killed_in_the_end_and_peo
 ) -> None:
     monkeypatch.setattr(module, "STOP_TIMEOUT_S", 0.2)
     monkeypatch.setattr(module, "FLYING_STOP_TIMEOUT_S", 0.2)
-    child = launched.processes.start("uav", TOLD, FLIES.format(other=os.getpid(), takes_s=600))
+    child = launched.processes.start("uav", TOLD, FLIES.format(other=os.getpid(), takes_s=600, told=os.devnull))
     child.flies = True
     wait_until(launched.lines)
     launched.processes.stop()

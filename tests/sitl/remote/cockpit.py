@@ -39,7 +39,7 @@ class Radio:
         self._codec = Codec(0, 191)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
-        self._link = Channel(Traffic("double", Log("uav", "test", Tally(), "error")), lambda _: None)
+        self._link = Channel(Traffic("double", Log("uav", "test", Tally(), "error")), lambda _: None, "double")
         self._heard: list[Heard] = []
 
     def send(self, message: Message) -> None:
