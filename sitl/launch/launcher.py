@@ -13,7 +13,7 @@ from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, SEARCHERS, STOP
 from link.bus.log import LEVELS
 from link.bus.mavlink import BadFrame, Codec, Message, unpack
-from link.bus.messages import Belief, Health, Stop, stop_text
+from link.bus.messages import Belief, Health, Stop
 from link.bus.session import Arrival, Bus, LivelinessChange
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
@@ -246,10 +246,7 @@ class _Watch:
                     self._watchdog.begins(service, time.monotonic())
                 (self._gone.discard if alive else self._gone.add)(service)
             case Arrival(key) if key is STOP:
-                stop = self._bus.decode(item, Stop)
-                if stop and not self._stopped:
-                    self._stopped = True
-                    self._progress.say(stop_text(stop))
+                self._stopped = self._stopped or self._bus.decode(item, Stop) is not None
             case Arrival(key) if key is BELIEF:
                 if (belief := self._bus.decode(item, Belief)) and belief.step not in self._trace:
                     self._follow(belief)
