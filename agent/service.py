@@ -11,7 +11,7 @@ import numpy as np
 from agent.planning.moves import Reach
 from agent.policies import choose
 from agent.policies import policy as find_policy
-from link.bus.keys import BELIEF, MAVLINK_IN
+from link.bus.keys import BELIEF, MAVLINK_IN, STOP
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, waypoint_message
 from link.bus.messages import Belief, Particles, unpack_particles
 from link.bus.session import Arrival, Bus
@@ -51,6 +51,7 @@ def run(
     find_policy(policy)  # loads or compiles the policy before the first belief arrives
     codec = Codec(system, ONBOARD_COMPUTER)
     bus.subscribe(BELIEF, newest=True)
+    bus.subscribe(STOP)
     bus.tally.about = policy
     bus.publish_health()
     bus.log.info(f"ready: {policy}")
@@ -75,8 +76,11 @@ def run(
 
 
 def _next_belief(bus: Bus, area_m: float) -> tuple[Belief, Particles] | None:
-    """Wait for a belief. An invalid one, which no policy could answer, is refused and gives None."""
+    """Wait for a belief. An invalid one, which no policy could answer, is refused and gives None; so does the stop."""
     arrival: Arrival = bus.receive()
+    if arrival.key is STOP:
+        bus.take_stop(arrival)
+        return None
     belief = bus.decode(arrival, Belief)
     if belief is None:
         return None

@@ -38,7 +38,7 @@ def run(bus: Bus, config: Config, system: int) -> None:
             if summary.ceased and not stopped:
                 bus.publish(STOP, stop(summary, config))
                 bus.log.info(f"ceased at step {summary.step}: ({summary.mean[0]:.2f}, {summary.mean[1]:.2f}) ± {summary.spread:.2f} m")
-                stopped = True
+                stopped = bus.tally.ceased = True
         # A repeated reading means that no answer arrived. Publishing the same belief again recovers from any lost message.
         assert summary is not None
         bus.publish(BELIEF, summary, particles)

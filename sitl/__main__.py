@@ -157,6 +157,7 @@ def _parse(
 
     router = commands.add_parser("router", help="a Zenoh router alone")
     router.add_argument("-l", "--listen", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="where to listen (default: %(default)s)")
+    router.add_argument("-e", "--connect", metavar="ENDPOINT", help="join the router of another site; not with --secure")
     cli.add_secure_argument(router)
 
     for command, (_, help_text) in OTHERS.items():
@@ -308,7 +309,10 @@ def main(
         return int(_module(args.command).run(args))
     from sitl.launch.router import run
 
-    run(args.listen, args.secure)
+    if args.connect and args.secure:
+        print("error: --connect: not with --secure, whose rules admit no other router", file=sys.stderr)
+        return cli.BAD_INPUT
+    run(args.listen, args.secure, args.connect)
     return 0
 
 

@@ -73,22 +73,25 @@ class Inbox:
         """Start empty."""
         self._lock = threading.Lock()
         self._turns: queue.SimpleQueue[_Lane] = queue.SimpleQueue()
-        """The lanes in the order in which their items are taken. There are spare turns where items were dropped."""
+        """The lanes in the order in which their items are taken. There are spare turns where items were dropped or overtook others."""
         self._lanes: dict[str, _Lane] = {}
         self._own = _Lane("", math.inf, newest=False)
+        self._urgent: list[_Lane] = []
 
     def put(self, item: Any) -> None:
         """Add an item of the service's own; it is never dropped."""
         self._add(self._own, item, 0)
 
-    def lane(self, name: str, most: int = WAITING_MESSAGES, *, newest: bool = False) -> Callable[[Any, int], None]:
+    def lane(self, name: str, most: int = WAITING_MESSAGES, *, newest: bool = False, urgent: bool = False) -> Callable[[Any, int], None]:
         """Return a function (item, size in bytes) that adds items of one kind, from any thread.
 
         If more than `most` items or WAITING_BYTES wait, the oldest are dropped. With `newest` only the newest waits;
-        those it replaces are not counted as dropped.
+        those it replaces are not counted as dropped. With `urgent` they overtake all others that wait.
         """
         with self._lock:
             lane = self._lanes.setdefault(name, _Lane(name, 1 if newest else most, newest))
+            if urgent and lane not in self._urgent:
+                self._urgent.append(lane)
         return lambda item, size: self._add(lane, item, size)
 
     def _add(self, lane: _Lane, item: Any, size: int) -> None:
@@ -102,6 +105,11 @@ class Inbox:
         """Return the next item; raises queue.Empty if none comes within `timeout` seconds."""
         until = math.inf if timeout is None else time.monotonic() + timeout
         while True:
+            if self._urgent:
+                with self._lock:
+                    for lane in self._urgent:
+                        if lane.waiting:
+                            return lane.popleft()  # its turn stays behind as a spare one
             lane = self._turns.get(timeout=timeout)
             with self._lock:
                 lane.turns -= 1

@@ -84,6 +84,13 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float, Meta(ge=0, description="time from the last message to its answer, s; uav: from its reading to the waypoint")
     ] = 0.0
     about: Annotated[str, Meta(description="what it runs with: the agent's policy, the estimator's particles")] = ""
+    ceased: Annotated[bool, Meta(description="true once it knows of the stop: the search has ceased")] = False
+
+
+def stop_text(stop: Stop) -> str:
+    """Return what people are told of a stop."""
+    (x, y), spread = stop.estimate, stop.spread
+    return f"the search has ceased at step {stop.step}: source at ({x:.2f}, {y:.2f}) m, spread {spread:.2f} m"
 
 
 def pack_particles(particles: Particles) -> bytes:

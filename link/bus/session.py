@@ -17,8 +17,8 @@ from link.access.roles import OF_ALL_VEHICLES
 from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
-from link.bus.messages import Health
-from link.bus.opening import DEFAULT_ROUTER, BusError, NoRouter, zenoh_config
+from link.bus.messages import Health, Stop, stop_text
+from link.bus.opening import DEFAULT_ROUTER, RETRY, BusError, NoRouter, zenoh_config
 from link.bus.sequence import Sequence
 from link.bus.sole import Sole
 from link.bus.tally import REPEATED, Tally
@@ -114,8 +114,7 @@ class Bus:
             **({} if namespace is None else {"namespace": namespace}),
             "timestamping__enabled": True,  # otherwise the router's clock stamps the messages
             "connect__timeout_ms": int(CONNECT_TIMEOUT_S * 1000),
-            # Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s.
-            "connect__retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+            "connect__retry": RETRY,
         }
         config = zenoh_config("client", {"connect": [connect]}, **usual | settings)
         try:
@@ -195,7 +194,7 @@ class Bus:
         """Put the messages of these keys into the inbox, kept ones first. With `newest` only the newest message of a key waits there."""
         for key in keys:
             self._put_in_order(key)
-            put = self._inbox.lane(key.name, most_waiting(key), newest=newest)
+            put = self._inbox.lane(key.name, most_waiting(key), newest=newest, urgent=key.delivery.realtime)
 
             # Callbacks only queue: a callback that blocks or computes delays the whole session, stop messages included.
             def queued(item: Arrival | _Numbered, put: Callable[[Any, int], None] = put) -> None:
@@ -313,13 +312,22 @@ class Bus:
             reason = f"{reason[:MOST_REASON]}…"
         (self.log.info if kind == REPEATED else self.log.warning)(f"refused {key.name}: {reason}")
 
-    def decode(self, arrival: Arrival, kind: type[T]) -> T | None:
+    def decode(self, arrival: Arrival | Stamped, kind: type[T]) -> T | None:
         """Decode JSON into a struct. A message that does not decode is refused, and None is returned."""
         try:
             return msgspec.json.decode(arrival.payload, type=kind)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             self.refuse(arrival.key, str(error), "malformed")
             return None
+
+    def take_stop(self, arrival: Arrival | Stamped) -> Stop | None:
+        """Decode the stop, and say in log and health, at the first one, that the search has ceased."""
+        stop = self.decode(arrival, Stop)
+        if stop and not self.tally.ceased:
+            self.tally.ceased = True
+            self.log.info(stop_text(stop))
+            self.publish_health()
+        return stop
 
     def answered(self) -> None:
         """Report that the last received message has been answered: log its latency and publish health."""
@@ -334,7 +342,7 @@ class Bus:
         health = Health(
             service=self.service, state=tally.state, about=tally.about, step=tally.step, rate_hz=tally.rate_hz, latency_s=tally.latency_s,
             compute_s=tally.compute_s, uptime_s=tally.uptime_s, refused=dict(tally.refused), refused_lately=tally.refused_lately,
-            last_error=tally.last_error, warnings=tally.warnings,
+            last_error=tally.last_error, warnings=tally.warnings, ceased=tally.ceased,
         )  # fmt: skip
         self.publish(HEALTH, health)
         self._health_at = time.monotonic() + HEALTH_EVERY_S

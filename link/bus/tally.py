@@ -54,6 +54,8 @@ class Tally:
     latency_s: float = 0.0
     warnings: tuple[str, ...] = ()
     last_error: str = ""
+    ceased: bool = False
+    """True once it knows of the stop."""
     refused: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:

@@ -5,7 +5,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
-from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
+from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, STOP
 from link.bus.session import Arrival, Bus
 from sitl.bridge.links import AWAY, GARBAGE, OVERFLOW, Traffic
 from sitl.bridge.stream import FrameStream, Letter
@@ -33,6 +33,8 @@ class BusChannel:
         self._thread.start()
         for key in (MAVLINK_OUT, MAVLINK_IN):
             bus.on(key, self._queue, own=False)
+        self._stops: deque[Arrival] = deque(maxlen=1)
+        bus.on(STOP, self._stops.append)
 
     def _queue(self, arrival: Arrival) -> None:
         if len(self._arrived) >= MOST_WAITING:
@@ -67,7 +69,9 @@ class BusChannel:
             self.traffic.sent += 1
 
     def tick(self) -> None:
-        """Look whether the router is there; Zenoh comes back to it by itself."""
+        """Look whether the router is there, to which Zenoh comes back by itself, and whether the search has ceased."""
+        while self._stops:
+            self._bus.take_stop(self._stops.popleft())
         connected = self._bus.connected
         if connected != self._connected:
             self._connected = connected

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from link import cli
-from link.bus.keys import KEYS
+from link.bus.keys import KEYS, STOP
 from link.bus.session import CONNECT_TIMEOUT_S
 from link.bus.tap import Tap
 from link.record.record import Entry, SimulationClock
@@ -128,6 +128,8 @@ def _record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> 
             bus.settle(LAST_WORDS_S)
         messages = bus.take()
         for message in messages:
+            if message.key is STOP:
+                bus.take_stop(message)
             simulation_s = clock.time_s(message.name, message.payload, message.published_ns)
             entry = Entry(message.name, message.published_ns, simulation_s, message.payload, message.attachment)
             writer.write(entry, message.received_ns)

@@ -161,7 +161,8 @@ def _show(args: argparse.Namespace, shown: "Live | _Printer", no_router: str, pa
     well = not no_router and all(part["status"] == OK for part in parts.values())
     if args.json:
         router = {"endpoint": args.connect, "status": MISSING if no_router else OK}
-        print(json.dumps({"ok": well, "namespace": args.namespace, "router": router, "parts": parts}), flush=True)
+        told = {"ok": well, "namespace": args.namespace, "router": router, "ceased": bool(_knowing(parts)), "parts": parts}
+        print(json.dumps(told), flush=True)
     else:
         shown.update(_table(args, no_router, parts), refresh=True)
         if no_router and not args.watch:
@@ -186,8 +187,15 @@ def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, 
         column("latency, ms", lambda part: f"{1000 * part['latency_s']:.2f}", 3),
         column("up, s", lambda part: f"{part['uptime_s']:.0f}", 4),
     ]
+    knowing = _knowing(parts)
+    ceased = [f"the search has ceased, say {', '.join(knowing)}"] if knowing else []
     troubles = [line for name, part in parts.items() for line in _troubles(name, part)]
-    return table(columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], troubles)
+    return table(columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], ceased + troubles)
+
+
+def _knowing(parts: dict[str, dict[str, Any]]) -> list[str]:
+    """Return the parts that know of the stop."""
+    return [name for name, part in parts.items() if part.get("ceased")]
 
 
 def _state(part: dict[str, Any]) -> str:

@@ -1,28 +1,48 @@
 """A Zenoh router in this process: no other software is needed to fly."""
 
+import contextlib
+import os
 import time
 from pathlib import Path
 
+import msgspec
+import zenoh
+
 from link.access.identity import is_open
 from link.access.refusals import Refusals
+from link.bus.keys import STOP
 from link.bus.log import Log
+from link.bus.messages import Stop, stop_text
 from link.bus.opening import open_router
 from link.bus.session import SIGNAL_POLL_S
 from link.bus.tally import Tally
 
+MORE_RECEIVERS = "(rx: (worker_threads: 8))"
+"""Zenoh's threads, read by the first session of a process. Each flood that waits for a full client holds a receiving one; by default there
+are two."""
 
-def run(endpoint: str, secure: Path | None = None) -> None:
+
+def _tell_stop(log: Log, sample: zenoh.Sample) -> None:
+    with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError):  # whoever it is for refuses and counts it
+        stop = msgspec.json.decode(sample.payload.to_bytes(), type=Stop)
+        log.info(f"{str(sample.key_expr).removesuffix(f'/{STOP.name}')}: {stop_text(stop)}")
+
+
+def run(endpoint: str, secure: Path | None = None, connect: str | None = None) -> None:
     """Route until interrupted. Prints the endpoint on stdout; port 0 is replaced by the chosen port.
 
-    With `secure`, the folder of its certificate, it says on stderr who joins and what it refuses.
+    connect: the router of another site, whose parts then hear ours. With `secure`, the folder of its certificate, it says on stderr
+    who joins and what it refuses.
     """
     log = Log("router", "-", Tally())
     refusals = Refusals() if secure else None
-    session, listening = open_router(endpoint, secure)
+    os.environ.setdefault("ZENOH_RUNTIME", MORE_RECEIVERS)
+    session, listening = open_router(endpoint, secure, connect)
     with session:
         print(listening, flush=True)
         if not secure and is_open(endpoint):
             log.warning(f"{endpoint} is open to other machines: whoever reaches it can command the vehicle (--secure DIR admits by role)")
+        session.declare_subscriber(f"uav/*/{STOP.name}", lambda sample: _tell_stop(log, sample))
         while True:
             time.sleep(SIGNAL_POLL_S)  # all the work is in Zenoh's threads
             for level, line in refusals.news(time.monotonic()) if refusals else ():

@@ -6,7 +6,7 @@ import time
 from typing import NamedTuple
 
 from link.bus.inbox import Inbox
-from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT
+from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, STOP
 from link.bus.mavlink import BadFrame
 from link.bus.session import Arrival, Bus
 from sitl.payload.drivers import TIMEOUT_S, Measure
@@ -51,7 +51,7 @@ class Measuring:
 
 def run(bus: Bus, measuring: Measuring) -> None:
     """Serve until interrupted."""
-    bus.subscribe(PAYLOAD_IN)
+    bus.subscribe(PAYLOAD_IN, STOP)
     bus.publish_health()
     bus.log.info(f"ready: {bus.tally.about}")
     question, deadline_s = None, math.inf  # what is being measured
@@ -60,6 +60,8 @@ def run(bus: Bus, measuring: Measuring) -> None:
         item = bus.receive(None if question is None else max(deadline_s - time.monotonic(), 0.0))
         sample = None
         match item:
+            case Arrival(key) if key is STOP:
+                bus.take_stop(item)
             case Arrival() if (asked := _question(bus, item)) is not None:
                 if asked == answered:
                     bus.publish(PAYLOAD_OUT, answer)  # it was lost

@@ -13,7 +13,6 @@ from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, PAYLOAD_IN, PAYLOAD_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP
 from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack
-from link.bus.messages import Stop
 from link.bus.px4 import MissionCurrent
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.signing.signer import Signing
@@ -222,7 +221,7 @@ class Uav:
                 except BadFrame as error:
                     self._bus.refuse(PAYLOAD_OUT, str(error), error.kind)
             case Arrival(key) if key is STOP and self._bus:
-                if stop := self._bus.decode(item, Stop):
+                if stop := self._bus.take_stop(item):
                     self._search.declare(stop)
             case LivelinessChange(service, alive):
                 (self._searchers.add if alive else self._searchers.discard)(service)

@@ -209,6 +209,19 @@ class TestAgent:
         put(time_boot_ms=6000, step=5)
         assert nothing_more(waypoints)
 
+    def test_it_says_once_in_log_and_health_that_the_search_has_ceased(self, agent, stranger: Stranger, wait_until: Callable) -> None:
+        healths, publish = stranger.subscribe("health/agent"), stranger.publisher("agdc/stop")
+        publish(b"noise")
+        wait_until(lambda: agent.says("refused agdc/stop"))
+        for _ in range(2):
+            publish(json.dumps({
+                "time_boot_ms": 9000, "step": 7, "estimate": [23.5, 24.25], "covariance": [0.1, 0.0, 0.1], "spread": 0.45, "threshold": 0.5,
+            }))  # fmt: skip
+        wait_until(lambda: json.loads(get(healths).payload.to_bytes())["ceased"])
+        said = [line for line in agent.err if "ceased" in line]
+        assert len(said) == 1
+        assert "the search has ceased at step 7: source at (23.50, 24.25) m, spread 0.45 m" in said[0]
+
     def test_it_survives_what_is_no_belief(self, agent, stranger: Stranger, wait_until: Callable) -> None:
         waypoints, put = stranger.subscribe("mavlink/in"), self.publish(stranger)
         for attachment, changes, words in (

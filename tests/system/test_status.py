@@ -5,10 +5,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from link.bus.keys import STOP
+from link.bus.messages import Stop
 from link.bus.session import Bus
 from tests.system.stranger import Stranger, belief
 
@@ -108,6 +111,31 @@ def test_the_table_names_parts_verdicts_and_figures(router: str, stack: dict[str
     assert rows["router"][1] == rows["estimator"][1] == rows["agent"][1] == "ok"
     assert rows["uav"][1] == "missing"
     assert rows["agent"][2:4] == ["ready:", "homing"]
+
+
+def test_status_and_every_part_say_that_the_search_has_ceased(start, wait_until: Callable, tmp_path: Path) -> None:
+    router = start("sitl", "router", "--listen", "tcp/127.0.0.1:0")
+    wait_until(lambda: router.out)
+    to = ("--connect", router.out[0].strip())
+    parts = {
+        "agent": start("agent", *to),
+        "uav": start("sitl", "uav", *to, "--speedup", "0"),
+        "recorder": start("sitl", "record", str(tmp_path / "record.mcap"), *to),
+        "bridge": start("sitl", "bridge", "udpout:127.0.0.1:9", *to),
+        "payload": start("sitl", "payload", *to),
+    }
+    wait_until(lambda: {*status(to[1])[1]["parts"]} >= {*parts})
+    assert not status(to[1])[1]["ceased"]
+    with Bus("estimator", to[1]) as estimator:
+        estimator.publish(STOP, Stop(9000, 7, (23.5, 24.25), (0.1, 0.0, 0.1), 0.45, 0.5))
+        words = "the search has ceased at step 7: source at (23.50, 24.25) m, spread 0.45 m"
+        wait_until(lambda: [name for name, part in parts.items() if part.says(words)] == [*parts])
+        wait_until(lambda: router.says(f"uav/1: {words}"))
+        report = status(to[1])[1]
+        assert report["ceased"]
+        assert {name for name, part in report["parts"].items() if part.get("ceased")} == {*parts}
+        table = subprocess.run([*STATUS, *to], capture_output=True, text=True, timeout=60).stdout
+        assert "the search has ceased, say uav, agent, bridge, payload, recorder" in table
 
 
 def test_a_watch_follows_who_comes_and_goes_until_interrupted(start, router: str, stack: dict[str, Any], wait_until: Callable) -> None:

@@ -29,6 +29,34 @@ def test_what_comes_is_taken_in_the_order_in_which_it_came() -> None:
     assert drained(inbox) == ["r0", "own0", "b0", "r1", "own1", "b1", "r2", "own2", "b2"]
 
 
+def test_the_urgent_overtakes_all_that_waits_and_each_item_is_taken_once() -> None:
+    inbox = Inbox()
+    commands, stop = inbox.lane("mavlink/in"), inbox.lane("agdc/stop", urgent=True)
+    for number in range(3):
+        commands(number, 1)
+    assert inbox.get(timeout=0) == 0
+    stop("stop", 1)
+    stop("stop again", 1)
+    assert [inbox.get(timeout=0) for _ in range(2)] == ["stop", "stop again"]
+    commands(3, 1)
+    stop("third stop", 1)
+    assert drained(inbox) == ["third stop", 1, 2, 3]
+    assert inbox.waiting() == 0
+
+
+def test_who_waits_is_woken_by_the_urgent() -> None:
+    inbox = Inbox()
+    stop = inbox.lane("agdc/stop", urgent=True)
+    for number in range(3):  # from the second on, a turn may be left from before
+        inbox.put("own")
+        stop("early", 1)
+        assert drained(inbox) == ["early", "own"]
+        sender = threading.Thread(target=stop, args=(number, 1))
+        sender.start()
+        assert inbox.get(timeout=30) == number
+        sender.join()
+
+
 def test_a_flood_leaves_its_newest_and_all_of_the_others() -> None:
     inbox = Inbox()
     flood, stop = inbox.lane("mavlink/in", 100), inbox.lane("agdc/stop")

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.inbox import Inbox
-from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, Key
+from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, STOP, Key
 from link.bus.log import Log
 from link.bus.mavlink import Codec
 from link.bus.session import Arrival
@@ -42,8 +42,8 @@ class FakeBus:
         self.inbox = inbox
         self.now_s: Callable[[], float] = lambda: 0.0
 
-    def subscribe(self, key: Key) -> None:
-        assert key is PAYLOAD_IN
+    def subscribe(self, *keys: Key) -> None:
+        assert keys == (PAYLOAD_IN, STOP)
 
     def publish_health(self) -> None:
         self.reports += 1

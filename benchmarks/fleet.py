@@ -1,0 +1,157 @@
+"""How many vehicles one machine carries: full stacks in real time, 10 Hz telemetry and about one reading a second each.
+
+    python -m benchmarks.fleet                          # 1, 2, 4, 8, ... vehicles, until the p99 latency of a step has doubled
+    python -m benchmarks.fleet --vehicles 6 --seconds 60
+
+One router; a vehicle, an estimator and an agent for each instance. The latency of a step is from the reading to its waypoint, as an
+observer on the bus sees them.
+"""
+
+import argparse
+import functools
+import os
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from link import cli
+from link.bus.inbox import Inbox
+from link.bus.keys import MAVLINK_IN, READING
+from link.bus.mavlink import BadFrame, Codec, unpack, unpack_reading
+from link.bus.session import Arrival, Bus
+from sitl.autopilot.operator import OPERATOR, command
+from sitl.autopilot.telemetry import STREAMS
+from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
+from sitl.launch.processes import Processes
+from sitl.script.script import Script
+
+TELEMETRY_HZ = 10.0
+SPEEDUP = 1.25
+"""A vehicle in real time takes a reading every 1.25 s."""
+TICK_S = 1 / os.sysconf("SC_CLK_TCK")
+START_S = 20.0
+"""Real time for a vehicle's take-off and flight to its start."""
+
+
+class Load(NamedTuple):
+    """What a fleet did: latencies in ms, readings a second and vehicle, and CPU seconds a second by part."""
+
+    latencies: list[float]
+    readings_hz: float
+    cpu: dict[str, float]
+
+
+def measure(vehicles: int, seconds: float) -> Load:
+    """Fly a fleet."""
+    script = Script().changed({"agent.policy": "random", "agent.budget": 100_000, "estimator.threshold_m": 1e-9})
+    fleets: list[Processes] = []
+    buses: list[Bus] = []
+    latencies: list[float] = []
+    asked: dict[tuple[int, int], float] = {}
+    inboxes = [Inbox() for _ in range(vehicles)]
+    first = Processes(Inbox())
+    fleets.append(first)
+    try:
+        endpoint = first.start_router("tcp/127.0.0.1:0")
+        for instance in range(vehicles):
+            processes = Processes(Inbox())
+            fleets.append(processes)
+            words = ("--seed", str(instance + 1), "--speedup", str(SPEEDUP))
+            mission = Launch(script, instance=instance, uav_arguments=words)
+            start_beside(processes, mission, endpoint)
+            bus = Bus("fleet", endpoint, mission.namespace, inboxes[instance], announced=False)
+            buses.append(bus)
+            bus.on(READING, functools.partial(asked_at, instance, asked))
+            bus.on(MAVLINK_IN, functools.partial(answered_at, instance, asked, latencies))
+        time.sleep(START_S)
+        for instance, bus in enumerate(buses):
+            for stream in STREAMS:
+                if stream.rate_hz > TELEMETRY_HZ:
+                    order = command(instance + 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, stream.message_id, 1e6 / TELEMETRY_HZ)
+                    bus.publish(MAVLINK_IN, Codec(*OPERATOR).pack(order))
+        time.sleep(2.0)
+        latencies.clear()
+        before, began = spent(), time.monotonic()
+        time.sleep(seconds)
+        after, took = spent(), time.monotonic() - began
+        cpu = {part: (after[part] - before[part]) / took for part in after}
+        return Load(list(latencies), len(latencies) / took / vehicles, cpu)
+    finally:
+        for bus in buses:
+            bus.close()
+        for processes in reversed(fleets):
+            processes.stop()
+
+
+def start_beside(processes: Processes, mission: Launch, endpoint: str) -> None:
+    """Start the three parts of one vehicle on a router that is there already."""
+    joining = ("--connect", endpoint, "--namespace", mission.namespace)
+    processes.start("estimator", "estimator", *joining, *estimator_arguments(mission))
+    processes.start("agent", "agent", *joining, *agent_arguments(mission))
+    processes.start("uav", "sitl", "uav", *mission.uav_arguments, *joining, "-I", str(mission.instance))
+
+
+def asked_at(instance: int, asked: dict[tuple[int, int], float], item: Any) -> None:
+    """Take the time of a reading, at its first copy."""
+    arrival = item if isinstance(item, Arrival) else item.arrival
+    asked.setdefault((instance, unpack_reading(arrival.payload).time_boot_ms), arrival.at)
+
+
+def answered_at(instance: int, asked: dict[tuple[int, int], float], latencies: list[float], item: Arrival) -> None:
+    """Take the time of a reading's first waypoint."""
+    try:
+        messages = unpack(item.payload)
+    except BadFrame:
+        return
+    for message in messages:
+        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED" and (at := asked.get((instance, message.time_boot_ms))):
+            asked[instance, message.time_boot_ms] = 0.0
+            latencies.append(1000 * (item.at - at))
+
+
+def spent() -> dict[str, float]:
+    """Return the CPU seconds that the parts have used, by part."""
+    found: dict[str, float] = defaultdict(float)
+    for task in Path("/proc/self/task").iterdir():
+        for pid in (task / "children").read_text().split():
+            words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2].split()
+            found[words[3] if words[2] == "sitl" else words[2]] += TICK_S * (int(fields[11]) + int(fields[12]))
+    return found
+
+
+def row(vehicles: int, load: Load) -> str:
+    """One line of the table."""
+    p50, p99 = np.percentile(load.latencies, [50, 99])
+    parts = " | ".join(f"{1000 * load.cpu[part] / vehicles:.0f}" for part in ("uav", "estimator", "agent", "router"))
+    return f"| {vehicles} | {len(load.latencies)} | {load.readings_hz:.2f} | {p50:.2f} | {p99:.2f} | {parts} |"
+
+
+def main() -> None:
+    """Fly fleets of growing size, and print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument(
+        "--vehicles", type=cli.listed(cli.whole(1, 100)), metavar="N,N", help="sizes of the fleet (default: until p99 doubles)"
+    )
+    parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="time measured, s (default: %(default)s)")
+    args = parser.parse_args()
+    print("| vehicles | steps | readings, Hz | p50, ms | p99, ms | uav, ms/s | estimator | agent | router |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    sizes = list(args.vehicles or [1])
+    base = None
+    while sizes:
+        vehicles = sizes.pop(0)
+        load = measure(vehicles, args.seconds)
+        print(row(vehicles, load), flush=True)
+        p99 = float(np.percentile(load.latencies, 99))
+        base = base or p99
+        if not args.vehicles and p99 < 2 * base:
+            sizes.append(2 * vehicles)
+
+
+if __name__ == "__main__":
+    cli.run(main)
