@@ -4,9 +4,9 @@
     python -m benchmarks.soak --steps 10000
 
 Router, vehicle, estimator and agent live for all steps. The run after its first tenth is cut into 20 blocks. The slope of a quantity is the
-mean change from one block's mean to the next; its interval is Student's t on these 19 changes. That holds for noise around a line, where it
-is cautious, and for a random walk, whose steps are independent: a memory that the allocator once took stays taken. All intervals hold
-together at 95% (Bonferroni). A quantity has grown if its interval lies above zero.
+mean change from one block's mean to the next; its interval is Student's t on these 19 changes. That holds for a random walk: a memory that
+the allocator once took stays taken. It is cautious for noise around a line. All intervals hold together at 95% (Bonferroni). A quantity has
+grown if its interval lies above zero.
 
 A mission keeps its readings by design: the vehicle for who joins late, and their times to know late answers by; the estimator in its
 posterior. Control processes keep the same and do nothing else: a bare publisher, and the filter without a bus. Their slope is subtracted.
@@ -46,6 +46,8 @@ PARTS = ("router", "uav", "estimator", "agent")
 QUANTITIES = ("memory, kB", "handles", "threads")
 BLOCKS, WARM_UP, SAMPLES = 20, 0.1, 1000
 CONFIDENCE = 0.95
+WALK = math.sqrt(1.5)
+"""Neighbouring changes between a random walk's block means correlate by 1/4: their mean varies so much more than that of independent ones."""
 PAGE_KB = os.sysconf("SC_PAGE_SIZE") / 1024
 LATENCY = "latency, ms"
 QUIET_S = 60.0
@@ -82,7 +84,7 @@ def slope(samples: Sequence[tuple[float, float]]) -> Slope:
             blocks[min(int((step - begin) / width), BLOCKS - 1)].append(value)
     means = [statistics.fmean(block) for block in blocks]
     changes = [1000 * (after - before) / width for before, after in itertools.pairwise(means)]
-    return Slope(statistics.fmean(changes), statistics.stdev(changes) / math.sqrt(len(changes)), len(changes) - 1)
+    return Slope(statistics.fmean(changes), WALK * statistics.stdev(changes) / math.sqrt(len(changes)), len(changes) - 1)
 
 
 def look(pid: int) -> tuple[float, float, float]:
