@@ -7,7 +7,7 @@ import msgspec
 
 from link import certs, cli
 from link.access.roles import EVERYBODY, MOST_VEHICLES, OF_ALL_VEHICLES, SERVICES
-from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES
+from link.bus.inbox import MOST_OTHERS, WAITING_BYTES, WAITING_MESSAGES
 from link.bus.keys import BELIEF, KEYS, Key
 from link.bus.opening import DEFAULT_ROUTER
 
@@ -83,7 +83,7 @@ decimals that read back as the same double.
 ## Refused messages
 
 A refused message is dropped. It never stops a service and never changes the belief. It is counted in `health` under its kind, and logged
-with key and reason (`overflow`: once per burst). A reading that overflowed is fetched again from the kept ones.
+with key and reason (`overflow`: once per burst; `stranger`: once). A reading that overflowed is fetched again from the kept ones.
 
 | kind | refused message |
 |---|---|
@@ -96,12 +96,13 @@ with key and reason (`overflow`: once per burst). A reading that overflowed is f
 | `conflicting` | a different reading with the newest one's time |
 | `repeated` | the newest reading again: it is not assimilated twice, but the belief is published again |
 | `overflow` | the oldest waiting message of a key, if more than {WAITING_MESSAGES:,} (in addition to the kept ones) or {MIB} MiB wait |
+| `stranger` | health, or a liveliness token, of a service of another name than ours, beyond the first {MOST_OTHERS} such names |
 
 ## Health
 
 A service declares the liveliness token `health/<service>` when it joins: the token shows that its process is running. It publishes its
-health on the same key when it is ready, after each step, and at least once a second. A service that is silent for five seconds hangs,
-or its link is cut; `plumeward status` reports it.
+health on the same key when it is ready, after each step, and at least once a second. Its `service` is that of the key. A service that is
+silent for five seconds hangs, or its link is cut; `plumeward status` reports it.
 
 ## Messages
 """

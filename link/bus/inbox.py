@@ -1,15 +1,20 @@
-"""The inbox: messages wait here for a service's loop. It is bounded: a flood drops messages, but never fills memory or blocks a sender."""
+"""What bounds what a service holds: the inbox, in which messages wait for its loop, and the names of services that it takes notice of.
+
+A flood drops messages, but never fills memory or blocks a sender.
+"""
 
 import math
 import queue
+import re
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from link.access.roles import SERVICES
 from link.bus.log import Log
-from link.bus.tally import OVERFLOW
+from link.bus.tally import OVERFLOW, STRANGER
 
 WAITING_MESSAGES = 4096
 """Most messages that wait per key, in addition to the key's kept ones. Beyond that the oldest are dropped, so that the flight goes on."""
@@ -17,6 +22,12 @@ WAITING_BYTES = 256 * 2**20
 """Most bytes that wait per key; a belief of a million particles has up to 36 MB."""
 BURST_S = 10.0
 """Drops less than this apart belong to one burst."""
+OURS = frozenset(name for names in SERVICES.values() for name in names)
+"""The names of our own services; each is always taken notice of."""
+MOST_OTHERS = 16
+"""Services of other names that a process takes notice of. Without --secure, anybody may join under any number of names."""
+NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
+"""What the name of another service may be."""
 
 
 class Overflow:
@@ -38,6 +49,39 @@ class Overflow:
         if now_s - self._reported_at >= BURST_S:
             log.warning(f"refused {self._name}: messages arrive faster than they are processed; some of the waiting ones are dropped")
         self._reported_at = now_s
+
+
+class ServiceNames:
+    """The names of services that a process takes notice of: OURS, and the first MOST_OTHERS of others. Safe in several threads."""
+
+    def __init__(self) -> None:
+        """Start with OURS."""
+        self._lock = threading.Lock()
+        self._others: set[str] = set()
+        self._refused = 0
+        self._told = False
+
+    def admits(self, name: str) -> bool:
+        """Whether a service of this name is taken notice of. If not, it is counted."""
+        if name in OURS:
+            return True
+        with self._lock:
+            if name not in self._others and (len(self._others) >= MOST_OTHERS or not NAME.fullmatch(name)):
+                self._refused += 1
+                return False
+            self._others.add(name)
+            return True
+
+    def tell(self, log: Log) -> None:
+        """Count what has been refused since the last call; the first time, log it too."""
+        with self._lock:
+            refused, self._refused = self._refused, 0
+        if refused:
+            log.tally.refuse(STRANGER, refused)
+            if not self._told:
+                self._told = True
+                wanted = f"wanted ours and at most {MOST_OTHERS} others, of 1 to 64 letters, digits and . _ -"
+                log.warning(f"refused health/<service>: there are services of too many or of strange names; {wanted}")
 
 
 class _Lane:

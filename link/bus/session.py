@@ -14,7 +14,7 @@ import zenoh.ext
 
 from link.access.identity import secured, why_not
 from link.access.roles import OF_ALL_VEHICLES
-from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow
+from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow, ServiceNames
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
 from link.bus.messages import Health, Stop, stop_text
@@ -42,6 +42,8 @@ class Arrival(NamedTuple):
     attachment: bytes
     at: float = 0.0
     """Time of arrival, by time.monotonic()."""
+    name: str = ""
+    """Of HEALTH, the service that its key names."""
 
 
 class Stamped(NamedTuple):
@@ -58,7 +60,7 @@ class Stamped(NamedTuple):
     """`published_ns`, clamped to the time between the previous `take` and now. They differ only if clocks differ."""
 
 
-class _Numbered(NamedTuple):
+class Numbered(NamedTuple):
     """A message with its publisher's identity and sequence number."""
 
     source: str
@@ -73,6 +75,11 @@ def most_waiting(key: Key) -> int:
 
 def _size(message: Arrival | Stamped) -> int:
     return len(message.payload) + len(message.attachment)
+
+
+def service_of(sample: zenoh.Sample) -> str:
+    """Return the service that a key of HEALTH names."""
+    return str(sample.key_expr).rpartition("/")[2]
 
 
 class LivelinessChange(NamedTuple):
@@ -132,6 +139,7 @@ class Bus:
         self._subscribers: dict[str, Any] = {}
         self._sequences: dict[str, Sequence[Arrival | Stamped]] = {}
         self._overflows: dict[str, Overflow] = {}
+        self._names = ServiceNames()
         self._ready: deque[Any] = deque()
         self._given_at = time.monotonic()
         self._health_at = math.inf
@@ -197,8 +205,8 @@ class Bus:
             put = self._inbox.lane(key.name, most_waiting(key), newest=newest, urgent=key.delivery.realtime)
 
             # Callbacks only queue: a callback that blocks or computes delays the whole session, stop messages included.
-            def queued(item: Arrival | _Numbered, put: Callable[[Any, int], None] = put) -> None:
-                put(item, _size(item.arrival if isinstance(item, _Numbered) else item))
+            def queued(item: Arrival | Numbered, put: Callable[[Any, int], None] = put) -> None:
+                put(item, _size(item.arrival if isinstance(item, Numbered) else item))
 
             self.on(key, queued)
 
@@ -211,9 +219,13 @@ class Bus:
         """Call `arrived` with each message of a key, kept messages first, in the session's thread; without `own`, not with ours."""
 
         def received(sample: zenoh.Sample) -> None:
-            arrival = Arrival(key, sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else b"", time.monotonic())
+            name = service_of(sample) if key is HEALTH else ""
+            if key is HEALTH and not self._names.admits(name):
+                return
+            attachment = sample.attachment.to_bytes() if sample.attachment else b""
+            arrival = Arrival(key, sample.payload.to_bytes(), attachment, time.monotonic(), name)
             if key.name in self._sequences and (info := sample.source_info) is not None:
-                arrived(_Numbered(str(info.source_id), info.source_sn, arrival))
+                arrived(Numbered(str(info.source_id), info.source_sn, arrival))
             else:
                 arrived(arrival)
 
@@ -248,8 +260,8 @@ class Bus:
         put = self._inbox.lane("liveliness")
 
         def changed(sample: zenoh.Sample) -> None:
-            service = str(sample.key_expr).rpartition("/")[2]
-            put(LivelinessChange(service, sample.kind == zenoh.SampleKind.PUT), 0)
+            if self._names.admits(service := service_of(sample)):
+                put(LivelinessChange(service, sample.kind == zenoh.SampleKind.PUT), 0)
 
         name = HEALTH.name.replace("<service>", "*")
         self._subscribers["liveliness"] = self._session.liveliness().declare_subscriber(name, changed, history=True)
@@ -257,7 +269,7 @@ class Bus:
     def services(self) -> set[str]:
         """Return the names of the services present, by their liveliness tokens."""
         replies = self._session.liveliness().get(HEALTH.name.replace("<service>", "*"))
-        return {str(reply.ok.key_expr).rpartition("/")[2] for reply in replies if reply.ok is not None}
+        return {name for reply in replies if reply.ok is not None and self._names.admits(name := service_of(reply.ok))}
 
     @property
     def connected(self) -> bool:
@@ -270,6 +282,7 @@ class Bus:
         while not self._ready:
             self._look_after_sequences()
             self._inbox.tell_dropped(self.log)
+            self._names.tell(self.log)
             self.keep_health()
             left_s = deadline - time.monotonic()
             if left_s < -SIGNAL_POLL_S:
@@ -280,7 +293,7 @@ class Bus:
                 if left_s <= SIGNAL_POLL_S:
                     return None
                 continue
-            if isinstance(item, _Numbered):
+            if isinstance(item, Numbered):
                 sequence = self._sequences[item.arrival.key.name]
                 self._ready += sequence.arrived(item.source, item.number, item.arrival, time.monotonic())
             else:
@@ -315,10 +328,14 @@ class Bus:
     def decode(self, arrival: Arrival | Stamped, kind: type[T]) -> T | None:
         """Decode JSON into a struct. A message that does not decode is refused, and None is returned."""
         try:
-            return msgspec.json.decode(arrival.payload, type=kind)
+            said = msgspec.json.decode(arrival.payload, type=kind)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             self.refuse(arrival.key, str(error), "malformed")
             return None
+        if isinstance(said, Health) and (key := arrival.name.rpartition("/")[2]) != said.service:
+            self.refuse(arrival.key, f"{key!r} says that it is {said.service!r}", "malformed")
+            return None
+        return said
 
     def take_stop(self, arrival: Arrival | Stamped) -> Stop | None:
         """Decode the stop, and say in log and health, at the first one, that the search has ceased."""

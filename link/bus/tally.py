@@ -11,6 +11,8 @@ REPEATED = "repeated"
 """Kind of messages that are refused only because they came before; this is normal in a healthy mission."""
 OVERFLOW = "overflow"
 """Kind of messages that are dropped because too many wait."""
+STRANGER = "stranger"
+"""Kind of messages from services whose names are not taken notice of."""
 GRAIN = 0.001
 """Recent merges events closer than this share of its window. It thus stores about a thousand at most."""
 

@@ -1,19 +1,29 @@
 """A tap on the bus: takes all messages, many at once, for the recorder."""
 
+import queue
+import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import zenoh
 
-from link.bus.keys import KEYS, Key
+from link.bus.inbox import Overflow
+from link.bus.keys import HEALTH, Key
 from link.bus.opening import DEFAULT_ROUTER
-from link.bus.session import Bus, Stamped, most_waiting
+from link.bus.session import Bus, Numbered, Stamped, most_waiting, service_of
+
+DRAIN_EVERY_S = 0.05
+"""How often Zenoh's rings are emptied: they are bounded by messages alone, of any size, and drop without a word."""
+Ring = tuple[Key, Any, Callable[[Any, int], None]]
+"""A key, Zenoh's ring of its messages, and what puts them into the inbox."""
 
 
 class Tap(Bus):
-    """A bus connection for recorders: messages wait in Zenoh, not in Python, and are taken in batches, as `Stamped`.
+    """A bus connection for recorders: messages are taken in batches, as `Stamped`.
 
-    A Python callback for each message would cost more than recording it.
+    A Python callback for each message would cost too much. Therefore messages come into rings of Zenoh's, and a thread moves them from
+    there to the inbox, which is bounded by bytes, too, and counts what it drops.
     """
 
     def __init__(
@@ -26,40 +36,82 @@ class Tap(Bus):
         **settings: Any,
     ) -> None:
         """Join a router as a client; takes and raises what `Bus` does."""
+        self._taken_ns = 0
+        self._rings: dict[str, Ring] = {}
+        self._draining = threading.Lock()
+        self._full = 0
+        self._fullness = Overflow("messages")
+        self._ended = threading.Event()
         # Each message keeps its receive buffer. With the default of 64 kB, clearing the buffers is half the cost of receiving.
         small = {"transport__link__tx__batch_size": 16_384}
         super().__init__(service, connect, namespace, log_level=log_level, announced=announced, **small | settings)
-        self._taken_ns = 0
+        self._drainer = threading.Thread(target=self._keep_draining, name="tap", daemon=True)
+        self._drainer.start()
 
     def subscribe(self, *keys: Key, newest: bool = False) -> None:
         """Queue the messages of these keys for `take`, kept messages first."""
         for key in keys:
             self._put_in_order(key)
             self._declare(key, zenoh.handlers.RingChannel(most_waiting(key)))
+            self._rings[key.name] = key, self._subscribers[key.name].handler, self._inbox.lane(key.name, most_waiting(key))
 
     def take(self) -> list[Stamped]:
         """Return the messages that arrived since the last call, in order of publishing."""
         now_ns = time.time_ns()
-        for key in KEYS:
-            if key.name in self._subscribers:
-                self._take_from(key, now_ns)
-        self._taken_ns = now_ns
+        self._drain()
+        for _ in range(self._inbox.waiting()):  # new messages keep coming
+            try:
+                item = self._inbox.get(timeout=0)
+            except queue.Empty:  # dropped meanwhile
+                break
+            if isinstance(item, Numbered):
+                self._ready += self._sequences[item.arrival.key.name].arrived(item.source, item.number, item.arrival, time.monotonic())
+            else:
+                self._ready.append(item)
         self._look_after_sequences()
+        self._inbox.tell_dropped(self.log)
+        self._fullness.tell(self._full, self.log)
+        self._names.tell(self.log)
         self.keep_health()
-        taken = sorted(self._ready, key=lambda message: message.published_ns)
+        taken = [
+            message._replace(received_ns=min(max(message.published_ns, self._taken_ns), now_ns))
+            for message in sorted(self._ready, key=lambda message: message.published_ns)
+        ]
         self._ready.clear()
+        self._taken_ns = now_ns
         return taken
 
-    def _take_from(self, key: Key, now_ns: int) -> None:
-        handler, sequence = self._subscribers[key.name].handler, self._sequences.get(key.name)
-        for _ in range(most_waiting(key)):  # at most one full channel: new messages keep coming
-            if (sample := handler.try_recv()) is None:
-                return
-            published_ns = sample.timestamp.get_time_as_ntp64().as_nanos() if sample.timestamp else now_ns
-            received_ns = min(max(published_ns, self._taken_ns), now_ns)
+    def close(self) -> None:
+        """Leave the bus."""
+        self._ended.set()
+        self._drainer.join()
+        super().close()
+
+    def _keep_draining(self) -> None:
+        while not self._ended.wait(DRAIN_EVERY_S):
+            self._drain()
+
+    def _drain(self) -> None:
+        """Move what is in the rings to the inbox, at most one full ring of each key: new messages keep coming."""
+        with self._draining:
+            for ring in tuple(self._rings.values()):
+                self._full += self._drain_one(*ring)
+
+    def _drain_one(self, key: Key, handler: Any, put: Callable[[Any, int], None]) -> bool:
+        """Empty a ring; returns whether it was full, and so may have dropped messages: nobody knows how many."""
+        for _ in range(most_waiting(key)):
+            try:
+                sample = handler.try_recv()
+            except zenoh.ZError:  # another ring takes its place
+                return False
+            if sample is None:
+                return False
+            if key is HEALTH and not self._names.admits(service_of(sample)):
+                continue
+            published_ns = sample.timestamp.get_time_as_ntp64().as_nanos() if sample.timestamp else time.time_ns()
             attachment = sample.attachment.to_bytes() if sample.attachment else b""
-            message = Stamped(key, sample.payload.to_bytes(), attachment, str(sample.key_expr), published_ns, received_ns)
-            if sequence and (info := sample.source_info) is not None:
-                self._ready += sequence.arrived(str(info.source_id), info.source_sn, message, time.monotonic())
-            else:
-                self._ready.append(message)
+            message = Stamped(key, sample.payload.to_bytes(), attachment, str(sample.key_expr), published_ns, published_ns)
+            info = sample.source_info if key.name in self._sequences else None
+            size = len(message.payload) + len(attachment)
+            put(message if info is None else Numbered(str(info.source_id), info.source_sn, message), size)
+        return True

@@ -154,7 +154,8 @@ class History:
             if key == STOP.name:
                 return self._take_stop(msgspec.json.decode(payload, type=Stop), time_s)
             if key.startswith(HEALTH_PREFIX):
-                return self._take_health(msgspec.json.decode(payload, type=Health), time_s, wall_s)
+                said = msgspec.json.decode(payload, type=Health)
+                return key == HEALTH_PREFIX + said.service and self._take_health(said, time_s, wall_s)
             if key == READING.name:
                 self._winds.add(time_s, unpack_reading(payload).wind)
                 return True

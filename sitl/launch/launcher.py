@@ -255,7 +255,7 @@ class _Watch:
                     self._watchdog.heard(health.service, time.monotonic())
                     self._compute[health.service] = health
                     self._warned = self._warned or bool(health.service == "estimator" and health.warnings)
-                    if health.state == "landed" and not self._landed:
+                    if (health.service, health.state) == ("uav", "landed") and not self._landed:
                         self._landed, self._landed_since = True, time.monotonic()
             case Arrival(key, payload) if key is MAVLINK_OUT:
                 for message in _frames(payload):

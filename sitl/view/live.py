@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from link.access.identity import AccessError, secured
 from link.bus.frames import frame_at
 from link.bus.keys import KEYS, MAVLINK_IN, MAVLINK_OUT
 from link.bus.opening import NoRouter
@@ -20,6 +21,8 @@ from sitl.view.roster import Presence, Roster
 
 EVERY_S = 0.01
 """How often messages are taken."""
+LOOK_S = 0.2
+"""How often it looks for the router, and tries again to join it."""
 CONNECT_TIMEOUT_S = 1.0
 GONE_AFTER_S = 0.5
 """A part that is back within this time was not gone; a router that is back gets as long to name the parts that it knows."""
@@ -127,7 +130,7 @@ class LiveFleet:
         """Begin to follow.
 
         changed: called in the bus's thread when there is something new to see; say: told, in a line, of what is wrong.
-        secure: the folder of certificates. Raises BusError if `router` is not an endpoint.
+        secure: the folder of certificates. Raises BusError if `router` is not an endpoint, AccessError without a certificate that is fit.
         """
         self.vehicles: dict[str, LiveVehicle] = {}
         """In the order in which they appeared."""
@@ -144,7 +147,7 @@ class LiveFleet:
         try:
             roster = Roster("view", router, CONNECT_TIMEOUT_S, secure)
         except NoRouter as error:
-            trouble = str(error)
+            trouble = self._trouble(error)
         self._thread = threading.Thread(target=self._run, args=(roster, trouble), name="bus", daemon=True)
         self._thread.start()
 
@@ -158,13 +161,12 @@ class LiveFleet:
         self._thread.join(CONNECT_TIMEOUT_S + 1.0)
 
     def _run(self, roster: Roster | None, trouble: str) -> None:
-        while roster is None and not self._ended.wait(EVERY_S):
-            refused = "cannot be joined" in trouble
-            self._tell(trouble.removeprefix("--connect: ") if refused else f"no router at {self._router}: waiting for one")
+        while roster is None and not self._ended.wait(LOOK_S):
+            self._tell(trouble)
             try:
                 roster = Roster("view", self._router, CONNECT_TIMEOUT_S, self._secure)
-            except NoRouter as error:
-                trouble = str(error)
+            except (NoRouter, AccessError) as error:
+                trouble = self._trouble(error)
         if roster is None:
             return
         with roster:
@@ -175,7 +177,7 @@ class LiveFleet:
 
     def _follow(self, roster: Roster) -> None:
         joining: deque[Presence] = deque()
-        connected_since = look_at = time.monotonic()
+        connected_since = look_at = join_at = time.monotonic()
         connected = True
         while not self._ended.wait(EVERY_S):
             now_s = time.monotonic()
@@ -183,14 +185,32 @@ class LiveFleet:
                 look_at = now_s + 0.2
                 was, connected = connected, roster.connected
                 connected_since = now_s if connected and not was else connected_since
-                self._tell("" if connected else f"the router at {self._router} is gone: waiting for it")
+                gone = "" if connected else f"the router at {self._router} is gone: waiting for it"
+                self._tell((self._lack() if gone or joining else "") or gone)
             joining.extend(roster.changes())
-            while joining and self._note(joining[0], now_s):
-                joining.popleft()
+            while joining and now_s >= join_at:
+                if self._note(joining[0], now_s):
+                    joining.popleft()
+                else:
+                    join_at = now_s + LOOK_S
             told = self._bury(now_s) if connected and now_s - connected_since >= GONE_AFTER_S else False
             seen = [vehicle.follow() for vehicle in self.vehicles.values()]
             if told or any(seen):
                 self._changed()
+
+    def _trouble(self, error: NoRouter | AccessError) -> str:
+        """Return what people are told when the router cannot be joined."""
+        reason = str(error).removeprefix("--connect: ")
+        known = isinstance(error, AccessError) or "cannot be joined" in reason
+        return reason if known else f"no router at {self._router}: waiting for one"
+
+    def _lack(self) -> str:
+        """Return what is wrong with our certificate now: it may have expired since we joined. Empty if nothing is."""
+        try:
+            secured("--connect", self._router, self._secure, "view", None)
+        except AccessError as error:
+            return self._trouble(error)
+        return ""
 
     def _tell(self, notice: str) -> None:
         if notice != self.notice:
@@ -218,7 +238,7 @@ class LiveFleet:
                 return True
             try:
                 self.vehicles = {**self.vehicles, name: LiveVehicle(name, self._router, self._told_of(name), self._secure)}
-            except NoRouter:
+            except (NoRouter, AccessError):
                 return False
             self._list_changed()
         vehicle = self.vehicles[name]

@@ -1,5 +1,6 @@
 """Which vehicles are on a router: the services of every namespace, by their liveliness tokens."""
 
+import re
 from collections import deque
 from pathlib import Path
 from typing import NamedTuple
@@ -9,6 +10,8 @@ import zenoh
 from link.bus.keys import HEALTH
 from link.bus.session import Bus
 
+WORDS = re.compile(r"[^*$\x00-\x1f\x7f]{1,200}/")
+"""A namespace and its slash. A token may also be for a pattern of keys, such as uav/*: that is no vehicle."""
 MOST_CHANGES = 10_000
 """Changes that wait; beyond that the oldest are dropped."""
 
@@ -34,9 +37,10 @@ class Roster(Bus):
     def _changed(self, sample: zenoh.Sample) -> None:
         middle = HEALTH.name.partition("<")[0]
         namespace, _, service = str(sample.key_expr).rpartition(middle)
-        if namespace.endswith("/"):
+        if WORDS.fullmatch(namespace) and self._names.admits(service):
             self._changes.append(Presence(namespace[:-1], service, sample.kind == zenoh.SampleKind.PUT))
 
     def changes(self) -> list[Presence]:
         """Return what has changed since the last call; at first, all that are there. A lost router takes all of them with it."""
+        self._names.tell(self.log)
         return [self._changes.popleft() for _ in range(len(self._changes))]

@@ -14,7 +14,7 @@ from link.bus.inbox import WAITING_MESSAGES
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING, STOP
 from link.bus.messages import Health, Stop
 from link.bus.opening import BusError, open_router
-from link.bus.session import Arrival, Bus, LivelinessChange, _Numbered
+from link.bus.session import Arrival, Bus, LivelinessChange, Numbered
 from sitl.launch.relay import Relay
 
 CLAIM = Stop(time_boot_ms=5, step=3, estimate=(1.0, 2.0), covariance=(0.1, 0.0, 0.1), spread=0.4, threshold=0.5)
@@ -160,7 +160,7 @@ def test_who_needs_only_the_newest_is_given_it_at_once(router: str, wait_until: 
 def test_a_wait_ends_in_time_however_many_messages_come_again(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with Bus("estimator", router) as estimator:
         estimator.subscribe(READING)
-        again = _Numbered("uav", 0, Arrival(READING, b"frames", b""))
+        again = Numbered("uav", 0, Arrival(READING, b"frames", b""))
         estimator._inbox.put(again)
         assert estimator.receive(timeout_s=10.0) == again.arrival
         monkeypatch.setattr(estimator._inbox, "get", lambda timeout: again)  # an endless flood
@@ -191,6 +191,32 @@ def test_services_are_seen_to_come_and_go(router: str) -> None:
             seen = [viewer.receive(timeout_s=10.0), viewer.receive(timeout_s=10.0)]
             assert LivelinessChange("agent", True) in seen
         assert viewer.receive(timeout_s=10.0) == LivelinessChange("agent", False)
+
+
+def test_services_of_ever_new_names_are_counted_and_ours_are_still_seen(router: str) -> None:
+    with Bus("viewer", router, announced=False) as viewer, Bus("forger", router, announced=False) as forger:
+        tokens = [forger._session.liveliness().declare_token(f"health/forged{number}") for number in range(50)]
+        forger.settle(30.0)
+        viewer.watch_services()
+        with Bus("agent", router):
+            seen = [viewer.receive(timeout_s=10.0).service for _ in range(17)]
+            assert "agent" in seen
+            assert len(set(seen)) == 17
+            assert viewer.services() == set(seen)
+        assert viewer.receive(timeout_s=10.0) == LivelinessChange("agent", False)
+        assert viewer.tally.refused == {"stranger": 2 * 34}
+        del tokens
+
+
+def test_health_on_the_key_of_another_is_refused(router: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with Bus("viewer", router, announced=False) as viewer, Bus("agent", router) as agent:
+        viewer.subscribe(HEALTH)
+        agent.publish_health()
+        own = viewer.receive(timeout_s=10.0)
+        assert viewer.decode(own, Health) is not None
+        assert viewer.decode(own._replace(name="estimator"), Health) is None
+        assert viewer.tally.refused == {"malformed": 1}
+    assert "refused health/<service>: 'estimator' says that it is 'agent'" in capsys.readouterr().err
 
 
 def test_what_does_not_decode_is_counted_and_logged_with_key_and_reason(router: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -127,8 +127,45 @@ def test_taking_ends_though_ever_more_messages_come(router: str, monkeypatch: py
     monkeypatch.setattr("link.bus.session.WAITING_MESSAGES", 100)
     sample = SimpleNamespace(timestamp=None, attachment=None, payload=SimpleNamespace(to_bytes=lambda: b"x"), key_expr="mavlink/in")
     with Tap("recorder", router) as tap:
-        tap._subscribers["mavlink/in"] = SimpleNamespace(handler=SimpleNamespace(try_recv=lambda: sample), undeclare=lambda: None)
+        tap.subscribe(MAVLINK_IN)
+        key, _, put = tap._rings["mavlink/in"]
+        tap._rings["mavlink/in"] = key, SimpleNamespace(try_recv=lambda: sample), put
         assert len(tap.take()) == 100
+        assert tap.tally.refused["overflow"]  # a ring that is full may have dropped some
+
+
+def test_waiting_messages_fill_no_more_memory_than_their_limit_and_the_lost_ones_are_counted_and_told(
+    router: str, wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("link.bus.inbox.WAITING_BYTES", 100_000)
+    with Tap("recorder", router) as tap, Bus("agent", router) as agent:
+        tap.subscribe(MAVLINK_IN)
+        wait_until(lambda: agent._publisher(MAVLINK_IN).matching_status.matching)
+        for number in range(50):
+            agent.publish(MAVLINK_IN, b"%04d" % number + bytes(9_996))
+        agent.settle(30.0)
+        tap.settle(30.0)
+        waiting = [int(message.payload[:4]) for message in tap.take()]
+    assert waiting == list(range(40, 50))
+    assert tap.tally.refused == {"overflow": 40}
+    assert "refused mavlink/in: messages arrive faster than they are processed" in capsys.readouterr().err
+
+
+def test_a_peer_that_publishes_health_under_ever_new_names_is_counted_and_ours_are_still_heard(
+    router: str, wait_until: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Tap("recorder", router) as tap, Bus("forger", router, announced=False) as forger, Bus("uav", router) as uav:
+        tap.subscribe(HEALTH)
+        tap.settle(30.0)
+        for number in range(100):
+            forger._session.put(f"health/forged{number}", b"{}")
+        forger._session.put(f"health/{'x' * 1000}", b"{}")
+        forger.settle(30.0)
+        uav.publish_health()
+        names = {message.name for message in taken(tap, wait_until, 17)}
+    assert names == {"health/uav", *(f"health/forged{number}" for number in range(16))}
+    assert tap.tally.refused == {"stranger": 85}
+    assert capsys.readouterr().err.count("refused health/<service>: there are services of too many or of strange names") == 1
 
 
 def test_simulation_time_is_a_messages_own_or_the_newest_that_the_vehicle_told() -> None:

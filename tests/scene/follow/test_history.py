@@ -99,14 +99,20 @@ def test_a_text_whose_end_never_comes_does_not_grow_without_end(history: History
 def test_parts_with_forged_names_are_not_followed_without_end(history: History) -> None:
     history.take("health/uav", health("uav", 1.0), b"", 1.0, 100.0)
     for number in range(1000):
-        history.take(f"health/{number}", health(f"forged {number}", 1.0), b"", 1.0, 100.0)
+        history.take(f"health/forged {number}", health(f"forged {number}", 1.0), b"", 1.0, 100.0)
         history.lives(f"other {number}", True, 100.0)
-    history.take("health/x", health("x" * 100_000, 1.0), b"", 1.0, 100.0)
+    history.take(f"health/{'x' * 100_000}", health("x" * 100_000, 1.0), b"", 1.0, 100.0)
     assert history.take("health/uav", health("uav", 2.0), b"", 1.0, 100.0)
     services = history.at().services
     assert len(services) == 64
     assert services[0].name == "uav"
     assert max(len(service.name) for service in services) < 300
+
+
+def test_a_part_speaks_for_itself_alone(history: History) -> None:
+    history.take("health/uav", health("uav", 1.0), b"", 1.0, 100.0)
+    assert not history.take("health/agent", health("uav", 2.0), b"", 1.0, 100.0)
+    assert [service.name for service in history.at().services] == ["uav"]
 
 
 def test_readings_and_waypoints_are_shown(history: History) -> None:
