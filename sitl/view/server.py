@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import math
 import time
+from collections import deque
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -29,6 +30,10 @@ LONGEST_MESSAGE = 4096
 """Bytes of a message from the page."""
 EVERY_S = 1 / 30
 """Shortest time between two live scenes of a vehicle."""
+MOST_COMMANDS, COMMANDS_S = 5, 1.0
+"""A page may give so many commands within this time; more are refused."""
+MOST_ANSWERS = 100
+"""A page that leaves so many answers to its commands unread is closed."""
 UNDRAWN_S = 1.0
 """After this long the next scene is sent, though the last one was not drawn; and one without news, to judge silent services anew."""
 SEND_S = 5.0
@@ -194,7 +199,9 @@ class Client:
         self._want = Show([])
         self._sent: dict[str, _Sent] = {}
         self._number = 0
-        self._answers: list[dict[str, Any]] = []
+        self._answers: deque[dict[str, Any]] = deque()
+        self._ordered_s: deque[float] = deque([-math.inf] * MOST_COMMANDS, MOST_COMMANDS)
+        """When it gave its last commands."""
         self._listed: object = None
         self._bye = ""
         self._orders: set[asyncio.Task[None]] = set()
@@ -234,12 +241,21 @@ class Client:
                         sent.drawn = sent.drawn or sent.number <= number
                 case Order():
                     self._order(message)
+                    if len(self._answers) >= MOST_ANSWERS:
+                        self._bye = "commands come faster than their answers are read"
+                        return
             self.wake.set()
+            await asyncio.sleep(0)  # a flood of one page leaves the others their turn
 
     def _order(self, order: Order) -> None:
         if self._why_not:
             self._answered(order, CommandAnswer(False, self._why_not))
             return
+        now_s = time.monotonic()
+        if now_s - self._ordered_s[0] < COMMANDS_S:
+            self._answered(order, CommandAnswer(False, f"more than {MOST_COMMANDS} commands within {COMMANDS_S:g} s: wait a moment"))
+            return
+        self._ordered_s.append(now_s)
 
         async def carry_out() -> None:
             self._answered(order, await self._server.order(order))
@@ -265,7 +281,7 @@ class Client:
                 self._listed = self._shown.list_version
                 await self._say({"vehicles": self._shown.entries(), "notice": self._shown.notice})
             while self._answers:
-                await self._say(self._answers.pop(0))
+                await self._say(self._answers.popleft())
             bye, wanted = self._server.bye, [self._shown.vehicles[name] for name in self._want.show if name in self._shown.vehicles]
             waits_s = [await self._show(vehicle) for vehicle in wanted]
             if bye and not told and all(self._what(vehicle) == self._sent[vehicle.name].what for vehicle in wanted):
