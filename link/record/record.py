@@ -13,6 +13,7 @@ viewers only and are not read back.
 import contextlib
 import json
 import math
+from collections import deque
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
@@ -85,6 +86,10 @@ def _time_boot_ms(payload: bytes, message_ids: set[int]) -> int | None:
     return None
 
 
+MOST_READINGS = 4096
+"""So many readings are remembered: what is repeated or answered is one of the last few."""
+
+
 class SimulationClock:
     """Assigns a simulation time to each message, from the vehicle's own time stamps."""
 
@@ -93,6 +98,9 @@ class SimulationClock:
         self._newest_ms = 0
         self._newest_published_ns = 0
         self._readings: set[int] = set()
+        """The time_boot_ms of the last MOST_READINGS; `_order` has them in the order in which they came."""
+        self._order: deque[int] = deque()
+        self._count = 0
 
     def time_s(self, key: str, payload: bytes, published_ns: int) -> float:
         """Return the simulation time of a message, s.
@@ -109,15 +117,24 @@ class SimulationClock:
         elif key in FRAME_KEYS:
             own = _time_boot_ms(payload, OWN_TIME)
             if own is not None and key == READING.name:
-                self._readings.add(own)
+                self._note(own)
             if own is not None and published_ns >= self._newest_published_ns:
                 self._newest_ms, self._newest_published_ns = own, published_ns
         return (self._newest_ms if own is None else own) / 1000.0
 
+    def _note(self, reading_ms: int) -> None:
+        if reading_ms in self._readings:
+            return
+        self._count += 1
+        self._readings.add(reading_ms)
+        self._order.append(reading_ms)
+        if len(self._order) > MOST_READINGS:
+            self._readings.remove(self._order.popleft())
+
     @property
     def step(self) -> int:
         """Number of the newest reading, 0 at the start; -1 before the first."""
-        return len(self._readings) - 1
+        return self._count - 1
 
 
 # ---- conversion to text and back ----

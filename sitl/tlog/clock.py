@@ -131,14 +131,19 @@ def _goes_on(last: int, now: int) -> bool:
 def _remove_jumps(log: FlightLog, own: Integers, ticks: Integers, times_ms: Integers, boots: Integers) -> list[str]:
     told = []
     steps_us = np.diff(log.times_us[own])
+    leaps_us = np.zeros_like(log.times_us)
+    leapt_us = 0
     for silence in np.flatnonzero(steps_us > GAP_US).tolist():
         before, after = np.searchsorted(ticks, own[silence], side="right") - 1, np.searchsorted(ticks, own[silence + 1])
         if before < 0 or after >= len(ticks) or boots[before] != boots[after]:
             continue
         leap_us = int(steps_us[silence]) - 1000 * max(0, int(times_ms[after] - times_ms[before]))
         if leap_us > GAP_US:
-            log.times_us[own[silence + 1] :] -= leap_us
-            told.append(f"{leap_us / 1e6:,.1f} s at {log.seconds(own[silence]):.1f} s")
+            at_s = int(log.times_us[own[silence]] - log.times_us[0] - leapt_us) / 1e6
+            told.append(f"{leap_us / 1e6:,.1f} s at {at_s:.1f} s")
+            leaps_us[own[silence + 1]] = leap_us
+            leapt_us += leap_us
+    log.times_us -= np.cumsum(leaps_us)
     return [f"the log's clock jumps ahead of the vehicle's by {few(told)}: corrected"] if told else []
 
 

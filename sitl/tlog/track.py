@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from link.bus.mavlink import Message
 from plume.geodesy import to_local
 from sitl.tlog.clock import Floats, VehicleClock
-from sitl.tlog.sender import GLOBAL, GPS, HEARTBEAT, LOCAL, Autopilot, FlightError, FlightLog
+from sitl.tlog.frames import Integers
+from sitl.tlog.sender import GLOBAL, GPS, HEARTBEAT, LISTED, LOCAL, Autopilot, FlightError, FlightLog
 
 Place = tuple[float, float, float]
 """(north, east, up) m."""
@@ -24,6 +26,13 @@ SAMPLED = 500
 """About this many fixes suffice to find the offset between two frames."""
 SHIFTED_M = 0.1
 """Smallest offset between two frames that is noted."""
+
+
+def _groups(labels: Integers) -> Iterator[Integers]:
+    """Yield the indices of the elements of each label, in order."""
+    order = np.argsort(labels, kind="stable")
+    starts = [0, *(np.flatnonzero(np.diff(labels[order])) + 1).tolist(), len(order)]
+    return (order[first:end] for first, end in pairwise(starts) if end > first)
 
 
 class Track:
@@ -44,9 +53,13 @@ class Track:
 
     def lines(self) -> Iterator[tuple[float, float]]:
         """Yield the first and last time of each line of joined fixes."""
-        for line in np.unique(self._lines):
-            times = self.times_ms[self._lines == line]
-            yield float(times[0]), float(times[-1])
+        for line in _groups(self._lines):
+            yield float(self.times_ms[line[0]]), float(self.times_ms[line[-1]])
+
+    def of_boots(self) -> Iterator[tuple[int, Integers]]:
+        """Yield each number of restarts and the indices of its fixes, in order."""
+        for fixes in _groups(self.boots):
+            yield int(self.boots[fixes[0]]), fixes
 
     def at(self, time_ms: float) -> Place | None:
         """Return the place, interpolated on a line or extrapolated from its first or last second by at most 1 s; None elsewhere."""
@@ -120,15 +133,21 @@ def flown(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[Fl
         return FlownPath([local], None), notes
     assert home is not None
     base = offsets[min(offsets)]
-    for boot, offset in offsets.items():
-        north, east, _ = (offset - base).tolist()
-        local.places[local.boots == boot] += offset - base
+    moved = []
+    for boot, fixes in local.of_boots():
+        if boot not in offsets:
+            continue
+        north, east, _ = (offsets[boot] - base).tolist()
+        local.places[fixes] += offsets[boot] - base
         if math.hypot(north, east) >= SHIFTED_M:
-            notes.append(
+            moved.append(
                 f"after start {boot + 1} the origin of the local frame is {north:.1f} m north and {east:.1f} m east of the first one, "
                 "by GLOBAL_POSITION_INT: positions are corrected"
             )
     around.places -= base
+    notes += moved[:LISTED]
+    if (more := len(moved) - LISTED) > 0:
+        notes.append(f"so it is after {more:,} more starts")
     return FlownPath([local, around], Anchor(home[0], home[1], -float(base[0]), -float(base[1]))), notes
 
 
@@ -179,10 +198,9 @@ def _is_place(lat_e7: int, lon_e7: int) -> bool:
 def _offsets(local: Track, around: Track) -> dict[int, Floats]:
     """Return, by number of restarts, the local frame's origin in the other track's frame, from fixes at equal times."""
     offsets = {}
-    for boot in np.unique(local.boots).tolist():
-        fixes = np.flatnonzero(local.boots == boot)
-        fixes = fixes[:: max(1, len(fixes) // SAMPLED)].tolist()
-        pairs = [(around.at(float(local.times_ms[fix])), local.places[fix]) for fix in fixes]
+    for boot, fixes in local.of_boots():
+        chosen = fixes[:: max(1, len(fixes) // SAMPLED)].tolist()
+        pairs = [(around.at(float(local.times_ms[fix])), local.places[fix]) for fix in chosen]
         differences = [np.array(place) - own for place, own in pairs if place is not None]
         if differences:
             offsets[boot] = np.asarray(np.median(differences, axis=0))

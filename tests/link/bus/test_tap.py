@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 import zenoh
+from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING
 from link.bus.session import Bus, Stamped
@@ -189,6 +190,24 @@ def test_the_newest_time_is_that_which_was_published_last() -> None:
     assert clock.time_s("health/uav", b"", 30) == 5.0
     assert clock.time_s("mavlink/out", earlier, 40) == 4.0  # a restarted vehicle
     assert clock.time_s("health/uav", b"", 50) == 4.0
+
+
+def test_the_clock_counts_each_reading_once_knows_what_answers_the_last_ones_and_forgets_older_ones() -> None:
+    """The truth is plain: reading n is at n s, is repeated 10 readings later, and is answered with its own time."""
+    clock = SimulationClock()
+    readings = 5000
+    for number in range(readings):
+        for again in (number, max(number - 10, 0)):
+            assert clock.time_s("reading", UAV.pack(_at(1000 * again)), number) == again
+            waypoint = UAV.pack(_waypoint(1000 * again))
+            assert clock.time_s("mavlink/in", waypoint, number) == again
+        assert clock.step == number
+    assert clock.time_s("mavlink/in", UAV.pack(_waypoint(1)), readings) == readings - 11  # answers none: the newest known time
+    assert len(clock._readings) == 4096
+
+
+def _waypoint(time_boot_ms: int) -> object:
+    return mavlink.MAVLink_set_position_target_local_ned_message(time_boot_ms, 1, 1, 1, 0, *[0.0] * 11)
 
 
 def _at(time_boot_ms: int) -> object:

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from plume.scenario import Scenario
 from plume.sensor import GAUSSIAN
 from plume.world import World
 from sitl.tlog.flight import Flight, FlightError, parse_gas, read
+from sitl.tlog.track import Track
 from tests.sitl.tlog.logs import (
     BEGAN_US,
     DISARMED,
@@ -709,3 +711,33 @@ def test_whatever_is_in_the_file_it_is_read_or_refused(tmp_path: Path, data: st.
     times = [reading.time_boot_ms for reading in readings(flight)]
     assert times == sorted(set(times))
     assert all(0.0 <= value <= flight.area_m for reading in readings(flight) for value in reading.position)
+
+
+def test_a_track_of_nothing_but_gaps_takes_no_longer_for_each_fix() -> None:
+    """By n² this takes 100 times as long as by n; the bound lies between."""
+    fixes, began_s = 100_000, time.process_time()
+    track = Track([10_000.0 * number for number in range(fixes)], [(0.0, 0.0, 0.0)] * fixes, list(range(fixes)))
+    assert list(track.lines()) == [(10_000.0 * number, 10_000.0 * number) for number in range(fixes)]
+    assert [(boot, each.tolist()) for boot, each in track.of_boots()] == [(number, [number]) for number in range(fixes)]
+    assert time.process_time() - began_s < 5.0
+
+
+def test_the_lines_of_a_track_end_at_gaps_and_at_restarts() -> None:
+    track = Track([0.0, 4000.0, 9001.0, 9002.0, 9003.0], [(0.0, 0.0, 0.0)] * 5, [0, 0, 0, 1, 0])
+    assert list(track.lines()) == [(0.0, 4000.0), (9001.0, 9001.0), (9002.0, 9002.0), (9003.0, 9003.0)]
+    assert [(boot, each.tolist()) for boot, each in track.of_boots()] == [(0, [0, 1, 2, 4]), (1, [3])]
+    assert list(Track([], [], []).lines()) == []
+
+
+def test_a_log_of_very_many_restarts_is_told_in_few_lines(tmp_path: Path) -> None:
+    log = Recorder()
+    log.hear(0.0, heartbeat())
+    for start in range(20):
+        boot_ms = (10_000_000, 40_000_000)[start % 2]  # hours back each second time; home is a metre further north each time
+        for tick in range(8):
+            log.hear(100.0 * start + 0.1 * tick, local(boot_ms + 100 * tick, 0.0, 0.0))
+        log.hear(100.0 * start + 0.8, globe(boot_ms + 700, LAT_E7 + round(start / 2 / METRES_AN_E7), LON_E7))
+        log.hear(100.0 * start + 0.9, gas(boot_ms + 700, 1.0))
+    flight = read(log.write(tmp_path), wind=WESTERLY)
+    assert noted(flight, "so it is after 4 more starts")
+    assert sum("the origin of the local frame is" in note for note in flight.notes) == 5
