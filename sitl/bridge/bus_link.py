@@ -5,13 +5,14 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
+from link.bus.inbox import WAITING_BYTES
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, STOP
 from link.bus.session import Arrival, Bus
 from sitl.bridge.links import AWAY, GARBAGE, OVERFLOW, Traffic
 from sitl.bridge.stream import FrameStream, Letter
 
 MOST_WAITING = 4096
-"""Most messages that wait in either direction."""
+"""Most messages that wait in either direction; of those from the bus, WAITING_BYTES at most, too."""
 CLOSE_S = 1.0
 BRIDGED = b"bridge"
 """The attachment of what a bridge publishes: it tells other bridges that the sender itself is not on the bus."""
@@ -26,7 +27,9 @@ class BusChannel:
         self._bus = bus
         self._wake = wake
         self._connected = True
+        self._lock = threading.Lock()
         self._arrived: deque[Arrival] = deque()
+        self._bytes = 0
         self._overflowed = 0
         self._leaving: queue.SimpleQueue[tuple[bytes, bool] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._publish, name="to the bus", daemon=True)
@@ -37,24 +40,29 @@ class BusChannel:
         bus.on(STOP, self._stops.append)
 
     def _queue(self, arrival: Arrival) -> None:
-        if len(self._arrived) >= MOST_WAITING:
-            self._overflowed += 1
-            return
-        self._arrived.append(arrival)
-        if len(self._arrived) == 1:
+        size = len(arrival.payload) + len(arrival.attachment)
+        with self._lock:
+            if len(self._arrived) >= MOST_WAITING or self._bytes + size > WAITING_BYTES:
+                self._overflowed += 1
+                return
+            self._arrived.append(arrival)
+            self._bytes += size
+            first = len(self._arrived) == 1
+        if first:
             self._wake()
 
     def take(self) -> list[tuple[Arrival, list[Letter]]]:
         """Return what has come since the last call, with the frames in it; a message holds whole frames."""
+        with self._lock:
+            arrived, self._arrived, self._bytes = self._arrived, deque(), 0
+            overflowed, self._overflowed = self._overflowed, 0
         taken = []
-        for _ in range(len(self._arrived)):
-            arrival = self._arrived.popleft()
+        for arrival in arrived:
             stream = FrameStream()
             letters = stream.take(arrival.payload, datagram=True)
             taken.append((arrival, letters))
             self.traffic.received += len(letters)
             self.traffic.drop(GARBAGE, len(arrival.payload) - sum(len(letter.data) for letter in letters))
-        overflowed, self._overflowed = self._overflowed, 0
         self.traffic.drop(OVERFLOW, overflowed)
         return taken
 

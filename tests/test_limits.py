@@ -1,0 +1,40 @@
+"""Protects the limits that docs/security.md names: they are those of the code."""
+
+from pathlib import Path
+
+from agent import bundle, graphs
+from link.bus import inbox
+from link.record import reader
+from link.signing import timestamps
+from sitl.bridge import bus_link, links, tcp
+from sitl.script import typed_yaml
+from sitl.uav import udp
+from sitl.view import live, server
+
+PAGE = Path(__file__).parents[1] / "docs" / "security.md"
+MIB, GIB = 2**20, 2**30
+
+
+def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
+    section = PAGE.read_text().partition("## Limits on hostile input")[2].partition("\n## ")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line.startswith("| ")][1:]
+    assert {row[0]: row[1] for row in rows} == {
+        "policy bundle": f"{bundle.MOST_BYTES // MIB} MiB of graph, {bundle.MOST_PAGE_BYTES // MIB} MiB of page, "
+        f"{graphs.MOST_NODES} nodes, {graphs.MOST_WORK:,} multiplications a decision, {bundle.LONGEST_DECISION_S:g} s for a trial",
+        "record": f"unpacks to {reader.MOST_RATIO} times its size, or to {reader.SMALL // MIB} MiB; "
+        f"{reader.LARGEST_RECORD // GIB} GiB of messages",
+        "chunk of a record": f"{reader.LARGEST_PIECE // MIB} MiB",
+        "mission script": f"{typed_yaml.MOST_BYTES:,} bytes; {typed_yaml.MOST_VALUES:,} values, aliases expanded",
+        "waiting messages of a key": f"{inbox.WAITING_MESSAGES:,} and the kept ones; {inbox.WAITING_BYTES // MIB} MiB",
+        "names of services": f"ours and {inbox.MOST_OTHERS} others",
+        "pages of one server": f"{server.MOST_CLIENTS}",
+        "message of a page": f"{server.LONGEST_MESSAGE:,} bytes",
+        "commands of a page": f"{server.MOST_COMMANDS} within {server.COMMANDS_S:g} s",
+        "unread answers to a page's commands": f"{server.MOST_ANSWERS}",
+        "vehicles on a page": f"{live.MOST_VEHICLES}",
+        "peers of a MAVLink endpoint that listens": f"{links.MOST_PEERS}",
+        "what waits for a TCP connection of a bridge": f"{tcp.MOST_BYTES // 1024} KiB",
+        "signed MAVLink streams": f"{timestamps.MOST_STREAMS}",
+    }
+    assert udp.MOST_PEERS == links.MOST_PEERS
+    assert (bus_link.MOST_WAITING, bus_link.WAITING_BYTES) == (inbox.WAITING_MESSAGES, inbox.WAITING_BYTES)
