@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from link.access.identity import issued
 from link.access.roles import OF_A_VEHICLE, OF_ALL_VEHICLES, ROUTER, common_name
 
 CA = "ca"
@@ -20,6 +21,7 @@ CA_DAYS = 3650
 EARLIER = datetime.timedelta(minutes=5)
 """Certificates hold from a little before now: the clocks of two machines differ."""
 ROUTER_NAMES = ("localhost", "127.0.0.1", "::1", "router")
+OTHERWISE = "delete it and its key, or give --force"
 HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?<!-)(\.(?!-)[A-Za-z0-9-]{1,63}(?<!-))*")
 
 
@@ -77,7 +79,10 @@ def make(
             _issue(path, name, hosts, ca, begins, until)
             made.append(Made(name, until, True))
         else:
-            made.append(Made(name, _read(path).not_valid_after_utc, False))
+            kept = _read(path)
+            if not issued(kept, ca.certificate):
+                raise CertificateError(f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {OTHERWISE}")
+            made.append(Made(name, kept.not_valid_after_utc, False))
     return made
 
 
@@ -91,7 +96,8 @@ def _there(path: Path, *, force: bool) -> bool:
     there = [file for file in files(path) if os.path.lexists(file)]
     if len(there) == 1 and not force:
         missing = next(file for file in files(path) if file != there[0])
-        raise CertificateError(f"{there[0]} is there without {missing.name}: delete it, or give --force")
+        what = "certificates are made where both are" if path.name == CA else "delete it, or give --force"
+        raise CertificateError(f"{there[0]} is there without {missing.name}: {what}")
     return bool(there) and not force
 
 
@@ -100,7 +106,8 @@ def _read(path: Path) -> x509.Certificate:
     try:
         return x509.load_pem_x509_certificate(pem.read_bytes())
     except ValueError:
-        raise CertificateError(f"{pem} is not a certificate: delete it and its key, or give --force") from None
+        what = "make a new CA, in another folder" if path.name == CA else OTHERWISE
+        raise CertificateError(f"{pem} is not a certificate: {what}") from None
 
 
 def _read_ca(folder: Path) -> _Issuer:

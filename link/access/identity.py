@@ -1,16 +1,19 @@
 """A service's own certificate: found, checked before it is used, and given to Zenoh; and why a router was not reached with it."""
 
 import datetime
+import ipaddress
 import socket
 import ssl
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from link.access.roles import MOST_VEHICLES, OF_A_VEHICLE, ROUTER, SERVICES, common_name, role_of
 
+if TYPE_CHECKING:
+    from cryptography.x509 import Certificate
+
 PROBE_S = 1.0
 """How long a router that does not answer is asked why."""
-LOOPBACK = ("127.", "localhost", "[::1]")
 
 
 class AccessError(Exception):
@@ -70,7 +73,7 @@ def _is_a_vehicles(namespace: str | None) -> bool:
 def _check(folder: Path, name: str, namespace: str | None) -> None:
     """Raise AccessError if a certificate is missing, another's, of another CA or not valid now."""
     from cryptography import x509  # takes time to load, and only --secure needs it
-    from cryptography.exceptions import InvalidSignature
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
     from cryptography.x509.oid import NameOID
 
     read = {}
@@ -89,10 +92,14 @@ def _check(folder: Path, name: str, namespace: str | None) -> None:
         raise AccessError(f"--secure: {path} or ca.pem beside it is not a certificate") from None
     if named.value != name:
         raise AccessError(f"--secure: {path} is the certificate of {named.value!r}; wanted that of {name!r}")
+    if not issued(own, ca):
+        raise AccessError(f"--secure: {path} is not from the CA of {folder / 'ca.pem'}")
     try:
-        own.verify_directly_issued_by(ca)
-    except (ValueError, TypeError, InvalidSignature):
-        raise AccessError(f"--secure: {path} is not from the CA of {folder / 'ca.pem'}") from None
+        key = load_pem_private_key(read[f"{name}.key"], None)
+    except (ValueError, TypeError):  # none, or one with a password
+        key = None
+    if key is None or key.public_key() != own.public_key():
+        raise AccessError(f"--secure: {path.with_suffix('.key')} is not the key of {path} (delete both and run: plumeward certs {folder})")
     now = datetime.datetime.now(datetime.UTC)
     for certificate, where in ((ca, folder / "ca.pem"), (own, path)):
         if now > certificate.not_valid_after_utc:
@@ -102,10 +109,30 @@ def _check(folder: Path, name: str, namespace: str | None) -> None:
             raise AccessError(f"--secure: {where} is not valid before {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC")
 
 
+def issued(certificate: "Certificate", ca: "Certificate") -> bool:
+    """Whether a CA has signed a certificate."""
+    from cryptography.exceptions import InvalidSignature
+
+    try:
+        certificate.verify_directly_issued_by(ca)
+    except (ValueError, TypeError, InvalidSignature):
+        return False
+    return True
+
+
 def is_open(endpoint: str) -> bool:
     """Whether an endpoint to listen on is reached from other machines."""
     protocol, _, address = endpoint.partition("/")
-    return not address.startswith(LOOPBACK) and not protocol.startswith("unixsock")
+    host = _host_and_port(address)[0]
+    try:
+        return not ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host != "localhost" and not protocol.startswith("unixsock")
+
+
+def _host_and_port(address: str) -> tuple[str, str]:
+    host, _, port = address.partition("#")[0].partition("?")[0].rpartition(":")
+    return host.strip("[]"), port
 
 
 # ---- why a router was not reached ----
@@ -113,15 +140,14 @@ def is_open(endpoint: str) -> bool:
 
 def why_not(endpoint: str, known: Identity | None) -> str:
     """Return why a router cannot be joined that somebody answers for; empty if nobody answers."""
-    host, _, port = endpoint.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")
-    host = host.strip("[]")
+    host, port = _host_and_port(endpoint.partition("/")[2])
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = known is not None
     context.verify_mode = ssl.CERT_NONE if known is None else ssl.CERT_REQUIRED
-    if known:
-        context.load_verify_locations(known.tls["root_ca_certificate"])
-        context.load_cert_chain(known.tls["connect_certificate"], known.tls["connect_private_key"])
     try:
+        if known:
+            context.load_verify_locations(known.tls["root_ca_certificate"])
+            context.load_cert_chain(known.tls["connect_certificate"], known.tls["connect_private_key"])
         with socket.create_connection((host, int(port)), timeout=PROBE_S) as plain:
             return _handshake(context, plain, host, known)
     except (OSError, ValueError):

@@ -16,6 +16,7 @@ PIPE_BYTES = 1 << 20
 EVERY_S = 10.0
 """The same refusal is told at most so often: a client that is refused tries again and again."""
 MOST_KINDS = 100
+"""Reasons that are told apart; those beyond are counted together."""
 JOINS = re.compile(r"Accepted TLS connection on \S+: (\S+?)\. Common Name: (\S*?)\.?$")
 REFUSES = re.compile(r"zenoh_link_tls\S*: (.+?)\.? Hint: ")
 DROPS = "Msg intercepted!"
@@ -78,5 +79,7 @@ class Refusals:
         return lines
 
     def _count(self, what: str, why: str) -> None:
-        if len(self._told_at) < MOST_KINDS or (what, why) in self._told_at:
-            self._counts[what, why] = self._counts.get((what, why), 0) + 1
+        kind = what, why
+        if kind not in self._counts and kind not in self._told_at and len(self._told_at | self._counts) >= MOST_KINDS:
+            why = "for other reasons"
+        self._counts[what, why] = self._counts.get((what, why), 0) + 1

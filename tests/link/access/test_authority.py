@@ -1,6 +1,7 @@
 """Protects the development CA: what its certificates are good for, who can read its keys, and that nothing is overwritten unasked."""
 
 import datetime
+import shutil
 import ssl
 import stat
 from pathlib import Path
@@ -111,6 +112,22 @@ def test_a_key_without_its_certificate_is_not_overwritten(tmp_path: Path) -> Non
     (tmp_path / "operator.pem").unlink()
     with pytest.raises(CertificateError, match=r"operator\.key is there without operator\.pem: delete it, or give --force"):
         make(tmp_path, [1])
+
+
+def test_where_only_the_certificate_of_the_ca_is_nothing_is_made_and_nobody_is_told_to_delete_it(tmp_path: Path) -> None:
+    make(tmp_path, [1])
+    (tmp_path / "ca.key").unlink()
+    with pytest.raises(CertificateError, match=r"ca\.pem is there without ca\.key: certificates are made where both are$"):
+        make(tmp_path, [2], force=True)
+
+
+def test_a_certificate_of_another_ca_is_not_listed_as_kept(tmp_path: Path) -> None:
+    make(tmp_path / "one", [1])
+    make(tmp_path / "other", [1])
+    for file in ("ca.pem", "ca.key"):
+        shutil.copy(tmp_path / "other" / file, tmp_path / "one" / file)
+    with pytest.raises(CertificateError, match=r"router\.pem is not from the CA of .*ca\.pem: delete it and its key, or give --force"):
+        make(tmp_path / "one", [1])
 
 
 @pytest.mark.parametrize(

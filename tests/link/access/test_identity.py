@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from link.access.authority import make
-from link.access.identity import AccessError, is_open, secured
+from link.access.identity import AccessError, is_open, secured, why_not
 
 LONG_AGO = datetime.datetime(2000, 1, 1, tzinfo=datetime.UTC)
 
@@ -31,6 +31,10 @@ def anothers(folder: Path) -> None:
 def of_another_ca(folder: Path) -> None:
     make(folder.parent / "other", [1])
     copied(folder.parent / "other" / "uav" / "1" / "agent", folder, "uav/1/agent")
+
+
+def with_the_key_of_another(folder: Path) -> None:
+    shutil.copy(folder / "operator.key", folder / "uav/1/agent.key")
 
 
 def expired(folder: Path) -> None:
@@ -57,6 +61,8 @@ def of_tomorrow(folder: Path) -> None:
         (lambda folder: (folder / "uav/1/agent.pem").write_text("-"), r"uav/1/agent\.pem or ca\.pem beside it is not a certificate"),
         (anothers, r"uav/1/agent\.pem is the certificate of 'uav/1/estimator'; wanted that of 'uav/1/agent'"),
         (of_another_ca, r"uav/1/agent\.pem is not from the CA of .*ca\.pem"),
+        (with_the_key_of_another, r"uav/1/agent\.key is not the key of .*uav/1/agent\.pem \(delete both and run: plumeward certs "),
+        (lambda folder: (folder / "uav/1/agent.key").write_text("-"), r"uav/1/agent\.key is not the key of .*uav/1/agent\.pem"),
         (expired, r"uav/1/agent\.pem expired on \d{4}-\d\d-\d\d \(delete it and run: plumeward certs "),
         (expired_with_its_ca, r"ca\.pem expired on 2009-12-2\d \(make a new CA"),
         (of_tomorrow, r"ca\.pem is not valid before "),
@@ -104,3 +110,11 @@ def test_tls_needs_certificates() -> None:
 def test_which_endpoints_other_machines_reach() -> None:
     assert not any(map(is_open, ("tcp/127.0.0.1:7447", "tcp/localhost:0", "tcp/[::1]:7447", "unixsock-stream/router.sock")))
     assert all(map(is_open, ("tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.168.1.2:7447", "tcp/example.org:7447")))
+    assert all(map(is_open, ("tcp/127.example.org:7447", "tcp/localhost.example.org:7447")))
+    assert not is_open("tcp/127.0.0.2:0?prio=1#iface=lo")
+
+
+def test_a_certificate_that_is_gone_when_the_router_is_asked_why_raises_nothing(folder: Path) -> None:
+    known = secured("--connect", "tls/127.0.0.1:1", folder, "agent", "uav/1")[1]
+    shutil.rmtree(folder)
+    assert why_not("tls/127.0.0.1:1", known) == ""
