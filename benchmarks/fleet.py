@@ -31,9 +31,10 @@ from sitl.launch.processes import Processes
 from sitl.script.script import Script
 
 PARTS = ("uav", "estimator", "agent", "router")
-TELEMETRY_HZ = 10.0
 SPEEDUP = 1.25
 """A vehicle in real time takes a reading every 1.25 s."""
+TELEMETRY_HZ = 10.0 / SPEEDUP
+"""In the vehicle's time: 10 Hz in real time."""
 TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 START_S = 120.0
 """Longest wait for a vehicle's parts, and for its first reading."""
