@@ -12,6 +12,7 @@ import functools
 import os
 import time
 from collections import defaultdict
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,20 +30,27 @@ from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
 from sitl.launch.processes import Processes
 from sitl.script.script import Script
 
-TELEMETRY_HZ = 10.0
+PARTS = ("uav", "estimator", "agent", "router")
 SPEEDUP = 1.25
 """A vehicle in real time takes a reading every 1.25 s."""
+TELEMETRY_HZ = 10.0 / SPEEDUP
+"""In the vehicle's time: 10 Hz in real time."""
 TICK_S = 1 / os.sysconf("SC_CLK_TCK")
-START_S = 20.0
-"""Real time for a vehicle's take-off and flight to its start."""
+START_S = 120.0
+"""Longest wait for a vehicle's parts, and for its first reading."""
+MB = 1e6
 
 
 class Load(NamedTuple):
-    """What a fleet did: latencies in ms, readings a second and vehicle, and CPU seconds a second by part."""
+    """What a fleet did: latencies in ms, readings a second and vehicle, and by part CPU seconds a second and memory in MB.
+
+    Memory is the proportional set size: what processes share is divided among them.
+    """
 
     latencies: list[float]
     readings_hz: float
     cpu: dict[str, float]
+    memory: dict[str, float]
 
 
 def measure(vehicles: int, seconds: float) -> Load:
@@ -67,24 +75,38 @@ def measure(vehicles: int, seconds: float) -> Load:
             buses.append(bus)
             bus.on(READING, functools.partial(asked_at, instance, asked))
             bus.on(MAVLINK_IN, functools.partial(answered_at, instance, asked, latencies))
-        time.sleep(START_S)
-        for instance, bus in enumerate(buses):
+            wait_until(functools.partial(there, bus), f"the parts of vehicle {instance + 1} are there")
             for stream in STREAMS:
                 if stream.rate_hz > TELEMETRY_HZ:
                     order = command(instance + 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, stream.message_id, 1e6 / TELEMETRY_HZ)
                     bus.publish(MAVLINK_IN, Codec(*OPERATOR).pack(order))
+        wait_until(lambda: len({instance for instance, _ in list(asked)}) == vehicles, "each vehicle has taken a reading")
         time.sleep(2.0)
         latencies.clear()
         before, began = spent(), time.monotonic()
         time.sleep(seconds)
         after, took = spent(), time.monotonic() - began
         cpu = {part: (after[part] - before[part]) / took for part in after}
-        return Load(list(latencies), len(latencies) / took / vehicles, cpu)
+        return Load(list(latencies), len(latencies) / took / vehicles, cpu, held())
     finally:
         for bus in buses:
             bus.close()
         for processes in reversed(fleets):
             processes.stop()
+
+
+def there(bus: Bus) -> bool:
+    """Whether all parts of a bus's vehicle have joined."""
+    return bus.services() >= {"uav", "estimator", "agent"}
+
+
+def wait_until(true: Callable[[], bool], words: str) -> None:
+    """Wait until something is true; ends the program if it takes too long."""
+    patient = time.monotonic() + START_S
+    while not true():
+        if time.monotonic() > patient:
+            raise SystemExit(f"error: not within {START_S:.0f} s: {words}")
+        time.sleep(0.1)
 
 
 def start_beside(processes: Processes, mission: Launch, endpoint: str) -> None:
@@ -113,22 +135,37 @@ def answered_at(instance: int, asked: dict[tuple[int, int], float], latencies: l
             latencies.append(1000 * (item.at - at))
 
 
+def parts() -> Iterator[tuple[str, Path]]:
+    """Yield the part and the /proc folder of each process that this one has started."""
+    for task in Path("/proc/self/task").iterdir():
+        for pid in (task / "children").read_text().split():
+            process = Path("/proc", pid)
+            words = (process / "cmdline").read_text().split("\0")
+            yield (words[3] if words[2] == "sitl" else words[2]), process
+
+
 def spent() -> dict[str, float]:
     """Return the CPU seconds that the parts have used, by part."""
     found: dict[str, float] = defaultdict(float)
-    for task in Path("/proc/self/task").iterdir():
-        for pid in (task / "children").read_text().split():
-            words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
-            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2].split()
-            found[words[3] if words[2] == "sitl" else words[2]] += TICK_S * (int(fields[11]) + int(fields[12]))
+    for part, process in parts():
+        fields = (process / "stat").read_text().rpartition(") ")[2].split()
+        found[part] += TICK_S * (int(fields[11]) + int(fields[12]))
+    return found
+
+
+def held() -> dict[str, float]:
+    """Return the MB of memory that the parts hold, by part."""
+    found: dict[str, float] = defaultdict(float)
+    for part, process in parts():
+        found[part] += 1024 / MB * int((process / "smaps_rollup").read_text().partition("Pss:")[2].split()[0])
     return found
 
 
 def row(vehicles: int, load: Load) -> str:
     """One line of the table."""
     p50, p99 = np.percentile(load.latencies, [50, 99])
-    parts = " | ".join(f"{1000 * load.cpu[part] / vehicles:.0f}" for part in ("uav", "estimator", "agent", "router"))
-    return f"| {vehicles} | {len(load.latencies)} | {load.readings_hz:.2f} | {p50:.2f} | {p99:.2f} | {parts} |"
+    shares = " | ".join(f"{1000 * load.cpu[part] / vehicles:.1f}, {load.memory[part] / vehicles:.0f}" for part in PARTS)
+    return f"| {vehicles} | {len(load.latencies)} | {load.readings_hz:.2f} | {p50:.2f} | {p99:.2f} | {shares} |"
 
 
 def main() -> None:
@@ -139,8 +176,8 @@ def main() -> None:
     )
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="time measured, s (default: %(default)s)")
     args = parser.parse_args()
-    print("| vehicles | steps | readings, Hz | p50, ms | p99, ms | uav, ms/s | estimator | agent | router |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    print("By part: ms of processor time a second and MB of memory, for each vehicle.\n")
+    print("| vehicles | steps | readings, Hz | p50, ms | p99, ms | " + " | ".join(PARTS) + " |\n" + "|---" * (5 + len(PARTS)) + "|")
     sizes = list(args.vehicles or [1])
     base = None
     while sizes:

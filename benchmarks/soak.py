@@ -47,7 +47,7 @@ QUANTITIES = ("memory, kB", "handles", "threads")
 BLOCKS, WARM_UP, SAMPLES = 20, 0.1, 1000
 CONFIDENCE = 0.95
 WALK = math.sqrt(1.5)
-"""Neighbouring changes between a random walk's block means correlate by 1/4: their mean varies so much more than that of independent ones."""
+"""Neighbouring changes between a random walk's block means correlate by 1/4: their mean varies so much more than if they did not."""
 PAGE_KB = os.sysconf("SC_PAGE_SIZE") / 1024
 LATENCY = "latency, ms"
 QUIET_S = 60.0

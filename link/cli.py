@@ -15,7 +15,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-from link import shared_memory
 from link.access.identity import AccessError
 from link.bus.log import LEVELS
 from link.bus.opening import DEFAULT_ROUTER, BusError
@@ -339,7 +338,6 @@ def run(command: Callable[[], int | None]) -> NoReturn:
     if status == INTERRUPTED:
         _leave(status)
     gc.freeze()  # skips a last look through all objects
-    shared_memory.tidy()
     sys.exit(status)
 
 
@@ -348,7 +346,6 @@ def _leave(status: int) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it, or it is closed
             stream.flush()
-    shared_memory.tidy()
     os._exit(status)
 
 

@@ -37,6 +37,9 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
     config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
     # A belief of 4,000 particles is larger than the two batches that wait by default: where the other side is slow, it would be dropped.
     config.insert_json5("transport/link/tx/queue/size/data", "16")
+    # It is no faster (benchmarks/shared_memory.py), wakes each process 20 times a second, loses messages silently where a receiver hangs,
+    # and leaves files behind where a process is killed.
+    config.insert_json5("transport/shared_memory/enabled", "false")
     for kind, urls in endpoints.items():
         try:
             config.insert_json5(f"{kind}/endpoints", json.dumps(urls))
@@ -55,8 +58,7 @@ def open_router(endpoint: str, secure: Path | None = None, connect: str | None =
     """Open a Zenoh router in this process. Returns it and its endpoint, which names the chosen port if port 0 was asked for.
 
     secure: the folder of its certificate; it then admits per role and vehicle.  connect: another router, of another site; it may come
-    later, and come back. Raises BusError if it cannot listen on `endpoint`,
-    AccessError if it cannot be secured.
+    later, and come back. Raises BusError if it cannot listen on `endpoint`, AccessError if it cannot be secured.
     """
     endpoint, known = secured("--listen", endpoint, secure, ROUTER, None)
     rules = {"transport__link__tls": known.tls, "access_control": access_control(key.rights for key in KEYS)} if known else {}

@@ -64,6 +64,16 @@ class Vehicle(Navigator):
         return self._now
 
     @property
+    def mode(self) -> Mode:
+        """The flight mode."""
+        return self._mode
+
+    @property
+    def armed(self) -> bool:
+        """True while its motors may turn."""
+        return self._armed
+
+    @property
     def moving(self) -> bool:
         """True while the current path has not ended; its end is then one of the coming events."""
         return not self._settled

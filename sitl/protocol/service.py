@@ -24,6 +24,14 @@ class AnyVehicle(Protocol):
         """The current time of the vehicle."""
 
     @property
+    def mode(self) -> Mode:
+        """The flight mode."""
+
+    @property
+    def armed(self) -> bool:
+        """True while its motors may turn."""
+
+    @property
     def moving(self) -> bool:
         """True while it flies somewhere."""
 

@@ -87,7 +87,7 @@ class RemoteVehicle:
         self.flight.events.clear()
         if self._leg and self._flies_leg:
             self._go_on_with(self._leg, events)
-        elif self._mode is Mode.OFFBOARD and self._now - self._heard_s > self.config.silence_s:
+        elif self.mode is Mode.OFFBOARD and self._now - self._heard_s > self.config.silence_s:
             self.flight.fail(f"No waypoint for {self.config.silence_s / self._commander.speedup:g} s")
         return events
 
@@ -103,7 +103,12 @@ class RemoteVehicle:
     @property
     def landing(self) -> bool:
         """True from the beginning of a landing until the motors have stopped."""
-        return self._known.armed and self._mode is Mode.LAND
+        return self._known.armed and self.mode is Mode.LAND
+
+    @property
+    def armed(self) -> bool:
+        """True while its motors may turn."""
+        return self._known.armed
 
     @property
     def waiting(self) -> bool:
@@ -125,7 +130,7 @@ class RemoteVehicle:
 
     def state(self, t_s: float) -> State:
         """Return the newest state, whatever the time."""
-        known, mode = self._known, self._mode
+        known, mode = self._known, self.mode
         return State(
             time_s=t_s, position=self._position, velocity=known.velocity, acceleration=ZERO, roll=0.0, pitch=0.0, yaw=wrapped(known.yaw),
             yaw_rate=0.0, mode=mode, armed=known.armed, landed_state=self._landed_state(mode), failsafe=known.failsafe,
@@ -199,7 +204,7 @@ class RemoteVehicle:
             return self.take_off(t_s)
         if mode is Mode.MISSION:
             return denied(f"Mission refused: {ELSEWHERE}")
-        if mode is self._mode and not self.flight.theirs:
+        if mode is self.mode and not self.flight.theirs:
             return ACCEPTED
         if not self.flight.flying:
             return not_now(f"{name} refused: on the ground")
@@ -282,7 +287,7 @@ class RemoteVehicle:
         return self.flight.firmware.mode_name(self._known.custom_mode)
 
     @property
-    def _mode(self) -> Mode:
+    def mode(self) -> Mode:
         """The mode in the search's words: what is being done about it counts. One that only pilots fly is HOLD: the search has no part."""
         if self.flight.doing:
             return self.flight.doing
@@ -291,7 +296,7 @@ class RemoteVehicle:
 
     @property
     def _flies_leg(self) -> bool:
-        return self._leg is not None and self._mode is Mode.OFFBOARD and self.flight.doing is None and self.flight.flying
+        return self._leg is not None and self.mode is Mode.OFFBOARD and self.flight.doing is None and self.flight.flying
 
     @property
     def _position(self) -> Ned:

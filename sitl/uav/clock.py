@@ -31,7 +31,7 @@ class Clock:
 
     def jump(self, moving: bool, next_event_s: float | None) -> None:
         """At speed-up 0, jump to the next event: at once if the vehicle moves, else after an equal real time without a setpoint."""
-        if self.speedup or next_event_s is None:
+        if next_event_s is None:
             return
         if moving or time.monotonic() - self._idle_since >= next_event_s - self._jumped_s:
             self._jumped_s = next_event_s

@@ -85,25 +85,24 @@ class Search:
 
     def go_on(self, searchers: bool) -> None:
         """Take the next step of the search where it is due; `searchers` says whether estimator and agent are there."""
-        now_s = self._vehicle.now_s
-        state = self._vehicle.state(now_s)
         if self.state == LANDED:
             return
+        now_s, mode = self._vehicle.now_s, self._vehicle.mode
         if not self._begun:
             if searchers and self.found:
                 self._say_once("Search not begun: its estimator has stopped already; start it anew")
             elif searchers:
                 self._begin(now_s)
-        elif not state.armed and not self._vehicle.moving:
+        elif not self._vehicle.armed and not self._vehicle.moving:
             self.leads, self.state = False, LANDED
-        elif state.mode in (Mode.RETURN, Mode.LAND):
+        elif mode in (Mode.RETURN, Mode.LAND):
             self.leads, self.state = False, RETURNING  # by a pilot, a failsafe, or since the source is found
-        elif self.leads and self.state == SEARCHING and state.mode is not Mode.OFFBOARD:
+        elif self.leads and self.state == SEARCHING and mode is not Mode.OFFBOARD:
             self.leads = False
-            self._say(mavlink.MAV_SEVERITY_WARNING, f"Search gives way: {state.mode.name} by the autopilot")
+            self._say(mavlink.MAV_SEVERITY_WARNING, f"Search gives way: {mode.name} by the autopilot")
         elif not self.leads:
             self.state = HOLDING if self.found else PAUSED
-        elif self.state == TAKING_OFF and state.mode is Mode.HOLD:
+        elif self.state == TAKING_OFF and mode is Mode.HOLD:
             self._obeyed(self._vehicle.setpoint(now_s, self._waypoint))
             self._obeyed(self._vehicle.set_mode(now_s, Mode.OFFBOARD))
             self.state = SEARCHING
@@ -181,13 +180,13 @@ class Search:
         answers = self._protocol.receive(message, t_s, streams)
         if self.leads and self._flown() != before:
             self.leads = False
-            how = self._vehicle.state(t_s).mode.name if self._vehicle.state(t_s).armed else "disarmed"
+            how = self._vehicle.mode.name if self._vehicle.armed else "disarmed"
             self._say(mavlink.MAV_SEVERITY_WARNING, f"Search gives way: {how} by {sender[0]}/{sender[1]}")
         return answers
 
     def _take_setpoint(self, message: Message, sender: Sender, t_s: float, streams: Telemetry | None) -> list[Message]:
         if message.get_type() == LOCAL and self._vehicle.answers.has(message.time_boot_ms):  # the agent's
-            if not self.leads and self._vehicle.state(t_s).mode is Mode.OFFBOARD:
+            if not self.leads and self._vehicle.mode is Mode.OFFBOARD:
                 return []  # another client leads; the agent is asked again when the search is given back
             before = self._vehicle.answers.awaited
             answers = self._protocol.receive(message, t_s, streams)
@@ -204,15 +203,14 @@ class Search:
         self.leads = True
         self._vehicle.setpoint(t_s, self._waypoint)
         answers = self._protocol.receive(message, t_s, streams)
-        self.leads = self._vehicle.state(t_s).mode is Mode.OFFBOARD
+        self.leads = self._vehicle.mode is Mode.OFFBOARD
         if self.leads:
             self.state = SEARCHING
             self._say(mavlink.MAV_SEVERITY_INFO, f"Search resumed by {sender[0]}/{sender[1]}")
         return answers
 
     def _flown(self) -> tuple[Mode, bool]:
-        state = self._vehicle.state(self._vehicle.now_s)
-        return state.mode, state.armed
+        return self._vehicle.mode, self._vehicle.armed
 
     def _is_streaming(self, sender: Sender | None) -> bool:
         """Whether a client, or with None any client, streams setpoints of its own: then it leads in OFFBOARD."""

@@ -124,7 +124,8 @@ class Uav:
         try:
             while True:
                 busy_since = time.perf_counter()
-                self._clock.jump(self._busy, self._next_event_s())
+                if not self._clock.speedup:
+                    self._clock.jump(self._busy, self._next_event_s())
                 self._live_until(self._clock.now_s())
                 self._tell_progress()
                 self._go_on_with_the_search()
@@ -148,7 +149,7 @@ class Uav:
 
     def _judge(self) -> None:
         """Raise VehicleFailed once a real vehicle has given the search up and stands on the ground again."""
-        if self._remote and self._remote.failure and not self._remote.state(self._remote.now_s).armed:
+        if self._remote and self._remote.failure and not self._remote.armed:
             raise VehicleFailed(self._remote.failure)
 
     # ---- time ----

@@ -86,7 +86,7 @@ class Double:
         host, port = self._socket.getsockname()
         self.url = {"tcp": f"tcp:{host}:{port}", "udpin": f"udpout:{host}:{port}", "udp": f"udpin:{':'.join(map(str, address))}"}[self._way]
         """What a client connects to, as pymavlink writes it."""
-        self._stop = threading.Event()
+        self._stop, self._asked_to_hang_up = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"{kind} double", daemon=True)
 
     def __enter__(self) -> "Double":
@@ -100,6 +100,10 @@ class Double:
             if one is not None:
                 one.close()
 
+    def hang_up(self) -> None:
+        """Close the connection with its client, soon: the thread does it, which may be about to read."""
+        self._asked_to_hang_up.set()
+
     def wait(self) -> None:
         """Until the thread ends, which it does only by an error or at the end of the `with`."""
         self._thread.join()
@@ -107,6 +111,9 @@ class Double:
     def _run(self) -> None:
         began, done = time.monotonic(), 0
         while not self._stop.is_set():
+            if self._asked_to_hang_up.is_set():
+                self._asked_to_hang_up.clear()
+                self._hang_up()
             self._listen(max(0.002, DT_S / self.speedup / 2.0))
             due = int((time.monotonic() - began) * self.speedup / DT_S) - done
             if due > MOST_STEPS:  # the machine is too slow: simulation time falls behind

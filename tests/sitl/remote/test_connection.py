@@ -85,7 +85,7 @@ def test_a_connection_that_is_lost_comes_back() -> None:
         flown = Flown(double)
         flown.until(lambda: flown.vehicle.flight.commander.system)
         client = double.wire.autopilot
-        double._hang_up()
+        double.hang_up()
         heard_s = flown.vehicle.flight.known.heard_s
         flown.until(lambda: flown.vehicle.flight.known.heard_s > heard_s + 10.0)
         assert client is double.wire.autopilot
