@@ -42,12 +42,17 @@ def fly(seed: int, only: str | None, isolated: bool) -> dict[str, Any]:
     """Fly one mission in a process of its own; returns its verdict as JSON gives it."""
     command = [*UNSHARE] * isolated + [sys.executable, "-m", "benchmarks.chaos.mission", str(seed), *([only] if only else [])]
     env = {**os.environ, "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"} | ({ISOLATED: "1"} if isolated else {})
-    ran = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LIMIT_S, cwd=ROOT, env=env, check=False)
-    if ran.returncode or not ran.stdout.strip():
+    try:
+        ran = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=LIMIT_S, cwd=ROOT, env=env, check=False
+        )
+        if not ran.returncode and ran.stdout.strip():
+            return dict(json.loads(ran.stdout.splitlines()[-1]))
         reason = (ran.stderr.strip() or "no last words").splitlines()[-1]
-        words = " + ".join(map(text, plan(seed, only)))
-        return {"seed": seed, "words": words, "outcome": BROKEN, "reasons": [reason], "done": [], "steps": 0, "wall_s": 0.0, "said": []}
-    return dict(json.loads(ran.stdout.splitlines()[-1]))
+    except subprocess.TimeoutExpired:
+        reason = f"not over after {LIMIT_S:g} s"
+    words = " + ".join(map(text, plan(seed, only)))
+    return {"seed": seed, "words": words, "outcome": BROKEN, "reasons": [reason], "done": [], "steps": 0, "wall_s": 0.0, "said": []}
 
 
 def fly_all(seeds: Sequence[int], only: str | None, workers: int, isolated: bool) -> Iterator[dict[str, Any]]:

@@ -9,7 +9,7 @@ import zenoh
 
 from link.access.identity import secured
 from link.access.roles import ROUTER, access_control
-from link.bus.keys import KEYS
+from link.bus.keys import KEYS, Delivery
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
@@ -27,6 +27,17 @@ class NoRouter(BusError):
     """No router answers at the given endpoint."""
 
 
+def priority(how: Delivery) -> zenoh.Priority:
+    """Return the priority of a key's messages. Each has a queue of its own on each link, and higher ones overtake lower ones.
+
+    What must not be dropped never waits behind what may be: on a slow link a full queue of telemetry would hold up the router, which then
+    cuts that link (FULL_S).
+    """
+    if how.realtime:
+        return zenoh.Priority.REAL_TIME
+    return zenoh.Priority.INTERACTIVE_HIGH if how.blocking else zenoh.Priority.DATA
+
+
 def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zenoh.Config:
     """Return Zenoh's configuration for a mode and what each flag names, such as `connect`. Raises BusError. settings: others of Zenoh's."""
     config = zenoh.Config()
@@ -36,7 +47,8 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
     config.insert_json5("scouting/delay", "0")  # nobody to scout for: a router opens at once instead of after 0.5 s
     config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
     # A belief of 4,000 particles is larger than the two batches that wait by default: where the other side is slow, it would be dropped.
-    config.insert_json5("transport/link/tx/queue/size/data", "16")
+    for name in ("interactive_high", "data", "data_low"):
+        config.insert_json5(f"transport/link/tx/queue/size/{name}", "16")
     # It is no faster (benchmarks/shared_memory.py), wakes each process 20 times a second, loses messages silently where a receiver hangs,
     # and leaves files behind where a process is killed.
     config.insert_json5("transport/shared_memory/enabled", "false")

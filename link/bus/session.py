@@ -18,7 +18,7 @@ from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow, Ser
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
 from link.bus.messages import Health, Stop, stop_text
-from link.bus.opening import DEFAULT_ROUTER, RETRY, BusError, NoRouter, zenoh_config
+from link.bus.opening import DEFAULT_ROUTER, RETRY, BusError, NoRouter, priority, zenoh_config
 from link.bus.sequence import Sequence
 from link.bus.sole import Sole
 from link.bus.tally import REPEATED, Tally
@@ -173,7 +173,7 @@ class Bus:
             options: dict[str, Any] = {
                 "reliability": zenoh.Reliability.RELIABLE if how.reliable else zenoh.Reliability.BEST_EFFORT,
                 "congestion_control": zenoh.CongestionControl.BLOCK if how.blocking else zenoh.CongestionControl.DROP,
-                "priority": zenoh.Priority.REAL_TIME if how.realtime else zenoh.Priority.DATA,
+                "priority": priority(how),
                 "express": how.express,
             }
             if how.kept:
@@ -183,7 +183,10 @@ class Bus:
                     cache=zenoh.ext.CacheConfig(
                         max_samples=max(how.kept, how.recovered),
                         # By default replies are dropped if history is requested while many new messages are published.
-                        replies_config=zenoh.ext.RepliesConfig(congestion_control=zenoh.CongestionControl.BLOCK),
+                        replies_config=zenoh.ext.RepliesConfig(
+                            congestion_control=zenoh.CongestionControl.BLOCK,
+                            priority=priority(how) if how.blocking else zenoh.Priority.DATA_LOW,
+                        ),
                     ),
                     publisher_detection=True,
                     sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5, sporadic_heartbeat=None),
