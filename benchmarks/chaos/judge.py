@@ -22,8 +22,10 @@ GAVE_UP = "the uav landed before the search was over; its last words: "
 REASON = "No setpoint for "
 """What the vehicle says before it returns home for want of waypoints."""
 SILENT = " has said nothing for "
-LACKS = ("warning: the record lacks the last readings", "warning: the recorder hangs and is killed")
-"""What the launcher says of a recorder that does not keep up: the flight has priority over its record."""
+LACKS = ("warning: the record lacks the last readings", "warning: the recorder hangs and is killed", "messages of reading are lost")
+"""What launcher and recorder say of a record that lacks readings: the flight has priority over its record."""
+UNREACHED = "error: --connect: no router at "
+"""What a part says that cannot join: over a link that drops packets this may take longer than its patience. Then nothing flies."""
 
 
 class Evidence(msgspec.Struct, frozen=True):
@@ -91,6 +93,8 @@ def _ended(evidence: Evidence, trace: list[TracePoint], ceased: bool) -> tuple[s
         return AS_UNDISTURBED, []
     if evidence.status == -9 and "launcher" in killed:
         return TOLD, []
+    if last.startswith(UNREACHED) and hit(evidence, "loss"):
+        return TOLD, []
     if GAVE_UP in last:
         return FAILSAFE, [] if REASON in last else [f"it landed for no documented reason: {last}"]
     if any(f"error: {part} was killed by signal 9" in last for part in killed):
@@ -121,14 +125,16 @@ def _record(evidence: Evidence, trace: list[TracePoint], ceased: bool, ended: st
     """Return what the record shows that must not be, and what it must show and lacks."""
     wounded = "recorder" in hit(evidence, "kill") | hit(evidence, "hang") or "launcher" in hit(evidence, "kill")
     full = bool(hit(evidence, "disk"))
+    unreached = ended == TOLD and any(line.startswith(UNREACHED) for line in evidence.err)
     try:
         recording = read(evidence.record)
     except RecordError as error:
-        return [] if wounded or full else [f"record: {error}"]
+        return [] if wounded or full or unreached else [f"record: {error}"]
     payloads: dict[str, list[bytes]] = {}
     for entry in recording.entries:
         payloads.setdefault(entry.key, []).append(entry.payload)
-    wrong, readings = _readings(payloads.get(READING.name, []), trace)
+    told = any(words in line for words in LACKS for line in evidence.err)
+    wrong, readings = _readings(payloads.get(READING.name, []), trace, gaps=told)
     wrong += _beliefs(payloads.get(BELIEF.name, []), trace)
     wrong += _waypoints(payloads.get(MAVLINK_IN.name, []), readings, trace)
     wrong += _stops(payloads.get(STOP.name, []), trace, ceased)
@@ -136,7 +142,6 @@ def _record(evidence: Evidence, trace: list[TracePoint], ceased: bool, ended: st
         return wrong
     if full and not recording.complete:
         return wrong if any("recording stopped" in line for line in evidence.err) else [*wrong, "the full disk is not told"]
-    told = any(words in line for words in LACKS for line in evidence.err)
     if not (recording.complete or told):
         wrong.append("the record is not complete")
     if ended == AS_UNDISTURBED and len(readings) != len(trace) and not told:
@@ -146,20 +151,28 @@ def _record(evidence: Evidence, trace: list[TracePoint], ceased: bool, ended: st
     return wrong
 
 
-def _readings(payloads: list[bytes], trace: list[TracePoint]) -> tuple[list[str], list[int]]:
-    """Each reading is taken once, where the undisturbed mission took it; returns their times as well."""
+def _readings(payloads: list[bytes], trace: list[TracePoint], *, gaps: bool) -> tuple[list[str], dict[int, int]]:
+    """Each reading is taken once, where the undisturbed mission took it; returns their steps by time as well.
+
+    gaps: the record may lack some, as it has told.
+    """
     by_time: dict[int, bytes] = {}
     wrong = []
     for payload in payloads:
         time_boot_ms = unpack_reading(payload, 1).time_boot_ms
         if by_time.setdefault(time_boot_ms, payload) != payload:
             wrong.append(f"the reading of {time_boot_ms} ms was published with two contents")
-    times = sorted(by_time)
-    for step, time_boot_ms in enumerate(times):
+    steps: dict[int, int] = {}
+    step = 0
+    for number, time_boot_ms in enumerate(sorted(by_time)):
         reading = unpack_reading(by_time[time_boot_ms], 1)
+        while gaps and step < len(trace) and (reading.position, reading.gas) != (trace[step].position, trace[step].reading):
+            step += 1
         if step >= len(trace) or (reading.position, reading.gas) != (trace[step].position, trace[step].reading):
-            return [*wrong, f"reading {step} is not that of the undisturbed mission: a waypoint was lost or flown twice"], times
-    return wrong, times
+            return [*wrong, f"reading {number} is not that of the undisturbed mission: a waypoint was lost or flown twice"], steps
+        steps[time_boot_ms] = step
+        step += 1
+    return wrong, steps
 
 
 def _beliefs(payloads: list[bytes], trace: list[TracePoint]) -> list[str]:
@@ -170,10 +183,9 @@ def _beliefs(payloads: list[bytes], trace: list[TracePoint]) -> list[str]:
     return []
 
 
-def _waypoints(payloads: Iterable[bytes], readings: list[int], trace: list[TracePoint]) -> list[str]:
+def _waypoints(payloads: Iterable[bytes], steps: Mapping[int, int], trace: list[TracePoint]) -> list[str]:
     """Every answer to a reading leads where the undisturbed mission went."""
     wrong = []
-    steps = {time_boot_ms: step for step, time_boot_ms in enumerate(readings)}
     for message in itertools.chain.from_iterable(map(_messages, payloads)):
         step = steps.get(message.time_boot_ms) if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED" else None
         if step is not None and (step + 1 >= len(trace) or (message.y, message.x) != trace[step + 1].position):

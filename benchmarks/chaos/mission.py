@@ -36,7 +36,8 @@ from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
 from sitl.launch.processes import environment
 from sitl.script.script import Cut, Delay, Duplicate, Kill, Lose, Script
 
-SPEEDUP = 20.0
+SPEEDUP, SLOW_SPEEDUP = 20.0, 4.0
+"""The second where packets are dropped: TCP's waits do not shrink with the time of the mission."""
 MISSION_LIMIT_S = 240.0
 """Far beyond any mission with its faults: one that takes longer hangs."""
 LOOK_S = 0.05
@@ -201,7 +202,7 @@ def _script(seed: int, faults: list[Fault]) -> Script:
             events.append(Delay(readings=2, by_s=fault.for_s, **at))
             events.append(Duplicate(readings=4, copies=2, **at))
             events.append(Lose(readings=3, times=2, step=fault.step + 2))
-    return Script(seed=seed, speedup=SPEEDUP, events=events)
+    return Script(seed=seed, speedup=SLOW_SPEEDUP if split else SPEEDUP, events=events)
 
 
 def _written(script: Script) -> dict[str, Any]:

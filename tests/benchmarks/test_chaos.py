@@ -119,6 +119,23 @@ def test_a_record_of_another_flight_is_broken(tmp_path: Path, change: Change, re
     assert any(said.startswith(reason) for said in verdict.reasons), verdict.reasons
 
 
+def test_a_record_may_lack_readings_where_that_is_told(tmp_path: Path) -> None:
+    told = {"err": ("recorder: warning: 1 messages of reading are lost: no publisher has kept them\n", "record run.mcap\n")}
+    assert judge(evidence(tmp_path, without(READING.name, 4), **told)).reasons == ()
+    verdict = judge(evidence(tmp_path, lambda said: said.append((READING.name, ELSEWHERE, b"")), **told))
+    assert verdict.reasons[0] == "reading 5 is not that of the undisturbed mission: a waypoint was lost or flown twice"
+    verdict = judge(evidence(tmp_path, changed(3, MAVLINK_IN.name, WRONG_WAY), **told))
+    assert verdict.reasons == ("a waypoint of step 3 is not that of the undisturbed mission",)
+
+
+def test_who_cannot_join_over_a_bad_link_says_so(tmp_path: Path) -> None:
+    said = {"status": 2, "err": ("error: --connect: no router at tcp/10.99.0.1:7447 (start one with: plumeward router)\n",)}
+    nowhere = tmp_path / "nothing" / "run.mcap"
+    bad_link = Fault("loss", -1, "uav", 0.0, 0.275)
+    assert judge(evidence(tmp_path, done=(bad_link,), record=nowhere, **said)).outcome == TOLD
+    assert judge(evidence(tmp_path, record=nowhere, **said)).outcome == BROKEN
+
+
 def test_a_wrong_stop_and_another_belief_are_broken(tmp_path: Path) -> None:
     taken, _, said_stop = steps()
     wrong = msgspec.json.encode(msgspec.structs.replace(said_stop, time_boot_ms=19000, estimate=(1.0, 1.0)))
