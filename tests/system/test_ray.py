@@ -97,10 +97,12 @@ def test_two_nodes_give_what_the_cores_give_and_an_interrupt_loses_nothing(
     address = cluster.head()
     cluster.add("second", f"--address={address}")
     few = (*SWEEP, "--first-seed", "7", "--scenarios", "50", "--json")
-    on_ray = start(*few, "--ray", address, "--missions", "ray.csv", cwd=tmp_path)
-    assert on_ray.ended() == 0, on_ray.err
-    assert cluster.flew("head")
-    assert cluster.flew("second")
+    for _ in range(3):  # on a busy machine all is flown before a node's worker has started; the next time it is there
+        on_ray = start(*few, "--ray", address, "--missions", "ray.csv", "--force", cwd=tmp_path)
+        assert on_ray.ended() == 0, on_ray.err
+        if both := cluster.flew("head") and cluster.flew("second"):
+            break
+    assert both
     (figures,) = on_ray.out
     assert json.loads(figures)["greedy particles=100 threshold=0.5"]["missions"] == 50
     assert not on_ray.says("ray")  # none of Ray's own output
