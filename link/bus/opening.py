@@ -47,6 +47,7 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
     config.insert_json5("scouting/delay", "0")  # nobody to scout for: a router opens at once instead of after 0.5 s
     config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
     # A belief of 4,000 particles is larger than the two batches that wait by default: where the other side is slow, it would be dropped.
+    # More of the other priorities wait, too: a router that finds their queue full cuts the link.
     for name in ("interactive_high", "data", "data_low"):
         config.insert_json5(f"transport/link/tx/queue/size/{name}", "16")
     # It is no faster (benchmarks/shared_memory.py), wakes each process 20 times a second, loses messages silently where a receiver hangs,
