@@ -174,7 +174,9 @@ def main() -> None:
     parser.add_argument(
         "--vehicles", type=cli.listed(cli.whole(1, 100)), metavar="N,N", help="sizes of the fleet (default: until p99 doubles)"
     )
-    parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="time measured, s (default: %(default)s)")
+    parser.add_argument(
+        "--seconds", type=cli.number(0.0, 3600.0, above=True), default=60.0, metavar="S", help="time measured, s (default: %(default)s)"
+    )
     args = parser.parse_args()
     print("By part: ms of processor time a second and MB of memory, for each vehicle.\n")
     print("| vehicles | steps | readings, Hz | p50, ms | p99, ms | " + " | ".join(PARTS) + " |\n" + "|---" * (5 + len(PARTS)) + "|")

@@ -320,6 +320,18 @@ def run(command: Callable[[], int | None]) -> NoReturn:
     _end_with_the_launcher()
     gc.set_threshold(100_000)  # Python's own 700 costs a tenth of the start-up time
     try:
+        status = _status(command)
+        if status == INTERRUPTED:
+            _leave(status)
+    except KeyboardInterrupt:  # a second signal: `timeout` sends two
+        _leave(INTERRUPTED)
+    gc.freeze()  # skips a last look through all objects
+    sys.exit(status)
+
+
+def _status(command: Callable[[], int | None]) -> int:
+    """Run a command; returns its status."""
+    try:
         try:
             status = command() or 0
         except SystemExit as end:  # of --help, whose output has to be flushed too; of bad input; of rich on a closed pipe
@@ -328,17 +340,14 @@ def run(command: Callable[[], int | None]) -> NoReturn:
                 raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from None
         if sys.stdout:  # None where the caller closed it
             sys.stdout.flush()
+        return status
     except KeyboardInterrupt:
-        status = INTERRUPTED
+        return INTERRUPTED
     except (AccessError, BusError) as error:
         print(f"error: {error}", file=sys.stderr)
-        status = BAD_INPUT
+        return BAD_INPUT
     except OSError as error:
-        status = _lost_output(error)
-    if status == INTERRUPTED:
-        _leave(status)
-    gc.freeze()  # skips a last look through all objects
-    sys.exit(status)
+        return _lost_output(error)
 
 
 def _leave(status: int) -> NoReturn:

@@ -91,3 +91,21 @@ def test_an_interrupt_while_a_session_opens_ends_the_command() -> None:
     finally:
         router.close()  # type: ignore[no-untyped-call]
     assert (ended.returncode, ended.stderr) == (cli.INTERRUPTED, "")
+
+
+def test_two_signals_at_once_end_a_command_without_a_word() -> None:
+    """`timeout` sends two, microseconds apart; here the second comes as the first has been taken."""
+    program = """
+import os, signal
+from link import cli
+leave, signal_again = cli._leave, [True]
+def twice(status):
+    if signal_again:
+        signal_again.clear()
+        os.kill(os.getpid(), signal.SIGTERM)
+    leave(status)
+cli._leave = twice
+cli.run(lambda: os.kill(os.getpid(), signal.SIGTERM))
+"""
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "")
