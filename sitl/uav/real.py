@@ -68,11 +68,14 @@ def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | N
 
 
 def leave(vehicle: "RemoteVehicle", clock: Clock, tell: Callable[[int, str], None]) -> None:
-    """See to it that a real vehicle in the air has someone in charge when this program ends. It takes at most `LEAVE_S`."""
+    """See to it that a real vehicle in the air has someone in charge when this program ends. It takes at most `LEAVE_S`.
+
+    Call it where no signal can cut it short (`cli.uninterrupted`).
+    """
     from sitl.autopilot.state import VehicleFailed
 
     until_s = time.monotonic() + LEAVE_S
-    with cli.uninterrupted(), contextlib.suppress(VehicleFailed):
+    with contextlib.suppress(VehicleFailed):
         said = vehicle.leave()
         vehicle.catch_up(clock.now_s())
         if said:
