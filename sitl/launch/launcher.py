@@ -181,13 +181,18 @@ class _Watch:
     def until_the_end(self) -> Flown:
         """Watch; returns the result."""
         script = self._script
-        while not self._over:
+        lost_at = math.inf  # from then on what has not come counts as lost
+        while not self._over and time.monotonic() < lost_at:
             self._listen(self._disturbances.wait_s())
             if self._last:
                 self._disturbances.reached(self._last.step, self._last.time_boot_ms / 1000)
             if self._landed and not self._stopped and time.monotonic() >= self._landed_since + LATE_STOP_S:
                 break
-        if self._last is None or (self._landed and not self._over and not script.expectations):
+            if not (self._stopped or self._ceased) or self._disturbances.wait_s() is not None:
+                lost_at = time.monotonic() + self._mission.patience_s
+        if self._stopped and not self._ceased:
+            raise MissionFailed("the estimator has declared the stop, but its last belief was not received")
+        if self._last is None or (self._landed and not self._ceased and not script.expectations):
             words = self._last_words.get("uav", "none")
             raise MissionFailed(f"the uav landed before the search was over; its last words: {words}")
         self._await_landing(self._last)
@@ -199,10 +204,15 @@ class _Watch:
     def _over(self) -> bool:
         """Whether the search is over and the last compute times, which follow the last belief, have arrived."""
         last, compute = self._last, self._compute
-        if last is None or not (last.ceased or last.step >= self._script.budget):
+        if last is None or not self._ceased:
             return False
         wanted = {"estimator": last.step, "agent": last.step - 1}
         return all(service in compute and compute[service].step >= step for service, step in wanted.items())
+
+    @property
+    def _ceased(self) -> bool:
+        """Whether the last belief has come."""
+        return self._last is not None and (self._last.ceased or self._last.step >= self._script.budget)
 
     def _listen(self, timeout_s: float | None) -> None:
         """Handle what arrives within a time, and check now and then for silent parts."""
