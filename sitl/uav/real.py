@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 CRITICAL, WARNING = 2, 4
 """Of MAV_SEVERITY."""
-LEAVE_S, LEAVE_POLL_S = 0.7, 0.02
-"""Real time in which a real vehicle is told to return home when this program ends: a launcher waits for a second."""
+LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
+"""Longest real time in which a real vehicle is told to return home when this program ends; a launcher waits for 11 s."""
 SIMULATED_ONLY = {
     "home": "a real vehicle's home is where it stands",
     "strict": "a real autopilot has its own rules for OFFBOARD",
