@@ -161,7 +161,11 @@ def _readings(payloads: list[bytes], trace: list[TracePoint], *, gaps: bool) -> 
     by_time: dict[int, bytes] = {}
     wrong = []
     for payload in payloads:
-        time_boot_ms = unpack_reading(payload, 1).time_boot_ms
+        try:
+            time_boot_ms = unpack_reading(payload, 1).time_boot_ms
+        except BadFrame as error:
+            wrong.append(f"a reading of {len(payload)} bytes cannot be read: {error}: {payload[:64].hex()}")
+            continue
         if by_time.setdefault(time_boot_ms, payload) != payload:
             wrong.append(f"the reading of {time_boot_ms} ms was published with two contents")
     steps: dict[int, int] = {}
@@ -179,7 +183,10 @@ def _readings(payloads: list[bytes], trace: list[TracePoint], *, gaps: bool) -> 
 
 def _beliefs(payloads: list[bytes], trace: list[TracePoint]) -> list[str]:
     for payload in payloads:
-        said = msgspec.json.decode(payload, type=Belief)
+        try:
+            said = msgspec.json.decode(payload, type=Belief)
+        except msgspec.DecodeError as error:
+            return [f"a belief of {len(payload)} bytes cannot be read: {error}: {payload[:200]!r}"]
         if said.step >= len(trace) or TracePoint(said.position, said.gas, said.mean, said.spread) != trace[said.step]:
             return [f"a belief of step {said.step} is not that of the undisturbed mission"]
     return []
@@ -196,7 +203,12 @@ def _waypoints(payloads: Iterable[bytes], steps: Mapping[int, int], trace: list[
 
 
 def _stops(payloads: list[bytes], trace: list[TracePoint], ceased: bool) -> list[str]:
-    stops = [msgspec.json.decode(payload, type=Stop) for payload in payloads]
+    stops = []
+    for payload in payloads:
+        try:
+            stops.append(msgspec.json.decode(payload, type=Stop))
+        except msgspec.DecodeError as error:
+            return [f"a stop of {len(payload)} bytes cannot be read: {error}: {payload[:200]!r}"]
     return ["a wrong stop"] if any(not ceased or stop.estimate != trace[-1].mean for stop in stops) else []
 
 
