@@ -126,7 +126,7 @@ class History:
         self._crafts: Timed[Craft] = Timed(whole)
         self._scatters: Timed[_Packed] = Timed(whole)
         self._winds: Timed[tuple[float, float]] = Timed(whole)
-        self._waypoints: Timed[Place] = Timed(whole)
+        self._waypoints: Timed[Place | None] = Timed(whole)
         self._walls: Timed[float] = Timed(whole)
         self._track: Timed[Place] = Timed(whole, MOST)
         self.measurements: Timed[Measurement] = Timed(whole, MOST)
@@ -215,7 +215,7 @@ class History:
             self._scatters.add(time_s, _Packed(attachment, said.unknowns, said.mean))
         if not said.ceased and self._budget is not None and said.step >= self._budget:
             words = f"not ceased after {said.step} steps; estimate ({said.mean[0]:.2f}, {said.mean[1]:.2f}) ± {said.spread:.2f} m"
-            self._endings.add(time_s, Ending("not ceased", words))
+            self._ended(time_s, Ending("not ceased", words))
             self._happened(time_s, WARNING, "estimator", "the budget is spent and the source not found")
         return True
 
@@ -224,8 +224,13 @@ class History:
             return False  # repeated
         words = f"source found at ({said.estimate[0]:.2f}, {said.estimate[1]:.2f}) ± {said.spread:.2f} m after {said.step} steps"
         self._happened(time_s, STOPPED, "estimator", words)
-        self._endings.add(time_s, judged(said.step, said.estimate, said.spread, self.backdrop.release))
+        self._ended(time_s, judged(said.step, said.estimate, said.spread, self.backdrop.release))
         return True
+
+    def _ended(self, time_s: float, ending: Ending) -> None:
+        """Take the end of the search: no waypoint of it is flown to any more."""
+        self._endings.add(time_s, ending)
+        self._waypoints.add(time_s, None)
 
     def _take_health(self, said: Health, time_s: float, wall_s: float) -> bool:
         known = self._sign(said.service)
@@ -266,7 +271,7 @@ class History:
 
     @property
     def waypoint(self) -> Place | None:
-        """The newest waypoint."""
+        """The next waypoint; None if there is none, or none any more."""
         return self._waypoints.at(math.inf)
 
     def at(self, time_s: float = math.inf, wall_s: float | None = None) -> Scene:

@@ -183,6 +183,19 @@ def test_a_spent_budget_ends_the_search(history: History) -> None:
     assert ending.verdict == "not ceased"
 
 
+@pytest.mark.parametrize(
+    ("key", "payload"), [("agdc/stop", stop(300, (12.0, 19.2))), ("belief", belief(300))], ids=["stop", "spent budget"]
+)
+def test_after_the_search_there_is_no_next_waypoint_until_one_is_given(history: History, key: str, payload: bytes) -> None:
+    agent, pilot = Codec(1, 191), Codec(255, 190)
+    history.take("mavlink/in", agent.pack(waypoint_message(1, 299, (2.5, 4.0), 5.0)), b"", 299.0, 100.0)
+    history.take(key, payload, b"", 300.0, 101.0)
+    assert history.waypoint is history.at().waypoint is None
+    assert history.at(299.5).waypoint == (2.5, 4.0)  # it was there before
+    history.take("mavlink/in", pilot.pack(waypoint_message(1, 301, (7.0, 8.0), 5.0)), b"", 301.0, 102.0)
+    assert history.waypoint == history.at().waypoint == (7.0, 8.0)
+
+
 def test_services_are_judged_as_status_does(history: History) -> None:
     history.lives("agent", True, 100.0)
     history.take("health/uav", health("uav", 1.0), b"", 1.0, 100.0)
