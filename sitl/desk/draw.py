@@ -89,11 +89,14 @@ def _history(path: Path) -> "History":
     from scene.follow.recorded import history_of
 
     try:
-        history = history_of(read(path))
+        recording = read(path)
+        history = history_of(recording)
     except RecordError as error:
         raise _Undrawable(str(error)) from None
     if not history.measurements.values:
         raise _Undrawable(f"{path} has no belief that can be read: there is nothing to draw")
+    if recording.shortcoming:
+        print(f"warning: {path} {recording.shortcoming}", file=sys.stderr)
     return history
 
 

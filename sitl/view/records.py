@@ -38,14 +38,19 @@ class RecordedFleet:
     """One record, or two to compare."""
 
     list_version = 0
-    notice = ""
 
     def __init__(self, paths: Sequence[Path]) -> None:
         """Read them; raises RecordError."""
         self.vehicles: dict[str, RecordedVehicle] = {}
+        lacks: list[str] = []
         for number, path in enumerate(paths, start=1):
             name = path.stem if path.stem not in self.vehicles else f"{path.stem} ({number})"
-            self.vehicles[name] = RecordedVehicle(name, history_of(read(path), name))
+            recording = read(path)
+            self.vehicles[name] = RecordedVehicle(name, history_of(recording, name))
+            if lack := recording.shortcoming or ("" if recording.entries else "holds no message"):
+                lacks.append(f"the record {name} {lack}")
+        self.notice = "; ".join(lacks)
+        """What people should know of the files."""
 
     def entries(self) -> list[dict[str, Any]]:
         """Return the list of vehicles."""
