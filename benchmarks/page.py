@@ -1,13 +1,20 @@
-"""How old a scene is when the page has drawn it, in headless Chromium: `python -m benchmarks.page`.
+"""How old a scene is when the page has drawn it, and how long a record takes to open, in headless Chromium: `python -m benchmarks.page`.
 
 A mission's scenes change many times a second, each with new particles; the server sends them as it does live. The age is the time from
-publication until the frame with the scene was drawn, by one clock.
+publication until the frame with the scene was drawn, by one clock. A record is opened as from a shell: from the start of
+`plumeward view LOG` until its last scene is drawn.
 """
 
 import argparse
 import json
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +24,9 @@ from tests.view.stage import Stage, cloud, measured, scene
 READINGS_S = 1.0
 """Time between two readings: the charts are drawn anew."""
 WARM_UP_S = 1.0
+RECORD_STEPS = 300
+TIMES = 5
+"""How often the record is opened."""
 
 
 def measure(particles: int, rate_hz: float, duration_s: float, scheme: str, size: tuple[int, int]) -> dict[str, float]:
@@ -54,8 +64,32 @@ def measure(particles: int, rate_hz: float, duration_s: float, scheme: str, size
     }  # fmt: skip
 
 
+def opening() -> list[float]:
+    """Fly a mission of RECORD_STEPS steps that does not cease, and return how long its record took to open each time, s."""
+    plumeward = [sys.executable, "-m", "sitl"]
+    with tempfile.TemporaryDirectory() as folder, launched() as browser:
+        log = str(Path(folder) / "log.mcap")
+        flown = ["--policy", "random", "--threshold", "0.0001", "--budget", str(RECORD_STEPS), "--speedup", "0", "--record", log]
+        subprocess.run([*plumeward, "fly", *flown], check=True, capture_output=True, cwd=folder)
+        found = []
+        for _ in range(TIMES):
+            began = time.perf_counter()
+            server = subprocess.Popen([*plumeward, "view", log, "--port", "0"], stdout=subprocess.PIPE, text=True)
+            assert server.stdout
+            with browser.new_context() as context:
+                page = context.new_page()
+                page.goto(server.stdout.readline().removeprefix("page at ").strip())
+                while not page.evaluate("window.plumeward?.drawn"):
+                    page.wait_for_timeout(5)
+                found.append(time.perf_counter() - began)
+                assert page.evaluate("Object.values(plumeward.state.models)[0].measurements.length") == RECORD_STEPS + 1
+            server.send_signal(signal.SIGINT)
+            server.wait()
+    return found
+
+
 def main() -> None:
-    """Print a line for each window."""
+    """Print a line for each window, and one for the record."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--particles", type=int, default=4000)
     parser.add_argument("--rate", type=float, default=20.0, help="updates a second")
@@ -70,8 +104,10 @@ def main() -> None:
             f"{name:12} age when drawn: {ages}; {figures['sent_per_s']:.1f} updates a second, {figures['drawn_per_s']:.1f} drawn",
             flush=True,
         )
+    opened_s = opening()
+    print(f"a record of {RECORD_STEPS} steps opens in {statistics.median(opened_s):.2f} s, at most {max(opened_s):.2f} s, of {TIMES} times")
     if args.json:
-        print(json.dumps({"particles": args.particles, "rate_hz": args.rate, "windows": found}))
+        print(json.dumps({"particles": args.particles, "rate_hz": args.rate, "windows": found, "opened_s": opened_s}))
 
 
 if __name__ == "__main__":

@@ -60,6 +60,14 @@ class Recording(NamedTuple):
     complete: bool
     """False if the file is truncated or damaged, or if recording stopped early; in the latter case about["stopped"] gives the reason."""
 
+    @property
+    def shortcoming(self) -> str:
+        """What people should know of it, after its name: `is cut off ...`; empty if it is complete."""
+        if self.complete:
+            return ""
+        reason = self.about.get(STOPPED)
+        return f"ends early: {reason}" if reason else "is cut off, damaged or still being written: what follows is missing"
+
 
 def is_record(path: Path) -> bool:
     """True if a file is an MCAP file by its first bytes; raises RecordError if it is empty, not a regular file or not readable.

@@ -53,6 +53,11 @@ class Timed(Generic[T]):
             old = len(self.values) - (self._most + 1) // 2
             del self.times_s[:old], self.values[:old]
 
+    def restart(self, time_s: float) -> None:
+        """Keep only the newest value, if there is any, and take it as of another time."""
+        self.values = self.values[-1:]
+        self.times_s = [time_s] * len(self.values)
+
     def count(self, time_s: float) -> int:
         """Number of values until a time, it included."""
         return len(self.values) if time_s == math.inf else bisect_right(self.times_s, time_s)
@@ -126,7 +131,7 @@ class History:
         self._crafts: Timed[Craft] = Timed(whole)
         self._scatters: Timed[_Packed] = Timed(whole)
         self._winds: Timed[tuple[float, float]] = Timed(whole)
-        self._waypoints: Timed[Place] = Timed(whole)
+        self._waypoints: Timed[Place | None] = Timed(whole)
         self._walls: Timed[float] = Timed(whole)
         self._track: Timed[Place] = Timed(whole, MOST)
         self.measurements: Timed[Measurement] = Timed(whole, MOST)
@@ -135,9 +140,13 @@ class History:
         self._unpacked: tuple[_Packed, Scatter | None] | None = None
 
     def _begin_again(self, time_s: float) -> None:
-        """Follow the next mission of a vehicle that was started again; happenings and services stay."""
+        """Follow the next mission of a vehicle that was started again. Services stay; happenings, too, where no one goes back in time."""
         self._begin()
         self.time_s = time_s
+        if self._whole:  # what was said before has another mission's times
+            self.happenings = Timed()
+            for signs in self._signs.values():
+                signs.restart(time_s)
         self._happened(time_s, INFO, "uav", "a new mission begins")
 
     # ---- taking ----
@@ -215,7 +224,7 @@ class History:
             self._scatters.add(time_s, _Packed(attachment, said.unknowns, said.mean))
         if not said.ceased and self._budget is not None and said.step >= self._budget:
             words = f"not ceased after {said.step} steps; estimate ({said.mean[0]:.2f}, {said.mean[1]:.2f}) ± {said.spread:.2f} m"
-            self._endings.add(time_s, Ending("not ceased", words))
+            self._ended(time_s, Ending("not ceased", words))
             self._happened(time_s, WARNING, "estimator", "the budget is spent and the source not found")
         return True
 
@@ -224,8 +233,13 @@ class History:
             return False  # repeated
         words = f"source found at ({said.estimate[0]:.2f}, {said.estimate[1]:.2f}) ± {said.spread:.2f} m after {said.step} steps"
         self._happened(time_s, STOPPED, "estimator", words)
-        self._endings.add(time_s, judged(said.step, said.estimate, said.spread, self.backdrop.release))
+        self._ended(time_s, judged(said.step, said.estimate, said.spread, self.backdrop.release))
         return True
+
+    def _ended(self, time_s: float, ending: Ending) -> None:
+        """Take the end of the search: no waypoint of it is flown to any more."""
+        self._endings.add(time_s, ending)
+        self._waypoints.add(time_s, None)
 
     def _take_health(self, said: Health, time_s: float, wall_s: float) -> bool:
         known = self._sign(said.service)
@@ -266,7 +280,7 @@ class History:
 
     @property
     def waypoint(self) -> Place | None:
-        """The newest waypoint."""
+        """The next waypoint; None if there is none, or none any more."""
         return self._waypoints.at(math.inf)
 
     def at(self, time_s: float = math.inf, wall_s: float | None = None) -> Scene:

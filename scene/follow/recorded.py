@@ -50,3 +50,13 @@ def history_of(recording: Recording, vehicle: str = "") -> History:
     for entry in sorted(recording.entries, key=lambda entry: entry.published_ns):
         history.take(entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9)
     return history
+
+
+def remark_on(recording: Recording, history: History) -> str:
+    """Return what people should know who see the record, after its name: `is cut off ...`; empty if there is nothing."""
+    remarks = [recording.shortcoming]
+    if history.missions > 1:
+        remarks.append(f"holds {history.missions} missions, of which the last one is shown")
+    if not recording.entries:
+        remarks.append("holds no message")
+    return ", and ".join(filter(None, remarks))

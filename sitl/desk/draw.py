@@ -86,14 +86,17 @@ class _Undrawable(ValueError):
 
 def _history(path: Path) -> "History":
     from link.record.reader import RecordError, read
-    from scene.follow.recorded import history_of
+    from scene.follow.recorded import history_of, remark_on
 
     try:
-        history = history_of(read(path))
+        recording = read(path)
+        history = history_of(recording)
     except RecordError as error:
         raise _Undrawable(str(error)) from None
     if not history.measurements.values:
         raise _Undrawable(f"{path} has no belief that can be read: there is nothing to draw")
+    if remark := remark_on(recording, history):
+        print(f"warning: {path} {remark}", file=sys.stderr)
     return history
 
 

@@ -79,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
 def _refusal(args: argparse.Namespace) -> str:
     """Return why these flags cannot be served; empty if they can. Notes what they tell of the truth."""
     truth = {name: value for name in ("mission", "seed", "world") if (value := getattr(args, name)) is not None}
+    if not args.host:
+        return "--host: '' is not allowed; wanted an address of this machine"
     if len(args.logs) > 2:
         return "LOG: three or more records are not allowed; wanted one, or two to compare"
     if args.logs and args.foxglove is not None:
@@ -131,6 +133,8 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     try:
         if args.logs:
             shown: Any = RecordedFleet(args.logs)
+            if shown.notice:
+                print(f"warning: {shown.notice}", file=sys.stderr)
         else:
             described = None
             if args.about:
@@ -139,7 +143,8 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     except RecordError as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    server = PageServer(shown, AccessRules(args.host, port, args.token))
+    rules = AccessRules(args.host, port, args.token)
+    server = PageServer(shown, rules)
 
     class _Uvicorn(uvicorn.Server):
         @contextlib.contextmanager
@@ -176,12 +181,11 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end)
     loop.add_signal_handler(OVER, lambda: lingering.append(asyncio.create_task(linger())))
-    address = f"http://{f'[{args.host}]' if ':' in args.host else args.host}:{port}/" + (f"?token={args.token}" if args.token else "")
-    print(f"page at {address}", flush=True)
+    print(f"page at {rules.address}", flush=True)
     if stream:
         print(f"Foxglove at {stream.address}", flush=True)
     if args.open:
-        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+        threading.Thread(target=webbrowser.open, args=(rules.address,), daemon=True).start()
     await http.serve(sockets=[listening])
     shown.end()
     if stream:

@@ -5,6 +5,7 @@ import ipaddress
 import socket
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -29,6 +30,12 @@ class AccessRules(NamedTuple):
     port: int
     token: str = ""
     """Empty: none is needed on a loopback address, and elsewhere nobody may command."""
+
+    @property
+    def address(self) -> str:
+        """What to enter in a browser on this machine."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{host}:{self.port}/" + (f"?token={quote(self.token, safe='')}" if self.token else "")
 
     def allows_host(self, host: str) -> bool:
         """Whether a Host header is this server's: a page whose name was pointed here (DNS rebinding) has another one.

@@ -6,7 +6,7 @@ from typing import Any
 
 from link.record.reader import read
 from scene.follow.history import History
-from scene.follow.recorded import history_of
+from scene.follow.recorded import history_of, remark_on
 from scene.scene import Scene
 
 
@@ -38,14 +38,20 @@ class RecordedFleet:
     """One record, or two to compare."""
 
     list_version = 0
-    notice = ""
 
     def __init__(self, paths: Sequence[Path]) -> None:
         """Read them; raises RecordError."""
         self.vehicles: dict[str, RecordedVehicle] = {}
+        remarks: list[str] = []
         for number, path in enumerate(paths, start=1):
             name = path.stem if path.stem not in self.vehicles else f"{path.stem} ({number})"
-            self.vehicles[name] = RecordedVehicle(name, history_of(read(path), name))
+            recording = read(path)
+            history = history_of(recording, name)
+            self.vehicles[name] = RecordedVehicle(name, history)
+            if remark := remark_on(recording, history):
+                remarks.append(f"the record {name} {remark}")
+        self.notice = "; ".join(remarks)
+        """What people should know of the files."""
 
     def entries(self) -> list[dict[str, Any]]:
         """Return the list of vehicles."""

@@ -126,6 +126,7 @@ def test_a_full_disk_stops_the_record_with_a_line_and_not_the_mission(
     recording = read(path)
     assert not recording.complete
     assert recording.about["stopped"] == "File too large"
+    assert recording.shortcoming == "ends early: File too large"
     assert steps(recording) == list(range(len(steps(recording))))
 
 

@@ -234,6 +234,12 @@ def test_a_port_that_is_taken_is_named_in_one_line(start: type[Part], replay: in
     assert part.err == [f"error: --port: cannot serve on 127.0.0.1 port {replay}: Address already in use\n"]
 
 
+def test_an_empty_address_is_refused_in_one_line(start: type[Part]) -> None:
+    part = start("sitl", "view", "--port", "0", "--host", "")
+    assert part.ended() == 2
+    assert part.err == ["error: --host: '' is not allowed; wanted an address of this machine\n"]
+
+
 # ---- who may look and command ----
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import pytest
 
 from scene.scene import Craft, Ending, Happening
+from tests.system.pages import Browser
 from tests.view.conftest import PHONE, Window
 from tests.view.stage import RELEASE, Stage, bearing_deg, cloud, measured, scene
 
@@ -189,7 +190,40 @@ def test_two_vehicles_are_chosen_from_a_list_and_seen_side_by_side(stage: Stage,
     assert window.page.locator(".pane").count() == 1
 
 
+def test_a_vehicle_that_is_chosen_again_shows_all_that_it_showed_before(stage: Stage, window: Window) -> None:
+    stage.enter(scene("uav/2"))
+    window.until("plumeward.state.vehicles.length === 2")
+    happened = window.page.locator(".happenings li").all_inner_texts()
+    assert len(happened) == 2
+    for name in ("uav/2", "uav/1"):
+        window.page.select_option("#first", name)
+        drawn(window, name)
+        window.drawn()
+    assert window.page.locator(".happenings li").all_inner_texts() == happened
+    assert window.page.locator(".services li").count() == 2
+    assert window.of("plumeward.panes.get('uav/1').charts.spread.data[0].length") == 6
+    assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 40
+    assert window.page.locator("#aloud").text_content() == ""  # it is no news
+
+
 # ---- the connection ----
+
+
+def test_one_page_too_many_says_why_and_is_served_when_another_is_closed(stage: Stage, look: Callable[..., Window]) -> None:
+    stage.enter(scene())
+    pages = [Browser(stage.port) for _ in range(20)]
+    try:
+        window = look(stage.address)
+        window.until("plumeward.state.why")
+        assert window.text("#notice") == "20 pages are open; close one of them. Trying again…"
+        assert window.violations() == []
+        window.keep("too-many-pages")
+        pages.pop().close()
+        drawn(window)
+        assert not window.page.locator("#notice").is_visible()
+    finally:
+        for page in pages:
+            page.close()
 
 
 def test_a_lost_connection_is_told_and_comes_back_by_itself(stage: Stage, window: Window) -> None:

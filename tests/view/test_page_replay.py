@@ -79,10 +79,26 @@ def test_a_record_opens_at_its_outcome(replay: Window) -> None:
     shows(replay, last)
     assert "Located" in replay.text(".ending")
     assert replay.text("#link") == "record"
+    assert not replay.page.locator("#notice").is_visible()
     assert replay.text(".why") == "A record takes no commands"
     assert replay.page.locator("[data-command=pause]").is_disabled()
     assert replay.violations() == []
     replay.keep("replay")
+
+
+def test_a_record_that_was_cut_off_is_shown_and_says_so(look: Callable[..., Window], tmp_path: Path) -> None:
+    (tmp_path / "cut.mcap").write_bytes((GOLDEN / f"{HOMING}.mcap").read_bytes()[:-100])  # its beliefs are there, its end is not
+    page = Served(RecordedFleet([tmp_path / "cut.mcap"]))
+    page.open()
+    try:
+        window = at_the_end(look(page.address), "cut")
+        now(window, "cut")
+        shows(window, beliefs(HOMING)[-1][1], "cut")
+        assert window.text("#notice") == "The record cut is cut off, damaged or still being written: what follows is missing"
+        assert window.violations() == []
+        window.keep("replay-cut-off")
+    finally:
+        page.close()
 
 
 def test_stepping_goes_from_reading_to_reading(replay: Window) -> None:
@@ -148,7 +164,7 @@ def test_playing_runs_to_the_end_at_the_chosen_speed(replay: Window) -> None:
     assert took_s >= end_s / 50
     assert now(replay) == pytest.approx(end_s)
     assert times[1:] == sorted(times[1:])
-    assert len(times) > 5  # it is seen on the way
+    assert len(times) > 2  # it is seen on the way, also where a frame takes long
     shows(replay, beliefs(HOMING)[-1][1])
 
 

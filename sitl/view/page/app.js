@@ -17,6 +17,7 @@ const state = {
   vehicles: [],
   notice: "", // what the server wants people to know: there is no router, ...
   bye: "",
+  why: "", // the reason that the server gave for closing the connection
   show: [], // names of the one or two that are shown
   truth: false,
   at_s: null, // the moment that is wanted of records
@@ -172,8 +173,8 @@ const link = new Link({
   bye(text) {
     state.bye = text;
   },
-  changed(now) {
-    state.link = now;
+  changed(now, why) {
+    Object.assign(state, { link: now, why });
     document.body.classList.toggle("lost", now === "lost");
     tellLink();
     arrange();
@@ -187,7 +188,7 @@ function tellLink() {
   setText(find("link"), text);
   find("link").dataset.level = level;
   const notice = {
-    lost: "Connection lost: this is the last picture. Connecting again…",
+    lost: state.why ? `${sentence(state.why)}. Trying again…` : "Connection lost: this is the last picture. Connecting again…",
     over: `${sentence(state.bye)}. The last picture stays.`,
   }[state.link] ?? sentence(state.notice);
   find("notice").hidden = !notice;

@@ -3,10 +3,12 @@
 const FIRST_WAIT_MS = 200, LONGEST_WAIT_MS = 1500;
 
 export class Link {
-  /** take: {hello, vehicles, answer, bye, scene, changed}: functions. changed("open" | "lost" | "over") is called on each change. */
+  /** take: {hello, vehicles, answer, bye, scene, changed}: functions. changed("open" | "lost" | "over", why) is called on each change; why: the
+   * reason that the server gave for closing the connection, "" for none. */
   constructor(take) {
     this.take = take;
     this.state = "connecting";
+    this.why = "";
     this.wait_ms = FIRST_WAIT_MS;
     this.open();
   }
@@ -17,8 +19,8 @@ export class Link {
     const socket = new WebSocket(`${scheme}://${location.host}/scenes${token ? `?token=${encodeURIComponent(token)}` : ""}`);
     socket.binaryType = "arraybuffer";
     socket.onmessage = ({ data }) => this.message(data);
-    socket.onclose = () => {
-      if (this.state !== "over") this.change("lost");
+    socket.onclose = ({ reason }) => {
+      if (this.state !== "over") this.change("lost", reason);
       setTimeout(() => this.open(), this.wait_ms);
       this.wait_ms = Math.min(2 * this.wait_ms, LONGEST_WAIT_MS);
     };
@@ -40,10 +42,10 @@ export class Link {
     }
   }
 
-  change(state) {
-    if (state === this.state) return;
-    this.state = state;
-    this.take.changed(state);
+  change(state, why = "") {
+    if (state === this.state && why === this.why) return;
+    Object.assign(this, { state, why });
+    this.take.changed(state, why);
   }
 
   /** Send a message; false if there is no connection. */

@@ -95,7 +95,7 @@ export class Pane {
     if (model.fresh.measurements || context.other?.fresh.measurements || context.redraw) this.charts.draw(model, context.other, context.last);
     this.drawServices(scene.services);
     if (context.moments) this.drawMoments(context.moments, context.at_s);
-    else if (model.fresh.happenings) this.drawHappenings(model.happenings);
+    else if (model.fresh.happenings || context.redraw) this.drawHappenings(model.happenings);
   }
 
   drawEnding(ending) {

@@ -9,7 +9,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Codec, Reading, pack_reading, waypoint_message
 from link.bus.messages import Belief, Health, Stop, pack_particles
+from link.record.reader import Recording
+from link.record.record import Entry
 from scene.follow.history import History
+from scene.follow.recorded import remark_on
 from scene.scene import Backdrop, Release
 
 RELEASE = Release((12.0, 20.0), (2.0, 0.0), 300.0, 4.0, 10.0)
@@ -183,6 +186,19 @@ def test_a_spent_budget_ends_the_search(history: History) -> None:
     assert ending.verdict == "not ceased"
 
 
+@pytest.mark.parametrize(
+    ("key", "payload"), [("agdc/stop", stop(300, (12.0, 19.2))), ("belief", belief(300))], ids=["stop", "spent budget"]
+)
+def test_after_the_search_there_is_no_next_waypoint_until_one_is_given(history: History, key: str, payload: bytes) -> None:
+    agent, pilot = Codec(1, 191), Codec(255, 190)
+    history.take("mavlink/in", agent.pack(waypoint_message(1, 299, (2.5, 4.0), 5.0)), b"", 299.0, 100.0)
+    history.take(key, payload, b"", 300.0, 101.0)
+    assert history.waypoint is history.at().waypoint is None
+    assert history.at(299.5).waypoint == (2.5, 4.0)  # it was there before
+    history.take("mavlink/in", pilot.pack(waypoint_message(1, 301, (7.0, 8.0), 5.0)), b"", 301.0, 102.0)
+    assert history.waypoint == history.at().waypoint == (7.0, 8.0)
+
+
 def test_services_are_judged_as_status_does(history: History) -> None:
     history.lives("agent", True, 100.0)
     history.take("health/uav", health("uav", 1.0), b"", 1.0, 100.0)
@@ -238,6 +254,30 @@ def test_a_vehicle_that_is_started_again_begins_a_new_mission(history: History) 
     assert (scene.time_s, [it.step for it in scene.measurements], scene.ending) == (0.6, [0], None)
     assert scene.track.tolist() == [[0.5, 0.0]]
     assert said(history)[-1] == ("info", "uav", "a new mission begins")
+
+
+def test_of_a_record_of_two_missions_the_last_one_is_shown_on_its_own_times(history: History) -> None:
+    def local(time_s: float) -> bytes:
+        return UAV.pack(mavlink.MAVLink_local_position_ned_message(round(1000 * time_s), 0.0, 0.0, -5.0, 0.0, 0.0, 0.0))
+
+    history.take("health/agent", health("agent", 1.0), b"", 1.0, 101.0)
+    history.take("mavlink/out", local(50.0), b"", 50.0, 150.0)
+    history.take("agdc/stop", stop(50, (12.0, 20.0)), b"", 50.0, 150.0)
+    history.take("mavlink/out", local(0.5), b"", 0.5, 200.0)
+    history.take("agdc/stop", stop(9, (12.0, 20.0)), b"", 9.0, 209.0)
+    assert history.missions == 2
+    assert history.time_s == 9.0
+    assert [(it.time_s, it.level) for it in history.at().happenings] == [(0.5, "info"), (9.0, "stop")]
+    early = history.at(4.0)
+    assert [it.text for it in early.happenings] == ["a new mission begins"]
+    assert [service.name for service in early.services] == ["agent"]  # it was there all the time
+    assert (early.ending, history.at(9.0).ending is None) == (None, False)
+    entry = Entry("reading", 0, 0.0, b"")
+    assert remark_on(Recording({}, [entry], True), history) == "holds 2 missions, of which the last one is shown"
+    assert remark_on(Recording({}, [entry], True), History(Backdrop("uav/1"))) == ""
+    assert remark_on(Recording({"stopped": "No space left on device"}, [], False), History(Backdrop("uav/1"))) == (
+        "ends early: No space left on device, and holds no message"
+    )
 
 
 def test_a_live_history_keeps_only_the_newest_particles_and_pose() -> None:

@@ -97,6 +97,16 @@ def test_a_file_without_a_belief_is_refused(tmp_path: Path, capsys: pytest.Captu
     assert [path.name for path in tmp_path.iterdir()] == ["notes.mcap"]
 
 
+def test_a_log_that_was_cut_off_is_drawn_with_a_warning(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert drawn(str(log)) == 0
+    assert capsys.readouterr().err == ""
+    log.write_bytes(log.read_bytes()[:-100])  # its beliefs are there, its end is not
+    assert drawn(str(log), "--force") == 0
+    out, err = capsys.readouterr()
+    assert out == f"{log.with_suffix('.png')}\n"
+    assert err == f"warning: {log} is cut off, damaged or still being written: what follows is missing\n"
+
+
 def test_what_is_not_installed_is_named(log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
     assert drawn(str(log), "--mp4", "a.mp4") == 1

@@ -56,6 +56,18 @@ def test_only_the_page_itself_is_allowed_as_origin(origin: str, allowed: bool) -
 
 
 @pytest.mark.parametrize(
+    ("rules", "address"),
+    [
+        (LOCAL, "http://127.0.0.1:8447/"),
+        (AccessRules("::1", 80), "http://[::1]:80/"),
+        (AccessRules("drone.lan", 8447, "two words&more=é/#"), "http://drone.lan:8447/?token=two%20words%26more%3D%C3%A9%2F%23"),
+    ],
+)
+def test_the_address_that_is_printed_opens_the_page_with_its_token(rules: AccessRules, address: str) -> None:
+    assert rules.address == address
+
+
+@pytest.mark.parametrize(
     ("rules", "token", "may"),
     [
         (LOCAL, "", True),
