@@ -128,6 +128,16 @@ def test_a_record_may_lack_readings_where_that_is_told(tmp_path: Path) -> None:
     assert verdict.reasons == ("a waypoint of step 3 is not that of the undisturbed mission",)
 
 
+def test_a_message_on_a_wrong_key_is_a_breach_unless_a_link_was_lost(tmp_path: Path) -> None:
+    belief = msgspec.json.encode(steps()[0][3].belief)
+    for key in (READING.name, STOP.name):
+        stray = {"more": ((key, belief, b""),)}
+        verdict = judge(evidence(tmp_path, **stray))
+        assert verdict.outcome == BROKEN
+        assert verdict.reasons[0].startswith(f"a message on {key} cannot be read: ")
+        assert judge(evidence(tmp_path, done=(Fault("unplug", 15, "uav", 1.5),), **stray)).outcome == AS_UNDISTURBED
+
+
 def test_a_trace_may_stand_on_readings_where_beliefs_were_lost_and_that_is_told(tmp_path: Path) -> None:
     trace = [dict(point) for point in steps()[1]]
     trace[4] |= {"mean": [None, None], "spread": None}
