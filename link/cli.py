@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import ctypes
 import errno
 import gc
 import math
@@ -10,6 +9,8 @@ import os
 import select
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
@@ -28,7 +29,8 @@ BAD_INPUT = 2
 FAILED = 1
 LAUNCHER = "PLUMEWARD_LAUNCHER"
 """The environment variable by which a launcher tells its parts its process id: they end with it, however it ends."""
-PR_SET_PDEATHSIG = 1
+LOOK_S, AGAIN_S, AGAIN_TIMES = 0.2, 1.0, 30
+"""How often a part looks for its launcher; and once that has gone, how often and how many times it is told to end, before it is made to."""
 ASSUMPTIONS = ("field", "paper")
 """Names of what an estimator may take to be known; `estimator.assumptions` has what they mean."""
 COMPLETING = "_ARGCOMPLETE"
@@ -289,12 +291,12 @@ def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
 
 
 @contextlib.contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM back, so that a child that has been started is also known to have been."""
+def uninterrupted() -> Iterator[list[int]]:
+    """Hold Ctrl-C and SIGTERM back: the end of the block raises KeyboardInterrupt instead. Yields the signals that have come."""
     held: list[int] = []
     before = {number: signal.signal(number, lambda number, _: held.append(number)) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield held
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -303,13 +305,23 @@ def uninterrupted() -> Iterator[None]:
 
 
 def _end_with_the_launcher() -> None:
-    """Have Linux end this process, if a launcher has started it, when the launcher dies in whatever way."""
+    """If a launcher has started this process, end it when the launcher has gone, in whatever way it went.
+
+    An exception in a handler can be lost, for example where Python calls it within a destructor: the signal is therefore sent again.
+    Linux could send one by itself (PR_SET_PDEATHSIG), but sends several at once for a launcher with threads.
+    """
     launcher = os.environ.pop(LAUNCHER, None)  # the launcher is not the parent of what this process starts
-    if launcher is None or sys.platform != "linux":
-        return
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if str(os.getppid()) != launcher:  # the launcher died before prctl took effect
-        sys.exit(INTERRUPTED)
+    if launcher is not None:
+        threading.Thread(target=_watch, args=(int(launcher),), name="launcher", daemon=True).start()
+
+
+def _watch(launcher: int) -> None:
+    while os.getppid() == launcher:
+        time.sleep(LOOK_S)
+    for _ in range(AGAIN_TIMES):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(AGAIN_S)
+    os._exit(INTERRUPTED)  # it hangs
 
 
 def run(command: Callable[[], int | None]) -> NoReturn:
@@ -317,9 +329,9 @@ def run(command: Callable[[], int | None]) -> NoReturn:
     # A shell starts background jobs with SIGINT ignored; a service must end on it all the same.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminate)
-    _end_with_the_launcher()
     gc.set_threshold(100_000)  # Python's own 700 costs a tenth of the start-up time
     try:
+        _end_with_the_launcher()
         status = _status(command)
         if status == INTERRUPTED:
             _leave(status)

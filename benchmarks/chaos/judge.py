@@ -24,6 +24,8 @@ REASON = "No setpoint for "
 SILENT = " has said nothing for "
 LACKS = ("warning: the record lacks the last readings", "warning: the recorder hangs and is killed", "messages of reading are lost")
 """What launcher and recorder say of a record that lacks readings: the flight has priority over its record."""
+MISSED = "beliefs were not received: of these the trace has the readings"
+"""What the launcher says of beliefs that a link dropped."""
 UNREACHED = "error: --connect: no router at "
 """What a part says that cannot join: over a link that drops packets this may take longer than its patience. Then nothing flies."""
 
@@ -86,9 +88,13 @@ def _ended(evidence: Evidence, trace: list[TracePoint], ceased: bool) -> tuple[s
     killed = hit(evidence, "kill")
     if evidence.status == 0:
         flown = json.loads(evidence.out[-1])
-        wanted = msgspec.to_builtins(trace)
-        if flown["trace"] != json.loads(json.dumps(wanted)) or flown["ceased"] != ceased:
-            at = next((i for i, (one, other) in enumerate(zip(flown["trace"], wanted, strict=False)) if one != _plain(other)), len(wanted))
+        wanted = json.loads(json.dumps(msgspec.to_builtins(trace)))
+        if any(MISSED in line for line in evidence.err):
+            for one, other in zip(flown["trace"], wanted, strict=False):
+                if one["spread"] is None:  # its belief did not come: the reading stands alone
+                    other |= {"mean": [None, None], "spread": None}
+        if flown["trace"] != wanted or flown["ceased"] != ceased:
+            at = next((i for i, (one, other) in enumerate(zip(flown["trace"], wanted, strict=False)) if one != other), len(wanted))
             return BROKEN, [f"the trace differs from step {at} on"]
         return AS_UNDISTURBED, []
     if evidence.status == -9 and "launcher" in killed:
@@ -104,10 +110,6 @@ def _ended(evidence: Evidence, trace: list[TracePoint], ceased: bool) -> tuple[s
         silenced = hit(evidence, "hang") | hit(evidence, "unplug") | hit(evidence, "cut")
         return TOLD, [] if part in silenced or "router" in silenced or hit(evidence, "loss") else [f"a part hangs by itself: {last}"]
     return BROKEN, [f"status {evidence.status}: {last or 'no last words'}"]
-
-
-def _plain(value: Any) -> Any:
-    return json.loads(json.dumps(value))
 
 
 def _second(evidence: Evidence) -> list[str]:

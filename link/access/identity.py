@@ -163,6 +163,18 @@ def why_not(endpoint: str, known: Identity | None) -> str:
         return ""
 
 
+def is_refused(endpoint: str) -> bool:
+    """Whether nobody listens at an endpoint. Where packets are lost, or who listens is slow, nobody has refused yet."""
+    host, port = _host_and_port(endpoint.partition("/")[2])
+    try:
+        socket.create_connection((host, int(port)), timeout=PROBE_S).close()
+    except TimeoutError:
+        return False
+    except (OSError, ValueError):
+        return True
+    return False
+
+
 def _handshake(context: ssl.SSLContext, plain: socket.socket, host: str, known: Identity | None) -> str:
     try:
         secret = context.wrap_socket(plain, server_hostname=host)

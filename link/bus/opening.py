@@ -1,17 +1,22 @@
 """How a Zenoh session is opened: its settings, and the router."""
 
+import contextlib
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
-from link.access.identity import secured
+from link.access.identity import Identity, is_refused, secured, why_not
 from link.access.roles import ROUTER, access_control
 from link.bus.keys import KEYS, Delivery
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
+CONNECT_TIMEOUT_S = 5.0
+SLOW_CONNECT_S = 15.0
+"""How long we go on trying where nobody has refused us: over a link that drops packets it takes several seconds to join."""
 RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 """Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s."""
 FULL_S = 0.02
@@ -69,6 +74,26 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
             words = "words separated by single slashes, without * $ ? #"
             raise BusError(f"--{name}: {value!r} is not allowed; wanted {words}, like uav/1") from None
     return config
+
+
+def open_client(connect: str, known: Identity | None, say: Callable[[str], None], **settings: Any) -> zenoh.Session:
+    """Join a router. settings: Zenoh's, beside the usual ones or instead of them.
+
+    Raises NoRouter if none admits us: within CONNECT_TIMEOUT_S, and if nobody has refused us within SLOW_CONNECT_S more. BusError if
+    `connect` is not an endpoint.
+    """
+    in_time = {"connect__timeout_ms": round(1000 * CONNECT_TIMEOUT_S), "connect__retry": RETRY}
+    try:
+        return zenoh.open(zenoh_config("client", {"connect": [connect]}, **in_time | settings))
+    except zenoh.ZError:
+        if reason := why_not(connect, known):
+            raise NoRouter(f"--connect: the router at {connect} cannot be joined: {reason}") from None
+    if "connect__timeout_ms" not in settings and not is_refused(connect):
+        say(f"the router at {connect} does not answer yet: trying for {SLOW_CONNECT_S:g} s more")
+        later = {"connect__timeout_ms": round(1000 * SLOW_CONNECT_S)}
+        with contextlib.suppress(zenoh.ZError):
+            return zenoh.open(zenoh_config("client", {"connect": [connect]}, **in_time | settings | later))
+    raise NoRouter(f"--connect: no router at {connect} (start one with: plumeward router)")
 
 
 def open_router(endpoint: str, secure: Path | None = None, connect: str | None = None) -> tuple[zenoh.Session, str]:

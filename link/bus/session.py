@@ -12,18 +12,17 @@ import msgspec
 import zenoh
 import zenoh.ext
 
-from link.access.identity import secured, why_not
+from link.access.identity import secured
 from link.access.roles import OF_ALL_VEHICLES
 from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow, ServiceNames
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
 from link.bus.messages import Health, Stop, stop_text
-from link.bus.opening import DEFAULT_ROUTER, RETRY, BusError, NoRouter, priority, zenoh_config
+from link.bus.opening import DEFAULT_ROUTER, BusError, open_client, priority
 from link.bus.sequence import Sequence
 from link.bus.sole import Sole
 from link.bus.tally import REPEATED, Tally
 
-CONNECT_TIMEOUT_S = 5.0
 MOST_REASON = 300
 """Longest reason that is logged, characters: a reason may quote a stranger's message."""
 HEALTH_EVERY_S = 1.0
@@ -112,28 +111,20 @@ class Bus:
         secure: the folder of certificates; the connection is then mutual TLS, with the certificate of the service's role.
         sole: refuse to be here beside an older service of the same name, now and later on.
 
-        Raises NoRouter if no router admits us within CONNECT_TIMEOUT_S, BusError if `connect` is not an endpoint or an older one is here,
+        Raises NoRouter if no router admits us in time (open_client), BusError if `connect` is not an endpoint or an older one is here,
         AccessError if we have no certificate that is fit.
         """
         connect, self._identity = secured("--connect", connect, secure, service, namespace)
-        usual = {
+        usual: dict[str, Any] = {
             **({"transport__link__tls": self._identity.tls} if self._identity else {}),
             **({} if namespace is None else {"namespace": namespace}),
             "timestamping__enabled": True,  # otherwise the router's clock stamps the messages
-            "connect__timeout_ms": int(CONNECT_TIMEOUT_S * 1000),
-            "connect__retry": RETRY,
         }
-        config = zenoh_config("client", {"connect": [connect]}, **usual | settings)
-        try:
-            self._session = zenoh.open(config)
-        except zenoh.ZError:
-            reason = why_not(connect, self._identity)
-            nobody = f"no router at {connect} (start one with: plumeward router)"
-            raise NoRouter(f"--connect: {f'the router at {connect} cannot be joined: {reason}' if reason else nobody}") from None
         self.service = service
         self._namespace = namespace
         self.tally = Tally()
         self.log = Log(service, namespace or "-", self.tally, log_level)
+        self._session = open_client(connect, self._identity, self.log.warning, **usual | settings)
         self._inbox = Inbox() if inbox is None else inbox
         self._publishers: dict[str, Any] = {}
         self._subscribers: dict[str, Any] = {}

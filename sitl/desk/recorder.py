@@ -16,7 +16,7 @@ from typing import Any
 
 from link import cli
 from link.bus.keys import KEYS, STOP
-from link.bus.session import CONNECT_TIMEOUT_S
+from link.bus.opening import CONNECT_TIMEOUT_S
 from link.bus.tap import Tap
 from link.record.record import Entry, SimulationClock
 from link.record.writer import Writer

@@ -10,7 +10,7 @@ import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.inbox import Inbox
-from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, SEARCHERS, STOP
+from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.log import LEVELS
 from link.bus.mavlink import BadFrame, Codec, Message, unpack
 from link.bus.messages import Belief, Health, Stop
@@ -26,6 +26,7 @@ from sitl.launch.processes import Ended, LogLine, MissionFailed, Processes, rais
 from sitl.launch.progress import Progress, pace
 from sitl.launch.recording import RecordFiles
 from sitl.launch.relay import Relay
+from sitl.launch.trace import HeardTrace
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import LOOK_S, RECORDER, ROUTER, Watchdog
 from sitl.script.script import Cut, Expectation, Kill, Script
@@ -36,8 +37,8 @@ CALL_EVERY_S = 1.0
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
 LATE_STOP_S = 2.0
 """A stop may reach us so much later than the vehicle, which lands because of it."""
-RECORD_TIMEOUT_S = 5.0
-"""Real time that the record may lag behind the mission's end: a recorder whose link was down first receives what it missed."""
+LAG_S = 5.0
+"""Real time that record and trace may lag behind the mission's end: who was cut off first receives what was missed."""
 
 
 class Flown(NamedTuple):
@@ -74,7 +75,7 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
 
         def join(endpoint: str) -> Bus:
             bus = stack.enter_context(Bus("mission", endpoint, mission.namespace, inbox, announced=False, secure=mission.secure))
-            bus.subscribe(BELIEF, STOP, HEALTH)
+            bus.subscribe(READING, BELIEF, STOP, HEALTH)
             return bus
 
         def start() -> str:
@@ -164,7 +165,7 @@ class _Watch:
         self._disturbances = disturbances
         self._endpoint = endpoint
         self._files = files
-        self._trace: dict[int, TracePoint] = {}
+        self._trace = HeardTrace()
         self._compute: dict[str, Health] = {}
         self._compiling = False
         self._last: Belief | None = None
@@ -180,27 +181,38 @@ class _Watch:
     def until_the_end(self) -> Flown:
         """Watch; returns the result."""
         script = self._script
-        while not self._over:
+        lost_at = math.inf  # from then on what has not come counts as lost
+        while not self._over and time.monotonic() < lost_at:
             self._listen(self._disturbances.wait_s())
             if self._last:
                 self._disturbances.reached(self._last.step, self._last.time_boot_ms / 1000)
             if self._landed and not self._stopped and time.monotonic() >= self._landed_since + LATE_STOP_S:
                 break
-        if self._last is None or (self._landed and not self._over and not script.expectations):
+            if not (self._stopped or self._ceased) or self._disturbances.wait_s() is not None:
+                lost_at = time.monotonic() + self._mission.patience_s
+        if self._stopped and not self._ceased:
+            raise MissionFailed("the estimator has declared the stop, but its last belief was not received")
+        if self._last is None or (self._landed and not self._ceased and not script.expectations):
             words = self._last_words.get("uav", "none")
             raise MissionFailed(f"the uav landed before the search was over; its last words: {words}")
         self._await_landing(self._last)
         self._await_record(self._last.step)
+        self._await_trace()
         return self._flown(self._last)
 
     @property
     def _over(self) -> bool:
         """Whether the search is over and the last compute times, which follow the last belief, have arrived."""
         last, compute = self._last, self._compute
-        if last is None or not (last.ceased or last.step >= self._script.budget):
+        if last is None or not self._ceased:
             return False
         wanted = {"estimator": last.step, "agent": last.step - 1}
         return all(service in compute and compute[service].step >= step for service, step in wanted.items())
+
+    @property
+    def _ceased(self) -> bool:
+        """Whether the last belief has come."""
+        return self._last is not None and (self._last.ceased or self._last.step >= self._script.budget)
 
     def _listen(self, timeout_s: float | None) -> None:
         """Handle what arrives within a time, and check now and then for silent parts."""
@@ -248,8 +260,10 @@ class _Watch:
             case Arrival(key) if key is STOP:
                 self._stopped = self._stopped or self._bus.decode(item, Stop) is not None
             case Arrival(key) if key is BELIEF:
-                if (belief := self._bus.decode(item, Belief)) and belief.step not in self._trace:
+                if (belief := self._bus.decode(item, Belief)) and self._trace.belief(belief):
                     self._follow(belief)
+            case Arrival(key, payload) if key is READING:
+                self._trace.reading(payload, self._mission.system)
             case Arrival(key) if key is HEALTH:
                 if health := self._bus.decode(item, Health):
                     self._watchdog.heard(health.service, time.monotonic())
@@ -264,6 +278,8 @@ class _Watch:
 
     def _follow(self, belief: Belief) -> None:
         script = self._script
+        if self._last and belief.step < self._last.step:
+            return  # it was missed, and comes late
         if self._last is None:
             if script.about:
                 self._progress.say(script.about)
@@ -275,7 +291,6 @@ class _Watch:
         else:
             self._distance_m += math.dist(self._last.position, belief.position)
         self._last = belief
-        self._trace[belief.step] = TracePoint(belief.position, belief.gas, belief.mean, belief.spread)
         self._progress.show(belief, self._distance_m)
 
     def _await_landing(self, last: Belief) -> None:
@@ -305,18 +320,26 @@ class _Watch:
         """Wait until the record has all readings: only a running vehicle can send missing ones again."""
         if not self._mission.record:
             return
-        deadline = time.monotonic() + RECORD_TIMEOUT_S
+        deadline = time.monotonic() + LAG_S
         while not self._record_ended and not ("recorder" in self._compute and self._compute["recorder"].step >= step):
             if time.monotonic() >= deadline:
                 self._progress.say("warning: the record lacks the last readings: they came too late")
                 return
             self._listen(deadline - time.monotonic())
 
+    def _await_trace(self) -> None:
+        """Wait for beliefs that were missed."""
+        deadline = time.monotonic() + LAG_S
+        while self._trace.missing and (left_s := deadline - time.monotonic()) > 0:
+            self._listen(left_s)
+
     def _flown(self, last: Belief) -> Flown:
         script = self._script
-        points = [self._trace[step] for step in sorted(self._trace)]
-        if len(points) != last.step + 1:
-            raise MissionFailed(f"{last.step + 1 - len(points)} of {last.step + 1} beliefs were not received: the trace has gaps")
+        points, lost = self._trace.points(), f"{self._trace.missing} of {last.step + 1} beliefs were not received"
+        if points is None:
+            raise MissionFailed(f"{lost}: the trace has gaps")
+        if self._trace.missing:
+            self._progress.say(f"warning: {lost}: of these the trace has the readings")
         for number, event in enumerate(script.events):
             if event.step is not None and event.step > last.step:
                 self._progress.say(f"warning: events[{number}] of step {event.step} did not happen: the search ended at step {last.step}")

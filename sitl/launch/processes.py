@@ -282,6 +282,7 @@ class Processes:
 def _await_end(child: Child, timeout_s: float, what: str, or_else: str) -> bool:
     """Give a part more time to end, and say what for; returns whether it has ended."""
     print(f"waiting for the {child.part} to {what}", file=sys.stderr)
+    child.signal(signal.SIGTERM)  # the first one may have come while it started, and been lost
     if child.wait(timeout_s):
         return True
     print(f"warning: the {child.part} hangs and is killed: {or_else}", file=sys.stderr)

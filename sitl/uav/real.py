@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 CRITICAL, WARNING = 2, 4
 """Of MAV_SEVERITY."""
-LEAVE_S, LEAVE_POLL_S = 0.7, 0.02
-"""Real time in which a real vehicle is told to return home when this program ends: a launcher waits for a second."""
+LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
+"""Longest real time in which a real vehicle is told to return home when this program ends; a launcher waits for 11 s."""
 SIMULATED_ONLY = {
     "home": "a real vehicle's home is where it stands",
     "strict": "a real autopilot has its own rules for OFFBOARD",
@@ -68,11 +68,14 @@ def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | N
 
 
 def leave(vehicle: "RemoteVehicle", clock: Clock, tell: Callable[[int, str], None]) -> None:
-    """See to it that a real vehicle in the air has someone in charge when this program ends. It takes at most `LEAVE_S`."""
+    """See to it that a real vehicle in the air has someone in charge when this program ends. It takes at most `LEAVE_S`.
+
+    Call it where no signal can cut it short (`cli.uninterrupted`).
+    """
     from sitl.autopilot.state import VehicleFailed
 
     until_s = time.monotonic() + LEAVE_S
-    with cli.uninterrupted(), contextlib.suppress(VehicleFailed):
+    with contextlib.suppress(VehicleFailed):
         said = vehicle.leave()
         vehicle.catch_up(clock.now_s())
         if said:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
+from link import cli
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, PAYLOAD_IN, PAYLOAD_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP
 from link.bus.log import Log
@@ -121,31 +122,33 @@ class Uav:
             self._bus.subscribe(MAVLINK_IN, STOP, *[PAYLOAD_OUT] * bool(self._asking))
             self._bus.watch_services()
             self._bus.publish_health()
-        try:
-            while True:
-                busy_since = time.perf_counter()
-                if not self._clock.speedup:
-                    self._clock.jump(self._busy, self._next_event_s())
-                self._live_until(self._clock.now_s())
-                self._tell_progress()
-                self._go_on_with_the_search()
-                self._judge()
-                self._resend()
-                for port in self._ports:
-                    if due := [*port.telemetry.due(self._clock.stream_s()), *self._protocol.due(port.telemetry)]:
-                        port.link.send(*due)
-                self._tally.compute_s += time.perf_counter() - busy_since
-                if self._bus:
-                    self._bus.keep_health()
-                self._inbox.tell_dropped(self._log)
+        # No KeyboardInterrupt: it could strike within a frame, be lost, or leave a real vehicle in the air.
+        with cli.uninterrupted() as ends:
+            try:
+                while not ends:
+                    busy_since = time.perf_counter()
+                    if not self._clock.speedup:
+                        self._clock.jump(self._busy, self._next_event_s())
+                    self._live_until(self._clock.now_s())
+                    self._tell_progress()
+                    self._go_on_with_the_search()
+                    self._judge()
+                    self._resend()
+                    for port in self._ports:
+                        if due := [*port.telemetry.due(self._clock.stream_s()), *self._protocol.due(port.telemetry)]:
+                            port.link.send(*due)
+                    self._tally.compute_s += time.perf_counter() - busy_since
+                    if self._bus:
+                        self._bus.keep_health()
+                    self._inbox.tell_dropped(self._log)
+                    for link in self._udp:
+                        link.tell_refused(self._log)
+                    self._handle(self._receive())
+            finally:
+                if self._remote:
+                    leave(self._remote, self._clock, self._tell)
                 for link in self._udp:
-                    link.tell_refused(self._log)
-                self._handle(self._receive())
-        finally:
-            if self._remote:
-                leave(self._remote, self._clock, self._tell)
-            for link in self._udp:
-                link.close()
+                    link.close()
 
     def _judge(self) -> None:
         """Raise VehicleFailed once a real vehicle has given the search up and stands on the ground again."""

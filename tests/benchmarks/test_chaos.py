@@ -128,6 +128,18 @@ def test_a_record_may_lack_readings_where_that_is_told(tmp_path: Path) -> None:
     assert verdict.reasons == ("a waypoint of step 3 is not that of the undisturbed mission",)
 
 
+def test_a_trace_may_stand_on_readings_where_beliefs_were_lost_and_that_is_told(tmp_path: Path) -> None:
+    trace = [dict(point) for point in steps()[1]]
+    trace[4] |= {"mean": [None, None], "spread": None}
+    out = {"out": (json.dumps({"ceased": True, "trace": trace}) + "\n",)}
+    told = {"err": ("warning: 1 of 19 beliefs were not received: of these the trace has the readings\n", "record run.mcap\n")}
+    assert judge(evidence(tmp_path, **out, **told)).outcome == AS_UNDISTURBED
+    assert judge(evidence(tmp_path, **out)).reasons == ("the trace differs from step 4 on",)
+    trace[4] |= {"reading": 9.0}
+    out = {"out": (json.dumps({"ceased": True, "trace": trace}) + "\n",)}
+    assert judge(evidence(tmp_path, **out, **told)).reasons == ("the trace differs from step 4 on",)
+
+
 def test_who_cannot_join_over_a_bad_link_says_so(tmp_path: Path) -> None:
     said = {"status": 2, "err": ("error: --connect: no router at tcp/10.99.0.1:7447 (start one with: plumeward router)\n",)}
     nowhere = tmp_path / "nothing" / "run.mcap"

@@ -1,5 +1,7 @@
 """Protects the command line: bad input gives one line that names the flag, the value and what is allowed, and status 2."""
 
+import os
+import signal
 import subprocess
 import sys
 
@@ -109,3 +111,51 @@ cli.run(lambda: os.kill(os.getpid(), signal.SIGTERM))
 """
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "")
+
+
+LAUNCHER = """
+import os, subprocess, sys, time
+subprocess.Popen([sys.executable, "-c", sys.argv[1]], env={**os.environ, "PLUMEWARD_LAUNCHER": str(os.getpid())})
+time.sleep(600)
+"""
+LOSES = """
+import time
+from link import cli
+
+def command():
+    print("begun", flush=True)
+    for _ in range({lost}):
+        try:
+            time.sleep(600)
+        except KeyboardInterrupt:
+            pass
+    time.sleep(600)
+
+cli.AGAIN_S, cli.AGAIN_TIMES = 0.05, 10
+cli.run(command)
+"""
+
+
+@pytest.mark.parametrize("lost", [0, 1, 1000])
+def test_a_part_ends_with_its_launcher_however_often_the_signal_is_lost(lost: int) -> None:
+    """An exception of a signal's handler is lost where Python ignores exceptions, as in a destructor."""
+    launcher = subprocess.Popen([sys.executable, "-c", LAUNCHER, LOSES.format(lost=lost)], stdout=subprocess.PIPE, text=True)
+    assert launcher.stdout
+    with launcher:
+        assert launcher.stdout.readline() == "begun\n"
+        launcher.kill()
+        assert launcher.communicate(timeout=30) == ("", None)  # the part, which has its stdout, has ended
+
+
+def test_what_comes_within_an_uninterrupted_block_is_told_there_and_interrupts_at_its_end() -> None:
+    told: list[int] = []
+
+    def block() -> None:
+        with cli.uninterrupted() as ends:
+            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGINT)
+            told.extend(ends)
+
+    with pytest.raises(KeyboardInterrupt):
+        block()
+    assert told == [signal.SIGTERM, signal.SIGINT]

@@ -89,7 +89,7 @@ def against_paper(results: Results) -> Table:
         " adds the share located.",
         "(3) A mean over ceased missions only: for a method that ceases less often, it covers its easier missions.",
         *([_below_the_floor(results, below)] if below else []),
-        "(5) Compute times of different code on different machines.",
+        "(5) Compute times of different code on different machines; of ours, several missions ran side by side.",
     ])  # fmt: skip
 
 

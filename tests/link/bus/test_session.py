@@ -13,7 +13,7 @@ import zenoh
 from link.bus.inbox import WAITING_MESSAGES
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING, STOP
 from link.bus.messages import Health, Stop
-from link.bus.opening import BusError, open_router
+from link.bus.opening import BusError, NoRouter, open_client, open_router
 from link.bus.session import Arrival, Bus, LivelinessChange, Numbered
 from sitl.launch.relay import Relay
 
@@ -254,6 +254,27 @@ def test_what_cannot_be_opened_is_said_in_one_line(router: str, attempt: Callabl
     with pytest.raises(BusError, match=said) as refusal:
         attempt(router)
     assert len(str(refusal.value).splitlines()) == 1
+
+
+def test_over_a_slow_link_joining_takes_longer(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("link.bus.opening.CONNECT_TIMEOUT_S", 0.2)
+    slow = Relay(router)
+    said: list[str] = []
+
+    def wait(text: str) -> None:
+        said.append(text)
+        slow.restore()
+
+    try:
+        slow.cut()
+        open_client(slow.endpoint, None, wait).close()  # type: ignore[no-untyped-call]
+        assert said == [f"the router at {slow.endpoint} does not answer yet: trying for 15 s more"]
+        monkeypatch.setattr("link.bus.opening.SLOW_CONNECT_S", 0.2)
+        slow.cut()
+        with pytest.raises(NoRouter, match="no router at"):
+            open_client(slow.endpoint, None, said.append)
+    finally:
+        slow.close()
 
 
 def test_of_two_services_of_a_name_the_second_is_refused_and_says_nothing(router: str) -> None:

@@ -112,6 +112,19 @@ def test_waking_when_it_is_due_sends_at_the_same_rates():
     assert counted["LOCAL_POSITION_NED"] == 300
 
 
+def test_slower_streams_go_with_the_fastest_one_at_their_own_rates():
+    source, counted, wakes, now = telemetry(), Counter(), 0, 0.0
+    for stream in STREAMS:
+        if stream.rate_hz > 8.0:
+            source.set_interval(stream.message_id, 125_000.0, 0.0)
+    while now < 9.995:
+        wakes += 1
+        counted.update(m.get_type() for m in source.due(now))
+        now = source.next_due_s()
+    # 8 and 5 Hz coincide once a second only: apart they would be 12 wakes a second.
+    assert (wakes, counted["ATTITUDE"], counted["SYS_STATUS"], counted["HEARTBEAT"]) == (80, 79, 50, 10)
+
+
 def test_a_late_call_sends_one_of_each_and_does_not_catch_up():
     source = telemetry()
     source.due(0.0)

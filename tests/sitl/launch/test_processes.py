@@ -188,6 +188,27 @@ def test_a_part_that_flies_a_real_vehicle_and_hangs_is_killed_in_the_end_and_peo
     assert "warning: the uav hangs and is killed: the vehicle may still fly" in capsys.readouterr().err
 
 
+DEAF = """
+import signal, sys, time
+def hear(*_):
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+signal.signal(signal.SIGTERM, hear)
+print("flying", flush=True)
+while True:
+    time.sleep(0.05)
+"""
+
+
+def test_a_part_that_has_lost_its_signal_is_told_again(
+    launched: Launched, wait_until: Callable, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(module, "STOP_TIMEOUT_S", 0.2)
+    launched.processes.start("uav", TOLD, DEAF).flies = True
+    wait_until(launched.lines)
+    launched.processes.stop()
+    assert capsys.readouterr().err == "waiting for the uav to send the vehicle home\n"  # and not that it hangs and is killed
+
+
 def test_a_part_that_answers_is_waited_for_and_its_answer_is_not_shown(launched: Launched, wait_until: Callable) -> None:
     child = launched.processes.start("recorder", TOLD, "print('recording'); print('more')")
     assert launched.processes.answer(child) == "recording"

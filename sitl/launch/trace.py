@@ -1,0 +1,68 @@
+"""The trace of a mission as the launcher hears it: a point of each belief, and of lost beliefs what their readings tell."""
+
+import math
+
+from link.bus.mavlink import BadFrame, unpack_reading
+from link.bus.messages import Belief
+from plume.outcome import TracePoint
+
+MOST_READINGS = 100_000
+"""Readings that wait for their beliefs; a stranger could publish without end."""
+
+
+class HeardTrace:
+    """Beliefs by step, and the readings since the last of them before which none is missing.
+
+    Beliefs are dropped where a link cannot carry them; readings never are.
+    """
+
+    def __init__(self) -> None:
+        """Begin with nothing heard."""
+        self._points: dict[int, TracePoint] = {}
+        self._times: dict[int, int] = {-1: -1}
+        self._readings: dict[int, tuple[tuple[float, float], float]] = {}
+        self._whole_to = -1
+
+    def reading(self, payload: bytes, system: int) -> None:
+        """Take a reading; one that cannot be read is left to the estimator, which refuses it."""
+        try:
+            said = unpack_reading(payload, system)
+        except BadFrame:
+            return
+        if said.time_boot_ms > self._times[self._whole_to] and len(self._readings) < MOST_READINGS:
+            self._readings.setdefault(said.time_boot_ms, (said.position, said.gas))
+
+    def belief(self, belief: Belief) -> bool:
+        """Take a belief; returns whether it is a new one."""
+        if belief.step in self._points:
+            return False
+        self._points[belief.step] = TracePoint(belief.position, belief.gas, belief.mean, belief.spread)
+        self._times[belief.step] = belief.time_boot_ms
+        if belief.step == self._whole_to + 1:
+            while self._whole_to + 1 in self._points:
+                self._whole_to += 1
+            now = self._times[self._whole_to]
+            self._readings = {time: said for time, said in self._readings.items() if time > now}
+        return True
+
+    @property
+    def missing(self) -> int:
+        """How many beliefs before the last one have not come."""
+        return max(self._points, default=-1) + 1 - len(self._points)
+
+    def points(self) -> list[TracePoint] | None:
+        """Return the trace; None if it cannot be told.
+
+        Of a belief that has not come the position and gas are those of its reading, mean and spread are NaN. The readings between two
+        beliefs tell of those between if they are as many: the estimator may have refused some.
+        """
+        trace: list[TracePoint] = []
+        for step in sorted(self._points):
+            before, until = self._times[len(trace) - 1], self._times[step]
+            between = sorted(time for time in self._readings if before < time < until)
+            if lost := step - len(trace):
+                if len(between) != lost:
+                    return None
+                trace += [TracePoint(*self._readings[time], mean=(math.nan, math.nan), spread=math.nan) for time in between]
+            trace.append(self._points[step])
+        return trace

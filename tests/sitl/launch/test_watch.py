@@ -1,0 +1,68 @@
+"""Protects the launcher's watch over a mission from waiting for ever for what is lost."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import pytest
+
+from link.bus.keys import BELIEF, STOP
+from link.bus.messages import Stop
+from link.bus.session import Arrival
+from sitl.launch import launcher as module
+from sitl.launch.disturbances import Disturbances
+from sitl.launch.launcher import _Watch
+from sitl.launch.mission import Launch
+from sitl.launch.processes import MissionFailed
+from sitl.launch.watchdog import Watchdog
+from sitl.script.script import Script
+from tests.fuzz.services import QuietBus
+from tests.sitl.launch.test_trace import belief
+
+PATIENCE_S = 40.0
+
+
+class FallsSilent(QuietBus):
+    """A bus with its own time: after what arrives at once nothing more comes."""
+
+    connected = True
+    now_s = 0.0
+
+    def receive(self, timeout_s: float | None = None) -> Any:
+        if self._arrivals:
+            return self._arrivals.pop(0)
+        assert timeout_s
+        self.now_s += timeout_s
+        assert self.now_s < 1000.0, "it waits for ever"
+        return None
+
+
+def watch(bus: FallsSilent, monkeypatch: pytest.MonkeyPatch) -> _Watch:
+    """The watch over a mission of one move, in the bus's time."""
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: bus.now_s))
+    progress: Any = SimpleNamespace(wait=lambda _: None, say=lambda _: None, show=lambda *_: None)
+    watchdog = Watchdog([], PATIENCE_S, 0.0, progress.say)
+    processes: Any = None
+    disturbances = Disturbances([], processes, {}, watchdog, progress.say)
+    mission = Launch(Script(seed=7).changed({"agent.budget": 1}), patience_s=PATIENCE_S)
+    return _Watch(mission, bus, progress, watchdog, disturbances, "tcp/127.0.0.1:1", None)
+
+
+def test_a_mission_whose_last_belief_is_lost_fails_when_patience_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    stop = Stop(1000, 1, (7.0, 8.0), (1.0, 0.0, 1.0), 0.4, 0.5)
+    bus = FallsSilent(
+        Arrival(BELIEF, msgspec.json.encode(belief(0)), b""),
+        Arrival(STOP, msgspec.json.encode(stop), b""),
+    )
+    with pytest.raises(MissionFailed, match=r"^the estimator has declared the stop, but its last belief was not received$"):
+        watch(bus, monkeypatch).until_the_end()
+    assert PATIENCE_S <= bus.now_s <= PATIENCE_S + 2.0
+
+
+def test_a_mission_whose_last_compute_times_are_lost_ends_with_its_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus = FallsSilent(*(Arrival(BELIEF, msgspec.json.encode(belief(step)), b"") for step in (0, 1)))
+    watching = watch(bus, monkeypatch)
+    monkeypatch.setattr(watching, "_await_landing", lambda _: None)
+    flown = watching.until_the_end()
+    assert (len(flown.trace), flown.outcome.search_time_s) == (2, 0.0)
+    assert PATIENCE_S <= bus.now_s <= PATIENCE_S + 2.0
