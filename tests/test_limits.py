@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from agent import bundle, graphs
-from link.bus import inbox
+from link.bus import inbox, opening
 from link.record import reader
 from link.signing import timestamps
 from sitl.bridge import bus_link, links, tcp
@@ -19,6 +19,7 @@ def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
     section = PAGE.read_text().partition("## Limits on hostile input")[2].partition("\n## ")[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line.startswith("| ")][1:]
     assert {row[0]: row[1] for row in rows} == {
+        "message on the bus": f"{opening.MOST_MESSAGE // MIB} MiB",
         "policy bundle": f"{bundle.MOST_BYTES // MIB} MiB of graph, {bundle.MOST_PAGE_BYTES // MIB} MiB of page, "
         f"{graphs.MOST_NODES} nodes, {graphs.MOST_WORK:,} multiplications a decision, {bundle.LONGEST_DECISION_S:g} s for a trial",
         "record": f"unpacks to {reader.MOST_RATIO} times its size, or to {reader.SMALL // MIB} MiB; "
@@ -38,3 +39,5 @@ def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
     }
     assert udp.MOST_PEERS == links.MOST_PEERS
     assert (bus_link.MOST_WAITING, bus_link.WAITING_BYTES) == (inbox.WAITING_MESSAGES, inbox.WAITING_BYTES)
+    compose = PAGE.parents[1] / "compose.yaml"
+    assert f"max_message_size:{opening.MOST_MESSAGE}" in compose.read_text()  # its router is Zenoh's own

@@ -183,6 +183,8 @@ def _put(path: Path, data: bytes, mode: int) -> None:
     try:
         with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
             file.write(data)
+            file.flush()
+            os.fsync(file.fileno())  # else a power cut may leave an empty file
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)

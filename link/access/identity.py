@@ -29,6 +29,14 @@ class Identity(NamedTuple):
     """Its common name, such as uav/1/agent."""
     tls: dict[str, Any]
     """Zenoh's `transport/link/tls`."""
+    until: datetime.datetime
+    """When it expires, or its CA does."""
+
+    def expiry(self) -> str:
+        """Return that it has expired, which closes its link, and what to do then. Empty if it is still valid."""
+        if datetime.datetime.now(datetime.UTC) <= self.until:
+            return ""
+        return f"the certificate {self.name} expired on {self.until:%Y-%m-%d}: renew it with plumeward certs, and start this part again"
 
     def lack(self, roles: tuple[str, ...], what: str, service: str | None = None) -> str:
         """Return which right it lacks if only these roles may do something; with a service, it must be of its role too. Empty if none."""
@@ -55,7 +63,7 @@ def identity(folder: Path, service: str, namespace: str | None) -> Identity:
     if role in OF_A_VEHICLE and not _is_a_vehicles(namespace):
         raise AccessError(f"--namespace: {namespace!r} is not allowed with --secure; wanted uav/1 to uav/{MOST_VEHICLES}")
     name = common_name(role, namespace)
-    _check(folder, name, namespace if role in OF_A_VEHICLE else None)
+    until = _check(folder, name, namespace if role in OF_A_VEHICLE else None)
     side = "listen" if role == ROUTER else "connect"
     tls = {
         "root_ca_certificate": str(folder / "ca.pem"), f"{side}_certificate": str(folder / f"{name}.pem"),
@@ -63,15 +71,15 @@ def identity(folder: Path, service: str, namespace: str | None) -> Identity:
         # Zenoh's clients also trust the public CAs of browsers: only the router's name keeps their certificates out.
         "verify_name_on_connect": True,
     }  # fmt: skip
-    return Identity(folder, role, name, tls)
+    return Identity(folder, role, name, tls, until)
 
 
 def _is_a_vehicles(namespace: str | None) -> bool:
     return namespace in {f"uav/{number}" for number in range(1, MOST_VEHICLES + 1)}
 
 
-def _check(folder: Path, name: str, namespace: str | None) -> None:
-    """Raise AccessError if a certificate is missing, another's, of another CA or not valid now."""
+def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
+    """Return until when a certificate is valid. Raise AccessError if it is missing, another's, of another CA or not valid now."""
     from cryptography import x509  # takes time to load, and only --secure needs it
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
     from cryptography.x509.oid import NameOID
@@ -107,6 +115,7 @@ def _check(folder: Path, name: str, namespace: str | None) -> None:
             raise AccessError(f"--secure: {where} expired on {certificate.not_valid_after_utc:%Y-%m-%d} ({renewed})")
         if now < certificate.not_valid_before_utc:
             raise AccessError(f"--secure: {where} is not valid before {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC")
+    return min(ca.not_valid_after_utc, own.not_valid_after_utc)
 
 
 def issued(certificate: "Certificate", ca: "Certificate") -> bool:

@@ -23,6 +23,9 @@ FULL_S = 0.02
 """How long a router waits for a client that takes nothing and whose queue is full, before it cuts the link. Meanwhile others wait, too:
 Zenoh forwards to one client after the other (its issues 1876 and 2585). By default it waits for 5 s, and the stop with it."""
 
+MOST_MESSAGE = 64 * 2**20
+"""Most bytes of a message: a belief of a million particles with all unknowns has 56 MB. Receivers drop a larger one, and keep the link."""
+
 
 class BusError(Exception):
     """The bus cannot be joined or opened; the text is one line."""
@@ -51,6 +54,7 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
     config.insert_json5("scouting/gossip/enabled", "false")
     config.insert_json5("scouting/delay", "0")  # nobody to scout for: a router opens at once instead of after 0.5 s
     config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
+    config.insert_json5("transport/link/rx/max_message_size", json.dumps(MOST_MESSAGE))
     # A belief of 4,000 particles is larger than the two batches that wait by default: where the other side is slow, it would be dropped.
     # More of the other priorities wait, too: a router that finds their queue full cuts the link.
     for name in ("interactive_high", "data", "data_low"):

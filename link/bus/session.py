@@ -134,6 +134,7 @@ class Bus:
         self._ready: deque[Any] = deque()
         self._given_at = time.monotonic()
         self._health_at = math.inf
+        self._expired = False
         self._token: Any = None
         self._sole = Sole(self._session, self._own_health(), lambda: self.tally.uptime_s) if sole else None
         if self._sole:
@@ -270,6 +271,10 @@ class Bus:
         """True while a router is connected."""
         return bool(self._session.info.routers_zid())
 
+    def expiry(self) -> str:
+        """Return that our certificate has expired, and what to do; empty if it has not, or if there is none."""
+        return self._identity.expiry() if self._identity else ""
+
     def receive(self, timeout_s: float | None = None) -> Any:
         """Return the next item of the inbox; None if none comes within timeout_s. Without a timeout it waits forever."""
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
@@ -362,6 +367,9 @@ class Bus:
         """Publish the service's health if HEALTH_EVERY_S have passed since the last time. Raises BusError beside an older one, if sole."""
         if self._sole and self._sole.has_elder:
             raise self._superfluous()
+        if not self._expired and (expiry := self.expiry()):
+            self._expired = True
+            self.log.warning(expiry)
         if time.monotonic() >= self._health_at:
             self.publish_health()
 

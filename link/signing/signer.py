@@ -111,7 +111,7 @@ class Signer:
             log.tally.refuse(f"{reason} ({self._url})", count)
         for line in lines:
             log.warning(line)
-        if failure := self._timestamps.failure:
-            self._timestamps.failure = ""
-            log.warning(failure)
+        if notice := self._timestamps.notice:
+            self._timestamps.notice = ""
+            log.warning(notice)
         return refused

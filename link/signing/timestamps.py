@@ -18,8 +18,12 @@ LAST = 2**48 - 1
 MINUTE = 60 * UNITS_A_S
 """A stream that is new may be so far behind."""
 MOST_STREAMS = 512
+KEPT_EVERY_S = 1.0
+"""So often what has been written is brought to the disk, where it outlasts a power cut."""
 Stream = tuple[int, int, int]
 """System id, component id, link id."""
+FORGOTTEN: Stream = (256, 0, 0)
+"""Stands for the streams that had to be forgotten; its timestamp is the last of theirs. A stream that is not known must be later."""
 LINE = re.compile(rb"( *\d+) +(\d+) +(\d+) +(\d+)\n")
 EMPTY = b" " * 27 + b"\n"
 
@@ -33,6 +37,7 @@ class Timestamps:
     """The last timestamp of each stream that a process has sent or accepted, for all its links. Safe in several threads.
 
     Each timestamp is in the file before it is used, in a line of its own that is written at once, so a process may be killed at any time.
+    A power cut may take those of the last KEPT_EVERY_S: waiting for the disk at each frame would hold up the flight.
     The file belongs to one process at a time.
     """
 
@@ -44,9 +49,11 @@ class Timestamps:
         self._lines: dict[Stream, int] = {}
         """The line of each stream in the file."""
         self._latest: dict[Stream, int] = {}
-        self.failure = ""
-        """Why the file can no longer be written, until somebody has taken notice."""
-        self._failed = False
+        self.notice = ""
+        """What people should know, until somebody has told them: that the file cannot be written, or that a sender is far ahead."""
+        self._failed = self._ahead = False
+        self._written = 0
+        """How many lines have been written."""
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         except OSError as error:
@@ -59,6 +66,9 @@ class Timestamps:
         self._last = max(self._latest.values(), default=0)
         self.ahead_s = (self._last - now()) / UNITS_A_S
         """By how much the last timestamp was later than the clock at the start; negative if it was earlier."""
+        self._closed = threading.Event()
+        self._keeper = threading.Thread(target=self._keep, name="timestamps", daemon=True)
+        self._keeper.start()
 
     def _load(self) -> None:
         try:
@@ -93,42 +103,72 @@ class Timestamps:
     def accept(self, stream: Stream, timestamp: int) -> bool:
         """Whether a frame that is rightly signed is new. If so, it is remembered, and own timestamps will be later.
 
-        It must be later than the last one of its stream. A new stream may be a minute behind, not more.
+        It must be later than the last one of its stream. A new stream may be a minute behind, not more, and must be later than all
+        that was forgotten.
         """
         with self._lock:
             if (before := self._latest.get(stream)) is not None:
                 new = timestamp > before
             else:
                 ours = max(self._now(), self._last)
-                full = len(self._lines) >= MOST_STREAMS and min(self._latest.values()) >= ours - MINUTE
-                new = timestamp >= ours - MINUTE and not full
+                new = timestamp >= ours - MINUTE and timestamp > self._latest.get(FORGOTTEN, -1)
             if new:
                 self._last = max(self._last, timestamp)
                 self._remember(stream, timestamp)
+                self._look_ahead(stream, timestamp)
             return new
 
+    def _look_ahead(self, stream: Stream, timestamp: int) -> None:
+        """Say once that a timestamp is far ahead of the clock. It is taken all the same, as the standard has it: clocks may be wrong."""
+        if (ahead := timestamp - self._now()) > MINUTE and not self._ahead:
+            self._ahead = True
+            self.notice = (
+                f"system {stream[0]}, component {stream[1]} signs {ahead / UNITS_A_S:.0f} s later than the clock, "
+                "and so all do who hear it: who then begins with the right time is refused"
+            )
+
     def _remember(self, stream: Stream, timestamp: int) -> None:
-        """Write a timestamp down; where there is no room for one more stream, the oldest is forgotten."""
+        """Write a timestamp down."""
         if stream not in self._lines:
-            if len(self._lines) < MOST_STREAMS:
-                self._lines[stream] = min(set(range(MOST_STREAMS)) - set(self._lines.values()))
-            else:
-                oldest = min(self._latest, key=self._latest.__getitem__)
-                del self._latest[oldest]
-                self._lines[stream] = self._lines.pop(oldest)
+            while len(self._lines) >= MOST_STREAMS:
+                self._forget()
+            self._lines[stream] = min(set(range(MOST_STREAMS)) - set(self._lines.values()))
         self._latest[stream] = timestamp
         self._write(self._lines[stream], b"%3d %3d %3d %15d\n" % (*stream, timestamp))
 
+    def _forget(self) -> None:
+        """Make room by forgetting the oldest stream. What it has said stays refused: FORGOTTEN is written before its line is used again."""
+        oldest = min(self._latest.keys() - {FORGOTTEN}, key=self._latest.__getitem__)
+        timestamp, line = self._latest.pop(oldest), self._lines.pop(oldest)
+        self._lines.setdefault(FORGOTTEN, line)
+        self._remember(FORGOTTEN, timestamp)
+
     def _write(self, number: int, line: bytes) -> None:
+        self._written += 1
         try:
             os.pwrite(self._file, line, number * len(EMPTY))
         except OSError as error:
             if not self._failed:
                 self._failed = True
-                self.failure = f"{str(self._path)!r} cannot be written: {error.strerror}; after a restart old frames may pass"
+                self.notice = f"{str(self._path)!r} cannot be written: {error.strerror}; after a restart old frames may pass"
+
+    def _keep(self) -> None:
+        """Bring what is written to the disk, until the end."""
+        kept = -1
+        while not self._closed.wait(KEPT_EVERY_S):
+            if self._written != kept:
+                kept = self._written
+                with suppress(OSError):
+                    os.fdatasync(self._file)
 
     def close(self) -> None:
-        """Free the file; a second call has no effect."""
-        with suppress(OSError), self._lock:
+        """Keep what was written and free the file; a second call has no effect."""
+        self._closed.set()
+        self._keeper.join()
+        with self._lock:
+            if self._file < 0:
+                return
+            with suppress(OSError):
+                os.fdatasync(self._file)
             os.close(self._file)
             self._file = -1

@@ -86,11 +86,11 @@ class BusChannel:
             if connected:
                 self._bus.log.info(f"{self.traffic.url}: the router is back")
             else:
-                self._bus.log.warning(f"{self.traffic.url}: the router is gone; it is tried again")
+                self._bus.log.warning(f"{self.traffic.url}: {self.trouble()}")
 
     def trouble(self) -> str:
         """Why nothing can be sent."""
-        return "" if self._connected else "the router is gone; it is tried again"
+        return "" if self._connected else self._bus.expiry() or "the router is gone; it is tried again"
 
     def _publish(self) -> None:
         while (item := self._leaving.get()) is not None:

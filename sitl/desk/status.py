@@ -141,7 +141,7 @@ def _look(bus: Bus, args: argparse.Namespace, shown: "Live | _Printer") -> bool:
         now_s = time.monotonic()
         gone = not bus.connected
         if gone or now_s >= show_at or (math.isinf(show_at) and board.settled(now_s)):
-            router = f"--connect: the router at {args.connect} is gone" if gone else ""
+            router = f"--connect: {bus.expiry() or f'the router at {args.connect} is gone'}" if gone else ""
             report = {name: {"status": MISSING} for name in args.parts or PARTS} if gone else board.report(now_s)
             well = _show(args, shown, router, report)
             if gone or not args.watch:

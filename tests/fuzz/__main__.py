@@ -1,8 +1,8 @@
 """Fuzzes decoders, guided by which lines of our code an input reaches: `python -m tests.fuzz [NAME ...] [--runs N]`.
 
 Each decoder runs in a process of its own under Atheris (libFuzzer). An input that breaks a promise, takes more than LONGEST_S or more
-memory than MOST_MIB ends the run of its decoder and is kept in runs/fuzz/NAME. To see it again: `python -m tests.fuzz NAME FILE`. Once it
-is mended, move it into tests/fuzz/finds/NAME, where a test looks at it.
+memory than MOST_MIB, or hangs, ends the run of its decoder and is kept in runs/fuzz/NAME. To see it again:
+`python -m tests.fuzz NAME FILE`. Once it is mended, move it into tests/fuzz/finds/NAME, where a test looks at it.
 """
 
 import argparse
@@ -19,7 +19,9 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 RUNS = 100_000
-LONGEST_S, MOST_MIB, LONGEST_INPUT = 20, 2048, 4_096
+LONGEST_S, HUNG_S = 20, 300
+"""Most processor time of an input, and most time at all: on a busy machine a process may stand still for a while."""
+MOST_MIB, LONGEST_INPUT = 2048, 4_096
 FOLLOWED = ("link", "scene", "sitl", "estimator", "agent", "mcap", "ruamel")
 """Packages whose branches guide the search, except modules with kernels: those are compiled from their bytecode."""
 FOUND = 77
@@ -91,8 +93,14 @@ def _inside(name: str, runs: int, inputs: list[Path]) -> None:
             return bytes(atheris.Mutate(data, most))
         return edited(draws.choice(seeds()) if draws.random() < 0.1 else data, draws.randbytes(EDIT * draws.randint(1, 6)))[:most]
 
+    def timed(data: bytes) -> None:
+        began_s = time.process_time()
+        check(bytes(data))
+        if (took_s := time.process_time() - began_s) > LONGEST_S:
+            raise TimeoutError(f"it took {took_s:.0f} s of processor time")
+
     folder = ROOT / "runs" / "fuzz" / name
-    settings = [f"-timeout={LONGEST_S}", f"-rss_limit_mb={MOST_MIB}", f"-artifact_prefix={folder}/", "-print_final_stats=1", "-seed=1"]
+    settings = [f"-timeout={HUNG_S}", f"-rss_limit_mb={MOST_MIB}", f"-artifact_prefix={folder}/", "-print_final_stats=1", "-seed=1"]
     corpus: list[str] = [str(path) for path in inputs]
     if not inputs:
         begun = folder / "seeds"
@@ -104,7 +112,7 @@ def _inside(name: str, runs: int, inputs: list[Path]) -> None:
     for seed in seeds():  # compiles, and fills caches
         check(seed)
     options: dict[str, Any] = {} if inputs else {"custom_mutator": mutated}
-    atheris.Setup([sys.argv[0], *settings, *corpus], lambda data: check(bytes(data)), **options)
+    atheris.Setup([sys.argv[0], *settings, *corpus], timed, **options)
     with contextlib.suppress(KeyboardInterrupt):
         atheris.Fuzz()
 

@@ -18,6 +18,8 @@ NUMBERS = (
     b"3.5e38", b"1e7", b"null", b"true", b'"1"', b"[]", b"{}", b"[1,2]", b".inf", b"NaN",
 )  # fmt: skip
 FLOATS = (0.0, -0.0, 1e-45, 1e30, 3.4e38, -3.4e38, float("inf"), float("nan"), 1e6, -1.0)
+MAGIC = re.compile(rb"[\xfd\xfe]")
+"""The first byte of a frame."""
 EDIT = 5
 """Bytes that say one edit."""
 
@@ -64,7 +66,8 @@ def as_sent(data: bytes, stamp: int = 0) -> bytes:
     if zlib.crc32(data) % 8 == 0:
         return data
     mended, at = bytearray(data), 0
-    while at + stamp + 3 <= len(data):
+    while (magic := MAGIC.search(data, at + stamp)) and magic.start() + 3 <= len(data):
+        at = magic.start() - stamp
         frame = frame_at(data, at + stamp)
         if frame is None:
             at += frame_length(data, at + stamp) or 1

@@ -405,3 +405,20 @@ def test_operators_command_every_vehicle_and_observers_none(secure: str, folder:
         observer.settle(5)
         operator.publish(MAVLINK_IN, b"from the operator")
         assert uav.receive(10).payload == b"from the operator"
+
+
+def test_a_part_whose_certificate_expires_says_so_once_when_the_router_closes_its_link(
+    secure: str, folder: Path, tmp_path: Path, wait_until: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for file in ("ca.pem", "ca.key"):
+        (tmp_path / file).write_bytes((folder / file).read_bytes())
+    until = datetime.datetime.now(datetime.UTC) + datetime.timedelta(seconds=3)
+    make(tmp_path, [1], days=1, now=until - datetime.timedelta(days=1))
+    with Bus("agent", secure, secure=tmp_path) as agent:
+        assert agent.connected
+        assert agent.expiry() == ""
+        wait_until(lambda: agent.receive(timeout_s=0.0) is None and not agent.connected)
+        agent.receive(timeout_s=0.0)
+        assert agent.expiry().startswith("the certificate uav/1/agent expired on ")
+        assert agent.tally.last_error == agent.expiry()
+    assert capsys.readouterr().err.count("expired on") == 1

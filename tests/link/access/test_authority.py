@@ -1,6 +1,7 @@
 """Protects the development CA: what its certificates are good for, who can read its keys, and that nothing is overwritten unasked."""
 
 import datetime
+import os
 import shutil
 import ssl
 import stat
@@ -72,6 +73,14 @@ def test_only_their_owner_can_read_the_keys(folder: Path) -> None:
     keys = sorted(folder.rglob("*.key"))
     assert len(keys) == 1 + 3 + 2 * len(ROLES)
     assert {stat.S_IMODE(key.stat().st_mode) for key in keys} == {0o600}
+
+
+def test_certificates_and_keys_are_on_the_disk_before_they_have_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[tuple[str, int]] = []
+    monkeypatch.setattr(os, "fsync", lambda file: kept.append((os.readlink(f"/proc/self/fd/{file}"), os.fstat(file).st_size)))
+    make(tmp_path, [1])
+    whole = {path: path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()}
+    assert {Path(name.removesuffix(f".{os.getpid()}.partial")): size for name, size in kept} == whole
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from link.signing import timestamps
 from link.signing.timestamps import LAST, MOST_STREAMS, Timestamps, clock
 
 A_S = 100_000
@@ -98,6 +99,18 @@ def test_a_new_stream_may_be_a_minute_behind_and_no_more(opened: Callable) -> No
     assert not times.accept((4, 5, 6), NOON)  # a minute behind the latest that is known, too
 
 
+def test_of_senders_far_ahead_the_first_is_told_and_each_is_heard(opened: Callable) -> None:
+    times = opened()
+    assert times.accept(STATION, NOON + 60 * A_S)
+    assert times.notice == ""
+    assert times.accept(STATION, NOON + 86400 * A_S)
+    assert times.notice.startswith("system 255, component 190 signs 86400 s later than the clock")
+    times.notice = ""
+    assert times.accept(STATION, NOON + 86401 * A_S)
+    assert times.notice == ""
+    assert times.next(ME) > NOON + 86401 * A_S
+
+
 def test_a_sender_without_a_clock_is_heard_after_a_long_silence(opened: Callable, now: list[int]) -> None:
     opened().accept(STATION, NOON)
     now[0] += 600 * A_S
@@ -106,14 +119,36 @@ def test_a_sender_without_a_clock_is_heard_after_a_long_silence(opened: Callable
 
 def test_streams_without_end_neither_fill_memory_nor_let_an_old_frame_in(opened: Callable, now: list[int], tmp_path: Path) -> None:
     times = opened()
-    streams = [(1 + number // 256, 1, number % 256) for number in range(MOST_STREAMS)]
-    assert all(times.accept(stream, NOON) for stream in streams)
-    assert not times.accept(STATION, NOON + A_S)  # no room: each of the others could still be repeated
-    now[0] += 61 * A_S
-    assert times.accept(STATION, now[0])
-    assert not any(times.accept(stream, NOON) for stream in streams)
+    streams = [(1 + number // 256, 1, number % 256) for number in range(2 * MOST_STREAMS)]
+    assert all(times.accept(stream, NOON + number) for number, stream in enumerate(streams))
+    for reopened in (times, opened()):
+        assert not any(reopened.accept(stream, NOON + number) for number, stream in enumerate(streams))
+    assert not times.accept(STATION, NOON)  # of an unknown stream: it may be one that was forgotten
+    assert opened().accept(STATION, NOON + A_S)
     assert (tmp_path / "key.uav-1").stat().st_size == 28 * MOST_STREAMS
-    assert opened().accept(streams[-1], NOON + 1)
+
+
+def test_what_is_sent_for_ever_new_senders_does_not_let_a_stations_last_frame_in_again(opened: Callable) -> None:
+    times = opened()
+    assert times.accept(STATION, NOON)
+    for number in range(MOST_STREAMS + 10):  # as a bridge signs what others send
+        times.next((1 + number // 256, 1, number % 256))
+    assert not times.accept(STATION, NOON)
+    times = opened()
+    assert not times.accept(STATION, NOON)
+    assert times.accept(STATION, NOON + A_S)
+
+
+def test_what_was_written_is_brought_to_the_disk_without_end_of_the_process(
+    opened: Callable, monkeypatch: pytest.MonkeyPatch, wait_until: Callable[..., None]
+) -> None:
+    kept: list[bytes] = []
+    monkeypatch.setattr(timestamps, "KEPT_EVERY_S", 0.01)
+    monkeypatch.setattr(os, "fdatasync", lambda file: kept.append(os.pread(file, 28, 0)))
+    times = opened()
+    wait_until(lambda: kept)
+    assert times.accept(STATION, NOON)
+    wait_until(lambda: kept[-1].split() == [b"255", b"190", b"0", b"%d" % NOON])
 
 
 def test_the_last_timestamp_of_all_is_no_error(opened: Callable) -> None:
@@ -176,11 +211,11 @@ def test_a_full_disk_is_told_once_and_frames_are_still_taken_once(opened: Callab
 
     monkeypatch.setattr(os, "pwrite", full)
     assert times.accept(STATION, NOON)
-    assert "No space left on device" in times.failure
-    times.failure = ""
+    assert "No space left on device" in times.notice
+    times.notice = ""
     assert not times.accept(STATION, NOON)
     assert times.next(ME) > NOON
-    assert times.failure == ""
+    assert times.notice == ""
 
 
 KILLED = """

@@ -1,0 +1,83 @@
+"""Protects memory from large messages: a receiver drops them, and goes on with its link."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import zenoh
+
+from link.bus import opening
+from link.bus.keys import BELIEF
+from link.bus.messages import pack_particles
+from link.bus.opening import open_router, zenoh_config
+from link.bus.session import Arrival, Bus
+from plume.parameters import PARAMETERS
+
+MOST = 256 * 1024
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Set a limit that a test can exceed quickly."""
+    monkeypatch.setattr(opening, "MOST_MESSAGE", MOST)
+
+
+def plain(mode: str, **settings: object) -> zenoh.Session:
+    """A session with Zenoh's own limit."""
+    config = zenoh_config(mode, {}, **settings)
+    config.insert_json5("transport/link/rx/max_message_size", json.dumps(2**30))
+    return zenoh.open(config)
+
+
+@contextmanager
+def router_without_limit() -> Iterator[str]:
+    with plain("router", listen__endpoints=["tcp/127.0.0.1:0"], adminspace__enabled=True) as router:
+        (reply,) = router.get(f"@/{router.zid()}/router")
+        assert reply.ok
+        yield str(json.loads(reply.ok.payload.to_bytes())["locators"][0])
+
+
+@contextmanager
+def our_router() -> Iterator[str]:
+    session, endpoint = open_router("tcp/127.0.0.1:0")
+    with session:
+        yield endpoint
+
+
+def publish(stranger: zenoh.Session, wait_until: Callable[..., None], *sizes: int) -> None:
+    publisher = stranger.declare_publisher("uav/1/belief", congestion_control=zenoh.CongestionControl.BLOCK)
+    wait_until(lambda: publisher.matching_status.matching)
+    for size in sizes:
+        publisher.put(bytes(size))
+
+
+def test_a_part_drops_a_message_above_the_limit_and_gets_the_next_one(wait_until: Callable[..., None]) -> None:
+    with router_without_limit() as endpoint, Bus("agent", endpoint) as agent, plain("client", connect__endpoints=[endpoint]) as stranger:
+        joined = agent._session.info.routers_zid()
+        agent.subscribe(BELIEF)
+        publish(stranger, wait_until, MOST - 1000, MOST + 1, 5)
+        got = [item for item in (agent.receive(10.0), agent.receive(10.0)) if isinstance(item, Arrival)]
+        assert [len(item.payload) for item in got] == [MOST - 1000, 5]
+        assert joined
+        assert agent._session.info.routers_zid() == joined
+
+
+def test_the_router_drops_a_message_above_the_limit_and_keeps_its_sender(wait_until: Callable[..., None]) -> None:
+    with our_router() as endpoint, plain("client", connect__endpoints=[endpoint]) as hears, plain(
+        "client", connect__endpoints=[endpoint]
+    ) as stranger:  # fmt: skip
+        sizes: list[int] = []
+        held = hears.declare_subscriber("uav/1/belief", lambda sample: sizes.append(len(sample.payload)))
+        publish(stranger, wait_until, MOST - 1000, MOST + 1, 5)
+        wait_until(lambda: 5 in sizes)
+        assert sizes == [MOST - 1000, 5]
+        assert stranger.info.routers_zid()
+        held.undeclare()
+
+
+def test_the_largest_belief_is_below_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    particles = np.zeros((1_000_000, len(PARAMETERS) + 1), np.float32)
+    assert len(pack_particles(particles)) + 10_000 < opening.MOST_MESSAGE  # the rest of a belief has some 1,000 bytes
