@@ -48,6 +48,9 @@ class Relay:
         """End the thread and close all connections."""
         self._closed = True
         self._wake.send(b".")
+        for each in tuple(self._peers):
+            with contextlib.suppress(OSError):  # it has gone
+                each.shutdown(socket.SHUT_RDWR)  # the thread may be waiting for one that takes nothing
         self._thread.join()
         for each in (*self._peers, self._listener, self._wake, self._woken):
             each.close()

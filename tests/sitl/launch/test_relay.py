@@ -90,6 +90,20 @@ def test_without_a_router_behind_it_a_connection_is_closed(echo: str) -> None:
     relay.close()
 
 
+def test_it_closes_though_a_router_takes_nothing() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as deaf:
+        relay = Relay(f"tcp/127.0.0.1:{deaf.getsockname()[1]}")
+        with connected(relay) as peer:
+            peer.settimeout(0.5)
+            with pytest.raises(TimeoutError):  # all is full: the relay waits for the router
+                while True:
+                    peer.sendall(bytes(1 << 20))
+            closing = threading.Thread(target=relay.close, daemon=True)
+            closing.start()
+            closing.join(20.0)
+            assert not closing.is_alive()
+
+
 def test_other_protocols_than_tcp_are_refused() -> None:
     with pytest.raises(ValueError, match="wanted tcp/HOST:PORT"):
         Relay("udp/127.0.0.1:7447")
