@@ -19,6 +19,8 @@ from plume.outcome import TracePoint
 AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN = "as undisturbed", "failsafe", "failed, told", "broken"
 OUTCOMES = (AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN)
 GAVE_UP = "the uav landed before the search was over; its last words: "
+START_S = 5.0
+"""A second service that ran for less beside the mission may not have joined before the mission's end."""
 REASON = "No setpoint for "
 """What the vehicle says before it returns home for want of waypoints."""
 SILENT = " has said nothing for "
@@ -44,6 +46,8 @@ class Evidence(msgspec.Struct, frozen=True):
     others: Mapping[str, tuple[str, ...]]
     """What the parts wrote that the launcher did not start, by part."""
     statuses: Mapping[str, int]
+    beside_s: Mapping[str, float]
+    """How long they ran beside the mission, by part."""
     record: Path
     left: tuple[str, ...]
     """Processes, sockets and shared memory that are still there."""
@@ -113,12 +117,13 @@ def _ended(evidence: Evidence, trace: list[TracePoint], ceased: bool) -> tuple[s
 
 
 def _second(evidence: Evidence) -> list[str]:
-    """A second service is refused in one line."""
+    """A second service is refused in one line, unless the mission ended while it started."""
     wrong = []
     for part in hit(evidence, "second"):
         said, status = evidence.others[f"second {part}"], evidence.statuses[f"second {part}"]
         refused = f"error: another {part} is already on uav/1"
-        if not (status == 2 and said and said[-1].startswith(refused)) and status != -15:
+        too_late = status in (-15, 130) and evidence.beside_s[f"second {part}"] < START_S
+        if not (status == 2 and said and said[-1].startswith(refused)) and not too_late:
             wrong.append(f"the second {part} was not refused: status {status}, {''.join(said[-2:])}")
     return wrong
 

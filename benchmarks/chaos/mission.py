@@ -51,6 +51,7 @@ class Part:
 
     def __init__(self, command: list[str], env: dict[str, str], cwd: Path) -> None:
         """Start it."""
+        self.began = time.monotonic()
         self.process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace", env=env, cwd=cwd
         )
@@ -232,7 +233,7 @@ def fly(seed: int, only: str | None, folder: Path) -> Verdict:
                 hands.undo()
     finally:
         hands.undo(at_once=True)
-        hung = not launcher.ended(0.1)
+        over, hung = time.monotonic(), not launcher.ended(0.1)
         left = mission.end()
     evidence = Evidence(
         seed=seed,
@@ -243,6 +244,7 @@ def fly(seed: int, only: str | None, folder: Path) -> Verdict:
         err=tuple(launcher.err),
         others={name: tuple(part.err) for name, part in mission.parts.items() if name != "launcher"},
         statuses={name: part.process.returncode for name, part in mission.parts.items()},
+        beside_s={name: over - part.began for name, part in mission.parts.items()},
         record=mission.record,
         left=tuple(left),
         wall_s=round(time.monotonic() - began, 1),

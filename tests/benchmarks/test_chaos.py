@@ -68,7 +68,7 @@ def evidence(tmp_path: Path, change: Change | None = None, more: tuple = (), **f
     _, trace, _ = steps()
     usual = Evidence(
         seed=SEED, faults=(), done=(), status=0, out=(json.dumps({"ceased": True, "trace": trace}) + "\n",), err=("record run.mcap\n",),
-        others={}, statuses={}, record=record(tmp_path / "run.mcap", change, more), left=(), wall_s=1.0,
+        others={}, statuses={}, beside_s={}, record=record(tmp_path / "run.mcap", change, more), left=(), wall_s=1.0,
     )  # fmt: skip
     return msgspec.structs.replace(usual, **fields)
 
@@ -206,7 +206,9 @@ def test_a_second_service_that_is_not_refused_is_broken(tmp_path: Path) -> None:
     refused = {"second agent": ("error: another agent is already on uav/1\n",)}
     assert judge(evidence(tmp_path, done=done, others=refused, statuses={"second agent": 2})).reasons == ()
     served = {"second agent": ("ready: random\n",)}
-    assert judge(evidence(tmp_path, done=done, others=served, statuses={"second agent": 130})).outcome == BROKEN
+    long, short = ({"statuses": {"second agent": 130}, "beside_s": {"second agent": beside_s}} for beside_s in (5.1, 4.9))
+    assert judge(evidence(tmp_path, done=done, others=served, **long)).outcome == BROKEN
+    assert judge(evidence(tmp_path, done=done, others=served, **short)).reasons == ()  # the mission ended while it started
 
 
 def test_a_seed_gives_its_faults_and_two_hundred_give_every_kind_and_part() -> None:
