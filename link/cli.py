@@ -30,7 +30,8 @@ FAILED = 1
 LAUNCHER = "PLUMEWARD_LAUNCHER"
 """The environment variable by which a launcher tells its parts its process id: they end with it, however it ends."""
 LOOK_S, AGAIN_S, AGAIN_TIMES = 0.2, 1.0, 30
-"""How often a part looks for its launcher; and once that has gone, how often and how many times it is told to end, before it is made to."""
+"""How often a part looks for its launcher, where it must; and once that has gone, how often and how many times it is told to end, before
+it is made to."""
 ASSUMPTIONS = ("field", "paper")
 """Names of what an estimator may take to be known; `estimator.assumptions` has what they mean."""
 COMPLETING = "_ARGCOMPLETE"
@@ -316,6 +317,8 @@ def _end_with_the_launcher() -> None:
 
 
 def _watch(launcher: int) -> None:
+    with contextlib.suppress(AttributeError, OSError):  # only Linux can wait for a process that is no child
+        select.select([os.pidfd_open(launcher)], [], [])
     while os.getppid() == launcher:
         time.sleep(LOOK_S)
     for _ in range(AGAIN_TIMES):
