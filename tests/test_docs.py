@@ -46,6 +46,7 @@ TIMEOUT_S = 200
 INSTEAD = {
     "make test": "make test FLAGS=tests/plume/test_world.py",
     "make lint": "make --dry-run lint",  # .ci/run runs it
+    "make fuzz": "make --dry-run fuzz",  # tests/fuzz gives each decoder its first 2,000 inputs
     "make site": "make --dry-run site",  # tests/test_site.py builds it
     "make bench": "make bench FLAGS='--missions 1'",
     "make bench-env":

@@ -174,7 +174,8 @@ of `udpin`. SETUP_SIGNING (256) is never obeyed, signed or not, and no bridge pa
 
 Timestamps only go forward, also across restarts, kills, and clocks that step back. The last ones are in a file beside the key:
 `fleet.key.uav-1` for the vehicle with system id 1, `fleet.key.bridge-uav-1` for the bridge of `uav/1`. One process at a time uses it.
-Without it, what was recorded in the last minute before a restart would be taken again.
+Without it, what was recorded in the last minute before a restart would be taken again. It is brought to the disk every second: a power cut
+takes no more than that.
 
 What signing does not do:
 
@@ -182,7 +183,8 @@ What signing does not do:
 - All who have the key are equal: each can speak for each system id. Two stations need different ids, since timestamps count for each id.
 - A frame names no receiver and has no date of expiry. One that somebody holds back is taken when it comes, as long as no later one of the
   same sender and link has come; of a sender that is new, within a minute. So is one that was sent to another process with the same key.
-- A sender whose clock is far ahead takes all others along: who then starts with the right time is refused. Take a new key in that case.
+- A sender whose clock is far ahead takes all others along, as the standard wants it: who then starts with the right time is refused. A warning
+  names the first one that is more than a minute ahead of the clock. Set its clock right, and take a new key.
 
 ## Who it says it is
 
