@@ -183,8 +183,8 @@ What signing does not do:
 - All who have the key are equal: each can speak for each system id. Two stations need different ids, since timestamps count for each id.
 - A frame names no receiver and has no date of expiry. One that somebody holds back is taken when it comes, as long as no later one of the
   same sender and link has come; of a sender that is new, within a minute. So is one that was sent to another process with the same key.
-- A sender whose clock is far ahead takes all others along, as the standard wants it: who then starts with the right time is refused. A warning
-  names the first one that is more than a minute ahead of the clock. Set its clock right, and take a new key.
+- A sender whose clock is far ahead takes all others along, as the standard wants it: who then starts with the right time is refused. A
+  warning names the first one that is more than a minute ahead of the clock. Set its clock right, and take a new key.
 
 ## Who it says it is
 
