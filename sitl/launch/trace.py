@@ -1,6 +1,7 @@
 """The trace of a mission as the launcher hears it: a point of each belief, and of lost beliefs what their readings tell."""
 
 import math
+from bisect import bisect_left, bisect_right
 
 from link.bus.mavlink import BadFrame, unpack_reading
 from link.bus.messages import Belief
@@ -57,10 +58,10 @@ class HeardTrace:
         beliefs tell of those between if they are as many: the estimator may have refused some.
         """
         trace: list[TracePoint] = []
+        times = sorted(self._readings)
         for step in sorted(self._points):
-            before, until = self._times[len(trace) - 1], self._times[step]
-            between = sorted(time for time in self._readings if before < time < until)
             if lost := step - len(trace):
+                between = times[bisect_right(times, self._times[len(trace) - 1]) : bisect_left(times, self._times[step])]
                 if len(between) != lost:
                     return None
                 trace += [TracePoint(*self._readings[time], mean=(math.nan, math.nan), spread=math.nan) for time in between]
