@@ -37,6 +37,8 @@ GIVE_UP_S, EVERY = 10.0, 50
 """Longest wait for a stop, and the number of stops after which another subscriber joins that never reads, and one that does."""
 WITNESSES = {"uav": ("sitl", "uav", "--seed", "1", "--speedup", "1"), "agent": ("agent",)}
 CLAIM = Stop(0, 0, (23.5, 24.3), (0.1, 0.0, 0.1), 0.45, 0.5, "spread:0.5")
+START_S = 60.0
+"""Longest wait for vehicle and agent."""
 SAID = Belief(
     time_boot_ms=0, step=0, position=(10.0, 12.0), altitude_m=5.0, gas=0.5, wind=(2.0, 1.0), sensor="gaussian", rate=300.0, diffusivity=4.5,
     lifetime=10.0, z=5.0, unknowns=("x", "y"), means=(15.0, 15.0), stds=(2.0, 2.0), mean=(15.0, 15.0), covariance=(4.0, 0.0, 4.0),
@@ -98,7 +100,10 @@ class Stage:
         for part, words in WITNESSES.items():
             process = self._start("-m", "benchmarks.stop", "--witness", *words, "--connect", self.endpoint)
             threading.Thread(target=self._listen, args=(part, process.stdout), daemon=True).start()
-        while not self.bus.services() >= WITNESSES.keys():
+        patient = time.monotonic() + START_S
+        while missing := WITNESSES.keys() - self.bus.services():
+            if time.monotonic() > patient:
+                raise SystemExit(f"error: not on the bus within {START_S:g} s: {', '.join(sorted(missing))}")
             time.sleep(0.05)
         self._over = threading.Event()
         self._deaf: list[Any] = []
