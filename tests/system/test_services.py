@@ -371,8 +371,9 @@ class TestPayload:
         assert nothing_more(answers)
         assert stranger.has_service("payload")
         part.kill()
-        other = start("sitl", "payload", "--connect", router, "--seed", "7")
-        wait_until(lambda: other.says("ready"))
+        wait_until(lambda: not stranger.has_service("payload"))
+        start("sitl", "payload", "--connect", router, "--seed", "7")
+        publish = stranger.publisher("payload/in")
         publish(self.question(stranger, 5000, 1, west_mps=2.0))  # the same reading at another time
         assert messages(get(answers))["NAMED_VALUE_FLOAT"].value == heard[1]["NAMED_VALUE_FLOAT"].value
 
