@@ -34,8 +34,8 @@ LAST_WORDS_S = 0.5
 FEW_THREADS = "(rx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1), tx: (worker_threads: 1))"
 """Zenoh's threads, read by the first session of a process: by default each message passes through four thread pools. Sending keeps its
 own thread: a receiver may wait for something to be sent first, which would block the router and with it the mission."""
-NICENESS = 19
-"""The flight has priority over its record."""
+NICENESS = 5
+"""The flight has priority over its record. With 19 it would cost no less, and beside other work the record would lose its end."""
 PACKAGES = ("eclipse-zenoh", "numpy", "pymavlink", "numba", "mcap")
 ROOT = Path(__file__).parents[2]
 

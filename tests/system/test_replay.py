@@ -350,11 +350,11 @@ class TestOnAnotherBus:
     def test_an_estimator_that_knows_the_flight_already_is_found_out(
         self, router: str, log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        monkeypatch.setattr("sitl.replay.player.ANSWER_TIMEOUT_S", 1.0)
         replay = ("replay", str(log), "--connect", router, "--speedup", "0", "--verify")
         with Services(monkeypatch, router) as services:
             services.start(read(log).about["parts"])
             assert run_sitl(monkeypatch, capsys, *replay)[0] == 0
+            monkeypatch.setattr("sitl.replay.player.ANSWER_TIMEOUT_S", 1.0)  # no answer will come
             status, out, err = run_sitl(monkeypatch, capsys, *replay)
         assert status == 1
         assert any("restart it" in line for line in err)

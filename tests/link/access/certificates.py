@@ -5,7 +5,10 @@ from pathlib import Path
 
 import zenoh
 
-TIMEOUT_MS = 400
+TIMEOUT_MS = 20_000
+"""For who is admitted: on a busy machine that takes seconds."""
+REFUSED_MS = 400
+"""For who is not: Zenoh tries until the time is over."""
 
 
 def session(endpoint: str, folder: Path | None, name: str | None, namespace: str = "", **settings: object) -> zenoh.Session:

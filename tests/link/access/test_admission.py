@@ -22,7 +22,7 @@ from link.bus.opening import NoRouter, open_router
 from link.bus.session import Arrival, Bus
 from link.bus.tap import Tap
 from sitl.view.roster import Roster
-from tests.link.access.certificates import endpoint_of, rogue, session
+from tests.link.access.certificates import REFUSED_MS, endpoint_of, rogue, session
 
 ROLES = {"vehicle": "uav", "estimator": "estimator", "agent": "agent", "payload": "payload", "bridge": "bridge"}
 """The roles of a vehicle and their services; operator and observer are of all vehicles."""
@@ -333,8 +333,9 @@ def test_a_stranger_stays_out_and_the_router_says_why(
     router: Router, strangers: dict[str, tuple[Path | None, str | None]], who: str, said: str, wait_until: Callable[..., None]
 ) -> None:
     folder, name = strangers[who]
+    endpoint = router.endpoint if folder else router.endpoint.replace("tls/", "tcp/")
     with pytest.raises(zenoh.ZError):
-        session(router.endpoint if folder else router.endpoint.replace("tls/", "tcp/"), folder, name)
+        session(endpoint, folder, name, **{"connect/timeout_ms": REFUSED_MS})
     wait_until(lambda: any(re.search(rf"level=warning .*refused connections \(\d+\): the client {said}", line) for line in router.said), 15)
 
 
