@@ -140,6 +140,7 @@ def main() -> None:
         seeds = range(args.first_seed, args.first_seed + args.missions)
         steps = []
         in_process = []
+        rollout(args.first_seed, policy, args.particles, assume="paper")  # the first mission of a process loads the kernels
         for seed in seeds:
             steps += fly(seed, policy, args.particles)
             began = time.perf_counter()

@@ -12,7 +12,6 @@ from estimator.kernels.weights import effective_sample_size, moments
 from estimator.priors import Fixed
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles, Stop
-from plume import sensor
 from plume.parameters import PARAMETERS
 
 RECENT = 30
@@ -59,7 +58,7 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         altitude_m=reading.altitude_m,
         gas=reading.gas,
         wind=_wind(mean, reading, config),
-        sensor=sensor.text(config.sensor),
+        sensor=config.sensor_text,
         rate=mean["q"],
         diffusivity=mean["d"],
         lifetime=mean["tau"],
@@ -77,8 +76,10 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
         assume=config.assume,
         stop=config.criterion.text,
     )
-    weights = posterior.weights / posterior.weights.sum()
-    return summary, np.vstack([posterior.particles, weights]).T.astype(np.float32)
+    particles = np.empty((posterior.particles.shape[1], len(unknown_means) + 1), np.float32, order="F")
+    particles[:, :-1] = posterior.particles.T
+    particles[:, -1] = posterior.weights / posterior.weights.sum()
+    return summary, particles
 
 
 def fit(readings: Array, ranks: Array, config: Config) -> float:

@@ -17,7 +17,7 @@ from link.bus.mavlink import Reading
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import keyed
 from plume.scenario import AREA_M, LIFETIME_S
-from plume.sensor import GAUSSIAN, Gaussian, Sensor, sensor_row
+from plume.sensor import GAUSSIAN, Gaussian, Sensor, sensor_row, text
 
 Array = NDArray[np.float64]
 
@@ -99,6 +99,11 @@ class Config:
     def sensor_row(self) -> Array:
         """(5,): the sensor as the kernels take it."""
         return sensor_row(self.sensor)
+
+    @cached_property
+    def sensor_text(self) -> str:
+        """The sensor in the form of the flag --sensor."""
+        return text(self.sensor)
 
     @property
     def sweeps(self) -> int:
