@@ -321,6 +321,8 @@ def staying(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subproc
     """Keep a command up until the with block ends. If it is ours, Ctrl-C must end it, and nothing else may."""
     with started(f"exec {command}", cwd, copy, said) as process:
         yield process
+        if " --view" in command and process.poll() == 0:
+            return  # nobody can press Ctrl-C, so its page stays open for half a minute only
         assert process.poll() is None, f"{command}: did not stay up\n{output(said)}"
         if command.startswith("tensorboard "):
             return  # it sometimes ignores the signal

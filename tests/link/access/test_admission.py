@@ -170,12 +170,16 @@ def test_a_certificate_has_no_more_rights_as_a_peer_or_a_router(
         agent.declare_subscriber("uav/1/reading", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE)
         agent.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE)
         agent.declare_subscriber("uav/1/belief", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE)
-        for _ in agent.get("uav/1/nobody", timeout=5):
-            pass
-        agent.put("uav/1/agdc/stop", "stop")
-        agent.put("uav/1/mavlink/in", "waypoint")
-        for _ in agent.get("uav/1/nobody", timeout=5):
-            pass
+
+        def is_heard() -> bool:
+            """A router learns in its own time who subscribes, so it says it until it is heard."""
+            agent.put("uav/1/agdc/stop", "stop")
+            agent.put("uav/1/mavlink/in", "waypoint")
+            for _ in agent.get("uav/1/nobody", timeout=5):
+                pass
+            return any(text == "waypoint" for _, text in clients.heard)
+
+        wait_until(is_heard)
         clients.publish("uav/1/vehicle", "uav/1/reading", "reading")
         clients.publish("uav/1/estimator", "uav/1/belief", "belief")
         for _ in agent.get("uav/1/nobody", timeout=5):

@@ -326,7 +326,7 @@ def test_one_that_is_there_and_says_nothing_is_not_followed(router: str, strange
 def test_of_two_that_are_there_the_younger_goes(router: str, wait_until: Callable[..., None], uptime_s: float, goes: bool) -> None:
     """As when one that hung while the other started comes back."""
     with Bus("estimator", router, sole=True) as bus, Bus("other", router, announced=False) as other:
-        publisher = other._session.declare_publisher("health/estimator")
+        publisher = other._session.declare_publisher("health/estimator", congestion_control=zenoh.CongestionControl.BLOCK)
         wait_until(lambda: publisher.matching_status.matching)
         for more_s in (0.0, 1.0):
             publisher.put(msgspec.json.encode(Health("estimator", "ready", -1, 0.0, uptime_s + more_s, {})))
