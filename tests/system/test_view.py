@@ -93,7 +93,7 @@ def test_a_mission_is_seen_from_its_first_reading_to_its_outcome_and_its_page_st
 
 def test_an_interrupt_ends_a_page_that_stays(start: type[Part], wait_until: Callable[..., None]) -> None:
     fly = start("sitl", "fly", "--seed", "3", "--speedup", "0", "--no-record", "--view", "--budget", "2", "--json")
-    wait_until(lambda: fly.says("page stays open at"))
+    wait_until(lambda: fly.out and fly.says("page stays open at"))
     assert json.loads(fly.out[-1])["steps"] == 2
     fly.process.send_signal(signal.SIGINT)
     assert fly.ended(10) == 0  # the mission was flown
