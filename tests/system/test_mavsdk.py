@@ -151,8 +151,8 @@ def test_mavsdk_flies_by_velocity_in_both_frames(port: int) -> None:
             north, east, *_ = await ned(drone, lambda n, e, d, *v: math.dist(v, (1.0, 2.0, -0.5)) < 1e-3 and e > 4.0)
             assert north == pytest.approx(east / 2.0, abs=1e-2)
             await until(drone.telemetry.attitude_euler(), lambda attitude: abs(attitude.yaw_deg - 90.0) < 0.1)
-            await drone.offboard.set_velocity_body(VelocityBodyYawspeed(0.0, 2.0, 0.5, 0.0))  # nose to the east, right is south
-            await ned(drone, lambda n, e, d, *v: math.dist(v, (-2.0, 0.0, 0.5)) < 1e-3)
+            await drone.offboard.set_velocity_body(VelocityBodyYawspeed(0.0, -2.0, 0.5, 0.0))  # nose to the east, left is north
+            await ned(drone, lambda n, e, d, *v: math.dist(v, (2.0, 0.0, 0.5)) < 1e-3)
             await drone.offboard.set_velocity_body(VelocityBodyYawspeed(0.0, 0.0, 0.0, 20.0))
             yaw = await until(drone.telemetry.attitude_euler(), lambda attitude: attitude.yaw_deg < -90.0)
             assert yaw.yaw_deg < -90.0  # it has turned right by more than half a turn from north
