@@ -211,7 +211,7 @@ class Bus:
             self._overflows[key.name] = Overflow(key.name)
 
     def on(self, key: Key, arrived: Callable[[Any], None], *, own: bool = True) -> None:
-        """Call `arrived` with each message of a key, kept messages first, in the session's thread; without `own`, not with ours."""
+        """Call `arrived` with each message of a key, kept messages first, in a thread of Zenoh's; without `own`, not with ours."""
 
         def received(sample: zenoh.Sample) -> None:
             name = service_of(sample) if key is HEALTH else ""
@@ -244,7 +244,10 @@ class Bus:
         self._subscribers[key.name] = subscriber
 
     def settle(self, timeout_s: float) -> None:
-        """Wait, at most timeout_s, until the router has received all that was sent from here, and we have received all that it sent."""
+        """Wait, at most timeout_s, until the router has received all that was sent from here, and we have received all that it sent.
+
+        What is called with a message (`on`) runs in another thread, and may be called a little later.
+        """
         # A query that nobody answers: the router's reply comes after everything exchanged before it.
         for _ in self._session.get("nobody", timeout=timeout_s):
             pass
