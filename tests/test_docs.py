@@ -24,6 +24,7 @@ from typing import NamedTuple
 import pytest
 from ruamel.yaml import YAML
 
+from sitl.launch.viewing import UNATTENDED_S
 from sitl.script.script import load
 from tests.clients.installed import free_udp_port, python_of
 
@@ -320,9 +321,10 @@ def ended(command: str, cwd: Path, copy: Path, said: Path) -> int:
 def staying(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subprocess.Popen]:
     """Keep a command up until the with block ends. If it is ours, Ctrl-C must end it, and nothing else may."""
     with started(f"exec {command}", cwd, copy, said) as process:
+        began = time.monotonic()
         yield process
-        if " --view" in command and process.poll() == 0:
-            return  # nobody can press Ctrl-C, so its page stays open for half a minute only
+        if " --view" in command and process.poll() == 0 and time.monotonic() - began > UNATTENDED_S:
+            return  # its page stays open no longer where nobody can press Ctrl-C
         assert process.poll() is None, f"{command}: did not stay up\n{output(said)}"
         if command.startswith("tensorboard "):
             return  # it sometimes ignores the signal
