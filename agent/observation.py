@@ -36,7 +36,7 @@ Frame = Array
 
 FACTS = ("x", "y", "gas", "mean_x", "mean_y", "xx", "xy", "yy", "wind_x", "wind_y", "rate", "diffusivity", "lifetime")
 """The fields of a belief (`link.bus.messages.Belief`) that are used beside its particles; columns of arrays (B, 13)."""
-X, Y, GAS, MEAN_X, MEAN_Y, XX, XY, YY, WIND_X, WIND_Y, RATE, DIFFUSIVITY, LIFETIME = range(len(FACTS))
+X, Y, GAS, MEAN_X, MEAN_Y, XX, _, YY, WIND_X, WIND_Y, RATE, DIFFUSIVITY, LIFETIME = range(len(FACTS))
 
 SECTORS = 16
 RINGS_M = np.array([1.5, 3.0, 5.0, 8.0, 11.5, 15.5, 20.0])

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,10 +157,6 @@ class Scene:
     services: Sequence[Service] = ()
     happenings: Sequence[Happening] = ()
     ending: Ending | None = None
-
-    def without_truth(self) -> "Scene":
-        """Return the scene as an operator of a real flight would see it."""
-        return replace(self, backdrop=replace(self.backdrop, release=None))
 
     @property
     def threshold_m(self) -> float | None:

@@ -68,8 +68,6 @@ INSTEAD = {
     "python benchmarks/loop.py --secure": "python benchmarks/loop.py --secure --missions 1",
     "python -m benchmarks.soak": "python -m benchmarks.soak --steps 1000 || test $? = 1",  # too short to tell whether anything grows
     "python -m benchmarks.fleet": "python -m benchmarks.fleet --vehicles 1 --seconds 5",
-    "python -m benchmarks.shared_memory":
-        "python -c 'from benchmarks import shared_memory as b; b.ROUNDS, b.IDLE_S = 1, 0.1; b.main()'",
     "python -m benchmarks.stop": "python -m benchmarks.stop --trials 10",
     "python -m benchmarks.record": "python -m benchmarks.record --comparisons 1 --stretch 10",
     "plumeward report":

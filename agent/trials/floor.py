@@ -135,12 +135,6 @@ def model(scenario: Scenario) -> Array:
     return np.array([*s.source, s.q / (4 * math.pi * s.d), inverse_length, s.wind[0] / (2 * s.d), s.wind[1] / (2 * s.d)])
 
 
-def fisher(scenario: Scenario, position: tuple[float, float]) -> Array:
-    """Fisher information (2, 2) of one reading at a position (x, y) m about the source's location, 1/m²."""
-    c, *g = information(*position, model(scenario))
-    return np.asarray(c * np.outer(g, g))
-
-
 def spread_m(scenario: Scenario, headings: Sequence[float]) -> float:
     """Spread after a path of 1 m steps on these headings, rad, from the scenario's start, m; infinite where it leaves the area."""
     return math.sqrt(_variance(np.array(headings, np.float64), np.array(scenario.start), model(scenario)))

@@ -59,8 +59,8 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
     # More of the other priorities wait, too: a router that finds their queue full cuts the link.
     for name in ("interactive_high", "data", "data_low"):
         config.insert_json5(f"transport/link/tx/queue/size/{name}", "16")
-    # It is no faster (benchmarks/shared_memory.py), wakes each process 20 times a second, loses messages silently where a receiver hangs,
-    # and leaves files behind where a process is killed.
+    # Shared memory is no faster, wakes each process 20 times a second, loses messages silently where a receiver hangs, and leaves files
+    # behind where a process is killed.
     config.insert_json5("transport/shared_memory/enabled", "false")
     for kind, urls in endpoints.items():
         try:

@@ -8,8 +8,8 @@ import numpy as np
 from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, Rally
 from sitl.autopilot.motion import Limits, Ned
 
-NO_ACTION, WARN, HOLD, RETURN, TERMINATE, LAND = range(6)
-"""The values of `fence_action`."""
+NO_ACTION, HOLD, RETURN, TERMINATE, LAND = 0, 2, 3, 4, 5
+"""The values of `fence_action`; 1 only warns."""
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,3 @@ def test_only_a_spread_has_a_threshold() -> None:
     assert Scene(Backdrop("uav/1"), stop="spread:0.4").threshold_m == 0.4
     for other in ("", "spread", "spread:x", "within:1,0.99"):
         assert Scene(Backdrop("uav/1"), stop=other).threshold_m is None
-
-
-def test_without_truth_nothing_of_the_release_is_left() -> None:
-    scene = Scene(Backdrop("uav/1", title="homing", release=Release((1.0, 2.0), (1.0, 0.0), 1.0, 1.0, 1.0)))
-    assert scene.without_truth().backdrop == Backdrop("uav/1", title="homing")

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -86,7 +87,8 @@ def test_the_truth_is_off_until_asked_for(window: Window) -> None:
 
 
 def test_a_real_flight_has_no_truth_to_show(stage: Stage, look: Callable[..., Window]) -> None:
-    stage.enter(scene().without_truth())
+    simulated = scene()
+    stage.enter(replace(simulated, backdrop=replace(simulated.backdrop, release=None)))
     window = drawn(look(stage.address))
     assert not window.page.locator("#truth").is_visible()
     window.page.keyboard.press("t")
