@@ -111,13 +111,20 @@ class _Lane:
 
 
 class Inbox:
-    """A queue of items in order of arrival. Each kind has its own lane: a flood on one lane drops no items of another."""
+    """A queue of items in order of arrival, for one thread that takes them.
+
+    Each kind has its own lane: a flood on one lane drops no items of another.
+    """
 
     def __init__(self) -> None:
         """Start empty."""
         self._lock = threading.Lock()
-        self._turns: queue.SimpleQueue[_Lane] = queue.SimpleQueue()
+        self._turns: deque[_Lane] = deque()
         """The lanes in the order in which their items are taken. There are spare turns where items were dropped or overtook others."""
+        self._came = threading.Lock()
+        """Released when something comes. Not a SimpleQueue: its `get(timeout)` never returns if a signal's handler runs across the deadline
+        (CPython 3.11 and 3.12)."""
+        self._came.acquire()
         self._lanes: dict[str, _Lane] = {}
         self._own = _Lane("", math.inf, newest=False)
         self._urgent: list[_Lane] = []
@@ -143,24 +150,34 @@ class Inbox:
             lane.append(item, size)
             if len(lane.waiting) > lane.turns:
                 lane.turns += 1
-                self._turns.put(lane)
+                self._turns.append(lane)
+            if self._came.locked():
+                self._came.release()
 
     def get(self, timeout: float | None = None) -> Any:
         """Return the next item; raises queue.Empty if none comes within `timeout` seconds."""
-        until = math.inf if timeout is None else time.monotonic() + timeout
+        deadline = math.inf if timeout is None else time.monotonic() + timeout
         while True:
-            if self._urgent:
+            if self._turns:
                 with self._lock:
-                    for lane in self._urgent:
-                        if lane.waiting:
-                            return lane.popleft()  # its turn stays behind as a spare one
-            lane = self._turns.get(timeout=timeout)
-            with self._lock:
-                lane.turns -= 1
-                if lane.waiting:
-                    return lane.popleft()
-            if timeout is not None:
-                timeout = max(until - time.monotonic(), 0.0)
+                    if lane := self._next():
+                        return lane.popleft()
+            left_s = deadline - time.monotonic()
+            if left_s <= 0.0:
+                raise queue.Empty
+            self._came.acquire(timeout=min(left_s, threading.TIMEOUT_MAX))
+
+    def _next(self) -> _Lane | None:
+        """Return the lane whose turn it is, and take the turn. That of an urgent item stays behind as a spare one."""
+        for lane in self._urgent:
+            if lane.waiting:
+                return lane
+        while self._turns:
+            lane = self._turns.popleft()
+            lane.turns -= 1
+            if lane.waiting:
+                return lane
+        return None
 
     def waiting(self) -> int:
         """Return the number of waiting items."""

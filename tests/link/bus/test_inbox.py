@@ -1,7 +1,10 @@
 """Protects the inbox: however much arrives, a bounded amount waits, per kind of message, and no sender blocks."""
 
+import os
 import queue
+import signal
 import threading
+import time
 
 import pytest
 
@@ -155,3 +158,20 @@ def test_an_inbox_that_overflows_in_many_threads_still_hands_out_all_that_waits(
     taken += len(drained(inbox))
     assert inbox.waiting() == 0
     assert 0 < taken <= 8000
+
+
+def test_a_wait_ends_in_time_though_a_signals_handler_runs_across_its_end() -> None:
+    """`SimpleQueue.get(timeout)` of CPython 3.11 and 3.12 would wait for ever."""
+    inbox = Inbox()
+    before = signal.signal(signal.SIGUSR1, lambda *_: time.sleep(0.6))
+    interrupts = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGUSR1))
+    rescues = threading.Timer(20.0, inbox.put, ("nobody else has put anything",))
+    try:
+        interrupts.start()
+        rescues.start()
+        with pytest.raises(queue.Empty):
+            inbox.get(timeout=0.3)
+        interrupts.join()
+    finally:
+        rescues.cancel()
+        signal.signal(signal.SIGUSR1, before)
