@@ -10,7 +10,10 @@ LEARNED := infotaxis,ppo,dqn,ddpg
 # More flags for what a target runs, such as: make results FLAGS='--scenarios 20'
 FLAGS ?=
 
-.PHONY: setup chromium clients mission test fuzz lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch chaos golden clean
+# Tests that start no processes and take no seconds; what is slow among them is marked so.
+UNIT := tests/plume tests/link tests/scene tests/sitl tests/estimator tests/agent tests/plumeward tests/test_house.py tests/test_limits.py
+
+.PHONY: setup chromium clients mission quick test test-all fuzz lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch chaos golden clean
 
 # Left behind by an install that did not finish. Then .venv is made anew: pip may take a half-written package for a whole one.
 UNFINISHED := .venv/.unfinished
@@ -51,16 +54,22 @@ clients: $(READY)
 mission: $(FLIGHT)
 	$(BIN)/plumeward fly $(FLAGS)
 
+quick: lint
+	$(BIN)/pytest -n 2 --dist worksteal -m 'not full and not slow' $(UNIT) $(FLAGS)
+
 # Three processes on a small machine's two cores: missions spend about half of their time waiting.
-test: setup
-	$(BIN)/pytest -n 3 --dist worksteal $(FLAGS)
+test: $(READY) chromium
+	$(BIN)/pytest -n 3 --dist worksteal -m 'not full' $(FLAGS)
+
+test-all: setup
+	$(BIN)/pytest -n 3 --dist worksteal -m full $(FLAGS)
 
 # Takes hours; `make fuzz FLAGS='belief --runs 1000'` fuzzes one decoder for less. It needs Linux on x86-64.
 fuzz: setup
 	$(INSTALL) -e '.[fuzz]'
 	$(BIN)/python -m tests.fuzz $(FLAGS)
 
-lint: setup
+lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

