@@ -52,6 +52,7 @@ def test_a_secured_replay_gives_the_recorded_answers(tmp_path: Path, folder: Pat
     assert "verified: " in verified.stdout
 
 
+@pytest.mark.full
 def test_another_vehicle_joins_with_its_own_certificates(tmp_path: Path, folder: Path) -> None:
     flown = run(
         tmp_path, "sitl", "fly", "--instance", "1", "--seed", "11", "--speedup", "0", "--secure", str(folder), "--no-record", "--json",
@@ -107,6 +108,7 @@ def words_of(command: list[str], folder: Path, endpoint: str) -> list[str]:
     return [sys.executable, "-m", *words]
 
 
+@pytest.mark.full
 def test_the_commands_of_the_compose_file_fly_a_mission(tmp_path: Path, wait_until: Callable[..., None]) -> None:
     folder, running = tmp_path / "certs", []
     environment: dict[str, Any] = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -121,6 +121,7 @@ def test_garbage_and_a_flood_of_markers_hold_nothing_up_and_are_counted(five: Fi
     assert len(counts) == 6  # one for each URL and one for the bus
 
 
+@pytest.mark.full
 def test_a_peer_that_reads_nothing_holds_nobody_up_and_what_it_misses_is_counted(
     five: Five, bus: BusWire, start, wait_until: Callable
 ) -> None:
@@ -156,6 +157,7 @@ def test_it_comes_back_to_a_tcp_server_that_comes_goes_and_returns(start, router
     assert not bridge.says("Traceback")
 
 
+@pytest.mark.full
 def test_it_comes_back_to_a_serial_device_that_is_unplugged(start, router: str, bus: BusWire, tmp_path: Path, wait_until: Callable) -> None:
     device, drone, agent = tmp_path / "ttyACM0", Speaker(1, 1), Speaker(1, 191)
     bridge = start("sitl", "bridge", f"serial:{device}", "--connect", router)
@@ -196,6 +198,7 @@ def test_it_comes_back_to_a_router_that_is_started_again(start, wait_until: Call
     assert bridge.says("1 while it was not connected")
 
 
+@pytest.mark.full
 def test_two_bridges_between_the_same_two_points_do_not_storm(start, router: str, bus: BusWire, wait_until: Callable) -> None:
     port, other = free_port(UDP), free_port(UDP)
     one = start("sitl", "bridge", f"udpin:127.0.0.1:{port}", f"udpin:127.0.0.1:{other}", "--connect", router)
@@ -279,6 +282,7 @@ def test_a_port_in_use_is_refused_and_all_interfaces_are_warned_of(start, router
     assert second.err == [f"error: URL: tcpin:0.0.0.0:{port}: Address already in use\n"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["tcp", "udp"])
 def test_mavsdk_flies_the_vehicle_of_the_bus_through_the_bridge(kind: str, start, router: str, wait_until: Callable) -> None:
     from mavsdk import System

@@ -11,6 +11,7 @@ from benchmarks.chaos.judge import AS_UNDISTURBED, TOLD
 missing = cache(lacking)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("kind", "seed", "outcome"),
     [

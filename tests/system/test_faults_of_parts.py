@@ -34,7 +34,7 @@ def state(pid: int) -> str:
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
-@pytest.mark.parametrize("part", ["router", "uav", "estimator", "agent"])
+@pytest.mark.parametrize("part", ["agent", *(pytest.param(part, marks=pytest.mark.full) for part in ("router", "uav", "estimator"))])
 def test_a_part_that_hangs_is_told_and_ends_the_mission_with_a_line(
     start, family: Callable, wait_until: Callable, tmp_path: Path, part: str
 ) -> None:
@@ -48,6 +48,7 @@ def test_a_part_that_hangs_is_told_and_ends_the_mission_with_a_line(
     assert nothing_is_left(pids)
 
 
+@pytest.mark.full
 def test_a_part_that_comes_back_is_told_and_the_mission_goes_on(start, family: Callable, wait_until: Callable, tmp_path: Path) -> None:
     mission = start("sitl", "fly", "--policy", "random", "--budget", "12", "--silence", "600", "--patience", "inf", cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
@@ -59,6 +60,7 @@ def test_a_part_that_comes_back_is_told_and_the_mission_goes_on(start, family: C
     assert mission.says("the agent is back")
 
 
+@pytest.mark.full
 def test_a_recorder_that_hangs_is_told_and_the_mission_ends_without_it(
     start, family: Callable, wait_until: Callable, tmp_path: Path
 ) -> None:
@@ -73,6 +75,7 @@ def test_a_recorder_that_hangs_is_told_and_the_mission_ends_without_it(
     assert nothing_is_left(pids)
 
 
+@pytest.mark.full
 def test_a_remote_service_that_hangs_ends_the_mission_too(start, router: str, wait_until: Callable, tmp_path: Path) -> None:
     start("estimator", "--connect", router)
     agent = start("agent", "--connect", router, "--policy", "random")
@@ -83,6 +86,7 @@ def test_a_remote_service_that_hangs_ends_the_mission_too(start, router: str, wa
     assert mission.err[-1] == "error: the agent has said nothing for 10 s (--patience S waits longer)\n"
 
 
+@pytest.mark.full
 def test_what_a_script_cuts_off_for_longer_than_the_patience_is_no_hang(start, tmp_path: Path) -> None:
     script = tmp_path / "mission.yaml"
     script.write_text(
@@ -126,6 +130,7 @@ def test_processes_that_a_policy_leaves_behind_end_with_the_mission(start, wait_
                 os.kill(int(word), signal.SIGKILL)
 
 
+@pytest.mark.full
 def test_parts_that_have_only_been_started_do_not_outlive_a_launcher_that_is_killed(
     start, family: Callable, wait_until: Callable, tmp_path: Path
 ) -> None:
@@ -136,6 +141,7 @@ def test_parts_that_have_only_been_started_do_not_outlive_a_launcher_that_is_kil
     wait_until(lambda: nothing_is_left(pids))
 
 
+@pytest.mark.full
 def test_ctrl_z_stops_all_of_it_and_it_goes_on_together(start, family: Callable, wait_until: Callable, tmp_path: Path) -> None:
     mission = start(*LONG, cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
@@ -149,6 +155,7 @@ def test_ctrl_z_stops_all_of_it_and_it_goes_on_together(start, family: Callable,
     assert nothing_is_left(pids)
 
 
+@pytest.mark.full
 def test_ctrl_c_in_a_terminal_ends_all_of_it_in_order(family: Callable, wait_until: Callable, tmp_path: Path) -> None:
     pid, terminal = pty.fork()
     if pid == 0:

@@ -30,6 +30,8 @@ from mavsdk.param import ParamError
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 
+pytestmark = pytest.mark.full
+
 TIMEOUT_S = 60.0
 CONFIG = VehicleConfig()
 

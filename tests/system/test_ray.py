@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
@@ -21,7 +22,7 @@ from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow
 from agent.trials.sweep import PACKAGES
 
-pytest.importorskip("ray")
+pytestmark = [pytest.mark.full, pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed")]
 
 SWEEP = ("agent", "evaluate", "--policy", "greedy,thompson", "--particles", "100", "--budget", "40", "--threshold", "0.5,2")
 START = "--num-cpus=1", "--block", "--object-store-memory=100000000", "--include-log-monitor=false", "--disable-usage-stats"

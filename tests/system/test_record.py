@@ -112,6 +112,7 @@ def test_what_was_recorded_is_on_disk_at_once_and_outlives_a_recorder_that_is_ki
     assert tlog_bytes == 0  # none of it was MAVLink
 
 
+@pytest.mark.full
 def test_a_full_disk_stops_the_record_with_a_line_and_not_the_mission(
     start, family: Callable, wait_until: Callable, tmp_path: Path
 ) -> None:
@@ -141,6 +142,7 @@ def test_a_place_that_cannot_be_written_is_one_line_and_status_2(start, router: 
     assert str(tmp_path / "file" / "run.mcap") in line
 
 
+@pytest.mark.full
 def test_records_survive_a_router_that_comes_back(start, tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text("seed: 3\nagent: {policy: homing}\nevents: [{step: 6, do: kill, part: router}]\n")

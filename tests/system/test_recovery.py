@@ -53,7 +53,14 @@ def point_of(said: dict) -> tuple:
 
 @pytest.mark.parametrize(
     ("victim", "kill_at", "assume"),
-    [(victim, kill_at, "paper") for victim in ("estimator", "agent") for kill_at in (0, 9)] + [("estimator", 9, "field")],
+    [
+        ("estimator", 9, "field"),
+        ("agent", 9, "paper"),
+        *(
+            pytest.param(victim, kill_at, "paper", marks=pytest.mark.full)
+            for victim, kill_at in (("estimator", 0), ("estimator", 9), ("agent", 0))
+        ),
+    ],
 )
 def test_a_killed_service_resumes_with_the_same_belief(start, router: str, victim: str, kill_at: int, assume: str) -> None:
     with Stranger(router) as viewer:
@@ -120,6 +127,7 @@ def test_a_vehicle_that_gets_no_waypoints_returns_home_and_lands(start, router: 
         assert (last["LOCAL_POSITION_NED"].x, last["LOCAL_POSITION_NED"].y, last["LOCAL_POSITION_NED"].z) == (0, 0, 0)
 
 
+@pytest.mark.full
 def test_the_launcher_says_so_when_the_vehicle_gives_up(start, family, wait_until: Callable, tmp_path) -> None:
     mission = start("sitl", "fly", "--speedup", "20", "--silence", "1", cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
@@ -228,6 +236,7 @@ def parts(router: str, speedup: int) -> dict[str, tuple[str, ...]]:
     }
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "deaths",
     [
@@ -254,6 +263,7 @@ def test_an_estimator_that_dies_at_any_step_goes_on_as_if_it_had_not(start, rout
         check_from_the_end(router)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("policy", "budget", "deaths"),
     [
@@ -277,6 +287,7 @@ def test_an_agent_that_dies_at_any_step_goes_on_as_if_it_had_not(start, router: 
         check_from_the_end(router, policy, budget)
 
 
+@pytest.mark.full
 def test_estimator_and_agent_may_die_in_the_same_round_trip(start, router: str) -> None:
     services = parts(router, speedup=0)
     with Viewer(router) as viewer:
@@ -314,11 +325,13 @@ def is_free(port: int) -> bool:
 @pytest.mark.parametrize(
     ("service", "deaths"),
     [
-        pytest.param("uav", ["after:health/<service>:-1", "before:reading:8"], id="before the search, a reading"),
+        pytest.param("uav", ["after:health/<service>:-1", "before:reading:8"], id="before the search, a reading", marks=pytest.mark.full),
         pytest.param("agent", ["before:mavlink/in:5", "after:mavlink/in:12"], id="waypoints"),
-        pytest.param("estimator", ["before:belief:0", "after:belief:11", "before:agdc/stop:0"], id="beliefs, the stop"),
-        pytest.param("estimator", [f"before:belief:{LAST}"], id="between the stop and its belief"),
-        pytest.param("estimator", [f"after:belief:{LAST}"], id="after the last belief"),
+        pytest.param(
+            "estimator", ["before:belief:0", "after:belief:11", "before:agdc/stop:0"], id="beliefs, the stop", marks=pytest.mark.full
+        ),
+        pytest.param("estimator", [f"before:belief:{LAST}"], id="between the stop and its belief", marks=pytest.mark.full),
+        pytest.param("estimator", [f"after:belief:{LAST}"], id="after the last belief", marks=pytest.mark.full),
     ],
 )
 def test_a_mission_survives_its_router_whatever_the_cut_swallows(
@@ -340,6 +353,7 @@ def test_a_mission_survives_its_router_whatever_the_cut_swallows(
         check_from_the_end(endpoint)
 
 
+@pytest.mark.full
 def test_a_mission_survives_its_router_while_the_vehicle_is_moving(start, listen: Callable) -> None:
     router = listen()
     endpoint = router.out[0].strip()

@@ -138,7 +138,7 @@ def refusal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
 class TestVerify:
     """`replay --verify`."""
 
-    @pytest.mark.parametrize("speedup", ["0", "3"])
+    @pytest.mark.parametrize("speedup", ["0", pytest.param("3", marks=pytest.mark.full)])
     def test_a_recorded_mission_says_the_same_again_at_any_pace(self, start, log: Path, speedup: str) -> None:
         replay = start("sitl", "replay", str(log), "--verify", "--speedup", speedup, "--json")
         assert replay.ended() == 0
@@ -251,6 +251,7 @@ class TestVerify:
         # Readings whose answer was cut off are not waited for.
         assert len(answered) <= result["beliefs"] <= len(readings)
 
+    @pytest.mark.full
     def test_a_mission_whose_services_crashed_is_answered_as_if_they_had_not(self, verify: Verify, tmp_path: Path) -> None:
         flown = tmp_path / "crashed.mcap"
         script = str(Path(__file__).parents[2] / "missions" / "crashing-services.yaml")
@@ -269,6 +270,7 @@ class TestVerify:
 class TestReplay:
     """`replay` without `--verify`."""
 
+    @pytest.mark.full
     def test_a_part_of_the_flight_is_a_search_of_its_own(self, start, log: Path) -> None:
         times_s = [belief["time_boot_ms"] / 1000 - read(log).entries[0].simulation_s for belief in said(log, "belief")]
         part = ("--from", repr(times_s[4] - 0.001), "--to", repr(times_s[10] + 0.001))
@@ -277,6 +279,7 @@ class TestReplay:
         result = json.loads(replay.out[-1])
         assert (result["verified"], result["beliefs"], result["waypoints"], result["stops"]) == (None, 7, 7, 0)
 
+    @pytest.mark.full
     def test_it_keeps_the_recorded_pace(self, start, log: Path) -> None:
         entries = [entry for entry in read(log).entries if entry.key == "reading"]
         took_s = (entries[-1].published_ns - entries[0].published_ns) / 1e9
@@ -304,6 +307,7 @@ class TestReplay:
         assert replay.err[-1] == "interrupted\n"
         assert not any(Path(f"/proc/{pid}").exists() for pid in pids.values())
 
+    @pytest.mark.full
     def test_a_loop_verifies_each_round_until_it_is_interrupted(self, start, wait_until: Callable, log: Path) -> None:
         replay = start("sitl", "replay", str(log), "--speedup", "0", "--loop", "--verify")
         wait_until(lambda: sum(line.startswith("verified: ") for line in replay.out) >= 2)
@@ -320,6 +324,7 @@ class TestReplay:
 class TestOnAnotherBus:
     """`replay --connect`."""
 
+    @pytest.mark.full
     def test_it_waits_for_the_services_and_a_restarted_one_catches_up_to_the_same_bits(
         self, start, router: str, wait_until: Callable, log: Path
     ) -> None:
@@ -403,10 +408,8 @@ class TestAutopilotLog:
     def test_what_cannot_be_done_with_it_is_one_line(self, refusal: Callable[..., str], log: Path, flags: list[str], words: str) -> None:
         assert refusal(str(log.with_suffix(".tlog")), *flags).startswith(words)
 
-    def test_flags_that_the_estimator_refuses_are_told_as_it_tells_them(self, start, log: Path) -> None:
-        replay = start("sitl", "replay", str(log.with_suffix(".tlog")), "--prior", "q=often")
-        assert replay.ended() == 2
-        assert replay.err[-1].startswith("error: --prior: ")
+    def test_flags_that_the_estimator_refuses_are_told_as_it_tells_them(self, refusal: Callable[..., str], log: Path) -> None:
+        assert refusal(str(log.with_suffix(".tlog")), "--prior", "q=often").startswith("error: --prior: ")
 
 
 class TestBadInput:

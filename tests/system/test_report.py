@@ -2,7 +2,12 @@
 
 from pathlib import Path
 
+import pytest
 
+from tests.system.live import run_agent
+
+
+@pytest.mark.full
 def test_it_makes_a_page_of_what_evaluate_wrote(start, tmp_path: Path) -> None:
     (tmp_path / "results").mkdir()
     flags = ("--policy", "greedy", "--scenarios", "2", "--particles", "20", "--workers", "1", "--missions", "results/greedy.csv")
@@ -18,7 +23,8 @@ def test_it_makes_a_page_of_what_evaluate_wrote(start, tmp_path: Path) -> None:
     assert again.err == ["error: --out: 'report/particles.png' exists; wanted another name, or --force\n"]
 
 
-def test_bad_input_is_one_line(start, tmp_path: Path) -> None:
+def test_bad_input_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "shopping.csv").write_text("what,many\neggs,6\n")
@@ -29,7 +35,6 @@ def test_bad_input_is_one_line(start, tmp_path: Path) -> None:
         (("--results", "other"), "error: --results: other/shopping.csv: "),
         (("--report", "empty"), "error: no flag '--report'"),
     ):
-        report = start("agent", "report", *flags, cwd=tmp_path)
-        assert report.ended() == 2
-        (line,) = report.err
+        status, out, (line,) = run_agent(monkeypatch, capsys, "report", *flags)
+        assert (status, out) == (2, [])
         assert error in line

@@ -4,6 +4,8 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
 from sitl.launch.relay import Relay
 from sitl.script.script import Script
@@ -11,6 +13,7 @@ from sitl.script.script import Script
 SEED = 11
 
 
+@pytest.mark.full
 def test_a_mission_over_two_sites_outlasts_a_cut_between_them_and_is_the_same(start, wait_until: Callable, tmp_path: Path) -> None:
     undisturbed = start("agent", "rollout", "--seed", str(SEED), "--json", "--trace")
     field = start("sitl", "router", "--listen", "tcp/127.0.0.1:0")

@@ -71,6 +71,7 @@ def test_a_mission_on_ardupilot_reads_the_plume_where_it_reports_to_be_in_the_wi
     assert verified["estimate"] == said["estimate"]
 
 
+@pytest.mark.full
 def test_a_mission_on_px4_with_a_sensor_on_a_serial_line_claims_nothing_about_a_source_that_nobody_knows(
     start: type[Part], px4: Double, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
     wait_until: Callable[..., None],
@@ -118,6 +119,7 @@ def test_ctrl_c_in_mid_air_sends_the_vehicle_home_before_the_parts_end(
     assert flight.says("interrupted")
 
 
+@pytest.mark.full
 def test_a_vehicle_that_is_not_ready_keeps_the_mission_waiting_and_the_reason_is_shown(
     start: type[Part], tmp_path: Path, wait_until: Callable[..., None]
 ) -> None:

@@ -4,6 +4,8 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from tests.autopilots.settings import Settings
 from tests.autopilots.wire import Double
 from tests.system.conftest import Part
@@ -12,6 +14,7 @@ SPEEDUP = 10.0
 WORDS = ("--speedup", f"{SPEEDUP:g}", "--seed", "7", "--particles", "100", "--no-record")
 
 
+@pytest.mark.full
 def test_a_refused_arming_fails_the_mission_with_the_autopilots_reason(start: type[Part], tmp_path: Path) -> None:
     with Double("ardupilot", settings=Settings(ready_s=5.0, faults=("arm",)), speedup=SPEEDUP) as double:
         flight = start("sitl", "fly", "--vehicle", double.url, *WORDS, cwd=tmp_path)
@@ -19,6 +22,7 @@ def test_a_refused_arming_fails_the_mission_with_the_autopilots_reason(start: ty
     assert "Arming refused: Arm: Compass not healthy" in flight.err[-1]
 
 
+@pytest.mark.full
 def test_a_launcher_that_is_killed_leaves_no_vehicle_in_the_air(start: type[Part], tmp_path: Path, wait_until: Callable[..., None]) -> None:
     with Double("ardupilot", settings=Settings(ready_s=5.0), speedup=SPEEDUP) as double:
         flight = start("sitl", "fly", "--vehicle", double.url, *WORDS, cwd=tmp_path)
