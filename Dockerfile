@@ -5,11 +5,12 @@ FROM ${BASE} AS build
 WORKDIR /src
 COPY . .
 RUN python3 -m venv /opt/plumeward \
-    && /opt/plumeward/bin/pip install --no-cache-dir --no-compile -c constraints.txt .
+    && /opt/plumeward/bin/pip install --no-cache-dir --no-compile --only-binary :all: --require-hashes -r requirements.txt \
+    && /opt/plumeward/bin/pip install --no-cache-dir --no-compile --no-deps --no-build-isolation .
 
 # Delete what no flight loads.
-RUN /opt/plumeward/bin/pip uninstall --yes --quiet pip setuptools \
-    && find /opt/plumeward \( -path '*/numba/tests/*' -o -path '*/llvmlite/tests/*' -o -path '*/onnxruntime/transformers/*' \
+RUN /opt/plumeward/bin/pip uninstall --yes --quiet hatchling editables packaging pathspec pluggy tomlkit trove-classifiers pip setuptools \
+    && find /opt/plumeward \( -path '*/numba/tests/*' -o -path '*/llvmlite/tests/*' \
         -o -path '*/pymavlink/dialects/*' ! -path '*/v20/common.py' ! -path '*/v20/all.py' ! -name __init__.py -type f \) -delete \
     && python3 -m compileall -q /opt/plumeward/lib
 

@@ -13,7 +13,7 @@ FLAGS ?=
 # Tests that start no processes and take no seconds; what is slow among them is marked so.
 UNIT := tests/plume tests/link tests/scene tests/sitl tests/estimator tests/agent tests/plumeward tests/test_house.py tests/test_limits.py
 
-.PHONY: setup chromium clients mission quick test test-all fuzz lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch chaos golden clean
+.PHONY: setup hashes chromium clients mission quick test test-all fuzz lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch chaos golden clean
 
 # Left behind by an install that did not finish. Then .venv is made anew: pip may take a half-written package for a whole one.
 UNFINISHED := .venv/.unfinished
@@ -22,18 +22,21 @@ ifneq ($(wildcard $(UNFINISHED)),)
 endif
 # pip compiles nothing: Python compiles what is imported, once, and has to be allowed to keep it.
 unexport PYTHONDONTWRITEBYTECODE
-INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
+# Nothing is built but Plumeward itself, and that with the hatchling of requirements.txt, not with the newest.
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --only-binary :all: --no-build-isolation
+INSTALL := $(PIP) -c constraints.txt
 
 setup: $(READY) chromium clients
 
 # Two layers: what a flight needs, and on top of it all the rest. Each is brought up to date when the files that it is made from change.
-$(FLIGHT): pyproject.toml constraints.txt
+$(FLIGHT): pyproject.toml constraints.txt requirements.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Plumeward needs Python 3.11 or newer; name one with: make PYTHON=...")'
 	@if [ -e $(UNFINISHED) ]; then echo 'the last install did not finish: starting again'; rm -rf .venv; fi
 	@echo 'installing what a flight needs into .venv, about 450 MB'
 	@mkdir -p .venv && touch $(UNFINISHED)
 	@$(PYTHON) -m venv .venv
-	@$(INSTALL) -e .
+	@$(PIP) --require-hashes -r requirements.txt
+	@$(PIP) --no-deps -e .
 	@rm $(UNFINISHED) && touch $@
 
 # particles, a peer of the benchmarks, asks for an older numpy but works with ours.
@@ -43,6 +46,14 @@ $(READY): $(FLIGHT)
 	@$(INSTALL) -e '.[test]'
 	@$(INSTALL) --no-deps particles
 	@rm $(UNFINISHED) && touch $@
+
+# After a change of pyproject.toml or constraints.txt: what a flight needs, with the hashes of every file that the index has of it.
+# Of the Pythons we support the oldest is asked: it needs all that the newer ones need.
+hashes:
+	python3.11 -m venv build/hashes
+	build/hashes/bin/pip install --quiet --disable-pip-version-check pip-tools==7.6.2
+	CUSTOM_COMPILE_COMMAND='make hashes' build/hashes/bin/pip-compile --quiet --no-config --generate-hashes --build-deps-for editable \
+		--no-annotate --no-emit-options --strip-extras --allow-unsafe -c constraints.txt -o requirements.txt pyproject.toml
 
 chromium:
 	@sh tests/view/chromium.sh

@@ -19,7 +19,7 @@ Frame = NDArray[np.uint8]
 
 def write_gif(frames: Iterable[Frame], path: Path) -> None:
     """Write frames as a GIF that repeats for ever. They must differ, each from the one before it. Raises ValueError without any."""
-    from PIL import Image  # matplotlib brings it
+    from PIL import Image
 
     images: list[Image.Image] = []
     palette = None

