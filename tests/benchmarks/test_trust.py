@@ -130,6 +130,7 @@ def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*python, *flags, *arguments], cwd=folder, env=environment, capture_output=True, text=True)
 
 
+@pytest.mark.full
 def test_the_command_flies_what_is_asked_for_and_then_only_what_is_missing(tmp_path: Path) -> None:
     document = tmp_path / "page.md"
     document.write_text("<!-- promise -->\n<!-- end -->\n<!-- worlds -->\n<!-- end -->\n<!-- planners -->\n<!-- end -->\n")
@@ -153,7 +154,7 @@ def test_the_command_flies_what_is_asked_for_and_then_only_what_is_missing(tmp_p
     assert "| gain-halved |" in document.read_text()
 
 
-@pytest.mark.parametrize("flag", ["--assume", "--world", "--policy"])
+@pytest.mark.parametrize("flag", ["--world", *(pytest.param(flag, marks=pytest.mark.full) for flag in ("--assume", "--policy"))])
 def test_what_it_does_not_know_it_says_in_one_line(flag: str, tmp_path: Path) -> None:
     refused = command(tmp_path, flag, "nonsense")
     assert refused.returncode == 2

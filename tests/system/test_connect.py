@@ -71,6 +71,7 @@ def test_it_waits_for_services_and_says_for_whom_whatever_else_is_said(
     assert flight.ended() == 0, "".join(flight.err[-20:] + flight.out[-20:])
 
 
+@pytest.mark.full
 def test_a_service_that_is_lost_is_told_and_the_mission_goes_on_when_it_is_back(
     start, router: str, mission: str, wait_until: Callable, tmp_path: Path
 ) -> None:
@@ -86,6 +87,7 @@ def test_a_service_that_is_lost_is_told_and_the_mission_goes_on_when_it_is_back(
     assert flight.ended() == 0, "".join(flight.err[-20:] + flight.out[-20:])
 
 
+@pytest.mark.full
 def test_ctrl_c_ends_the_vehicle_and_leaves_the_services(start, router: str, mission: str, wait_until: Callable, tmp_path: Path) -> None:
     services = [start("estimator", "--connect", router), start("agent", "--connect", router)]
     flight = start("sitl", "fly", mission, "--connect", router, "--speedup", "1", cwd=tmp_path)

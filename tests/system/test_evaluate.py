@@ -73,6 +73,7 @@ def flying(sweep, folder: Path) -> bool:
     return len(workers(sweep.process.pid)) == 2 and any(path.read_bytes().count(b"\n") > 5 for path in folder.glob("runs/*.jsonl"))
 
 
+@pytest.mark.full
 def test_a_killed_worker_ends_the_sweep_with_a_line_and_nothing_is_lost(start, tmp_path: Path, wait_until: Callable) -> None:
     command = (*QUICK, "--scenarios", "5000")
     sweep = start(*command, cwd=tmp_path)
@@ -96,7 +97,7 @@ def test_a_killed_worker_ends_the_sweep_with_a_line_and_nothing_is_lost(start, t
     assert again.ended() == 130
 
 
-@pytest.mark.parametrize("when", ["as it starts", "as it flies"])
+@pytest.mark.parametrize("when", ["as it flies", pytest.param("as it starts", marks=pytest.mark.full)])
 def test_an_interrupt_from_the_terminal_is_one_line_and_leaves_no_worker(start, tmp_path: Path, wait_until: Callable, when: str) -> None:
     sweep = start(*QUICK, "--scenarios", "5000", cwd=tmp_path)
     wait_until(lambda: flying(sweep, tmp_path) if when == "as it flies" else workers(sweep.process.pid))
@@ -110,6 +111,7 @@ def test_an_interrupt_from_the_terminal_is_one_line_and_leaves_no_worker(start, 
     assert all(map(gone, pids))
 
 
+@pytest.mark.full
 def test_workers_do_not_outlive_a_killed_sweep(start, tmp_path: Path, wait_until: Callable) -> None:
     sweep = start(*QUICK, "--scenarios", "5000", cwd=tmp_path)
     wait_until(lambda: flying(sweep, tmp_path))
@@ -132,12 +134,14 @@ def test_a_table_that_exists_is_written_over_only_when_asked_to(start, tmp_path:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["missions.csv", "runs"]
 
 
+@pytest.mark.full
 def test_a_table_can_go_through_a_pipe(start, tmp_path: Path) -> None:
     sweep = start(*QUICK, "--scenarios", "1", "--missions", "/dev/stdout", cwd=tmp_path)
     assert sweep.ended() == 0, sweep.err
     assert [row["policy"] for row in csv.DictReader(sweep.out)] == ["greedy", "thompson"]
 
 
+@pytest.mark.full
 def test_a_table_that_cannot_be_written_loses_nothing(start, tmp_path: Path) -> None:
     command = (*QUICK, "--scenarios", "2", "--missions")
     refused = start(*command, "/proc/missions.csv", cwd=tmp_path)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from link.bus.session import Bus
+from tests.system.live import run_agent, run_sitl
 from tests.system.screen import on_terminal
 
 LOG = str(Path(__file__).parents[1] / "golden" / "homing-gaussian.mcap")
@@ -31,8 +32,14 @@ def ended(*arguments: str, cwd: Path, **streams: object) -> subprocess.Completed
     return subprocess.run([sys.executable, "-m", *arguments], text=True, cwd=cwd, timeout=100, **{"stderr": subprocess.PIPE, **streams})
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    ("name", "unbuffered"),
+    [
+        pytest.param(name, unbuffered, marks=() if (name, unbuffered) in (("log", ""), ("evaluate", "1")) else pytest.mark.full)
+        for name in COMMANDS
+        for unbuffered in ("", "1")
+    ],
+)
 def test_a_reader_who_leaves_ends_a_command_quietly(name: str, unbuffered: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     command = [sys.executable, "-m", *COMMANDS[name]]
@@ -45,6 +52,7 @@ def test_a_reader_who_leaves_ends_a_command_quietly(name: str, unbuffered: str, 
     assert "BrokenPipeError" not in err
 
 
+@pytest.mark.full
 def test_a_reader_who_leaves_stderr_and_stdout_ends_a_command_as_well(tmp_path: Path) -> None:
     process = subprocess.Popen([sys.executable, "-m", *EVALUATE], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=tmp_path)
     assert process.stdout is not None
@@ -52,7 +60,7 @@ def test_a_reader_who_leaves_stderr_and_stdout_ends_a_command_as_well(tmp_path: 
     assert process.wait(100) == 141
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", [name if name in ("log", "evaluate") else pytest.param(name, marks=pytest.mark.full) for name in COMMANDS])
 def test_a_full_disk_is_one_line_and_status_1(name: str, tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
         command = ended(*COMMANDS[name], cwd=tmp_path, stdout=full)
@@ -68,15 +76,23 @@ def test_a_failure_of_something_else_is_no_silent_end(tmp_path: Path) -> None:
     assert done.stderr.endswith("BrokenPipeError: [Errno 32] Broken pipe\n")
 
 
-def test_results_go_to_stdout_and_with_json_only_the_json(tmp_path: Path) -> None:
-    for name, result in (("rollout", "not ceased"), ("evaluate", "space-aware-infotaxis  "), ("log", "longest pause, s")):
-        plain = ended(*COMMANDS[name], cwd=tmp_path, stdout=subprocess.PIPE)
-        assert result in plain.stdout
-        assert result not in plain.stderr
-        as_json = ended(*COMMANDS[name], "--json", cwd=tmp_path, stdout=subprocess.PIPE)
-        (line,) = as_json.stdout.splitlines()
-        assert isinstance(json.loads(line), dict)
-        assert result in as_json.stderr
+@pytest.mark.parametrize(
+    ("name", "result"), [("rollout", "not ceased"), ("evaluate", "space-aware-infotaxis  "), ("log", "longest pause, s")]
+)
+def test_results_go_to_stdout_and_with_json_only_the_json(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, result: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    package, *words = COMMANDS[name]
+    run = {"agent": run_agent, "sitl": run_sitl}[package]
+    status, out, err = run(monkeypatch, capsys, *words)
+    assert status == 0
+    assert result in "\n".join(out)
+    assert result not in "\n".join(err)
+    status, (line,), err = run(monkeypatch, capsys, *words, "--json")
+    assert status == 0
+    assert isinstance(json.loads(line), dict)
+    assert result in "\n".join(err)
 
 
 def test_a_file_holds_the_whole_table_and_the_progress_is_not_in_it(tmp_path: Path) -> None:
@@ -89,7 +105,7 @@ def test_a_file_holds_the_whole_table_and_the_progress_is_not_in_it(tmp_path: Pa
     assert done.stderr.splitlines()[0] == "starting 1 worker for 4 missions"
 
 
-@pytest.mark.parametrize("columns", [40, 60, 80, 100, 200])
+@pytest.mark.parametrize("columns", [60, *(pytest.param(columns, marks=pytest.mark.full) for columns in (40, 80, 100, 200))])
 def test_a_table_of_figures_fits_the_terminal_and_names_what_it_leaves_out(columns: int, tmp_path: Path) -> None:
     status, lines = on_terminal(columns, *EVALUATE, cwd=tmp_path)
     assert status == 0
@@ -113,7 +129,7 @@ def test_the_summary_of_a_log_fits_the_terminal(columns: int, tmp_path: Path) ->
     assert int(rows["belief"][1]) == int(rows["reading"][1]) > 1
 
 
-@pytest.mark.parametrize("columns", [60, 80])
+@pytest.mark.parametrize("columns", [60, pytest.param(80, marks=pytest.mark.full)])
 def test_a_status_fits_the_terminal_and_says_below_the_table_what_is_wrong(router: str, columns: int, tmp_path: Path) -> None:
     with Bus("estimator", router) as bus:
         bus.tally.state, bus.tally.about = "ready", "1000 particles over x y q u phi d tau, stop below 0.5 m"

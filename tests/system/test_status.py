@@ -2,8 +2,6 @@
 
 import json
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,16 +11,28 @@ import pytest
 from link.bus.keys import STOP
 from link.bus.messages import Stop
 from link.bus.session import Bus
+from tests.system.live import run_sitl
 from tests.system.stranger import Stranger, belief
 
-STATUS = [sys.executable, "-m", "sitl", "status"]
+Status = Callable[..., tuple[int, dict[str, Any]]]
 
 
-def status(router: str, *flags: str) -> tuple[int, dict[str, Any]]:
-    """Its exit status and its JSON."""
-    ended = subprocess.run([*STATUS, "--connect", router, "--json", *flags], capture_output=True, text=True, timeout=60)
-    assert ended.stderr == ""
-    return ended.returncode, json.loads(ended.stdout)
+@pytest.fixture
+def table(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, list[str], list[str]]]:
+    """Run the command in this process; returns its exit status and the lines of its stdout and stderr."""
+    return lambda router, *flags: run_sitl(monkeypatch, capsys, "status", "--connect", router, *flags)
+
+
+@pytest.fixture
+def status(table: Callable[..., tuple[int, list[str], list[str]]]) -> Status:
+    """Run it with --json; returns its exit status and its JSON."""
+
+    def said(router: str, *flags: str) -> tuple[int, dict[str, Any]]:
+        code, out, err = table(router, "--json", *flags)
+        assert err == []
+        return code, json.loads(out[-1])
+
+    return said
 
 
 def verdicts(report: dict[str, Any]) -> dict[str, str]:
@@ -38,7 +48,7 @@ def stack(start, router: str, wait_until: Callable) -> dict[str, Any]:
 
 
 def test_a_stack_that_flies_is_well_and_each_part_tells_its_figures(
-    start, router: str, stack: dict[str, Any], wait_until: Callable
+    start, router: str, stack: dict[str, Any], status: Status, wait_until: Callable
 ) -> None:
     assert status(router)[0] == 1
     uav = start("sitl", "uav", "--connect", router, "--seed", "7", "--speedup", "20")
@@ -62,7 +72,7 @@ def test_a_stack_that_flies_is_well_and_each_part_tells_its_figures(
     assert parts["uav"]["compute_s"] > 0 < parts["estimator"]["compute_s"]
 
 
-def test_a_part_that_was_killed_is_missing(router: str, stack: dict[str, Any]) -> None:
+def test_a_part_that_was_killed_is_missing(router: str, stack: dict[str, Any], status: Status) -> None:
     assert status(router, "--parts", "estimator,agent")[0] == 0
     stack["estimator"].kill()
     code, report = status(router, "--parts", "estimator,agent")
@@ -70,14 +80,16 @@ def test_a_part_that_was_killed_is_missing(router: str, stack: dict[str, Any]) -
     assert status(router, "--parts", "agent")[0] == 0
 
 
-def test_a_part_that_hangs_is_stale_and_one_that_was_never_ready_is_starting(router: str) -> None:
+def test_a_part_that_hangs_is_stale_and_one_that_was_never_ready_is_starting(router: str, status: Status) -> None:
     with Bus("estimator", router) as hangs, Bus("agent", router):
         hangs.publish_health()  # and never again: the service does not get to receive it
         code, report = status(router, "--parts", "estimator,agent")
     assert (code, verdicts(report)) == (1, {"estimator": "stale", "agent": "starting"})
 
 
-def test_a_part_that_refuses_messages_is_refusing_and_says_why(router: str, stack: dict[str, Any], wait_until: Callable) -> None:
+def test_a_part_that_refuses_messages_is_refusing_and_says_why(
+    router: str, stack: dict[str, Any], status: Status, wait_until: Callable
+) -> None:
     with Stranger(router) as stranger:
         beliefs, publish = stranger.subscribe("belief"), stranger.publisher("reading")
         publish(stranger.reading(5000))
@@ -95,25 +107,31 @@ def test_a_part_that_refuses_messages_is_refusing_and_says_why(router: str, stac
         assert estimator["last_error"].startswith("refused reading: malformed")
 
 
-def test_without_a_router_all_is_missing_and_the_last_line_says_how_to_get_one() -> None:
-    ended = subprocess.run([*STATUS, "--connect", "tcp/127.0.0.1:1"], capture_output=True, text=True, timeout=60)
-    assert ended.returncode == 1
-    assert ended.stdout.count("missing") == 4
-    assert ended.stderr == "error: --connect: no router at tcp/127.0.0.1:1 (start one with: plumeward router)\n"
+def test_without_a_router_all_is_missing_and_the_last_line_says_how_to_get_one(table: Callable) -> None:
+    code, out, err = table("tcp/127.0.0.1:1", "--parts", "estimator,agent")
+    assert code == 1
+    assert sum("missing" in line for line in out) == 3  # the router is, too
+    assert err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: plumeward router)"]
+
+
+@pytest.mark.full
+def test_without_a_router_json_says_that_it_and_its_parts_are_missing(status: Status) -> None:
     code, report = status("tcp/127.0.0.1:1", "--parts", "estimator")
     assert (code, report["router"]["status"], verdicts(report)) == (1, "missing", {"estimator": "missing"})
 
 
-def test_the_table_names_parts_verdicts_and_figures(router: str, stack: dict[str, Any]) -> None:
-    ended = subprocess.run([*STATUS, "--connect", router], capture_output=True, text=True, timeout=60)
-    assert ended.returncode == 1
-    rows = {line.split()[0]: line.split() for line in ended.stdout.splitlines()[2:]}
+def test_the_table_names_parts_verdicts_and_figures(router: str, stack: dict[str, Any], table: Callable) -> None:
+    code, out, _ = table(router)
+    assert code == 1
+    rows = {line.split()[0]: line.split() for line in out[2:]}
     assert rows["router"][1] == rows["estimator"][1] == rows["agent"][1] == "ok"
     assert rows["uav"][1] == "missing"
     assert rows["agent"][2:4] == ["ready:", "homing"]
 
 
-def test_status_and_every_part_say_that_the_search_has_ceased(start, wait_until: Callable, tmp_path: Path) -> None:
+def test_status_and_every_part_say_that_the_search_has_ceased(
+    start, wait_until: Callable, tmp_path: Path, status: Status, table: Callable
+) -> None:
     router = start("sitl", "router", "--listen", "tcp/127.0.0.1:0")
     wait_until(lambda: router.out)
     to = ("--connect", router.out[0].strip())
@@ -134,8 +152,7 @@ def test_status_and_every_part_say_that_the_search_has_ceased(start, wait_until:
         report = status(to[1])[1]
         assert report["ceased"]
         assert {name for name, part in report["parts"].items() if part.get("ceased")} == {*parts}
-        table = subprocess.run([*STATUS, *to], capture_output=True, text=True, timeout=60).stdout
-        assert "the search has ceased, say uav, agent, bridge, payload, recorder" in table
+        assert any("the search has ceased, say uav, agent, bridge, payload, recorder" in line for line in table(to[1])[1])
 
 
 def test_a_watch_follows_who_comes_and_goes_until_interrupted(start, router: str, stack: dict[str, Any], wait_until: Callable) -> None:

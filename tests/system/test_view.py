@@ -91,6 +91,7 @@ def test_a_mission_is_seen_from_its_first_reading_to_its_outcome_and_its_page_st
         socket.create_connection(("127.0.0.1", port))
 
 
+@pytest.mark.full
 def test_an_interrupt_ends_a_page_that_stays(start: type[Part], wait_until: Callable[..., None]) -> None:
     fly = start("sitl", "fly", "--seed", "3", "--speedup", "0", "--no-record", "--view", "--budget", "2", "--json")
     wait_until(lambda: fly.out and fly.says("page stays open at"))
@@ -99,6 +100,7 @@ def test_an_interrupt_ends_a_page_that_stays(start: type[Part], wait_until: Call
     assert fly.ended(10) == 0  # the mission was flown
 
 
+@pytest.mark.full
 def test_a_page_that_dies_is_a_warning(start: type[Part], wait_until: Callable[..., None], family: Callable[[int], dict[str, int]]) -> None:
     import os
 

@@ -20,7 +20,6 @@ from tests.autopilots.wire import Double
 SPEEDUP = 5.0
 STRETCHED = (("COM_OF_LOSS_T", 1.0 * SPEEDUP),)
 """PX4's own simulation stretches this time, too."""
-KINDS = ("ardupilot", "px4")
 
 
 class Flown:
@@ -46,7 +45,7 @@ class Flown:
             elif isinstance(event, Said):
                 self.said.append(event.text)
 
-    def until(self, holds: Callable[[], object], timeout_s: float = 40.0) -> None:
+    def until(self, holds: Callable[[], object], timeout_s: float = 100.0) -> None:
         """Look until something holds."""
         deadline = time.monotonic() + timeout_s
         while not holds():
@@ -54,8 +53,15 @@ class Flown:
             self.look()
 
 
-@pytest.mark.parametrize("listen", ["tcp:127.0.0.1:0", "udpin:127.0.0.1:0"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "listen"),
+    [
+        ("ardupilot", "tcp:127.0.0.1:0"),
+        ("px4", "udpin:127.0.0.1:0"),
+        pytest.param("ardupilot", "udpin:127.0.0.1:0", marks=pytest.mark.full),
+        pytest.param("px4", "tcp:127.0.0.1:0", marks=pytest.mark.full),
+    ],
+)
 def test_a_vehicle_flies_over_tcp_and_udp(kind: str, listen: str) -> None:
     with Double(kind, listen, Settings(ready_s=5.0, parameters=STRETCHED if kind == "px4" else ()), SPEEDUP) as double:
         flown = Flown(double)
@@ -107,8 +113,8 @@ def test_heartbeats_come_once_a_second_of_the_vehicles_time() -> None:
 def test_another_system_than_the_one_that_is_wanted_is_not_flown() -> None:
     with Double("ardupilot", settings=Settings(ready_s=5.0), speedup=SPEEDUP) as double:
         flown = Flown(double, sysid=7)
-        began = time.monotonic()
-        flown.until(lambda: time.monotonic() > began + 1.0)
+        began_s = double.wire.autopilot.now_s
+        flown.until(lambda: double.wire.autopilot.now_s > began_s + 5.0)  # it has had five heartbeats to find
         assert not flown.vehicle.flight.commander.system
         flown.connection.close()
 
@@ -118,5 +124,5 @@ def test_an_autopilot_of_another_kind_fails_in_one_line() -> None:
         double.wire.autopilot.autopilot = 0
         flown = Flown(double)
         with pytest.raises(VehicleFailed, match=r"^system 1: autopilot GENERIC \(0\) is not supported; wanted an ArduCopter or a PX4"):
-            flown.until(lambda: False, 10.0)
+            flown.until(lambda: False)
         flown.connection.close()
