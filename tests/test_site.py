@@ -9,9 +9,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-import nbformat
 import pytest
-from nbclient import NotebookClient
 from ruamel.yaml import YAML
 
 import plumeward
@@ -139,6 +137,9 @@ def test_the_search_finds_every_page(site: Path) -> None:
 @pytest.mark.timeout(300)  # where kernels are not compiled yet
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_its_claims_hold_and_it_prints_what_it_shows(path: Path, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import nbformat
+    from nbclient import NotebookClient
+
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     notebook = nbformat.read(path, 4)
     nbformat.validate(notebook)
@@ -150,7 +151,7 @@ def test_a_notebook_runs_its_claims_hold_and_it_prints_what_it_shows(path: Path,
     assert [said(cell) for cell in notebook.cells] == shown
 
 
-def said(cell: nbformat.NotebookNode) -> str:
+def said(cell: Any) -> str:
     """What a cell printed to stdout."""
     return "".join(output.text for output in cell.get("outputs", []) if output.output_type == "stream" and output.name == "stdout")
 

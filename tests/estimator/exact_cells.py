@@ -10,7 +10,6 @@ from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 Array = NDArray[np.float64]
 
@@ -39,6 +38,8 @@ def normal_log_density(gas: float, mean: Array) -> Array:
 @cache
 def gas_cells(cv: float) -> tuple[Array, Array, Array]:
     """Mass, mean and variance of a gamma variable of mean 1 in cells: narrow ones where it is dense, none wider than the noise allows."""
+    from scipy import special
+
     k = 1 / cv**2
     edges = np.concatenate([np.arange(0, 2, 0.1), np.arange(2, 60, 0.4), [1e9]])
     zeroth, first, second = (np.diff(special.gammainc(k + power, k * edges)) for power in (0, 1, 2))

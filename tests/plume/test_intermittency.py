@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 from numba import njit
-from scipy import integrate, optimize, stats
 
 from plume import intermittency
 from plume.randomness import Abreast, Keyed, keyed
@@ -22,6 +21,8 @@ PROBABLE = -60.0
 
 def exact(gas: float, mean: float, std: float, cv: float) -> float:
     """Log of ∫ Gamma(c; k, m/k) N(z − c; 0, σ²) dc by adaptive quadrature over log c, from its one mode outwards."""
+    from scipy import integrate, optimize
+
     k = 1 / cv**2
 
     def exponent(log_c: float) -> float:
@@ -113,6 +114,8 @@ def test_the_worked_case_of_exponential_gas() -> None:
 @pytest.mark.parametrize("cv", [0.3, 1.0, 2.0, 3.0])
 def test_the_compiled_distribution_is_the_integral_over_the_noise(cv: float) -> None:
     """P(c + v ≤ z) = E over v of the gamma's own distribution function at z − v."""
+    from scipy import stats
+
     noise = np.linspace(-8.0, 8.0, 20_001)
     weight = np.exp(-0.5 * noise**2)
     weight /= weight.sum()

@@ -6,18 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from stable_baselines3 import DDPG, DQN, PPO
-from stable_baselines3.common.vec_env import VecMonitor
 
 from agent.learn.env import SourceSearch, SourceSearchVector
-from agent.learn.sb3 import StableBaselinesEnv
 
 QUICK: dict[str, Any] = {"particles": 50, "threshold_m": 7.0, "budget": 18}
 """Missions of which some stop and some spend their budget."""
 COUNT = 6
 
 
-def adapted(**settings: Any) -> StableBaselinesEnv:
+def adapted(**settings: Any) -> Any:
+    from agent.learn.sb3 import StableBaselinesEnv  # which loads torch
+
     return StableBaselinesEnv(SourceSearchVector(COUNT, **(QUICK | settings)))
 
 
@@ -64,6 +63,8 @@ def test_a_seed_is_for_one_reset() -> None:
 
 
 def test_what_is_one_for_all_cannot_be_set_for_one() -> None:
+    from stable_baselines3.common.vec_env import VecMonitor
+
     env = adapted()
     assert env.get_attr("num_envs", indices=[0, 2]) == [COUNT, COUNT]
     assert env.render_mode is None
@@ -82,16 +83,19 @@ OFF_POLICY: dict[str, Any] = {"buffer_size": 400, "learning_starts": 50, "batch_
 
 @pytest.mark.parametrize(
     ("kind", "settings", "continuous"),
-    [(PPO, {"n_steps": 32, "batch_size": 64}, False), (PPO, {"n_steps": 32, "batch_size": 64}, True),
-     (DQN, OFF_POLICY, False), (DDPG, OFF_POLICY, True)],
+    [("PPO", {"n_steps": 32, "batch_size": 64}, False), ("PPO", {"n_steps": 32, "batch_size": 64}, True),
+     ("DQN", OFF_POLICY, False), ("DDPG", OFF_POLICY, True)],
     ids=["ppo, headings", "ppo, heading and step", "dqn", "ddpg"],
 )  # fmt: skip
 def test_stable_baselines_learns(
-    kind: Any, settings: dict[str, Any], continuous: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, settings: dict[str, Any], continuous: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    import stable_baselines3
+    from stable_baselines3.common.vec_env import VecMonitor
+
     monkeypatch.setenv("SB3_LOGDIR", str(tmp_path))  # else it leaves a folder behind
     env = VecMonitor(adapted(continuous=continuous))
-    model = kind(env=env, **SMALL, **settings)
+    model = getattr(stable_baselines3, kind)(env=env, **SMALL, **settings)
     before = [value.clone() for value in model.policy.parameters()]
     model.learn(256)
     assert model.num_timesteps >= 256

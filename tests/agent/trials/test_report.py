@@ -7,8 +7,8 @@ import sys
 import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
-import matplotlib
 import msgspec
 import numpy as np
 import pytest
@@ -16,14 +16,12 @@ import pytest
 from agent.policies import OURS
 from agent.trials.evaluate import write_csv
 from agent.trials.figures import MissionRow
-from agent.trials.report import drawing
 from agent.trials.report.command import FILES, run, save, write
 from agent.trials.report.published import PUBLISHED
 from agent.trials.report.results import Results, Setting, read
 from agent.trials.report.tables import against_paper, tables
 from plume.outcome import Outcome, TracePoint
 from plume.scenario import Scenario
-from scene.drawing import STYLE
 
 PICTURES = ("particles", "thresholds", "trajectories", "hundred", "distances")
 
@@ -47,6 +45,14 @@ FOUR = [
     flown(1_000_003, False, 9.0, 300.0, floor_m=99.0),
 ]
 """Of four, three ceased and two are located."""
+
+
+@pytest.fixture
+def drawing() -> Any:
+    """The module that draws the pictures; it loads matplotlib."""
+    from agent.trials.report import drawing
+
+    return drawing
 
 
 def test_missions_flown_in_two_ways_are_not_joined(tmp_path: Path) -> None:
@@ -139,24 +145,24 @@ def test_what_lies_below_the_floor_is_not_compared(tmp_path: Path, floor_m: floa
     assert any(note.startswith("(4) 16.83 m") for note in table.notes) == (floor_m == 20.0)
 
 
-def test_a_picture_compares_all_of_five_policies_or_the_five_that_matter_and_ones_own() -> None:
+def test_a_picture_compares_all_of_five_policies_or_the_five_that_matter_and_ones_own(drawing: Any) -> None:
     assert drawing.compared(["random", "greedy", "mine"]) == ["random", "greedy", "mine"]
     assert drawing.compared([*OURS, "mine"]) == ["infotaxis", "dcee", "space-aware-infotaxis", "homing", "ppo", "mine"]
     others = [policy for policy in OURS if policy not in drawing.FIVE]
     assert drawing.compared(others) == others[:5]
 
 
-def test_curves_are_of_the_policies_compared_and_the_papers_points_of_theirs(tmp_path: Path) -> None:
+def test_curves_are_of_the_policies_compared_and_the_papers_points_of_theirs(tmp_path: Path, drawing: Any) -> None:
     rows = [flown(seed, policy=policy, particles=particles) for policy in OURS for particles in (100, 4000) for seed in range(3)]
     figure = drawing.against_particles(results_of(tmp_path, rows))
     shown = {text.get_text() for text in figure.legends[0].get_texts()}
     assert shown == {*drawing.FIVE, "paper: AGDC-PPO", "paper: Infotaxis", "information floor"}
 
 
-def test_each_panel_has_the_path_of_its_mission_and_the_last_one_the_legend() -> None:
+def test_each_panel_has_the_path_of_its_mission_and_the_last_one_the_legend(drawing: Any) -> None:
     scenario = Scenario(source=(10.0, 12.0), q=100.0, u=1.0, phi=0.0, d=1.0, tau=1.0, start=(0.0, 10.0))
 
-    def flight(policy: str, *places: float) -> drawing.Flight:
+    def flight(policy: str, *places: float) -> Any:
         trace = [TracePoint((x, 10.0), 0.0, (9.0, 11.0), 1.0) for x in places]
         return Outcome(
             0, policy, True, False, (9.0, 11.0), (10.0, 12.0), scenario, 1.4, 0.1, len(trace) - 1, 1.0, 1.0, "paper", "spread:0.5"
@@ -171,10 +177,10 @@ def test_each_panel_has_the_path_of_its_mission_and_the_last_one_the_legend() ->
     assert last.get_legend() is not None
 
 
-def test_a_mission_that_has_ended_stays_in_the_median_with_its_last_distance() -> None:
+def test_a_mission_that_has_ended_stays_in_the_median_with_its_last_distance(drawing: Any) -> None:
     scenario = Scenario(source=(10.0, 10.0), q=1.0, u=1.0, phi=0.0, d=1.0, tau=1.0, start=(0.0, 10.0))
 
-    def flight(*places: float) -> drawing.Flight:
+    def flight(*places: float) -> Any:
         trace = [TracePoint((x, 10.0), 0.0, (10.0, 10.0), 1.0) for x in places]
         return Outcome(
             0, "greedy", True, True, (10.0, 10.0), (10.0, 10.0), scenario, 0.0, 0.1, len(trace) - 1, 1.0, 1.0, "paper", "spread:0.5"
@@ -206,7 +212,11 @@ SEVERAL = [
 ] + [flown(1_000_000, False, policy="random", particles=20)]
 
 
-def test_the_same_picture_is_the_same_file(tmp_path: Path) -> None:
+def test_the_same_picture_is_the_same_file(tmp_path: Path, drawing: Any) -> None:
+    import matplotlib
+
+    from scene.drawing import STYLE
+
     results = results_of(tmp_path, SEVERAL)
     with matplotlib.rc_context(STYLE):
         one, two = (save(drawing.against_particles(results), tmp_path / name) for name in ("one", "two"))
