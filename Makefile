@@ -32,7 +32,7 @@ setup: $(READY) chromium clients
 $(FLIGHT): pyproject.toml constraints.txt requirements.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Plumeward needs Python 3.11 or newer; name one with: make PYTHON=...")'
 	@if [ -e $(UNFINISHED) ]; then echo 'the last install did not finish: starting again'; rm -rf .venv; fi
-	@echo 'installing what a flight needs into .venv, about 450 MB'
+	@echo 'installing what a flight needs into .venv, about 420 MB'
 	@mkdir -p .venv && touch $(UNFINISHED)
 	@$(PYTHON) -m venv .venv
 	@$(PIP) --require-hashes -r requirements.txt
