@@ -12,19 +12,17 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from ruamel.yaml import YAML
 
-from sitl.launch.viewing import UNATTENDED_S
 from sitl.script.script import load
 from tests.clients.installed import free_udp_port, python_of
 
@@ -42,12 +40,29 @@ SHORTER = {
     rf"{OURS} train\b.*": "--steps 1 --scenarios 0",
 }
 """Commands that take less time with more flags; the last flag of a name counts."""
-TIMEOUT_S = 200
+TIMEOUT_S = 600
+"""A command that takes longer hangs."""
+RELIED_ON = {
+    "README.md: make mission",
+    "README.md: plumeward fly --seed 11 --view",
+    "README.md: plumeward rollout --seed 4 --policy infotaxis --world wind-30",
+    "docs/missions.md: plumeward log runs/NAME.mcap",
+    "docs/missions.md: plumeward draw runs/NAME.mcap",
+    "docs/missions.md: plumeward replay runs/NAME.mcap --verify --speedup 0",
+    "docs/physics.md: plumeward list worlds",
+    "docs/security.md: plumeward certs certs --vehicles 1,2",
+    "docs/services.md: plumeward router --listen tcp/127.0.0.1:7447",
+    "docs/vehicles.md: plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11",
+}
+"""What `make test` runs, beside all that prints help: a page, and the first command of a block. `make test-all` runs the others."""
+SHORT = {"README.md", "physics.md", "policies.md"}
+"""Pages whose examples in Python `make test` runs."""
 
 INSTEAD = {
     "make test": "make test FLAGS=tests/plume/test_world.py",
+    "make test-all": "make --dry-run test-all",
     "make lint": "make --dry-run lint",  # .ci/run runs it
-    "make fuzz": "make --dry-run fuzz",  # tests/fuzz gives each decoder its first 2,000 inputs
+    "make fuzz": "make --dry-run fuzz",  # tests/fuzz gives each decoder its first inputs
     "make site": "make --dry-run site",  # tests/test_site.py builds it
     "make bench": "make bench FLAGS='--missions 1'",
     "make bench-env":
@@ -310,6 +325,11 @@ def output(said: Path, before: int = 0) -> str:
     return said.read_bytes()[before:].decode(errors="replace") if said.exists() else ""
 
 
+def has_spoken(process: subprocess.Popen, words: str, said: Path, before: int) -> bool:
+    """Whether a command has said these words, or never will."""
+    return words in output(said, before) or process.poll() is not None
+
+
 def ended(command: str, cwd: Path, copy: Path, said: Path) -> int:
     with started(command, cwd, copy, said) as process:
         return process.wait(TIMEOUT_S)
@@ -319,15 +339,14 @@ def ended(command: str, cwd: Path, copy: Path, said: Path) -> int:
 def staying(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subprocess.Popen]:
     """Keep a command up until the with block ends. If it is ours, Ctrl-C must end it, and nothing else may."""
     with started(f"exec {command}", cwd, copy, said) as process:
-        began = time.monotonic()
         yield process
-        if " --view" in command and process.poll() == 0 and time.monotonic() - began > UNATTENDED_S:
+        if " --view" in command and process.poll() == 0:
             return  # its page stays open no longer where nobody can press Ctrl-C
         assert process.poll() is None, f"{command}: did not stay up\n{output(said)}"
         if command.startswith("tensorboard "):
             return  # it sometimes ignores the signal
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) in (0, 130), f"{command}: an interrupt did not end it cleanly\n{output(said)}"
+        assert process.wait(TIMEOUT_S) in (0, 130), f"{command}: an interrupt did not end it cleanly\n{output(said)}"
 
 
 def free_port() -> int:
@@ -368,9 +387,15 @@ def put_in_place(command: str, copy: Path, said: Path) -> None:
         shutil.copy(copy / "runs" / "NAME.tlog", copy / "flight.tlog")
 
 
-@pytest.mark.timeout(TIMEOUT_S + 100)
-@pytest.mark.parametrize("session", SESSIONS, ids=str)
-def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: Path) -> None:
+def first_or_last(session: Session) -> Any:
+    """A session, marked for `make test-all` unless it is relied on."""
+    sooner = str(session) in RELIED_ON or session.commands[0].text.endswith(" --help")
+    return pytest.param(session, id=str(session), marks=() if sooner else pytest.mark.full)
+
+
+@pytest.mark.timeout(2 * TIMEOUT_S)
+@pytest.mark.parametrize("session", map(first_or_last, SESSIONS))
+def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: Path, wait_until: Callable[..., None]) -> None:
     port = str(free_port())
     with ExitStack() as up:
         for command, shown in session.commands:
@@ -386,11 +411,8 @@ def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: 
             run = smaller(command).replace("7447", port)
             if command in STAYS:
                 process = up.enter_context(staying(run, cwd, checkout, said))
-                deadline = time.monotonic() + TIMEOUT_S
-                while STAYS[command] not in output(said, before):
-                    assert process.poll() is None, f"{command}: ended\n{output(said, before)}"
-                    assert time.monotonic() < deadline, f"{command}: did not come to say {STAYS[command]!r}\n{output(said, before)}"
-                    time.sleep(0.05)
+                wait_until(partial(has_spoken, process, STAYS[command], said, before), TIMEOUT_S)
+                assert STAYS[command] in output(said, before), f"{command}: ended\n{output(said, before)}"
             else:
                 status = ended(run, cwd, checkout, said)
                 assert status == 0, f"{command}: exit status {status}\n{output(said, before)}"
@@ -423,8 +445,12 @@ def check_containers(command: str) -> None:
             assert f"--profile {value}" in text, f"{command}: compose.yaml says nothing of this profile"
 
 
-@pytest.mark.timeout(TIMEOUT_S)
-@pytest.mark.parametrize("block", of("python"), ids=lambda block: f"{block.page.name}:{block.line}")
+def short_or_long(block: Block) -> Any:
+    """An example, marked for `make test-all` unless its page is short."""
+    return pytest.param(block, id=f"{block.page.name}:{block.line}", marks=() if block.page.name in SHORT else pytest.mark.full)
+
+
+@pytest.mark.parametrize("block", map(short_or_long, of("python")))
 def test_an_example_in_python_runs(block: Block, checkout: Path, said: Path, tmp_path: Path) -> None:
     script, python, text = tmp_path / "example.py", "python", block.text
     if "mavsdk.asyncio" in text:  # it needs MAVSDK 4, and a port of its own
@@ -464,3 +490,4 @@ def test_every_link_and_every_page_that_is_named_is_there(page: Path) -> None:
 def test_the_tables_of_this_test_hold_nothing_that_no_page_says() -> None:
     there = {command.text for session in SESSIONS for command in session.commands}
     assert not (set(INSTEAD) | set(STAYS)) - there
+    assert not RELIED_ON - set(map(str, SESSIONS))

@@ -134,6 +134,7 @@ def test_the_search_finds_every_page(site: Path) -> None:
     assert {page.removesuffix(".html") or "index" for page in found} >= PAGES
 
 
+@pytest.mark.full
 @pytest.mark.timeout(300)  # where kernels are not compiled yet
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_its_claims_hold_and_it_prints_what_it_shows(path: Path, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -198,6 +198,7 @@ def test_no_waypoint_is_rounded_out_of_the_area(plug: Plug, seen: tuple[Belief, 
     assert reached.scripted == {0: (below, below)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flags", "line"),
     [
@@ -349,6 +350,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_policy_of_another_package_flies_the_same_over_the_bus(tmp_path: Path, packages: Path) -> None:
     chosen = ("--policy", "drawn", "--seed", "5", "--budget", "10", "--particles", "100")
     over_the_bus = flown("sitl", "fly", *chosen, "--speedup", "0", cwd=tmp_path, packages=packages)
@@ -358,7 +360,8 @@ def test_a_policy_of_another_package_flies_the_same_over_the_bus(tmp_path: Path,
         assert 0 < math.dist(before["position"], after["position"]) < 1 + 1e-5
 
 
-@pytest.mark.parametrize(("schema", "move"), [("paper", HeadingAndStep()), ("polar", Headings(16))], ids=["paper", "polar"])
+@pytest.mark.slow
+@pytest.mark.parametrize(("schema", "move"), [("paper", HeadingAndStep()), pytest.param("polar", Headings(16), marks=pytest.mark.full)])
 def test_a_bundle_flies_the_same_over_the_bus(tmp_path: Path, schema: str, move: Move) -> None:
     a_bundle(tmp_path / "a.zip", schema, move, seed=1)
     chosen = ("--policy", "a.zip", "--seed", "5", "--budget", "10", "--particles", "100")
@@ -367,6 +370,7 @@ def test_a_bundle_flies_the_same_over_the_bus(tmp_path: Path, schema: str, move:
     assert len(over_the_bus["trace"]) == 11
 
 
+@pytest.mark.slow
 def test_a_policy_of_another_package_is_evaluated_by_all_workers(tmp_path: Path, packages: Path) -> None:
     chosen = ("--policy", "drawn,random", "--scenarios", "3", "--particles", "100", "--budget", "10", "--workers", "2")
     done = command("agent", "evaluate", *chosen, "--json", cwd=tmp_path, packages=packages)
@@ -374,6 +378,7 @@ def test_a_policy_of_another_package_is_evaluated_by_all_workers(tmp_path: Path,
     assert json.loads(done.stdout.splitlines()[-1])["drawn"]["missions"] == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "words"),
     [
@@ -389,10 +394,11 @@ def test_a_package_that_does_not_fit_is_refused_before_anything_flies(tmp_path: 
         assert words in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("word", "policy word said 'north'; wanted a waypoint (x, y) in metres"),
+        pytest.param("word", "policy word said 'north'; wanted a waypoint (x, y) in metres", marks=pytest.mark.full),
         ("crash", "policy crash failed: LookupError: lost (stranger.py, line 14)"),
     ],
 )
@@ -412,6 +418,7 @@ def examples() -> dict[str, str]:
     return {name: text for text, name in blocks}
 
 
+@pytest.mark.slow
 def test_the_documented_bundle_is_made_without_our_code_and_flies_where_it_says(tmp_path: Path) -> None:
     source = examples()["beeline.py"]
     assert not re.search(r"^(from|import) (agent|link|plume|estimator)\b", source, re.MULTILINE)
@@ -427,6 +434,7 @@ def test_the_documented_bundle_is_made_without_our_code_and_flies_where_it_says(
         assert after["position"] == pytest.approx(wanted, abs=1e-5)
 
 
+@pytest.mark.full
 def test_the_documented_package_installs_and_flies(tmp_path: Path) -> None:
     source, packages = tmp_path / "source", tmp_path / "packages"
     source.mkdir()

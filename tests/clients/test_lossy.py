@@ -13,6 +13,8 @@ from tests.clients.installed import HERE, free_udp_port, python_of
 from tests.clients.lossy import LossyLink
 from tests.clients.qgroundcontrol import FENCE, MISSION, RALLY, QGroundControl, same, waypoint
 
+pytestmark = pytest.mark.full
+
 COMMANDS = (
     (mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, mavlink.MAV_RESULT_ACCEPTED),
     (mavlink.MAV_CMD_PREFLIGHT_CALIBRATION, mavlink.MAV_RESULT_UNSUPPORTED),

@@ -10,6 +10,8 @@ import pytest
 
 from tests.clients.installed import python_of
 
+pytestmark = pytest.mark.full
+
 MODULES = "arm,cmdlong,fence,ftp,log,misc,mode,param,rally,wp"
 FASTEST = (30, 32, 33)
 """The messages that come most often. At the speed-up of a test MAVProxy, which is Python, could not read them all on a busy machine."""

@@ -8,6 +8,8 @@ import pytest
 
 from tests.clients.installed import HERE, python_of
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture
 def mavsdk(vehicle: Callable[..., int]) -> Callable[..., dict]:

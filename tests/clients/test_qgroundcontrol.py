@@ -71,6 +71,7 @@ def test_qgroundcontrol_comes_to_the_end_of_its_start_without_waiting_once(stati
         assert ground.download(kind) == []
 
 
+@pytest.mark.full
 def test_qgroundcontrol_hears_all_that_its_instruments_show(station: Callable[..., QGroundControl]) -> None:
     ground, missing = station("--speedup", "4"), set(STREAMS)
     assert ground.wait(lambda message: missing.discard(message.get_type()) or not missing), missing
@@ -122,6 +123,7 @@ def test_qgroundcontrol_uploads_a_plan_starts_it_and_follows_it_to_its_end(stati
     assert ground.download(MISSION) == []
 
 
+@pytest.mark.full
 def test_qgroundcontrol_draws_a_fence_that_the_vehicle_keeps(station: Callable[..., QGroundControl]) -> None:
     ground = station("--speedup", "4")
     fence = [
@@ -140,6 +142,7 @@ def test_qgroundcontrol_draws_a_fence_that_the_vehicle_keeps(station: Callable[.
     assert ground.clear(FENCE) == mavlink.MAV_MISSION_ACCEPTED
 
 
+@pytest.mark.full
 def test_qgroundcontrol_returns_to_the_nearest_of_its_rally_points(station: Callable[..., QGroundControl]) -> None:
     ground = station("--speedup", "4")
     points = [waypoint(RALLY_POINT, 16, 16, 5), waypoint(RALLY_POINT, 4, 16, 5)]
@@ -154,6 +157,7 @@ def test_qgroundcontrol_returns_to_the_nearest_of_its_rally_points(station: Call
     until_there(ground, 16, 16, 0)
 
 
+@pytest.mark.full
 def test_qgroundcontrol_is_refused_what_the_vehicle_lacks(station: Callable[..., QGroundControl]) -> None:
     ground = station()
     for name in (

@@ -13,6 +13,8 @@ from plume.scenario import Scenario, draw
 from plume.world import World
 from tests.estimator.exact import GridPosterior, log_likelihood
 
+pytestmark = pytest.mark.slow
+
 STEPS = 45
 WANDERING = 20
 NARROW_M = 5.0
@@ -55,7 +57,9 @@ def compare(seeds: range, particle_counts: tuple[int, ...]) -> tuple[np.ndarray,
     return np.array(spreads), *np.array(rows).reshape(len(spreads), len(particle_counts), 3).transpose(2, 1, 0)
 
 
-@pytest.mark.parametrize("first_seed", range(1_000_000, 1_000_200, 50))
+@pytest.mark.parametrize(
+    "first_seed", [1_000_000, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(1_000_050, 1_000_200, 50))]
+)
 def test_every_belief_is_the_exact_posterior_to_within_what_its_particles_can_tell(first_seed: int) -> None:
     counts = (100, 1000, 4000)
     spread, *errors = compare(range(first_seed, first_seed + 50), counts)
@@ -107,7 +111,8 @@ def test_readings_at_one_place_in_still_air_leave_a_ring(repeats: int) -> None:
     assert grid.covariance == pytest.approx(np.eye(2) * expected / 2, rel=1e-3, abs=1e-3 * expected)
 
 
-@pytest.mark.parametrize("seed", [1_000_000, 1_000_032])  # down to 0.04 m, within the source itself; a thin ridge
+# Down to 0.04 m, within the source itself; a thin ridge.
+@pytest.mark.parametrize("seed", [1_000_000, pytest.param(1_000_032, marks=pytest.mark.full)])
 def test_the_zooming_grid_agrees_with_a_fine_one_over_the_whole_area(seed: int) -> None:
     s = draw(seed)
     zooming = GridPosterior(s.q, s.d, s.tau)

@@ -60,6 +60,7 @@ def harsh(seed: int) -> tuple[Scenario, list[tuple[float, float]]]:
     return Scenario(source=(x, y), q=q, u=u, phi=phi, d=d, tau=tau, start=places[0]), places
 
 
+@pytest.mark.slow
 def test_harsh_missions_leave_a_sound_posterior() -> None:
     worst = []
     for seed in range(150):

@@ -102,6 +102,7 @@ def fused(config: Config, particles: np.ndarray, reading: np.ndarray) -> np.ndar
     return log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, reading)
 
 
+@pytest.mark.slow
 def test_the_polynomials_are_exp_and_log() -> None:
     values = np.concatenate([np.linspace(-700, 700, 200_001), np.geomspace(1e-300, 1e300, 100_001), -np.geomspace(1e-12, 1, 10_001)])
     exp, log = exp_and_log(values)
@@ -112,12 +113,14 @@ def test_the_polynomials_are_exp_and_log() -> None:
     assert np.all(np.abs(log[nonzero] - expected) <= 4.5e-16 * np.maximum(np.abs(expected), 1))
 
 
+@pytest.mark.slow
 def test_a_direction_is_cos_and_sin() -> None:
     turns = np.concatenate([np.linspace(0, 1, 100_001)[:-1], [0.25, 0.5, 0.75, 1 - 2.0**-53]])
     expected = np.cos(2 * math.pi * turns), np.sin(2 * math.pi * turns)
     assert np.abs(directions(turns) - expected).max() < 1e-15
 
 
+@pytest.mark.slow
 def test_what_is_drawn_is_uniform_and_uncorrelated() -> None:
     draws = uniforms(5, 7, 1_000_000)
     assert 0 < draws.min() < draws.max() < 1
@@ -256,6 +259,7 @@ print(sum(sum(f.stats.cache_hits.values()) for f in compiled), sum(sum(f.stats.c
 """
 
 
+@pytest.mark.slow
 def test_a_second_start_compiles_nothing() -> None:
     run = [sys.executable, "-c", CACHE_MISSES]
     subprocess.run(run, check=True, capture_output=True, timeout=100)

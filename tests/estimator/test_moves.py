@@ -177,6 +177,7 @@ def test_early_rejection_changes_no_decision(priors: dict[str, Prior], sensor: S
     assert np.array_equal(particles, np.where(wanted, proposals, start))
 
 
+@pytest.mark.slow
 def test_correlated_unknowns_stay_posterior_at_the_ends_of_their_support() -> None:
     """Readings tell q · gain alone, and both ends of that curve are cut off: reflected steps would not be symmetric there."""
     config = Config(diffusivity=4.2, priors={"x": Fixed(13.0), "y": Fixed(13.0), "q": Uniform(300.0, 1200.0), "gain": Uniform(0.5, 1.5)})

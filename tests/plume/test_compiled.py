@@ -16,6 +16,8 @@ from numba.core import config
 
 from plume.compiled import fingerprint
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 PLAIN = """
 from plume.compiled import kernel

@@ -51,6 +51,7 @@ def test_importing_loads_nothing_that_takes_long(tmp_path: Path) -> None:
     assert (ran.stdout, ran.stderr) == ("[]\n", "")
 
 
+@pytest.mark.slow
 def test_the_environments_are_made_by_name_after_an_import(tmp_path: Path) -> None:
     code = """
 import gymnasium, plumeward
@@ -150,6 +151,7 @@ def test_readings_of_ones_own_give_the_beliefs_of_a_mission() -> None:
         assert (said.mean, said.spread) == (point.mean, point.spread)
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_the_missions_one_by_one() -> None:
     seeds = range(1_000_000, 1_000_006)
     said = plumeward.evaluate(["homing", "random"], scenarios=6, particles=200, budget=60)
@@ -165,6 +167,7 @@ def test_figures_are_those_of_the_missions_one_by_one() -> None:
     assert plumeward.evaluate("homing", 6, particles=200, budget=60)["homing"]["mtd_m"] == said["homing"]["mtd_m"]
 
 
+@pytest.mark.slow
 def test_policies_are_compared_in_several_worlds() -> None:
     both = plumeward.evaluate("homing", 4, particles=200, budget=60, world=["as-modelled", "gain-halved"])
     assert list(both) == ["homing world=as-modelled", "homing world=gain-halved"]

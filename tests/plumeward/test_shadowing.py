@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent", "plumeward")
 COMMAND = str(Path(sys.executable).parent / "plumeward")
 BRIEF = ("--budget", "2", "--speedup", "0", "--json")
@@ -35,12 +37,14 @@ def test_the_command_flies_beside_files_with_the_names_of_its_packages(tmp_path:
     assert result(run(tmp_path, COMMAND, "fly", *BRIEF))["steps"] == 2
 
 
+@pytest.mark.full
 def test_so_do_the_workers_of_a_sweep(tmp_path: Path) -> None:
     folder(tmp_path, *PACKAGES, "random", "pickle")
     said = result(run(tmp_path, COMMAND, "evaluate", "--scenarios", "3", "--workers", "2", "--budget", "2", "--json"))
     assert said["homing"]["missions"] == 3
 
 
+@pytest.mark.full
 def test_the_parts_of_a_mission_that_a_module_flies_are_ours(tmp_path: Path) -> None:
     folder(tmp_path, "estimator", "agent", "plumeward")
     assert result(run(tmp_path, sys.executable, "-m", "sitl", "fly", *BRIEF))["steps"] == 2

@@ -10,6 +10,8 @@ import pytest
 
 from scene.scene import Backdrop, Craft, Measurement, Release, Scatter, Scene
 
+pytestmark = pytest.mark.slow
+
 SOURCE = (20.0, 24.0)
 RELEASE = Release(SOURCE, wind=(2.0, 0.0), q=300.0, d=2.0, tau=10.0)
 """Wind comes from the east: gas lies to the west."""

@@ -86,6 +86,7 @@ def test_a_mission_from_the_ground_to_its_outcome_with_an_operators_commands(
     assert window.violations() == []
 
 
+@pytest.mark.full
 def test_a_service_that_dies_is_seen_and_seen_again_when_it_is_back(
     start, router: str, mission: Path, viewed: str, look: Callable[..., Window]
 ) -> None:
@@ -109,6 +110,7 @@ def test_a_service_that_dies_is_seen_and_seen_again_when_it_is_back(
     assert window.page.locator(".services li[data-verdict=missing]").count() == 0
 
 
+@pytest.mark.full
 def test_the_page_of_a_flight_stays_when_it_is_over_until_it_is_closed(
     start, mission: Path, look: Callable[..., Window], wait_until: Callable, tmp_path: Path
 ) -> None:

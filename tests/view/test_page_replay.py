@@ -86,6 +86,7 @@ def test_a_record_opens_at_its_outcome(replay: Window) -> None:
     replay.keep("replay")
 
 
+@pytest.mark.full
 def test_a_record_that_was_cut_off_is_shown_and_says_so(look: Callable[..., Window], tmp_path: Path) -> None:
     (tmp_path / "cut.mcap").write_bytes((GOLDEN / f"{HOMING}.mcap").read_bytes()[:-100])  # its beliefs are there, its end is not
     page = Served(RecordedFleet([tmp_path / "cut.mcap"]))
@@ -101,6 +102,7 @@ def test_a_record_that_was_cut_off_is_shown_and_says_so(look: Callable[..., Wind
         page.close()
 
 
+@pytest.mark.full
 def test_stepping_goes_from_reading_to_reading(replay: Window) -> None:
     said = beliefs(HOMING)
     replay.page.keyboard.press("Home")
@@ -130,6 +132,7 @@ def test_scrubbing_goes_to_any_time_and_back(replay: Window) -> None:
     replay.keep("replay-half-way")
 
 
+@pytest.mark.full
 def test_jumping_goes_to_what_happened(replay: Window) -> None:
     stopped_s = next(time_s for time_s, belief in beliefs(HOMING) if belief.ceased)
     replay.page.keyboard.press("Home")
@@ -168,6 +171,7 @@ def test_playing_runs_to_the_end_at_the_chosen_speed(replay: Window) -> None:
     shows(replay, beliefs(HOMING)[-1][1])
 
 
+@pytest.mark.full
 def test_space_plays_and_pauses_and_the_speed_has_keys(replay: Window) -> None:
     replay.page.keyboard.press("Home")
     replay.page.keyboard.press("-")
@@ -205,6 +209,7 @@ def test_two_records_are_compared_on_one_time_line(two: str, look: Callable[...,
     window.keep("two-records")
 
 
+@pytest.mark.full
 def test_a_replay_fits_a_phone(two: str, look: Callable[..., Window]) -> None:
     window = at_the_end(look(two, PHONE, has_touch=True, is_mobile=True), HOMING, INFOTAXIS)
     assert window.narrow_enough()

@@ -53,6 +53,7 @@ def test_gymnasiums_checker_finds_nothing(name: str, observation: str) -> None:
         check_env(make(name, observation=observation), skip_render_check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("observation", SCHEMAS)
 @pytest.mark.parametrize("name", IDS)
 def test_stable_baselines_checker_finds_nothing(name: str, observation: str) -> None:
@@ -96,6 +97,7 @@ def test_many_at_once_come_as_a_native_vector_env() -> None:
     assert several.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
 
 
+@pytest.mark.slow
 def test_the_names_are_found_without_an_import() -> None:
     code = f"import gymnasium; print(gymnasium.make('plumeward:{DISCRETE}').reset(seed=1)[1]['seed'])"
     said = subprocess.run([sys.executable, "-c", code], check=True, timeout=60, capture_output=True, text=True, cwd=DOCUMENT.parents[1])
@@ -468,6 +470,7 @@ def test_a_step_wants_a_reset_first() -> None:
             env.step(action)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL))
 def test_the_documents_examples_run(example: str) -> None:
     exec(compile(example, str(DOCUMENT), "exec"), {})
@@ -480,6 +483,7 @@ def test_the_document_says_what_each_number_of_an_observation_is() -> None:
         assert [i for first, last in rows for i in range(first, last + 1)] == list(range(schema.size))
 
 
+@pytest.mark.slow
 def test_an_install_makes_the_names_known_as_soon_as_gymnasium_is_imported(tmp_path: Path) -> None:
     code = (
         "import sys, importlib.util; assert 'numba' not in sys.modules\n"

@@ -16,6 +16,8 @@ from agent.learn.render import Onlooker
 from plume.scenario import draw
 from plume.world import World
 
+pytestmark = pytest.mark.slow
+
 IDS = ("plumeward/SourceSearch-v0", "plumeward/SourceSearchContinuous-v0")
 QUICK: dict[str, Any] = {"particles": 100, "threshold_m": 1.5}
 

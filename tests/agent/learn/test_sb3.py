@@ -9,6 +9,8 @@ import pytest
 
 from agent.learn.env import SourceSearch, SourceSearchVector
 
+pytestmark = pytest.mark.slow
+
 QUICK: dict[str, Any] = {"particles": 50, "threshold_m": 7.0, "budget": 18}
 """Missions of which some stop and some spend their budget."""
 COUNT = 6

@@ -9,6 +9,8 @@ from agent.learn.train.recipes import TUNED
 from agent.policies import SHIPPED
 from agent.trials.rollout import rollout
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_it_was_trained_by_the_committed_recipe(name: str) -> None:

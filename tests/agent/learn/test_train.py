@@ -21,6 +21,8 @@ from agent.observation import SCHEMAS
 from agent.planning.moves import HeadingAndStep, Headings
 from plume.randomness import MAX_SEED
 
+pytestmark = pytest.mark.slow
+
 STEPS, CHECKPOINT, MISSIONS = 400, 100, 4
 OFF_POLICY: dict[str, Any] = {
     "batch_size": 32, "buffer_size": 1000, "learning_starts": 40, "train_freq": 1, "gradient_steps": 1, "n_steps": 3,
@@ -296,7 +298,9 @@ def start() -> Iterator[Callable[..., "subprocess.Popen[str]"]]:
         process.communicate()
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, *(pytest.param(other, marks=pytest.mark.full) for other in (signal.SIGKILL, signal.SIGINT))]
+)
 def test_a_run_that_is_killed_comes_to_the_same_end(
     tmp_path: Path, start: Callable[..., Any], wait_until: Callable[..., None], whole: Callable[[str], Trained], number: signal.Signals
 ) -> None:
@@ -331,6 +335,7 @@ def test_a_run_that_is_interrupted_before_its_first_checkpoint_says_that_it_keep
     claim(tmp_path / "run", tiny("dqn", steps=200), 7, tmp_path / "run" / "dqn.zip").close()  # and another run may begin there
 
 
+@pytest.mark.full
 def test_a_run_that_is_interrupted_while_it_is_judged_says_that_it_is_trained(
     tmp_path: Path, start: Callable[..., Any], wait_until: Callable[..., None]
 ) -> None:
@@ -374,6 +379,7 @@ def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(tmp_
     assert read(tmp_path / "here" / "policy.zip")[1] == graph
 
 
+@pytest.mark.full
 def test_the_figures_of_a_bundle_are_those_of_evaluate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: Callable[[str], Trained]
 ) -> None:

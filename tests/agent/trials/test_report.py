@@ -23,6 +23,8 @@ from agent.trials.report.tables import against_paper, tables
 from plume.outcome import Outcome, TracePoint
 from plume.scenario import Scenario
 
+pytestmark = pytest.mark.slow
+
 PICTURES = ("particles", "thresholds", "trajectories", "hundred", "distances")
 
 

@@ -90,6 +90,7 @@ def test_every_move_is_a_metre_inside_the_area() -> None:
         assert max(b.position) <= 30
 
 
+@pytest.mark.slow
 def test_infotaxis_finds_the_source_and_its_stop_can_be_believed() -> None:
     results = [rollout(seed, "infotaxis", particles=1000, assume="paper")[0] for seed in range(1_000_000, 1_000_060)]
     assert all(result.ceased for result in results)
@@ -98,6 +99,7 @@ def test_infotaxis_finds_the_source_and_its_stop_can_be_believed() -> None:
     assert sum(result.distance_m for result in results) / 60 < 70
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "module",
     ["agent.trials.rollout", "agent.service", "estimator.service", "sitl.uav.uav", "sitl.launch.launcher", "agent.planners.infotaxis"],

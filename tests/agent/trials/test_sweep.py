@@ -25,6 +25,8 @@ from plume.scenario import draw
 from plume.sensor import Hits
 from plume.world import World
 
+pytestmark = pytest.mark.slow
+
 SMALL = Sweep(("greedy", "thompson"), range(7, 10), particles=(100, 200), stops=(Criterion(0.9), Criterion(2.0), Criterion(0.5)), budget=80)
 
 

@@ -11,6 +11,8 @@ import pytest
 
 from agent.trials.workers import AHEAD, WorkerLost, as_flown
 
+pytestmark = pytest.mark.slow
+
 
 def square(number: int) -> int:
     return number * number

@@ -24,6 +24,8 @@ from link.bus.tap import Tap
 from sitl.view.roster import Roster
 from tests.link.access.certificates import REFUSED_MS, endpoint_of, rogue, session
 
+pytestmark = pytest.mark.slow
+
 ROLES = {"vehicle": "uav", "estimator": "estimator", "agent": "agent", "payload": "payload", "bridge": "bridge"}
 """The roles of a vehicle and their services; operator and observer are of all vehicles."""
 REMOTE = zenoh.Locality.REMOTE

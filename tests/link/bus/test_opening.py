@@ -15,6 +15,8 @@ from link.bus.opening import open_router, zenoh_config
 from link.bus.session import Arrival, Bus
 from plume.parameters import PARAMETERS
 
+pytestmark = pytest.mark.slow
+
 MOST = 256 * 1024
 
 

@@ -17,6 +17,8 @@ from link.bus.opening import BusError, NoRouter, open_client, open_router
 from link.bus.session import Arrival, Bus, LivelinessChange, Numbered
 from sitl.launch.relay import Relay
 
+pytestmark = pytest.mark.slow
+
 CLAIM = Stop(time_boot_ms=5, step=3, estimate=(1.0, 2.0), covariance=(0.1, 0.0, 0.1), spread=0.4, threshold=0.5)
 
 
@@ -95,6 +97,7 @@ def test_a_plain_client_without_the_advanced_protocol_is_heard(
         assert arrivals(estimator, 1) == [b"frames"]
 
 
+@pytest.mark.full
 def test_all_hundred_thousand_kept_readings_reach_a_late_joiner_that_is_slow_to_take_them(
     router: str, wait_until: Callable[..., None]
 ) -> None:
@@ -263,6 +266,7 @@ def test_what_cannot_be_opened_is_said_in_one_line(router: str, attempt: Callabl
     assert len(str(refusal.value).splitlines()) == 1
 
 
+@pytest.mark.full
 def test_over_a_slow_link_joining_takes_longer(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("link.bus.opening.CONNECT_TIMEOUT_S", 0.2)
     slow = Relay(router)

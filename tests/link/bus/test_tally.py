@@ -6,11 +6,15 @@ from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
+import pytest
+
 from link.bus.keys import BELIEF, HEALTH, KEYS, READING
 from link.bus.messages import Health
 from link.bus.session import Arrival, Bus
 from link.bus.tally import Tally
 from link.bus.tap import Tap
+
+pytestmark = pytest.mark.slow
 
 
 class Clock:

@@ -17,6 +17,8 @@ from link.bus.tap import Tap
 from link.record.record import SimulationClock
 from tests.link.record.test_record import ATTITUDE, ENTRIES, UAV
 
+pytestmark = pytest.mark.slow
+
 MS = 1_000_000
 
 

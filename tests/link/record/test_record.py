@@ -143,7 +143,8 @@ def test_frames_that_overtook_each_other_are_in_order_in_the_tlog(tmp_path: Path
     assert data[8 : 8 + 12 + data[9]] in ENTRIES[0].payload
 
 
-@pytest.mark.parametrize("flush_each", [False, True])
+@pytest.mark.slow
+@pytest.mark.parametrize("flush_each", [False, pytest.param(True, marks=pytest.mark.full)])
 def test_a_file_cut_off_anywhere_reads_up_to_its_last_flush(tmp_path: Path, flush_each: bool) -> None:
     whole = written(tmp_path / "run.mcap", flush_each=flush_each).read_bytes()
     cut, counts = tmp_path / "cut.mcap", []
@@ -158,6 +159,7 @@ def test_a_file_cut_off_anywhere_reads_up_to_its_last_flush(tmp_path: Path, flus
     assert len(set(counts)) == (len(ENTRIES) + 1 if flush_each else 2)
 
 
+@pytest.mark.slow
 def test_damage_never_raises_anything_but_a_record_error(tmp_path: Path) -> None:
     whole = bytearray(written(tmp_path / "run.mcap", flush_each=True).read_bytes())
     damaged = tmp_path / "damaged.mcap"
