@@ -1,5 +1,10 @@
 """`python -m agent`: the agent service alone, on any router; `rollout`, `evaluate`, `train`, `report`."""
 
+if __name__ == "__main__":  # here, because the modules below take long to load
+    from link.early import end_at_once
+
+    end_at_once()
+
 import argparse
 import importlib
 import sys

@@ -1,5 +1,10 @@
 """`python -m estimator`: the estimator service alone, on any router."""
 
+if __name__ == "__main__":  # here, because the modules below take long to load
+    from link.early import end_at_once
+
+    end_at_once()
+
 import math
 
 from estimator.options import add_sensor_argument, criteria, knowledge

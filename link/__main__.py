@@ -1,5 +1,10 @@
 """`python -m link`: prints docs/bus.md, the bus contract, from the table of keys and the message types. `certs` makes certificates."""
 
+if __name__ == "__main__":  # here, because the modules below take long to load
+    from link.early import end_at_once
+
+    end_at_once()
+
 import sys
 from typing import Any
 

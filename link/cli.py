@@ -1,37 +1,23 @@
-"""Command lines: bad input gets one clear line and exit status 2; Ctrl-C and SIGTERM end a command cleanly."""
+"""Command lines: bad input gets one clear line and exit status 2; statuses say how a command has ended."""
 
 import argparse
-import contextlib
 import errno
 import gc
 import math
 import os
 import select
-import signal
 import sys
-import threading
-import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Any, NoReturn
 
-from link.access.identity import AccessError
-from link.bus.log import LEVELS
-from link.bus.opening import DEFAULT_ROUTER, BusError
+from link.early import INTERRUPTED, end_at_once
+from link.interrupts import STREAMS, discard, interrupt, leave, polled
 
-INTERRUPTED = 130
 UNREAD = 141
 """Exit status if the reader of stdout has gone, as in `plumeward evaluate | head -1`: that of a program killed by SIGPIPE."""
-STREAMS = (1, 2)
-"""File descriptors of stdout and stderr."""
 BAD_INPUT = 2
 FAILED = 1
-LAUNCHER = "PLUMEWARD_LAUNCHER"
-"""The environment variable by which a launcher tells its parts its process id: they end with it, however it ends."""
-LOOK_S, AGAIN_S, AGAIN_TIMES = 0.2, 1.0, 30
-"""How often a part looks for its launcher, where it must; and once that has gone, how often and how many times it is told to end, before
-it is made to."""
 ASSUMPTIONS = ("field", "paper")
 """Names of what an estimator may take to be known; `estimator.assumptions` has what they mean."""
 COMPLETING = "_ARGCOMPLETE"
@@ -160,6 +146,8 @@ def listed(parse: Callable[[str], Any]) -> Callable[[str], list[Any]]:
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags that choose the bus to join."""
+    from link.bus.opening import DEFAULT_ROUTER  # loads Zenoh
+
     parser.add_argument(
         "-e", "--connect", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="the Zenoh router to join (default: %(default)s)"
     )
@@ -177,6 +165,8 @@ def add_secure_argument(parser: argparse.ArgumentParser) -> None:
 
 def add_log_argument(parser: argparse.ArgumentParser, default: str = "info") -> None:
     """Add the flag that chooses how much is logged."""
+    from link.bus.log import LEVELS
+
     parser.add_argument(
         "--log-level", choices=LEVELS, default=default, help="the lowest level that is logged; debug logs every step (default: %(default)s)"
     )
@@ -287,59 +277,17 @@ def existing(flag: str, paths: Iterable[Path], force: bool) -> str | None:
     return None if there is None else f"{flag}: {str(there)!r} exists; wanted another name, or --force"
 
 
-def _terminate(_signal: int, _frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt
-
-
-@contextlib.contextmanager
-def uninterrupted() -> Iterator[list[int]]:
-    """Hold Ctrl-C and SIGTERM back: the end of the block raises KeyboardInterrupt instead. Yields the signals that have come."""
-    held: list[int] = []
-    before = {number: signal.signal(number, lambda number, _: held.append(number)) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield held
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    if held:
-        raise KeyboardInterrupt
-
-
-def _end_with_the_launcher() -> None:
-    """If a launcher has started this process, end it when the launcher has gone, in whatever way it went.
-
-    An exception in a handler can be lost, for example where Python calls it within a destructor: the signal is therefore sent again.
-    Linux could send one by itself (PR_SET_PDEATHSIG), but sends several at once for a launcher with threads.
-    """
-    launcher = os.environ.pop(LAUNCHER, None)  # the launcher is not the parent of what this process starts
-    if launcher is not None:
-        threading.Thread(target=_watch, args=(int(launcher),), name="launcher", daemon=True).start()
-
-
-def _watch(launcher: int) -> None:
-    with contextlib.suppress(AttributeError, OSError):  # only Linux can wait for a process that is no child
-        select.select([os.pidfd_open(launcher)], [], [])
-    while os.getppid() == launcher:
-        time.sleep(LOOK_S)
-    for _ in range(AGAIN_TIMES):
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(AGAIN_S)
-    os._exit(INTERRUPTED)  # it hangs
-
-
 def run(command: Callable[[], int | None]) -> NoReturn:
     """Run a command and exit with its status: 0 done, 1 failed, 2 bad input, 130 interrupted, 141 if the reader of its output has gone."""
-    # A shell starts background jobs with SIGINT ignored; a service must end on it all the same.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, _terminate)
     gc.set_threshold(100_000)  # Python's own 700 costs a tenth of the start-up time
     try:
-        _end_with_the_launcher()
+        interrupt()
         status = _status(command)
         if status == INTERRUPTED:
-            _leave(status)
+            leave(status)
+        end_at_once()
     except KeyboardInterrupt:  # a second signal: `timeout` sends two
-        _leave(INTERRUPTED)
+        leave(INTERRUPTED)
     gc.freeze()  # skips a last look through all objects
     sys.exit(status)
 
@@ -358,41 +306,30 @@ def _status(command: Callable[[], int | None]) -> int:
         return status
     except KeyboardInterrupt:
         return INTERRUPTED
-    except (AccessError, BusError) as error:
+    except _refusals() as error:
         print(f"error: {error}", file=sys.stderr)
         return BAD_INPUT
     except OSError as error:
         return _lost_output(error)
 
 
-def _leave(status: int) -> NoReturn:
-    """Exit at once. An interrupt may strike while a session opens or closes; its threads would then keep the process for ever."""
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it, or it is closed
-            stream.flush()
-    os._exit(status)
+def _refusals() -> tuple[type[Exception], ...]:
+    """Return the errors of one line. Their modules take long to load: one that has not been loaded has raised none."""
+    names = {"link.access.identity": "AccessError", "link.bus.opening": "BusError"}
+    return tuple(getattr(sys.modules[module], name) for module, name in names.items() if hasattr(sys.modules.get(module), name))
 
 
 def _lost_output(error: OSError) -> int:
     """Return the status of a command whose output cannot be written. Raises any other error again."""
-    unread = error.errno == errno.EPIPE and any(map(_unread, STREAMS))
+    unread = error.errno in (errno.EPIPE, errno.EIO) and any(map(_unread, STREAMS))
     if not unread and error.errno != errno.ENOSPC:
         raise error
     if not unread:
         print(f"error: {error.strerror}", file=sys.stderr)
-    _discard_output()
+    discard(STREAMS)  # or Python would complain that it cannot flush them at exit
     return UNREAD if unread else FAILED
 
 
 def _unread(stream: int) -> bool:
-    """Whether a file descriptor is a pipe whose reader has gone."""
-    poll = select.poll()
-    poll.register(stream, 0)
-    return any(events & select.POLLERR for _, events in poll.poll(0))
-
-
-def _discard_output() -> None:
-    """Point stdout and stderr at nothing, or Python would complain that it cannot flush them at exit."""
-    nothing = os.open(os.devnull, os.O_WRONLY)
-    for stream in STREAMS:
-        os.dup2(nothing, stream)
+    """Whether a file descriptor is a pipe whose reader has gone, or a terminal that has been closed."""
+    return bool(polled(stream) & select.POLLERR)

@@ -2,8 +2,9 @@
 
 Imports: plume, link, link.bus, link.record, sitl.script, estimator, agent, agent.trials, agent.learn.
 
-`import plumeward` registers the gymnasium environments `plumeward/SourceSearch-v0` and `plumeward/SourceSearchContinuous-v0` if
-gymnasium is installed. The other names are loaded when they are first used. The command `plumeward` is in `plumeward.__main__`.
+`import plumeward` registers the gymnasium environments `plumeward/SourceSearch-v0` and `plumeward/SourceSearchContinuous-v0`. It does not
+load gymnasium, but waits until somebody does. The other names are loaded when they are first used. The command `plumeward` is in
+`plumeward.__main__`.
 
     import plumeward
 
@@ -14,10 +15,10 @@ Lengths are in metres, x east and y north of home; times in seconds; angles in r
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from plumeward.names import check, leave_out_the_current_folder
 
+TYPE_CHECKING = False  # `typing` itself takes longer to load than the rest of this file
 if TYPE_CHECKING:
     from agent.learn.env import SourceSearch, SourceSearchVector
     from agent.policies import policies
@@ -80,7 +81,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Load a name of the API when it is first used."""
     if name not in WHERE:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

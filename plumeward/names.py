@@ -2,11 +2,11 @@
 
 import sys
 from importlib.util import find_spec
-from pathlib import Path
+from os import path  # `pathlib` takes longer to load than all the rest
 
 PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent")
 """The packages beside `plumeward` itself."""
-ROOT = Path(__file__).parents[1]
+ROOT = path.dirname(path.dirname(path.realpath(__file__)))
 
 
 def leave_out_the_current_folder() -> None:
@@ -14,7 +14,7 @@ def leave_out_the_current_folder() -> None:
     if sys.flags.safe_path or sys.argv[:1] != ["-m"]:  # "-m" stands there until Python has found the module
         return
     at = sys.orig_argv.index("-m") if "-m" in sys.orig_argv else -1
-    if at > 0 and sys.orig_argv[at + 1 : at + 2] == ["plumeward"] and Path(sys.path[0]).resolve() != ROOT:
+    if at > 0 and sys.orig_argv[at + 1 : at + 2] == ["plumeward"] and path.realpath(sys.path[0]) != ROOT:
         del sys.path[0]
 
 
@@ -22,8 +22,8 @@ def check() -> None:
     """Raise ImportError if Python would find a foreign file or folder in place of one of our packages."""
     for package in PACKAGES:
         spec = getattr(sys.modules.get(package), "__spec__", None) or find_spec(package)
-        found = Path(spec.origin).resolve() if spec and spec.origin else None
+        found = path.realpath(spec.origin) if spec and spec.origin else None
         if found is None:
             raise ImportError(f"plumeward is not installed completely: there is no package {package!r} in {ROOT}")
-        if found != ROOT / package / "__init__.py":
+        if found != path.join(ROOT, package, "__init__.py"):
             raise ImportError(f"{found} hides plumeward's own package {package!r}: rename this file or folder")

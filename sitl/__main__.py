@@ -1,5 +1,10 @@
 """`python -m sitl`: fly or replay a mission, look into its log, or run one part alone."""
 
+if __name__ == "__main__":  # here, because the modules below take long to load
+    from link.early import end_at_once
+
+    end_at_once()
+
 import argparse
 import importlib
 import math

@@ -10,7 +10,7 @@ from multiprocessing import active_children, get_context
 from multiprocessing.connection import Connection
 from typing import TypeVar
 
-from link.cli import uninterrupted
+from link.interrupts import uninterrupted
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Set to one thread per worker: competing thread pools slow each other down."""
@@ -56,9 +56,9 @@ def as_flown(function: Callable[[Task], Result], tasks: Iterable[Task], workers:
 
 def _submit(pool: ProcessPoolExecutor, function: Callable[[Task], Result], task: Task) -> Future[Result]:
     # This may start a worker. An interrupt waits until the start is complete, so that the worker is known and can be ended.
-    # The worker inherits the signal mask: a terminal sends Ctrl-C to workers too, but only this process answers it.
+    # The worker inherits the signal mask: a terminal sends its signals to workers too, but only this process answers it.
     with uninterrupted():
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
         try:
             return pool.submit(function, task)
         finally:

@@ -7,6 +7,7 @@ from contextlib import ExitStack, closing
 
 from link import cli
 from link.bus.session import Bus
+from link.interrupts import on_end
 from link.signing.key import read_key
 from link.signing.signer import Signing
 from sitl.bridge.address import ALLOWED, parse_address
@@ -55,8 +56,7 @@ def run(args: argparse.Namespace) -> int:
             bus.log.info(f"{address.text}: {address.other_side}")
             if address.open_to_all and not args.sign:
                 bus.log.warning(f"{address.text} listens on all interfaces: whoever reaches port {address.port} can command the vehicle")
-        for number in (signal.SIGINT, signal.SIGTERM):  # no KeyboardInterrupt, which could strike within a frame
-            signal.signal(number, lambda *_: bridge.end())
+        on_end(lambda _: bridge.end())  # no KeyboardInterrupt, which could strike within a frame
         signal.set_wakeup_fd(bridge.wake_descriptor, warn_on_full_buffer=False)
         bus.publish_health()
         try:

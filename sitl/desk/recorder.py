@@ -5,7 +5,6 @@ import functools
 import json
 import os
 import platform
-import signal
 import subprocess
 import sys
 import time
@@ -18,6 +17,7 @@ from link import cli
 from link.bus.keys import KEYS, STOP
 from link.bus.opening import CONNECT_TIMEOUT_S
 from link.bus.tap import Tap
+from link.interrupts import on_end
 from link.record.record import Entry, SimulationClock
 from link.record.writer import Writer
 from plume import __version__
@@ -81,8 +81,7 @@ def run(args: argparse.Namespace) -> int:
         bus.subscribe(*KEYS)
         bus.settle(CONNECT_TIMEOUT_S)
         ends: list[int] = []
-        for number in (signal.SIGINT, signal.SIGTERM):  # no KeyboardInterrupt, which could strike within a message
-            signal.signal(number, lambda number, _: ends.append(number))
+        on_end(ends.append)  # no KeyboardInterrupt, which could strike within a message
         bus.tally.state = "recording"
         bus.publish_health()
         print(f"recording to {args.file}", flush=True)

@@ -16,7 +16,9 @@ from typing import Any, NamedTuple, NoReturn, Self
 from link.bus import log
 from link.bus.inbox import Inbox
 from link.bus.session import SIGNAL_POLL_S
-from link.cli import BAD_INPUT, FAILED, INTERRUPTED, LAUNCHER, uninterrupted
+from link.cli import BAD_INPUT, FAILED
+from link.early import INTERRUPTED
+from link.interrupts import LAUNCHER, uninterrupted
 from sitl.launch.output import Lines
 
 STOP_TIMEOUT_S, RECORDER_STOP_TIMEOUT_S, FLYING_STOP_TIMEOUT_S = 1.0, 20.0, 10.0
@@ -94,7 +96,7 @@ class Child:
         self.flies = False
         """Whether it flies a real vehicle: it then ends before all others, with the time to send it home, and is never suspended."""
         self._inbox = inbox
-        self._answer: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._answer = Inbox()
         self._awaited = part in ANSWERING
         self._lines = inbox.lane(f"lines of the {part}")
         self._last_words = "no last words"
@@ -110,7 +112,7 @@ class Child:
         began, told = time.monotonic(), False
         while True:
             try:
-                return self._answer.get(timeout=SIGNAL_POLL_S)
+                return str(self._answer.get(timeout=SIGNAL_POLL_S))
             except queue.Empty:
                 waited_s = time.monotonic() - began
             if waited_s >= START_LIMIT_S:

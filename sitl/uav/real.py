@@ -70,7 +70,7 @@ def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | N
 def leave(vehicle: "RemoteVehicle", clock: Clock, tell: Callable[[int, str], None]) -> None:
     """See to it that a real vehicle in the air has someone in charge when this program ends. It takes at most `LEAVE_S`.
 
-    Call it where no signal can cut it short (`cli.uninterrupted`).
+    Call it where no signal can cut it short (`link.interrupts.uninterrupted`).
     """
     from sitl.autopilot.state import VehicleFailed
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
-from link import cli
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, PAYLOAD_IN, PAYLOAD_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP
 from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack
 from link.bus.px4 import MissionCurrent
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
+from link.interrupts import uninterrupted
 from link.signing.signer import Signing
 from plume.world import World
 from sitl.autopilot.operator import OPERATOR, change_mode, command
@@ -123,7 +123,7 @@ class Uav:
             self._bus.watch_services()
             self._bus.publish_health()
         # No KeyboardInterrupt: it could strike within a frame, be lost, or leave a real vehicle in the air.
-        with cli.uninterrupted() as ends:
+        with uninterrupted() as ends:
             try:
                 while not ends:
                     busy_since = time.perf_counter()

@@ -18,6 +18,8 @@ import msgspec
 
 from link import cli
 from link.bus.opening import DEFAULT_ROUTER
+from link.early import INTERRUPTED
+from link.interrupts import ends, let_go_of_the_terminal
 from plume.randomness import MAX_SEED
 from plume.worlds import WORLDS, check
 from sitl.script.script import Script, load, shipped
@@ -165,7 +167,8 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     status = [0]
 
     def end() -> None:
-        status[0] = cli.INTERRUPTED
+        let_go_of_the_terminal()
+        status[0] = INTERRUPTED
         http.should_exit = True
 
     async def linger() -> None:
@@ -178,7 +181,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         http.should_exit = True
 
     lingering: list[asyncio.Task[None]] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ends():
         loop.add_signal_handler(number, end)
     loop.add_signal_handler(OVER, lambda: lingering.append(asyncio.create_task(linger())))
     print(f"page at {rules.address}", flush=True)

@@ -9,6 +9,8 @@ import pytest
 
 from link import cli
 from link.bus.opening import open_router
+from link.early import INTERRUPTED
+from link.interrupts import uninterrupted
 
 COMMANDS = [
     (["agent", "rollout", "--policy", "clairvoyance"], ["--policy", "'clairvoyance'", "wanted infotaxis, entrotaxis"]),
@@ -92,7 +94,7 @@ def test_an_interrupt_while_a_session_opens_ends_the_command() -> None:
         ended = subprocess.run([sys.executable, "-c", OPENING, endpoint], capture_output=True, text=True, timeout=30)
     finally:
         router.close()  # type: ignore[no-untyped-call]
-    assert (ended.returncode, ended.stderr) == (cli.INTERRUPTED, "")
+    assert (ended.returncode, ended.stderr) == (INTERRUPTED, "")
 
 
 def test_two_signals_at_once_end_a_command_without_a_word() -> None:
@@ -100,13 +102,13 @@ def test_two_signals_at_once_end_a_command_without_a_word() -> None:
     program = """
 import os, signal
 from link import cli
-leave, signal_again = cli._leave, [True]
+leave, signal_again = cli.leave, [True]
 def twice(status):
     if signal_again:
         signal_again.clear()
         os.kill(os.getpid(), signal.SIGTERM)
     leave(status)
-cli._leave = twice
+cli.leave = twice
 cli.run(lambda: os.kill(os.getpid(), signal.SIGTERM))
 """
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
@@ -120,7 +122,7 @@ time.sleep(600)
 """
 LOSES = """
 import time
-from link import cli
+from link import cli, interrupts
 
 def command():
     print("begun", flush=True)
@@ -131,7 +133,7 @@ def command():
             pass
     time.sleep(600)
 
-cli.AGAIN_S, cli.AGAIN_TIMES = 0.05, 10
+interrupts.AGAIN_S, interrupts.AGAIN_TIMES = 0.05, 10
 cli.run(command)
 """
 
@@ -151,7 +153,7 @@ def test_what_comes_within_an_uninterrupted_block_is_told_there_and_interrupts_a
     told: list[int] = []
 
     def block() -> None:
-        with cli.uninterrupted() as ends:
+        with uninterrupted() as ends:
             os.kill(os.getpid(), signal.SIGTERM)
             os.kill(os.getpid(), signal.SIGINT)
             told.extend(ends)

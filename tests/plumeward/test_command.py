@@ -12,7 +12,7 @@ import pytest
 from plume import __version__
 from plume.sensor import KINDS, Sensor, parse
 from plume.worlds import WORLDS
-from plumeward.__main__ import COMMANDS, GROUPS, main
+from plumeward.commands import COMMANDS, GROUPS, main
 
 ROOT = Path(__file__).parents[2]
 MISSIONS = {path.stem: path.read_text() for path in (ROOT / "missions").glob("*.yaml")}
@@ -42,6 +42,7 @@ def test_the_help_lists_every_command_in_a_group_within_80_columns(
     assert said(capsys, monkeypatch, "--version") == (0, f"plumeward {__version__}\n", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["", *COMMANDS])
 def test_help_loads_nothing_that_takes_long(tmp_path: Path, command: str) -> None:
     words = ["plumeward", *([command] if command else []), "--help"]
@@ -124,6 +125,7 @@ WRONG = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "line"), WRONG, ids=[" ".join(words) for words, _ in WRONG])
 def test_what_is_wrong_is_one_line_before_anything_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], line: str
@@ -141,6 +143,7 @@ def test_what_is_wrong_is_one_line_before_anything_starts(
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_a_flag_wins_over_the_policy_of_a_script_that_is_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -150,7 +153,8 @@ def test_a_flag_wins_over_the_policy_of_a_script_that_is_wrong(
     assert status == 0, err
 
 
-@pytest.mark.parametrize("mission", ["default-release", "default-release.yaml"])
+@pytest.mark.slow
+@pytest.mark.parametrize("mission", ["default-release", pytest.param("default-release.yaml", marks=pytest.mark.full)])
 def test_a_shipped_mission_is_flown_by_its_name_from_anywhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], mission: str
 ) -> None:
@@ -161,6 +165,7 @@ def test_a_shipped_mission_is_flown_by_its_name_from_anywhere(
     assert (flown["policy"], flown["expectations"]) == ("homing", {"located": True})
 
 
+@pytest.mark.full
 def test_a_plug_in_may_make_our_environments_also_in_the_workers_of_a_sweep(tmp_path: Path) -> None:
     (tmp_path / "theirs.py").write_text(
         "import gymnasium\n\n\ndef fly(belief, particles, reach, rng):\n"

@@ -1,0 +1,163 @@
+"""Ctrl-C, SIGTERM and SIGHUP: each ends a command that is under way, at any moment and at the first one."""
+
+import contextlib
+import os
+import queue
+import select
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NoReturn
+
+from link.early import INTERRUPTED
+
+STREAMS = (1, 2)
+"""File descriptors of stdout and stderr."""
+LAUNCHER = "PLUMEWARD_LAUNCHER"
+"""The environment variable by which a launcher tells its parts its process id: they end with it, however it ends."""
+LOOK_S, AGAIN_S, AGAIN_TIMES = 0.2, 1.0, 30
+"""How often a part looks for its launcher, where it must; and once that has gone, how often and how many times it is told to end, before
+it is made to."""
+SOON_S, LOADING_S = 0.05, 1.0
+"""After how long a signal that could not be answered is sent again, and how long loading and compiling may delay the answer."""
+NUMBA = f"{os.sep}numba{os.sep}"
+"""In the path of each file of numba. An exception there comes out of its C code as a SystemError."""
+_lost: queue.SimpleQueue[int] = queue.SimpleQueue()
+_unanswered_since: float | None = None
+
+
+def ends() -> list[signal.Signals]:
+    """Return the signals that end this process. SIGHUP, which says that its terminal is closed, is not one if `nohup` has it ignored."""
+    # A shell starts background jobs with SIGINT ignored; a service must end on it all the same.
+    return [number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if number != signal.SIGHUP or not _ignored(number)]
+
+
+def _ignored(number: int) -> bool:
+    return signal.getsignal(number) == signal.SIG_IGN
+
+
+def on_end(handler: Callable[[int], object]) -> dict[int, Any]:
+    """Call handler(number) when a signal asks this process to end; returns the handlers before."""
+
+    def came(number: int, _frame: object) -> None:
+        let_go_of_the_terminal()
+        handler(number)
+
+    return {number: signal.signal(number, came) for number in ends()}
+
+
+def let_go_of_the_terminal() -> None:
+    """Point stdout and stderr at nothing if their terminal has been closed: whoever writes a last line there would fail."""
+    closed = [stream for stream in STREAMS if polled(stream) & select.POLLHUP]
+    if closed:
+        discard(closed)
+
+
+def polled(stream: int) -> int:
+    """Return what `poll` says of a file descriptor: POLLHUP for a closed terminal, POLLERR for a pipe whose reader has gone."""
+    poll = select.poll()
+    poll.register(stream, 0)
+    return sum(events for _, events in poll.poll(0))
+
+
+def discard(streams: Iterable[int]) -> None:
+    """Point file descriptors at nothing."""
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    for stream in streams:
+        os.dup2(nothing, stream)
+
+
+def interrupt() -> None:
+    """Let a signal raise KeyboardInterrupt in the main thread, again if Python has lost it, and let this process end with its launcher.
+
+    An exception in a handler can be lost: where Python calls it within a destructor or another callback, it says so to
+    `sys.unraisablehook`; while a module is loaded or compiled, C code may swallow it or make another of it. The signal is then sent again.
+    """
+    on_end(_interrupt)
+    sys.unraisablehook, sys.excepthook = _ignored_exception, _uncaught
+    threading.Thread(target=_send_again, name="signals", daemon=True).start()
+    launcher = os.environ.pop(LAUNCHER, None)  # the launcher is not the parent of what this process starts
+    if launcher is not None:
+        threading.Thread(target=_end_with_the_launcher, args=(int(launcher),), name="launcher", daemon=True).start()
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[list[int]]:
+    """Hold the signals back: the end of the block raises KeyboardInterrupt instead. Yields the signals that have come."""
+    held: list[int] = []
+    before = on_end(held.append)
+    try:
+        yield held
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if held:
+        raise KeyboardInterrupt
+
+
+def leave(status: int) -> NoReturn:
+    """Exit at once. An interrupt may strike while a session opens or closes; its threads would then keep the process for ever."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it, or it is closed
+            stream.flush()
+    os._exit(status)
+
+
+def _interrupt(number: int) -> None:
+    global _unanswered_since
+    now_s = time.monotonic()
+    if not _would_be_lost():
+        _unanswered_since = None
+        raise KeyboardInterrupt
+    if _unanswered_since is None:
+        _unanswered_since = now_s
+    if now_s - _unanswered_since >= LOADING_S:
+        leave(INTERRUPTED)  # so long only a command loads that has not begun, and has nothing to lose
+    _lost.put(number)
+
+
+def _would_be_lost() -> bool:
+    """Whether the main thread, which calls this in a handler, loads a module or compiles one of its functions."""
+    frame = sys._getframe()
+    while frame := frame.f_back:  # type: ignore[assignment]
+        file = frame.f_code.co_filename
+        if file == "<frozen importlib._bootstrap>" or NUMBA in file:
+            return True
+    return False
+
+
+def _ignored_exception(ignored: Any) -> None:
+    if issubclass(ignored.exc_type, KeyboardInterrupt):
+        _lost.put(signal.SIGTERM)
+    else:
+        sys.__unraisablehook__(ignored)
+
+
+def _uncaught(kind: type[BaseException], error: BaseException, trace: Any) -> None:
+    if issubclass(kind, KeyboardInterrupt):  # one more signal, while the command is already leaving
+        os._exit(INTERRUPTED)
+    sys.__excepthook__(kind, error, trace)
+
+
+def _send_again() -> None:
+    while True:
+        number = _lost.get()
+        time.sleep(SOON_S)
+        os.kill(os.getpid(), number)
+
+
+def _end_with_the_launcher(launcher: int) -> None:
+    """End this process when the launcher that started it has gone, in whatever way it went.
+
+    Linux could send one signal by itself (PR_SET_PDEATHSIG), but sends several at once for a launcher with threads.
+    """
+    with contextlib.suppress(AttributeError, OSError):  # only Linux can wait for a process that is no child
+        select.select([os.pidfd_open(launcher)], [], [])
+    while os.getppid() == launcher:
+        time.sleep(LOOK_S)
+    for _ in range(AGAIN_TIMES):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(AGAIN_S)
+    os._exit(INTERRUPTED)  # it hangs
