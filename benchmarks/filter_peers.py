@@ -46,18 +46,6 @@ class Peer(ABC):
     def update(self, row: Array) -> None:
         """Assimilate one reading (x, y, wind_x, wind_y, gas): m, m, m/s, m/s, g/m³."""
 
-    @abstractmethod
-    def weighted(self) -> tuple[Array, Array]:
-        """Return the particles (2, N), m, and their log-weights (N,) up to a constant."""
-
-    def mean_and_std(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the mean (x, y) and the standard deviation (x, y), m."""
-        (x, y), log_weights = self.weighted()
-        weights = np.exp(log_weights - log_weights.max())
-        weights /= weights.sum()
-        mean_x, mean_y = float(weights @ x), float(weights @ y)
-        return (mean_x, mean_y), (math.sqrt(weights @ (x - mean_x) ** 2), math.sqrt(weights @ (y - mean_y) ** 2))
-
     def log_likelihood(self, x: Array, y: Array, row: Array) -> Array:
         """Log-density of one reading for sources at (x, y): the plume model of `plume/dispersion.py` and the Gaussian sensor."""
         sensor_x, sensor_y, wind_x, wind_y, gas = row
@@ -134,10 +122,6 @@ class StoneSoup(Peer):
         """Assimilate one reading."""
         self._state = self._updater.update(self._hypothesis(self._state, row))
 
-    def weighted(self) -> tuple[Array, Array]:
-        """Return particles and log-weights."""
-        return np.asarray(self._state.state_vector), self._state.log_weight
-
 
 @dataclass
 class Particles(Peer):
@@ -179,11 +163,6 @@ class Particles(Peer):
         """Assimilate one reading."""
         self._readings.append(row)
         next(self._smc)
-
-    def weighted(self) -> tuple[Array, Array]:
-        """Return particles and log-weights."""
-        theta = self._smc.X.theta
-        return np.array([theta["x"], theta["y"]]), self._smc.wgts.lw
 
 
 @dataclass
@@ -231,7 +210,3 @@ class PlainNumpy(Peer):
             accepted = inside & (log_posterior - self._log_posterior > -self._rng.standard_exponential(self.count))
             self._particles = np.where(accepted, proposals, self._particles)
             self._log_posterior = np.where(accepted, log_posterior, self._log_posterior)
-
-    def weighted(self) -> tuple[Array, Array]:
-        """Return particles and log-weights."""
-        return self._particles, self._log_weights
