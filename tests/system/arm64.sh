@@ -83,11 +83,19 @@ both() { # NAME COMMAND...: run it on both sides, and compare what they print, b
         $side "$@" || echo "failed: $(tail -n 1 "$folder/$side/$1.err")" >>"$folder/$side/$1"
         sed -i 's/"search_time_s":[^,]*,//' "$folder/$side/$1"
     done
-    if grep -q '^{.*trace' "$folder/here/$1" && cmp -s "$folder/here/$1" "$folder/arm64/$1"; then said "$1" same; else said "$1" DIFFERS; fi
+    if ! grep -q '^{.*trace' "$folder/here/$1"; then
+        said "$1" "DIFFERS: it has no trace here"
+    elif cmp "$folder/here/$1" "$folder/arm64/$1"; then
+        said "$1" same
+    else
+        said "$1" DIFFERS
+    fi
 }
 verified() { # SIDE RECORD: replay a record of the other side
     cp "$2" "$folder/$1/other.mcap"
-    if $1 verify -m plumeward replay other.mcap --verify --speedup 0; then said "replayed-$1" same; else
+    if $1 verify -m plumeward replay other.mcap --verify --speedup 0; then
+        said "replayed-$1" same
+    else
         said "replayed-$1" "DIFFERS: $(tail -n 1 "$folder/$1/verify.err")"
     fi
 }
@@ -95,16 +103,18 @@ verified() { # SIDE RECORD: replay a record of the other side
 echo "here:  $("$python" --version), $(ldd --version | head -n 1)"
 echo "arm64: $(chroot "$root" python3 --version), $(chroot "$root" ldd --version | head -n 1)"
 
-here bits -m tests.system.bits
-began=$(date +%s)
-arm64 bits -m tests.system.bits || true
-echo "arm64 took $(($(date +%s) - began)) s for the checks, compiling included"
+for side in here arm64; do
+    began=$(date +%s)
+    $side bits -m tests.system.bits || said "bits-$side" "DIFFERS: it failed: $(tail -n 1 "$folder/$side/bits.err")"
+    echo "$side took $(($(date +%s) - began)) s for the checks, compiling included"
+done
 while read -r check digest; do
-    if [ "$check $digest" = "$(grep "^$check " "$folder/arm64/bits")" ] && [ "${digest%% *}" != DIFFERS ]; then
-        said "$check" same
-    else
-        said "$check" "DIFFERS: here $digest, arm64 $(grep "^$check " "$folder/arm64/bits" | cut -d ' ' -f 2-)"
-    fi
+    there=$(sed -n "s|^$check ||p" "$folder/arm64/bits")
+    case $digest in
+        *DIFFERS*) said "$check" "DIFFERS here, too: $digest" ;;
+        "$there") said "$check" same ;;
+        *) said "$check" "DIFFERS: here $digest, on arm64 $there" ;;
+    esac
 done <"$folder/here/bits"
 
 for policy in homing infotaxis thompson ppo dqn ddpg; do

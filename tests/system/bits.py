@@ -1,7 +1,7 @@
 """`python -m tests.system.bits [NAME...]` prints a line `NAME DIGEST` for each thing that must have the same bits on every machine.
 
-NAME is a check, or the beginning of several: `golden`, `flight/ppo`. It needs no router and no packages but a flight's. A golden
-record says `same`, or the first value that differs from what was recorded; the others say a digest of every bit that they computed.
+NAME is a check, or the beginning of several: `golden`, `flight/ppo`. It needs no router and no packages but a flight's. After the
+digest comes `DIFFERS` and why where an answer is not as a golden record has it, or a rebuilt belief not as it was flown.
 """
 
 import argparse
@@ -87,7 +87,7 @@ def told(words: list[str]) -> Config:
 
 
 def golden(name: str) -> str:
-    """Answer the readings of a golden record as the services do; returns `same`, or the first value that is not as recorded."""
+    """Answer the readings of a golden record as the services do; returns their digest, and the first value that is not as recorded."""
     log = read(path(name))
     config = told(log.about["parts"]["estimator"])
     words = log.about["parts"]["agent"]
@@ -114,7 +114,8 @@ def golden(name: str) -> str:
             answers += verify.answers(MAVLINK_IN.name, codec.pack(message))
     then, now = verify.said(log.entries), {(answer.time_boot_ms, answer.kind): answer for answer in answers}
     found = verify.compare(then, now)
-    return f"DIFFERS {found.text()}" if found else "same" if len(now) == len(then) > 40 else "DIFFERS in its length"
+    differs = f" DIFFERS {found.text()}" if found else "" if then else " DIFFERS nothing is recorded"
+    return digest_of(now.values()) + differs
 
 
 # ---- missions ----
@@ -157,7 +158,7 @@ def recovery(assume: str, sensor: str) -> str:
             rebuilt = assimilate(rebuilt, Reading(said.time_boot_ms, said.position, said.altitude_m, said.wind, said.gas), ready.config)
         again = belief(rebuilt, Reading(said.time_boot_ms, said.position, said.altitude_m, said.wind, said.gas), ready.config)
         if digest_of([*again, rebuilt]) != digest_of(computed(last)):
-            return f"DIFFERS from what was flown at step {said.step}"
+            return f"{digest_of([rebuilt])} DIFFERS from what was flown at step {said.step}"
     return digest_of(map(computed, steps))
 
 
