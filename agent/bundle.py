@@ -1,9 +1,8 @@
 """A learned policy as data: a zip file of an ONNX graph and a JSON page that describes its observation, its moves and its training.
 
-Flying a bundle needs onnxruntime, but neither torch nor pickle: a file from a stranger can only steer, not run code.
+Flying a bundle needs neither torch nor pickle: a file from a stranger can only steer, not run code.
 """
 
-import threading
 import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,8 +24,6 @@ MOST_BYTES = 64 * 2**20
 """Most bytes of the graph; a bundle that claims more is refused."""
 MOST_PAGE_BYTES = 4 * 2**20
 """Most bytes of the page; in memory it takes many times that."""
-LONGEST_DECISION_S = 5.0
-"""Most time for the trial run of a graph. It takes milliseconds, unless the graph has more work than it should."""
 MOST_HEADINGS = 1024
 MOST_STEP_M = 10.0
 
@@ -68,64 +65,35 @@ class _Format(msgspec.Struct):
 class Bundle:
     """A learned policy, ready to fly."""
 
-    def __init__(self, page: Page, graph: bytes) -> None:
+    def __init__(self, page: Page, data: bytes) -> None:
         """Open the graph. Raises BundleError if it does not match its page, or this version of the project."""
-        import onnxruntime
-
-        from agent.graphs import GraphError, checked
+        from agent import graphs  # compiles, as the schema does
 
         self.page = page
         self._schema = _schema_of(page)
         _check(page.move)
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1  # a decision is too small to share
-        options.log_severity_level = 4  # the exception tells what is wrong
-        options.add_session_config_entry("session.load_model_format", "ONNX")  # it knows others, which are not checked
         try:
-            self._session = onnxruntime.InferenceSession(checked(graph), options, providers=["CPUExecutionProvider"])
-        except GraphError as error:
+            self._layers = graphs.read(data, page.observation)
+        except graphs.GraphError as error:
             raise BundleError(f"{GRAPH} {error}") from error
-        except Exception as error:  # onnxruntime's exceptions have no common base
-            raise BundleError(f"{GRAPH} is not a graph that onnxruntime can run: {_line(error)}") from error
-        ports = (("takes", self._session.get_inputs(), page.observation), ("gives", self._session.get_outputs(), page.move.outputs))
-        for verb, arrays, size in ports:
-            shapes = [array.shape for array in arrays]
-            if len(shapes) != 1 or len(shapes[0]) != 2 or shapes[0][1] != size:
-                raise BundleError(f"{GRAPH} {verb} arrays of {shapes}; wanted one, of [1, {size}]")
-        self._input = self._session.get_inputs()[0].name
-        self._try(onnxruntime.RunOptions())
+        gives = self.said(np.zeros(page.observation, np.float32)).shape
+        if gives != (1, page.move.outputs):
+            raise BundleError(f"{GRAPH} gives arrays of {[list(gives)]}; wanted one, of [1, {page.move.outputs}]")
 
-    def _try(self, options: Any) -> None:
-        """Decide once, for at most LONGEST_DECISION_S."""
-        watch = threading.Timer(LONGEST_DECISION_S, setattr, (options, "terminate", True))
-        watch.daemon = True
-        watch.start()
-        try:
-            self._output(np.zeros(self.page.observation, np.float32), options)
-        except BundleError as error:
-            if options.terminate:
-                raise BundleError(f"{GRAPH} takes more than {LONGEST_DECISION_S:g} s for a decision") from error
-            raise
-        finally:
-            watch.cancel()
+    def said(self, observation: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return the network's output for an observation (F,): (1, A). Raises BundleError on NaN: argmax would silently pick one."""
+        from agent.network import said  # compiled when it is imported
 
-    def _output(self, observation: NDArray[np.float32], options: Any = None) -> NDArray[np.float64]:
-        """Return the network's output, (1, A). Raises BundleError on NaN: argmax would silently pick one."""
-        try:
-            output = np.asarray(self._session.run(None, {self._input: observation[None]}, options)[0], np.float64)
-        except Exception as error:
-            raise BundleError(f"{GRAPH} does not run: {_line(error)}") from error
-        if output.shape != (1, self.page.move.outputs):
-            raise BundleError(f"{GRAPH} gives {list(output.shape)}; wanted [1, {self.page.move.outputs}]")
+        output = said(self._layers, observation).astype(np.float64)
         if np.isnan(output).any():
             raise BundleError(f"{GRAPH} gives NaN; wanted numbers")
-        return output
+        return output[None]
 
     def waypoint(self, belief: Belief, particles: Particles, reach: Reach, _rng: np.random.Generator) -> tuple[float, float]:
         """Return the next waypoint (x, y) m. A learned policy always takes its best action and draws no random numbers."""
         observation, frame = self._schema.see(belief, particles)
         move = self.page.move
-        action = move.action(self._output(observation))
+        action = move.action(self.said(observation))
         x, y = move.waypoints(np.array([belief.position]), frame[None], action, reach.area_m)[0].tolist()
         return x, y
 

@@ -1,14 +1,17 @@
-"""The graphs that a bundle may hold: what `train` exports and no more, so that a decision takes bounded time and memory.
-
-A graph is checked before onnxruntime sees it: even opening one computes what is constant in it. Only what was checked is handed on.
-"""
+"""The graphs that a bundle may hold, read from ONNX: what `train` exports and no more, so that a decision takes bounded time and memory."""
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
 
+from agent.network import Layer
+
+Array = NDArray[np.float32]
 OPERATORS = ("Gemm", "Relu", "Tanh")
 MOST_NODES = 100
 MOST_WORK = 2**24
@@ -17,7 +20,12 @@ MOST_WORK = 2**24
 _INT, _STRING, _BYTES, _MESSAGE, _FLOAT = 3, 9, 12, 11, 2
 _FIELDS = {
     "Model": "ir_version:1:i producer_name:2:s graph:7:Graph opset_import:8:b* training_info:20:b* functions:25:b*",
-    "Graph": "node:1:Node* name:2:s initializer:5:Tensor* input:11:b* output:12:b* sparse_initializer:15:b*",
+    "Graph": "node:1:Node* name:2:s initializer:5:Tensor* input:11:Port* output:12:Port* sparse_initializer:15:b*",
+    "Port": "name:1:s type:2:Type",
+    "Type": "tensor_type:1:Array",
+    "Array": "shape:2:Shape",
+    "Shape": "dim:1:Dimension*",
+    "Dimension": "dim_value:1:i dim_param:2:s",
     "Node": "input:1:s* output:2:s* name:3:s op_type:4:s attribute:5:Attribute* domain:7:s",
     "Attribute": "name:1:s f:2:f i:3:i t:5:b g:6:b floats:7:f* ints:8:i* tensors:10:b* graphs:11:b* type:20:i ref_attr_name:21:s "
     "sparse_tensor:22:b sparse_tensors:23:b*",
@@ -52,17 +60,16 @@ def _model() -> Any:
 _Model = _model()
 
 
-def checked(data: bytes) -> bytes:
-    """Return a graph without whatever was not looked at. Raises GraphError if it is not one that a bundle may hold.
+def read(data: bytes, size: int) -> list[Layer]:
+    """Read a graph of a row of `size` numbers. Raises GraphError if it is not one that a bundle may hold.
 
-    Allowed are OPERATORS of ONNX itself on float32, without subgraphs and functions, with all weights in the graph.
+    Allowed is a chain of OPERATORS of ONNX itself on float32, without subgraphs and functions, with all weights in the graph.
     """
     model = _Model()
     try:
         model.ParseFromString(data)
     except DecodeError:
-        raise GraphError("not a graph that onnxruntime can run: not ONNX") from None
-    model.DiscardUnknownFields()
+        raise GraphError("is not an ONNX graph") from None
     graph = model.graph
     for part, name in (
         (model.functions, "functions"),
@@ -71,25 +78,70 @@ def checked(data: bytes) -> bytes:
     ):
         if part:
             raise GraphError(f"has {name} of its own, which are not allowed")
+    if not graph.node:
+        raise GraphError("is not an ONNX graph: it has no nodes")
     if len(graph.node) > MOST_NODES:
         raise GraphError(f"has {len(graph.node):,} nodes; wanted {MOST_NODES} at most")
     for node in graph.node:
         _check(node)
-    sizes = dict(map(_size, graph.initializer))
-    work = sum(_work(node, sizes) for node in graph.node)
+    weights = {tensor.name: _array(tensor) for tensor in graph.initializer}
+    ports = [port for port in graph.input if port.name not in weights]
+    takes = [[dim.dim_param or dim.dim_value for dim in port.type.tensor_type.shape.dim] for port in ports]
+    if len(takes) != 1 or len(takes[0]) != 2 or takes[0][1] != size or not (takes[0][0] == 1 or isinstance(takes[0][0], str)):
+        raise GraphError(f"takes arrays of {takes}; wanted one, of [1, {size}]")
+    return list(_layers(graph, ports[0].name, size, weights))
+
+
+def _layers(graph: Any, flowing: str, size: int, weights: dict[str, Array]) -> Iterator[Layer]:
+    """Yield the layer of each node. `flowing` is the name of what the first one takes, `size` how many numbers that are."""
+    work = 0
+    for node in graph.node:
+        name, *constants = node.input or [""]
+        if name != flowing or name in weights or not all(constant in weights for constant in constants if constant):
+            raise GraphError(f"has a {node.op_type} of other things than the layer before it, with weights and biases of the graph")
+        given = [weights[constant] for constant in constants if constant]
+        if len(node.output) != 1 or not (1 <= len(given) <= 2 if node.op_type == "Gemm" else not given):
+            raise GraphError(f"has a {node.op_type} with {len(given)} weights and {len(node.output)} outputs")
+        (flowing,) = node.output
+        layer = _product(node, *given) if given else Layer(node.op_type)
+        if given:
+            takes, gives = layer.weights.shape
+            if takes != size:
+                raise GraphError(f"has a Gemm of {size} numbers with weights for {takes}")
+            size = gives
+        work += layer.weights.size
+        yield layer
     if work > MOST_WORK:
         raise GraphError(f"needs {work:,} multiplications for a decision; wanted {MOST_WORK:,} at most")
-    return bytes(model.SerializeToString())
+    if (names := [port.name for port in graph.output]) != [flowing]:
+        raise GraphError(f"gives {_shown(', '.join(names))}; wanted what its last node makes, {_shown(flowing)}")
 
 
-def _size(tensor: Any) -> tuple[str, int]:
-    """Return name and number of elements of a weight."""
+def _product(node: Any, weights: Array, biases: Array | None = None) -> Layer:
+    """Return the layer of a Gemm."""
+    settings = {attribute.name: attribute for attribute in node.attribute}
+    if weights.ndim != 2:
+        raise GraphError(f"has a Gemm with weights of {list(weights.shape)}; wanted a matrix")
+    if "transB" in settings and settings["transB"].i:
+        weights = weights.T
+    scale, share = (float(settings[name].f) if name in settings else 1.0 for name in ("alpha", "beta"))
+    if biases is None:
+        biases = np.zeros(1, np.float32)
+    if biases.size not in (1, weights.shape[1]) or biases.shape not in ((), (biases.size,), (1, biases.size)):
+        raise GraphError(f"has a Gemm with biases of {list(biases.shape)}; wanted [{weights.shape[1]}]")
+    every = np.float32(share) * biases.ravel() + np.zeros(weights.shape[1], np.float32)
+    return Layer(node.op_type, np.ascontiguousarray(weights), every, scale)
+
+
+def _array(tensor: Any) -> Array:
+    """Return the array of a weight."""
     if tensor.data_location or tensor.external_data:
         raise GraphError(f"weights {_shown(tensor.name)} lie in another file; wanted all of them in the graph")
     count = math.prod(tensor.dims)
     if tensor.data_type != 1 or min(tensor.dims, default=1) < 0 or count not in (len(tensor.float_data), len(tensor.raw_data) / 4):
         raise GraphError(f"weights {_shown(tensor.name)} are not the float32 array that they claim to be")
-    return tensor.name, count
+    numbers = np.frombuffer(tensor.raw_data, "<f4") if tensor.raw_data else np.array(tensor.float_data, np.float32)
+    return numbers.astype(np.float32).reshape(tensor.dims)
 
 
 def _check(node: Any) -> None:
@@ -100,17 +152,6 @@ def _check(node: Any) -> None:
     for attribute in node.attribute:
         if attribute.g or attribute.graphs or attribute.name not in ("transB", "alpha", "beta"):
             raise GraphError(f"has {_shown(attribute.name)} at a {node.op_type}; allowed are transB, alpha and beta")
-
-
-def _work(node: Any, sizes: dict[str, int]) -> int:
-    """Return the multiplications of a node.
-
-    All that flows comes from the observation, one row, and a row that is never transposed stays one. So no product is larger than a weight.
-    """
-    flowing, *constants = node.input or [""]
-    if flowing in sizes or not all(name in sizes for name in constants if name):
-        raise GraphError(f"has a {node.op_type} of other things than the layer before it, with weights and biases of the graph")
-    return sizes[constants[0]] if constants and constants[0] else 0
 
 
 def _shown(text: str) -> str:

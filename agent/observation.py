@@ -22,9 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from link.bus.messages import Belief, Particles
+from plume import elementary
 from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.numerics import exp, log, total_of
+from plume.numerics import exp, log, log1p, total_of
 from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
 from plume.sensor import GAUSSIAN
 
@@ -56,10 +57,9 @@ BOUND = 10.0
 """Numbers computed from FACTS are clipped to ±BOUND; only worlds unlike any in training exceed it."""
 
 STEEPNESS = GAUSSIAN.sensor_noise / GAUSSIAN.environment_noise  # α/β
-INVERSE_NOISE_SQUARED = 1 / GAUSSIAN.sensor_noise**2  # 1/α²
-TANGENTS = np.tan(np.pi / 16 * np.array([1, 3, 5, 7]))
-COSINES = np.cos(2 * np.pi / HEADINGS * np.arange(HEADINGS))
-SINES = np.sin(2 * np.pi / HEADINGS * np.arange(HEADINGS))
+INVERSE_NOISE_SQUARED = 1 / (GAUSSIAN.sensor_noise * GAUSSIAN.sensor_noise)  # 1/α²
+TANGENTS = np.divide(*reversed(elementary.direction(np.array([1, 3, 5, 7]) / 32)))
+COSINES, SINES = elementary.direction(np.arange(HEADINGS) / HEADINGS)
 
 
 @numba.njit(error_model="numpy")
@@ -67,7 +67,7 @@ def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, re
     """Fill `frame` and `result` (PAPER,): lengths as shares of the area's side, and the reading z as sign(z) log(1 + |z|)."""
     frame[0], frame[1], frame[2] = 1.0, 0.0, 1.0
     gas = facts[GAS]
-    numbers = facts[X] / AREA_M, facts[Y] / AREA_M, math.copysign(math.log1p(abs(gas)), gas), facts[MEAN_X] / AREA_M, facts[MEAN_Y] / AREA_M
+    numbers = facts[X] / AREA_M, facts[Y] / AREA_M, math.copysign(log1p(abs(gas)), gas), facts[MEAN_X] / AREA_M, facts[MEAN_Y] / AREA_M
     for k in range(PAPER):
         result[k] = min(max(numbers[k], -BOUND), BOUND)
 
@@ -80,7 +80,8 @@ def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, resul
     _fill_gains(x, y, weights, facts, frame, result[CELLS : POLAR - NUMBERS])
     px, py = facts[X], facts[Y]
     c, s, mirror = frame
-    speed, diffusivity = math.hypot(facts[WIND_X], facts[WIND_Y]), facts[DIFFUSIVITY]
+    speed = math.sqrt(facts[WIND_X] * facts[WIND_X] + facts[WIND_Y] * facts[WIND_Y])
+    diffusivity = facts[DIFFUSIVITY]
     wind_x, wind_y = c * facts[WIND_X] + s * facts[WIND_Y], mirror * (c * facts[WIND_Y] - s * facts[WIND_X])
     length = 1 / math.sqrt(1 / (diffusivity * facts[LIFETIME]) + speed * speed / (4 * diffusivity * diffusivity))
     said = math.sqrt(facts[XX] + facts[YY])
@@ -89,11 +90,11 @@ def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, resul
     # Mirroring at the diagonal maps the area onto itself, so a mirrored frame becomes a plain one if x and y are swapped.
     plain = mirror > 0
     numbers = (
-        off / 15, math.log(off + 0.1) / 3, math.log(said + 0.05) / 3, said / 8, math.log(spread + 0.05) / 3, spread / 8, 2 * xx - 1, 2 * xy,
-        wind_x / 4, wind_y / 4, wind_x / max(speed, 1e-9), wind_y / max(speed, 1e-9), speed / (2 * diffusivity), math.log(diffusivity) / 2,
-        length / 10, math.log(length), math.log(facts[RATE] / (4 * math.pi * diffusivity)) / 3,
+        off / 15, log(off + 0.1) / 3, log(said + 0.05) / 3, said / 8, log(spread + 0.05) / 3, spread / 8, 2 * xx - 1, 2 * xy,
+        wind_x / 4, wind_y / 4, wind_x / max(speed, 1e-9), wind_y / max(speed, 1e-9), speed / (2 * diffusivity), log(diffusivity) / 2,
+        length / 10, log(length), log(facts[RATE] / (4 * math.pi * diffusivity)) / 3,
         (c * to_x + s * to_y) / 15, mirror * (c * to_y - s * to_x) / 15,
-        c if plain else s, s if plain else c, (px if plain else py) / AREA_M, (py if plain else px) / AREA_M, math.log(inside + 1e-3) / 3,
+        c if plain else s, s if plain else c, (px if plain else py) / AREA_M, (py if plain else px) / AREA_M, log(inside + 1e-3) / 3,
     )  # fmt: skip
     for k in range(NUMBERS):
         result[POLAR - NUMBERS + k] = min(max(numbers[k], -BOUND), BOUND)
@@ -190,7 +191,7 @@ def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
             for k in range(FEW):
                 steady[k] = (steady[k] - mean) * (steady[k] - mean)
             variance = total_of(steady) / FEW
-            result[ahead * HEADINGS + heading] = 0.5 * math.log(1 + variance * INVERSE_NOISE_SQUARED)
+            result[ahead * HEADINGS + heading] = 0.5 * log(1 + variance * INVERSE_NOISE_SQUARED)
 
 
 SEE_ALONE = "void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float32[::1])"

@@ -7,6 +7,7 @@ from estimator.filter import Config
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
 from link.bus.mavlink import Reading
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.elementary import exp
 from plume.parameters import GREATEST_CV, PARAMETERS
 from plume.sensor import Hits, Sensor
 
@@ -21,7 +22,8 @@ def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[s
     if not all(0.0 <= value <= config.area_m for value in reading.position):
         area = f"[0, {config.area_m:g}] x [0, {config.area_m:g}] m"
         return "outside", f"position {reading.position} is outside the area {area}"
-    if math.hypot(*reading.wind) > STRONGEST_WIND_MPS:
+    east, north = reading.wind
+    if east * east + north * north > STRONGEST_WIND_MPS * STRONGEST_WIND_MPS:
         return "absurd", f"wind {reading.wind} is absurd; allowed is up to {STRONGEST_WIND_MPS:g} m/s"
     if abs(reading.altitude_m) > HIGHEST_M:
         return "absurd", f"altitude {reading.altitude_m:g} m is absurd; allowed is from {-HIGHEST_M:g} to {HIGHEST_M:g} m"
@@ -62,7 +64,7 @@ def _likely(config: Config, name: str) -> tuple[float, float]:
 
 def _greatest_gust(cv: float) -> float:
     """Return an upper end of gamma-distributed gas with mean 1 and this coefficient of variation: it stays below with 1 − 10⁻⁶."""
-    return _likely_range(Gamma(1 / cv**2, cv**2))[1] if cv > 0 else 1.0
+    return _likely_range(Gamma(1 / (cv * cv), cv * cv))[1] if cv > 0 else 1.0
 
 
 def _likely_range(prior: Prior) -> tuple[float, float]:
@@ -78,4 +80,5 @@ def _likely_range(prior: Prior) -> tuple[float, float]:
         case Gamma(shape, scale):
             return smallest, scale * (shape + 6 * math.sqrt(shape) + 20)
         case LogNormal(median, sigma):
-            return median * math.exp(-4.9 * sigma), median * math.exp(4.9 * sigma)
+            factor = float(exp(4.9 * sigma))
+            return median / factor, median * factor

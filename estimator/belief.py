@@ -6,12 +6,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from estimator.filter import Array, Config, Posterior
-from estimator.kernels.checks import uniformity_p_value
+from estimator.kernels.checks import log_likelihood_of_one_value, uniformity_p_value
 from estimator.kernels.densities import is_intermittent, log_priors
-from estimator.kernels.weights import effective_sample_size, moments
+from estimator.kernels.weights import effective_sample_size, moments, weighted_mean
 from estimator.priors import Fixed
 from link.bus.mavlink import Reading
 from link.bus.messages import Belief, Particles, Stop
+from plume.elementary import direction
 from plume.parameters import PARAMETERS
 
 RECENT = 30
@@ -101,7 +102,7 @@ def evidence(particles: Array, weights: Array, log_targets: Array, readings: Arr
     Arguments as in `Posterior`.
     """
     log_likelihoods = log_targets - log_priors(particles, config.unknown_indices, config.prior_rows)
-    return float(weights @ log_likelihoods / weights.sum()) - config.sensor.of_one_value(readings[:, 5])
+    return float(weighted_mean(weights, log_likelihoods) - log_likelihood_of_one_value(readings, config.sensor_row))
 
 
 def may_claim(p_value: float, better: float, readings: int) -> bool:
@@ -152,10 +153,10 @@ def stretch(ranks: Array, config: Config) -> float:
     of its inverse. ρ is that of the last `RUN` ranks about ½; a negative one counts as 0. It is 1 for gas that is taken to be steady.
     """
     recent = ranks[-RUN:] - 0.5
-    power = float(recent @ recent)
+    power = float(np.sum(recent * recent))
     if not is_intermittent(config.prior_rows) or len(recent) < FEWEST or not power:
         return 1.0
-    correlation = max(float(recent[1:] @ recent[:-1]) / power, 0.0)
+    correlation = max(float(np.sum(recent[1:] * recent[:-1])) / power, 0.0)
     return math.sqrt((1 + correlation) / (1 - correlation))
 
 
@@ -168,7 +169,7 @@ def share_within(radius_m: float, particles: Array, weights: Array, means: Array
     for row, mean, name in zip(particles, means, config.unknowns, strict=True):
         if name in ("x", "y"):
             squares += np.square(row - mean)
-    return float(weights[squares <= radius_m**2].sum() / weights.sum())
+    return float(weights[squares <= radius_m * radius_m].sum() / weights.sum())
 
 
 def sure_enough(located: bool, stds: Mapping[str, float], config: Config) -> bool:
@@ -184,10 +185,13 @@ def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[flo
     known = {name: prior.value for name, prior in config.priors.items() if isinstance(prior, Fixed)}
     if not {"u", "phi"} & set(config.priors) and not {"wind-speed", "wind-direction"} & set(known):
         return reading.wind
-    speed = mean["u"] if "u" in config.priors else math.hypot(*reading.wind) * known.get("wind-speed", 1.0)
-    measured = math.atan2(reading.wind[1], reading.wind[0])
-    direction = mean["phi"] if "phi" in config.priors else measured + math.radians(known.get("wind-direction", 0.0))
-    return speed * math.cos(direction), speed * math.sin(direction)
+    east, north = reading.wind
+    measured = math.sqrt(east * east + north * north)
+    speed = mean["u"] if "u" in config.priors else measured * known.get("wind-speed", 1.0)
+    turns = mean["phi"] / math.tau if "phi" in config.priors else known.get("wind-direction", 0.0) / 360
+    x, y = (1.0, 0.0) if "phi" in config.priors or not measured else (east / measured, north / measured)
+    cosine, sine = map(float, direction(turns))
+    return speed * (x * cosine - y * sine), speed * (x * sine + y * cosine)
 
 
 def stop(ceased: Belief, config: Config) -> Stop:

@@ -7,7 +7,9 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from plume.elementary import exp, log
 from plume.parameters import GAMMA, GREATEST_CV, KNOWN, LOGNORMAL, MEASURED, NORMAL, PARAMETERS, UNIFORM
+from plume.randomness import standard_gamma, standard_normal
 
 Array = NDArray[np.float64]
 
@@ -115,7 +117,7 @@ def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
         case Gamma():
             low = max(low, SMALLEST)
         case LogNormal(median, sigma):
-            low, high = max(low, median * math.exp(-8 * sigma)), min(high, median * math.exp(8 * sigma))
+            low, high = max(low, median / float(exp(8 * sigma))), min(high, median * float(exp(8 * sigma)))
     if not low < high:
         raise ValueError(f"the prior of {name} excludes every possible value")
     return low, high
@@ -141,7 +143,7 @@ def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float
             case Gamma(a, b):
                 rows[index] = GAMMA, a, b, *support(name, prior, area_m)
             case LogNormal(a, b):
-                rows[index] = LOGNORMAL, math.log(a), b, *support(name, prior, area_m)
+                rows[index] = LOGNORMAL, float(log(a)), b, *support(name, prior, area_m)
     return rows
 
 
@@ -151,20 +153,21 @@ def draw(rows: Array, unknowns: NDArray[np.int64], count: int, rng: np.random.Ge
     Uniform priors use a low-discrepancy lattice with a random shift (the R sequence, Roberts 2018): each draw is uniform, and
     together they leave no gaps.
     """
-    ratio = 1.5
-    for _ in range(100):  # the positive root of x^(D+1) = x + 1
-        ratio = (1 + ratio) ** (1 / (len(unknowns) + 1))
+    power, ratio = len(unknowns) + 1, 1.5
+    for _ in range(20):  # the positive root of x^(D+1) = x + 1 (Newton)
+        slope = math.prod([ratio] * (power - 1))
+        ratio -= (slope * ratio - ratio - 1) / (power * slope - 1)
     shift = rng.random(len(unknowns))
     result = np.empty((len(unknowns), count))
     for row, index in enumerate(unknowns):
         kind, a, b, low, high = rows[index]
         if kind == UNIFORM:
-            result[row] = low + (np.arange(count) * ratio ** -(row + 1.0) + shift[row]) % 1.0 * (high - low)
+            result[row] = low + (np.arange(count) / math.prod([ratio] * (row + 1)) + shift[row]) % 1.0 * (high - low)
             continue
         missing = np.arange(count)
         while len(missing):  # redraw values outside the support
-            drawn = rng.gamma(a, b, len(missing)) if kind == GAMMA else rng.normal(a, b, len(missing))
-            result[row, missing] = np.exp(drawn) if kind == LOGNORMAL else drawn
+            drawn = b * standard_gamma(rng, a, len(missing)) if kind == GAMMA else a + b * standard_normal(rng, len(missing))
+            result[row, missing] = exp(drawn) if kind == LOGNORMAL else drawn
             missing = missing[(result[row, missing] < low) | (result[row, missing] > high)]
     return result
 

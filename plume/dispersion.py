@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from plume.elementary import exp
+
 SOURCE_RADIUS_M = 0.1
 """Radius of the source: shorter distances are clamped to it."""
 
@@ -19,13 +21,10 @@ def concentration(
     offset = np.asarray(position, np.float64) - np.asarray(source, np.float64)
     wind = np.asarray(wind, np.float64)
     rate, diffusivity, lifetime = (np.asarray(value, np.float64) for value in (rate, diffusivity, lifetime))
-    distance = np.hypot(offset[..., 0], offset[..., 1])
-    if offset.shape[-1] == 3:
-        distance = np.hypot(distance, offset[..., 2])
-    distance = np.maximum(distance, SOURCE_RADIUS_M)
+    distance = np.maximum(np.sqrt(np.square(offset).sum(axis=-1)), SOURCE_RADIUS_M)
     speed_squared = np.square(wind).sum(axis=-1)
     decay_length = np.sqrt(diffusivity * lifetime / (1 + speed_squared * lifetime / (4 * diffusivity)))  # λ
     drift = -(offset[..., :2] * wind).sum(axis=-1) / (2 * diffusivity)  # ψ
     # λ ≤ 2d/u keeps the exponent at or below zero: the exponential cannot overflow, however strong the wind.
-    result: NDArray[np.float64] = rate / (4 * np.pi * diffusivity * distance) * np.exp(-distance / decay_length + drift)
+    result: NDArray[np.float64] = rate / (4 * np.pi * diffusivity * distance) * exp(-distance / decay_length + drift)
     return result

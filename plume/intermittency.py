@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.compiled import kernel
-from plume.numerics import exp, log
+from plume.numerics import HALF_LOG_2PI, erfc, exp, log
 from plume.parameters import GREATEST_CV
 
 Array = NDArray[np.float64]
 
-HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 CVS, MODES = 60, 64
 """Cells of the table over cv from 0 to GREATEST_CV and over v from 0 to 1."""
 SMALLEST_CV = 0.01
@@ -61,8 +60,8 @@ def _corrections() -> Array:
                 exact = _log_moment(k, w)
             else:  # by parts: the gas piles up at 0
                 one, two = _log_moment(k + 1, w), _log_moment(k + 2, w)
-                exact = one + math.log((w + math.exp(two - one)) / k)
-            laplace = k * math.log(c) - c * w - 0.5 * c * c + HALF_LOG_2PI - 0.5 * math.log(k + c * c)
+                exact = one + log((w + exp(two - one)) / k)
+            laplace = k * log(c) - c * w - 0.5 * c * c + HALF_LOG_2PI - 0.5 * log(k + c * c)
             result[row, column] = exact - laplace
         first = result[row, 0]
         for column in range(MODES + 1):
@@ -101,6 +100,8 @@ def _concentrations() -> Array:
 
 CORRECTIONS = _corrections()
 CONCENTRATIONS = _concentrations()
+SHARES = np.array([0.05] * BODY + [0.05 * 0.5**cell for cell in range(TAIL - 1)] + [0.1 * 0.5 ** (TAIL - 1)])
+"""The share of the gas that each concentration stands for."""
 
 
 @numba.njit(error_model="numpy")
@@ -130,16 +131,19 @@ def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
 
 
 @numba.njit(error_model="numpy")
-def distribution(gas: float, mean: float, variance: float, cv: float) -> float:
-    """P(Z ≤ gas) of a reading: gas of this mean and coefficient of variation plus noise N(0, variance); right to about 0.01."""
+def distribution(gas: float, mean: float, variance: float, cv: float, tails: Array) -> float:
+    """P(Z ≤ gas) of a reading: gas of this mean and coefficient of variation plus noise N(0, variance); right to about 0.01.
+
+    tails: (BODY + TAIL,) to compute in.
+    """
     x = cv * (CVS / GREATEST_CV)
     row = min(int(x), CVS - 1)
     x -= row
     inverse = math.sqrt(0.5 / variance)
-    total, share = 0.0, 0.05
+    low, high = CONCENTRATIONS[row], CONCENTRATIONS[row + 1]
     for cell in range(BODY + TAIL):
-        if cell >= BODY:
-            share = 0.05 * 0.5 ** (cell - BODY) if cell < BODY + TAIL - 1 else 0.1 * 0.5 ** (TAIL - 1)
-        concentration = mean * (CONCENTRATIONS[row, cell] + x * (CONCENTRATIONS[row + 1, cell] - CONCENTRATIONS[row, cell]))
-        total += share * 0.5 * math.erfc((concentration - gas) * inverse)
-    return total
+        tails[cell] = SHARES[cell] * erfc((mean * (low[cell] + x * (high[cell] - low[cell])) - gas) * inverse)
+    total = 0.0
+    for cell in range(BODY + TAIL):
+        total += tails[cell]
+    return 0.5 * total

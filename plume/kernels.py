@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.numerics import exp
+from plume.numerics import cosine_and_sine, exp
 from plume.parameters import CV, GAIN, KNOWN, MEASURED, NOISE, PHI, TAU, WIND_DIRECTION, WIND_SPEED, D, Q, U, X, Y, Z
 
 Array = NDArray[np.float64]
@@ -82,8 +82,7 @@ def derive(particles: Array, count: int, unknowns: NDArray[np.int64], priors: Ar
         derived[4, i] = 0.5 / values[D]
         derived[5, i] = 1 / (values[D] * values[TAU])
         derived[6, i] = values[WIND_SPEED] if speed_measured else values[U]
-        derived[7, i] = math.cos(angle)
-        derived[8, i] = math.sin(angle)
+        derived[7, i], derived[8, i] = cosine_and_sine(angle)
         derived[NOISES, i] = values[NOISE] * values[NOISE]
         derived[CVS, i] = values[CV]
 

@@ -2,7 +2,9 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import reduce
 from itertools import pairwise
+from operator import add
 from types import MappingProxyType
 from typing import Any
 
@@ -65,7 +67,7 @@ def outcome(
         error_m=error_m,
         spread_m=last.spread,
         steps=len(trace) - 1,
-        distance_m=sum(math.dist(a.position, b.position) for a, b in pairwise(trace)),
+        distance_m=reduce(add, (math.dist(a.position, b.position) for a, b in pairwise(trace)), 0.0),  # `sum` differs between Pythons
         search_time_s=search_time_s,
         assume=assume,
         stop=stop,

@@ -5,7 +5,8 @@ import math
 import msgspec
 import numpy as np
 
-from plume.randomness import keyed
+from plume.elementary import direction
+from plume.randomness import keyed, uniform
 
 AREA_M = 30.0
 """Side of the square search area [0, AREA_M]², m."""
@@ -44,7 +45,8 @@ class Scenario(msgspec.Struct, frozen=True, omit_defaults=True):
     @property
     def wind(self) -> tuple[float, float]:
         """(u cos φ, u sin φ), m/s: points to where the wind comes from; the air moves the other way."""
-        return self.u * math.cos(self.phi), self.u * math.sin(self.phi)
+        cosine, sine = direction(self.phi / math.tau)
+        return self.u * float(cosine), self.u * float(sine)
 
 
 def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:
@@ -63,5 +65,5 @@ def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:
     rng = keyed(seed, "scenario")
     low = np.array([SOURCE_LOW_M, SOURCE_LOW_M, 100.0, 1.0, 0.0, 1.0, 0.0, 0.0])
     high = np.array([SOURCE_HIGH_M, SOURCE_HIGH_M, 500.0, 4.0, 2 * np.pi, 8.0, 5.0, 5.0])
-    x, y, q, u, phi, d, start_x, start_y = rng.uniform(low, high).tolist()
+    x, y, q, u, phi, d, start_x, start_y = uniform(rng, low, high).tolist()
     return Scenario(source=(x, y), q=q, u=u, phi=phi, d=d, tau=lifetime_s, start=(start_x, start_y))

@@ -19,21 +19,13 @@ _erf = np.vectorize(math.erf, otypes=[np.float64])
 _log_gamma = np.vectorize(math.lgamma, otypes=[np.float64])
 
 
-def _of_one_value(readings: Array) -> float:
-    """Greatest log-likelihood of readings (T,) that are one value plus normal noise, whatever the value and the noise."""
-    if len(readings) == 0:
-        return 0.0
-    std = max(float(readings.std()), 1e-3)
-    return -len(readings) * (math.log(std) + 0.5 * math.log(2 * math.pi * math.e))
-
-
 def _normal_cdf(value: ArrayLike) -> Array:
     return np.asarray(0.5 * (1.0 + _erf(np.asarray(value) / math.sqrt(2.0))))
 
 
 def fluctuating(mean: Array, cv: float, rng: Draws) -> Array:
     """Draw the concentration around each mean, g/m³: gamma-distributed with this coefficient of variation; the mean itself if it is 0."""
-    return mean * rng.standard_gamma(1 / cv**2, mean.shape) * cv**2 if cv > 0 else mean
+    return mean * rng.standard_gamma(1 / (cv * cv), mean.shape) * (cv * cv) if cv > 0 else mean
 
 
 def _gamma_and_normal(reading: Array, mean: Array, std: Array, cv: float) -> Array:
@@ -42,7 +34,7 @@ def _gamma_and_normal(reading: Array, mean: Array, std: Array, cv: float) -> Arr
     A numerical integral over c. It is taken by parts, since for a shape below 1 the gas piles up at 0.
     """
     reading, mean, std = np.broadcast_arrays(reading, mean, std)
-    shape, scale = 1 / cv**2, np.maximum(mean, 1e-12 * std) * cv**2
+    shape, scale = 1 / (cv * cv), np.maximum(mean, 1e-12 * std) * (cv * cv)
     peak = (shape + 1) * scale
     spread = 40 * np.sqrt(shape + 1) * scale
     far = np.linspace(-45 / (shape + 1) - 3, 0.0, 2001)  # of log c
@@ -75,7 +67,7 @@ class Gaussian:
 
     def noise_std(self, mean: ArrayLike) -> Array:
         """σ(m), g/m³."""
-        return np.sqrt(np.square(self.sensor_noise * np.asarray(mean, np.float64)) + self.environment_noise**2)
+        return np.sqrt(np.square(self.sensor_noise * np.asarray(mean, np.float64)) + self.environment_noise * self.environment_noise)
 
     def measure(self, mean: ArrayLike, rng: Draws, concentration: ArrayLike | None = None, noise: ArrayLike = 1.0) -> Array:
         """Draw a reading for each mean concentration, g/m³; same shape.
@@ -103,14 +95,12 @@ class Gaussian:
 
         cv: intermittency; with it, the entropy of the normal distribution with the same variance, which is an upper bound.
         """
+        from plume.numerics import HALF_LOG_2PI, log_each  # compiled: the vehicle starts without
+
         std = np.asarray(noise) * self.noise_std(mean)
         if np.any(cv):
-            std = np.hypot(std, np.asarray(cv) * np.asarray(mean, np.float64))
-        return np.asarray(np.log(std) + 0.5 * np.log(2 * np.pi * np.e))
-
-    def of_one_value(self, readings: Array) -> float:
-        """Greatest log-likelihood of readings (T,) by a sensor that shows one value plus noise, wherever it is."""
-        return _of_one_value(readings)
+            std = np.sqrt(np.square(std) + np.square(np.asarray(cv) * np.asarray(mean, np.float64)))
+        return log_each(std) + (HALF_LOG_2PI + 0.5)
 
     def is_noisy(self, _reading: float) -> bool:
         """True if noise makes two bit-identical readings of this value in a row practically impossible."""
@@ -164,20 +154,16 @@ class Threshold:
 
         noise: factor on the sensor's noise. Intermittency is not modelled.
         """
+        from plume.numerics import HALF_LOG_2PI, erfc_each, exp_each, log_each  # compiled: the vehicle starts without
+
         std = np.asarray(noise) * self._analog().noise_std(mean)
         standard = (self.threshold - np.asarray(mean)) / std
-        above = 1 - _normal_cdf(standard)
+        above = 0.5 * erfc_each(standard * math.sqrt(0.5))
         silent = 1 - (1 - self.missed) * above
-        density = np.exp(-0.5 * np.square(standard)) / math.sqrt(2 * np.pi)
+        density = exp_each(-0.5 * np.square(standard)) / math.sqrt(2 * np.pi)
         # Of x = v/σ beyond the threshold, E[x²; above] = standard · density + above.
-        heard = above * (math.log1p(-self.missed) - np.log(std) - 0.5 * np.log(2 * np.pi)) - 0.5 * (standard * density + above)
-        return np.asarray(-silent * np.log(np.maximum(silent, 1e-300)) - (1 - self.missed) * heard)
-
-    def of_one_value(self, readings: Array) -> float:
-        """Greatest log-likelihood of readings (T,) by a sensor that shows 0 with one probability, and else one value plus noise."""
-        heard = readings[readings != 0]
-        counts = np.array([len(heard), len(readings) - len(heard)])
-        return float(np.sum(counts * np.log(np.maximum(counts, 1) / len(readings)))) + _of_one_value(heard)
+        heard = above * (log_each(1 - self.missed) - log_each(std) - HALF_LOG_2PI) - 0.5 * (standard * density + above)
+        return np.asarray(-silent * log_each(np.maximum(silent, 1e-300)) - (1 - self.missed) * heard)
 
     def is_noisy(self, reading: float) -> bool:
         """True if noise makes two bit-identical readings of this value in a row practically impossible."""
@@ -221,22 +207,19 @@ class Hits:
 
     def entropy(self, mean: ArrayLike, _noise: ArrayLike = 1.0, _cv: ArrayLike = 0.0) -> Array:
         """Entropy of a count at each mean concentration, nats: a sum up to MANY expected hits, else the asymptotic series (to 1e-5)."""
+        from plume.numerics import HALF_LOG_2PI, exp_each, log_each  # compiled: the vehicle starts without
+
         expected = self.efficiency * np.asarray(mean, np.float64) + self.background
         many = np.maximum(expected, MANY)
-        series = 0.5 * np.log(2 * np.pi * np.e * many) - 1 / (12 * many) - 1 / (24 * many**2) - 19 / (360 * many**3)
+        series = 0.5 * log_each(many) + (HALF_LOG_2PI + 0.5) - 1 / (12 * many) - 1 / (24 * many * many) - 19 / (360 * many * many * many)
         few = np.minimum(expected, MANY)
-        probability = np.exp(-few)
-        log_factorial, summed = 0.0, few - few * np.log(few)
+        probability = exp_each(-few)
+        log_factorial, summed = np.zeros(()), few - few * log_each(few)
         for count in range(1, 4 * MANY):
             probability = probability * few / count
-            log_factorial += math.log(count)
+            log_factorial = log_factorial + log_each(count)
             summed = summed + probability * log_factorial
         return np.where(expected > MANY, series, summed)
-
-    def of_one_value(self, readings: Array) -> float:
-        """Greatest log-likelihood of counts (T,) that have one mean, wherever they are counted."""
-        mean = max(float(readings.mean()), 1e-300)
-        return float(np.sum(readings * math.log(mean) - mean - _log_gamma(readings + 1.0)))
 
     def is_noisy(self, _reading: float) -> bool:
         """True if noise makes two bit-identical readings of this value in a row practically impossible."""

@@ -78,7 +78,7 @@ class World:
         cv, correlation = self.errors.cv, self.errors.correlation
         if not cv:
             return 1.0
-        shape = 1 / cv**2
+        shape = 1 / (cv * cv)
         if not correlation:
             return noise.at(self.seed, "gas", step).standard_gamma(shape) / shape
         while (number := len(self._strengths)) <= step:

@@ -4,7 +4,10 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from plume.randomness import keyed
+import numpy as np
+
+from plume.elementary import exp, log
+from plume.randomness import keyed, uniform
 from plume.scenario import AREA_M, SOURCE_HIGH_M, SOURCE_LOW_M
 
 AS_MODELLED = "as-modelled"
@@ -62,7 +65,7 @@ def outside(seed: int) -> tuple[float, float]:
     """Draw a source uniformly from the area outside Table 1's square, (x, y) m."""
     rng = keyed(seed, "source outside")
     while True:
-        x, y = rng.uniform(0.0, AREA_M, 2).tolist()
+        x, y = uniform(rng, np.zeros(2), AREA_M).tolist()
         if not (SOURCE_LOW_M <= x <= SOURCE_HIGH_M and SOURCE_LOW_M <= y <= SOURCE_HIGH_M):
             return x, y
 
@@ -70,15 +73,15 @@ def outside(seed: int) -> tuple[float, float]:
 def all_at_once(seed: int) -> Errors:
     """Draw an error of every kind: direction and cv uniform, factors log-uniform."""
     rng = keyed(seed, "all at once")
-    direction_deg, cv = rng.uniform([-30.0, 0.0], [30.0, 1.0]).tolist()
-    speed = math.exp(rng.uniform(math.log(0.7), math.log(1.4)))
-    noise, gain, q, tau, d = (2.0**power for power in rng.uniform(-1.0, 1.0, 5).tolist())
+    direction_deg, cv = uniform(rng, np.array([-30.0, 0.0]), np.array([30.0, 1.0])).tolist()
+    speed = float(exp(uniform(rng, log(0.7), log(1.4))))
+    noise, gain, q, tau, d = exp(log(2.0) * uniform(rng, -np.ones(5), 1.0)).tolist()
     return Errors(direction_deg=direction_deg, speed=speed, q=q, d=d, tau=tau, gain=gain, noise=noise, cv=cv)
 
 
 def stuck(seed: int) -> Errors:
     """Draw the value that the sensor repeats from reading 10 on: uniform from 0 to 3 g/m³."""
-    return Errors(stuck_from=10, stuck_at=keyed(seed, "stuck").uniform(0.0, 3.0))
+    return Errors(stuck_from=10, stuck_at=3.0 * keyed(seed, "stuck").random())
 
 
 WORLDS: dict[str, Named] = {

@@ -163,3 +163,59 @@ def test_the_services_get_neither_the_missions_seed_nor_its_source(monkeypatch: 
     assert str(draw(123456).q) in started["estimator"]  # what it is told
     for part in ("estimator", "agent"):
         assert not secrets & set(started[part])
+
+
+INEXACT = {
+    *("exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "logaddexp", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2"),
+    *("asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "hypot", "power", "pow", "cbrt", "erf", "erfc", "gamma", "lgamma"),
+    *("dot", "vdot", "inner", "matmul", "einsum", "tensordot", "linalg"),
+}
+"""Functions of NumPy, BLAS and the C library whose last bits depend on the processor."""
+SAMPLERS = {"uniform", "normal", "gamma", "beta", "lognormal", "exponential"}
+"""Methods of a generator that compute with what they draw, in compiled code."""
+MAY_BE_INEXACT = {
+    "plume.geodesy": "latitude and longitude for ground stations, rounded to 1e-7° on the wire; nothing estimates from them",
+    "plume.sensor": "the definition of the likelihoods, with which tests and benchmarks compare the kernels; no flight calls it",
+    "plume.world": "beta draws of correlated gas, rounded to float32 with the reading",
+    "agent.learn.render": "a picture",
+    "agent.learn.train": "training, which promises the same policy on the same machine only",
+    "agent.trials.report.drawing": "a picture",
+}
+"""Why a module may use them all the same."""
+
+
+def inexact(path: Path) -> Iterator[str]:
+    """What a file uses that is not plain IEEE arithmetic in a fixed order. Python's own x ** y is the C library's `pow`; numba's is not."""
+    tree = ast.parse(path.read_text())
+    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    compiled = {id(node) for function in functions if function.decorator_list for node in ast.walk(function) if is_compiled(function)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            if (node.value.id in ("np", "math") and node.attr in INEXACT) or (node.value.id == "rng" and node.attr in SAMPLERS):
+                yield f"{node.value.id}.{node.attr}"
+        elif isinstance(node, ast.ImportFrom) and node.module in ("math", "numpy"):
+            yield from {alias.name for alias in node.names} & INEXACT
+        elif isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
+            yield "@"
+        elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and id(node) not in compiled and not is_exact(node.left):
+            yield "**"
+
+
+def is_exact(base: ast.expr) -> bool:
+    """True if whole powers of a number are exact."""
+    return isinstance(base, ast.Constant) and base.value in (0.5, 2, 10)
+
+
+def is_compiled(function: ast.FunctionDef) -> bool:
+    """True if numba compiles the function."""
+    return any(word in ast.unparse(decorator) for decorator in function.decorator_list for word in ("njit", "kernel"))
+
+
+def test_what_estimates_or_plans_uses_plain_arithmetic_in_a_fixed_order() -> None:
+    used: dict[str, set[str]] = {}
+    for path in FILES:
+        if path.relative_to(ROOT).parts[0] in ("plume", "estimator", "agent") and (found := set(inexact(path))):
+            module = name_of(path)
+            used[next((name for name in MAY_BE_INEXACT if module.startswith(name)), module)] = found
+    assert {module: found for module, found in used.items() if module not in MAY_BE_INEXACT} == {}
+    assert set(MAY_BE_INEXACT) - {"agent.learn.train"} <= set(used)  # no exception outlives its reason

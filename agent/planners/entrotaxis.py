@@ -16,5 +16,5 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     """
     moves, hypotheses = reach.moves(belief.position), cloud(belief, particles)
     imagined = imagine(belief, hypotheses, moves, reach.measurements, rng)
-    of_noise = parse(belief.sensor).entropy(imagined.means, *imagined.noises) @ hypotheses.weights
+    of_noise = hypotheses.mean(parse(belief.sensor).entropy(imagined.means, *imagined.noises))
     return int(np.argmax(imagined.gains.mean(axis=1) + of_noise))

@@ -5,13 +5,14 @@ import numpy as np
 from agent.planning.moves import Reach
 from agent.planning.predict import cloud, imagine
 from link.bus.messages import Belief, Particles
+from plume.numerics import log_each
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the greatest expected entropy of the particles' weights, −Σ w' log w'."""
     moves = reach.moves(belief.position)
     hypotheses = cloud(belief, particles)
-    log_weights = np.log(np.maximum(hypotheses.weights, 1e-300))
+    log_weights = log_each(np.maximum(hypotheses.weights, 1e-300))
     imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, log_weights[None])
     # w' = w · likelihood / predictive density. The entropy is −Σ w' log w'.
     entropies = imagined.log_predictive - imagined.log_likelihood - imagined.expectations[:, :, 0]

@@ -3,8 +3,9 @@
 import numpy as np
 
 from agent.planning.moves import Reach
-from agent.planning.predict import cloud, entropy_spread, imagine
+from agent.planning.predict import cloud, entropy_spread, imagine, lengths
 from link.bus.messages import Belief, Particles
+from plume.numerics import exp_each, log_each
 
 REACH = Reach(headings=8, measurements=100)
 PARTICLES = 500
@@ -27,15 +28,15 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     moves = reach.moves(belief.position)
     places = np.clip(belief.position + AHEAD * (moves - belief.position), 0.0, reach.area_m)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
-    distances = np.linalg.norm(places[:, :, None] - hypotheses.places, axis=1)  # (A, N)
+    distances = hypotheses.distances(places)  # (A, N)
     gains = imagine(belief, hypotheses, places, reach.measurements, rng).gains
     spread = entropy_spread(hypotheses, belief.spread)
-    spreads = spread * np.exp(-gains / 2).mean(axis=1)
-    scores = distances @ hypotheses.weights + WEIGHT * spreads
-    here = np.linalg.norm(np.array(belief.position)[:, None] - hypotheses.places, axis=0) @ hypotheses.weights + WEIGHT * spread
-    flown = np.linalg.norm(places - belief.position, axis=1)
+    spreads = spread * exp_each(-gains / 2).mean(axis=1)
+    scores = hypotheses.mean(distances) + WEIGHT * spreads
+    here = hypotheses.mean(hypotheses.distances(np.array(belief.position))) + WEIGHT * spread
+    flown = lengths(places - belief.position)
     if np.all(scores > here - PROGRESS * flown):
         nearest = distances.min(axis=1, where=hypotheses.weights > 0, initial=np.inf)
-        shares = np.exp(np.minimum(nearest[:, None] - distances, 0.0) / spread) @ hypotheses.weights  # of e^(nearest/S), against underflow
-        scores = nearest - spread * np.log(shares) + WEIGHT * spreads
+        shares = hypotheses.mean(exp_each(np.minimum(nearest[:, None] - distances, 0.0) / spread))  # of e^(nearest/S), against underflow
+        scores = nearest - spread * log_each(shares) + WEIGHT * spreads
     return int(np.argmin(scores))

@@ -3,8 +3,9 @@
 import numpy as np
 
 from agent.planning.moves import Reach
-from agent.planning.predict import cloud, entropy_spread, imagine_along
+from agent.planning.predict import cloud, entropy_spread, imagine_along, lengths
 from link.bus.messages import Belief, Particles
+from plume.numerics import exp_each
 
 REACH = Reach(headings=8, measurements=50)
 PARTICLES = 500
@@ -23,9 +24,9 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     moves = reach.moves(belief.position)
     ahead = np.array(AHEAD)[:, None]
     paths = np.clip(belief.position + ahead * (moves - belief.position)[:, None], 0.0, reach.area_m)  # (A, L, 2)
-    flown = np.linalg.norm(paths - belief.position, axis=2)  # (A, L)
+    flown = lengths(paths - belief.position)  # (A, L)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
-    distances = np.linalg.norm(paths[..., None] - hypotheses.places, axis=2) @ hypotheses.weights  # (A, L)
+    distances = hypotheses.mean(hypotheses.distances(paths))  # (A, L)
     gains = imagine_along(belief, hypotheses, paths, reach.measurements, rng).gains
-    spreads = entropy_spread(hypotheses, belief.spread) * np.exp(-gains / 2).mean(axis=2)
+    spreads = entropy_spread(hypotheses, belief.spread) * exp_each(-gains / 2).mean(axis=2)
     return int(np.argmin((flown + distances + WEIGHT * spreads).min(axis=1)))

@@ -5,6 +5,7 @@ import numpy as np
 from agent.planning.moves import Reach
 from agent.planning.predict import cloud, imagine, shares_of_cells
 from link.bus.messages import Belief, Particles
+from plume.numerics import exp_each, log_each
 
 CELL_M = 1.0
 """Side of the cells in which entropy is computed, m: Loisy and Eloy's world is a grid with a cell per step."""
@@ -21,7 +22,7 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     distances = np.abs(moves[:, :, None] - hypotheses.places).sum(axis=1) / CELL_M  # (A, N)
     imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, distances[:, None])
     shares = shares_of_cells(hypotheses, CELL_M)
-    entropy = -np.sum(shares * np.log2(shares))
-    entropies = np.maximum(entropy - imagined.gains / np.log(2), 0.0)  # (A, K)
-    scores = np.log2(imagined.expectations[:, :, 0] + (np.exp2(entropies) - 1) / 2)
+    entropy = -np.sum(shares * log_each(shares))
+    entropies = np.maximum(entropy - imagined.gains, 0.0)  # (A, K), nats
+    scores = log_each(imagined.expectations[:, :, 0] + (exp_each(entropies) - 1) / 2)
     return int(np.argmin(scores.mean(axis=1)))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from agent.planning.moves import Reach
-from agent.planning.predict import cloud
+from agent.planning.predict import cloud, lengths
 from link.bus.messages import Belief, Particles
 
 
@@ -11,4 +11,4 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     """The move that ends closest to a source position drawn from the belief at each step (Thompson 1933)."""
     hypotheses = cloud(belief, particles)
     target = hypotheses.places[:, rng.choice(len(hypotheses.weights), p=hypotheses.weights)]
-    return int(np.argmin(np.linalg.norm(reach.moves(belief.position) - target, axis=1)))
+    return int(np.argmin(lengths(reach.moves(belief.position) - target)))

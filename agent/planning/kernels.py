@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.compiled import kernel
-from plume.numerics import exp, fma, log, total_of
+from plume.numerics import HALF_LOG_2PI, direction, erfc, exp, fma, log, log1p, total_of
 from plume.sensor import HITS_KIND, THRESHOLD_KIND
 
 Array = NDArray[np.float64]
 
-HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 BLOCK = 1024
 """Particles per block; the intermediate arrays of a block stay in the processor's first-level cache."""
 
@@ -34,7 +33,7 @@ def _exponents(means: Array, noises: Array, sensor: Array, quadratic: Array, lin
     A reading in intermittent gas is taken to be normal, with its true mean and variance: the exact density is no quadratic and takes
     far longer (docs/planners.md compares them). For hits, the term −log z! is left out.
     """
-    offset = HALF_LOG_2PI - math.log1p(-sensor[4])
+    offset = HALF_LOG_2PI - log1p(-sensor[4])
     for i in range(len(means)):
         if sensor[0] == HITS_KIND:
             expected = sensor[1] * means[i] + sensor[2]
@@ -54,8 +53,8 @@ def _silence(means: Array, noises: Array, sensor: Array, constant: Array) -> Non
     """Fill `constant` with the log-probability that a threshold sensor reads 0, under each particle."""
     for i in range(len(means)):
         std = math.sqrt(_variance(means[i], noises[0, i], noises[1, i], sensor))
-        below = 0.5 * math.erfc((means[i] - sensor[3]) / std * math.sqrt(0.5))
-        constant[i] = math.log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
+        below = 0.5 * erfc((means[i] - sensor[3]) / std * math.sqrt(0.5))
+        constant[i] = log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
 
 
 @numba.njit(error_model="numpy")
@@ -142,8 +141,21 @@ def imagine(
                     owns[k] = total
                     for i in range(count):
                         before[k, i] = fma(fma(one[i], z, two[i]), z, three[i]) - own
-                log_predictive[a, step, k] = total + math.log(sums[0])
+                log_predictive[a, step, k] = total + log(sums[0])
                 log_likelihood[a, step, k] = total + sums[1] / sums[0]
                 for f in range(rows):
                     expectations[a, step, k, f] = sums[2 + f] / sums[0]
     return log_predictive, log_likelihood, expectations
+
+
+@kernel("float64[:, ::1](float64[:, :], float64[::1], float64[::1])")
+def displacements(frames: Array, turns: Array, lengths: Array) -> Array:
+    """Displacements (B, 2) m of moves of these lengths (B,) at angles of so many turns (B,) in frames (B, 3)."""
+    result = np.empty((len(turns), 2))
+    for b in range(len(turns)):
+        cosine, sine, mirror = frames[b]
+        share = turns[b] - math.floor(turns[b])
+        ahead, aside = direction(share if share < 1.0 else 0.0)
+        along, across = lengths[b] * ahead, mirror * lengths[b] * aside
+        result[b, 0], result[b, 1] = cosine * along - sine * across, sine * along + cosine * across
+    return result

@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from plume.elementary import direction
 from plume.scenario import AREA_M, STEP_M
 
 Array = NDArray[np.float64]
@@ -39,8 +40,7 @@ class Reach:
     @cached_property
     def directions(self) -> Array:
         """Unit vectors (A, 2) of the headings."""
-        angles = 2 * np.pi * np.arange(self.headings) / self.headings
-        return np.round(np.stack([np.cos(angles), np.sin(angles)], axis=1), 15)  # east is exactly (1, 0), without 6e-17 of north
+        return np.stack(direction(np.arange(self.headings) / self.headings), axis=1)
 
 
 class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", forbid_unknown_fields=True):
@@ -60,7 +60,7 @@ class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", fo
 
     def waypoints(self, positions: Array, frames: Array, actions: Array, area_m: float) -> Array:
         """Return the waypoints (B, 2) m of actions (B,) from positions (B, 2) m. frames: (B, 3)."""
-        return _moved(positions, frames, 2 * np.pi * actions / self.count, np.full(len(actions), self.step_m), area_m)
+        return _moved(positions, frames, actions / self.count, np.full(len(actions), self.step_m), area_m)
 
 
 class HeadingAndStep(msgspec.Struct, frozen=True, tag_field="kind", tag="heading and step", forbid_unknown_fields=True):
@@ -83,16 +83,15 @@ class HeadingAndStep(msgspec.Struct, frozen=True, tag_field="kind", tag="heading
     def waypoints(self, positions: Array, frames: Array, actions: Array, area_m: float) -> Array:
         """Return the waypoints (B, 2) m of actions (B, 2) from positions (B, 2) m; actions are clipped to [−1, 1]. frames: (B, 3)."""
         heading, share = np.clip(np.asarray(actions, np.float64).T, -1.0, 1.0)
-        return _moved(positions, frames, np.pi * heading, self.step_m * (share + 1) / 2, area_m)
+        return _moved(positions, frames, heading / 2, self.step_m * (share + 1) / 2, area_m)
 
 
 Move = Headings | HeadingAndStep
 
 
-def _moved(positions: Array, frames: Array, angles: Array, lengths: Array, area_m: float) -> Array:
-    """Return the waypoints (B, 2) of moves at angles in their frames (`agent.observation.Frame`), clipped to the area; float32 values."""
-    cosine, sine, mirror = frames.T
-    along, across = lengths * np.cos(angles), mirror * lengths * np.sin(angles)
-    moves = np.stack([cosine * along - sine * across, sine * along + cosine * across], axis=1)
-    places: Array = np.clip(positions + moves, 0.0, area_m).astype(np.float32).astype(np.float64)
+def _moved(positions: Array, frames: Array, turns: Array, lengths: Array, area_m: float) -> Array:
+    """Return the waypoints (B, 2) of moves at angles of so many turns in their frames, clipped to the area; float32 values."""
+    from agent.planning.kernels import displacements  # compiled: naming a policy does not need it
+
+    places: Array = np.clip(positions + displacements(frames, turns, lengths), 0.0, area_m).astype(np.float32).astype(np.float64)
     return places

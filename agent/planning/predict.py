@@ -11,7 +11,9 @@ from link.bus.messages import Belief, Particles
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.intermittency import SMALLEST_CV
 from plume.kernels import mean_concentrations
+from plume.numerics import exp_each, log_each
 from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
+from plume.randomness import standard_gamma
 from plume.sensor import Gaussian, Sensor, parse, sensor_row
 
 Array = NDArray[np.float64]
@@ -35,6 +37,17 @@ class Cloud:
     def places(self) -> Array:
         """(2, N): the source positions (x, y) of the particles, m."""
         return self.values[:2]
+
+    def mean(self, values: Array) -> Array:
+        """Return the mean of values (..., N) of the particles: (...)."""
+        means: Array = (values * self.weights).sum(axis=-1)
+        return means
+
+    def distances(self, places: Array) -> Array:
+        """Return the distances of the particles from places (..., 2) m: (..., N) m."""
+        east, north = (places[..., axis, None] - self.places[axis] for axis in (0, 1))
+        distances: Array = np.sqrt(east * east + north * north)
+        return distances
 
     def thinned(self, most: int) -> "Cloud":
         """Return a cloud of at most `most` evenly spaced particles: planning needs fewer than estimating."""
@@ -70,6 +83,12 @@ def cloud(belief: Belief, particles: Particles) -> Cloud:
     weights = particles[:, -1].astype(np.float64)
     x, y = (np.broadcast_to(columns.pop(name, np.float64(known)), weights.shape) for name, known in zip("xy", belief.mean, strict=True))
     return Cloud(np.vstack([x, y, *columns.values()]), weights / weights.sum())
+
+
+def lengths(vectors: Array) -> Array:
+    """Return the lengths (...) of vectors (..., 2)."""
+    result: Array = np.sqrt(np.square(vectors).sum(axis=-1))
+    return result
 
 
 def _names(belief: Belief) -> tuple[str, ...]:
@@ -148,7 +167,7 @@ def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Genera
     gas = None
     if cvs.any():
         shapes = 1 / np.square(np.maximum(cvs, SMALLEST_CV))
-        gas = means * rng.standard_gamma(shapes) / shapes
+        gas = means * standard_gamma(rng, shapes, len(shapes)) / shapes
     return sensor.measure(means, rng, gas, factors)
 
 
@@ -160,7 +179,7 @@ def entropy_spread(hypotheses: Cloud, spread: float) -> float:
     """
     cell = max(spread, SOURCE_RADIUS_M) / CELLS_A_SPREAD
     shares = shares_of_cells(hypotheses, cell)
-    return float(cell * np.sqrt(np.exp(-np.sum(shares * np.log(shares))) / (np.pi * np.e)))
+    return float(cell * np.sqrt(exp_each(-np.sum(shares * log_each(shares))) / (np.pi * np.e)))
 
 
 def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
@@ -176,7 +195,7 @@ def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
 
 def variances(belief: Belief, hypotheses: Cloud, places: Array, number: int, rng: np.random.Generator) -> Array:
     """Trace of the location's covariance after each of `number` hypothetical readings at each place (A, 2) m: (A, K) m²."""
-    offsets = hypotheses.places - hypotheses.places @ hypotheses.weights[:, None]  # offsets from the mean limit cancellation below
+    offsets = hypotheses.places - hypotheses.mean(hypotheses.places)[:, None]  # offsets from the mean limit cancellation below
     values = np.vstack([offsets, np.square(offsets).sum(axis=0)])
     expected = imagine(belief, hypotheses, places, number, rng, values).expectations
     traces: Array = np.maximum(expected[:, :, 2] - np.square(expected[:, :, :2]).sum(axis=2), 0.0)

@@ -98,6 +98,15 @@ class Interval(msgspec.Struct, frozen=True):
         return f"{value} [{low}, {high}]"
 
 
+def nees(estimate: tuple[float, float], source: tuple[float, float], covariance: tuple[float, float, float]) -> float:
+    """Normalised estimation error squared, eᵀ C⁻¹ e; covariance C: (xx, xy, yy) m². Of a C without width, that along its line alone."""
+    (east, north), (xx, xy, yy) = (a - b for a, b in zip(estimate, source, strict=True)), covariance
+    determinant, trace = xx * yy - xy * xy, xx + yy
+    if determinant > 1e-15 * trace * trace:
+        return (yy * east * east - 2 * xy * east * north + xx * north * north) / determinant
+    return (xx * east * east + 2 * xy * east * north + yy * north * north) / (trace * trace) if trace else 0.0
+
+
 def wilson(hits: int, of: int) -> Interval:
     """A share and its interval (Wilson 1927); NaN with the interval [0, 1] for `of` = 0."""
     if of == 0:

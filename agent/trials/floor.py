@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
+from plume.numerics import angle_of, cosine_and_sine, exp
 from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario
 from plume.sensor import GAUSSIAN
 
@@ -20,9 +21,9 @@ Array = NDArray[np.float64]
 
 LEAST_THRESHOLD_M = 0.03
 """Below this ζ the computation takes long, and the floor may exceed the budget."""
-SLOPE, FLOOR = GAUSSIAN.sensor_noise**2, GAUSSIAN.environment_noise**2
+SLOPE, FLOOR = GAUSSIAN.sensor_noise * GAUSSIAN.sensor_noise, GAUSSIAN.environment_noise * GAUSSIAN.environment_noise
 """α² and β²: the variance of a reading is SLOPE m² + FLOOR."""
-PRIOR = 12 / AREA_M**2
+PRIOR = 12 / (AREA_M * AREA_M)
 """Precision of the prior for each axis, 1/m²: that of the Gaussian with the covariance of the uniform prior."""
 BENDS = np.array([(0.0, 1.0), *((sign * rate, last) for sign in (-1, 1) for rate in (0.15, 0.3, 0.6, 1.2, 2.0) for last in (2, 4, 8, 16))])
 """(rad per step, number of last steps): the bends that a path may end with after a straight beginning."""
@@ -53,7 +54,7 @@ def information(x: float, y: float, model: Array) -> tuple[float, float, float]:
     dx, dy = x - model[0], y - model[1]
     distance = math.sqrt(dx * dx + dy * dy)
     radius = max(distance, SOURCE_RADIUS_M)
-    mean = model[2] / radius * math.exp(-radius * model[3] - (dx * model[4] + dy * model[5]))
+    mean = model[2] / radius * exp(-radius * model[3] - (dx * model[4] + dy * model[5]))
     radial = (1 / radius + model[3]) / radius if distance > SOURCE_RADIUS_M else 0.0
     return weight(mean), radial * dx + model[4], radial * dy + model[5]
 
@@ -65,8 +66,9 @@ def _variance(headings: Array, start: Array, model: Array) -> float:
     c, g, h = information(x, y, model)
     xx, xy, yy = PRIOR + c * g * g, c * g * h, PRIOR + c * h * h
     for heading in headings:
-        x += STEP_M * math.cos(heading)
-        y += STEP_M * math.sin(heading)
+        cosine, sine = cosine_and_sine(heading)
+        x += STEP_M * cosine
+        y += STEP_M * sine
         if not (0 <= x <= AREA_M and 0 <= y <= AREA_M):
             return math.inf
         c, g, h = information(x, y, model)
@@ -106,7 +108,7 @@ def _refine(headings: Array, start: Array, model: Array, finest: float) -> float
 @kernel("float64[::1](int64, float64[::1], float64[::1], float64[:, ::1], int64, int64, float64)", error_model="numpy")
 def _best_headings(steps: int, start: Array, model: Array, bends: Array, bearings: int, refined: int, finest: float) -> Array:
     """Headings of the best path found with this number of steps: the best of a family, refined."""
-    towards = math.atan2(model[1] - start[1], model[0] - start[0])
+    towards = angle_of(model[0] - start[0], model[1] - start[1])
     family = np.empty((bearings * len(bends), steps))
     variances = np.empty(len(family))
     for i in range(len(family)):
@@ -131,7 +133,7 @@ def model(scenario: Scenario) -> Array:
     s = scenario
     if s.height != 0.0:
         raise ValueError(f"height {s.height:g} m is not allowed; wanted 0: the floor is defined for a source in the search plane")
-    inverse_length = math.sqrt((1 + s.u**2 * s.tau / (4 * s.d)) / (s.d * s.tau))
+    inverse_length = math.sqrt((1 + s.u * s.u * s.tau / (4 * s.d)) / (s.d * s.tau))
     return np.array([*s.source, s.q / (4 * math.pi * s.d), inverse_length, s.wind[0] / (2 * s.d), s.wind[1] / (2 * s.d)])
 
 

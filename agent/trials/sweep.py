@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from agent.policies import bundle_path, reach
-from agent.trials.figures import MissionRow
+from agent.trials.figures import MissionRow, nees
 from agent.trials.floor import LEAST_THRESHOLD_M, floors_m
 from agent.trials.rollout import Mission, mission
 from agent.trials.workers import as_flown
@@ -142,9 +142,7 @@ def _row(
 ) -> MissionRow:  # fmt: skip
     policy, particles, seed, world = flight
     moves, learned = reach(policy, sweep.moves), bundle_path(policy) is not None
-    error = np.subtract(last.mean, source)
     error_m = math.dist(last.mean, source)
-    xx, xy, yy = last.covariance
     return MissionRow(
         policy=policy,
         particles=particles,
@@ -162,7 +160,7 @@ def _row(
         source_y=source[1],
         error_m=error_m,
         spread_m=last.spread,
-        nees=float(error @ np.linalg.pinv([[xx, xy], [xy, yy]]) @ error),
+        nees=nees(last.mean, source, last.covariance),
         steps=last.step,
         distance_m=distance_m,
         floor_m=floor_m,

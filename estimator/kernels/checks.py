@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from estimator.kernels.densities import is_intermittent, normal_cdf
 from plume.compiled import kernel
-from plume.intermittency import distribution
+from plume.intermittency import BODY, TAIL, distribution
 from plume.kernels import CVS, NOISES
-from plume.numerics import exp
-from plume.sensor import GAUSSIAN_KIND, HITS_KIND
+from plume.numerics import HALF_LOG_2PI, dot, exp, log, log1p, log_gamma, total_of
+from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 
 Array = NDArray[np.float64]
 
@@ -41,8 +41,8 @@ def _hits_cdf(count: float, expected: float) -> float:
         return 0.0
     if count > 100:
         k = count + 1
-        return normal_cdf(3 * math.sqrt(k) * (1 - 1 / (9 * k) - (expected / k) ** (1 / 3)))
-    term = math.exp(-expected)
+        return normal_cdf(3 * math.sqrt(k) * (1 - 1 / (9 * k) - exp(log(expected / k) / 3)))
+    term = exp(-expected)
     total = term
     for k in range(1, int(count) + 1):
         term *= expected / k
@@ -62,7 +62,7 @@ def predictive_rank(means: Array, derived: Array, weights: Array, gas: float, pr
     stride = max(len(means) // (CHECK_INTERMITTENT if intermittent else CHECK_PARTICLES), 1)
     few, shares = means[::stride].copy(), weights[::stride].copy()
     count = len(few)
-    noises, tails = np.ones(count), np.empty(count)
+    noises, tails, cells = np.ones(count), np.empty(count), np.empty(BODY + TAIL)
     if len(derived):
         for i in range(count):
             noises[i] = derived[NOISES, i * stride]
@@ -72,7 +72,7 @@ def predictive_rank(means: Array, derived: Array, weights: Array, gas: float, pr
     for i in range(count):
         variance = noises[i] * ((sensor[1] * few[i]) ** 2 + sensor[2] * sensor[2])
         if intermittent:
-            tails[i] = distribution(gas, few[i], variance, derived[CVS, i * stride])
+            tails[i] = distribution(gas, few[i], variance, derived[CVS, i * stride], cells)
         elif sensor[0] == HITS_KIND:
             expected = sensor[1] * few[i] + sensor[2]
             below = _hits_cdf(gas - 1, expected)
@@ -86,6 +86,30 @@ def predictive_rank(means: Array, derived: Array, weights: Array, gas: float, pr
     return share / total
 
 
+@kernel("float64(float64[:, ::1], float64[::1])")
+def log_likelihood_of_one_value(readings: Array, sensor: Array) -> float:
+    """Greatest log-likelihood of readings (T, 7) by a sensor that shows one value plus noise, wherever it is.
+
+    For hits: by one that counts with one mean. A threshold sensor shows 0 with one probability, and else one value plus noise.
+    """
+    gas, result = readings[:, 5].copy(), 0.0
+    count = len(gas)
+    if sensor[0] == HITS_KIND:
+        mean = max(total_of(gas) / count, 1e-300)
+        for k in gas:
+            result += k * log(mean) - mean - log_gamma(k + 1.0)
+        return result
+    if sensor[0] == THRESHOLD_KIND:
+        gas = gas[gas != 0.0]
+        for n in (len(gas), count - len(gas)):
+            result += n * log(max(n, 1) / count)
+    if len(gas) > 0:
+        offsets = gas - total_of(gas) / len(gas)
+        std = max(math.sqrt(dot(offsets, offsets) / len(gas)), 1e-3)
+        result -= len(gas) * (log(std) + HALF_LOG_2PI + 0.5)
+    return result
+
+
 @kernel("float64(float64[::1])")
 def uniformity_p_value(ranks: Array) -> float:
     """p-value of the Anderson–Darling test that ranks (n,), n ≥ 8, are uniform in (0, 1) (Marsaglia and Marsaglia 2004)."""
@@ -95,15 +119,15 @@ def uniformity_p_value(ranks: Array) -> float:
     for i in range(count):
         low = min(max(ordered[i], 1e-15), 1 - 1e-15)
         high = min(max(ordered[count - 1 - i], 1e-15), 1 - 1e-15)
-        total += (2 * i + 1) * (math.log(low) + math.log1p(-high))
+        total += (2 * i + 1) * (log(low) + log1p(-high))
     z = -count - total / count
     if z > 8:  # beyond the published formula's accuracy: the asymptotic tail, continuous with it at 8
-        return 0.94 * math.exp(-z) / math.sqrt(z)
+        return 0.94 * exp(-z) / math.sqrt(z)
     if z < 2:
         p = 2.00012 + (0.247105 - (0.0649821 - (0.0347962 - (0.011672 - 0.00168691 * z) * z) * z) * z) * z
-        limit = math.exp(-1.2337141 / z) / math.sqrt(z) * p
+        limit = exp(-1.2337141 / z) / math.sqrt(z) * p
     else:
-        limit = math.exp(-math.exp(1.0776 - (2.30695 - (0.43424 - (0.082433 - (0.008056 - 0.0003146 * z) * z) * z) * z) * z))
+        limit = exp(-exp(1.0776 - (2.30695 - (0.43424 - (0.082433 - (0.008056 - 0.0003146 * z) * z) * z) * z) * z))
     if limit > 0.8:
         g = -130.2137 + (745.2337 - (1705.091 - (1950.646 - (1116.360 - 255.7844 * limit) * limit) * limit) * limit) * limit
         limit += g / count

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
-from plume.intermittency import HALF_LOG_2PI, log_density
+from plume.intermittency import log_density
 from plume.kernels import CVS, DERIVED, NOISES, derive, derived_means, is_location_only, is_plain, location_means
-from plume.numerics import exp, log
+from plume.numerics import HALF_LOG_2PI, erfc, exp, log, log1p, log_gamma
 from plume.parameters import CV, GAMMA, KNOWN, LOGNORMAL, NORMAL, TAU, D, Q, Z
 from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 
@@ -23,14 +23,14 @@ FUSED = 8
 @numba.njit(error_model="numpy")
 def normal_cdf(value: float) -> float:
     """P(Z ≤ value) of a standard normal variable."""
-    return 0.5 * math.erfc(-value * math.sqrt(0.5))
+    return 0.5 * erfc(-value * math.sqrt(0.5))
 
 
 @numba.njit(error_model="numpy")
 def log_densities_of(means: Array, count: int, gas: float, sensor: Array, result: Array) -> None:
     """Fill `result` with the log-likelihood of a gas value for each mean, as `log_likelihood` in plume/sensor.py."""
     if sensor[0] == HITS_KIND:
-        constant = math.lgamma(gas + 1.0)
+        constant = log_gamma(gas + 1.0)
         for i in range(count):
             expected = sensor[1] * means[i] + sensor[2]
             result[i] = gas * log(expected) - expected - constant
@@ -41,7 +41,7 @@ def log_densities_of(means: Array, count: int, gas: float, sensor: Array, result
             below = normal_cdf((sensor[3] - means[i]) / std)
             result[i] = log(max(sensor[4] + (1 - sensor[4]) * below, 1e-300))
         return
-    constant = HALF_LOG_2PI - (math.log1p(-sensor[4]) if sensor[0] == THRESHOLD_KIND else 0.0)
+    constant = HALF_LOG_2PI - (log1p(-sensor[4]) if sensor[0] == THRESHOLD_KIND else 0.0)
     slope, floor = sensor[1] * sensor[1], sensor[2] * sensor[2]
     for i in range(count):
         variance = slope * means[i] * means[i] + floor
@@ -61,7 +61,7 @@ def noisy_log_densities_of(means: Array, count: int, gas: float, sensor: Array, 
             std = math.sqrt(derived[NOISES, i] * (slope * means[i] * means[i] + floor))
             result[i] = log(max(sensor[4] + (1 - sensor[4]) * normal_cdf((sensor[3] - means[i]) / std), 1e-300))
     else:
-        constant = HALF_LOG_2PI - (math.log1p(-sensor[4]) if sensor[0] == THRESHOLD_KIND else 0.0)
+        constant = HALF_LOG_2PI - (log1p(-sensor[4]) if sensor[0] == THRESHOLD_KIND else 0.0)
         for i in range(count):
             variance = derived[NOISES, i] * (slope * means[i] * means[i] + floor)
             residual = gas - means[i]
@@ -157,16 +157,16 @@ def greatest_log_density(gas: float, sensor: Array, priors: Array) -> float:
     If the gas is steady and the noise known, the bound falls with the reading: a strong reading needs a large mean, and so much noise.
     """
     if sensor[0] == HITS_KIND:
-        return gas * math.log(gas) - gas - math.lgamma(gas + 1.0) + 1e-9 if gas > 0 else 0.0
+        return gas * log(gas) - gas - log_gamma(gas + 1.0) + 1e-9 if gas > 0 else 0.0
     if sensor[0] == THRESHOLD_KIND and gas == 0.0:
         return 0.0
     slope, floor = sensor[1] * sensor[1], sensor[2] * sensor[2]
     if gas <= 0 or not is_plain(priors):
-        return -0.5 * math.log(floor) - HALF_LOG_2PI
-    best = -0.5 * math.log(slope * gas * gas + floor)  # of means above the reading
+        return -0.5 * log(floor) - HALF_LOG_2PI
+    best = -0.5 * log(slope * gas * gas + floor)  # of means above the reading
     for cell in range(20):  # of means in twentieths of the reading: the least distance with the best variances
         low, high = cell / 20 * gas, (cell + 1) / 20 * gas
-        best = max(best, -0.5 * ((gas - high) ** 2 / (slope * high * high + floor) + math.log(slope * low * low + floor)))
+        best = max(best, -0.5 * ((gas - high) ** 2 / (slope * high * high + floor) + log(slope * low * low + floor)))
     return best - HALF_LOG_2PI
 
 

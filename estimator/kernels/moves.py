@@ -16,10 +16,9 @@ from estimator.kernels.densities import (
     reading_densities,
 )  # fmt: skip
 from estimator.kernels.draws import key_of, uniform, word_at
-from estimator.kernels.weights import dot
 from plume.compiled import kernel
 from plume.kernels import DERIVED, NOISES, derive, is_location_only, is_plain
-from plume.numerics import direction, exp, log, total_of
+from plume.numerics import direction, dot, exp, log, total_of
 from plume.parameters import LOGNORMAL, PHI, X, Y
 
 Array = NDArray[np.float64]

@@ -5,31 +5,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.compiled import kernel
-from plume.numerics import exp, total_of
+from plume.numerics import dot, exp, total_of
 
 Array = NDArray[np.float64]
 
 STAGE_FLOOR = 0.4
 """If a reading would bring the effective sample size below this share of N, it is taken in tempered stages."""
-
-
-@numba.njit(error_model="numpy")
-def dot(one: Array, other: Array) -> float:
-    """Σ one · other, summed as `total_of` does."""
-    a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    whole = len(one) - len(one) % 8
-    for i in range(0, whole, 8):
-        a += one[i] * other[i]
-        b += one[i + 1] * other[i + 1]
-        c += one[i + 2] * other[i + 2]
-        d += one[i + 3] * other[i + 3]
-        e += one[i + 4] * other[i + 4]
-        f += one[i + 5] * other[i + 5]
-        g += one[i + 6] * other[i + 6]
-        h += one[i + 7] * other[i + 7]
-    for i in range(whole, len(one)):
-        a += one[i] * other[i]
-    return ((a + b) + (c + d)) + ((e + f) + (g + h))
 
 
 @numba.njit(error_model="numpy")
@@ -87,6 +68,12 @@ def effective_sample_size(weights: Array) -> float:
     """Effective sample size (Σ w)² / Σ w² of weights (N,), which need not be normalised."""
     total = total_of(weights)
     return total * total / dot(weights, weights)
+
+
+@kernel("float64(float64[::1], float64[::1])")
+def weighted_mean(weights: Array, values: Array) -> float:
+    """Mean of values (N,) with weights (N,), which need not be normalised."""
+    return dot(weights, values) / total_of(weights)
 
 
 @kernel("Tuple((float64[::1], float64[:, ::1]))(float64[:, ::1], float64[::1])")

@@ -4,7 +4,6 @@ import math
 import struct
 import subprocess
 import sys
-import time
 import tracemalloc
 import zipfile
 from collections.abc import Callable, Sequence
@@ -18,11 +17,11 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from agent import bundle
+from agent import network
 from agent.bundle import FORMAT, GRAPH, MOST_BYTES, PAGE, BundleError, Page, Point, load, read, write
 from agent.observation import SCHEMAS
 from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
-from agent.policies import choose
+from agent.policies import SHIPPED, choose
 from agent.trials.rollout import mission
 from link.bus.messages import Belief, Particles
 
@@ -164,6 +163,38 @@ def test_a_graph_says_what_torch_says(tmp_path: Path, kinds: tuple[str, ...], sq
         assert ours == pytest.approx(theirs, abs=1e-5)
 
 
+@pytest.mark.parametrize("policy", SHIPPED)
+def test_a_shipped_network_says_what_onnxruntime_makes_of_its_file(policy: str) -> None:
+    import onnxruntime
+
+    page, graph = read(SHIPPED[policy])
+    flown, session = load(SHIPPED[policy]), onnxruntime.InferenceSession(graph)
+    for observation in np.random.default_rng(3).normal(0, 1, (100, page.observation)).astype(np.float32):
+        (theirs,) = session.run(None, {session.get_inputs()[0].name: observation[None]})
+        # Both add float32 numbers, in different orders: 184 and 256 terms, each rounded to 6e-8 of the sum so far.
+        assert flown.said(observation) == pytest.approx(theirs, rel=1e-5, abs=1e-5 * float(abs(theirs).max()))
+
+
+def test_a_layer_adds_its_products_in_the_order_of_the_row() -> None:
+    draws = np.random.default_rng(4)
+    for takes, gives in ((1, 1), (3, 2), (4, 5), (11, 3), (64, 40)):
+        weights, biases = draws.normal(0, 1, (takes, gives)).astype(np.float32), draws.normal(0, 1, gives).astype(np.float32)
+        row = draws.normal(0, 1, takes).astype(np.float32)
+        wanted = np.zeros(gives, np.float32)
+        for number, its_weights in zip(row, weights, strict=True):
+            wanted = wanted + number * its_weights  # each product and each sum rounded to float32
+        (said,) = (network.said([network.Layer("Gemm", weights, biases, 0.5)], row),)
+        assert (said == np.float32(0.5) * wanted + biases).all()
+
+
+def test_tanh_is_right_to_a_float32() -> None:
+    row = np.array([0.0, 1e-30, 1e-4, 0.1, 0.5, 1.0, 3.0, 9.0, 100.0, np.inf], np.float32)
+    wanted = [math.tanh(x) for x in row.tolist()]
+    assert network.said([network.Layer("Tanh")], row) == pytest.approx(wanted, rel=1e-7, abs=1e-16)
+    assert network.said([network.Layer("Tanh")], -row) == pytest.approx([-x for x in wanted], rel=1e-7, abs=1e-16)
+    assert np.isnan(network.said([network.Layer("Tanh")], np.array([np.nan], np.float32))).all()
+
+
 def test_a_layer_without_an_onnx_is_refused() -> None:
     import torch
 
@@ -209,6 +240,7 @@ def test_a_file_that_was_cut_off_is_refused_wherever_that_was(tmp_path: Path) ->
         assert WANTED in refusal(tmp_path / "cut.zip")
 
 
+@pytest.mark.slow
 def test_a_changed_byte_changes_nothing_or_is_refused(tmp_path: Path) -> None:
     a_bundle(tmp_path / "whole.zip")
     whole, parts = (tmp_path / "whole.zip").read_bytes(), read(tmp_path / "whole.zip")
@@ -291,10 +323,10 @@ def elsewhere(name: str) -> Any:
 @pytest.mark.parametrize(
     ("graph", "words"),
     [
-        (b"", "not a graph that onnxruntime can run"),
-        (b"steer north", "not a graph that onnxruntime can run"),
-        (onnx_of_layers(layers(5, 8, 4))[:200], "not a graph that onnxruntime can run"),
-        (onnx_of([helper.make_node("Relu", ["observation"], ["other"])], [1, 5], [1, 5]), "not a graph that onnxruntime can run"),
+        (b"", "is not an ONNX graph"),
+        (b"steer north", "is not an ONNX graph"),
+        (onnx_of_layers(layers(5, 8, 4))[:200], "is not an ONNX graph"),
+        (onnx_of([helper.make_node("Relu", ["observation"], ["other"])], [1, 5], [1, 5]), "gives 'said'; wanted what its last node"),
         (onnx_of([helper.make_node("Clairvoyance", ["observation"], ["said"])], [1, 5], [1, 4]), f"'Clairvoyance'; {ALLOWED}"),
         (onnx_of([helper.make_node("Relu", ["observation"], ["said"], domain="a.b")], [1, 5], [1, 5]), f"'a.b.Relu'; {ALLOWED}"),
         (onnx_of([GEMM], [1, 5], [1, 4], [elsewhere("/etc/passwd")]), "weights 'w' lie in another file; wanted all of them in the graph"),
@@ -302,7 +334,14 @@ def elsewhere(name: str) -> Any:
         (onnx_of_layers(layers(5, 8, 3)), "gives arrays of [[1, 3]]; wanted one, of [1, 4]"),
         (onnx_of([helper.make_node("Relu", ["observation"], ["said"])], [5], [5]), "takes arrays of [[5]]; wanted one, of [1, 5]"),
         (onnx_of([helper.make_node("Relu", ["observation"], ["said"])], ["many", "wide"], ["many", 4]), "['many', 'wide']"),
-        (onnx_of([GEMM], [2, 5], [2, 4], [ZEROS]), "does not run: "),
+        (onnx_of([GEMM], [1, 5], [1, 4], [numpy_helper.from_array(np.zeros((4, 6), np.float32), "w")]), "of 5 numbers with weights for 6"),
+        (onnx_of([GEMM], [1, 5], [1, 4], [numpy_helper.from_array(np.zeros(20, np.float32), "w")]), "weights of [20]; wanted a matrix"),
+        (
+            onnx_of([helper.make_node("Gemm", ["observation", "w", "b"], ["said"], transB=1)], [1, 5], [1, 4],
+                    [ZEROS, numpy_helper.from_array(np.zeros(3, np.float32), "b")]), "biases of [3]; wanted [4]",
+        ),
+        (onnx_of([helper.make_node("Gemm", ["observation"], ["said"])], [1, 5], [1, 4]), "a Gemm with 0 weights and 1 outputs"),
+        (onnx_of([GEMM], [2, 5], [2, 4], [ZEROS]), "takes arrays of [[2, 5]]; wanted one, of [1, 5]"),
         (onnx_of([helper.make_node("Shape", ["observation"], ["said"])], [1, 5], [1, 4]), ALLOWED),
         (onnx_of_layers([(np.full((4, 5), np.nan, np.float32), np.zeros(4, np.float32))]), "gives NaN; wanted numbers"),
     ],
@@ -313,7 +352,7 @@ def test_a_graph_that_does_not_fit_is_refused(tmp_path: Path, graph: bytes, word
     line = refusal(tmp_path / "a.zip")
     assert line.startswith(GRAPH)
     assert words in line
-    assert capfd.readouterr() == ("", "")  # onnxruntime prints nothing of its own
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_graph_takes_no_weights_from_a_file_that_happens_to_lie_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -391,21 +430,6 @@ def test_small_weights_that_are_used_again_and_again_count_each_time(tmp_path: P
     assert f"needs {600 * (5 + 49 * 600 + 4):,} multiplications for a decision; wanted 16,777,216 at most" in refusal(tmp_path / "a.zip")
 
 
-def test_a_graph_that_takes_too_long_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    a_bundle(tmp_path / "a.zip")
-    page, graph = read(tmp_path / "a.zip")
-
-    class Slow(bundle.Bundle):
-        def _output(self, observation: Any, options: Any = None) -> Any:
-            while not options.terminate:  # onnxruntime looks at the same flag between two nodes
-                time.sleep(0.001)
-            return super()._output(observation, options)
-
-    monkeypatch.setattr(bundle, "LONGEST_DECISION_S", 0.01)
-    with pytest.raises(BundleError, match=f"{GRAPH} takes more than 0.01 s for a decision"):
-        Slow(page, graph)
-
-
 def test_a_graph_may_leave_the_number_of_rows_open(tmp_path: Path) -> None:
     write(tmp_path / "a.zip", page_of(), onnx_of([GEMM], ["rows", 5], ["rows", 4], [ZEROS]))
     load(tmp_path / "a.zip")
@@ -468,7 +492,7 @@ print(len(trace))
 LOAD = """
 import sys
 from pathlib import Path
-from agent.policies import choose
+from agent.policies import SHIPPED, choose
 from agent.planning.moves import Reach
 from agent.trials.rollout import mission
 step = next(mission(1, "random", 100, 0.5, 1).steps)
@@ -482,12 +506,14 @@ for path in sys.argv[1:]:
 """
 
 
+@pytest.mark.slow
 def test_flying_a_bundle_needs_nothing_that_training_needs(tmp_path: Path) -> None:
     a_bundle(tmp_path / "policy.zip", "polar", Headings(16))
     ended = subprocess.run([sys.executable, "-c", FLY, str(tmp_path / "policy.zip")], capture_output=True, text=True, timeout=100)
     assert (ended.returncode, ended.stdout) == (0, "10\n"), ended.stderr
 
 
+@pytest.mark.slow
 def test_flying_a_bundle_unpickles_and_executes_nothing(tmp_path: Path) -> None:
     bundles = [str(tmp_path / "a.zip"), str(tmp_path / "b.zip")]
     for path in bundles:

@@ -227,7 +227,7 @@ def _loads(data: bytes) -> None:
     except bundle.BundleError as error:
         _is_one_line(error)
     else:
-        assert loaded._output(np.full(loaded.page.observation, 0.5, np.float32)).shape == (1, loaded.page.move.outputs)
+        assert loaded.said(np.full(loaded.page.observation, 0.5, np.float32)).shape == (1, loaded.page.move.outputs)
 
 
 def bundle_seeds() -> list[bytes]:

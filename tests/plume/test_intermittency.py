@@ -53,9 +53,9 @@ def kernel_densities(gas: np.ndarray, mean: np.ndarray, variance: np.ndarray, cv
 
 @njit
 def kernel_distributions(gas: np.ndarray, mean: np.ndarray, variance: np.ndarray, cv: np.ndarray) -> np.ndarray:
-    result = np.empty(len(gas))
+    result, cells = np.empty(len(gas)), np.empty(intermittency.BODY + intermittency.TAIL)
     for i in range(len(gas)):
-        result[i] = intermittency.distribution(gas[i], mean[i], variance[i], cv[i])
+        result[i] = intermittency.distribution(gas[i], mean[i], variance[i], cv[i], cells)
     return result
 
 
