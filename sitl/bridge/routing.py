@@ -55,7 +55,7 @@ class Routes:
 
     def __init__(self) -> None:
         """Start with the bus alone."""
-        self._heard: dict[int, dict[Sender, None]] = {BUS: {}}
+        self.heard: dict[int, dict[Sender, None]] = {BUS: {}}
         """Senders heard on each link, the latest last."""
         self._systems: dict[int, set[int]] = {BUS: set()}
         """Systems heard on each link."""
@@ -63,17 +63,17 @@ class Routes:
         """Links and systems: whose autopilot has been heard there."""
         self._homes: dict[Sender, tuple[int, float]] = {}
         """The link of each sender of a vehicle, and when it was last heard there."""
-        self._remembered: dict[bytes, tuple[float, frozenset[int]]] = {}
+        self.remembered: dict[bytes, tuple[float, frozenset[int]]] = {}
         """When each frame came first, and on which links it has come since; the oldest first."""
 
     def join(self, link: int) -> None:
         """Add a link."""
-        self._heard[link] = {}
+        self.heard[link] = {}
         self._systems[link] = set()
 
     def leave(self, link: int) -> None:
         """Remove a link, and all that was heard on it."""
-        del self._heard[link], self._systems[link]
+        del self.heard[link], self._systems[link]
         self._vehicles = {(at, system) for at, system in self._vehicles if at != link}
         self._homes = {sender: home for sender, home in self._homes.items() if home[0] != link}
 
@@ -96,8 +96,8 @@ class Routes:
             self._homes[sender] = (came_from, now_s)
         self._hear(sender, link)
         if not letter.target_system:
-            return Route(tuple(other for other in self._heard if other != link), out or vehicle)
-        there = [other for other in self._heard if self._has(other, letter.target_system, letter.target_component)]
+            return Route(tuple(other for other in self.heard if other != link), out or vehicle)
+        there = [other for other in self.heard if self._has(other, letter.target_system, letter.target_component)]
         links = {other for other in there if other != link}
         if vehicle and link != BUS:
             links.add(BUS)  # mavlink/out holds all that a vehicle says, for records and viewers
@@ -108,7 +108,7 @@ class Routes:
 
         A vehicle's frame that comes from afar is not remembered: it may have overtaken the one from the vehicle's own link.
         """
-        remembered = self._remembered
+        remembered = self.remembered
         while remembered:
             oldest = next(iter(remembered))
             if now_s - remembered[oldest][0] < DUPLICATE_S and len(remembered) < MOST_REMEMBERED:
@@ -127,7 +127,7 @@ class Routes:
         return (link, letter.system) in self._vehicles and (out or link != BUS)
 
     def _hear(self, sender: Sender, link: int) -> None:
-        heard = self._heard[link]
+        heard = self.heard[link]
         heard.pop(sender, None)
         heard[sender] = None
         self._systems[link].add(sender[0])
@@ -136,4 +136,4 @@ class Routes:
             self._systems[link] = {system for system, _ in heard}
 
     def _has(self, link: int, system: int, component: int) -> bool:
-        return (system, component) in self._heard[link] if component else system in self._systems[link]
+        return (system, component) in self.heard[link] if component else system in self._systems[link]

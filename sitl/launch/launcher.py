@@ -98,7 +98,7 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
         watchdog = Watchdog(parts, mission.patience_s, time.monotonic(), progress.say)
         events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
         disturbances = Disturbances(events, processes, relays, watchdog, progress.say)
-        return _Watch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()
+        return MissionWatch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()
 
 
 def start_parts(
@@ -149,13 +149,14 @@ def start_parts(
     return endpoint
 
 
-class _Watch:
+class MissionWatch:
     """Watches one mission until its end."""
 
     def __init__(
         self, mission: Launch, bus: Bus, progress: Progress, watchdog: Watchdog, disturbances: Disturbances, endpoint: str,
         files: RecordFiles | None,
     ) -> None:  # fmt: skip
+        """Take the mission, where it is heard and shown, what goes wrong on purpose, and the files of its record."""
         self._mission = mission
         self._script = mission.script
         self._bus = bus

@@ -9,12 +9,13 @@ class Lines:
 
     def __init__(self) -> None:
         """Start empty."""
-        self._begun = b""
+        self.begun = b""
+        """The line that has begun."""
 
     def take(self, data: bytes) -> list[str]:
         """Return the complete lines, without blank ones. Empty data means the end: an unfinished line is then complete."""
-        *whole, begun = (self._begun + (data or b"\n")).split(b"\n")
-        self._begun = begun[: LONGEST + 1]
+        *whole, begun = (self.begun + (data or b"\n")).split(b"\n")
+        self.begun = begun[: LONGEST + 1]
         return [text for line in whole if (text := _text(line))]
 
 

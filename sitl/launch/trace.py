@@ -21,7 +21,8 @@ class HeardTrace:
         """Begin with nothing heard."""
         self._points: dict[int, TracePoint] = {}
         self._times: dict[int, int] = {-1: -1}
-        self._readings: dict[int, tuple[tuple[float, float], float]] = {}
+        self.kept: dict[int, tuple[tuple[float, float], float]] = {}
+        """The readings whose beliefs are not all known, by time."""
         self._whole_to = -1
 
     def reading(self, payload: bytes, system: int) -> None:
@@ -30,8 +31,8 @@ class HeardTrace:
             said = unpack_reading(payload, system)
         except BadFrame:
             return
-        if said.time_boot_ms > self._times[self._whole_to] and len(self._readings) < MOST_READINGS:
-            self._readings.setdefault(said.time_boot_ms, (said.position, said.gas))
+        if said.time_boot_ms > self._times[self._whole_to] and len(self.kept) < MOST_READINGS:
+            self.kept.setdefault(said.time_boot_ms, (said.position, said.gas))
 
     def belief(self, belief: Belief) -> bool:
         """Take a belief; returns whether it is a new one."""
@@ -43,7 +44,7 @@ class HeardTrace:
             while self._whole_to + 1 in self._points:
                 self._whole_to += 1
             now = self._times[self._whole_to]
-            self._readings = {time: said for time, said in self._readings.items() if time > now}
+            self.kept = {time: said for time, said in self.kept.items() if time > now}
         return True
 
     @property
@@ -58,12 +59,12 @@ class HeardTrace:
         beliefs tell of those between if they are as many: the estimator may have refused some.
         """
         trace: list[TracePoint] = []
-        times = sorted(self._readings)
+        times = sorted(self.kept)
         for step in sorted(self._points):
             if lost := step - len(trace):
                 between = times[bisect_right(times, self._times[len(trace) - 1]) : bisect_left(times, self._times[step])]
                 if len(between) != lost:
                     return None
-                trace += [TracePoint(*self._readings[time], mean=(math.nan, math.nan), spread=math.nan) for time in between]
+                trace += [TracePoint(*self.kept[time], mean=(math.nan, math.nan), spread=math.nan) for time in between]
             trace.append(self._points[step])
         return trace

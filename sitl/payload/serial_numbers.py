@@ -31,22 +31,22 @@ class NumberLines:
     def __init__(self, log: Log) -> None:
         """Take the log whose tally counts the lines that are no numbers."""
         self._log = log
-        self._begun: bytes | None = None
+        self.begun: bytes | None = None
         """The line that has begun; None if its beginning is not known."""
         self._told = False
 
     def lose_place(self) -> None:
         """Leave out what comes up to the next end of a line: bytes may be missing."""
-        self._begun = None
+        self.begun = None
 
     def take(self, data: bytes) -> list[float]:
         """Return the numbers of the lines that are now complete. Blank lines say nothing; others are counted and told of once."""
-        if self._begun is None:
+        if self.begun is None:
             if not (end := END_OF_LINE.search(data)):
                 return []
-            self._begun, data = b"", data[end.end() :]
-        *lines, begun = END_OF_LINE.split(self._begun + data)
-        self._begun = begun[: LONGEST + 1]
+            self.begun, data = b"", data[end.end() :]
+        *lines, begun = END_OF_LINE.split(self.begun + data)
+        self.begun = begun[: LONGEST + 1]
         return [value for line in lines if line.strip() and (value := self._number(line)) is not None]
 
     def _number(self, line: bytes) -> float | None:
@@ -82,7 +82,7 @@ class SerialNumbers:
     def read(self, timeout_s: float) -> float:
         """Return the first number whose line ends from now on; NaN if none does within timeout_s."""
         deadline = time.monotonic() + timeout_s
-        self._forget()
+        self.forget()
         while (left_s := deadline - time.monotonic()) > 0.0:
             if self._descriptor < 0 and not self._look():
                 time.sleep(min(LOOK_S, left_s))
@@ -96,7 +96,7 @@ class SerialNumbers:
             os.close(self._descriptor)
             self._descriptor = -1
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
         """Leave out the numbers that came before they were asked for."""
         waited = 0
         while waited < FLOOD and self._descriptor >= 0 and (data := self._receive(0.0)):

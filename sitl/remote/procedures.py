@@ -48,7 +48,8 @@ class Procedures:
         """Whether setpoints are to go out."""
         self.failure = ""
         """Why the mission has failed, once it has."""
-        self._procedure: Steps[None] | None = None
+        self.procedure: Steps[None] | None = None
+        """What is being done, until it ends."""
         self._reading: Steps[None] | None = None
         self._asked: set[int] = set()
         self._mode: int | None = None
@@ -97,10 +98,10 @@ class Procedures:
         if self.commander.system:
             self._watch_mode()
             self.armed_by_us = self.known.armed and (self.armed_by_us or self.arming)
-        steps = self._procedure
-        if _ended(steps) and self._procedure is steps:  # it may have begun another
+        steps = self.procedure
+        if _ended(steps) and self.procedure is steps:  # it may have begun another
             self._stop()
-        self.begun = self.begun and (self.known.armed or self._procedure is not None)
+        self.begun = self.begun and (self.known.armed or self.procedure is not None)
         if _ended(self._reading):
             self._reading = None
 
@@ -135,11 +136,11 @@ class Procedures:
         self.events.append(Led(self.now_s, self.firmware.mode_name(mode), mode == self.guided))
 
     def _stop(self) -> None:
-        self._procedure, self.doing, self.arming = None, None, False
+        self.procedure, self.doing, self.arming = None, None, False
 
     def begin(self, procedure: Steps[None], doing: Mode | None, *asked: int) -> None:
         """Do something instead of what was being done; `asked`: the custom modes that come of it."""
-        self._procedure, self.doing, self.arming = procedure, doing, False
+        self.procedure, self.doing, self.arming = procedure, doing, False
         self.theirs, self.begun = False, True
         self._asked = {*asked}
 

@@ -146,7 +146,7 @@ class UdpLink:
         self.garbage = 0
         """Received bytes that belong to no message."""
         where = parse_url(url)
-        self._rests: dict[tuple[str, int], bytes] = {}
+        self.rests: dict[tuple[str, int], bytes] = {}
         """Of each peer, the beginning of a frame that its last datagram ended with; of strangers, the latest `MOST_PEERS`."""
         self._codec = Codec(system, component)
         self.signer = signer
@@ -205,14 +205,14 @@ class UdpLink:
     def _joined(self, datagram: bytes, peer: tuple[str, int]) -> list[Message]:
         """Return the messages of a peer's datagram; a frame may have begun in its last one."""
         signer, sender = self.signer, f"{peer[0]}:{peer[1]}"
-        data = self._rests.pop(peer, b"") + datagram
+        data = self.rests.pop(peer, b"") + datagram
         messages, garbage, rest = decode(data, lambda frame: signer.admits(frame, sender)) if signer else decode(data)
         self.garbage += garbage
         if rest:
-            strangers = [other for other in self._rests if other not in (self._heard or {})]
+            strangers = [other for other in self.rests if other not in (self._heard or {})]
             for other in strangers[: max(len(strangers) + 1 - MOST_PEERS, 0)]:
-                self.garbage += len(self._rests.pop(other))
-            self._rests[peer] = rest
+                self.garbage += len(self.rests.pop(other))
+            self.rests[peer] = rest
         return messages
 
     def _receive(self) -> None:

@@ -154,18 +154,18 @@ class Px4(Autopilot):
                 if not int(values[0]) & 1:
                     return DENIED
                 name = BY_NUMBERS.get((int(values[1]), int(values[2])))
-                return self._wish(name) if name else DENIED
+                return self.change(name) if name else DENIED
             case mavlink.MAV_CMD_NAV_TAKEOFF:
                 return self._take_off(values[6])
             case mavlink.MAV_CMD_NAV_LAND:
-                return self._wish("LAND")
+                return self.change("LAND")
             case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                return self._wish("RTL")
+                return self.change("RTL")
             case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
-                return self._wish("HOLD")
+                return self.change("HOLD")
         return super().command(number, values)
 
-    def _wish(self, mode: str) -> Result:
+    def change(self, mode: str) -> Result:
         """Disarmed, any mode is taken; armed, only one that can run."""
         if (self.armed and not self.can_run(mode)) or (mode == "OFFBOARD" and self.faults.on("mode")):
             self.text(CRITICAL, f"Switching to {WORDS.get(mode, mode)} is currently not available")
@@ -185,7 +185,7 @@ class Px4(Autopilot):
         if self.faults.on("takeoff"):
             self.text(CRITICAL, "Switching to Takeoff is currently not available")
             return REJECTED
-        if (result := self._wish("TAKEOFF")) == ACCEPTED:
+        if (result := self.change("TAKEOFF")) == ACCEPTED:
             now = amsl_m(self.body.position[2])
             if math.isnan(altitude_amsl_m):
                 altitude_amsl_m = amsl_m(self.home[2]) + self.parameters["MIS_TAKEOFF_ALT"]
@@ -265,7 +265,7 @@ class Px4(Autopilot):
         match one.name:
             case "pilot":
                 self.radio = self.had_radio = True
-                self._wish({"LOITER": "POSCTL"}.get(one.argument, one.argument))
+                self.change({"LOITER": "POSCTL"}.get(one.argument, one.argument))
             case "rc":
                 self.radio = False
                 excepted = self.mode == "OFFBOARD" and int(self.parameters["COM_RCL_EXCEPT"]) & OFFBOARD_EXCEPTED

@@ -12,6 +12,7 @@ import pytest
 
 import agent.__main__
 import sitl.__main__
+from link.bus.inbox import Inbox
 from link.bus.session import Bus
 
 END = object()
@@ -23,15 +24,15 @@ class Services:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, router: str) -> None:
         self._monkeypatch = monkeypatch
         self._router = router
-        self._ready: queue.SimpleQueue[Bus] = queue.SimpleQueue()
-        self._running: list[tuple[Bus, threading.Thread]] = []
+        self._ready: queue.SimpleQueue[Inbox] = queue.SimpleQueue()
+        self._running: list[tuple[Inbox, threading.Thread]] = []
 
     def __enter__(self) -> "Services":
         return self
 
     def __exit__(self, *_: object) -> None:
-        for bus, thread in self._running:
-            bus._inbox.put(END)
+        for inbox, thread in self._running:
+            inbox.put(END)
             thread.join()
 
     def start(self, parts: Mapping[str, Sequence[str]]) -> None:
@@ -52,11 +53,15 @@ class Services:
 
             told = False
 
+            def __init__(self, *words: Any, **settings: Any) -> None:
+                self.inbox = settings.setdefault("inbox", Inbox())
+                super().__init__(*words, **settings)
+
             def publish_health(self) -> None:
                 super().publish_health()
                 if not self.told:
                     self.told = True
-                    ready.put(self)
+                    ready.put(self.inbox)
 
             def receive(self, timeout_s: float | None = None) -> Any:
                 if (item := super().receive(timeout_s)) is END:

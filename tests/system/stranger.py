@@ -21,13 +21,18 @@ class Stranger:
         config.insert_json5("scouting/multicast/enabled", "false")
         self.session = zenoh.open(config)
         self.mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
-        self._held = [self.session.liveliness().declare_token(f"uav/1/{token}") for token in tokens]
+        self._held: list[object] = []
+        self.announce(*tokens)
 
     def __enter__(self) -> "Stranger":
         return self
 
     def __exit__(self, *_: object) -> None:
         self.session.close()
+
+    def announce(self, *tokens: str, namespace: str = "uav/1") -> None:
+        """Say that it is there, as services do, by one liveliness token or more."""
+        self._held += [self.session.liveliness().declare_token(f"{namespace}/{token}") for token in tokens]
 
     def subscribe(self, key: str) -> "queue.SimpleQueue[zenoh.Sample]":
         samples: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
@@ -62,6 +67,10 @@ class Stranger:
                 time_boot_ms, 1, 1, mavlink.MAV_FRAME_LOCAL_NED, 0xDF8, north, east, down, 0, 0, 0, 0, 0, 0, 0, 0
             )
         )
+
+    def announced(self) -> list[str]:
+        """The liveliness tokens that are known here."""
+        return [str(reply.ok.key_expr) for reply in self.session.liveliness().get("**") if reply.ok is not None]
 
     def has_service(self, service: str) -> bool:
         return any(reply.ok is not None for reply in self.session.liveliness().get(f"uav/1/health/{service}"))

@@ -1,7 +1,6 @@
 """Protects the bridge as a process: real UDP, TCP and serial endpoints, both directions, reconnects, loops, floods, and a real client."""
 
 import asyncio
-import contextlib
 import signal
 import socket
 import subprocess
@@ -14,6 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
+from tests.system.drones import connected, until
 from tests.system.wires import BusWire, SerialWire, Speaker, TcpWire, UdpWire, Wire, count, free_port
 
 UDP, TCP = socket.SOCK_DGRAM, socket.SOCK_STREAM
@@ -130,8 +130,7 @@ def test_a_peer_that_reads_nothing_holds_nobody_up_and_what_it_misses_is_counted
     for wire in (udp, deaf):
         wire.say(station.beat())
     wait_until(lambda: len(bus.into) == 2)
-    deaf._ended = True
-    deaf._thread.join()
+    deaf.turn_deaf()
     text = drone.pack(mavlink.MAVLink_statustext_message(6, b"x" * 50))
     for _ in range(20):
         bus.say(MAVLINK_OUT, text * 4000)  # each of 248 kB
@@ -285,8 +284,6 @@ def test_a_port_in_use_is_refused_and_all_interfaces_are_warned_of(start, router
 @pytest.mark.full
 @pytest.mark.parametrize("kind", ["tcp", "udp"])
 def test_mavsdk_flies_the_vehicle_of_the_bus_through_the_bridge(kind: str, start, router: str, wait_until: Callable) -> None:
-    from mavsdk import System
-
     port = free_port(TCP if kind == "tcp" else UDP)
     url, calls = {
         "tcp": (f"tcpin:127.0.0.1:{port}", f"tcpout://127.0.0.1:{port}"),
@@ -296,29 +293,13 @@ def test_mavsdk_flies_the_vehicle_of_the_bus_through_the_bridge(kind: str, start
     bridge = start("sitl", "bridge", url, "--connect", router)
     wait_until(lambda: bridge.says(calls))
 
-    async def until(stream, holds: Callable) -> None:
-        async for item in stream:
-            if holds(item):
-                return
-
     async def fly() -> None:
-        drone = System(port=free_port(TCP))
-        try:
-            async with asyncio.timeout(60):
-                await drone.connect(calls)
-                await until(drone.core.connection_state(), lambda state: state.is_connected)
-                await until(drone.telemetry.health_all_ok(), bool)
-                await drone.action.arm()
-                await drone.action.takeoff()
-                await until(drone.telemetry.position(), lambda p: p.relative_altitude_m > 4.7)
-                await drone.action.land()
-                await until(drone.telemetry.armed(), lambda armed: not armed)
-        finally:
-            server = drone._server_process
-            drone._stop_mavsdk_server()
-            if server is not None:
-                with contextlib.suppress(ProcessLookupError):
-                    server.kill()
-                server.wait()
+        async with asyncio.timeout(60), connected(calls) as drone:
+            await until(drone.telemetry.health_all_ok(), bool)
+            await drone.action.arm()
+            await drone.action.takeoff()
+            await until(drone.telemetry.position(), lambda p: p.relative_altitude_m > 4.7)
+            await drone.action.land()
+            await until(drone.telemetry.armed(), lambda armed: not armed)
 
     asyncio.run(fly())

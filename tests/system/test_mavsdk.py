@@ -3,8 +3,7 @@
 import asyncio
 import math
 import socket
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Callable
 
 import pytest
 from mavsdk import System
@@ -29,43 +28,12 @@ from mavsdk.param import ParamError
 
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
+from tests.system.drones import TIMEOUT_S, connected, until
+from tests.system.wires import free_port
 
 pytestmark = pytest.mark.full
 
-TIMEOUT_S = 60.0
 CONFIG = VehicleConfig()
-
-
-def free_port(kind: socket.SocketKind) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-async def until(stream, holds: Callable):
-    """Return the first item of a telemetry stream that is as wanted."""
-    async with asyncio.timeout(TIMEOUT_S):
-        async for item in stream:
-            if holds(item):
-                return item
-    raise AssertionError("the stream ended")
-
-
-@asynccontextmanager
-async def connected(udp_port: int) -> AsyncIterator[System]:
-    drone = System(port=free_port(socket.SOCK_STREAM))
-    try:
-        async with asyncio.timeout(TIMEOUT_S):
-            await drone.connect(f"udpin://127.0.0.1:{udp_port}")
-        await until(drone.core.connection_state(), lambda state: state.is_connected)
-        yield drone
-    finally:
-        server = drone._server_process
-        drone._stop_mavsdk_server()
-        if server is not None:
-            with suppress(ProcessLookupError):
-                server.kill()
-            server.wait()
 
 
 @pytest.fixture
@@ -78,7 +46,7 @@ def port(start, wait_until: Callable) -> int:
 
 def test_mavsdk_arms_takes_off_flies_setpoints_lands_and_finds_it_disarmed(port: int) -> None:
     async def fly() -> None:
-        async with connected(port) as drone:
+        async with connected(f"udpin://127.0.0.1:{port}") as drone:
             await until(drone.telemetry.health_all_ok(), bool)
             await drone.action.takeoff()  # accepted, as by PX4: it waits to be armed
             await drone.action.arm()
@@ -107,7 +75,7 @@ def test_mavsdk_arms_takes_off_flies_setpoints_lands_and_finds_it_disarmed(port:
 
 def test_mavsdk_is_told_why_a_setpoint_is_refused_and_can_return_home(port: int) -> None:
     async def fly() -> None:
-        async with connected(port) as drone:
+        async with connected(f"udpin://127.0.0.1:{port}") as drone:
             await until(drone.telemetry.health_all_ok(), bool)
             version = await drone.info.get_version()
             assert (version.flight_sw_major, version.flight_sw_minor) == (1, 15)
@@ -146,7 +114,7 @@ async def ned(drone: System, holds: Callable):
 
 def test_mavsdk_flies_by_velocity_in_both_frames(port: int) -> None:
     async def fly() -> None:
-        async with connected(port) as drone:
+        async with connected(f"udpin://127.0.0.1:{port}") as drone:
             await hovering(drone)
             await drone.offboard.set_velocity_ned(VelocityNedYaw(1.0, 2.0, -0.5, 90.0))
             await drone.offboard.start()
@@ -170,7 +138,7 @@ def test_mavsdk_flies_by_velocity_in_both_frames(port: int) -> None:
 
 def test_mavsdk_flies_by_acceleration_and_to_positions_of_every_kind(port: int) -> None:
     async def fly() -> None:
-        async with connected(port) as drone:
+        async with connected(f"udpin://127.0.0.1:{port}") as drone:
             await hovering(drone)
             await drone.offboard.set_acceleration_ned(AccelerationNed(0.5, 0.5, 0.0))
             await drone.offboard.start()
@@ -193,7 +161,7 @@ def test_mavsdk_flies_by_acceleration_and_to_positions_of_every_kind(port: int) 
 
 def test_mavsdk_is_told_what_is_not_flown(port: int) -> None:
     async def ask() -> None:
-        async with connected(port) as drone:
+        async with connected(f"udpin://127.0.0.1:{port}") as drone:
             await hovering(drone)
             nothing = ActuatorControl([ActuatorControlGroup([0.0] * 8)])
             for send, told in (
@@ -216,7 +184,7 @@ def test_mavsdk_flies_a_strict_vehicle_and_loses_it_a_second_after_its_stream(st
     wait_until(lambda: uav.says(f"udpin://0.0.0.0:{udp_port}"))
 
     async def fly() -> None:
-        async with connected(udp_port) as drone:
+        async with connected(f"udpin://127.0.0.1:{udp_port}") as drone:
             await hovering(drone)
             await drone.offboard.set_velocity_ned(VelocityNedYaw(0.5, 0.0, 0.0, 0.0))
             await drone.offboard.start()
@@ -228,7 +196,7 @@ def test_mavsdk_flies_a_strict_vehicle_and_loses_it_a_second_after_its_stream(st
 
 def test_mavsdk_reads_and_sets_parameters_and_what_it_sets_acts(port: int) -> None:
     async def configure() -> None:
-        async with connected(port) as drone, asyncio.timeout(TIMEOUT_S):
+        async with connected(f"udpin://127.0.0.1:{port}") as drone, asyncio.timeout(TIMEOUT_S):
             every = await drone.param.get_all_params()
             floats, ints = ({p.name: p.value for p in kind} for kind in (every.float_params, every.int_params))
             assert (floats["MPC_Z_VEL_MAX_DN"], ints["SYS_AUTOSTART"]) == (1.5, 4001)
@@ -251,7 +219,7 @@ def test_mavsdk_reads_and_sets_parameters_and_what_it_sets_acts(port: int) -> No
 
 def test_mavsdk_gets_an_answer_to_whatever_it_asks_and_does_not_hang(port: int) -> None:
     async def ask() -> None:
-        async with connected(port) as drone, asyncio.timeout(TIMEOUT_S):
+        async with connected(f"udpin://127.0.0.1:{port}") as drone, asyncio.timeout(TIMEOUT_S):
             identity = await drone.info.get_identification()
             assert identity.hardware_uid.lower().startswith(b"plumeward".hex())
             with pytest.raises(LogFilesError, match="NO_LOGFILES"):
@@ -274,7 +242,7 @@ def test_mavsdk_plans_a_mission_with_a_fence_and_flies_it(port: int) -> None:
         )
 
     async def fly() -> None:
-        async with connected(port) as drone:
+        async with connected(f"udpin://127.0.0.1:{port}") as drone:
             await until(drone.telemetry.health_all_ok(), bool)
             home = Point(*to_global(CONFIG.home_lat_deg, CONFIG.home_lon_deg, 0.0, 0.0))
             await drone.geofence.upload_geofence(GeofenceData([], [Circle(home, 20.0, FenceType.INCLUSION)]))

@@ -252,7 +252,7 @@ class TestUav:
 
     def begin(self, stranger: Stranger) -> "queue.SimpleQueue[zenoh.Sample]":
         readings = stranger.subscribe("reading")
-        stranger._held += [stranger.session.liveliness().declare_token(f"uav/1/health/{service}") for service in ("estimator", "agent")]
+        stranger.announce("health/estimator", "health/agent")
         return readings
 
     def test_it_waits_on_the_ground_until_estimator_and_agent_are_there(self, uav, stranger: Stranger) -> None:

@@ -77,6 +77,11 @@ class Wire:
                 return
             self.heard += self._stream.take(data)
 
+    def turn_deaf(self) -> None:
+        """Read nothing from now on."""
+        self._ended = True
+        self._thread.join()
+
     def close(self) -> None:
         self._ended = True
         self._thread.join(5)

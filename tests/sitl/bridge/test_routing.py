@@ -219,8 +219,8 @@ def test_forged_ids_and_floods_fill_no_memory() -> None:
     net = Net(A, B)
     for number in range(40_000):
         net.says((number % 250 + 1, number // 250 % 250 + 1), A)
-    assert len(net.routes._heard[A]) == MOST_HEARD
-    assert len(net.routes._remembered) == MOST_REMEMBERED
+    assert len(net.routes.heard[A]) == MOST_HEARD
+    assert len(net.routes.remembered) == MOST_REMEMBERED
 
 
 def storm(links_of: dict[str, dict[int, str]], start: tuple[str, str], delay_s: float) -> int:

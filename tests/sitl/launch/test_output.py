@@ -29,6 +29,6 @@ def test_of_an_endless_line_only_the_begin_is_kept() -> None:
     taken = Lines()
     for _ in range(1000):
         assert taken.take(b"x" * 10_000) == []
-        assert len(taken._begun) <= LONGEST + 1
+        assert len(taken.begun) <= LONGEST + 1
     assert taken.take(b"y\nnext\n") == ["x" * LONGEST + " …", "next"]
     assert taken.take(b"x" * LONGEST + b"\n") == ["x" * LONGEST]

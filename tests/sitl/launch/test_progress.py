@@ -1,6 +1,7 @@
 """Protects what people see while a mission flies: one line that never wraps, and what is waited for."""
 
 import io
+import re
 from collections.abc import Callable
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ from rich.console import Console
 
 from sitl.launch import progress
 from sitl.launch.progress import Progress
+from tests.system.screen import CONTROL
 
 STEP = SimpleNamespace(step=20, position=(14.94, 17.12), gas=0.331, mean=(21.37, 22.07), spread=5.6, ceased=False)
 """What is shown of a belief."""
@@ -28,11 +30,12 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Progress, io.S
 
 
 def live_line(shown: tuple[Progress, io.StringIO]) -> str:
-    """The live line as a terminal has it; fails where it wraps."""
-    with shown[0]:
-        shown[0]._live.refresh()
-        (line,) = shown[0]._console.render_lines(shown[0]._live._live_render, pad=False)
-    return "".join(segment.text for segment in line)
+    """The live line as a terminal gets it, however often it is drawn; fails where it wraps."""
+    progress, file = shown
+    with progress:
+        pass
+    (line,) = {line for line in re.split(r"[\r\n]+", CONTROL.sub("", file.getvalue())) if line}
+    return line
 
 
 @pytest.mark.parametrize(

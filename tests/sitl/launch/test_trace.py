@@ -79,4 +79,4 @@ def test_a_strangers_and_a_broken_reading_tell_nothing() -> None:
 def test_the_readings_of_known_beliefs_are_let_go() -> None:
     trace = heard(range(50), [belief(step) for step in range(50)])
     trace.reading(reading(3), 1)
-    assert not trace._readings
+    assert not trace.kept

@@ -11,7 +11,7 @@ from link.bus.messages import Stop
 from link.bus.session import Arrival
 from sitl.launch import launcher as module
 from sitl.launch.disturbances import Disturbances
-from sitl.launch.launcher import _Watch
+from sitl.launch.launcher import MissionWatch
 from sitl.launch.mission import Launch
 from sitl.launch.processes import MissionFailed
 from sitl.launch.watchdog import Watchdog
@@ -37,15 +37,15 @@ class FallsSilent(QuietBus):
         return None
 
 
-def watch(bus: FallsSilent, monkeypatch: pytest.MonkeyPatch) -> _Watch:
+def watch(bus: FallsSilent, monkeypatch: pytest.MonkeyPatch) -> MissionWatch:
     """The watch over a mission of one move, in the bus's time."""
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: bus.now_s))
     progress: Any = SimpleNamespace(wait=lambda _: None, say=lambda _: None, show=lambda *_: None)
     watchdog = Watchdog([], PATIENCE_S, 0.0, progress.say)
     processes: Any = None
     disturbances = Disturbances([], processes, {}, watchdog, progress.say)
-    mission = Launch(Script(seed=7).changed({"agent.budget": 1}), patience_s=PATIENCE_S)
-    return _Watch(mission, bus, progress, watchdog, disturbances, "tcp/127.0.0.1:1", None)
+    mission = Launch(Script(seed=7).changed({"agent.budget": 1, "vehicle.after_stop": "hold"}), patience_s=PATIENCE_S)
+    return MissionWatch(mission, bus, progress, watchdog, disturbances, "tcp/127.0.0.1:1", None)
 
 
 def test_a_mission_whose_last_belief_is_lost_fails_when_patience_ends(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,8 +61,6 @@ def test_a_mission_whose_last_belief_is_lost_fails_when_patience_ends(monkeypatc
 
 def test_a_mission_whose_last_compute_times_are_lost_ends_with_its_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
     bus = FallsSilent(*(Arrival(BELIEF, msgspec.json.encode(belief(step)), b"") for step in (0, 1)))
-    watching = watch(bus, monkeypatch)
-    monkeypatch.setattr(watching, "_await_landing", lambda _: None)
-    flown = watching.until_the_end()
+    flown = watch(bus, monkeypatch).until_the_end()
     assert (len(flown.trace), flown.outcome.search_time_s) == (2, 0.0)
     assert PATIENCE_S <= bus.now_s <= PATIENCE_S + 2.0

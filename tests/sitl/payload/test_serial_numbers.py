@@ -74,7 +74,7 @@ def test_a_line_without_end_does_not_grow_memory_and_is_one_line_that_is_no_numb
     found = lines(log)
     for _ in range(1000):
         assert found.take(b"1" * 4096) == []
-        assert len(found._begun or b"") <= LONGEST + 1
+        assert len(found.begun or b"") <= LONGEST + 1
     assert found.take(b"\n3\n") == [3.0]
     assert log.tally.refused == {NO_NUMBER: 1}
 
@@ -155,13 +155,13 @@ class Asked(threading.Thread):
 
 def then_says(monkeypatch: pytest.MonkeyPatch, sensor: SerialNumbers, device: Device, data: bytes) -> None:
     """Have the device say something as soon as the question has come."""
-    forget = sensor._forget
+    forget = sensor.forget
 
     def asked() -> None:
         forget()
         device.say(data)
 
-    monkeypatch.setattr(sensor, "_forget", asked)
+    monkeypatch.setattr(sensor, "forget", asked)
 
 
 def test_the_first_number_after_the_question_is_the_value(device: Device, sensor: SerialNumbers, monkeypatch: pytest.MonkeyPatch) -> None:

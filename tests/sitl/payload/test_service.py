@@ -85,8 +85,8 @@ class Bench:
         self.values: queue.SimpleQueue[float] = queue.SimpleQueue()
         self.failure: BaseException | None = None
         self._measuring = Measuring(self._measure, inbox)
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
+        self.thread = threading.Thread(target=self._run)
+        self.thread.start()
 
     def _measure(self, question: Question) -> Sample:
         self.wanted.put(question)
@@ -103,7 +103,7 @@ class Bench:
 
     def end(self) -> None:
         self.bus.inbox.put(Ended)
-        self._thread.join(30)
+        self.thread.join(30)
         self.values.put(0.0)  # frees a sensor that hangs
 
 
@@ -198,5 +198,5 @@ def test_it_reports_each_reading_that_it_has_measured(bench: Bench) -> None:
 def test_a_fault_of_our_own_ends_the_service_with_its_error(bench: Bench) -> None:
     bench.bus.ask(asked(1000))
     bench.values.put(-1.0)
-    bench._thread.join(30)
+    bench.thread.join(30)
     assert isinstance(bench.failure, RuntimeError)

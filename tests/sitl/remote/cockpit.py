@@ -81,7 +81,8 @@ class Cockpit:
         self.answers: Callable[[Cockpit], tuple[float, float] | None] = lambda cockpit: onwards(cockpit.readings[-1][1])
         """The next waypoint (x, y); None: no answer."""
         self.thinks_s = 0.3
-        self._answer_at: float | None = None
+        self.answer_at: float | None = None
+        """When the agent's next waypoint is due."""
 
     def step(self) -> None:
         """One look."""
@@ -96,10 +97,10 @@ class Cockpit:
                 self.readings.append((self.now_s, event.position))
                 self.truths.append(tuple(at - home for at, home in zip(self.ap.body.position, self.ap.home, strict=True)))
                 self.vehicle.answers.sampled(round(self.now_s * 1000))
-                self._answer_at = self.now_s + self.thinks_s
+                self.answer_at = self.now_s + self.thinks_s
         self.search.go_on(searchers=True)
-        if self._answer_at is not None and self.now_s >= self._answer_at:
-            self._answer_at = None
+        if self.answer_at is not None and self.now_s >= self.answer_at:
+            self.answer_at = None
             if (place := self.answers(self)) is not None:
                 newest = self.vehicle.answers.newest
                 assert newest is not None

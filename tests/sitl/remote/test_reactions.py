@@ -226,7 +226,7 @@ def test_a_pilot_takes_over_at_once_and_gives_the_search_back(kind: str, mode: s
     cockpit.run(20.0)
     assert cockpit.ap.mode == mode
     assert len(cockpit.readings) == count
-    (cockpit.ap.change if kind == "ardupilot" else cockpit.ap._wish)(back)
+    cockpit.ap.change(back)
     cockpit.reads(count + 2)
     assert cockpit.search.state == SEARCHING
     assert cockpit.heard("Search resumed: ")
@@ -325,7 +325,7 @@ def test_a_program_that_is_interrupted_within_a_procedure_still_sends_it_home(ki
     """Ctrl-C ends a procedure where it stands, as a KeyboardInterrupt in it does."""
     cockpit = searching(kind)
     cockpit.vehicle.set_mode(cockpit.now_s, Mode.RETURN)
-    procedure = cockpit.vehicle.flight._procedure
+    procedure = cockpit.vehicle.flight.procedure
     assert procedure is not None
     procedure.close()
     for _ in range(10):
@@ -348,7 +348,7 @@ def test_a_program_that_ends_leaves_the_vehicle_to_its_pilot(kind: str) -> None:
 @both
 def test_a_flight_that_was_under_way_before_the_program_is_someone_elses(kind: str) -> None:
     cockpit = searching(kind)
-    cockpit._answer_at = None
+    cockpit.answer_at = None
     cockpit.vehicle = RemoteVehicle(VehicleConfig(), Commander(cockpit.radio))
     cockpit.search = Search(
         cockpit.vehicle, MavlinkProtocol(cockpit.vehicle), (1.0, 1.0), "return", lambda _, text: cockpit.said.append(text)

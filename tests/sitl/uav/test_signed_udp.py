@@ -36,11 +36,16 @@ def received() -> queue.Queue:
 
 
 @pytest.fixture
-def link(tmp_path: Path, log: Log, received: queue.Queue) -> Iterator[UdpLink]:
-    (tmp_path / "key").write_text("abc")
+def port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
-        url = f"udpin:127.0.0.1:{probe.getsockname()[1]}"
+        return probe.getsockname()[1]
+
+
+@pytest.fixture
+def link(tmp_path: Path, log: Log, received: queue.Queue, port: int) -> Iterator[UdpLink]:
+    (tmp_path / "key").write_text("abc")
+    url = f"udpin:127.0.0.1:{port}"
     signing = Signing(str(tmp_path / "key"), "uav-7", log)
     link = UdpLink(url, received.put, system=7, signer=signing.link(url))
     yield link
@@ -49,13 +54,13 @@ def link(tmp_path: Path, log: Log, received: queue.Queue) -> Iterator[UdpLink]:
 
 
 @pytest.fixture
-def caller(link: UdpLink) -> Iterator[Callable[[], socket.socket]]:
+def caller(link: UdpLink, port: int) -> Iterator[Callable[[], socket.socket]]:
     """Makes sockets that send to the link."""
     opened: list[socket.socket] = []
 
     def make() -> socket.socket:
         opened.append(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-        opened[-1].connect(link._socket.getsockname())
+        opened[-1].connect(("127.0.0.1", port))
         opened[-1].settimeout(WAIT_S)
         return opened[-1]
 

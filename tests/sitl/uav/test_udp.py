@@ -298,7 +298,7 @@ class TestUdpIn:
             station().send(b"\xfe\xff")
         known.send(frame(gas=4.0)[9:])
         assert received.get(timeout=WAIT_S).value == 4.0
-        assert len(link._rests) <= MOST_PEERS
+        assert len(link.rests) <= MOST_PEERS
 
     def test_nothing_is_sent_before_somebody_has_spoken_and_garbage_is_not_speaking(self, link, station, received):
         caller = station()

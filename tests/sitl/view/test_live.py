@@ -11,6 +11,7 @@ from link.access.authority import make
 from link.bus.opening import open_router
 from link.bus.session import Bus
 from sitl.view.live import LiveFleet
+from tests.system.stranger import Stranger
 
 LONG_AGO = datetime.datetime.now(datetime.UTC) - datetime.timedelta(days=800)
 
@@ -71,9 +72,10 @@ def test_a_certificate_that_has_expired_does_not_end_the_page_and_a_new_one_show
 
 
 def test_a_token_for_a_pattern_of_keys_is_no_vehicle_and_does_not_end_the_page(router: str, wait_until: Callable[..., None]) -> None:
-    with Bus("stranger", router, None, announced=False) as stranger, following(router) as (fleet, _):
-        tokens = [stranger._session.liveliness().declare_token(key) for key in ("uav/*/health/uav", "**/health/uav", "uav/$*1/health/uav")]
-        stranger.settle(10.0)
+    patterns = ("uav/*", "**", "uav/$*1")
+    with Stranger(router) as stranger, Stranger(router) as witness, following(router) as (fleet, _):
+        for pattern in patterns:
+            stranger.announce("health/uav", namespace=pattern)
+        wait_until(lambda: {f"{pattern}/health/uav" for pattern in patterns} <= set(witness.announced()))
         with Bus("uav", router, "uav/7"):
             wait_until(lambda: list(fleet.vehicles) == ["uav/7"])
-        del tokens
