@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         return cli.BAD_INPUT
     with Tap("recorder", args.connect, args.namespace, args.log_level, secure=args.secure) as bus:
         try:
-            writer = _begin(args.file, args.force, {**args.about, **surroundings(args.namespace)})
+            writer = begin(args.file, args.force, {**args.about, **surroundings(args.namespace)})
         except OSError as error:
             culprit = "" if error.filename in (None, str(args.file)) else f": {error.filename}"
             cannot = f"FILE.mcap: cannot write {str(args.file)!r}: {error.strerror}{culprit}"
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"recording to {args.file}", flush=True)
         _give_way()
         try:
-            _record(bus, writer, ends, RecordedScene(args.about, args.namespace))
+            record(bus, writer, ends, RecordedScene(args.about, args.namespace))
         except OSError as error:
             words = f"record stopped: {error.strerror} ({args.file})"
             bus.log.warning(words)
@@ -101,7 +101,7 @@ def _files(path: Path) -> tuple[Path, Path]:
     return path, path.with_suffix(".tlog")
 
 
-def _begin(path: Path, force: bool, about: dict[str, Any]) -> Writer:
+def begin(path: Path, force: bool, about: dict[str, Any]) -> Writer:
     """Create the files. Raises OSError, and leaves none, if that fails or if one exists without `force`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     made: list[Path] = []
@@ -116,7 +116,8 @@ def _begin(path: Path, force: bool, about: dict[str, Any]) -> Writer:
         raise
 
 
-def _record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> None:
+def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> None:
+    """Write what comes, in batches, until there is an end. Raises OSError if it cannot be written."""
     clock = SimulationClock()
     flush_at = 0.0
     ended = False

@@ -13,7 +13,6 @@ from link.bus.tap import Tap
 from link.record.reader import read
 from link.record.writer import Writer
 from sitl.desk import recorder
-from sitl.desk.recorder import _record
 from sitl.desk.scenes import RecordedScene
 
 
@@ -23,7 +22,7 @@ def test_a_recorder_that_is_told_to_end_before_it_begins_writes_what_was_said(ro
         tap.settle(30.0)
         estimator.publish(BELIEF, b"said")
         estimator.settle(30.0)
-        _record(tap, Writer(tmp_path / "run.mcap", {}), [signal.SIGTERM], RecordedScene({}, "uav/1"))
+        recorder.record(tap, Writer(tmp_path / "run.mcap", {}), [signal.SIGTERM], RecordedScene({}, "uav/1"))
     recording = read(tmp_path / "run.mcap")
     assert recording.complete
     assert [entry.payload for entry in recording.entries] == [b"said"]
@@ -49,20 +48,20 @@ def test_a_file_that_exists_is_refused_in_one_line_before_anything_is_joined(
 def test_of_two_recorders_that_begin_at_once_the_second_is_refused(tmp_path: Path, there: str) -> None:
     (tmp_path / there).write_text("the first one's")  # created after the second recorder's first check
     with pytest.raises(FileExistsError):
-        recorder._begin(tmp_path / "run.mcap", False, {})
+        recorder.begin(tmp_path / "run.mcap", False, {})
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(there, "the first one's")]
 
 
 def test_where_only_one_file_can_be_made_neither_is_left(tmp_path: Path) -> None:
     (tmp_path / "run.tlog").symlink_to(tmp_path / "nowhere" / "run.tlog")
     with pytest.raises(OSError, match="exists"):
-        recorder._begin(tmp_path / "run.mcap", False, {})
+        recorder.begin(tmp_path / "run.mcap", False, {})
     assert not (tmp_path / "run.mcap").exists()
 
 
 def test_with_force_it_begins_anew(tmp_path: Path) -> None:
     for name in ("run.mcap", "run.tlog"):
         (tmp_path / name).write_text("old")
-    recorder._begin(tmp_path / "run.mcap", True, {"seed": 3}).close()
+    recorder.begin(tmp_path / "run.mcap", True, {"seed": 3}).close()
     assert read(tmp_path / "run.mcap").about == {"seed": 3}
     assert (tmp_path / "run.tlog").read_bytes() == b""

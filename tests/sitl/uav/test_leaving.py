@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from link import cli
 from link.bus.inbox import Inbox
 from link.bus.mavlink import Message
+from link.interrupts import on_end
 from plume.scenario import draw
 from plume.sensor import Gaussian
 from plume.world import World
@@ -61,10 +61,15 @@ def fly_until_struck(cockpit: Cockpit) -> None:
 
 @pytest.fixture(autouse=True)
 def of_a_command() -> Iterator[None]:
-    """SIGTERM as in a command of ours."""
-    before = signal.signal(signal.SIGTERM, cli._terminate)
+    """Signals as in a command of ours."""
+
+    def interrupted(_: int) -> None:
+        raise KeyboardInterrupt
+
+    before = on_end(interrupted)
     yield
-    signal.signal(signal.SIGTERM, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
