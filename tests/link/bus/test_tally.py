@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, KEYS, READING
 from link.bus.messages import Health
 from link.bus.session import Arrival, Bus
@@ -93,7 +94,7 @@ def test_what_only_comes_again_is_counted_but_no_trouble() -> None:
 
 
 def heard(bus: Bus, wanted: Callable[[Health], bool]) -> Health:
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 120.0
     while time.monotonic() < deadline:
         item: Any = bus.receive(timeout_s=1.0)
         if isinstance(item, Arrival) and item.key is HEALTH and wanted(health := Health(**json.loads(item.payload))):
@@ -128,12 +129,13 @@ def test_so_does_one_that_takes_in_batches(router: str, wait_until: Callable[...
 
 
 def test_latency_is_from_the_arrival_of_what_was_answered_waiting_included(router: str, wait_until: Callable[..., None]) -> None:
-    with Bus("viewer", router, announced=False) as viewer, Bus("uav", router) as uav, Bus("estimator", router) as estimator:
+    inbox = Inbox()
+    with Bus("viewer", router, announced=False) as viewer, Bus("uav", router) as uav, Bus("estimator", router, inbox=inbox) as estimator:
         viewer.subscribe(HEALTH)
         estimator.subscribe(READING)
         published_at = time.monotonic()
         uav.publish(READING, b"frames")
-        wait_until(estimator._inbox.waiting)
+        wait_until(inbox.waiting)
         arrived_by = time.monotonic()
         wait_until(lambda: time.monotonic() > arrived_by + 0.3)  # busy with something else
         estimator.receive()
