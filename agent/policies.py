@@ -100,7 +100,7 @@ def policy(name: str) -> Policy:
     if name in PLANNERS:
         return _planned(name)
     if path := bundle_path(name):
-        from agent.bundle import BundleError, load  # needs onnxruntime, which takes time to load
+        from agent.bundle import BundleError, load
 
         try:
             return load(path).waypoint
