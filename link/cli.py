@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from link.early import INTERRUPTED, end_at_once
-from link.interrupts import STREAMS, discard, interrupt, leave, polled
+from link.interrupts import STREAMS, discard, interrupt, leave, polled, unanswered
 
 UNREAD = 141
 """Exit status if the reader of stdout has gone, as in `plumeward evaluate | head -1`: that of a program killed by SIGPIPE."""
@@ -283,8 +283,8 @@ def run(command: Callable[[], int | None]) -> NoReturn:
     try:
         interrupt()
         status = _status(command)
-        if status == INTERRUPTED:
-            leave(status)
+        if status == INTERRUPTED or unanswered():
+            leave(INTERRUPTED)
         end_at_once()
     except KeyboardInterrupt:  # a second signal: `timeout` sends two
         leave(INTERRUPTED)

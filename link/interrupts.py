@@ -105,6 +105,11 @@ def leave(status: int) -> NoReturn:
     os._exit(status)
 
 
+def unanswered() -> bool:
+    """Whether a signal has come that could not be answered yet."""
+    return _unanswered_since is not None
+
+
 def _interrupt(number: int) -> None:
     global _unanswered_since
     now_s = time.monotonic()

@@ -16,7 +16,7 @@ from plumeward.commands import COMMANDS, GROUPS, main
 
 ROOT = Path(__file__).parents[2]
 MISSIONS = {path.stem: path.read_text() for path in (ROOT / "missions").glob("*.yaml")}
-HEAVY = ("numba", "torch", "onnxruntime", "matplotlib", "ray", "onnx", "stable_baselines3")
+HEAVY = ("gymnasium", "numba", "torch", "onnxruntime", "matplotlib", "ray", "onnx", "stable_baselines3")
 
 
 def said(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: str) -> tuple[int, str, str]:
@@ -54,6 +54,16 @@ def test_help_loads_nothing_that_takes_long(tmp_path: Path, command: str) -> Non
     assert (ran.returncode, ran.stderr) == (0, "")
     assert ran.stdout.startswith(f"usage: {' '.join(words[:-1])} ")
     assert ran.stdout.endswith("loaded []\n")
+
+
+def test_the_commands_own_help_loads_not_even_the_bus(tmp_path: Path) -> None:
+    code = (
+        "import atexit, sys; sys.argv = ['plumeward', '--help']\n"
+        "atexit.register(lambda: print(sorted({'numpy', 'gymnasium', 'zenoh', 'msgspec', 'logging', 'asyncio'} & set(sys.modules))))\n"
+        "from plumeward.__main__ import command; command()"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True)
+    assert ran.stdout.endswith("\n[]\n")
 
 
 def test_what_there_is_to_choose_from_is_listed_by_name(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
