@@ -11,6 +11,8 @@ import pytest
 
 from link.early import INTERRUPTED
 
+pytestmark = pytest.mark.slow
+
 
 def run(program: str, folder: Path) -> tuple[int, str, str]:
     """Run a program that finds modules in a folder; returns its status, stdout and stderr."""
