@@ -85,7 +85,7 @@ def _next_belief(bus: Bus, area_m: float) -> tuple[Belief, Particles] | None:
     if belief is None:
         return None
     try:
-        _check(belief, area_m)
+        check(belief, area_m)
         particles = unpack_particles(arrival.attachment, len(belief.unknowns))
         if np.abs(particles).max() > MOST:
             raise ValueError(f"a particle holds a number beyond ±{MOST:g}")
@@ -95,7 +95,7 @@ def _next_belief(bus: Bus, area_m: float) -> tuple[Belief, Particles] | None:
         return None
 
 
-def _check(belief: Belief, area_m: float) -> None:
+def check(belief: Belief, area_m: float) -> None:
     names = belief.unknowns
     if not set(names) <= set(PARAMETERS) or len(set(names)) < len(names):
         raise ValueError(f"unknowns {' '.join(names)!r} are not distinct names of {' '.join(PARAMETERS)}")

@@ -141,7 +141,7 @@ def parts(count: int) -> dict[str, float]:
     """Seconds per env step and mission, by part: whole flights of `count` missions on one thread."""
     env, watch = SourceSearchVector(count, particles=USUAL), Stopwatch()
     env.reset(seed=0)
-    missions = env._missions
+    missions = env.missions
     assert missions is not None
     for owner, name, part in (
         (env, "step", "the rest: moves, infos, copies"),

@@ -1,8 +1,10 @@
 """Shared by many tests: compiled kernels, a router on a free port, and polling instead of sleeping."""
 
+import gc
 import subprocess
 import sys
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -46,6 +48,23 @@ def wait_until(holds: Callable[[], object], timeout_s: float = 120.0) -> None:
     while not holds():
         assert time.monotonic() < deadline, f"not true within {timeout_s:g} s"
         time.sleep(0.01)
+
+
+@pytest.fixture
+def kept_bytes() -> Callable[[Callable[[], object]], int]:
+    """Return a function that says how much more memory is held after a call than before it."""
+
+    def held_after(call: Callable[[], object]) -> int:
+        gc.collect()
+        tracemalloc.start()
+        try:
+            call()
+            gc.collect()
+            return tracemalloc.get_traced_memory()[0]
+        finally:
+            tracemalloc.stop()
+
+    return held_after
 
 
 @pytest.fixture(name="wait_until")

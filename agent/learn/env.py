@@ -190,39 +190,39 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         """Raises ValueError, or TypeError on an unknown argument; the message says what is allowed."""
         self.settings = Settings.of(settings, "render_mode")
         self.render_mode = render_mode
-        self._onlooker = self.settings.onlooker(render_mode)
+        self.onlooker = self.settings.onlooker(render_mode)
         self.observation_space, self.action_space = self.settings.spaces()
-        self._missions: Missions | None = None
+        self.missions: Missions | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """Begin a mission and take its first reading."""
         seed = None if seed is None else _seed(seed)
         super().reset(seed=seed)
-        self._missions = self.settings.begin([int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed])
-        if self._onlooker:
-            self._onlooker.look(self._missions)
-        return self._missions.observations[0].copy(), self._info()
+        self.missions = self.settings.begin([int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed])
+        if self.onlooker:
+            self.onlooker.look(self.missions)
+        return self.missions.observations[0].copy(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Fly to the waypoint of the action and take a reading there. Raises ActionError on one outside the action space."""
-        if self._missions is None:
+        if self.missions is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
-        rewards, terminated, truncated = self.settings.fly(self._missions, self.settings.actions(action)[None])
-        if self._onlooker:
-            self._onlooker.look(self._missions)
-        return self._missions.observations[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), self._info()
+        rewards, terminated, truncated = self.settings.fly(self.missions, self.settings.actions(action)[None])
+        if self.onlooker:
+            self.onlooker.look(self.missions)
+        return self.missions.observations[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), self._info()
 
     def render(self) -> Frame | None:
         """Return the picture of the mission, (540, 960, 3), with the true plume and source; None without a `render_mode`."""
-        if self._onlooker is None:
+        if self.onlooker is None:
             return None
-        if self._missions is None:
+        if self.missions is None:
             raise gymnasium.error.ResetNeeded("call reset before render")
-        return self._onlooker.frame(self._missions, 0)
+        return self.onlooker.frame(self.missions, 0)
 
     def _info(self) -> dict[str, Any]:
-        assert self._missions is not None
-        return {name: values[0] for name, values in _told(self._missions).items()}
+        assert self.missions is not None
+        return {name: values[0] for name, values in _told(self.missions).items()}
 
 
 class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
@@ -240,13 +240,13 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self.num_envs = num_envs
         self.settings = Settings.of(settings, "num_envs", "threads", "render_mode")
         self.render_mode = render_mode
-        self._onlooker = self.settings.onlooker(render_mode)
+        self.onlooker = self.settings.onlooker(render_mode)
         self.single_observation_space, self.single_action_space = self.settings.spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._threads = threads
         self._draws: list[np.random.Generator] = []
-        self._missions: Missions | None = None
+        self.missions: Missions | None = None
 
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
@@ -262,17 +262,17 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             if len(seeds) != self.num_envs:
                 raise ValueError(f"{len(seeds)} seeds for {self.num_envs} missions")
             self._draws = [np.random.default_rng(each) for each in seeds]
-        if self._missions is None:
-            self._missions = self.settings.begin(seeds, self._threads)
+        if self.missions is None:
+            self.missions = self.settings.begin(seeds, self._threads)
         else:
-            self._missions.begin(np.arange(self.num_envs), seeds)
-        if self._onlooker:
-            self._onlooker.look(self._missions)
-        return self._missions.observations.copy(), _told(self._missions)
+            self.missions.begin(np.arange(self.num_envs), seeds)
+        if self.onlooker:
+            self.onlooker.look(self.missions)
+        return self.missions.observations.copy(), _told(self.missions)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Fly each mission to the waypoint of its action and take a reading there. On a wrong action raises ActionError and moves none."""
-        missions = self._missions
+        missions = self.missions
         if missions is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         rewards, terminated, truncated = self.settings.fly(missions, self.settings.actions(actions, self.num_envs))
@@ -285,17 +285,17 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
                 final[i] = missions.observations[i].copy()
             infos = {"final_obs": final, "_final_obs": over, "final_info": _told(missions), "_final_info": over}
             missions.begin(ended, [self._next(i) for i in ended.tolist()])
-        if self._onlooker:
-            self._onlooker.look(missions)
+        if self.onlooker:
+            self.onlooker.look(missions)
         return missions.observations.copy(), rewards, terminated, truncated, infos | _told(missions)
 
     def render(self) -> tuple[Frame, ...] | None:
         """Return the pictures of all missions, as `SourceSearch.render` does of one; None without a `render_mode`."""
-        if self._onlooker is None:
+        if self.onlooker is None:
             return None
-        if self._missions is None:
+        if self.missions is None:
             raise gymnasium.error.ResetNeeded("call reset before render")
-        return tuple(self._onlooker.frame(self._missions, i) for i in range(self.num_envs))
+        return tuple(self.onlooker.frame(self.missions, i) for i in range(self.num_envs))
 
     def _next(self, i: int) -> int:
         return int(self._draws[i].integers(TRAINING_SEEDS))

@@ -43,7 +43,8 @@ class Missions:
         self.frames = np.empty((count, 3))
         """Frames of the observations, in which actions are given."""
         self.observations = np.empty((count, self._schema.size), np.float32)
-        self._facts = np.empty((count, len(FACTS)))
+        self.facts = np.empty((count, len(FACTS)))
+        """What is known of each mission: columns are FACTS."""
         self._sources = np.empty((count, 2))
         self._noise = Keyed()
         self._world = world
@@ -86,7 +87,7 @@ class Missions:
         """Return a mission's newest reading and the belief after it. The time is the step: there is no clock."""
         step, (x, y), (east, north) = int(self.steps[mission]), self.positions[mission].tolist(), self.estimates[mission].tolist()
         (xx, xy), (_, yy) = self._batch.covariances[mission, :2, :2].tolist()
-        gas, spread_m, ceased = self._facts[mission, observation.GAS], self.spreads_m[mission], self.ceased[mission]
+        gas, spread_m, ceased = self.facts[mission, observation.GAS], self.spreads_m[mission], self.ceased[mission]
         return Measurement(step, float(step), (x, y), float(gas), float(spread_m), (east, north), (xx, xy, yy), bool(ceased))
 
     def scatter(self, mission: int) -> Scatter:
@@ -101,13 +102,13 @@ class Missions:
         self.steps[mission], self.distances_m[mission], self.ceased[mission] = 0, 0.0, False
         self.positions[mission], self._sources[mission] = world.start, world.truth.source
         known = (scenario.q, scenario.d, scenario.tau)
-        self._facts[mission, observation.WIND_X : observation.LIFETIME + 1] = *world.wind, *known
+        self.facts[mission, observation.WIND_X : observation.LIFETIME + 1] = *world.wind, *known
         criterion, its_seed = self._criterion, derived_seed(seed, "estimator")
         return Config(self._particles, criterion.threshold_m, its_seed, *known, assume=self._assume, within=criterion.within)
 
     def _read(self, missions: Indices) -> None:
         """Take a reading in each of these missions; update beliefs, observations and stops."""
-        facts = self._facts
+        facts = self.facts
         facts[missions, : observation.GAS] = self.positions[missions]
         worlds = [self._worlds[mission] for mission in missions.tolist()]
         facts[missions, observation.GAS] = gas_of(worlds, self.positions[missions], self.steps[missions].tolist(), self._noise)

@@ -33,21 +33,27 @@ MEANING = (
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 
 
+def _stdout_of_zenoh() -> int:
+    """Let `sys.stdout` go where it went before, and return what reads from stdout, where Zenoh's log goes."""
+    ours = os.dup(1)
+    reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)  # a full pipe loses lines, and holds up no router
+    with contextlib.suppress(OSError):
+        fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+    sys.stdout.flush()
+    os.dup2(writer, 1)
+    os.close(writer)
+    sys.stdout = os.fdopen(ours, "w")
+    os.environ["RUST_LOG"] = FILTER
+    zenoh.init_log_from_env_or("off")
+    return reader
+
+
 class Refusals:
     """Reads what Zenoh logs in this process. Make it before the router: Zenoh's log goes to stdout, which from then on is another one."""
 
-    def __init__(self) -> None:
-        """Take over stdout for Zenoh; `sys.stdout` goes where it went before."""
-        ours = os.dup(1)
-        self._reader, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)  # a full pipe loses lines, and holds up no router
-        with contextlib.suppress(OSError):
-            fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-        sys.stdout.flush()
-        os.dup2(writer, 1)
-        os.close(writer)
-        sys.stdout = os.fdopen(ours, "w")
-        os.environ["RUST_LOG"] = FILTER
-        zenoh.init_log_from_env_or("off")
+    def __init__(self, reader: int | None = None) -> None:
+        """Take over stdout for Zenoh; `sys.stdout` goes where it went before. Or read a log from a file descriptor that never blocks."""
+        self._reader = _stdout_of_zenoh() if reader is None else reader
         self._begun = ""
         self._counts: dict[tuple[str, str], int] = {}
         self._told_at: dict[tuple[str, str], float] = {}

@@ -88,7 +88,8 @@ class FrameStream:
         """Start at the beginning of a connection."""
         self.garbage = 0
         """Bytes so far that belong to no frame."""
-        self._rest = b""
+        self.rest = b""
+        """What came last and is no whole frame yet."""
         self._in_step = True
         """Whether a frame must begin where the rest begins."""
 
@@ -97,8 +98,8 @@ class FrameStream:
 
         Garbage cannot swallow a good frame that follows it, also not a frame's beginning whose end never comes.
         """
-        boundary = len(self._rest) if datagram else -1
-        data = self._rest + data
+        boundary = len(self.rest) if datagram else -1
+        data = self.rest + data
         letters: list[Letter] = []
         end = rest_at = len(data)
         at, used, false_starts, in_step, rest_in_step = 0, 0, 0, self._in_step, False
@@ -118,8 +119,8 @@ class FrameStream:
         if false_starts >= MOST_FALSE_STARTS:
             rest_at = end
         self._in_step = rest_in_step if rest_at < end else in_step and at == end
-        self._rest = data[rest_at:]
-        self.garbage += end - used - len(self._rest)
+        self.rest = data[rest_at:]
+        self.garbage += end - used - len(self.rest)
         return letters
 
 

@@ -68,7 +68,7 @@ def plug(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plug:
 def command(*arguments: str, cwd: Path, packages: Path | None = None) -> "subprocess.CompletedProcess[str]":
     """Run `python -m arguments`, with other packages installed."""
     path = {"PYTHONPATH": str(packages)} if packages else {}
-    return subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=110, cwd=cwd, env=os.environ | path)
+    return subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=300, cwd=cwd, env=os.environ | path)
 
 
 def flown(*arguments: str, cwd: Path, packages: Path | None = None) -> dict:
@@ -423,7 +423,7 @@ def test_the_documented_bundle_is_made_without_our_code_and_flies_where_it_says(
     source = examples()["beeline.py"]
     assert not re.search(r"^(from|import) (agent|link|plume|estimator)\b", source, re.MULTILINE)
     (tmp_path / "beeline.py").write_text(source)
-    subprocess.run([sys.executable, "beeline.py"], check=True, cwd=tmp_path, timeout=60)
+    subprocess.run([sys.executable, "beeline.py"], check=True, cwd=tmp_path, timeout=300)
     trace = flown("agent", "rollout", "--policy", "beeline.zip", "--seed", "3", "--particles", "200", cwd=tmp_path)["trace"]
     assert len(trace) > 10
     angles = 2 * math.pi * np.arange(8) / 8
@@ -453,7 +453,7 @@ def test_the_documented_package_installs_and_flies(tmp_path: Path) -> None:
         "--target",
         str(packages),
     ]
-    subprocess.run([*pip, str(source)], check=True, timeout=100)
+    subprocess.run([*pip, str(source)], check=True, timeout=300)
     done = command(
         "agent", "evaluate", "--policy", "weave", "--scenarios", "8", "--particles", "300", "--workers", "1", "--json",
         cwd=tmp_path, packages=packages,

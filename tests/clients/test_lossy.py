@@ -74,7 +74,7 @@ def test_mavsdk_4_transfers_plans_and_parameters(vehicle: Callable[..., int]) ->
     with LossyLink(client, seed=4) as link:
         vehicle(port=link.port)
         ended = subprocess.run(
-            [python, str(HERE / "mavsdk4.py"), str(client), "lossy"], capture_output=True, text=True, check=False, timeout=100
+            [python, str(HERE / "mavsdk4.py"), str(client), "lossy"], capture_output=True, text=True, check=False, timeout=300
         )
     assert ended.returncode == 0, ended.stderr
     seen = json.loads(ended.stdout)

@@ -72,7 +72,7 @@ class MavProxy:
 
     def until(self, text: str, before: int = 0) -> None:
         try:
-            self.wait_until(lambda: any(text in line for line in self.said[before:]), 40)
+            self.wait_until(lambda: any(text in line for line in self.said[before:]))
         except AssertionError:
             pytest.fail(f"MAVProxy did not say {text!r}; it said:\n{''.join(self.said[before:])}")
 

@@ -18,7 +18,7 @@ def mavsdk(vehicle: Callable[..., int]) -> Callable[..., dict]:
     def play(scenario: str, *words: str) -> dict:
         python = python_of("mavsdk4")
         ended = subprocess.run(
-            [python, str(HERE / "mavsdk4.py"), str(vehicle(*words)), scenario], capture_output=True, text=True, check=False, timeout=100
+            [python, str(HERE / "mavsdk4.py"), str(vehicle(*words)), scenario], capture_output=True, text=True, check=False, timeout=300
         )
         assert ended.returncode == 0, ended.stderr
         return json.loads(ended.stdout)

@@ -116,14 +116,14 @@ class CellPosterior:
         self.low = np.array([0.0, 0.0, low])
         self.size = np.array([AREA_M, AREA_M, high - low]) / cells
         self.readings: list[tuple[float, ...]] = []
-        self._take(np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij")).reshape(3, -1))
+        self.take(np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij")).reshape(3, -1))
 
     def add(self, reading: tuple[float, ...]) -> None:
         self.readings.append(reading)
         self.log_density += self.likelihood(*self.at, reading, self.release)
-        self._settle()
+        self.settle()
 
-    def _take(self, numbers: NDArray[np.int64]) -> None:
+    def take(self, numbers: NDArray[np.int64]) -> None:
         """Compute the log density at the middles of these cells (3, M)."""
         self.numbers = numbers
         self.at = self.low[:, None] + self.size[:, None] * (numbers + 0.5)
@@ -131,7 +131,7 @@ class CellPosterior:
         for reading in self.readings:
             self.log_density += self.likelihood(*self.at, reading, self.release)
 
-    def _settle(self) -> None:
+    def settle(self) -> None:
         """Drop cells without mass, and halve all cells along each dimension in which they do not resolve the posterior."""
         while True:
             kept = self.log_density > self.log_density.max() + math.log(CUT)
@@ -148,7 +148,7 @@ class CellPosterior:
                 numbers[dimension] *= 2
                 numbers[dimension, numbers.shape[1] // 2 :] += 1
             assert numbers.shape[1] < MOST_CELLS, "the posterior is too thin"
-            self._take(numbers)
+            self.take(numbers)
 
     def moments(self) -> tuple[Array, Array]:
         """Mean (3,) and covariance (3, 3)."""

@@ -99,7 +99,7 @@ def test_the_cells_know_the_priors_alone_before_any_reading() -> None:
         (with_cv, CASES["cv"][2], 0.9269, 0.6731),
     ):
         exact = CellPosterior(likelihood, (300.0, 4.0, 10.0), *grid)
-        exact._settle()
+        exact.settle()
         said, covariance = exact.moments()
         assert said == pytest.approx([15.0, 15.0, mean], abs=0.01)
         assert np.sqrt(np.diag(covariance)) == pytest.approx([30 / math.sqrt(12), 30 / math.sqrt(12), std], rel=0.01)

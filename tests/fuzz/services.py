@@ -3,6 +3,7 @@
 import contextlib
 import logging
 import math
+import queue
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING, STOP, Key
 from link.bus.log import LOGGER, Log
 from link.bus.mavlink import Codec, Reading, pack_reading, split, waypoint_message
 from link.bus.messages import Belief, Health, Stop, unpack_particles
-from link.bus.session import Arrival, Bus
+from link.bus.session import Arrival, Bus, LivelinessChange
 from link.bus.tally import REPEATED, Tally
 from link.record.reader import read
 from plume.scenario import AREA_M, draw
@@ -33,6 +34,7 @@ from sitl.bridge.routing import Routes
 from sitl.bridge.stream import FrameStream
 from sitl.uav import udp
 from sitl.uav.clock import Clock
+from sitl.uav.search import RETURNING, SEARCHING
 from sitl.uav.uav import FromUdp, Uav
 from tests.fuzz.mutants import as_sent
 
@@ -124,7 +126,7 @@ def reading(data: bytes) -> None:
     assert len(answers) + bus.tally.refused.total() - bus.tally.refused[REPEATED] == 3
     for said, attachment in answers:
         belief = msgspec.json.decode(said, type=Belief)
-        agent._check(belief, AREA_M)
+        agent.check(belief, AREA_M)
         unpack_particles(attachment, len(belief.unknowns))
 
 
@@ -184,35 +186,69 @@ def _world() -> World:
     return World(draw(1_000_000), 1, GAUSSIAN)
 
 
-def _uav(*, searching: bool) -> tuple[Uav, QuietBus]:
-    bus = QuietBus()
-    uav = Uav(Vehicle(VehicleConfig()), _world(), Clock(0.0), Inbox(), bus, (), bus.log)
-    if searching:
-        uav._searchers = {"estimator", "agent"}
-        for _ in range(2):
-            uav._go_on_with_the_search()
-            _pass(uav, 60.0)
-    return uav, bus
+class _SetClock(Clock):
+    """A clock that goes on only when it is told."""
+
+    def __init__(self) -> None:
+        super().__init__(1.0)
+        self.s = 0.0
+
+    def now_s(self) -> float:
+        return self.s
+
+    def stream_s(self) -> float:
+        return self.s
+
+    def wait_s(self, next_event_s: float | None, next_stream_s: float) -> float:
+        return 0.0
 
 
-def _pass(uav: Uav, for_s: float) -> None:
-    uav._clock._jumped_s += for_s
-    uav._live_until(uav._clock.now_s())
+class _Told(Inbox):
+    """An inbox of what is put into it; a number among it is a time to pass, s. At its end the loop that takes from it ends."""
+
+    def __init__(self, clock: _SetClock) -> None:
+        super().__init__()
+        self.items: list[Any] = []
+        self._clock = clock
+
+    def get(self, timeout: float | None = None) -> Any:
+        if not self.items:
+            raise _End
+        item = self.items.pop(0)
+        if not isinstance(item, float):
+            return item
+        self._clock.s += item
+        raise queue.Empty
+
+
+class _Flight:
+    """A vehicle, its bus, and its loop."""
+
+    def __init__(self, *, searching: bool) -> None:
+        clock = _SetClock()
+        self.bus, self.vehicle, self.inbox = QuietBus(), Vehicle(VehicleConfig()), _Told(clock)
+        self._uav = Uav(self.vehicle, _world(), clock, self.inbox, self.bus, (), self.bus.log)
+        if searching:
+            self.goes_on(*(LivelinessChange(name, True) for name in ("estimator", "agent")), 20.0, 15.0, 0.0)
+
+    def goes_on(self, *items: Any) -> None:
+        """Let the loop take these."""
+        self.inbox.items = [*items]
+        with contextlib.suppress(_End):
+            self._uav.run()
 
 
 ASKED = command(1, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
 
-def _lives_on(uav: Uav, bus: QuietBus) -> None:
+def _lives_on(flight: _Flight) -> None:
     """The vehicle flies on for a while, and answers."""
-    uav._go_on_with_the_search()
-    for for_s in (0.1, 1.0, 30.0):
-        _pass(uav, for_s)
-    state = uav._vehicle.state(uav._vehicle.now_s)
+    flight.goes_on(0.1, 1.0, 30.0, 0.0)
+    state = flight.vehicle.state(flight.vehicle.now_s)
     assert all(map(math.isfinite, (*state.position, *state.velocity)))
-    bus.published.clear()
-    uav._handle(Arrival(MAVLINK_IN, Codec(*OPERATOR).pack(ASKED), b""))
-    ids = {frame.message_id for key, payload, _ in bus.published if key is MAVLINK_OUT for frame in split(payload)}
+    flight.bus.published.clear()
+    flight.goes_on(Arrival(MAVLINK_IN, Codec(*OPERATOR).pack(ASKED), b""))
+    ids = {frame.message_id for key, payload, _ in flight.bus.published if key is MAVLINK_OUT for frame in split(payload)}
     assert mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION in ids
 
 
@@ -243,11 +279,9 @@ def mavlink_in_seeds() -> list[bytes]:
 def mavlink_in(data: bytes) -> None:
     """The vehicle takes any payload, from the bus or decoded from UDP, flies on and answers."""
     payload = as_sent(data)
-    uav, bus = _uav(searching=len(data) % 2 == 0)
-    uav._handle(Arrival(MAVLINK_IN, payload, b""))
-    for message in udp.decode(payload).messages:
-        uav._handle(FromUdp(0, message))
-    _lives_on(uav, bus)
+    flight = _Flight(searching=len(data) % 2 == 0)
+    flight.goes_on(Arrival(MAVLINK_IN, payload, b""), *(FromUdp(0, message) for message in udp.decode(payload).messages))
+    _lives_on(flight)
 
 
 def stop_seeds() -> list[bytes]:
@@ -256,10 +290,11 @@ def stop_seeds() -> list[bytes]:
 
 def stop(data: bytes) -> None:
     """The vehicle takes any payload as a stop; one that is refused does not end the search."""
-    uav, bus = _uav(searching=True)
-    uav._handle(Arrival(STOP, data, b""))
-    assert uav._search.found != bool(bus.tally.refused)
-    _lives_on(uav, bus)
+    flight = _Flight(searching=True)
+    assert flight.bus.tally.state == SEARCHING
+    flight.goes_on(Arrival(STOP, data, b""), 0.0)
+    assert (flight.bus.tally.state == RETURNING) != bool(flight.bus.tally.refused)
+    _lives_on(flight)
 
 
 # ---- frames in a stream: UDP and the bridge ----
@@ -288,7 +323,7 @@ def frames(data: bytes) -> None:
         routes.join(1)
         half = len(payload) // 2
         letters = [letter for part in (payload[:half], payload[half:]) for letter in stream.take(part, datagram=datagram)]
-        assert sum(len(letter.data) for letter in letters) + stream.garbage + len(stream._rest) == len(payload)
-        assert len(stream._rest) <= 280
+        assert sum(len(letter.data) for letter in letters) + stream.garbage + len(stream.rest) == len(payload)
+        assert len(stream.rest) <= 280
         for letter in letters:
             routes.route(letter, 1, 0.0)

@@ -269,7 +269,7 @@ def test_processes_agree_whatever_their_hashes_and_may_write_at_once(tmp_path: P
     said = []
     for hash_seeds in ("1", "2"), ("3",):
         processes = [started(tmp_path, seed) for seed in hash_seeds]
-        said += [process.communicate(timeout=60)[0].split() for process in processes]
+        said += [process.communicate(timeout=300)[0].split() for process in processes]
         assert [process.returncode for process in processes] == [0] * len(processes)
     assert len({digest for digest, _, _ in said}) == 1
     assert {value for _, value, _ in said} == {"3.0"}

@@ -17,7 +17,7 @@ def completed(line: str, cwd: Path) -> set[str]:
     asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line, "COMP_POINT": str(len(line)), "COMP_TYPE": "9"}
     read, write = os.pipe()
     shell = ["bash", "-c", f'exec "$0" 8>&{write} 9>/dev/null', str(COMMAND)]
-    ran = subprocess.run(shell, cwd=cwd, env=os.environ | asked, pass_fds=[write], capture_output=True, text=True, timeout=60)
+    ran = subprocess.run(shell, cwd=cwd, env=os.environ | asked, pass_fds=[write], capture_output=True, text=True, timeout=300)
     os.close(write)
     with os.fdopen(read) as offered:
         assert (ran.stdout, ran.stderr) == ("", "")

@@ -23,7 +23,7 @@ def folder(path: Path, *names: str) -> Path:
 
 
 def run(cwd: Path, *command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, cwd=cwd, env=PLAIN, capture_output=True, text=True, timeout=110)
+    return subprocess.run(command, cwd=cwd, env=PLAIN, capture_output=True, text=True, timeout=300)
 
 
 def result(ran: subprocess.CompletedProcess[str]) -> dict:

@@ -36,7 +36,7 @@ class Window:
         """The value of an expression on the page."""
         return self.page.evaluate(script)
 
-    def until(self, script: str, timeout_s: float = 30.0) -> Any:
+    def until(self, script: str, timeout_s: float = 120.0) -> Any:
         """Wait until an expression on the page is true; returns its value."""
         deadline = time.monotonic() + timeout_s
         while not (value := self.of(script)):

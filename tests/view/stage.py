@@ -115,7 +115,7 @@ class Served:
         ready = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(ready)))
         self._thread.start()
-        assert ready.wait(20)
+        assert ready.wait(120)
 
     def close(self) -> None:
         """Stop serving: connections are cut."""

@@ -70,10 +70,10 @@ class Alone:
 
 def told(missions: Missions, i: int) -> list[bytes | bool | int]:
     """What `Alone.told` says, of a mission among others."""
-    facts = dict(zip(FACTS, missions._facts[i], strict=True))
+    facts = dict(zip(FACTS, missions.facts[i], strict=True))
     shown = (
         missions.positions[i],
-        missions._facts[i, GAS],
+        missions.facts[i, GAS],
         [facts[name] for name in ("wind_x", "wind_y")],
         missions.estimates[i],
         [facts[name] for name in ("xx", "xy", "yy")],
@@ -81,7 +81,7 @@ def told(missions: Missions, i: int) -> list[bytes | bool | int]:
         missions.observations[i],
         missions.frames[i],
     )
-    assert missions._facts[i, X] == missions.positions[i, 0]
+    assert missions.facts[i, X] == missions.positions[i, 0]
     return [*(np.array(value).tobytes() for value in shown), bool(missions.ceased[i]), int(missions.steps[i]), bool(missions.located[i])]
 
 
@@ -159,7 +159,7 @@ def test_with_another_assumption_or_criterion_too(schema: str, assume: str, with
     if within and schema == "polar":  # in its frame the actions lead to the estimate
         assert ceased == {True, False}
     for fact, name in ((RATE, "rate"), (LIFETIME, "lifetime"), (DIFFUSIVITY, "diffusivity")):
-        assert missions._facts[:, fact].tolist() == [getattr(single.belief, name) for single in singles]
+        assert missions.facts[:, fact].tolist() == [getattr(single.belief, name) for single in singles]
 
 
 def test_the_way_flown_is_summed_and_begins_anew_with_another_mission() -> None:
@@ -190,7 +190,7 @@ def test_who_changes_the_worlds_physics_changes_it_for_rollouts_and_training_ali
     def first_readings() -> tuple[list[float], list[float]]:
         missions = Missions(SEEDS, "paper", 50, Criterion(THRESHOLD_M))
         flown = [next(mission(seed, "random", 50, THRESHOLD_M, 1).steps).belief.gas for seed in SEEDS]
-        return missions._facts[:, GAS].tolist(), flown
+        return missions.facts[:, GAS].tolist(), flown
 
     before, also_before = first_readings()
     assert before == also_before

@@ -52,9 +52,9 @@ def test_a_scene_is_of_this_mission_its_truth_and_its_belief() -> None:
     env = SourceSearch("rgb_array", world="wind-30", **QUICK)
     env.reset(seed=11)
     told = [env.step(0)[4] for _ in range(3)][-1]
-    assert isinstance(env._onlooker, Onlooker)
-    assert env._missions is not None
-    scene = env._onlooker.scene(env._missions, 0)
+    assert isinstance(env.onlooker, Onlooker)
+    assert env.missions is not None
+    scene = env.onlooker.scene(env.missions, 0)
     world = World(draw(11), 11, name="wind-30")
     assert scene.backdrop.release is not None
     assert scene.backdrop.release.source == world.truth.source
@@ -82,7 +82,7 @@ def test_the_end_of_a_mission_is_judged() -> None:
         while not over:
             _, _, over, cut, told = env.step(0)
             over = over or cut
-        scene = env._onlooker.scene(env._missions, 0)  # type: ignore[union-attr, arg-type]
+        scene = env.onlooker.scene(env.missions, 0)  # type: ignore[union-attr, arg-type]
         assert scene.ending is not None
         seen.add(scene.ending.verdict)
         assert (scene.ending.verdict == "located") == told["located"]
@@ -90,9 +90,9 @@ def test_the_end_of_a_mission_is_judged() -> None:
     short = SourceSearch("rgb_array", budget=2, particles=10)
     short.reset(seed=1)
     short.step(3)
-    assert short._onlooker.scene(short._missions, 0).ending is None  # type: ignore[union-attr, arg-type]
+    assert short.onlooker.scene(short.missions, 0).ending is None  # type: ignore[union-attr, arg-type]
     short.step(3)
-    assert short._onlooker.scene(short._missions, 0).ending.verdict == "not ceased"  # type: ignore[union-attr, arg-type]
+    assert short.onlooker.scene(short.missions, 0).ending.verdict == "not ceased"  # type: ignore[union-attr, arg-type]
 
 
 def test_frames_differ_as_the_vehicle_moves_and_the_next_mission_has_a_picture_of_its_own() -> None:
@@ -121,7 +121,7 @@ def test_a_vector_environment_shows_each_mission_as_it_is_shown_alone() -> None:
     assert len(frames) == 2
     alone = SourceSearch("rgb_array", particles=100, budget=2)
     for i, frame in enumerate(frames):
-        alone.reset(seed=int(several.unwrapped._missions.seeds[i]))  # type: ignore[attr-defined]
+        alone.reset(seed=int(several.unwrapped.missions.seeds[i]))  # type: ignore[attr-defined]
         alone.step(0)
         np.testing.assert_array_equal(frame, alone.render())
 

@@ -88,6 +88,7 @@ def test_a_straight_path_on_the_axis_of_the_plume_never_learns_the_direction_acr
     assert math.sqrt(75) < floor.spread_m(s, [0.0] * 9) < math.sqrt(75.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("s", SHORT)
 @pytest.mark.parametrize("steps", [1, 2, 3])
 def test_no_path_of_a_brute_force_search_leaves_less_spread_than_the_one_found(s: Scenario, steps: int) -> None:

@@ -6,16 +6,15 @@ from link.access.refusals import Refusals
 
 
 def test_reasons_beyond_those_that_are_told_apart_are_counted_together() -> None:
-    refusals = Refusals.__new__(Refusals)  # the real one takes over stdout
-    refusals._begun, refusals._counts, refusals._told_at = "", {}, {}
-    refusals._reader, writer = os.pipe2(os.O_NONBLOCK)
+    reader, writer = os.pipe2(os.O_NONBLOCK)
+    refusals = Refusals(reader)
     for number in range(250):
         os.write(writer, f"WARN zenoh_link_tls::unicast: strange reason {number}. Hint: none\n".encode())
     lines = [line for _, line in refusals.news(0.0)]
     os.write(writer, b"WARN zenoh_link_tls::unicast: strange reason 999. Hint: none\n")
     later = [line for _, line in refusals.news(20.0)]
     os.close(writer)
-    os.close(refusals._reader)
+    os.close(reader)
     assert len(lines) == 101
     assert lines[-1] == "refused connections (150): for other reasons"
     assert later == ["refused connections (1): for other reasons"]
