@@ -4,6 +4,7 @@
 #     sh tests/system/arm64.sh [FOLDER]
 #
 # 1. the checks of `python -m tests.system.bits`: golden records, missions of every policy, recovery, batches, figures, the world's draws;
+#    on a Cortex-A53, and on a processor with all that qemu knows, SVE among it, which the rest is computed on, too;
 # 2. `plumeward rollout` of a policy family each, by its JSON with the trace;
 # 3. `plumeward fly`, all parts over Zenoh: one mission, and one in which estimator and agent are killed and started again;
 # 4. `plumeward replay --verify`: here of a mission that was flown on arm64, and there of one that was flown here.
@@ -12,8 +13,8 @@
 # FOLDER/arm64. FOLDER (default: /tmp/plumeward-arm64) also keeps the arm64 system that the first run makes there with debootstrap; a
 # flight's packages come as wheels for arm64. Mirror and index are those that apt and pip are set to use.
 #
-# Needs root, on Debian for amd64, and `make setup`; also `apt-get install qemu-user-static debootstrap`. It takes half an hour the first
-# time, ten minutes later. What only tests and training need is not installed there.
+# Needs root, on Debian for amd64, and `make setup`; also `apt-get install qemu-user-static debootstrap`. It takes 20 minutes the first
+# time, ten later. What only tests and training need is not installed there.
 set -eu
 
 checkout=$(cd "$(dirname "$0")/../.." && pwd)
@@ -72,7 +73,8 @@ here() { # NAME COMMAND...: run Python here; what it prints goes to here/NAME
 }
 arm64() { # NAME COMMAND...: run Python there; what it prints goes to arm64/NAME
     name=$1 && shift
-    chroot "$root" env -i PATH=/usr/bin:/bin HOME=/root LANG=C.UTF-8 PYTHONPATH=/opt/plumeward:/opt/packages NUMBA_CACHE_DIR=/opt/kernels \
+    chroot "$root" env -i QEMU_CPU="$processor" PATH=/usr/bin:/bin HOME=/root LANG=C.UTF-8 \
+        PYTHONPATH=/opt/plumeward:/opt/packages NUMBA_CACHE_DIR=/opt/kernels \
         sh -c 'cd /opt/arm64 && exec python3 "$@"' sh "$@" >"$folder/arm64/$name" 2>"$folder/arm64/$name.err"
 }
 said() { # NAME RESULT...: one line of the report
@@ -103,19 +105,23 @@ verified() { # SIDE RECORD: replay a record of the other side
 echo "here:  $("$python" --version), $(ldd --version | head -n 1)"
 echo "arm64: $(chroot "$root" python3 --version), $(chroot "$root" ldd --version | head -n 1)"
 
-for side in here arm64; do
+timed() { # SIDE NAME: the checks of one side
     began=$(date +%s)
-    $side bits -m tests.system.bits || said "bits-$side" "DIFFERS: it failed: $(tail -n 1 "$folder/$side/bits.err")"
-    echo "$side took $(($(date +%s) - began)) s for the checks, compiling included"
+    $1 "$2" -m tests.system.bits || said "$2" "DIFFERS: it failed: $(tail -n 1 "$folder/$1/$2.err")"
+    echo "$2 took $(($(date +%s) - began)) s, compiling included"
+}
+timed here bits
+for processor in cortex-a53 max; do
+    timed arm64 "$processor"
+    while read -r check digest; do
+        there=$(sed -n "s|^$check ||p" "$folder/arm64/$processor")
+        case $digest in
+            *DIFFERS*) said "$processor/$check" "DIFFERS here, too: $digest" ;;
+            "$there") said "$processor/$check" same ;;
+            *) said "$processor/$check" "DIFFERS: here $digest, there $there" ;;
+        esac
+    done <"$folder/here/bits"
 done
-while read -r check digest; do
-    there=$(sed -n "s|^$check ||p" "$folder/arm64/bits")
-    case $digest in
-        *DIFFERS*) said "$check" "DIFFERS here, too: $digest" ;;
-        "$there") said "$check" same ;;
-        *) said "$check" "DIFFERS: here $digest, on arm64 $there" ;;
-    esac
-done <"$folder/here/bits"
 
 for policy in homing infotaxis thompson ppo dqn ddpg; do
     both "rollout-$policy" -m plumeward rollout --policy "$policy" --seed 11 --budget 40 --json --trace
@@ -125,5 +131,5 @@ both fly-killed -m plumeward fly crashing-services --speedup 0 --no-record --jso
 verified here "$folder/arm64/flown.mcap"
 verified arm64 "$folder/here/flown.mcap"
 
-echo "$(grep -c ' same$' "$folder/said") of $(wc -l <"$folder/said") have the same bits on arm64"
+echo "$(grep -c ' same$' "$folder/said") of $(wc -l <"$folder/said") are the same on arm64"
 ! grep -q DIFFERS "$folder/said"
