@@ -48,7 +48,8 @@ def _module(command: str) -> ModuleType:
     return importlib.import_module(OTHERS[command][0])
 
 
-def _parse(prog: str, arguments: list[str]) -> argparse.Namespace:
+def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
+    """Read a command line; exits as argparse does on a wrong one."""
     parser = cli.Parser(prog=prog, description="The agent service alone: beliefs in, waypoints out.")
     cli.add_bus_arguments(parser)
     _add_policy_arguments(parser, "policy's random draws")
@@ -110,7 +111,7 @@ def _serve(args: argparse.Namespace) -> None:
 
 def main(prog: str = "python -m agent", arguments: list[str] | None = None) -> int | None:
     """Parse the command line, then serve, roll out, evaluate, train or report."""
-    args = _parse(prog, sys.argv[1:] if arguments is None else arguments)
+    args = parse(prog, sys.argv[1:] if arguments is None else arguments)
     try:
         if args.command in OTHERS:
             status: int = _module(args.command).run(args)

@@ -96,6 +96,7 @@ def _next_belief(bus: Bus, area_m: float) -> tuple[Belief, Particles] | None:
 
 
 def check(belief: Belief, area_m: float) -> None:
+    """Raise ValueError unless a belief is one that an agent can plan with."""
     names = belief.unknowns
     if not set(names) <= set(PARAMETERS) or len(set(names)) < len(names):
         raise ValueError(f"unknowns {' '.join(names)!r} are not distinct names of {' '.join(PARAMETERS)}")

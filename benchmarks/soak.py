@@ -26,8 +26,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from scipy.stats import t as student  # type: ignore[import-untyped]
-
 from estimator.filter import Config, assimilate, prior
 from link import cli
 from link.bus.inbox import Inbox
@@ -62,6 +60,8 @@ class Slope(NamedTuple):
 
     def interval(self, tests: int) -> tuple[float, float]:
         """Return the two-sided interval that holds at CONFIDENCE together with those of the other tests."""
+        from scipy.stats import t as student  # type: ignore[import-untyped]
+
         half = float(student.ppf(1 - (1 - CONFIDENCE) / 2 / tests, self.freedom)) * self.error
         return self.value - half, self.value + half
 

@@ -3,7 +3,8 @@
 import ast
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent", "plumeward")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+TESTS = sorted((ROOT / "tests").rglob("*.py"))
 TRUTH = {"draw", "Scenario", "World"}
 JUDGES = ("agent.trials", "agent.learn")
 """What judges may hold the truth."""
@@ -41,9 +43,18 @@ def may_import(room: str) -> set[str]:
     return set() if said[1] == "nothing of ours" else set(said[1].split(", "))
 
 
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
 def imports(path: Path) -> Iterator[tuple[str, str]]:
     """The (module, name) pairs that a file imports, wherever in it; a module that is imported from its room counts as that module."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    yield from imported_by(ast.walk(tree_of(path)))
+
+
+def imported_by(nodes: Iterable[ast.AST]) -> Iterator[tuple[str, str]]:
+    for node in nodes:
         if isinstance(node, ast.ImportFrom) and node.module:
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
@@ -53,20 +64,21 @@ def imports(path: Path) -> Iterator[tuple[str, str]]:
             yield from ((alias.name, "") for alias in node.names)
 
 
+@cache
 def ours(path: Path) -> set[str]:
     """The rooms that a file imports from."""
     return {room_of(module) for module, _ in imports(path) if module.split(".")[0] in PACKAGES}
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_a_file_imports_only_what_its_room_says(path: Path) -> None:
-    room = name_of(path.parent)
-    allowed = may_import(room) | {room}
-    if path.name == "__main__.py":  # the command over a package's rooms
-        package = room.split(".")[0]
-        rooms = {name for name in ROOMS if name.split(".")[0] == package}
-        allowed |= rooms.union(*map(may_import, rooms))
-    assert ours(path) <= allowed
+def test_a_file_imports_only_what_its_room_says() -> None:
+    for path in FILES:
+        room = name_of(path.parent)
+        allowed = may_import(room) | {room}
+        if path.name == "__main__.py":  # the command over a package's rooms
+            package = room.split(".")[0]
+            rooms = {name for name in ROOMS if name.split(".")[0] == package}
+            allowed |= rooms.union(*map(may_import, rooms))
+        assert ours(path) <= allowed, name_of(path)
 
 
 def test_a_room_says_no_more_than_it_imports() -> None:
@@ -104,16 +116,16 @@ def test_sitl_and_the_services_do_not_know_each_other() -> None:
         assert not (package in ("estimator", "agent") and "sitl" in known), path
 
 
-@pytest.mark.parametrize("path", [path for path in FILES if name_of(path).startswith(("estimator", "agent"))], ids=name_of)
-def test_nothing_that_estimates_or_plans_can_be_handed_the_truth(path: Path) -> None:
-    if not name_of(path).startswith(JUDGES):
-        assert not {name for module, name in imports(path) if module.startswith("plume")} & TRUTH
-        assert "plume.worlds" not in {module for module, _ in imports(path)}
+def test_nothing_that_estimates_or_plans_can_be_handed_the_truth() -> None:
+    for path in FILES:
+        if name_of(path).startswith(("estimator", "agent")) and not name_of(path).startswith(JUDGES):
+            assert not {name for module, name in imports(path) if module.startswith("plume")} & TRUTH, name_of(path)
+            assert "plume.worlds" not in {module for module, _ in imports(path)}, name_of(path)
 
 
-@pytest.mark.parametrize("path", sorted((*FILES, *(ROOT / "tests").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py"))), ids=name_of)
-def test_every_file_says_in_its_first_line_what_it_is(path: Path) -> None:
-    assert path.read_text().startswith('"""')
+def test_every_file_says_in_its_first_line_what_it_is() -> None:
+    for path in (*FILES, *TESTS, *(ROOT / "benchmarks").rglob("*.py")):
+        assert path.read_text().startswith('"""'), path
 
 
 def test_a_class_name_means_one_thing() -> None:
@@ -219,3 +231,75 @@ def test_what_estimates_or_plans_uses_plain_arithmetic_in_a_fixed_order() -> Non
             used[next((name for name in MAY_BE_INEXACT if module.startswith(name)), module)] = found
     assert {module: found for module, found in used.items() if module not in MAY_BE_INEXACT} == {}
     assert set(MAY_BE_INEXACT) - {"agent.learn.train"} <= set(used)  # no exception outlives its reason
+
+
+TUPLES = {"_replace", "_asdict", "_fields", "_make"}
+"""What named tuples offer to all, whatever its first letter."""
+MAY_SLEEP = {
+    "conftest.py": "polls",
+    "link/bus/test_inbox.py": "a signal's handler that takes long",
+    "system/stranger.py": "looks whether nothing comes",
+    "system/wires.py": "a serial line, which is read again and again",
+}
+"""Why a file of tests sleeps all the same."""
+HEAVY = {
+    *("torch", "tensorboard", "stable_baselines3", "stonesoup", "particles", "scipy", "sklearn", "joblib", "matplotlib", "rerun"),
+    *("onnxruntime", "ray", "playwright", "nbclient", "nbformat"),
+}
+"""Packages that take long to import: every process of a test run would."""
+
+
+def private(tree: ast.Module) -> Iterator[str]:
+    """The private names of others that a file uses."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__") and node.attr not in TUPLES:
+            if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")):
+                yield ast.unparse(node)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (alias.name for alias in node.names if alias.name.startswith("_") and not alias.name.startswith("__"))
+
+
+def at_once(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
+    """The statements that run when a file is imported."""
+    for node in nodes:
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            yield from at_once(node.orelse)
+        elif isinstance(node, ast.If | ast.Try | ast.With | ast.ClassDef):
+            yield from at_once(ast.iter_child_nodes(node))
+        else:
+            yield node
+
+
+@cache
+def loads(path: Path) -> frozenset[str]:
+    """All modules that are imported with a file, and by those of ours among them."""
+    found: set[str] = set()
+    to_do = [path]
+    while to_do:
+        for module, _ in imported_by(at_once(tree_of(to_do.pop()).body)):
+            parts = module.split(".")
+            for name in {".".join(parts[: count + 1]) for count in range(len(parts))} - found:
+                found.add(name)
+                file = ROOT.joinpath(*name.split("."))
+                to_do += [there for there in (file.with_suffix(".py"), file / "__init__.py") if there.is_file()]
+    return frozenset(found)
+
+
+def test_a_test_looks_at_things_from_outside() -> None:
+    used = {name_of(path): found for path in TESTS if (found := set(private(tree_of(path))))}
+    assert used == {}
+
+
+def test_a_test_awaits_what_happens_and_does_not_sleep() -> None:
+    sleeps = {
+        str(path.relative_to(ROOT / "tests"))
+        for path in TESTS
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("time.sleep", "sleep")
+    }
+    assert sleeps == set(MAY_SLEEP)
+
+
+def test_what_takes_long_to_import_is_imported_where_a_test_needs_it() -> None:
+    heavy = {name_of(path): found for path in TESTS if (found := loads(path) & HEAVY)}
+    assert heavy == {}

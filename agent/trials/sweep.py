@@ -117,7 +117,7 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
 
     def row(stop: Criterion, ceased: bool) -> MissionRow:
         told, floor_m = waiting[stop], None if stop.within else floors.get(stop.threshold_m)
-        return _row(sweep, flight, told, ceased, stop in warned, said, scenario.source, distance_m, floor_m, updates_s, decisions_s)
+        return row_of(sweep, flight, told, ceased, stop in warned, said, scenario.source, distance_m, floor_m, updates_s, decisions_s)
 
     for step in steps:
         said = step.belief
@@ -136,10 +136,11 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
     return [rows[stop] for stop in sweep.stops]
 
 
-def _row(
+def row_of(
     sweep: Sweep, flight: Flight, config: Config, ceased: bool, warned: bool, last: Belief, source: tuple[float, float],
     distance_m: float, floor_m: float | None, updates_s: Sequence[float], decisions_s: Sequence[float],
 ) -> MissionRow:  # fmt: skip
+    """Return the row of a mission that has been flown."""
     policy, particles, seed, world = flight
     moves, learned = reach(policy, sweep.moves), bundle_path(policy) is not None
     error_m = math.dist(last.mean, source)

@@ -16,7 +16,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent import policies
-from agent.__main__ import _parse, main
+from agent.__main__ import main, parse
 from agent.planners.registry import PLANNERS
 from agent.planning.moves import HeadingAndStep, Headings, Move, Reach
 from agent.policies import SHIPPED, PolicyError, choose, named, policy, reach
@@ -176,14 +176,14 @@ def test_the_agent_searches_all_of_the_area_that_it_is_told_of(seen: tuple[Belie
     away = replace(belief, position=(45.0, 45.0), mean=(58.0, 45.0))  # outside the default area, where no move exists
     there = np.array(particles)
     there[:, :2] = np.random.default_rng(1).normal((58.0, 45.0), 0.5, (len(there), 2))
-    x, y = choose(name, away, there, 0, _parse("agent", ["--policy", name, "--area", "60"]).reach)
+    x, y = choose(name, away, there, 0, parse("agent", ["--policy", name, "--area", "60"]).reach)
     assert math.dist((x, y), (45.0, 45.0)) == pytest.approx(1.0, abs=1e-5)
     assert not Reach().moves(away.position).size
 
 
 def test_scripted_waypoints_may_lie_in_all_of_the_area() -> None:
-    assert _parse("agent", ["--area", "60", "--waypoints", "3:59.5,0;60,1"]).scripted == {3: (59.5, 0.0), 4: (60.0, 1.0)}
-    assert _parse("agent", ["--waypoints", "0:30,0.1", "--waypoints", "4:2,3"]).scripted == {
+    assert parse("agent", ["--area", "60", "--waypoints", "3:59.5,0;60,1"]).scripted == {3: (59.5, 0.0), 4: (60.0, 1.0)}
+    assert parse("agent", ["--waypoints", "0:30,0.1", "--waypoints", "4:2,3"]).scripted == {
         0: (30.0, float(np.float32(0.1))),
         4: (2.0, 3.0),
     }
@@ -191,7 +191,7 @@ def test_scripted_waypoints_may_lie_in_all_of_the_area() -> None:
 
 def test_no_waypoint_is_rounded_out_of_the_area(plug: Plug, seen: tuple[Belief, Particles]) -> None:
     plug("def theirs(belief, particles, reach, rng): return 1e9, reach.area_m")
-    reached = _parse("agent", ["--policy", "theirs", "--area", "30.1", "--waypoints", "0:30.1,30.1"])
+    reached = parse("agent", ["--policy", "theirs", "--area", "30.1", "--waypoints", "0:30.1,30.1"])
     assert np.float32(30.1).item() > 30.1
     below = np.nextafter(np.float32(30.1), np.float32(0)).item()
     assert choose("theirs", *seen, 0, reached.reach) == (below, below)

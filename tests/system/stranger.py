@@ -10,6 +10,8 @@ from collections.abc import Callable
 import zenoh
 from pymavlink.dialects.v20 import common as mavlink
 
+from tests.conftest import wait_until
+
 
 class Stranger:
     """Stands in for a vehicle, an agent or a viewer on the bus of vehicle 1."""
@@ -42,10 +44,7 @@ class Stranger:
     def publisher(self, key: str) -> Callable[..., None]:
         publisher = self.session.declare_publisher(f"uav/1/{key}", congestion_control=zenoh.CongestionControl.BLOCK, express=True)
         self._held.append(publisher)
-        deadline = time.monotonic() + 30.0
-        while not publisher.matching_status.matching:  # a message sent before the subscription is known reaches nobody
-            assert time.monotonic() < deadline, f"nobody subscribes to {key}"
-            time.sleep(0.01)
+        wait_until(lambda: publisher.matching_status.matching)  # a message sent before the subscription is known reaches nobody
         return publisher.put
 
     def frames(self, *messages: object) -> bytes:

@@ -5,7 +5,6 @@ import json
 import re
 import signal
 import socket
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from link.bus.keys import BELIEF
 from link.bus.messages import Belief, pack_particles
 from link.bus.opening import open_router
 from link.bus.session import Bus
+from tests.conftest import wait_until
 from tests.system.conftest import Part
 from tests.system.pages import Browser, port_of
 
@@ -45,10 +45,7 @@ def view(start: type[Part], wait_until: Callable[..., None]) -> Callable[..., tu
 def replay(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     """The port of a server that shows two records."""
     part = Part("sitl", "view", "--port", "0", str(GOLDEN), str(OTHER))
-    deadline = time.monotonic() + 60
-    while not part.out:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_until(lambda: part.out)
     yield int(part.out[0].rpartition(":")[2].split("/")[0])
     part.kill()
 

@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.trials.figures import Interval, MissionRow, bootstrap, figures, wilson
-from agent.trials.sweep import Sweep, _row, fly
+from agent.trials.sweep import Sweep, fly, row_of
 from estimator.criterion import Criterion
 from estimator.filter import Config
 from link.bus.messages import Belief
@@ -96,7 +96,7 @@ def test_the_nees_of_a_mission_is_its_error_in_terms_of_what_was_believed(
         spread=1.5, effective_sample_size=10.0, p_value=0.5, ceased=False,
     )  # fmt: skip
     sweep, flight = Sweep(("greedy",), range(3)), ("greedy", 100, 1, "as-modelled")
-    row = _row(sweep, flight, Config(100), True, False, last, source, 9.0, 3.0, [0.25, 0.75], [0.5])
+    row = row_of(sweep, flight, Config(100), True, False, last, source, 9.0, 3.0, [0.25, 0.75], [0.5])
     assert row.nees == pytest.approx(nees)
     assert row.error_m == pytest.approx(math.dist((1.0, 2.0), source))
     assert row.located == (source == (1.0, 2.0))
