@@ -7,7 +7,7 @@ import numpy as np
 
 from estimator.filter import Array, Config, Posterior
 from estimator.kernels.checks import log_likelihood_of_one_value, uniformity_p_value
-from estimator.kernels.densities import is_intermittent, log_priors
+from estimator.kernels.densities import log_priors
 from estimator.kernels.weights import effective_sample_size, moments, weighted_mean
 from estimator.priors import Fixed
 from link.bus.mavlink import Reading
@@ -154,7 +154,7 @@ def stretch(ranks: Array, config: Config) -> float:
     """
     recent = ranks[-RUN:] - 0.5
     power = float(np.sum(recent * recent))
-    if not is_intermittent(config.prior_rows) or len(recent) < FEWEST or not power:
+    if not config.intermittent or len(recent) < FEWEST or not power:
         return 1.0
     correlation = max(float(np.sum(recent[1:] * recent[:-1])) / power, 0.0)
     return math.sqrt((1 + correlation) / (1 - correlation))

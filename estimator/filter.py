@@ -14,7 +14,7 @@ from estimator.kernels.densities import log_priors
 from estimator.kernels.update import update
 from estimator.priors import Prior, Uniform
 from link.bus.mavlink import Reading
-from plume.parameters import KNOWN, MEASURED, NEUTRAL, PARAMETERS
+from plume.parameters import CV, KNOWN, MEASURED, NEUTRAL, PARAMETERS
 from plume.randomness import keyed
 from plume.scenario import AREA_M, LIFETIME_S
 from plume.sensor import GAUSSIAN, Gaussian, Sensor, sensor_row, text
@@ -104,6 +104,12 @@ class Config:
     def sensor_text(self) -> str:
         """The sensor in the form of the flag --sensor."""
         return text(self.sensor)
+
+    @property
+    def intermittent(self) -> bool:
+        """True if the gas is not taken to be steady, as `estimator.kernels.densities.is_intermittent`, without compiling it."""
+        kind, value = self.prior_rows[CV, :2].tolist()
+        return bool(kind != KNOWN or value != 0)
 
     @property
     def sweeps(self) -> int:

@@ -1,5 +1,7 @@
 """Protects the answers of every policy with every sensor, and of a few with little known: they must be as they were recorded."""
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -74,3 +76,20 @@ def test_making_them_anew_tells_what_changed() -> None:
     told = changes(then, then._replace(about={**then.about, "parts": {**then.about["parts"], "agent": words}}))
     assert told.startswith("agent was started with --policy greedy ")
     assert told.endswith(" --headings 8")
+
+
+COMPILES = """
+from numba.core.dispatcher import Dispatcher
+def compiled(self, *arguments, **words):
+    raise AssertionError(f"{self.py_func.__name__} is compiled in flight")
+Dispatcher._compile_for_args = compiled
+from agent.trials.rollout import mission
+ceased = [step.belief.ceased for assume in ("paper", "field") for step in mission(26, "greedy", 100, 0.9, 60, assume=assume).steps]
+print(sum(ceased))
+"""
+
+
+def test_nothing_is_compiled_in_flight() -> None:
+    """A stop once came a third of a second late: what only it calls was compiled then."""
+    flown = subprocess.run([sys.executable, "-c", COMPILES], capture_output=True, text=True, timeout=300)
+    assert (flown.returncode, flown.stdout) == (0, "2\n"), flown.stderr
