@@ -473,7 +473,8 @@ def test_a_step_wants_a_reset_first() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("example", re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL))
-def test_the_documents_examples_run(example: str) -> None:
+def test_the_documents_examples_run(example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # one of them saves a picture
     exec(compile(example, str(DOCUMENT), "exec"), {})
 
 
