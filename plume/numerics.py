@@ -94,7 +94,7 @@ def log1p(x: float) -> float:
     return result
 
 
-@numba.njit(error_model="numpy")
+@numba.njit(error_model="numpy", forceinline=True)  # LLVM finds it too long to inline, and then cannot vectorise
 def erfc(x: float) -> float:
     """The complementary error function, with a relative error of at most 4e-16 (1 + x²); 0 where it is below 1e-307.
 
