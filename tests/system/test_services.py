@@ -19,7 +19,7 @@ from sitl.autopilot.telemetry import STREAMS
 from tests.system.stranger import Stranger, belief, messages, nothing_more, particles
 from tests.system.wires import SerialWire
 
-WAIT_S = 30.0
+WAIT_S = 60.0
 
 
 @pytest.fixture

@@ -83,7 +83,7 @@ def test_a_mission_is_seen_from_its_first_reading_to_its_outcome_and_its_page_st
             late.until(lambda: late.bye and "uav/1" in late.scenes)
             assert late.scenes["uav/1"]["ending"] == scene["ending"]
             assert late.steps == page.steps
-    assert fly.ended(20) == 0  # its last page is closed
+    assert fly.ended() == 0  # its last page is closed
     with pytest.raises(OSError, match="refused"):
         socket.create_connection(("127.0.0.1", port))
 
@@ -94,7 +94,7 @@ def test_an_interrupt_ends_a_page_that_stays(start: type[Part], wait_until: Call
     wait_until(lambda: fly.out and fly.says("page stays open at"))
     assert json.loads(fly.out[-1])["steps"] == 2
     fly.process.send_signal(signal.SIGINT)
-    assert fly.ended(10) == 0  # the mission was flown
+    assert fly.ended() == 0  # the mission was flown
 
 
 @pytest.mark.full
@@ -346,5 +346,5 @@ def test_a_signal_ends_it_at_once_with_pages_open(view: Callable[..., tuple[Part
     with Browser(port) as page, socket.create_connection(("127.0.0.1", port)):  # one that never says anything
         page.show(GOLDEN.stem)
         part.process.send_signal(number)
-        assert part.ended(5) == 130
+        assert part.ended() == 130
     assert part.err == []

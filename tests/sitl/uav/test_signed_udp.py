@@ -17,7 +17,7 @@ from link.signing.timestamps import clock
 from sitl.uav.udp import MOST_PEERS, UdpLink
 
 KEY = hashlib.sha256(b"abc").digest()
-WAIT_S = 10.0  # far longer than it takes; only a failure waits for it
+WAIT_S = 60.0  # far longer than it takes; only a failure waits for it
 RADIO = mavlink.MAVLink_radio_status_message(1, 2, 3, 4, 5, 6, 7)
 
 

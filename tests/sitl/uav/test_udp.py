@@ -3,7 +3,6 @@
 import queue
 import socket
 import threading
-import time
 
 import pytest
 from hypothesis import given
@@ -14,9 +13,9 @@ from pymavlink.dialects.v20 import common as mavlink
 import sitl.uav.udp
 from link.cli import BAD_INPUT
 from sitl.__main__ import main
-from sitl.uav.udp import FORGET_AFTER_S, MOST_PEERS, UdpLink, decode, parse_url
+from sitl.uav.udp import MOST_PEERS, UdpLink, decode, parse_url
 
-WAIT_S = 10.0  # far longer than it takes; only a failure waits for it
+WAIT_S = 60.0  # far longer than it takes; only a failure waits for it
 
 
 def frame(force_mavlink1=False, gas=1.5):
@@ -332,11 +331,9 @@ class TestUdpIn:
     def test_who_is_silent_for_too_long_is_sent_no_more_until_it_speaks_again(self, link, station, received, monkeypatch):
         caller = station()
         self.greet(caller, received)
-        spoke_at = time.monotonic()
         monkeypatch.setattr("sitl.uav.udp.FORGET_AFTER_S", 0.0)
         self.ping(link, 1)
         monkeypatch.undo()
-        assert time.monotonic() - spoke_at < FORGET_AFTER_S
         self.ping(link, 2)
         assert self.numbers(caller) == [2]
 
