@@ -245,6 +245,7 @@ def hears_the_vehicle(port: int) -> bool:
         station.close()
 
 
+@pytest.mark.full
 @pytest.mark.timeout(900)
 def test_the_image_is_small_and_without_torch_and_flies_missions_that_exit_with_their_status(image: str, wait_until: Callable) -> None:
     assert int(said("podman", "image", "inspect", image, "--format", "{{.Size}}")) < MOST_BYTES
