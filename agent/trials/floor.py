@@ -134,7 +134,8 @@ def model(scenario: Scenario) -> Array:
     if s.height != 0.0:
         raise ValueError(f"height {s.height:g} m is not allowed; wanted 0: the floor is defined for a source in the search plane")
     inverse_length = math.sqrt((1 + s.u * s.u * s.tau / (4 * s.d)) / (s.d * s.tau))
-    return np.array([*s.source, s.q / (4 * math.pi * s.d), inverse_length, s.wind[0] / (2 * s.d), s.wind[1] / (2 * s.d)])
+    east, north = s.wind
+    return np.array([*s.source, s.q / (4 * math.pi * s.d), inverse_length, east / (2 * s.d), north / (2 * s.d)])
 
 
 def spread_m(scenario: Scenario, headings: Sequence[float]) -> float:
