@@ -22,9 +22,8 @@ class Deaf(Bus):
     """Subscribes to every key with a queue for one message, and never takes it out: its session soon takes nothing more."""
 
     def listen(self) -> None:
-        """Subscribe."""
-        for key in KEYS:
-            self._declare(key, zenoh.handlers.FifoChannel(1))
+        """Subscribe, without history: whoever asks for it waits for it, behind messages that are never taken."""
+        self._unread = [self._session.declare_subscriber(key.name.replace("<service>", "*"), zenoh.handlers.FifoChannel(1)) for key in KEYS]
 
 
 def deaf(endpoint: str, seed: int) -> None:
