@@ -1,6 +1,7 @@
 """Shared by many tests: compiled kernels, a router on a free port, and polling instead of sleeping."""
 
 import gc
+import signal
 import subprocess
 import sys
 import time
@@ -16,6 +17,9 @@ from link.bus.opening import open_router
 # The same examples on every run, and no time limit per example: the machine may be busy.
 settings.register_profile("plumeward", derandomize=True, deadline=None)
 settings.load_profile("plumeward")
+
+# Under nohup, and on some CI, SIGHUP is ignored, and so it would be by every process that a test starts.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 ROOT = Path(__file__).parents[1]
 

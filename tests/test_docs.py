@@ -303,7 +303,7 @@ def said(tmp_path: Path) -> Path:
 @contextmanager
 def started(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subprocess.Popen]:
     """Run a command as a shell of the copy would; afterwards neither it nor a child of it is left."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "MAKE", "MFLAGS"))}
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "MAKE", "MFLAGS", "FLAGS"))}
     environment |= {
         "PATH": f"{copy / '.venv' / 'bin'}{os.pathsep}{os.environ['PATH']}",
         "PYTHONPATH": os.pathsep.join(map(str, (copy, cwd / "site"))),
