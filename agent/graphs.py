@@ -88,18 +88,22 @@ def read(data: bytes, size: int) -> list[Layer]:
     ports = [port for port in graph.input if port.name not in weights]
     takes = [[dim.dim_param or dim.dim_value for dim in port.type.tensor_type.shape.dim] for port in ports]
     if len(takes) != 1 or len(takes[0]) != 2 or takes[0][1] != size or not (takes[0][0] == 1 or isinstance(takes[0][0], str)):
-        raise GraphError(f"takes arrays of {takes}; wanted one, of [1, {size}]")
+        raise GraphError(f"takes arrays of {str(takes)[:100]}; wanted one, of [1, {size}]")
+    # Before any layer is made: each has a copy of its weights.
+    work = sum(weights[node.input[1]].size for node in graph.node if len(node.input) > 1 and node.input[1] in weights)
+    if work > MOST_WORK:
+        raise GraphError(f"needs {work:,} multiplications for a decision; wanted {MOST_WORK:,} at most")
     return list(_layers(graph, ports[0].name, size, weights))
 
 
 def _layers(graph: Any, flowing: str, size: int, weights: dict[str, Array]) -> Iterator[Layer]:
     """Yield the layer of each node. `flowing` is the name of what the first one takes, `size` how many numbers that are."""
-    work = 0
     for node in graph.node:
         name, *constants = node.input or [""]
-        if name != flowing or name in weights or not all(constant in weights for constant in constants if constant):
+        needed = [*constants[:1], *filter(None, constants[1:])]  # an empty name is no bias
+        if name != flowing or name in weights or not all(constant in weights for constant in needed):
             raise GraphError(f"has a {node.op_type} of other things than the layer before it, with weights and biases of the graph")
-        given = [weights[constant] for constant in constants if constant]
+        given = [weights[constant] for constant in needed]
         if len(node.output) != 1 or not (1 <= len(given) <= 2 if node.op_type == "Gemm" else not given):
             raise GraphError(f"has a {node.op_type} with {len(given)} weights and {len(node.output)} outputs")
         (flowing,) = node.output
@@ -109,10 +113,7 @@ def _layers(graph: Any, flowing: str, size: int, weights: dict[str, Array]) -> I
             if takes != size:
                 raise GraphError(f"has a Gemm of {size} numbers with weights for {takes}")
             size = gives
-        work += layer.weights.size
         yield layer
-    if work > MOST_WORK:
-        raise GraphError(f"needs {work:,} multiplications for a decision; wanted {MOST_WORK:,} at most")
     if (names := [port.name for port in graph.output]) != [flowing]:
         raise GraphError(f"gives {_shown(', '.join(names))}; wanted what its last node makes, {_shown(flowing)}")
 
@@ -137,6 +138,8 @@ def _array(tensor: Any) -> Array:
     """Return the array of a weight."""
     if tensor.data_location or tensor.external_data:
         raise GraphError(f"weights {_shown(tensor.name)} lie in another file; wanted all of them in the graph")
+    if len(tensor.dims) > 2:
+        raise GraphError(f"weights {_shown(tensor.name)} have {len(tensor.dims):,} dimensions; wanted 2 at most")
     count = math.prod(tensor.dims)
     if tensor.data_type != 1 or min(tensor.dims, default=1) < 0 or count not in (len(tensor.float_data), len(tensor.raw_data) / 4):
         raise GraphError(f"weights {_shown(tensor.name)} are not the float32 array that they claim to be")

@@ -24,12 +24,12 @@ def _polynomial(x: Array, *coefficients: float) -> Array:
 
 
 def exp(x: ArrayLike) -> Array:
-    """e^x to the last bit or two, with x clamped to ±708."""
+    """e^x to the last bit or two, with x clamped to ±708; NaN of NaN."""
     x = np.clip(np.asarray(x, np.float64), -708.0, 708.0)
     whole = np.rint(x * LOG2_E)
     r = (x - whole * LN2_HIGH) - whole * LN2_LOW
     factorials = (479001600, 39916800, 3628800, 362880, 40320, 5040, 720, 120, 24, 6, 2, 1, 1)
-    return np.asarray(np.ldexp(_polynomial(r, *(1 / n for n in factorials)), whole.astype(np.int32)))
+    return np.asarray(np.ldexp(_polynomial(r, *(1 / n for n in factorials)), np.nan_to_num(whole).astype(np.int32)))
 
 
 def log(x: ArrayLike) -> Array:

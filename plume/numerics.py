@@ -1,6 +1,7 @@
 """exp, log, cos and sin, erfc, log-gamma, sums as compiled loops use them: plain IEEE arithmetic, bit-identical on every machine."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numba
@@ -257,22 +258,22 @@ def _take_erfcs(values: Array) -> None:
         values[i] = erfc(values[i])
 
 
+def _each(kernel_in_place: Callable[[Array], None], values: ArrayLike) -> Array:
+    result = np.array(values, np.float64, order="C")
+    kernel_in_place(result.reshape(-1))
+    return result
+
+
 def exp_each(values: ArrayLike) -> Array:
     """`exp` of each number, for code that is not compiled; same shape."""
-    result = np.array(values, np.float64, order="C")
-    _exponentiate(result.reshape(-1))
-    return result
+    return _each(_exponentiate, values)
 
 
 def log_each(values: ArrayLike) -> Array:
     """`log` of each number, for code that is not compiled; same shape."""
-    result = np.array(values, np.float64, order="C")
-    _take_logs(result.reshape(-1))
-    return result
+    return _each(_take_logs, values)
 
 
 def erfc_each(values: ArrayLike) -> Array:
     """`erfc` of each number, for code that is not compiled; same shape."""
-    result = np.array(values, np.float64, order="C")
-    _take_erfcs(result.reshape(-1))
-    return result
+    return _each(_take_erfcs, values)

@@ -394,7 +394,7 @@ def first_or_last(session: Session) -> Any:
 
 
 @pytest.mark.timeout(2 * TIMEOUT_S)
-@pytest.mark.parametrize("session", map(first_or_last, SESSIONS))
+@pytest.mark.parametrize("session", list(map(first_or_last, SESSIONS)))
 def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: Path, wait_until: Callable[..., None]) -> None:
     port = str(free_port())
     with ExitStack() as up:
@@ -450,7 +450,7 @@ def short_or_long(block: Block) -> Any:
     return pytest.param(block, id=f"{block.page.name}:{block.line}", marks=() if block.page.name in SHORT else pytest.mark.full)
 
 
-@pytest.mark.parametrize("block", map(short_or_long, of("python")))
+@pytest.mark.parametrize("block", list(map(short_or_long, of("python"))))
 def test_an_example_in_python_runs(block: Block, checkout: Path, said: Path, tmp_path: Path) -> None:
     script, python, text = tmp_path / "example.py", "python", block.text
     if "mavsdk.asyncio" in text:  # it needs MAVSDK 4, and a port of its own

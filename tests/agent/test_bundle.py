@@ -341,6 +341,9 @@ def elsewhere(name: str) -> Any:
                     [ZEROS, numpy_helper.from_array(np.zeros(3, np.float32), "b")]), "biases of [3]; wanted [4]",
         ),
         (onnx_of([helper.make_node("Gemm", ["observation"], ["said"])], [1, 5], [1, 4]), "a Gemm with 0 weights and 1 outputs"),
+        (onnx_of([helper.make_node("Gemm", ["observation", "", "w"], ["said"])], [1, 5], [1, 4], [ZEROS]), "a Gemm of other things than"),
+        (onnx_of([GEMM], [1, 5], [1, 4], [numpy_helper.from_array(np.zeros((1, 4, 5), np.float32), "w")]), "have 3 dimensions; wanted 2"),
+        (onnx_of([GEMM], [1] * 1000, [1, 4], [ZEROS]), "takes arrays of [[1, 1, 1, 1"),
         (onnx_of([GEMM], [2, 5], [2, 4], [ZEROS]), "takes arrays of [[2, 5]]; wanted one, of [1, 5]"),
         (onnx_of([helper.make_node("Shape", ["observation"], ["said"])], [1, 5], [1, 4]), ALLOWED),
         (onnx_of_layers([(np.full((4, 5), np.nan, np.float32), np.zeros(4, np.float32))]), "gives NaN; wanted numbers"),
@@ -428,6 +431,19 @@ def test_small_weights_that_are_used_again_and_again_count_each_time(tmp_path: P
     nodes = [helper.make_node("Gemm", [a, f"w{(k > 0) + (k == 50)}"], [b]) for k, (a, b) in enumerate(pairwise(names[:51] + names[-1:]))]
     write(tmp_path / "a.zip", page_of(), onnx_of(nodes, [1, 5], [1, 4], [wide, square, narrow]))
     assert f"needs {600 * (5 + 49 * 600 + 4):,} multiplications for a decision; wanted 16,777,216 at most" in refusal(tmp_path / "a.zip")
+
+
+def test_weights_that_are_used_again_and_again_fill_no_memory(tmp_path: Path) -> None:
+    square = numpy_helper.from_array(np.zeros((1000, 1000), np.float32), "w")
+    names = ["observation", *(f"h{k}" for k in range(98)), "said"]
+    nodes = [helper.make_node("Gemm", [a, "w"], [b], transB=1) for a, b in pairwise(names)]
+    write(tmp_path / "a.zip", page_of(), onnx_of(nodes, [1, 5], [1, 4], [square]))
+    tracemalloc.start()
+    try:
+        assert "needs 99,000,000 multiplications" in refusal(tmp_path / "a.zip")
+        assert tracemalloc.get_traced_memory()[1] < 10 * 1000 * 1000 * 4
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_graph_may_leave_the_number_of_rows_open(tmp_path: Path) -> None:

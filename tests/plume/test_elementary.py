@@ -30,11 +30,13 @@ def compiled(function: int, values: np.ndarray) -> np.ndarray:
     return result
 
 
+@pytest.mark.filterwarnings("error")
 def test_exp_and_log_are_right_to_the_last_bits() -> None:
     x = np.concatenate([DRAWS.uniform(-700, 700, 2000), DRAWS.normal(0, 1, 2000), [0.0]])
     for exp in (elementary.exp, numerics.exp_each):
         assert exp(x) == pytest.approx(np.exp(x), rel=5e-16)
         assert exp([[0.0, -1000.0]]) == pytest.approx(np.array([[1.0, math.exp(-708)]]))
+        assert np.isnan(exp([np.nan])).all()
     positive = np.concatenate([np.exp(DRAWS.uniform(-300, 300, 2000)), 1 + DRAWS.uniform(-0.4, 0.4, 2000), [1.0]])
     for log in (elementary.log, numerics.log_each):
         assert log(positive) == pytest.approx(np.log(positive), rel=5e-16, abs=1e-300)
