@@ -73,7 +73,7 @@ INSTEAD = {
     "make results": "make results POLICIES=greedy LEARNED=ppo FLAGS='--scenarios 2'",
     "make mismatch": "make mismatch FLAGS='--missions 1 --policy homing --assume paper --world as-modelled'",
     "make chaos": "make chaos FLAGS='--missions 1 --first-seed 5 --json'",
-    "make golden": "python -c 'from tests.golden import __main__ as g; g.GOLDEN = {k: g.GOLDEN[k] for k in [\"greedy-hits\"]}; g.main()'",
+    "make golden": "python -c 'from tests.golden.__main__ import renew; print(renew(\"greedy-hits\"))'",
     "python benchmarks/floor.py": "python benchmarks/floor.py --missions 2 --threshold 0.9",
     "python benchmarks/floor.py --fly": "python benchmarks/floor.py --missions 2 --threshold 0.9 --fly",
     "python benchmarks/floor.py --missions 200 --threshold 0.1 0.3 0.5 0.9 --convergence":
