@@ -65,6 +65,7 @@ INSTEAD = {
     "make fuzz": "make --dry-run fuzz",  # tests/fuzz gives each decoder its first inputs
     "make site": "make --dry-run site",  # tests/test_site.py builds it
     "make bench": "make bench FLAGS='--missions 1'",
+    "make bench-page": "make bench-page FLAGS='--duration 3'",
     "make bench-env":
         "python -c 'from benchmarks import env as b; b.PARTICLES, b.BATCHES, b.MISSIONS, b.REPEATS = (500,), (1,), 1, 1; b.main()'",
     "make bench-filter": "python -c 'from benchmarks import filter as b; b.SIZES, b.BATCHES, b.MISSIONS = (1000,), (1,), 1; b.main()'",
