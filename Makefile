@@ -73,7 +73,7 @@ test: $(READY) chromium
 	$(BIN)/pytest -n 3 --dist worksteal -m 'not full' $(FLAGS)
 
 test-all: setup
-	$(BIN)/pytest -n 3 --dist worksteal -m full $(FLAGS)
+	$(BIN)/pytest -n 4 --dist worksteal -m full $(FLAGS)
 
 # Takes hours; `make fuzz FLAGS='belief --runs 1000'` fuzzes one decoder for less. It needs Linux on x86-64.
 fuzz: setup
