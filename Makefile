@@ -68,9 +68,9 @@ mission: $(FLIGHT)
 quick: lint
 	$(BIN)/pytest -n 2 --dist worksteal -m 'not full and not slow' $(UNIT) $(FLAGS)
 
-# Three processes on a small machine's two cores: missions spend about half of their time waiting.
+# Four processes on a small machine's two cores: missions spend about half of their time waiting.
 test: $(READY) chromium
-	$(BIN)/pytest -n 3 --dist worksteal -m 'not full' $(FLAGS)
+	$(BIN)/pytest -n 4 --dist worksteal -m 'not full' $(FLAGS)
 
 test-all: setup
 	$(BIN)/pytest -n 4 --dist worksteal -m full $(FLAGS)
