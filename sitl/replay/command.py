@@ -54,7 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-e", "--connect", metavar="ENDPOINT",
         help="act only as the vehicle, on this router (default: also start router, estimator and agent with their recorded flags)",
     )  # fmt: skip
-    parser.add_argument("--namespace", metavar="NAME", help="the vehicle's key prefix (default: the recorded one)")
+    parser.add_argument("--policy", metavar="FILE.zip", help="the bundle that the recorded agent flew: a record never names a file to load")
+    parser.add_argument("--namespace", metavar="NAME", help="the vehicle's key prefix (default: the recorded one; with --connect uav/1)")
     cli.add_secure_argument(parser)
     parser.add_argument(
         "--speedup",

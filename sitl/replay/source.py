@@ -4,7 +4,8 @@ import argparse
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 
@@ -14,7 +15,7 @@ from link.record.reader import RecordError, is_record, read
 from link.record.record import Entry
 from plume import sensor
 from plume.worlds import AS_MODELLED
-from sitl.replay import verify
+from sitl.replay import settings, verify
 from sitl.replay.verify import Answer, Rules
 from sitl.script import script
 from sitl.script.typed_yaml import FileError
@@ -26,6 +27,8 @@ VEHICLE_KEYS = {READING.name: READING, MAVLINK_OUT.name: MAVLINK_OUT, HEALTH.nam
 SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
 """The service that sends each kind of answer."""
 
+OURS = "uav/1"
+"""The namespace of the first vehicle."""
 OVERTAKE_NS = 500_000_000
 """Largest time by which messages overtake each other on their way into a log, ns."""
 
@@ -47,6 +50,8 @@ class Source(NamedTuple):
     namespace: str
     recorded: bool
     """True: a recording of the bus. False: an autopilot's log."""
+    unfit: Mapping[str, str] = MappingProxyType({})
+    """Why a service cannot be started as the record says, one line each."""
     sure_ms: float = math.inf
     """The log has all answers to readings up to this time; if it was cut off, later ones may lack some."""
     slowest_s: float = 0.0
@@ -73,14 +78,14 @@ class _About(msgspec.Struct, frozen=True):
     """The fields used of a recording's own description."""
 
     parts: dict[str, list[str]] = {}
-    namespace: str = "uav/1"
+    namespace: Annotated[str, msgspec.Meta(pattern=r"\A[\w.-]+(/[\w.-]+)*\Z", max_length=200)] = OURS
     budget: int | None = None
     scenario: _Release = _Release()
     mission: _Mission = _Mission()
 
 
-def recording(path: Path) -> Source:
-    """Read a recording of the bus; raises BadSource."""
+def recording(path: Path, bundle: str | None = None) -> Source:
+    """Read a recording of the bus; raises BadSource. `bundle`: the file of its policy."""
     try:
         log = read(path)
         told = msgspec.convert(log.about, _About)
@@ -88,6 +93,16 @@ def recording(path: Path) -> Source:
         raise BadSource(str(error)) from None
     except msgspec.ValidationError as error:
         raise BadSource(f"{path}: its description cannot be used: {error}") from None
+    if bundle and not settings.flew_a_bundle(told.parts.get("agent", [])):
+        raise BadSource(f"--policy: {bundle!r} is not allowed with {path}: its agent flew no bundle")
+    parts, unfit = {}, {}
+    for service, words in told.parts.items():
+        if service in SERVICES.values():
+            try:
+                parts[service] = settings.with_bundle(words, bundle) if bundle and service == "agent" else settings.words(service, words)
+            except ValueError as error:
+                hint = "; name the bundle with --policy" if service == "agent" and settings.flew_a_bundle(words) else ""
+                unfit[service] = f"{path} starts its {service} with {error}, which a record may not do{hint}"
     notes: tuple[str, ...] = ()
     sure_ms = math.inf
     if not log.complete:
@@ -100,9 +115,10 @@ def recording(path: Path) -> Source:
         path,
         sorted((entry for entry in log.entries if entry.key in VEHICLE_KEYS), key=lambda entry: entry.published_ns),
         verify.said(log.entries),
-        {service: _as_then(service, words) for service, words in told.parts.items() if service in SERVICES.values()},
+        parts,
         told.namespace,
         recorded=True,
+        unfit=unfit,
         sure_ms=sure_ms,
         slowest_s=_slowest_s(log.entries),
         budget=math.inf if told.budget is None else told.budget,
@@ -110,11 +126,6 @@ def recording(path: Path) -> Source:
         world=told.mission.world,
         notes=notes,
     )
-
-
-def _as_then(service: str, words: list[str]) -> list[str]:
-    """Return a recorded command line for the service of today: older estimators took all but the position to be known."""
-    return [*words, "--assume", "paper"] if service == "estimator" and "--assume" not in words else words
 
 
 def _slowest_s(entries: list[Entry]) -> float:
@@ -142,13 +153,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
     if world:
         told = world.scenario
         known = {"rate": told.q, "diffusivity": told.d, "lifetime": told.tau, "sensor": sensor.text(world.sensor)}
-    words = [
-        word
-        for name, value in {**known, **filtering}.items()
-        for each in (value if isinstance(value, list) else [value])
-        for word in (f"--{name.replace('_', '-')}", str(each))
-    ]
-    estimator = [*words, "--sysid", str(flown.system), "--area", repr(flown.area_m)]
+    estimator = settings.as_words({**known, **filtering, "sysid": flown.system, "area": flown.area_m})
     truth = world.truth.source if world else None
     return Source(
         path, flown.entries, {}, {"estimator": estimator}, f"uav/{flown.system}", False, truth=truth,
@@ -163,10 +168,13 @@ def find(args: argparse.Namespace, chosen: Mapping[str, Any], filtering: Mapping
     """
     recorded = is_recording(args.log)
     _refuse(args, recorded, chosen, filtering)
-    source = recording(args.log) if recorded else autopilot_log(args.log, chosen, filtering)
+    source = recording(args.log, args.policy) if recorded else autopilot_log(args.log, chosen, filtering)
     if not source.entries:
         raise BadSource(f"{args.log}: it has no messages of a vehicle")
-    source = source._replace(namespace=args.namespace or source.namespace, entries=_cut(source.entries, args))
+    namespace = args.namespace or (
+        OURS if args.connect else source.namespace
+    )  # a record does not choose among the vehicles of a user's bus
+    source = source._replace(namespace=namespace, entries=_cut(source.entries, args))
     rules = _rules(args, source) if args.verify else None
     return (source if args.connect else _with_services(source, rules)), rules
 
@@ -193,6 +201,8 @@ def _refuse(args: argparse.Namespace, recorded: bool, chosen: Mapping[str, Any],
         raise BadSource(f"--{name.replace('_', '-')}: not allowed with {args.log}: a recording has its own settings")
     for name in filtering if args.connect else ():
         raise BadSource(f"--{name.replace('_', '-')}: not allowed with --connect: the estimator there has its own settings")
+    if args.policy and (args.connect or not recorded):
+        raise BadSource("--policy: only allowed where the agent of a recording is started")
     for name, value in () if args.verify else (("ignore", args.ignore), ("tolerance", args.tolerance)):
         if value:
             raise BadSource(f"--{name}: only allowed with --verify")
@@ -229,8 +239,8 @@ def _rules(args: argparse.Namespace, source: Source) -> Rules:
 def _with_services(source: Source, rules: Rules | None) -> Source:
     """Add a note for each recorded service that cannot be started; raises BadSource if its answers are to be compared."""
     notes = list(source.notes)
-    for service in sorted({SERVICES[kind] for _, kind in source.then} - set(source.parts)):
-        text = f"{source.path} does not say how its {service} was started"
+    for service in sorted(({SERVICES[kind] for _, kind in source.then} | set(source.unfit)) - set(source.parts)):
+        text = source.unfit.get(service, f"{source.path} does not say how its {service} was started")
         kinds = [kind for kind in SERVICES if SERVICES[kind] == service]
         if rules and not rules.ignored.issuperset(kinds):
             raise BadSource(f"{text}; start one and give --connect, or give {' '.join(f'--ignore {kind}' for kind in kinds)}")

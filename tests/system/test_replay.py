@@ -473,3 +473,13 @@ class TestBadInput:
         assert "'clairvoyance' is not allowed" in replay.err[-1]
         broken = rewritten(log, tmp_path / "broken.mcap", about={"parts": "all"})
         assert "broken.mcap: its description cannot be used: " in refusal(str(broken))
+
+    def test_a_record_runs_no_command_of_its_own(self, start, log: Path, tmp_path: Path) -> None:
+        (precious := tmp_path / "precious.csv").write_text("kept")
+        words = ["evaluate", "--policy", "greedy", "--scenarios", "1", "--missions", str(precious), "--force"]
+        about = read(log).about
+        hostile = rewritten(log, tmp_path / "hostile.mcap", about={**about, "parts": {**about["parts"], "agent": words}})
+        replay = start("sitl", "replay", str(hostile), "--speedup", "0")
+        assert replay.ended() == 0
+        assert replay.says(f"warning: {hostile} starts its agent with 'evaluate', which a record may not do: replayed without it")
+        assert precious.read_text() == "kept"

@@ -11,7 +11,17 @@ from link.record.writer import Writer
 from sitl.replay.source import BadSource, find
 from tests.link.record.test_record import written
 
-FLAGS = {"connect": None, "ignore": [], "tolerance": 0.0, "verify": False, "loop": False, "from_s": 0.0, "to_s": 9e9, "namespace": None}
+FLAGS = {
+    "connect": None,
+    "ignore": [],
+    "tolerance": 0.0,
+    "verify": False,
+    "loop": False,
+    "from_s": 0.0,
+    "to_s": 9e9,
+    "namespace": None,
+    "policy": None,
+}
 
 
 def refused(path: Path) -> str:
@@ -43,3 +53,44 @@ def test_json_that_is_nested_without_end_answers_nothing(tmp_path: Path) -> None
     writer.close()
     source, _ = find(Namespace(log=tmp_path / "run.mcap", **FLAGS), {}, {})
     assert source.then == {}
+
+
+def told(folder: Path, **about: object) -> Path:
+    """A record with a reading's vehicle and a belief, which describes itself so."""
+    writer = Writer(folder / "run.mcap", about)
+    for entry in (Entry("health/uav", 1, 1.0, b"{}"), Entry("belief", 2, 1.0, b'{"time_boot_ms":0}')):
+        writer.write(entry, entry.published_ns)
+    writer.close()
+    return folder / "run.mcap"
+
+
+def test_a_service_that_a_record_starts_with_more_than_settings_is_not_started(tmp_path: Path) -> None:
+    log = told(tmp_path, parts={"estimator": ["--seed", "1"], "agent": ["evaluate", "--missions", "x.csv"]})
+    source, _ = find(Namespace(log=log, **FLAGS), {}, {})
+    assert source.parts == {"estimator": ["--seed", "1", "--assume", "paper"]}
+    assert source.notes == (f"warning: {log} starts its agent with 'x.csv', which a record may not do: replayed without it",)
+
+
+def test_a_record_names_no_file_of_a_policy_but_its_user_does(tmp_path: Path) -> None:
+    log = told(tmp_path, parts={"agent": ["--policy", "theirs.zip", "--seed", "3"]})
+    source, _ = find(Namespace(log=log, **FLAGS), {}, {})
+    assert source.parts == {}
+    assert source.notes[0].endswith(
+        "with '--policy theirs.zip', which a record may not do; name the bundle with --policy: replayed without it"
+    )
+    assert find(Namespace(log=log, **FLAGS | {"policy": "mine.zip"}), {}, {})[0].parts == {"agent": ["--seed", "3", "--policy", "mine.zip"]}
+
+
+def test_a_bundle_for_a_record_that_flew_none_is_refused(tmp_path: Path) -> None:
+    log = told(tmp_path, parts={"agent": ["--policy", "homing"]})
+    with pytest.raises(BadSource, match="its agent flew no bundle"):
+        find(Namespace(log=log, **FLAGS | {"policy": "mine.zip"}), {}, {})
+
+
+def test_a_record_does_not_choose_among_the_vehicles_of_a_users_bus(tmp_path: Path) -> None:
+    log = told(tmp_path, namespace="uav/2")
+    assert find(Namespace(log=log, **FLAGS), {}, {})[0].namespace == "uav/2"
+    there = FLAGS | {"connect": "tcp/127.0.0.1:1"}
+    assert find(Namespace(log=log, **there), {}, {})[0].namespace == "uav/1"
+    assert find(Namespace(log=log, **there | {"namespace": "uav/2"}), {}, {})[0].namespace == "uav/2"
+    assert "its description cannot be used" in refused(told(tmp_path, namespace="uav/*"))
