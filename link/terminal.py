@@ -102,23 +102,31 @@ def table(
     from rich.table import Table
     from rich.text import Text
 
-    shown, left_out = fitted(columns, width)
+    shown, left_out = fitted([replace(column, cells=[printable(cell) for cell in column.cells]) for column in columns], width)
     grid = Table(box=None, header_style="bold", pad_edge=False, padding=(0, GAP, 0, 0), collapse_padding=True)
     for column in shown:
         grid.add_column(Text(column.heading), justify="left" if column.left else "right", no_wrap=True)
     for row in range(max((len(column.cells) for column in shown), default=0)):
         grid.add_row(*(Text(column.cells[row], column.styles[row] if column.styles else "") for column in shown))
     note = [f"left out: {', '.join(left_out)} (a wider terminal{f', or {elsewhere}' * bool(elsewhere)})"] if left_out else []
-    return Group(*(Text(broken(line, width), "bold") for line in above), grid, *(Text(broken(line, width)) for line in (*below, *note)))
+    return Group(
+        *(Text(broken(printable(line), width), "bold") for line in above),
+        grid,
+        *(Text(broken(printable(line), width)) for line in (*below, *note)),
+    )
+
+
+def printable(text: str) -> str:
+    """Return text that may be a stranger's as one line: escape sequences, line breaks and all else that is no letter show as in Python."""
+    return text if text.isprintable() else "".join(it if it.isprintable() else it.encode("unicode_escape").decode() for it in text)
 
 
 def broken(text: str, width: int | None) -> str:
-    """Break each line of a text at spaces to fit a width; continuation lines are indented."""
+    """Break each line of a text at spaces to fit a width; continuation lines are indented. All of it is made printable."""
+    lines = [printable(line) for line in text.split("\n")]
     if width is None:
-        return text
-    return "\n".join(
-        part for line in text.split("\n") for part in textwrap.wrap(line, width, subsequent_indent="  ", break_on_hyphens=False) or [""]
-    )
+        return "\n".join(lines)
+    return "\n".join(part for line in lines for part in textwrap.wrap(line, width, subsequent_indent="  ", break_on_hyphens=False) or [""])
 
 
 def tell(said: "str | Group", stream: TextIO | None = None) -> None:

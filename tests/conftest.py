@@ -46,7 +46,7 @@ def router() -> Iterator[str]:
         yield endpoint
 
 
-def wait_until(holds: Callable[[], object], timeout_s: float = 120.0) -> None:
+def wait_until(holds: Callable[[], object], timeout_s: float = 400.0) -> None:
     """Poll until `holds()` is true. `timeout_s` is for what never comes true: a busy machine must not reach it."""
     deadline = time.monotonic() + timeout_s
     while not holds():

@@ -84,4 +84,5 @@ def parse(line: str) -> tuple[str, str]:
         text = json.loads(event)
     except ValueError:  # two processes wrote at once
         return "info", line
-    return level, f"{service}: {'' if level in ('debug', 'info') else f'{level}: '}{text}"
+    lines = str(text).replace("\n", "\n  ")  # what a line quotes looks like no line of its own
+    return level, f"{service}: {'' if level in ('debug', 'info') else f'{level}: '}{lines}"

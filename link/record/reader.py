@@ -1,22 +1,20 @@
-"""Reads the record of a run. A truncated or damaged record is read up to the damage."""
+"""Reads the record of a run, as far as it can be read: what is damaged or cut off is left out, and told."""
 
-import contextlib
 import stat
-import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any, NamedTuple, cast
+from typing import IO, Any, NamedTuple
 
 import lz4.frame
 import msgspec
 import zstandard
-from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from link.record.decoded import Malformed
+from link.record.pieces import DAMAGE, LARGEST_PIECE, Hole, Pieces
 from link.record.record import (
     ABOUT,
     ATTACHMENT,
@@ -31,23 +29,38 @@ from link.record.record import (
     value_of,
     without_time,
 )
+from link.terminal import printable
 
-LARGEST_PIECE = 256 << 20
-"""Most bytes of a chunk, packed or not. Ours hold 4 MB and one message. A chunk that claims more is damaged, or made to exhaust memory:
-small messages take ten times their bytes there."""
 LARGEST_RECORD = 4 << 30
-"""Most bytes of memory for all messages: they are read at once."""
+"""Most bytes of memory for all messages, where they are read at once."""
 MOST_RATIO, SMALL = 100, 1 << 20
 """Chunks may unpack to so many times the size of the file, or to SMALL bytes. Real missions pack to a third; a file that unpacks to a
 thousand times its size was made to exhaust memory."""
 MESSAGE_BYTES = 400
 """Memory overhead of a message, bytes."""
-DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, LookupError, RuntimeError, EOFError, ArithmeticError)
-"""What reading damaged bytes can raise."""
+MOST_PLACES, LISTED = 1000, 3
+"""So many damaged places are told apart, and so many are named."""
 
 
 class RecordError(Exception):
     """The file is not a readable log; the text is one line. It is not a ValueError, since damage raises those."""
+
+
+class Damage(NamedTuple):
+    """A place of a log that cannot be read."""
+
+    at: int
+    """Where it begins in the file, bytes."""
+    size: int
+    """How much is lost, bytes."""
+    after_s: float
+    """Simulation time of the message before it, s; 0 if there is none."""
+    before: int
+    """How many messages come before it."""
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        return f"{self.size:,} bytes at byte {self.at:,}, after {self.after_s:.2f} s of simulation"
 
 
 class Recording(NamedTuple):
@@ -59,14 +72,13 @@ class Recording(NamedTuple):
     """All messages, in the order of recording."""
     complete: bool
     """False if the file is truncated or damaged, or if recording stopped early; in the latter case about["stopped"] gives the reason."""
+    damage: tuple[Damage, ...] = ()
+    """The places that are left out because they cannot be read."""
 
     @property
     def shortcoming(self) -> str:
         """What people should know of it, after its name: `is cut off ...`; empty if it is complete."""
-        if self.complete:
-            return ""
-        reason = self.about.get(STOPPED)
-        return f"ends early: {reason}" if reason else "is cut off, damaged or still being written: what follows is missing"
+        return shortcoming(self)
 
 
 def is_record(path: Path) -> bool:
@@ -87,7 +99,7 @@ def is_record(path: Path) -> bool:
 
 
 def read(path: Path | str) -> Recording:
-    """Read a log, also one that is truncated or still being written.
+    """Read a log, also one that is damaged, truncated or still being written.
 
     Raises RecordError if the file is not a log of ours, its format is unknown, or it holds more than LARGEST_RECORD or MOST_RATIO allow.
 
@@ -98,40 +110,137 @@ def read(path: Path | str) -> Recording:
         [said["spread"] for said in beliefs]  # m, after each reading
         ```
     """
-    path = Path(path)
-    if not is_record(path):
-        raise RecordError(f"{path} is not an MCAP file")
-    whole = False
-    try:
-        reader = _Reader(path)
-        with path.open("rb") as file:
-            whole = _read(_Whole(file, path.stat().st_size), reader)
-    except OSError as error:
-        raise RecordError(f"{path}: {error.strerror}") from None
-    if whole and not reader.entries and not reader.about:
-        raise RecordError(f"{path} is an MCAP file, but not a plumeward log: none of its channels has the name of a bus key")
-    return Recording(reader.about, reader.entries, whole and STOPPED not in reader.about)
+    log, entries, held = Log(Path(path)), [], 0
+    for entry in log:
+        held += len(entry.payload) + len(entry.attachment) + MESSAGE_BYTES
+        if held > LARGEST_RECORD:
+            gib = f"{LARGEST_RECORD / 2**30:g} GiB"
+            raise RecordError(f"{path} holds more than {gib} of messages; cut out a part of it with `mcap filter`")
+        entries.append(entry)
+    return Recording(log.about, entries, log.complete, tuple(log.damage))
 
 
-def _read(file: "_Whole", reader: "_Reader") -> bool:
-    """Hand the records of a file to the reader, up to the first damage; returns True if there is none before the end."""
-    records = StreamReader(cast(IO[bytes], file), emit_chunks=True, record_size_limit=LARGEST_PIECE).records
-    with contextlib.suppress(*DAMAGE):
-        for record in records:
-            for piece in _unpacked(record, reader) if isinstance(record, Chunk) else (record,):
-                reader.take(piece)
-        return file.left == 0
-    return False
+class Log:
+    """The messages of a log, one after the other: no more than a chunk of them is in memory. The rest is known at their end."""
 
+    def __init__(self, path: Path) -> None:
+        """Take its path; raises RecordError if it is no MCAP file. So does going through it, for the reasons that `read` has."""
+        if not is_record(path):
+            raise RecordError(f"{path} is not an MCAP file")
+        self.about: dict[str, Any] = {}
+        self.damage: list[Damage] = []
+        self.complete = False
+        self._path = path
+        self._topics: dict[int, tuple[str, str]] = {}
+        self._newest: Entry | None = None
+        """What belongs to this message may still follow."""
+        self._sequence = -1
+        self._timed = False
+        self._count = 0
+        self._unpacked = self._may_unpack = 0
 
-def _unpacked(chunk: Chunk, reader: "_Reader") -> list[McapRecord]:
-    """Return the records of a chunk. The size that it claims is not trusted."""
-    if chunk.uncompressed_size > LARGEST_PIECE:
-        raise McapError(f"a chunk that claims {chunk.uncompressed_size} bytes")
-    if chunk.compression:
-        reader.unpack(chunk.uncompressed_size)
-    data = UNPACK[chunk.compression](chunk.data, chunk.uncompressed_size)
-    return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
+    def __iter__(self) -> Iterator[Entry]:
+        """Yield all messages, in the order of recording."""
+        try:
+            with self._path.open("rb") as file:
+                yield from self._read(file, self._path.stat().st_size)
+        except OSError as error:
+            raise RecordError(f"{self._path}: {error.strerror}") from None
+
+    @property
+    def shortcoming(self) -> str:
+        """What people should know of it, after its name: `is cut off ...`; empty if it is complete."""
+        return shortcoming(self)
+
+    def _read(self, file: IO[bytes], size: int) -> Iterator[Entry]:
+        pieces, self._may_unpack = Pieces(file, size), max(SMALL, MOST_RATIO * size)
+        for channel in pieces.channels():
+            self._topics[channel.id] = parted(channel.topic)
+        for place, record in pieces:
+            for each in self._of_chunk(record) if isinstance(record, Chunk) else (record,):
+                before = self._newest
+                if self._takes(each, place) and before is not None:
+                    yield before
+        if self._newest is not None:
+            yield self._newest
+        elif pieces.whole and not self.about and not self.damage:
+            raise RecordError(f"{self._path} is an MCAP file, but not a plumeward log: none of its channels has the name of a bus key")
+        self.complete = pieces.whole and not self.damage and STOPPED not in self.about
+
+    def _of_chunk(self, chunk: Chunk) -> list[McapRecord] | list[None]:
+        """Return the records of a chunk, None in place of a damaged one's. The size that it claims is not trusted."""
+        if chunk.uncompressed_size > min(LARGEST_PIECE, self._may_unpack):
+            return [None]
+        try:
+            data = UNPACK[chunk.compression](chunk.data, chunk.uncompressed_size)
+            records = breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
+        except (*DAMAGE, zstandard.ZstdError):
+            return [None]
+        if chunk.compression:
+            self._unpacked += len(data)
+            if self._unpacked > self._may_unpack:
+                raise RecordError(f"{self._path} unpacks to more than {MOST_RATIO} times its size: damaged, or made to exhaust memory")
+        return records
+
+    def _takes(self, record: McapRecord | None, place: Hole) -> bool:
+        """Take a record; returns whether a message begins with it."""
+        count = self._count
+        try:
+            match record:
+                case Message():
+                    key, ending = self._topics[record.channel_id]
+                    if key:
+                        self._message(key, ending, record.sequence, record.publish_time, record.data)
+                case Channel():
+                    self._topics[record.id] = parted(record.topic)
+                case Metadata() if record.name == ABOUT:
+                    self._describe(record.metadata)
+                case None:
+                    self._lose(place)
+        except DAMAGE:
+            self._lose(Hole(place.at, len(record.data)) if isinstance(record, Message) else place)
+        return self._count > count
+
+    def _lose(self, hole: Hole) -> None:
+        """Note what cannot be read. Pieces between two messages are one place."""
+        self._sequence = -1
+        if self.damage and (self.damage[-1].before == self._count or len(self.damage) == MOST_PLACES):
+            self.damage[-1] = self.damage[-1]._replace(size=self.damage[-1].size + hole.size)
+        else:
+            self.damage.append(Damage(hole.at, hole.size, self._newest.simulation_s if self._newest else 0.0, self._count))
+
+    def _describe(self, told: dict[str, str]) -> None:
+        about = {name: value_of(text) for name, text in told.items()}
+        written = about.pop(FORMAT_NAME, 0)
+        if written not in READABLE:
+            formats = ", ".join(map(str, READABLE))
+            raise RecordError(
+                f"{self._path} has record format {printable(str(written))} of another plumeward version; readable formats: {formats}"
+            )
+        self.about |= about
+
+    def _message(self, key: str, ending: str, sequence: int, published_ns: int, data: bytes) -> None:
+        newest = self._newest
+        if not ending and key in FRAME_KEYS:
+            self._begin(Entry(key, published_ns, newest.simulation_s if newest else 0.0, data), sequence)
+        elif not ending:
+            payload, simulation_s = without_time(data)
+            self._begin(Entry(key, published_ns, simulation_s, payload), sequence)
+        elif ending == MALFORMED and key not in FRAME_KEYS:
+            text, simulation_s = without_time(data)
+            self._begin(Entry(key, published_ns, simulation_s, msgspec.json.decode(text, type=Malformed).payload), sequence)
+        elif newest is None or sequence != self._sequence:
+            return
+        elif ending in (PARTICLES, ATTACHMENT):
+            self._newest = newest._replace(attachment=data)
+        elif not self._timed:
+            self._newest = newest._replace(simulation_s=without_time(data)[1])
+            self._timed = True
+
+    def _begin(self, entry: Entry, sequence: int) -> None:
+        self._newest = entry
+        self._count += 1
+        self._sequence, self._timed = sequence, False
 
 
 UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
@@ -142,79 +251,13 @@ UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
 """Decompressors that stop at a given size: mcap and zstandard trust the size in the data. Other tools may pack with lz4."""
 
 
-class _Whole:
-    """A file that raises EndOfFile on a short read: mcap would take a truncated piece for a whole one."""
-
-    def __init__(self, file: IO[bytes], size: int) -> None:
-        self._file = file
-        self.left = size
-
-    def read(self, length: int) -> bytes:
-        if not 0 <= length <= self.left or len(piece := self._file.read(length)) < length:
-            raise EndOfFile
-        self.left -= length
-        return piece
-
-
-class _Reader:
-    """Rebuilds messages from their records."""
-
-    def __init__(self, path: Path) -> None:
-        self.about: dict[str, Any] = {}
-        self.entries: list[Entry] = []
-        self._path = path
-        self._topics: dict[int, tuple[str, str]] = {}
-        self._sequence = -1
-        self._timed = False
-        self._bytes = 0
-        self._unpacked = 0
-        self._may_unpack = max(SMALL, MOST_RATIO * path.stat().st_size)
-
-    def unpack(self, count: int) -> None:
-        """Count bytes that are about to be unpacked; raises RecordError if they are too many for the file."""
-        self._unpacked += count
-        if self._unpacked > self._may_unpack:
-            raise RecordError(f"{self._path} unpacks to more than {MOST_RATIO} times its size: damaged, or made to exhaust memory")
-
-    def take(self, record: McapRecord) -> None:
-        match record:
-            case Message():
-                key, ending = self._topics[record.channel_id]
-                if key:
-                    self._message(key, ending, record.sequence, record.publish_time, record.data)
-            case Channel():
-                self._topics[record.id] = parted(record.topic)
-            case Metadata() if record.name == ABOUT:
-                about = {name: value_of(text) for name, text in record.metadata.items()}
-                written = about.pop(FORMAT_NAME, 0)
-                if written not in READABLE:
-                    formats = ", ".join(map(str, READABLE))
-                    raise RecordError(f"{self._path} has record format {written} of another plumeward version; readable formats: {formats}")
-                self.about |= about
-
-    def _message(self, key: str, ending: str, sequence: int, published_ns: int, data: bytes) -> None:
-        if not ending and key in FRAME_KEYS:
-            self._begin(Entry(key, published_ns, self.entries[-1].simulation_s if self.entries else 0.0, data), sequence)
-        elif not ending:
-            payload, simulation_s = without_time(data)
-            self._begin(Entry(key, published_ns, simulation_s, payload), sequence)
-        elif ending == MALFORMED and key not in FRAME_KEYS:
-            text, simulation_s = without_time(data)
-            self._begin(Entry(key, published_ns, simulation_s, msgspec.json.decode(text, type=Malformed).payload), sequence)
-        elif sequence == self._sequence and ending in (PARTICLES, ATTACHMENT):
-            self._hold(len(data))
-            self.entries[-1] = self.entries[-1]._replace(attachment=data)
-        elif sequence == self._sequence and not self._timed:
-            self.entries[-1] = self.entries[-1]._replace(simulation_s=without_time(data)[1])
-            self._timed = True
-
-    def _begin(self, entry: Entry, sequence: int) -> None:
-        self._hold(len(entry.payload) + MESSAGE_BYTES)
-        self.entries.append(entry)
-        self._sequence, self._timed = sequence, False
-
-    def _hold(self, count: int) -> None:
-        self._bytes += count
-        if self._bytes > LARGEST_RECORD:
-            gib = f"{LARGEST_RECORD / 2**30:g} GiB"
-            raise RecordError(f"{self._path} holds more than {gib} of messages; cut out a part of it with `mcap filter`")
+def shortcoming(log: Recording | Log) -> str:
+    """Return what people should know of a log, after its name: `is cut off ...`; empty if it is complete."""
+    if log.complete:
+        return ""
+    if log.damage:
+        places = "; ".join(map(str, log.damage[:LISTED]))
+        more = f"; and {len(log.damage) - LISTED:,} more places" * (len(log.damage) > LISTED)
+        return f"is damaged, and lacks {places}{more}"
+    reason = log.about.get(STOPPED)
+    return f"ends early: {printable(str(reason))}" if reason else "is cut off, damaged or still being written: what follows is missing"

@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw the log; returns the exit status."""
+    """Draw the log; returns the exit status: 1 if pieces of the log are missing."""
     if find_spec("matplotlib") is None:
         print("error: draw needs matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
         return cli.FAILED
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         for flag, path in wanted.items():
             if refusal := cli.existing(flag, [path], args.force):
                 raise _Undrawable(refusal)
-        history = _history(args.log)
+        history, damaged = _history(args.log)
         beliefs = _beliefs(history, args.at) if args.out else []
         for flag, path in wanted.items():
             try:
@@ -77,14 +77,15 @@ def run(args: argparse.Namespace) -> int:
     except _Undrawable as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    return 0
+    return cli.FAILED if damaged else 0
 
 
 class _Undrawable(ValueError):
     """The log or a flag is not one that can be drawn; the message is one line."""
 
 
-def _history(path: Path) -> "History":
+def _history(path: Path) -> tuple["History", bool]:
+    """Return what a log tells, and whether it is damaged. Raises _Undrawable."""
     from link.record.reader import RecordError, read
     from scene.follow.recorded import history_of, remark_on
 
@@ -97,7 +98,7 @@ def _history(path: Path) -> "History":
         raise _Undrawable(f"{path} has no belief that can be read: there is nothing to draw")
     if remark := remark_on(recording, history):
         print(f"warning: {path} {remark}", file=sys.stderr)
-    return history
+    return history, bool(recording.damage)
 
 
 def _beliefs(history: "History", steps: Sequence[int] | None) -> list["Scene"]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from link import cli
-from link.terminal import Column, table, tell, width_of
+from link.terminal import Column, printable, table, tell, width_of
 
 if TYPE_CHECKING:
     from link.record.reader import Recording
@@ -68,27 +68,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the summary or the CSV; returns the exit status."""
+    """Print the summary or the CSV; returns the exit status: 1 if pieces of the log are missing."""
     from link.record.reader import RecordError, read
     from sitl.replay.source import BadSource, is_recording
     from sitl.tlog.sender import FlightError
 
+    missing = ""
     try:
         if is_recording(args.log):
             recording = read(args.log)
+            missing = f"{args.log} {recording.shortcoming}" if recording.damage else ""
             summary, rows = _summary(args.log, recording), _rows(recording.entries, args.csv) if args.csv else []
         else:
             summary, rows = _of_tlog(args.log, args.csv)
     except (RecordError, FlightError, BadSource, _NoSuchKey) as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
+    status = cli.FAILED if missing else 0
     if args.csv:
+        if missing:
+            print(f"warning: {missing}", file=sys.stderr)
         _print_csv(rows)
-        return 0
+        return status
     _print(summary, sys.stderr if args.json else sys.stdout)
     if args.json:
         print(json.dumps(summary.fields))
-    return 0
+    return status
 
 
 class _NoSuchKey(ValueError):
@@ -115,20 +120,22 @@ def _summary(path: Path, recording: "Recording") -> Summary:
     revision = commit[:12] + (f", {dirty}" if dirty else "")
     stopped = recording.about.get("stopped")
     wall_s, simulation_s = _span([entry.published_ns / 1e9 for entry in entries]), _span([entry.simulation_s for entry in entries])
-    whole = "complete" if recording.complete else f"CUT OFF{f': {stopped}' if stopped else ''}"
+    whole = "complete" if recording.complete else "DAMAGED" if recording.damage else f"CUT OFF{f': {stopped}' if stopped else ''}"
     flown_with = f"plumeward {versions.get('plumeward', 'unknown')}{f' ({revision})' if revision else ''}"
     head = [
         str(path),
         f"{f'{title}, ' if title else ''}{mission}, begun {began}",
         f"{len(entries):,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
         flown_with,
+        *([f"it {recording.shortcoming}"] if recording.damage else []),
     ]
     fields = {
-        "log": str(path), "complete": recording.complete, "messages": len(entries), "duration_s": wall_s, "simulation_s": simulation_s,
+        "log": str(path), "complete": recording.complete, "damage": [place._asdict() for place in recording.damage],
+        "messages": len(entries), "duration_s": wall_s, "simulation_s": simulation_s,
         "keys": {table.name: {"messages": len(table.published_s), "repeats": table.repeats} for table in tables},
         "beliefs": len(beliefs), "gaps": gaps, **outcome,
     }  # fmt: skip
-    return Summary(head, tables, [*(gaps or ["gaps: none"]), *lines], fields)
+    return Summary([printable(line) for line in head], tables, [*(gaps or ["gaps: none"]), *lines], fields)
 
 
 def _table(key: str, entries: "Sequence[Entry]") -> KeyTable:
@@ -182,7 +189,7 @@ def _read_json(entries: "Sequence[Entry]") -> tuple[list[Statement], list[str]]:
 
 def _line(text: str) -> str:
     """Return an error text that may quote a message, made safe for a terminal."""
-    plain = "".join(letter if letter.isprintable() else "?" for letter in text)
+    plain = printable(text)
     return plain if len(plain) <= LONGEST else f"{plain[:LONGEST]} ..."
 
 

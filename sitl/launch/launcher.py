@@ -15,6 +15,7 @@ from link.bus.log import LEVELS
 from link.bus.mavlink import BadFrame, Codec, Message, unpack
 from link.bus.messages import Belief, Health, Stop
 from link.bus.session import Arrival, Bus, LivelinessChange
+from link.terminal import printable
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.worlds import AS_MODELLED
@@ -283,7 +284,7 @@ class MissionWatch:
             return  # it was missed, and comes late
         if self._last is None:
             if script.about:
-                self._progress.say(script.about)
+                self._progress.say(printable(script.about))
             where = "" if script.world == AS_MODELLED else f"world {script.world}, "
             self._progress.say(f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}")
             self._progress.say(f"router at {self._endpoint}")

@@ -117,7 +117,7 @@ def _given(args: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay once, or until interrupted; returns the exit status."""
+    """Replay once, or until interrupted; returns the exit status: 1 if something differs, or if pieces of the log are missing."""
     from sitl.launch.processes import MissionFailed
     from sitl.replay.player import replay
     from sitl.replay.source import BadSource, find
@@ -144,7 +144,7 @@ def run(args: argparse.Namespace) -> int:
         return failure.status
     if args.json:
         print(_json(result, source, rules))
-    return cli.FAILED if result.difference else 0
+    return cli.FAILED if result.difference or source.damaged else 0
 
 
 def _text(result: "Replayed", source: "Source", rules: "Rules | None", took_s: float) -> str:

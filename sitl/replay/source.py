@@ -53,7 +53,11 @@ class Source(NamedTuple):
     unfit: Mapping[str, str] = MappingProxyType({})
     """Why a service cannot be started as the record says, one line each."""
     sure_ms: float = math.inf
-    """The log has all answers to readings up to this time; if it was cut off, later ones may lack some."""
+    """The log has all answers to readings up to this time; if it was cut off or damaged, later ones may lack some."""
+    sure_ns: float = math.inf
+    """Up to this time of publication it lacks nothing."""
+    damaged: bool = False
+    """Whether pieces of it are missing."""
     slowest_s: float = 0.0
     """The longest recorded answer time."""
     budget: float = math.inf
@@ -104,22 +108,27 @@ def recording(path: Path, bundle: str | None = None) -> Source:
                 hint = "; name the bundle with --policy" if service == "agent" and settings.flew_a_bundle(words) else ""
                 unfit[service] = f"{path} starts its {service} with {error}, which a record may not do{hint}"
     notes: tuple[str, ...] = ()
-    sure_ms = math.inf
+    sure_ms = sure_ns = math.inf
+    sound = log.entries[: log.damage[0].before] if log.damage else log.entries
     if not log.complete:
-        end_s = max((entry.simulation_s for entry in log.entries), default=0.0)
+        end_s = max((entry.simulation_s for entry in sound), default=0.0)
         notes = (f"{path} is cut off: replayed up to its end at {end_s:.2f} s",)
-        end_ns = max((entry.published_ns for entry in log.entries), default=0)
-        early = [entry for entry in log.entries if entry.key == READING.name and entry.published_ns <= end_ns - OVERTAKE_NS]
+        if log.damage:
+            notes = (f"warning: {path} {log.shortcoming}; --verify compares up to {end_s:.2f} s",)
+        sure_ns = max((entry.published_ns for entry in sound), default=0)
+        early = [entry for entry in sound if entry.key == READING.name and entry.published_ns <= sure_ns - OVERTAKE_NS]
         sure_ms = max((time for time in map(reading_time, early) if time is not None), default=-1)
     return Source(
         path,
         sorted((entry for entry in log.entries if entry.key in VEHICLE_KEYS), key=lambda entry: entry.published_ns),
-        verify.said(log.entries),
+        verify.said(sound),
         parts,
         told.namespace,
         recorded=True,
         unfit=unfit,
         sure_ms=sure_ms,
+        sure_ns=sure_ns,
+        damaged=bool(log.damage),
         slowest_s=_slowest_s(log.entries),
         budget=math.inf if told.budget is None else told.budget,
         truth=told.scenario.source,
@@ -175,6 +184,8 @@ def find(args: argparse.Namespace, chosen: Mapping[str, Any], filtering: Mapping
         OURS if args.connect else source.namespace
     )  # a record does not choose among the vehicles of a user's bus
     source = source._replace(namespace=namespace, entries=_cut(source.entries, args))
+    if args.verify:  # what follows a gap depends on what is missing
+        source = source._replace(entries=[entry for entry in source.entries if entry.published_ns <= source.sure_ns])
     rules = _rules(args, source) if args.verify else None
     return (source if args.connect else _with_services(source, rules)), rules
 

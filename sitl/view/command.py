@@ -168,7 +168,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
 
     def end() -> None:
         let_go_of_the_terminal()
-        status[0] = INTERRUPTED
+        status[0] = cli.FAILED if args.logs and shown.damaged else INTERRUPTED
         http.should_exit = True
 
     async def linger() -> None:

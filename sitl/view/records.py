@@ -42,11 +42,14 @@ class RecordedFleet:
     def __init__(self, paths: Sequence[Path]) -> None:
         """Read them; raises RecordError."""
         self.vehicles: dict[str, RecordedVehicle] = {}
+        self.damaged = False
+        """Whether pieces of them are missing."""
         remarks: list[str] = []
         for number, path in enumerate(paths, start=1):
             name = path.stem if path.stem not in self.vehicles else f"{path.stem} ({number})"
             recording = read(path)
             history = history_of(recording, name)
+            self.damaged |= bool(recording.damage)
             self.vehicles[name] = RecordedVehicle(name, history)
             if remark := remark_on(recording, history):
                 remarks.append(f"the record {name} {remark}")

@@ -131,7 +131,7 @@ def test_the_commands_of_the_compose_file_fly_a_mission(tmp_path: Path, wait_unt
         for name in ("estimator", "agent"):
             start(name, endpoint)
             check = words_of(SECURE[name]["healthcheck"]["test"][1:], folder, endpoint)
-            wait_until(lambda check=check: subprocess.run(check, capture_output=True, cwd=tmp_path, env=environment).returncode == 0, 60)
+            wait_until(lambda check=check: subprocess.run(check, capture_output=True, cwd=tmp_path, env=environment).returncode == 0)
         command = words_of(SECURE["uav"]["command"], folder, endpoint)
         at = command.index("--out")
         flown = subprocess.run(

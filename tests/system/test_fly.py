@@ -29,7 +29,7 @@ class Flight(NamedTuple):
 def fly(folder: Path, *words: str) -> Flight:
     """A mission as fast as it goes."""
     part = Part("sitl", "fly", "--speedup", "0", *words, cwd=folder)
-    assert part.ended(100) == 0, part.err
+    assert part.ended() == 0, part.err
     return Flight(part.out, part.err, folder)
 
 
@@ -89,7 +89,7 @@ def test_the_first_flight_says_once_that_it_compiles(start, tmp_path: Path, monk
     brief = ("sitl", "fly", "--policy", "infotaxis", "--budget", "1", "--speedup", "0", "--no-record")
     for expected in (1, 0):
         mission = start(*brief, cwd=tmp_path)
-        assert mission.ended(100) == 0
+        assert mission.ended() == 0
         before = mission.err[: next(number for number, line in enumerate(mission.err) if line.startswith("mission: "))]
         assert sum("compiling kernels" in line for line in mission.err) == expected
         assert sum(line == "compiling kernels, once, about 15 s\n" for line in before) == expected

@@ -54,7 +54,7 @@ def test_a_stack_that_flies_is_well_and_each_part_tells_its_figures(
     uav = start("sitl", "uav", "--connect", router, "--seed", "7", "--speedup", "20")
     wait_until(lambda: uav.says("takes off when"))
     reports = []
-    wait_until(lambda: reports.append(status(router)) or reports[-1][1]["parts"]["agent"]["step"] >= 2, 60)
+    wait_until(lambda: reports.append(status(router)) or reports[-1][1]["parts"]["agent"]["step"] >= 2)
     code, report = reports[-1]
     assert (code, report["ok"], report["router"]) == (0, True, {"endpoint": router, "status": "ok"})
     assert verdicts(report) == {"uav": "ok", "estimator": "ok", "agent": "ok"}

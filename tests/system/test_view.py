@@ -190,7 +190,9 @@ def test_it_waits_for_a_router_and_survives_its_restart_and_garbage(view: Callab
             assert "estimator: is gone" not in page.happened["uav/1"]
         session.close()
     assert [line for line in part.err if "Traceback" in line] == []
-    assert sum("waiting for" in line for line in part.err) == 2
+    lost = sum("is gone: waiting for it" in line for line in part.err)  # a busy machine may lose the link by itself
+    assert lost >= 1
+    assert sum("waiting for" in line for line in part.err) == 1 + lost
 
 
 # ---- records ----

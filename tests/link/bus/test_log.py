@@ -27,7 +27,8 @@ def test_whatever_is_said_stays_on_one_line_and_reads_back(capsys: pytest.Captur
     Log("agent", "uav/1", Tally()).warning(text)
     (line,) = capsys.readouterr().err.splitlines()
     assert line.isprintable()
-    assert parse(line) == ("warning", f"agent: warning: {text}")
+    indented = text.replace("\n", "\n  ")  # a service's text never looks like another service's line
+    assert parse(line) == ("warning", f"agent: warning: {indented}")
 
 
 def test_people_read_the_service_and_what_it_said() -> None:
@@ -101,8 +102,8 @@ def test_what_other_code_says_to_our_logger_is_a_line_too(capsys: pytest.Capture
     first, second = capsys.readouterr().err.splitlines()
     level, text = parse(first)
     assert level == "error"
-    assert text.startswith("plumeward.udp: error: HEARTBEAT was not handled\nTraceback")
-    assert text.endswith("ValueError: no\nframe")
+    assert text.startswith("plumeward.udp: error: HEARTBEAT was not handled\n  Traceback")
+    assert text.endswith("ValueError: no\n  frame")
     assert parse(second) == ("error", "plumeward.udp: error: the end")
 
 

@@ -168,6 +168,87 @@ def test_a_chunk_that_is_there_twice_gives_its_messages_twice(tmp_path: Path) ->
     assert read(log).entries == [*ENTRIES[:3], *ENTRIES[:3]]
 
 
+# ---- damaged in the middle ----
+
+EACH = [Entry("health/agent", 10 * number, float(number), b'{"uptime_s":%d}' % number) for number in range(40)]
+
+
+def chunks(whole: bytes) -> list[tuple[int, int]]:
+    """Where each chunk begins and ends, as the index at the end of the file has it."""
+    summary = make_reader(io.BytesIO(whole)).get_summary()
+    assert summary is not None
+    return [(index.chunk_start_offset, index.chunk_start_offset + index.chunk_length) for index in summary.chunk_indexes]
+
+
+def damaged(log: Path, at: int, count: int = 16) -> Path:
+    """Overwrite bytes of a file."""
+    whole = bytearray(log.read_bytes())
+    whole[at : at + count] = bytes(byte ^ 0xA5 for byte in whole[at : at + count])
+    log.write_bytes(whole)
+    return log
+
+
+@pytest.mark.parametrize("offset", [0, 1, 17, 25, 33, 37, 41, 49, 60], ids=lambda offset: f"{offset} bytes into a chunk")
+def test_sixteen_damaged_bytes_cost_the_messages_of_their_chunk_and_no_others(tmp_path: Path, offset: int) -> None:
+    log = written(tmp_path / "run.mcap", EACH, flush_each=True)
+    begin, end = chunks(log.read_bytes())[20]
+    recording = read(damaged(log, begin + offset))
+    assert recording.entries == [*EACH[:20], *EACH[21:]]
+    assert not recording.complete
+    (place,) = recording.damage
+    assert (place.at, place.after_s, place.before) == (begin, 19.0, 20)
+    assert end - begin <= place.size <= end - begin + 100  # with the index of the chunk, if its own length is not known
+    assert recording.shortcoming == f"is damaged, and lacks {place.size} bytes at byte {begin:,}, after 19.00 s of simulation"
+
+
+def test_damage_anywhere_costs_the_chunks_that_it_touches_and_no_others(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.mcap", EACH, flush_each=True)
+    whole = log.read_bytes()
+    places = chunks(whole)
+    for at in range(places[0][0] - 8, places[-1][1], 61):
+        log.write_bytes(whole)
+        touched = [number for number, (begin, end) in enumerate(places) if at < end and begin < at + 16]
+        entries = read(damaged(log, at)).entries
+        assert [entry for number, entry in enumerate(EACH) if number not in touched] == [
+            it for it in entries if it not in (EACH[n] for n in touched)
+        ]
+
+
+def test_a_chunk_whose_channels_are_lost_with_another_is_read_by_those_at_the_end(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.mcap", EACH, flush_each=True)
+    begin, _ = chunks(log.read_bytes())[0]
+    assert read(damaged(log, begin + 60)).entries == EACH[1:]
+
+
+def test_what_is_damaged_and_cut_off_is_read_up_to_its_end(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.mcap", EACH, flush_each=True)
+    places = chunks(log.read_bytes())
+    log.write_bytes(log.read_bytes()[: places[30][0] + 20])
+    recording = read(damaged(log, places[10][0] + 3))
+    assert recording.entries == [*EACH[:10], *EACH[11:30]]
+    assert [place.before for place in recording.damage] == [10]
+
+
+def test_a_record_that_claims_to_be_longer_hides_no_chunk_behind_it(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.mcap", EACH, flush_each=True)
+    whole = bytearray(log.read_bytes())
+    (_, index), (_, end) = chunks(bytes(whole))[5:7]
+    assert whole[index] == 7
+    whole[index + 1 : index + 9] = (end - index - 9 + 5).to_bytes(8, "little")  # it ends within the index of the next chunk
+    log.write_bytes(whole)
+    assert read(log).entries == EACH
+    assert [place.before for place in read(log).damage] == [6]
+
+
+def test_many_places_are_told_by_their_number(tmp_path: Path) -> None:
+    log = written(tmp_path / "run.mcap", EACH, flush_each=True)
+    for begin, _ in chunks(log.read_bytes())[1:39:2]:
+        damaged(log, begin + 60)
+    recording = read(log)
+    assert recording.entries == [EACH[0], *EACH[2::2], EACH[39]]
+    assert recording.shortcoming.endswith("after 4.00 s of simulation; and 16 more places")
+
+
 # ---- hostile files ----
 
 FAR_TOO_MUCH = 5_000_000_000_000

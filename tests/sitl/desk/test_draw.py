@@ -114,3 +114,14 @@ def test_what_is_not_installed_is_named(log: Path, capsys: pytest.CaptureFixture
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert drawn(str(log)) == 1
     assert capsys.readouterr().err == "error: draw needs matplotlib: pip install 'plumeward[view]'\n"
+
+
+def test_a_damaged_log_is_drawn_without_what_is_missing_and_has_a_status_of_its_own(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = bytearray(log.read_bytes())
+    at = whole.rindex(b"\x04\x00\x00\x00zstd", 0, len(whole) // 2) + 60
+    whole[at : at + 16] = bytes(16)
+    log.write_bytes(whole)
+    assert drawn(str(log)) == 1
+    out, err = capsys.readouterr()
+    assert out == f"{log.with_suffix('.png')}\n"
+    assert f"warning: {log} is damaged, and lacks " in err

@@ -191,7 +191,7 @@ def test_beliefs_of_another_version_are_counted_with_what_is_wrong_with_them(tmp
     fields = json.loads(said(capsys, path, json=True).splitlines()[-1])
     assert (fields["beliefs"], fields["keys"]["belief"]["messages"]) == (1, 4)
     assert fields["gaps"] == [
-        "3 beliefs could not be read: Object missing required field `p_value`, Object contains unknown field `?[31mred?`"
+        "3 beliefs could not be read: Object missing required field `p_value`, Object contains unknown field `\\x1b[31mred\\n`"
     ]
     path = record(tmp_path / "older.mcap", [(float(n), float(n + 1), "belief", payload) for n, payload in enumerate(older)])
     text = said(capsys, path)
@@ -229,3 +229,27 @@ def test_what_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtur
         line = said(capsys, path, status=2)
         assert line.startswith(f"error: {path}")
         assert line.count("\n") == 1
+
+
+def test_a_damaged_log_is_told_with_what_is_missing_and_has_a_status_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = record(tmp_path / "run.mcap", MESSAGES)
+    whole = path.read_bytes()
+    at = whole.index(b"zstd") + 40
+    path.write_bytes(whole[:at] + bytes(16) + whole[at + 16 :])
+    assert run(Namespace(log=path, csv=None, json=True)) == 1
+    out, err = capsys.readouterr()
+    fields = json.loads(out)
+    (place,) = fields["damage"]
+    assert (fields["complete"], fields["messages"], place["after_s"], place["before"]) == (False, 0, 0.0, 0)
+    assert "; DAMAGED\n" in err
+    assert f"it is damaged, and lacks {place['size']:,} bytes at byte {place['at']:,}, after 0.00 s of simulation\n" in err
+
+
+def test_text_of_a_stranger_draws_nothing_on_the_terminal_and_forges_no_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hostile = "\x1b[2J\x1b]0;owned\x07\nlocated after 1 steps\u202e"
+    about = {name: hostile for name in ("policy", "began", "git", "stopped")}
+    about |= {"mission": {"about": hostile, "world": hostile}, "versions": {"plumeward": hostile}, "seed": 1}
+    text = said(capsys, record(tmp_path / "run.mcap", [(0.0, 1.0, "belief", belief(0, assume=hostile))], about))
+    assert all(line.isprintable() for line in text.splitlines())
+    assert not any(line.startswith("located") for line in text.splitlines())
+    assert text.count("\\x1b[2J\\x1b]0;owned\\x07\\nlocated after 1 steps\\u202e") >= 5

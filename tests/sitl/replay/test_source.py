@@ -1,11 +1,13 @@
 """Protects the input of a replay: a log that cannot be played gives one clear line before anything starts."""
 
 import os
+import re
 from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
+from link.bus.mavlink import Codec, Reading, pack_reading
 from link.record.record import Entry
 from link.record.writer import Writer
 from sitl.replay.source import BadSource, find
@@ -94,3 +96,27 @@ def test_a_record_does_not_choose_among_the_vehicles_of_a_users_bus(tmp_path: Pa
     assert find(Namespace(log=log, **there), {}, {})[0].namespace == "uav/1"
     assert find(Namespace(log=log, **there | {"namespace": "uav/2"}), {}, {})[0].namespace == "uav/2"
     assert "its description cannot be used" in refused(told(tmp_path, namespace="uav/*"))
+
+
+def test_behind_a_damaged_place_nothing_is_compared_but_all_is_replayed(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    writer = Writer(log, {})
+    for number in range(9):
+        reading = pack_reading(Codec(1, 1), Reading(1000 * number, (3.0, 4.0), 5.0, (2.0, -1.0), 0.5))
+        writer.write(Entry("reading", 10**9 * number, float(number), reading), 10**9 * number)
+        belief = b'{"time_boot_ms":%d,"step":%d}' % (1000 * number, number)
+        writer.write(Entry("belief", 10**9 * number + 5, float(number), belief), 10**9 * number + 5)
+        writer.flush()
+    writer.close()
+    whole = bytearray(log.read_bytes())
+    chunks = [match.start() for match in re.finditer(b"zstd", whole)]
+    whole[chunks[4] + 20 : chunks[4] + 36] = bytes(16)  # the fifth
+    log.write_bytes(whole)
+    replayed, _ = find(Namespace(log=log, **FLAGS), {}, {})
+    assert [entry.simulation_s for entry in replayed.entries] == [0.0, 1.0, 2.0, 3.0, 5.0, 6.0, 7.0, 8.0]
+    assert replayed.damaged
+    assert "is damaged, and lacks " in replayed.notes[0]
+    assert "--verify compares up to 3.00 s" in replayed.notes[0]
+    verified, _ = find(Namespace(log=log, **FLAGS | {"verify": True, "ignore": ["belief.p_value"], "connect": "tcp/127.0.0.1:1"}), {}, {})
+    assert [entry.simulation_s for entry in verified.entries] == [0.0, 1.0, 2.0, 3.0]
+    assert sorted(verified.then) == [(time, "belief") for time in (0, 1000, 2000, 3000)]
