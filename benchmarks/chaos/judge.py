@@ -20,7 +20,7 @@ AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN = "as undisturbed", "failsafe", "failed, 
 OUTCOMES = (AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN)
 GAVE_UP = "the uav landed before the search was over; its last words: "
 START_S = 5.0
-"""A second service that ran for less beside the mission may not have joined before the mission's end."""
+"""A second service that ran for less beside the mission, on a core of its own, may not have joined before the mission's end."""
 REASON = "No setpoint for "
 """What the vehicle says before it returns home for want of waypoints."""
 SILENT = " has said nothing for "

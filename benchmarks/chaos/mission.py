@@ -235,6 +235,7 @@ def fly(seed: int, only: str | None, folder: Path) -> Verdict:
         hands.undo(at_once=True)
         over, hung = time.monotonic(), not launcher.ended(0.1)
         left = mission.end()
+    busy = max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))  # processes that share a core
     evidence = Evidence(
         seed=seed,
         faults=tuple(faults),
@@ -244,7 +245,7 @@ def fly(seed: int, only: str | None, folder: Path) -> Verdict:
         err=tuple(launcher.err),
         others={name: tuple(part.err) for name, part in mission.parts.items() if name != "launcher"},
         statuses={name: part.process.returncode for name, part in mission.parts.items()},
-        beside_s={name: over - part.began for name, part in mission.parts.items()},
+        beside_s={name: (over - part.began) / busy for name, part in mission.parts.items()},
         record=mission.record,
         left=tuple(left),
         wall_s=round(time.monotonic() - began, 1),

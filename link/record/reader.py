@@ -110,7 +110,7 @@ def read(path: Path | str) -> Recording:
         [said["spread"] for said in beliefs]  # m, after each reading
         ```
     """
-    log, entries, held = Log(Path(path)), [], 0
+    log, entries, held = LogFile(Path(path)), [], 0
     for entry in log:
         held += len(entry.payload) + len(entry.attachment) + MESSAGE_BYTES
         if held > LARGEST_RECORD:
@@ -120,7 +120,7 @@ def read(path: Path | str) -> Recording:
     return Recording(log.about, entries, log.complete, tuple(log.damage))
 
 
-class Log:
+class LogFile:
     """The messages of a log, one after the other: no more than a chunk of them is in memory. The rest is known at their end."""
 
     def __init__(self, path: Path) -> None:
@@ -251,7 +251,7 @@ UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
 """Decompressors that stop at a given size: mcap and zstandard trust the size in the data. Other tools may pack with lz4."""
 
 
-def shortcoming(log: Recording | Log) -> str:
+def shortcoming(log: Recording | LogFile) -> str:
     """Return what people should know of a log, after its name: `is cut off ...`; empty if it is complete."""
     if log.complete:
         return ""
