@@ -6,9 +6,9 @@ import json
 import math
 import statistics
 import sys
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
-from itertools import islice, pairwise
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
@@ -16,17 +16,13 @@ from link import cli
 from link.terminal import Column, printable, table, tell, width_of
 
 if TYPE_CHECKING:
-    from link.record.reader import Recording
+    from link.record.reader import LogFile
     from link.record.record import Entry
+    from sitl.desk.survey import KeyTable, Survey
+    from sitl.tlog.sender import FlightLog
 
-PAUSE_S = 2.0
-"""A longer silence of the whole bus is reported, s: telemetry comes every second."""
-LISTED = 5
-"""Number of items of a kind that are listed; the rest is counted."""
 SHORTEST_KEY = 12
 """Characters of a key that a narrow terminal shows at least."""
-LONGEST = 120
-"""Longest description of an unreadable message, characters."""
 
 
 class Row(NamedTuple):
@@ -36,22 +32,16 @@ class Row(NamedTuple):
     simulation_s: float
     fields: dict[str, Any]
 
-
-class KeyTable(NamedTuple):
-    """The messages of one key, or of one type of MAVLink message."""
-
-    name: str
-    published_s: list[float]
-    simulation_s: list[float]
-    repeats: int | None
-    """Number of repeated messages; None where repeats mean nothing."""
+    def cells(self) -> dict[str, Any]:
+        """Return its cells by the names of their columns."""
+        return {"published_s": repr(self.published_s), "simulation_s": _cell(self.simulation_s), **dict(_flattened("", self.fields))}
 
 
 class Summary(NamedTuple):
     """The summary of a log."""
 
     head: list[str]
-    tables: list[KeyTable]
+    tables: "list[KeyTable]"
     tail: list[str]
     fields: dict[str, Any]
     """The same as JSON fields."""
@@ -69,18 +59,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the summary or the CSV; returns the exit status: 1 if pieces of the log are missing."""
-    from link.record.reader import RecordError, read
+    from link.record.reader import LogFile, RecordError
+    from sitl.desk.survey import Survey
     from sitl.replay.source import BadSource, is_recording
+    from sitl.tlog.flight import open_log
     from sitl.tlog.sender import FlightError
 
     missing = ""
     try:
         if is_recording(args.log):
-            recording = read(args.log)
-            missing = f"{args.log} {recording.shortcoming}" if recording.damage else ""
-            summary, rows = _summary(args.log, recording), _rows(recording.entries, args.csv) if args.csv else []
+            log = LogFile(args.log)
+            if args.csv:
+                names, rows = _columns(log, args.csv), _rows(LogFile(args.log), args.csv)
+            else:
+                summary = _summary(args.log, log, Survey(log))
+            missing = f"{args.log} {log.shortcoming}" if log.damage else ""
         else:
-            summary, rows = _of_tlog(args.log, args.csv)
+            flown, notes = open_log(args.log)
+            if args.csv:
+                names, rows = _columns_of_tlog(flown, args.csv), _rows_of_tlog(flown, args.csv)
+            else:
+                summary = _summary_of_tlog(args.log, flown, notes)
     except (RecordError, FlightError, BadSource, _NoSuchKey) as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
@@ -88,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     if args.csv:
         if missing:
             print(f"warning: {missing}", file=sys.stderr)
-        _print_csv(rows)
+        _print_csv(names, rows)
         return status
     _print(summary, sys.stderr if args.json else sys.stdout)
     if args.json:
@@ -103,50 +102,43 @@ class _NoSuchKey(ValueError):
 # ---- records of the bus ----
 
 
-def _summary(path: Path, recording: "Recording") -> Summary:
-    entries = recording.entries
-    tables = [_table(key, [entry for entry in entries if entry.key == key]) for key in sorted({entry.key for entry in entries})]
-    said, unreadable = _read_json(entries)
-    beliefs = _by_step(said)
-    outcome, lines = _outcome(recording.about, beliefs)
-    if not beliefs and any(entry.key == "belief" for entry in entries):
+def _summary(path: Path, log: "LogFile", survey: "Survey") -> Summary:
+    tables = survey.tables
+    outcome, lines = _outcome(log.about, survey)
+    if survey.last is None and "belief" in survey.published_s:
         lines = ["no readable belief: the outcome of the search is unknown"]
-    gaps = _gaps(entries, beliefs) + _restarts(said) + unreadable
-    began = recording.about.get("began", "unknown")
-    policy, seed = recording.about.get("policy"), recording.about.get("seed")
+    gaps = survey.gaps() + survey.unreadable
+    began = log.about.get("began", "unknown")
+    policy, seed = log.about.get("policy"), log.about.get("seed")
     mission = f"{policy}, seed {seed}" if policy is not None else "mission unknown"
-    title, versions = _object(recording.about, "mission").get("about"), _object(recording.about, "versions")
-    commit, _, dirty = str(recording.about.get("git") or "").partition("-")
+    title, versions = _object(log.about, "mission").get("about"), _object(log.about, "versions")
+    commit, _, dirty = str(log.about.get("git") or "").partition("-")
     revision = commit[:12] + (f", {dirty}" if dirty else "")
-    stopped = recording.about.get("stopped")
-    wall_s, simulation_s = _span([entry.published_ns / 1e9 for entry in entries]), _span([entry.simulation_s for entry in entries])
-    whole = "complete" if recording.complete else "DAMAGED" if recording.damage else f"CUT OFF{f': {stopped}' if stopped else ''}"
+    stopped = log.about.get("stopped")
+    count = sum(len(table.published_s) for table in tables)
+    wall_s, simulation_s = _span([table.published_s for table in tables]), _span([table.simulation_s for table in tables])
+    whole = "complete" if log.complete else "DAMAGED" if log.damage else f"CUT OFF{f': {stopped}' if stopped else ''}"
     flown_with = f"plumeward {versions.get('plumeward', 'unknown')}{f' ({revision})' if revision else ''}"
     head = [
         str(path),
         f"{f'{title}, ' if title else ''}{mission}, begun {began}",
-        f"{len(entries):,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
+        f"{count:,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
         flown_with,
-        *([f"it {recording.shortcoming}"] if recording.damage else []),
+        *([f"it {log.shortcoming}"] if log.damage else []),
     ]
     fields = {
-        "log": str(path), "complete": recording.complete, "damage": [place._asdict() for place in recording.damage],
-        "messages": len(entries), "duration_s": wall_s, "simulation_s": simulation_s,
+        "log": str(path), "complete": log.complete, "damage": [place._asdict() for place in log.damage],
+        "messages": count, "duration_s": wall_s, "simulation_s": simulation_s,
         "keys": {table.name: {"messages": len(table.published_s), "repeats": table.repeats} for table in tables},
-        "beliefs": len(beliefs), "gaps": gaps, **outcome,
+        "beliefs": len(survey.trace), "gaps": gaps, **outcome,
     }  # fmt: skip
     return Summary([printable(line) for line in head], tables, [*(gaps or ["gaps: none"]), *lines], fields)
 
 
-def _table(key: str, entries: "Sequence[Entry]") -> KeyTable:
-    named = [repr((entry.simulation_s, entry.payload)) for entry in entries]
-    telling = key in ("reading", "belief", "agdc/stop")
-    repeats = len(named) - len(set(named)) if telling else None
-    return KeyTable(key, [entry.published_ns / 1e9 for entry in entries], [entry.simulation_s for entry in entries], repeats)
-
-
-def _span(times: Sequence[float]) -> float:
-    return max(times) - min(times) if times else 0.0
+def _span(times: Iterable[Sequence[float]]) -> float:
+    """Return the time between the first and the last of all."""
+    some = [each for each in times if each]
+    return max(map(max, some)) - min(map(min, some)) if some else 0.0
 
 
 def _object(about: dict[str, Any], name: str) -> dict[str, Any]:
@@ -155,64 +147,17 @@ def _object(about: dict[str, Any], name: str) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-class Statement(NamedTuple):
-    """A readable JSON message."""
-
-    key: str
-    message: Any
-
-
-def _read_json(entries: "Sequence[Entry]") -> tuple[list[Statement], list[str]]:
-    """Return the readable JSON messages, and one line for each kind of unreadable ones (not JSON, or of another version)."""
-    import msgspec
-
-    from link.bus.messages import Belief, Stop
-
-    class Alive(msgspec.Struct):
-        """The fields used of a health message."""
-
-        uptime_s: float
-
-    said: list[Statement] = []
-    reasons: dict[str, list[str]] = defaultdict(list)
-    for entry in entries:
-        for prefix, name, kind in (("belief", "belief", Belief), ("agdc/stop", "stop", Stop), ("health/", "health message", Alive)):
-            if entry.key.startswith(prefix):
-                try:
-                    said.append(Statement(entry.key, msgspec.json.decode(entry.payload, type=kind)))
-                except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-                    reasons[name].append(_line(str(error)))
-    return said, [
-        f"{len(told)} {name}{'s' * (len(told) > 1)} could not be read: {_few(list(dict.fromkeys(told)))}" for name, told in reasons.items()
-    ]
-
-
-def _line(text: str) -> str:
-    """Return an error text that may quote a message, made safe for a terminal."""
-    plain = printable(text)
-    return plain if len(plain) <= LONGEST else f"{plain[:LONGEST]} ..."
-
-
-def _by_step(said: Sequence[Statement]) -> dict[int, Any]:
-    """Return the first belief of each step, in order."""
-    beliefs: dict[int, Any] = {}
-    for key, message in said:
-        if key == "belief":
-            beliefs.setdefault(message.step, message)
-    return dict(sorted(beliefs.items()))
-
-
-def _outcome(about: dict[str, Any], beliefs: dict[int, Any]) -> tuple[dict[str, Any], list[str]]:
+def _outcome(about: dict[str, Any], survey: "Survey") -> tuple[dict[str, Any], list[str]]:
     """Return the outcome as fields and lines; compared with the true source if the log has it."""
     import msgspec
 
-    from plume.outcome import TracePoint, assumed_text, outcome, outcome_text
+    from plume.outcome import assumed_text, outcome, outcome_text
     from plume.scenario import Scenario
     from plume.worlds import AS_MODELLED
 
-    if not beliefs:
+    last = survey.last
+    if last is None:
         return {"ceased": None}, ["no belief: there was no search"]
-    last = beliefs[max(beliefs)]
     estimate = f"estimate ({last.mean[0]:.2f}, {last.mean[1]:.2f}) ± {last.spread:.2f} m"
     world = _object(about, "mission").get("world")
     world = world if isinstance(world, str) else AS_MODELLED  # records of other versions may lack it
@@ -225,58 +170,33 @@ def _outcome(about: dict[str, Any], beliefs: dict[int, Any]) -> tuple[dict[str, 
     except (KeyError, msgspec.ValidationError):
         verdict = f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps"
         return plain, [verdict, estimate, assumed_text(last.assume, last.stop, world)]
-    trace = [TracePoint(belief.position, belief.gas, belief.mean, belief.spread) for belief in beliefs.values()]
+    trace = [point for _, point in sorted(survey.trace.items())]
     result = outcome(0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world)  # no seed, policy, search time
     told = {**plain, "located": result.located, "error_m": result.error_m, "distance_m": result.distance_m, "source": result.source}
     return told, outcome_text(result).splitlines()
 
 
-def _gaps(entries: "Sequence[Entry]", beliefs: dict[int, Any]) -> list[str]:
-    """Return a line for each kind of gap: unanswered readings, missing steps, pauses."""
-    lines = []
-    answered = {belief.time_boot_ms for belief in beliefs.values()}
-    asked = {round(entry.simulation_s * 1000) for entry in entries if entry.key == "reading"}
-    if unanswered := sorted(asked - answered):
-        times = [f"{time_boot_ms / 1000:.2f} s" for time_boot_ms in unanswered]
-        lines.append(f"{len(unanswered)} readings without a belief, at {_few(times)} of simulation")
-    if missing := max(beliefs, default=-1) + 1 - len(beliefs):  # counted, not listed: a foreign message may have any step
-        steps = (str(step) for before, after in pairwise([-1, *beliefs]) for step in range(before + 1, after))
-        lines.append(f"{missing} beliefs missing, of step {_few(list(islice(steps, LISTED)), missing)}")
-    published_s = sorted(entry.published_ns / 1e9 for entry in entries)
-    pauses = [
-        f"{after - before:.1f} s at {before - published_s[0]:.1f} s" for before, after in pairwise(published_s) if after - before > PAUSE_S
-    ]
-    if pauses:
-        lines.append(f"{len(pauses)} pauses of the whole bus: {_few(pauses)}")
-    return lines
-
-
-def _restarts(said: Sequence[Statement]) -> list[str]:
-    """Return a line for each service that was restarted: its uptime went back."""
-    up_s: dict[str, float] = {}
-    restarts: Counter[str] = Counter()
-    for key, message in said:
-        if key.startswith("health/"):
-            restarts[key.removeprefix("health/")] += message.uptime_s < up_s.get(key, -math.inf)
-            up_s[key] = message.uptime_s
-    return [f"{service} was restarted {count} time{'s' * (count > 1)}" for service, count in sorted(restarts.items()) if count]
-
-
-def _few(texts: Sequence[str], count: int = 0) -> str:
-    """Return the first few texts as a list and the number of the others; `count` is their total if not all are given."""
-    more = max(len(texts), count) - LISTED
-    return ", ".join(texts[:LISTED]) + (f" and {more:,} more" if more > 0 else "")
-
-
-def _rows(entries: "Sequence[Entry]", name: str) -> list[Row]:
-    """Return a key's messages with their fields; raises _NoSuchKey that lists the keys."""
-    tables: dict[str, list[Row]] = defaultdict(list)
+def _columns(entries: "Iterable[Entry]", name: str) -> list[str]:
+    """Return the columns of a key's table; raises _NoSuchKey that lists the keys."""
+    columns: dict[str, None] = {}
+    keys: dict[str, None] = {}
     for entry in entries:
         for key, fields in _decoded(entry):
-            tables[key].append(Row(entry.published_ns / 1e9, entry.simulation_s, fields))
-    if name not in tables:
-        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {', '.join(sorted(tables)) or 'nothing: the log is empty'}")
-    return tables[name]
+            keys[key] = None
+            if key == name:
+                columns.update(dict.fromkeys(_row(entry, fields).cells()))
+    if name not in keys:
+        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {', '.join(sorted(keys)) or 'nothing: the log is empty'}")
+    return list(columns)
+
+
+def _rows(entries: "Iterable[Entry]", name: str) -> Iterator[Row]:
+    """Yield a key's messages with their fields."""
+    return (_row(entry, fields) for entry in entries if name.startswith(entry.key) for key, fields in _decoded(entry) if key == name)
+
+
+def _row(entry: "Entry", fields: dict[str, Any]) -> Row:
+    return Row(entry.published_ns / 1e9, entry.simulation_s, fields)
 
 
 def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
@@ -306,34 +226,44 @@ def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
 # ---- logs of autopilots ----
 
 
-def _of_tlog(path: Path, name: str | None) -> tuple[Summary, list[Row]]:
-    """Return a summary of a .tlog by message type and, with a name, the rows of that type."""
-    from pymavlink.dialects.v20 import all as mavlink
+def _summary_of_tlog(path: Path, log: "FlightLog", notes: list[str]) -> Summary:
+    """Return a summary of a .tlog by message type."""
+    from sitl.desk.survey import KeyTable
 
-    from sitl.tlog.flight import open_log
-
-    log, notes = open_log(path)
-    kinds = {message_id: message.msgname for message_id, message in mavlink.mavlink_map.items()}
+    kinds = _kinds()
     seconds: dict[str, list[float]] = defaultdict(list)
     for index, message_id in enumerate(log.records.message_ids.tolist()):
         seconds[kinds.get(message_id, f"unknown {message_id}")].append(log.seconds(index))
     tables = [KeyTable(kind, times, [], None) for kind, times in sorted(seconds.items())]
-    span_s = _span([time for times in seconds.values() for time in times])
+    span_s = _span(seconds.values())
     senders = ", ".join(f"{system}/{component}" for system, component in sorted(log.senders()))
     head = [f"{path}: MAVLink of system/component {senders}", f"{len(log):,} messages in {span_s:.1f} s"]
     counts = {table.name: {"messages": len(table.published_s)} for table in tables}
-    summary = Summary(head, tables, notes, {"log": str(path), "messages": len(log), "duration_s": span_s, "keys": counts, "notes": notes})
-    if name is None:
-        return summary, []
-    if name not in set(kinds.values()) & set(seconds):
-        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {', '.join(sorted(set(kinds.values()) & set(seconds)))}")
-    chosen = log.select(None, [message_id for message_id, kind in kinds.items() if kind == name])
-    rows = []
-    for index, message in log.messages(chosen):
+    return Summary(head, tables, notes, {"log": str(path), "messages": len(log), "duration_s": span_s, "keys": counts, "notes": notes})
+
+
+def _kinds() -> dict[int, str]:
+    """Return the names of all message types, by number."""
+    from pymavlink.dialects.v20 import all as mavlink
+
+    return {message_id: message.msgname for message_id, message in mavlink.mavlink_map.items()}
+
+
+def _columns_of_tlog(log: "FlightLog", name: str) -> list[str]:
+    """Return the columns of a message type's table; raises _NoSuchKey that lists the types."""
+    kinds = _kinds()
+    known = {kinds[message_id] for message_id in set(log.records.message_ids.tolist()) if message_id in kinds}
+    if name not in known:
+        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {', '.join(sorted(known))}")
+    return list(dict.fromkeys(column for row in _rows_of_tlog(log, name) for column in row.cells()))
+
+
+def _rows_of_tlog(log: "FlightLog", name: str) -> Iterator[Row]:
+    """Yield the messages of a type."""
+    for index, message in log.messages(log.select(None, [message_id for message_id, kind in _kinds().items() if kind == name])):
         fields = message.to_dict()
         del fields["mavpackettype"]
-        rows.append(Row(float(log.times_us[index]) / 1e6, math.nan, {**fields, "system": message.get_srcSystem()}))
-    return summary, rows
+        yield Row(float(log.times_us[index]) / 1e6, math.nan, {**fields, "system": message.get_srcSystem()})
 
 
 # ---- printing ----
@@ -363,14 +293,10 @@ def _rate(times: Sequence[float]) -> str:
     return f"{1 / mean_s:,.2f}" if mean_s > 0 else ""
 
 
-def _print_csv(rows: Sequence[Row]) -> None:
-    flat = [
-        {"published_s": repr(row.published_s), "simulation_s": _cell(row.simulation_s), **dict(_flattened("", row.fields))} for row in rows
-    ]
-    names = list(dict.fromkeys(name for row in flat for name in row))
-    writer = csv.DictWriter(sys.stdout, names, restval="", lineterminator="\n")
+def _print_csv(names: Sequence[str], rows: Iterable[Row]) -> None:
+    writer = csv.DictWriter(sys.stdout, names, restval="", extrasaction="ignore", lineterminator="\n")  # the log may still be written
     writer.writeheader()
-    writer.writerows(flat)
+    writer.writerows(row.cells() for row in rows)
 
 
 def _flattened(name: str, value: Any) -> Iterator[tuple[str, Any]]:

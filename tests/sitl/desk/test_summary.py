@@ -4,6 +4,8 @@ import csv
 import io
 import json
 import os
+import random
+import tracemalloc
 from argparse import Namespace
 from pathlib import Path
 
@@ -253,3 +255,19 @@ def test_text_of_a_stranger_draws_nothing_on_the_terminal_and_forges_no_line(tmp
     assert all(line.isprintable() for line in text.splitlines())
     assert not any(line.startswith("located") for line in text.splitlines())
     assert text.count("\\x1b[2J\\x1b]0;owned\\x07\\nlocated after 1 steps\\u202e") >= 5
+
+
+@pytest.mark.parametrize("flags", [{}, {"csv": "belief"}], ids=["summary", "csv"])
+def test_a_large_record_is_read_in_little_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: dict[str, str]) -> None:
+    count, size = 400, 100_000  # 40 MB that no packing makes smaller
+    path, noise = tmp_path / "large.mcap", random.Random(1)
+    writer = Writer(path, ABOUT)
+    for step in range(count):
+        at_ns = BEGAN + step * SECOND
+        writer.write(Entry("belief", at_ns, step + 1.0, belief(step), noise.randbytes(size)), at_ns)
+    writer.close()
+    tracemalloc.start()
+    said(capsys, path, **flags)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < count * size / 2  # a few chunks of 4 MB, packed and unpacked

@@ -1,0 +1,141 @@
+"""What a record holds, taken message by message: times, counts and the search, however large the record is."""
+
+import math
+from array import array
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from hashlib import blake2b
+from itertools import islice, pairwise
+from typing import NamedTuple
+
+import msgspec
+
+from link.bus.messages import Belief, Stop
+from link.record.record import Entry
+from link.terminal import printable
+from plume.outcome import TracePoint
+
+PAUSE_S = 2.0
+"""A longer silence of the whole bus is reported, s: telemetry comes every second."""
+LISTED = 5
+"""Number of items of a kind that are listed; the rest is counted."""
+LONGEST = 120
+"""Longest description of an unreadable message, characters."""
+MOST_REASONS = 1000
+"""So many descriptions of unreadable messages are told apart."""
+
+
+class KeyTable(NamedTuple):
+    """The messages of one key, or of one type of MAVLink message."""
+
+    name: str
+    published_s: Sequence[float]
+    simulation_s: Sequence[float]
+    repeats: int | None
+    """Number of repeated messages; None where repeats mean nothing."""
+
+
+class Alive(msgspec.Struct):
+    """The fields used of a health message."""
+
+    uptime_s: float
+
+
+class Survey:
+    """What a record holds. No payload stays in memory."""
+
+    def __init__(self, entries: Iterable[Entry]) -> None:
+        """Take all messages."""
+        self.published_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
+        self.simulation_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
+        self.asked: set[int] = set()
+        """The time_boot_ms of all readings; `answered` has those of beliefs."""
+        self.answered: set[int] = set()
+        self.trace: dict[int, TracePoint] = {}
+        """By step, what the first belief of the step says."""
+        self.last: Belief | None = None
+        """The first belief of the last step."""
+        self.restarts: Counter[str] = Counter()
+        self._told: dict[str, set[bytes]] = {"reading": set(), "belief": set(), "agdc/stop": set()}
+        """Digests of the messages of the keys whose repeats mean something."""
+        self._up_s: dict[str, float] = {}
+        self._unreadable: Counter[str] = Counter()
+        self._reasons: dict[str, dict[str, None]] = defaultdict(dict)
+        for entry in entries:
+            self._take(entry)
+
+    @property
+    def tables(self) -> list[KeyTable]:
+        """Return a table for each key."""
+        return [
+            KeyTable(key, times, self.simulation_s[key], len(times) - len(self._told[key]) if key in self._told else None)
+            for key, times in sorted(self.published_s.items())
+        ]
+
+    @property
+    def unreadable(self) -> list[str]:
+        """Return one line for each kind of messages that are no JSON, or of another version."""
+        return [
+            f"{count} {name}{'s' * (count > 1)} could not be read: {_few(list(self._reasons[name]))}"
+            for name, count in self._unreadable.items()
+        ]
+
+    def gaps(self) -> list[str]:
+        """Return a line for each kind of gap: unanswered readings, missing steps, pauses, restarted services."""
+        lines = []
+        if unanswered := sorted(self.asked - self.answered):
+            times = [f"{time_boot_ms / 1000:.2f} s" for time_boot_ms in unanswered[:LISTED]]
+            lines.append(f"{len(unanswered)} readings without a belief, at {_few(times, len(unanswered))} of simulation")
+        steps = sorted(self.trace)
+        if missing := max(steps, default=-1) + 1 - len(steps):  # counted, not listed: a foreign message may have any step
+            absent = (str(step) for before, after in pairwise([-1, *steps]) for step in range(before + 1, after))
+            lines.append(f"{missing} beliefs missing, of step {_few(list(islice(absent, LISTED)), missing)}")
+        published_s = sorted(time for times in self.published_s.values() for time in times)
+        pauses = [
+            f"{after - before:.1f} s at {before - published_s[0]:.1f} s"
+            for before, after in pairwise(published_s)
+            if after - before > PAUSE_S
+        ]
+        if pauses:
+            lines.append(f"{len(pauses)} pauses of the whole bus: {_few(pauses)}")
+        return lines + [
+            f"{service} was restarted {count} time{'s' * (count > 1)}" for service, count in sorted(self.restarts.items()) if count
+        ]
+
+    def _take(self, entry: Entry) -> None:
+        self.published_s[entry.key].append(entry.published_ns / 1e9)
+        self.simulation_s[entry.key].append(entry.simulation_s)
+        if entry.key in self._told:
+            self._told[entry.key].add(blake2b(f"{entry.simulation_s!r}".encode() + entry.payload, digest_size=16).digest())
+        if entry.key == "reading":
+            self.asked.add(round(entry.simulation_s * 1000))
+        for prefix, name, kind in (("belief", "belief", Belief), ("agdc/stop", "stop", Stop), ("health/", "health message", Alive)):
+            if entry.key.startswith(prefix):
+                try:
+                    self._hear(entry.key, msgspec.json.decode(entry.payload, type=kind))
+                except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+                    self._unreadable[name] += 1
+                    if len(self._reasons[name]) < MOST_REASONS:
+                        self._reasons[name][_line(str(error))] = None
+
+    def _hear(self, key: str, message: msgspec.Struct) -> None:
+        if isinstance(message, Belief) and message.step not in self.trace:
+            self.trace[message.step] = TracePoint(message.position, message.gas, message.mean, message.spread)
+            self.answered.add(message.time_boot_ms)
+            if self.last is None or message.step > self.last.step:
+                self.last = message
+        elif isinstance(message, Alive):
+            self.restarts[key.removeprefix("health/")] += message.uptime_s < self._up_s.get(key, -math.inf)
+            self._up_s[key] = message.uptime_s
+
+
+def _line(text: str) -> str:
+    """Return an error text that may quote a message, made safe for a terminal."""
+    plain = printable(text)
+    return plain if len(plain) <= LONGEST else f"{plain[:LONGEST]} ..."
+
+
+def _few(texts: Sequence[str], count: int = 0) -> str:
+    """Return the first few texts as a list and the number of the others; `count` is their total if not all are given."""
+    more = max(len(texts), count) - LISTED
+    return ", ".join(texts[:LISTED]) + (f" and {more:,} more" if more > 0 else "")
