@@ -11,7 +11,7 @@ import numpy as np
 from agent.planning.moves import Reach
 from agent.policies import choose
 from agent.policies import policy as find_policy
-from link.bus.keys import BELIEF, MAVLINK_IN, STOP
+from link.bus.keys import BELIEF, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, waypoint_message
 from link.bus.messages import Belief, Particles, unpack_particles
 from link.bus.session import Arrival, Bus
@@ -71,7 +71,7 @@ def run(
             bus.tally.did(belief.step)
             answered = belief.time_boot_ms
         # A repeated belief means that our waypoint did not arrive: send the same one again.
-        bus.publish(MAVLINK_IN, codec.pack(waypoint_message(system, belief.time_boot_ms, waypoint, belief.altitude_m)))
+        bus.publish(WAYPOINT, codec.pack(waypoint_message(system, belief.time_boot_ms, waypoint, belief.altitude_m)))
         bus.answered()
 
 

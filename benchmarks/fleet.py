@@ -21,7 +21,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link import cli
 from link.bus.inbox import Inbox
-from link.bus.keys import MAVLINK_IN, READING
+from link.bus.keys import MAVLINK_IN, READING, WAYPOINT
 from link.bus.mavlink import BadFrame, Codec, unpack, unpack_reading
 from link.bus.session import Arrival, Bus
 from sitl.autopilot.operator import OPERATOR, command
@@ -74,7 +74,7 @@ def measure(vehicles: int, seconds: float) -> Load:
             bus = Bus("fleet", endpoint, mission.namespace, inboxes[instance], announced=False)
             buses.append(bus)
             bus.on(READING, functools.partial(asked_at, instance, asked))
-            bus.on(MAVLINK_IN, functools.partial(answered_at, instance, asked, latencies))
+            bus.on(WAYPOINT, functools.partial(answered_at, instance, asked, latencies))
             wait_until(functools.partial(there, bus), f"the parts of vehicle {instance + 1} are there")
             for stream in STREAMS:
                 if stream.rate_hz > TELEMETRY_HZ:

@@ -16,7 +16,7 @@ from pathlib import Path
 from agent.trials.rollout import rollout
 from link.access.authority import make
 from link.bus.inbox import Inbox
-from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING
+from link.bus.keys import BELIEF, HEALTH, READING, WAYPOINT
 from link.bus.mavlink import unpack_reading
 from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus
@@ -86,8 +86,8 @@ def ring(particles: int, secure: Path | None = None) -> list[float]:
         ):
             answer, array, waypoint = b"x" * 500, b"x" * 12 * particles, b"x" * 65
             estimator.on(READING, lambda _: estimator.publish(BELIEF, answer, array))
-            agent.on(BELIEF, lambda _: agent.publish(MAVLINK_IN, waypoint))
-            uav.on(MAVLINK_IN, lambda _: done.put(None))
+            agent.on(BELIEF, lambda _: agent.publish(WAYPOINT, waypoint))
+            uav.on(WAYPOINT, lambda _: done.put(None))
             times = []
             for round_number in range(RING_ROUNDS + 100):
                 began = time.perf_counter()

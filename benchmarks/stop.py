@@ -23,7 +23,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from link import cli
-from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, STOP
+from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, STOP, WAYPOINT
 from link.bus.mavlink import Codec, Reading, pack_reading
 from link.bus.messages import Belief, Health, Stop, pack_particles
 from link.bus.session import Arrival, Bus
@@ -32,7 +32,7 @@ from plume.randomness import keyed
 PARTICLES = 4167
 """Their array has 50 kB."""
 BELIEF_HZ, FLOOD_HZ = 200.0, 500.0
-FLOODS = {key.name: key for key in (MAVLINK_IN, MAVLINK_OUT, READING, HEALTH)}
+FLOODS = {key.name: key for key in (MAVLINK_IN, MAVLINK_OUT, WAYPOINT, READING, HEALTH)}
 GIVE_UP_S, EVERY = 10.0, 50
 """Longest wait for a stop, and the number of stops after which another subscriber joins that never reads, and one that does."""
 WITNESSES = {"uav": ("sitl", "uav", "--seed", "1", "--speedup", "1"), "agent": ("agent",)}

@@ -47,8 +47,11 @@ A **reading** is one payload with three frames of the same time:
 
 The frames of a reading carry the vehicle's system id. The estimator refuses readings of another system.
 
-A **waypoint** is a SET_POSITION_TARGET_LOCAL_NED (84) in MAV_FRAME_LOCAL_NED that sets `x`, `y`, `z`. Its `time_boot_ms` is that of the
-reading it answers. The vehicle answers commands (COMMAND_LONG, COMMAND_INT) with COMMAND_ACK on `mavlink/out`; if it refuses one, it
+A **waypoint** is one SET_POSITION_TARGET_LOCAL_NED (84) in MAV_FRAME_LOCAL_NED that sets `x`, `y`, `z`. Its `time_boot_ms` is that of the
+reading it answers. It counts only on the key `waypoint`, which takes nothing else. On `mavlink/in` or over UDP the same frame is the
+setpoint of a client that wants to fly the vehicle itself: it answers no reading, and is refused while the search leads.
+
+Commands go to `mavlink/in`. The vehicle answers them (COMMAND_LONG, COMMAND_INT) with COMMAND_ACK on `mavlink/out`; if it refuses one, it
 also sends a STATUSTEXT.
 
 The search plane has x east and y north: (x, y) = (NED y, NED x). Its wind vector points to where the wind comes **from**:
@@ -94,7 +97,8 @@ with key and reason (`overflow`: once per burst; `stranger`: once). A reading th
 |---|---|
 | `malformed` | it does not decode, or violates this page |
 | `not finite` | a reading with NaN or infinity |
-| `other vehicle` | a reading of another system |
+| `other vehicle` | a reading of another system, or a waypoint for one |
+| `waypoint` | a waypoint that answers no reading or cannot be flown; a client's setpoint that is refused |
 | `outside` | a reading from outside the area |
 | `absurd` | a gas value that the sensor cannot give, however strong the source; a wind above 120 m/s; an altitude beyond ±10 km |
 | `late` | a reading older than the newest one |

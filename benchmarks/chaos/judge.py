@@ -10,7 +10,7 @@ import msgspec
 
 from agent.trials.rollout import rollout
 from benchmarks.chaos.faults import Fault
-from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING, STOP
+from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT
 from link.bus.mavlink import BadFrame, unpack, unpack_reading
 from link.bus.messages import Belief, Stop
 from link.record.reader import RecordError, read
@@ -151,7 +151,7 @@ def _record(evidence: Evidence, trace: list[TracePoint], ceased: bool, ended: st
     unlike, readings = _readings(payloads.get(READING.name, []), trace, gaps=told)
     wrong += unlike
     wrong += _beliefs(payloads.get(BELIEF.name, []), trace)
-    wrong += _waypoints(payloads.get(MAVLINK_IN.name, []), readings, trace)
+    wrong += _waypoints(payloads.get(WAYPOINT.name, []), readings, trace)
     wrong += _stops(payloads.get(STOP.name, []), trace, ceased)
     if wounded:
         return wrong

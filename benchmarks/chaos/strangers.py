@@ -60,7 +60,7 @@ def echo(endpoint: str, seed: int) -> None:
 
 def station(endpoint: str, seed: int) -> None:
     """Be a ground station on UDP: say heartbeats, hear telemetry."""
-    link = UdpLink(endpoint, lambda _: None, system=255, component=mavlink.MAV_COMP_ID_MISSIONPLANNER)
+    link = UdpLink(endpoint, lambda _, peer: None, system=255, component=mavlink.MAV_COMP_ID_MISSIONPLANNER)
     _ready()
     while True:
         link.send(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3))

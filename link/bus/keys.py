@@ -55,11 +55,19 @@ MAVLINK_OUT = Key(
     writers=(VEHICLE, BRIDGE), readers=(BRIDGE,),
 )  # fmt: skip
 MAVLINK_IN = Key(
-    "mavlink/in", FRAMES, "agent, GCS bridge", "vehicle",
+    "mavlink/in", FRAMES, "operator, GCS bridge", "vehicle",
     Delivery(blocking=True, express=True),
-    "1 per belief; commands as they come",
-    "Waypoints (SET_POSITION_TARGET_LOCAL_NED) and commands to the vehicle. A bridge passes MAVLink 1 frames as they are.",
-    writers=(AGENT, BRIDGE, OPERATOR), readers=(VEHICLE, BRIDGE),
+    "as they come",
+    "Commands to the vehicle, and setpoints of whoever flies it in the search's place. A bridge passes MAVLink 1 frames as they are.",
+    writers=(BRIDGE, OPERATOR), readers=(VEHICLE, BRIDGE),
+)  # fmt: skip
+WAYPOINT = Key(
+    "waypoint", FRAMES, "agent", "vehicle",
+    Delivery(blocking=True, express=True),
+    "1 per belief",
+    "The answer to a reading: one SET_POSITION_TARGET_LOCAL_NED with the reading's time_boot_ms. All else on this key is refused, and "
+    "nothing on another key answers a reading.",
+    writers=(AGENT,), readers=(VEHICLE,),
 )  # fmt: skip
 READING = Key(
     "reading", FRAMES, "vehicle", "estimator",
@@ -105,7 +113,7 @@ HEALTH = Key(
     writers=EVERYBODY, readers=EVERYBODY,
 )  # fmt: skip
 
-KEYS = (MAVLINK_OUT, MAVLINK_IN, READING, PAYLOAD_IN, PAYLOAD_OUT, BELIEF, STOP, HEALTH)
+KEYS = (MAVLINK_OUT, MAVLINK_IN, WAYPOINT, READING, PAYLOAD_IN, PAYLOAD_OUT, BELIEF, STOP, HEALTH)
 
 SEARCHERS = frozenset({"estimator", "agent"})
 """The search begins when these services have joined the bus."""

@@ -197,3 +197,16 @@ def waypoint_message(system: int, answers_time_boot_ms: int, position: tuple[flo
         yaw=0.0,
         yaw_rate=0.0,
     )
+
+
+def unpack_waypoint(payload: bytes, system: int) -> Message:
+    """Return the SET_POSITION_TARGET_LOCAL_NED of a payload; raises BadFrame if it is not one alone, or not for this system."""
+    frames = split(payload)
+    if len(frames) != 1 or frames[0].message_id != mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED:
+        found = f"{len(frames)} frames" if len(frames) > 1 else f"message {frames[0].message_id}"
+        raise BadFrame(f"{found}; wanted one SET_POSITION_TARGET_LOCAL_NED (84)")
+    message = mavlink.MAVLink(None).decode(bytearray(payload))
+    to, ours = (message.target_system, message.target_component), (system, mavlink.MAV_COMP_ID_AUTOPILOT1)
+    if any(asked not in (0, own) for asked, own in zip(to, ours, strict=True)):
+        raise BadFrame(f"a waypoint for {to[0]}/{to[1]}; this is {ours[0]}/{ours[1]}", "other vehicle")
+    return message

@@ -25,6 +25,7 @@ from link.record.record import (
     READABLE,
     STOPPED,
     Entry,
+    key_today,
     parted,
     value_of,
     without_time,
@@ -132,6 +133,7 @@ class LogFile:
         self.complete = False
         self._path = path
         self._topics: dict[int, tuple[str, str]] = {}
+        self._format = 0
         self._newest: Entry | None = None
         """What belongs to this message may still follow."""
         self._sequence = -1
@@ -218,10 +220,12 @@ class LogFile:
                 f"{self._path} has record format {printable(str(written))} of another plumeward version; readable formats: {formats}"
             )
         self.about |= about
+        self._format = max(self._format, written)
 
     def _message(self, key: str, ending: str, sequence: int, published_ns: int, data: bytes) -> None:
         newest = self._newest
         if not ending and key in FRAME_KEYS:
+            key = key_today(key, data, self._format)
             self._begin(Entry(key, published_ns, newest.simulation_s if newest else 0.0, data), sequence)
         elif not ending:
             payload, simulation_s = without_time(data)

@@ -19,14 +19,16 @@ from typing import Annotated, Any, NamedTuple
 import msgspec
 
 from link.bus.frames import frame_at
-from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, READING, STOP
+from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, READING, STOP, WAYPOINT
+from link.bus.mavlink import ONBOARD_COMPUTER
 
 ABOUT, STOPPED = "plumeward", "stopped"
 """Name of the metadata record that describes the run. If recording stops early, a second such record gives the reason under STOPPED."""
-FORMAT_NAME, FORMAT = "format", 1
+FORMAT_NAME, FORMAT = "format", 2
 """Entry of ABOUT with the format of the record; the format that is written."""
-READABLE = (0, FORMAT)
-"""Formats that are read. 0 stands for records without a format number; they are otherwise the same as 1."""
+READABLE = (0, 1, FORMAT)
+"""Formats that are read. 0 stands for records without a format number; they are otherwise the same as 1. Until 1, waypoints were sent on
+`mavlink/in`: see `key_today`."""
 MALFORMED, DECODED, PARTICLES, ATTACHMENT = "malformed", "decoded", "particles", "attachment"
 """Endings of topics, after their key."""
 
@@ -63,6 +65,12 @@ def parted(topic: str) -> tuple[str, str]:
     return "", topic
 
 
+def key_today(key: str, payload: bytes, written: int) -> str:
+    """Return the key that a message of a record in format `written` has today: the agent's setpoints on `mavlink/in` are waypoints."""
+    frame = frame_at(payload, 0) if written < FORMAT and key == MAVLINK_IN.name else None
+    return WAYPOINT.name if frame and frame.message_id in SETPOINT and frame.component == ONBOARD_COMPUTER else key
+
+
 # ---- simulation time ----
 
 
@@ -72,7 +80,7 @@ class _Timed(msgspec.Struct):
 
 OWN_TIME = {30, 32, 33}
 """ATTITUDE, LOCAL_POSITION_NED and GLOBAL_POSITION_INT begin with the vehicle's own time_boot_ms."""
-WAYPOINT = {84}
+SETPOINT = {84}
 """SET_POSITION_TARGET_LOCAL_NED begins with the time_boot_ms of the reading it answers."""
 
 
@@ -111,10 +119,10 @@ class SimulationClock:
         if key in (BELIEF.name, STOP.name):
             with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
                 own = msgspec.json.decode(payload, type=_Timed).time_boot_ms
-        elif key == MAVLINK_IN.name:
-            answered = _time_boot_ms(payload, WAYPOINT)
-            own = answered if answered in self._readings else None  # a ground station may send its own times
-        elif key in FRAME_KEYS:
+        elif key == WAYPOINT.name:
+            answered = _time_boot_ms(payload, SETPOINT)
+            own = answered if answered in self._readings else None  # it may answer none
+        elif key in FRAME_KEYS and key != MAVLINK_IN.name:  # a ground station has times of its own
             own = _time_boot_ms(payload, OWN_TIME)
             if own is not None and key == READING.name:
                 self._note(own)

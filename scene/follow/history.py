@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING, STOP
+from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT
 from link.bus.mavlink import BadFrame, unpack_reading
 from link.bus.messages import Belief, Health, Stop, unpack_particles
 from link.record.record import HEALTH_PREFIX
@@ -168,7 +168,7 @@ class History:
             if key == READING.name:
                 self._winds.add(time_s, unpack_reading(payload).wind)
                 return True
-            if key == MAVLINK_IN.name:
+            if key == WAYPOINT.name:
                 places = [place for _, fields in frames(payload, {SETPOINT}) if (place := waypoint(fields))]
                 for place in places:
                     self._waypoints.add(time_s, place)

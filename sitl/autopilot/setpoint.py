@@ -1,11 +1,11 @@
-"""What a companion asks of the vehicle in OFFBOARD: a setpoint, the way that it becomes, what it answers, how long silence is borne."""
+"""What a companion asks of the vehicle in OFFBOARD: a setpoint, the way it becomes, the reading it answers, how long silence is borne."""
 
 import math
 from typing import NamedTuple
 
 from sitl.autopilot.config import VehicleConfig, metres
 from sitl.autopilot.motion import NOTHING, ZERO, Box, Limits, Motion, Ned, Push, Spin, Trajectory, Turn, halt, steer, wrapped
-from sitl.autopilot.state import Result, denied
+from sitl.autopilot.state import Result, denied, not_now
 
 SAME_PLACE_M = 1e-6
 """A vehicle this close to where it shall be is there."""
@@ -150,7 +150,7 @@ class Companion:
 
 
 class Answers:
-    """The readings of one vehicle, by their MAVLink time."""
+    """The readings of one search, by their MAVLink time, and which waypoint answers them."""
 
     def __init__(self) -> None:
         """Begin without a reading: nothing awaits an answer."""
@@ -167,19 +167,16 @@ class Answers:
         self._readings.add(time_boot_ms)
         self.newest, self.awaited = time_boot_ms, True
 
-    def has(self, time_boot_ms: int | None) -> bool:
-        """True if a reading was taken at this time."""
-        return time_boot_ms in self._readings
-
-    def wants(self, time_boot_ms: int | None) -> bool:
-        """True if a waypoint with this time is the awaited answer."""
-        return self.awaited and time_boot_ms == self.newest
-
-    def superfluous(self, time_boot_ms: int | None) -> str:
-        """Name what a waypoint is that answers an older reading or one that has been answered: late or duplicate; else nothing."""
-        if not self.has(time_boot_ms) or self.wants(time_boot_ms):
-            return ""
-        return "duplicate" if time_boot_ms == self.newest else "late"
+    def refusal(self, time_boot_ms: int, setpoint: Setpoint) -> Result | None:
+        """Return why a setpoint with this time is not the awaited answer, if so. One that comes late or twice is only ignored."""
+        if time_boot_ms not in self._readings:
+            return denied(f"Waypoint refused: no reading was taken at {time_boot_ms} ms", "no reading")
+        if time_boot_ms != self.newest or not self.awaited:
+            kind = "duplicate" if time_boot_ms == self.newest else "late"
+            return not_now(f"Waypoint ignored: {kind} answer to the reading at {time_boot_ms} ms")
+        if setpoint.position is None:
+            return denied("Waypoint refused: the answer to a reading is a position", "no position")
+        return None
 
 
 def _clamped(velocity: Ned, limits: Limits) -> Ned:

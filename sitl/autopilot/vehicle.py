@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sitl.autopilot.config import VehicleConfig, metres
 from sitl.autopilot.motion import Ned, Trajectory, as_float32, tilt
 from sitl.autopilot.navigator import Navigator
-from sitl.autopilot.setpoint import Answers, Companion, Setpoint, facing
+from sitl.autopilot.setpoint import Companion, Setpoint, facing
 from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, State, VehicleEvent, denied, not_now
 
 
@@ -31,8 +31,6 @@ class Vehicle(Navigator):
         """Who flies it in OFFBOARD, and the newest setpoint."""
         self._alone_since_s = 0.0  # when OFFBOARD began to fly: a client's silence counts from here at the earliest
         self._climb_m, self._waits_since_s = 0.0, 0.0  # a take-off that waits for the motors
-        self.answers = Answers()
-        """The readings, and whether the newest is answered: the first waypoint with its time answers it."""
 
     # ---- time ----
 
@@ -299,26 +297,18 @@ class Vehicle(Navigator):
         self._failsafe = False
         return ACCEPTED
 
-    def setpoint(self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, time_boot_ms: int | None = None) -> Result:
+    def setpoint(self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, answers: bool = False) -> Result:
         """Take a waypoint or another setpoint: follow it in OFFBOARD, else remember it.
 
-        A waypoint answers the reading of the same `time_boot_ms`, if any. A second answer to a reading, or an answer to an older one,
-        is ignored: TEMPORARILY_REJECTED.
+        answers: it answers a reading, so the vehicle arrives there even if it is there already.
         """
         self.catch_up(t_s)
         setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted), yaw_rad=yaw_rad)
-        answers = self.answers.wants(time_boot_ms)
-        if kind := self.answers.superfluous(time_boot_ms):
-            return not_now(f"Waypoint ignored: {kind} answer to the reading at {time_boot_ms} ms")
-        if answers and setpoint.position is None:
-            return denied("Waypoint refused: the answer to a reading is a position", "no position")
         if refusal := setpoint.refusal(self.config):
             return refusal
 
         new = answers or not setpoint.same_way(self.companion.setpoint)
         self.companion.hear(setpoint, self._now)
-        if answers:
-            self.answers.awaited = False
         if self._armed and self._mode is Mode.OFFBOARD:
             self._take(setpoint, new)
         return ACCEPTED

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 from link.bus.frames import frame_at
-from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING
+from link.bus.keys import BELIEF, MAVLINK_OUT, READING, WAYPOINT
 from link.record.record import Entry
 from scene.follow.history import History
 from scene.follow.recorded import backdrop_of, turns_of
@@ -45,7 +45,7 @@ class RecordedScene:
         if entry.key == BELIEF.name or happening is not self._happening:
             self._happening = happening
             return self._encoder.encode(self._history.at(), stamp_ns)
-        if entry.key == MAVLINK_IN.name:
+        if entry.key == WAYPOINT.name:
             return list(self._encoder.encode_waypoint(self._history.waypoint, stamp_ns))
         return list(self._encoder.encode_pose(self._history.craft, stamp_ns)) if LOCAL in news else []
 

@@ -203,8 +203,9 @@ def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield (export name, fields) of a message; nothing for a message that breaks the bus contract."""
     from link.bus.mavlink import BadFrame, flat_reading
     from link.record.decoded import decode
+    from link.record.record import FRAME_KEYS
 
-    if entry.key in ("reading", "mavlink/out", "mavlink/in"):
+    if entry.key in FRAME_KEYS:
         try:
             messages = decode(entry.payload)
         except BadFrame:

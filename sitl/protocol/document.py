@@ -73,7 +73,8 @@ value that is ignored) are read as PX4 1.15 reads them, with these choices:
   ground has landed. A fence is no edge: to fly through it is a breach, as GF_ACTION says.
 - BODY_NED turns velocities and accelerations by the yaw; PX4 turns accelerations by roll and pitch, too. It has no positions.
 - A yaw rate turns until told otherwise: by a setpoint without it, or another mode.
-- A position with the time of a reading answers the reading. Readings are taken at positions only.
+- A setpoint answers no reading, whatever its time: the agent's answers have a [key of their own](bus.md#frames). Readings are taken at
+  positions only.
 - SET_ATTITUDE_TARGET is refused.
 - At speed-up 0 time jumps to the end of each way, so velocities and strict streams need a speed-up above 0.
 

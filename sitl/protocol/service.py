@@ -7,7 +7,7 @@ from link.bus.mavlink import Message
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.motion import Ned
 from sitl.autopilot.plan import FlightPlan, MissionProgress, MissionStep
-from sitl.autopilot.setpoint import Answers, Companion, Setpoint
+from sitl.autopilot.setpoint import Companion, Setpoint
 from sitl.autopilot.state import Mode, Result, State, VehicleEvent
 
 
@@ -17,7 +17,6 @@ class AnyVehicle(Protocol):
     config: VehicleConfig
     mission: FlightPlan
     companion: Companion
-    answers: Answers
 
     @property
     def now_s(self) -> float:
@@ -87,7 +86,7 @@ class AnyVehicle(Protocol):
     def set_mode(self, t_s: float, mode: Mode) -> Result:
         """Change the flight mode."""
 
-    def setpoint(self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, time_boot_ms: int | None = None) -> Result:
+    def setpoint(self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, answers: bool = False) -> Result:
         """Take a waypoint or another setpoint."""
 
 

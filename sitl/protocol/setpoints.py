@@ -48,7 +48,7 @@ def take(vehicle: AnyVehicle, message: Message, t_s: float) -> Result:
     setpoint = read(message, vehicle.config, vehicle.state(t_s).yaw)
     if isinstance(setpoint, Result):
         return setpoint
-    return vehicle.setpoint(t_s, setpoint, time_boot_ms=message.time_boot_ms if message.get_type() == LOCAL else None)
+    return vehicle.setpoint(t_s, setpoint)
 
 
 def read(m: Message, config: VehicleConfig, yaw_rad: float) -> Setpoint | Result:

@@ -9,7 +9,7 @@ from link.bus.mavlink import POSITION_ONLY
 from sitl.autopilot.config import VehicleConfig, metres
 from sitl.autopilot.motion import ZERO, Ned, as_float32, wrapped
 from sitl.autopilot.plan import FlightPlan, MissionProgress, MissionStep
-from sitl.autopilot.setpoint import Answers, Companion, Setpoint
+from sitl.autopilot.setpoint import Companion, Setpoint
 from sitl.autopilot.state import ACCEPTED, Arrived, Mode, Result, State, VehicleEvent, denied, going_on, not_now
 from sitl.remote.arrival import Approach, ArrivalRule
 from sitl.remote.commander import AUTOPILOT, Commander
@@ -45,8 +45,6 @@ class RemoteVehicle:
         self.config = config
         self.mission = FlightPlan()
         self.companion = Companion()
-        self.answers = Answers()
-        """The readings, and whether the newest is answered: the first waypoint with its time answers it."""
         self.flight = Procedures(commander)
         self._guard = Watch(self.flight)
         self._commander, self._arrival = commander, arrival
@@ -214,7 +212,7 @@ class RemoteVehicle:
         {Mode.OFFBOARD: self.flight.fly, Mode.HOLD: self.flight.hold, Mode.RETURN: self.flight.go_home, Mode.LAND: self.flight.land}[mode]()
         return ACCEPTED
 
-    def setpoint(self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, time_boot_ms: int | None = None) -> Result:
+    def setpoint(self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, answers: bool = False) -> Result:
         """Take a waypoint as the simulated vehicle does: fly there in OFFBOARD, else remember it. The yaw is the autopilot's.
 
         The agent answers with the altitude that it has read, which is never exactly the one flown: the search's altitude is kept, or
@@ -222,9 +220,6 @@ class RemoteVehicle:
         reading is taken inside, wherever around it the vehicle comes to rest.
         """
         setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted))
-        answers = self.answers.wants(time_boot_ms)
-        if kind := self.answers.superfluous(time_boot_ms):
-            return not_now(f"Waypoint ignored: {kind} answer to the reading at {time_boot_ms} ms")
         if setpoint.position is None:
             return denied("Setpoint refused: only positions are handed on to a real autopilot", "no position")
         if refusal := setpoint.refusal(self.config):
@@ -232,7 +227,6 @@ class RemoteVehicle:
         north, east = (min(max(along_m, self._inset_m), self.config.area_m - self._inset_m) for along_m in setpoint.position[:2])
         down = setpoint.position[2]
         if answers:
-            self.answers.awaited = False
             down = -self.config.takeoff_altitude_m
         if answers or (north, east, down) != self._setpoint:
             self._setpoint = as_float32((north, east, down))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from link.bus.inbox import Inbox
-from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING, RESEND_FIRST_S, RESEND_LAST_S, STOP
+from link.bus.keys import BELIEF, HEALTH, READING, RESEND_FIRST_S, RESEND_LAST_S, STOP, WAYPOINT
 from link.bus.messages import Belief, Health
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.record.record import Entry
@@ -44,7 +44,7 @@ def replay(source: Source, rules: Rules | None, speedup: float, connect: str | N
         progress = stack.enter_context(Progress(max(len(readings) - 1, 0), started))
         endpoint = connect or _start(stack.enter_context(Processes(inbox)), source, secure)
         bus = stack.enter_context(Bus("uav", endpoint, source.namespace, inbox, secure=secure))
-        bus.subscribe(BELIEF, STOP, MAVLINK_IN, HEALTH)
+        bus.subscribe(BELIEF, STOP, WAYPOINT, HEALTH)
         bus.watch_services()
         progress.say(f"replay: {source.path} as {source.namespace}, {pace(speedup)}, router at {endpoint}")
         player = Player(bus, source, progress, rules, own=connect is None)

@@ -8,19 +8,19 @@ import msgspec
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.keys import BELIEF, MAVLINK_IN, STOP
-from link.bus.mavlink import ONBOARD_COMPUTER, BadFrame, unpack
+from link.bus.keys import BELIEF, STOP, WAYPOINT
+from link.bus.mavlink import BadFrame, unpack
 from link.bus.messages import Belief, Stop
 from link.record.record import Entry
 
-KINDS = {"stop": STOP.name, "belief": BELIEF.name, "waypoint": MAVLINK_IN.name}
+KINDS = {"stop": STOP.name, "belief": BELIEF.name, "waypoint": WAYPOINT.name}
 """Kinds of answers to a reading and their keys, in the order of publication."""
 PARTICLES = "particles"
-WAYPOINT = mavlink.MAVLink_set_position_target_local_ned_message
+SETPOINT = mavlink.MAVLink_set_position_target_local_ned_message
 FIELDS: Mapping[str, tuple[str, ...]] = {
     "stop": Stop.__struct_fields__,
     "belief": (*Belief.__struct_fields__, PARTICLES),
-    "waypoint": tuple(WAYPOINT.fieldnames),
+    "waypoint": tuple(SETPOINT.fieldnames),
 }
 YOUNG = ("assume", "stop", "evidence")
 """Fields that older records lack; then they are not compared."""
@@ -84,7 +84,7 @@ def place(key: tuple[int, str]) -> tuple[int, int]:
 
 def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
     """Return the answers in a message; empty if it is not an answer of a service or does not decode."""
-    if key == MAVLINK_IN.name:
+    if key == WAYPOINT.name:
         return _waypoints(payload)
     kind = {BELIEF.name: "belief", STOP.name: "stop"}.get(key)
     if kind is None:
@@ -190,9 +190,9 @@ def _waypoints(payload: bytes) -> list[Answer]:
     except BadFrame:
         return []
     return [
-        Answer("waypoint", message.time_boot_ms, {name: _float32(getattr(message, name)) for name in WAYPOINT.fieldnames})
+        Answer("waypoint", message.time_boot_ms, {name: _float32(getattr(message, name)) for name in SETPOINT.fieldnames})
         for message in messages
-        if message.get_type() == WAYPOINT.msgname and message.get_srcComponent() == ONBOARD_COMPUTER
+        if message.get_type() == SETPOINT.msgname
     ]
 
 

@@ -37,7 +37,8 @@ class Port(NamedTuple):
 
 
 class FromUdp(NamedTuple):
-    """A message received over UDP, with the index of its `Port`."""
+    """A message received over UDP, with the index of its `Port` and its sender's HOST:PORT."""
 
     port: int
     message: Message
+    peer: str

@@ -13,11 +13,12 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.mavlink import Message
 from link.bus.messages import Stop
 from sitl.autopilot.motion import Ned
+from sitl.autopilot.setpoint import Answers
 from sitl.autopilot.state import Mode, Result, denied, not_now
 from sitl.autopilot.telemetry import Telemetry
 from sitl.protocol.protocol import MavlinkProtocol
 from sitl.protocol.service import AnyVehicle
-from sitl.protocol.setpoints import GLOBAL, LOCAL
+from sitl.protocol.setpoints import GLOBAL, LOCAL, read
 from sitl.script.script import AfterStop
 
 AFTER_STOP: dict[AfterStop, Mode] = {"return": Mode.RETURN, "land": Mode.LAND, "hold": Mode.HOLD}
@@ -49,6 +50,8 @@ class Search:
         """What the uav's health says."""
         self.found = False
         """True once the stop has been declared."""
+        self.answers = Answers()
+        """The readings, and whether the newest is answered: the agent's first waypoint with its time answers it."""
         self._vehicle, self._protocol, self._say, self._clock = vehicle, protocol, say, clock
         self._after_stop = after_stop
         self._waypoint: Ned = (start[1], start[0], -vehicle.config.takeoff_altitude_m)
@@ -74,12 +77,12 @@ class Search:
     @property
     def measures(self) -> bool:
         """True if the vehicle's arrival is one at a waypoint of the search: only there readings are taken, one at each."""
-        return self.leads and self.state == SEARCHING and not self._vehicle.answers.awaited
+        return self.leads and self.state == SEARCHING and not self.answers.awaited
 
     @property
     def wants_answers(self) -> bool:
         """True while the search waits for the answer to its newest reading; a paused one keeps the answer for later."""
-        return self.state in (SEARCHING, PAUSED) and self._vehicle.answers.awaited and not self.found
+        return self.state in (SEARCHING, PAUSED) and self.answers.awaited and not self.found
 
     # ---- how it goes on ----
 
@@ -160,14 +163,36 @@ class Search:
 
     # ---- what others ask ----
 
-    def receive(self, message: Message, t_s: float, streams: Telemetry | None = None) -> list[Message]:
-        """Handle a message from any link as `MavlinkProtocol.receive` does, and see to it that only the leader leads."""
+    def answer(self, waypoint: Message, t_s: float) -> list[Message]:
+        """Take the agent's SET_POSITION_TARGET_LOCAL_NED, which answers the reading of its time; return texts if it is refused."""
+        self._vehicle.catch_up(t_s)
+        if not self.leads and self._vehicle.mode is Mode.OFFBOARD:
+            return []  # another client leads; the agent is asked again when the search is given back
+        setpoint = read(waypoint, self._vehicle.config, self._vehicle.state(t_s).yaw)
+        if isinstance(setpoint, Result):
+            return self._protocol.refuse_setpoint(setpoint, t_s)
+        refusal = self.answers.refusal(waypoint.time_boot_ms, setpoint)
+        result = refusal or self._vehicle.setpoint(t_s, setpoint, answers=True)
+        if result.accepted:
+            self.answers.awaited = False
+            self._waypoint = self._vehicle.waypoint or self._waypoint
+        return self._protocol.refuse_setpoint(result, t_s)
+
+    def receive(self, message: Message, t_s: float, whence: str, streams: Telemetry | None = None) -> list[Message]:
+        """Handle a message from any link as `MavlinkProtocol.receive` does, and see to it that only the leader leads.
+
+        whence: how it came, in words; anybody can write any ids into a frame.
+        """
         self._vehicle.catch_up(t_s)
         if not self._protocol.is_addressed(message):
             return []
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
+        who = f"{sender[0]}/{sender[1]} {whence}"
         if kind in SETPOINTS:
-            return self._take_setpoint(message, sender, t_s, streams)
+            self._streams[sender] = self._clock()
+            if self.leads:
+                return self._protocol.refuse_setpoint(denied("Waypoint refused: the search leads, HOLD stops it", "not leading"), t_s)
+            return self._protocol.receive(message, t_s, streams)
         if kind not in CHANGES:
             return self._protocol.receive(message, t_s, streams)
         before = self._flown()
@@ -176,29 +201,15 @@ class Search:
                 reason = "Offboard refused: the search leads, HOLD stops it"
                 return self._protocol.refuse(message, not_now(reason))
             if not self.leads and not self._is_streaming(None):
-                return self._give_back(message, sender, t_s, streams)
+                return self._give_back(message, who, t_s, streams)
         answers = self._protocol.receive(message, t_s, streams)
-        if self.leads and self._flown() != before:
-            self.leads = False
+        if self._begun and self.state != LANDED and self._flown() != before:
+            gives_way, self.leads = "Search gives way: " * self.leads, False
             how = self._vehicle.mode.name if self._vehicle.armed else "disarmed"
-            self._say(mavlink.MAV_SEVERITY_WARNING, f"Search gives way: {how} by {sender[0]}/{sender[1]}")
+            self._say(mavlink.MAV_SEVERITY_WARNING, f"{gives_way}{how} by {who}")
         return answers
 
-    def _take_setpoint(self, message: Message, sender: Sender, t_s: float, streams: Telemetry | None) -> list[Message]:
-        if message.get_type() == LOCAL and self._vehicle.answers.has(message.time_boot_ms):  # the agent's
-            if not self.leads and self._vehicle.mode is Mode.OFFBOARD:
-                return []  # another client leads; the agent is asked again when the search is given back
-            before = self._vehicle.answers.awaited
-            answers = self._protocol.receive(message, t_s, streams)
-            if before and not self._vehicle.answers.awaited and self._vehicle.waypoint:
-                self._waypoint = self._vehicle.waypoint
-            return answers
-        self._streams[sender] = self._clock()
-        if self.leads:
-            return self._protocol.refuse_setpoint(denied("Waypoint refused: the search leads, HOLD stops it", "not leading"), t_s)
-        return self._protocol.receive(message, t_s, streams)
-
-    def _give_back(self, message: Message, sender: Sender, t_s: float, streams: Telemetry | None) -> list[Message]:
+    def _give_back(self, message: Message, who: str, t_s: float, streams: Telemetry | None) -> list[Message]:
         """Lead again where the search left off. Nobody else sends its waypoint again, so it is set here."""
         self.leads = True
         self._vehicle.setpoint(t_s, self._waypoint)
@@ -206,7 +217,7 @@ class Search:
         self.leads = self._vehicle.mode is Mode.OFFBOARD
         if self.leads:
             self.state = SEARCHING
-            self._say(mavlink.MAV_SEVERITY_INFO, f"Search resumed by {sender[0]}/{sender[1]}")
+            self._say(mavlink.MAV_SEVERITY_INFO, f"Search resumed by {who}")
         return answers
 
     def _flown(self) -> tuple[Mode, bool]:

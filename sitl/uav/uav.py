@@ -3,16 +3,17 @@
 import math
 import queue
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.inbox import Inbox
-from link.bus.keys import MAVLINK_IN, PAYLOAD_IN, PAYLOAD_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP
+from link.bus.keys import MAVLINK_IN, PAYLOAD_IN, PAYLOAD_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP, WAYPOINT
 from link.bus.log import Log
-from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack
+from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack, unpack_waypoint
 from link.bus.px4 import MissionCurrent
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.interrupts import uninterrupted
@@ -22,6 +23,7 @@ from sitl.autopilot.operator import OPERATOR, change_mode, command
 from sitl.autopilot.state import Arrived, Led, Mode, Reached, Snapshot, VehicleFailed
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
+from sitl.bridge.bus_link import BRIDGED
 from sitl.payload.asking import Asking, Sample
 from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
 from sitl.script.script import Abort, AfterStop, Delay, Dropout, Duplicate, Lose, OnBoard, Pause, Resume, Spike, Stuck, Wind
@@ -108,7 +110,7 @@ class Uav:
             index = len(self._ports)
             put = inbox.lane(url)
             signer = signing.link(url) if signing else None
-            link = UdpLink(url, lambda message, index=index, put=put: put(FromUdp(index, message), 0), config.sysid, COMPONENT, signer)  # type: ignore[misc]
+            link = UdpLink(url, lambda *said, index=index, put=put: put(FromUdp(index, *said), 0), config.sysid, COMPONENT, signer)
             self._udp.append(link)
             self._ports.append(Port(link, self._telemetry()))
 
@@ -119,7 +121,7 @@ class Uav:
     def run(self) -> None:
         """Run the service until it is interrupted."""
         if self._bus:
-            self._bus.subscribe(MAVLINK_IN, STOP, *[PAYLOAD_OUT] * bool(self._asking))
+            self._bus.subscribe(MAVLINK_IN, WAYPOINT, STOP, *[PAYLOAD_OUT] * bool(self._asking))
             self._bus.watch_services()
             self._bus.publish_health()
         # No KeyboardInterrupt: it could strike within a frame, be lost, or leave a real vehicle in the air.
@@ -207,17 +209,19 @@ class Uav:
 
     def _handle(self, item: Any) -> None:
         match item:
-            case FromUdp(index, message):
-                self._message(message, self._ports[index])
-            case Arrival(key, payload) if key is MAVLINK_IN:
+            case FromUdp(index, message, peer):
+                port = self._ports[index]
+                self._message(message, port, partial(self._search.receive, whence=f"at {peer}", streams=port.telemetry))
+            case Arrival(key, payload, attachment) if key in (MAVLINK_IN, WAYPOINT) and self._bus:
+                port, whence = self._ports[0], "through a bridge" if attachment == BRIDGED else "on the bus"
+                take = self._search.answer if key is WAYPOINT else partial(self._search.receive, whence=whence, streams=port.telemetry)
                 try:
-                    messages = unpack(payload)
+                    messages = [unpack_waypoint(payload, self._vehicle.config.sysid)] if key is WAYPOINT else unpack(payload)
                 except BadFrame as error:
-                    if self._bus:
-                        self._bus.refuse(MAVLINK_IN, str(error), "malformed")
+                    self._bus.refuse(key, str(error), error.kind)
                     return
                 for message in messages:
-                    self._message(message, self._ports[0])
+                    self._message(message, port, take)
             case Arrival(key, payload) if key is PAYLOAD_OUT and self._asking and self._bus:
                 try:
                     if sample := self._asking.receive(payload):
@@ -230,12 +234,12 @@ class Uav:
             case LivelinessChange(service, alive):
                 (self._searchers.add if alive else self._searchers.discard)(service)
 
-    def _message(self, message: Message, port: Port) -> None:
-        refused, awaited = self._protocol.refused.total(), self._vehicle.answers.awaited
-        answers = self._search.receive(message, self._clock.now_s(), port.telemetry)
+    def _message(self, message: Message, port: Port, take: Callable[[Message, float], list[Message]]) -> None:
+        refused, awaited = self._protocol.refused.total(), self._search.answers.awaited
+        answers = take(message, self._clock.now_s())
         if message.get_type() in SETPOINTS:
             self._clock.heard()
-        if awaited and not self._vehicle.answers.awaited:
+        if awaited and not self._search.answers.awaited:
             self._tally.latency_s = time.monotonic() - self._sampled_at
         if self._protocol.refused.total() > refused:
             self._tally.refuse("waypoint")
@@ -314,7 +318,7 @@ class Uav:
             self._timeline.schedule(self._vehicle.now_s + TRY_AGAIN_S, arrived)
             return
         self._gas = self._last_time_boot_ms, gas
-        self._vehicle.answers.sampled(self._last_time_boot_ms)
+        self._search.answers.sampled(self._last_time_boot_ms)
         self._last_reading = reading
         self._radio.new_reading()
         self._radio.send(reading, time.monotonic())
@@ -382,7 +386,7 @@ class Uav:
     def _operate(self, message: Message) -> None:
         """Handle a message of the script's operator as if it had come over a link."""
         message.pack(mavlink.MAVLink(None, *OPERATOR))
-        answers = self._search.receive(message, self._vehicle.now_s)
+        answers = self._search.receive(message, self._vehicle.now_s, whence="in the script")
         for text in (answer.text for answer in answers if answer.get_type() == "STATUSTEXT"):
             self._log.warning(text)
         self._broadcast(answers)

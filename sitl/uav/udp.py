@@ -130,14 +130,14 @@ def _message(parser: mavlink.MAVLink, datagram: bytes, frame: Frame) -> Message 
 
 
 class UdpLink:
-    """Sends messages to its peers and passes received ones to a callback, in a thread of its own.
+    """Sends messages to its peers and passes received ones, with the sender's HOST:PORT, to a callback, in a thread of its own.
 
     A `udpout` has one peer, its address, whether or not anyone answers there; a message that cannot be sent is lost, as on a radio.
     The peers of a `udpin` are all who sent it a frame in the last minute, other than a radio's RADIO_STATUS, which needs no signature.
     """
 
     def __init__(
-        self, url: str, on_message: Callable[[Message], None], system: int = 1, component: int = 1, signer: Signer | None = None
+        self, url: str, on_message: Callable[[Message, str], None], system: int = 1, component: int = 1, signer: Signer | None = None
     ) -> None:
         """Open the link; raises ValueError if the URL is not valid or its host or port cannot be used.
 
@@ -230,6 +230,6 @@ class UdpLink:
                 self._heard = dict([*others, (peer, time.monotonic())][-MOST_PEERS:])
             for message in messages:
                 try:
-                    self._on_message(message)
+                    self._on_message(message, f"{peer[0]}:{peer[1]}")
                 except Exception:  # one message must not end the link
                     logger.exception("%s was not handled", message.get_type())

@@ -14,7 +14,7 @@ from benchmarks.chaos.faults import KINDS, LAST_STEP, MOST_FAULTS, Fault, is_spl
 from benchmarks.chaos.judge import AS_UNDISTURBED, BROKEN, FAILSAFE, TOLD, Evidence, judge
 from benchmarks.chaos.page import Row, page, table
 from estimator.belief import stop
-from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING, STOP
+from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Reading, pack_reading, waypoint_message
 from link.bus.messages import pack_particles
 from link.record.record import Entry
@@ -53,7 +53,7 @@ def record(path: Path, change: Change | None = None, more: tuple[tuple[str, byte
         messages.append((BELIEF.name, msgspec.json.encode(timed), pack_particles(cloud)))
         if not belief.ceased:
             towards = taken[number + 1].belief.position
-            messages.append((MAVLINK_IN.name, agent.pack(waypoint_message(1, at, towards, belief.altitude_m)), b""))
+            messages.append((WAYPOINT.name, agent.pack(waypoint_message(1, at, towards, belief.altitude_m)), b""))
     if change:
         change(messages)
     writer = Writer(path, {})
@@ -109,7 +109,7 @@ WRONG_WAY = Codec(1, ONBOARD_COMPUTER).pack(waypoint_message(1, 4000, (1.0, 1.0)
         (without(READING.name, -1), "the record has 18 of 19 readings"),
         (without(READING.name, 4), "reading 4 is not that of the undisturbed mission"),
         (lambda said: said.append((READING.name, ELSEWHERE, b"")), "reading 5 is not that of the undisturbed mission"),
-        (changed(3, MAVLINK_IN.name, WRONG_WAY), "a waypoint of step 3 is not that of the undisturbed mission"),
+        (changed(3, WAYPOINT.name, WRONG_WAY), "a waypoint of step 3 is not that of the undisturbed mission"),
     ],
     ids=["the last reading is lost", "a reading is lost", "a reading too many", "another waypoint"],
 )
@@ -124,7 +124,7 @@ def test_a_record_may_lack_readings_where_that_is_told(tmp_path: Path) -> None:
     assert judge(evidence(tmp_path, without(READING.name, 4), **told)).reasons == ()
     verdict = judge(evidence(tmp_path, lambda said: said.append((READING.name, ELSEWHERE, b"")), **told))
     assert verdict.reasons[0] == "reading 5 is not that of the undisturbed mission: a waypoint was lost or flown twice"
-    verdict = judge(evidence(tmp_path, changed(3, MAVLINK_IN.name, WRONG_WAY), **told))
+    verdict = judge(evidence(tmp_path, changed(3, WAYPOINT.name, WRONG_WAY), **told))
     assert verdict.reasons == ("a waypoint of step 3 is not that of the undisturbed mission",)
 
 

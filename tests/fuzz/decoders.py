@@ -18,6 +18,7 @@ DECODERS = {
     "reading": Decoder(services.reading_seeds, services.reading),
     "belief": Decoder(services.belief_seeds, services.belief),
     "stop": Decoder(services.stop_seeds, services.stop),
+    "waypoint": Decoder(services.mavlink_in_seeds, services.waypoint),
     "mavlink-in": Decoder(services.mavlink_in_seeds, services.mavlink_in),
     "frames": Decoder(services.frames_seeds, services.frames),
     "health": Decoder(watchers.health_seeds, watchers.heard),

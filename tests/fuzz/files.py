@@ -86,7 +86,7 @@ def record_seeds() -> list[bytes]:
     belief, _, particles = said["belief"][2].partition(BETWEEN)
     timed = b',"simulation_s":1.5}'
     bodies = [
-        said["reading"][0], belief[:-1] + timed, particles[:120], said["mavlink/out"][0], said["mavlink/in"][0],
+        said["reading"][0], belief[:-1] + timed, particles[:120], said["mavlink/out"][0], said["waypoint"][0],
         said["agdc/stop"][0][:-1] + timed, next(said[key][0] for key in said if key.startswith("health/"))[:-1] + timed,
         b'{"reason":"r","payload":"AAAA"' + timed,
     ]  # fmt: skip

@@ -16,7 +16,7 @@ from agent.policies import OURS, reach
 from estimator import service as estimator
 from estimator.filter import Config
 from link.bus.inbox import Inbox
-from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING, STOP, Key
+from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING, STOP, WAYPOINT, Key
 from link.bus.log import LOGGER, Log
 from link.bus.mavlink import Codec, Reading, pack_reading, split, waypoint_message
 from link.bus.messages import Belief, Health, Stop, unpack_particles
@@ -171,7 +171,7 @@ def belief(data: bytes) -> None:
         place = slice(10, -2)  # the number of the frame and the checksum differ
         assert bus.published[-1][1][place] == answer[place]
     for key, frames, _ in bus.published:
-        assert key is MAVLINK_IN
+        assert key is WAYPOINT
         (waypoint,) = (mavlink.MAVLink(None).decode(bytearray(frames[frame.start : frame.end])) for frame in split(frames))
         assert 0.0 <= waypoint.x <= AREA_M
         assert 0.0 <= waypoint.y <= AREA_M
@@ -273,14 +273,22 @@ def mavlink_in_seeds() -> list[bytes]:
     ]
     waypoint = said(waypoint_message(1, 0, (5.0, 6.0), 5.0))
     upload = said(*whole[1:3]) + orders[5]
-    return [*orders, *modes, waypoint, upload, *map(said, whole), orders[0] + orders[1] + modes[1], *recorded()["mavlink/in"][:2]]
+    return [*orders, *modes, waypoint, upload, *map(said, whole), orders[0] + orders[1] + modes[1], *recorded()["waypoint"][:2]]
 
 
 def mavlink_in(data: bytes) -> None:
     """The vehicle takes any payload, from the bus or decoded from UDP, flies on and answers."""
     payload = as_sent(data)
     flight = _Flight(searching=len(data) % 2 == 0)
-    flight.goes_on(Arrival(MAVLINK_IN, payload, b""), *(FromUdp(0, message) for message in udp.decode(payload).messages))
+    flight.goes_on(Arrival(MAVLINK_IN, payload, b""), *(FromUdp(0, message, "127.0.0.1:14550") for message in udp.decode(payload).messages))
+    _lives_on(flight)
+
+
+def waypoint(data: bytes) -> None:
+    """Whatever comes on the key of waypoints, nobody takes the vehicle from the search by it."""
+    flight = _Flight(searching=True)
+    flight.goes_on(Arrival(WAYPOINT, as_sent(data), b""), 0.0)
+    assert (flight.vehicle.mode, flight.vehicle.armed, flight.bus.tally.state) == (Mode.OFFBOARD, True, SEARCHING)
     _lives_on(flight)
 
 

@@ -26,7 +26,7 @@ from tests.fuzz.files import FOLDER, record_seeds, shows
 from tests.fuzz.mutants import as_sent
 from tests.fuzz.services import BETWEEN, health, recorded
 
-KEYS = ("mavlink/out", "mavlink/in", "reading", "belief", "agdc/stop", "health/uav")
+KEYS = ("mavlink/out", "mavlink/in", "waypoint", "reading", "belief", "agdc/stop", "health/uav")
 
 
 # ---- the bus as the recorder, the page and `status` hear it ----

@@ -26,7 +26,7 @@ from estimator.criterion import parse as criterion
 from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.options import add_sensor_argument, criteria, knowledge
 from link import cli
-from link.bus.keys import BELIEF, MAVLINK_IN, READING, STOP
+from link.bus.keys import BELIEF, READING, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Reading, unpack_reading, waypoint_message
 from link.bus.messages import pack_particles
 from link.record.reader import read
@@ -111,7 +111,7 @@ def golden(name: str) -> str:
         if not said.ceased and said.step < budget:
             place = choose(policy, said, particles, seed, reach(policy))
             message = waypoint_message(1, said.time_boot_ms, place, said.altitude_m)
-            answers += verify.answers(MAVLINK_IN.name, codec.pack(message))
+            answers += verify.answers(WAYPOINT.name, codec.pack(message))
     then, now = verify.said(log.entries), {(answer.time_boot_ms, answer.kind): answer for answer in answers}
     found = verify.compare(then, now)
     differs = f" DIFFERS {found.text()}" if found else "" if then else " DIFFERS nothing is recorded"

@@ -60,10 +60,10 @@ class Stranger:
         self.mav.srcSystem = 1
         return frames
 
-    def waypoint(self, time_boot_ms: int, north: float, east: float, down: float = -5.0) -> bytes:
+    def waypoint(self, time_boot_ms: int, north: float, east: float, down: float = -5.0, system: int = 1) -> bytes:
         return self.frames(
             mavlink.MAVLink_set_position_target_local_ned_message(
-                time_boot_ms, 1, 1, mavlink.MAV_FRAME_LOCAL_NED, 0xDF8, north, east, down, 0, 0, 0, 0, 0, 0, 0, 0
+                time_boot_ms, system, 1, mavlink.MAV_FRAME_LOCAL_NED, 0xDF8, north, east, down, 0, 0, 0, 0, 0, 0, 0, 0
             )
         )
 

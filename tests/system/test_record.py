@@ -38,9 +38,9 @@ def test_a_mission_is_recorded_from_its_first_to_its_last_message(start, tmp_pat
     assert [told[step] for step in sorted(told)] == [(list(point.mean), point.spread) for point in trace]
     assert {(said["assume"], said["stop"]) for said in beliefs} == {("paper", "spread:0.5")}
     assert all(len(entry.attachment) == 12 * 1000 for entry in recording.entries if entry.key == "belief")
-    keys = {"reading", "mavlink/out", "mavlink/in", "belief", "agdc/stop", "health/uav", "health/estimator", "health/agent"}
+    keys = {"reading", "mavlink/out", "waypoint", "belief", "agdc/stop", "health/uav", "health/estimator", "health/agent"}
     assert keys <= {entry.key for entry in recording.entries}
-    waypoints = {m.time_boot_ms for entry in recording.entries if entry.key == "mavlink/in" for m in unpack(entry.payload)}
+    waypoints = {m.time_boot_ms for entry in recording.entries if entry.key == "waypoint" for m in unpack(entry.payload)}
     assert len(waypoints) == result["steps"]
     about = recording.about
     assert (about["seed"], about["policy"], about["namespace"]) == (3, "homing", "uav/1")

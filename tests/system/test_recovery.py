@@ -17,7 +17,7 @@ import pytest
 from agent.trials.rollout import Step, mission, rollout
 from estimator.belief import stop
 from estimator.filter import Config
-from link.bus.keys import BELIEF, MAVLINK_IN, READING, STOP
+from link.bus.keys import BELIEF, READING, STOP, WAYPOINT
 from link.bus.mavlink import unpack, unpack_reading
 from link.bus.messages import Belief, Stop, pack_particles
 from link.bus.session import Arrival, Bus
@@ -87,7 +87,7 @@ def test_a_mission_with_lost_doubled_and_late_messages_equals_an_undisturbed_one
         beliefs = stranger.subscribe("belief")
         start("estimator", "-e", router, *ESTIMATOR)
         start("sitl", "uav", "-e", router, "--seed", str(SEED), "--speedup", "0")
-        publish = stranger.publisher("mavlink/in")
+        publish = stranger.publisher("waypoint")
         path = [point[0] for point in undisturbed]
         heard: dict[int, int] = {}
         seen: dict[int, tuple] = {}
@@ -157,7 +157,7 @@ class Viewer:
     def __init__(self, router: str, policy: str = "infotaxis", budget: int = BUDGET_STEPS) -> None:
         self._config, self._undisturbed = undisturbed_mission(policy, budget)
         self._bus = Bus("viewer", router)
-        self._bus.subscribe(BELIEF, STOP, MAVLINK_IN, READING)
+        self._bus.subscribe(BELIEF, STOP, WAYPOINT, READING)
         self.beliefs: dict[int, int] = {}
         """time_boot_ms by step."""
         self._readings: dict[int, bytes] = {}
@@ -267,10 +267,10 @@ def test_an_estimator_that_dies_at_any_step_goes_on_as_if_it_had_not(start, rout
 @pytest.mark.parametrize(
     ("policy", "budget", "deaths"),
     [
-        ("infotaxis", BUDGET_STEPS, ["before:mavlink/in:0", "after:mavlink/in:0", f"before:mavlink/in:{LAST - 1}"]),
-        ("thompson", BUDGET_STEPS, ["before:mavlink/in:5", "after:mavlink/in:6"]),
-        ("random", 12, ["after:mavlink/in:4", "before:mavlink/in:11"]),
-        ("ppo", BUDGET_STEPS, ["before:mavlink/in:7", "after:mavlink/in:18"]),
+        ("infotaxis", BUDGET_STEPS, ["before:waypoint:0", "after:waypoint:0", f"before:waypoint:{LAST - 1}"]),
+        ("thompson", BUDGET_STEPS, ["before:waypoint:5", "after:waypoint:6"]),
+        ("random", 12, ["after:waypoint:4", "before:waypoint:11"]),
+        ("ppo", BUDGET_STEPS, ["before:waypoint:7", "after:waypoint:18"]),
     ],
 )
 def test_an_agent_that_dies_at_any_step_goes_on_as_if_it_had_not(start, router: str, policy: str, budget: int, deaths: list[str]) -> None:
@@ -293,7 +293,7 @@ def test_estimator_and_agent_may_die_in_the_same_round_trip(start, router: str) 
     with Viewer(router) as viewer:
         start(*services["uav"])
         estimator = start(*services["estimator"])
-        assert start("tests.system.dies", "self", "before:mavlink/in:11", *services["agent"]).ended() == -signal.SIGKILL
+        assert start("tests.system.dies", "self", "before:waypoint:11", *services["agent"]).ended() == -signal.SIGKILL
         estimator.kill()
         start(*services["estimator"])
         start(*services["agent"])
@@ -326,7 +326,7 @@ def is_free(port: int) -> bool:
     ("service", "deaths"),
     [
         pytest.param("uav", ["after:health/<service>:-1", "before:reading:8"], id="before the search, a reading", marks=pytest.mark.full),
-        pytest.param("agent", ["before:mavlink/in:5", "after:mavlink/in:12"], id="waypoints"),
+        pytest.param("agent", ["before:waypoint:5", "after:waypoint:12"], id="waypoints"),
         pytest.param(
             "estimator", ["before:belief:0", "after:belief:11", "before:agdc/stop:0"], id="beliefs, the stop", marks=pytest.mark.full
         ),

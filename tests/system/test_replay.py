@@ -33,7 +33,7 @@ def said(log: Path, key: str) -> list[dict[str, Any]]:
 
 def waypoints(log: Path) -> dict[int, Any]:
     """The waypoints in a log, by the time of the reading that each answers."""
-    frames = [m for entry in read(log).entries if entry.key == "mavlink/in" for m in mavlink.MAVLink(None).parse_buffer(entry.payload)]
+    frames = [m for entry in read(log).entries if entry.key == "waypoint" for m in mavlink.MAVLink(None).parse_buffer(entry.payload)]
     return {m.time_boot_ms: m for m in frames if m.get_type() == "SET_POSITION_TARGET_LOCAL_NED"}
 
 
@@ -209,7 +209,7 @@ class TestVerify:
         north = waypoints(log)[time_boot_ms].x
 
         def change(entry: Entry) -> Entry:
-            if entry.key != "mavlink/in":
+            if entry.key != "waypoint":
                 return entry
             (message,) = mavlink.MAVLink(None).parse_buffer(entry.payload)
             if message.time_boot_ms != time_boot_ms:

@@ -3,6 +3,7 @@
 import json
 import math
 import queue
+import socket
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,7 +18,7 @@ from plume.dispersion import concentration
 from plume.sensor import Gaussian
 from sitl.autopilot.telemetry import STREAMS
 from tests.system.stranger import Stranger, belief, messages, nothing_more, particles
-from tests.system.wires import SerialWire
+from tests.system.wires import SerialWire, free_port
 
 WAIT_S = 60.0
 
@@ -185,7 +186,7 @@ class TestAgent:
         return put
 
     def test_it_answers_each_belief_with_one_waypoint_a_metre_on(self, agent, stranger: Stranger) -> None:
-        waypoints, put = stranger.subscribe("mavlink/in"), self.publish(stranger)
+        waypoints, put = stranger.subscribe("waypoint"), self.publish(stranger)
         for step in range(3):
             put(time_boot_ms=1000 + step, step=step)
             m = messages(get(waypoints))["SET_POSITION_TARGET_LOCAL_NED"]
@@ -194,7 +195,7 @@ class TestAgent:
         assert nothing_more(waypoints)
 
     def test_a_repeated_belief_gets_the_same_waypoint_again_and_an_older_one_none(self, agent, stranger: Stranger) -> None:
-        waypoints, put = stranger.subscribe("mavlink/in"), self.publish(stranger)
+        waypoints, put = stranger.subscribe("waypoint"), self.publish(stranger)
         put(time_boot_ms=2000, step=1)
         first = messages(get(waypoints))["SET_POSITION_TARGET_LOCAL_NED"]
         put(time_boot_ms=1000, step=0)
@@ -204,7 +205,7 @@ class TestAgent:
         assert nothing_more(waypoints)
 
     def test_it_stays_silent_when_the_search_has_ceased_or_the_budget_is_spent(self, agent, stranger: Stranger) -> None:
-        waypoints, put = stranger.subscribe("mavlink/in"), self.publish(stranger)
+        waypoints, put = stranger.subscribe("waypoint"), self.publish(stranger)
         put(ceased=True)
         put(time_boot_ms=6000, step=5)
         assert nothing_more(waypoints)
@@ -223,7 +224,7 @@ class TestAgent:
         assert "the search has ceased at step 7: source at (23.50, 24.25) m, spread 0.45 m" in said[0]
 
     def test_it_survives_what_is_no_belief(self, agent, stranger: Stranger, wait_until: Callable) -> None:
-        waypoints, put = stranger.subscribe("mavlink/in"), self.publish(stranger)
+        waypoints, put = stranger.subscribe("waypoint"), self.publish(stranger)
         for attachment, changes, words in (
             (b"123", {}, "the particle array has 3 bytes"),
             (b"\x00\x00\xc0\x7f" * 3, {}, "NaN"),
@@ -263,7 +264,7 @@ class TestUav:
         assert set(first) == {"LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT"}
 
     def test_it_flies_each_waypoint_to_the_last_bit_and_takes_one_reading_there(self, uav, stranger: Stranger) -> None:
-        readings, publish = self.begin(stranger), stranger.publisher("mavlink/in")
+        readings, publish = self.begin(stranger), stranger.publisher("waypoint")
         place = messages(get(readings))["LOCAL_POSITION_NED"]
         for _ in range(5):
             time_boot_ms, north, east = place.time_boot_ms, place.x + 1.0, place.y
@@ -274,7 +275,7 @@ class TestUav:
             assert (place.x, place.y, place.z) == (pytest.approx(north, abs=1e-6), east, -5.0)
 
     def test_late_and_doubled_waypoints_change_nothing(self, uav, stranger: Stranger) -> None:
-        readings, publish = self.begin(stranger), stranger.publisher("mavlink/in")
+        readings, publish = self.begin(stranger), stranger.publisher("waypoint")
         start = messages(get(readings))["LOCAL_POSITION_NED"]
         publish(stranger.waypoint(start.time_boot_ms, 10.0, 10.0))
         publish(stranger.waypoint(start.time_boot_ms, 20.0, 20.0))
@@ -295,12 +296,12 @@ class TestUav:
     def test_a_waypoint_outside_the_area_and_noise_are_refused_with_a_reason_and_survived(
         self, uav, stranger: Stranger, wait_until: Callable
     ) -> None:
-        readings, publish, out = self.begin(stranger), stranger.publisher("mavlink/in"), stranger.subscribe("mavlink/out")
+        readings, publish, out = self.begin(stranger), stranger.publisher("waypoint"), stranger.subscribe("mavlink/out")
         start = messages(get(readings))["LOCAL_POSITION_NED"]
         publish(b"noise")
         publish(stranger.waypoint(start.time_boot_ms, math.nan, 10.0))
         publish(stranger.waypoint(start.time_boot_ms, 10.0, 31.0))
-        wait_until(lambda: uav.says("refused mavlink/in: malformed frame"))
+        wait_until(lambda: uav.says("refused waypoint: malformed frame"))
         wait_until(lambda: uav.says("Waypoint refused: (31.0, 10.0) m is outside the area [0, 30] x [0, 30] m"))
         text = ""
         while "outside the area" not in text:
@@ -310,6 +311,54 @@ class TestUav:
         while (place := messages(get(readings))["LOCAL_POSITION_NED"]).time_boot_ms == start.time_boot_ms:
             pass
         assert (place.x, place.y) == (10.0, 30.0)
+
+    def test_what_is_on_the_waypoint_key_and_is_no_answer_is_refused_with_a_reason_counted_and_does_nothing(
+        self, uav, stranger: Stranger, wait_until: Callable
+    ) -> None:
+        readings, publish, health = self.begin(stranger), stranger.publisher("waypoint"), stranger.subscribe("health/uav")
+        start = messages(get(readings))["LOCAL_POSITION_NED"]
+        waypoint = stranger.waypoint(start.time_boot_ms, 20.0, 20.0)
+        disarm = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 0.0, 21196.0, 0, 0, 0, 0, 0)
+        publish(bytes(disarm.pack(mavlink.MAVLink(None, srcSystem=255, srcComponent=190))))
+        publish(waypoint + waypoint)
+        publish(stranger.waypoint(start.time_boot_ms, 20.0, 20.0, system=2))
+        publish(stranger.waypoint(start.time_boot_ms + 1, 20.0, 20.0))
+        for words in (
+            "refused waypoint: message 76; wanted one SET_POSITION_TARGET_LOCAL_NED (84)",
+            "refused waypoint: 2 frames; wanted one SET_POSITION_TARGET_LOCAL_NED (84)",
+            "refused waypoint: a waypoint for 2/1; this is 1/1",
+            f"Waypoint refused: no reading was taken at {start.time_boot_ms + 1} ms",
+        ):
+            wait_until(lambda words=words: uav.says(words))
+        refused: dict = {}
+        while not refused.get("waypoint"):
+            refused = json.loads(get(health).payload.to_bytes())["refused"]
+        assert refused == {"malformed": 2, "other vehicle": 1, "waypoint": 1}
+        publish(stranger.waypoint(start.time_boot_ms, 10.0, 10.0))
+        while (place := messages(get(readings))["LOCAL_POSITION_NED"]).time_boot_ms == start.time_boot_ms:
+            pass
+        assert (place.x, place.y, place.z) == (10.0, 10.0, -5.0)  # it still flies
+        assert not uav.says("disarmed")
+
+    def test_a_setpoint_with_the_time_of_the_awaited_reading_steers_no_search_over_udp_nor_on_mavlink_in(
+        self, start, router: str, stranger: Stranger, wait_until: Callable
+    ) -> None:
+        port = free_port(socket.SOCK_DGRAM)
+        start("sitl", "uav", "--connect", router, "--seed", "1", "--speedup", "0", "--out", f"udpin:127.0.0.1:{port}")
+        wait_until(lambda: stranger.has_service("uav"))
+        readings, health = self.begin(stranger), stranger.subscribe("health/uav")
+        start_at = messages(get(readings))["LOCAL_POSITION_NED"]
+        astray = stranger.waypoint(start_at.time_boot_ms, 29.0, 29.0)
+        stranger.publisher("mavlink/in")(astray)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+            peer.sendto(astray, ("127.0.0.1", port))
+        refused: dict = {}
+        while refused.get("waypoint", 0) < 2:
+            refused = json.loads(get(health).payload.to_bytes())["refused"]
+        stranger.publisher("waypoint")(stranger.waypoint(start_at.time_boot_ms, 10.0, 10.0))
+        while (place := messages(get(readings))["LOCAL_POSITION_NED"]).time_boot_ms == start_at.time_boot_ms:
+            pass
+        assert (place.x, place.y) == (10.0, 10.0)
 
     def test_it_survives_a_client_that_turns_all_streams_off(self, uav, stranger: Stranger) -> None:
         publish = stranger.publisher("mavlink/in")

@@ -33,7 +33,8 @@ REMOTE = zenoh.Locality.REMOTE
 EVERYBODY = (*ROLES, "operator", "observer")
 RIGHTS = {  # by hand: who publishes, and who receives beside operators and observers
     "mavlink/out": ({"vehicle", "bridge"}, {"bridge"}),
-    "mavlink/in": ({"agent", "bridge", "operator"}, {"vehicle", "bridge"}),
+    "mavlink/in": ({"bridge", "operator"}, {"vehicle", "bridge"}),
+    "waypoint": ({"agent"}, {"vehicle"}),
     "reading": ({"vehicle"}, {"estimator"}),
     "belief": ({"estimator"}, {"agent", "vehicle"}),
     "agdc/stop": ({"estimator"}, {"vehicle", "agent", "payload", "bridge"}),
@@ -176,7 +177,7 @@ def test_a_certificate_has_no_more_rights_as_a_peer_or_a_router(
         def is_heard() -> bool:
             """A router learns in its own time who subscribes, so it says it until it is heard."""
             agent.put("uav/1/agdc/stop", "stop")
-            agent.put("uav/1/mavlink/in", "waypoint")
+            agent.put("uav/1/waypoint", "waypoint")
             for _ in agent.get("uav/1/nobody", timeout=5):
                 pass
             return any(text == "waypoint" for _, text in clients.heard)

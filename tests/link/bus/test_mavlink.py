@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.mavlink import BadFrame, Codec, Reading, flat_reading, pack_reading, unpack, unpack_reading, waypoint_message
+from link.bus.mavlink import BadFrame, Codec, Reading, flat_reading, pack_reading, unpack, unpack_reading, unpack_waypoint, waypoint_message
 
 READING = Reading(time_boot_ms=1234, position=(3.5, 4.25), altitude_m=5.0, wind=(1.5, -0.5), gas=0.75)
 float32 = st.floats(-1000, 1000, width=32)
@@ -41,6 +41,35 @@ def test_a_waypoint_names_the_reading_that_it_answers_and_asks_for_position_only
     assert (m.time_boot_ms, m.x, m.y, m.z, m.target_system) == (1234, 20.0, 10.0, -5.0, 3)
     assert m.coordinate_frame == mavlink.MAV_FRAME_LOCAL_NED
     assert m.type_mask == 0b110111111000
+
+
+WAYPOINT = waypoint_message(3, 1234, (10.0, 20.0), 5.0)
+ORDER = mavlink.MAVLink_command_long_message(3, 1, 400, 0, 0.0, 21196.0, 0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("system", [3, 0], ids=["its system", "all"])
+def test_a_waypoint_is_read_back(system: int) -> None:
+    m = unpack_waypoint(frames(waypoint_message(system, 1234, (10.0, 20.0), 5.0)), 3)
+    assert (m.time_boot_ms, m.x, m.y, m.z) == (1234, 20.0, 10.0, -5.0)
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason", "kind"),
+    [
+        (b"", "malformed frame", "malformed"),
+        (frames(WAYPOINT)[:-1], "malformed frame", "malformed"),
+        (frames(WAYPOINT, WAYPOINT), "2 frames; wanted one SET_POSITION_TARGET_LOCAL_NED (84)", "malformed"),
+        (frames(ORDER), "message 76; wanted one SET_POSITION_TARGET_LOCAL_NED (84)", "malformed"),
+        (frames(ORDER, WAYPOINT), "2 frames; wanted one", "malformed"),
+        (frames(waypoint_message(2, 1234, (10.0, 20.0), 5.0)), "a waypoint for 2/1; this is 3/1", "other vehicle"),
+    ],
+    ids=["nothing", "cut off", "two", "a command", "a command before it", "for another system"],
+)
+def test_what_is_no_waypoint_for_this_system_is_refused(payload: bytes, reason: str, kind: str) -> None:
+    with pytest.raises(BadFrame) as refused:
+        unpack_waypoint(payload, 3)
+    assert str(refused.value).startswith(reason)
+    assert refused.value.kind == kind
 
 
 def local_position(time_boot_ms: int = 1234, north: float = 1.0) -> object:

@@ -12,7 +12,7 @@ import pytest
 import zenoh
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING
+from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING, WAYPOINT
 from link.bus.session import Bus, Stamped
 from link.bus.tap import Tap
 from link.record.record import SimulationClock
@@ -81,7 +81,7 @@ def test_messages_from_before_one_joined_have_the_time_they_were_published_at(ro
 
 
 def test_messages_of_many_are_taken_in_the_order_in_which_they_were_published(router: str, wait_until: Callable[..., None]) -> None:
-    expected = [(name, b"%d" % number) for number in range(50) for name in ("reading", "mavlink/in")]
+    expected = [(name, b"%d" % number) for number in range(50) for name in ("reading", "waypoint")]
     batches: list[list[Stamped]] = []
     with Bus("uav", router) as uav, Bus("agent", router) as agent, Tap("recorder", router) as tap:
 
@@ -90,17 +90,17 @@ def test_messages_of_many_are_taken_in_the_order_in_which_they_were_published(ro
             return sum(map(len, batches)) >= len(expected)
 
         tap.subscribe(*KEYS)
-        wait_until(lambda: agent.publish(MAVLINK_IN, b"?") or tap.take())  # waypoints are not kept for subscribers not yet known
+        wait_until(lambda: agent.publish(WAYPOINT, b"?") or tap.take())  # waypoints are not kept for subscribers not yet known
         for _, payload in expected[::2]:
             uav.publish(READING, payload)
-            agent.publish(MAVLINK_IN, payload, b"array")
+            agent.publish(WAYPOINT, payload, b"array")
         wait_until(all_there)
     assert sorted((message.name, message.payload) for batch in batches for message in batch) == sorted(expected)
     for batch in batches:  # messages of different batches may overtake each other
         order = [expected.index((message.name, message.payload)) for message in batch]
         assert order == sorted(order)
         assert all(message.published_ns <= message.received_ns <= time.time_ns() for message in batch)
-        assert {message.attachment for message in batch if message.key is MAVLINK_IN} <= {b"array"}
+        assert {message.attachment for message in batch if message.key is WAYPOINT} <= {b"array"}
 
 
 def test_who_puts_no_time_to_a_message_is_given_the_routers(router: str, wait_until: Callable[..., None]) -> None:
@@ -232,9 +232,11 @@ def test_the_clock_counts_each_reading_once_knows_what_answers_the_last_ones_and
         for again in (number, max(number - 10, 0)):
             assert clock.time_s("reading", UAV.pack(_at(1000 * again)), number) == again
             waypoint = UAV.pack(_waypoint(1000 * again))
-            assert clock.time_s("mavlink/in", waypoint, number) == again
+            assert clock.time_s("waypoint", waypoint, number) == again
         assert clock.step == number
-    assert clock.time_s("mavlink/in", UAV.pack(_waypoint(1)), readings) == readings - 11  # answers none: the newest known time
+    assert clock.time_s("waypoint", UAV.pack(_waypoint(1)), readings) == readings - 11  # answers none: the newest known time
+    for others in (_waypoint(1000 * (readings - 1)), _at(7000)):  # on mavlink/in everybody has times of their own
+        assert clock.time_s("mavlink/in", UAV.pack(others), readings) == readings - 11
 
 
 def _waypoint(time_boot_ms: int) -> object:

@@ -16,6 +16,7 @@ from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.writer import MCAP0_MAGIC, CompressionType
 from mcap.writer import Writer as OthersWriter
 
+from link.bus.mavlink import Codec, waypoint_message
 from link.record import reader
 from link.record.reader import RecordError, read
 from link.record.record import Entry, SimulationClock
@@ -64,7 +65,7 @@ def test_a_record_says_its_format_beside_what_the_run_was(tmp_path: Path) -> Non
     log = written(tmp_path / "run.mcap")
     with log.open("rb") as file:
         (metadata,) = make_reader(file).iter_metadata()
-    assert metadata.metadata["format"] == "1"
+    assert metadata.metadata["format"] == "2"
     assert read(log).about == ABOUT
 
 
@@ -74,16 +75,27 @@ def test_a_record_without_a_format_is_read(tmp_path: Path) -> None:
     golden = read(GOLDEN)
     assert golden.complete
     assert set(golden.about) == set(metadata.metadata) - {"format"}
-    assert {entry.key for entry in golden.entries} >= {"reading", "belief", "mavlink/in"}
+    assert {entry.key for entry in golden.entries} >= {"reading", "belief", "waypoint"}
 
 
-@pytest.mark.parametrize(("written_as", "told"), [("2", "2"), ("-1", "-1"), ('"other"', "other"), ("[1]", "[1]")])
+def test_in_a_record_of_an_older_format_the_agents_setpoints_among_the_commands_are_its_waypoints(tmp_path: Path) -> None:
+    """Until format 1 they were sent on mavlink/in. A setpoint of somebody else, or in a newer record, is none."""
+    theirs, pilots = ENTRIES[4]._replace(key="mavlink/in"), Codec(255, 190).pack(waypoint_message(1, 3000, (4.0, 4.5), 5.0))
+    entries = [*ENTRIES[:2], theirs, theirs._replace(payload=pilots)]
+    log = written(tmp_path / "run.mcap", entries)
+    assert [entry.key for entry in read(log).entries][2:] == ["mavlink/in", "mavlink/in"]
+    format_is = b"\6\0\0\0format\1\0\0\0"
+    log.write_bytes(log.read_bytes().replace(format_is + b"2", format_is + b"1"))
+    assert read(log).entries == [*ENTRIES[:2], ENTRIES[4], entries[3]]
+
+
+@pytest.mark.parametrize(("written_as", "told"), [("3", "3"), ("-1", "-1"), ('"other"', "other"), ("[1]", "[1]")])
 def test_a_record_of_another_format_is_refused_by_name(tmp_path: Path, written_as: str, told: str) -> None:
     log = tmp_path / "newer.mcap"
     whole = written(log).read_bytes()
     newer = as_record(Metadata("plumeward", {"seed": "3", "format": written_as}))
     log.write_bytes(MCAP0_MAGIC + newer + whole[len(MCAP0_MAGIC) :])
-    assert refused(log) == f"{log} has record format {told} of another plumeward version; readable formats: 0, 1"
+    assert refused(log) == f"{log} has record format {told} of another plumeward version; readable formats: 0, 1, 2"
 
 
 # ---- missing files, and files of other kinds ----

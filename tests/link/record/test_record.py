@@ -34,7 +34,7 @@ ENTRIES = [
     Entry("reading", BEGAN + 10, 3.0, pack_reading(UAV, Reading(3000, (3.25, 4.5), 5.0, (2.0, -1.0), 0.75))),
     Entry("belief", BEGAN + 20, 1.0, belief(0), PARTICLES),
     Entry("agdc/stop", BEGAN + 30, 4.0, msgspec.json.encode(Stop(4000, 3, (14.0, 12.0), (0.09, 0.0, 0.04), 0.36, 0.5))),
-    Entry("mavlink/in", BEGAN + 40, 3.0, AGENT.pack(waypoint_message(1, 3000, (4.0, 4.5), 5.0))),
+    Entry("waypoint", BEGAN + 40, 3.0, AGENT.pack(waypoint_message(1, 3000, (4.0, 4.5), 5.0))),
     Entry("health/uav", BEGAN + 50, 3.0, msgspec.json.encode(Health("uav", "searching", 4, 0.5, 1.5, {"late": 2}))),
     Entry("health/agent", BEGAN + 60, 3.0, OTHERS_JSON),
     Entry("belief", BEGAN + 70, 3.0, b"no JSON \xff", b"odd"),
@@ -111,7 +111,7 @@ def test_what_is_decoded_is_what_flew(log: Path) -> None:
     assert attitude.get("pitch") is None  # NaN, which JSON cannot express
     sample = found["reading/decoded"][0][1]
     assert [sample[name] for name in ("x", "y", "altitude_m", "wind_x", "wind_y", "gas")] == [3.25, 4.5, 5.0, 2.0, -1.0, 0.75]
-    waypoint = found["mavlink/in/SET_POSITION_TARGET_LOCAL_NED"][0][1]
+    waypoint = found["waypoint/SET_POSITION_TARGET_LOCAL_NED"][0][1]
     assert [waypoint[name] for name in ("x", "y", "z", "time_boot_ms", "component")] == [4.5, 4.0, -5.0, 3000, 191]
 
 

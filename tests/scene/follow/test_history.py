@@ -125,7 +125,7 @@ def test_a_part_speaks_for_itself_alone(history: History) -> None:
 
 def test_readings_and_waypoints_are_shown(history: History) -> None:
     history.take("reading", pack_reading(UAV, Reading(1000, (2.0, 3.0), 5.0, (1.5, -0.5), 0.25)), b"", 1.0, 100.0)
-    history.take("mavlink/in", Codec(1, 191).pack(waypoint_message(1, 1000, (2.5, 4.0), 5.0)), b"", 1.1, 100.0)
+    history.take("waypoint", Codec(1, 191).pack(waypoint_message(1, 1000, (2.5, 4.0), 5.0)), b"", 1.1, 100.0)
     assert (history.at().wind, history.at().waypoint) == ((1.5, -0.5), (2.5, 4.0))
 
 
@@ -194,14 +194,14 @@ def test_a_spent_budget_ends_the_search(history: History) -> None:
 @pytest.mark.parametrize(
     ("key", "payload"), [("agdc/stop", stop(300, (12.0, 19.2))), ("belief", belief(300))], ids=["stop", "spent budget"]
 )
-def test_after_the_search_there_is_no_next_waypoint_until_one_is_given(history: History, key: str, payload: bytes) -> None:
+def test_after_the_search_there_is_no_next_waypoint_whatever_others_ask_for(history: History, key: str, payload: bytes) -> None:
     agent, pilot = Codec(1, 191), Codec(255, 190)
-    history.take("mavlink/in", agent.pack(waypoint_message(1, 299, (2.5, 4.0), 5.0)), b"", 299.0, 100.0)
+    history.take("waypoint", agent.pack(waypoint_message(1, 299, (2.5, 4.0), 5.0)), b"", 299.0, 100.0)
     history.take(key, payload, b"", 300.0, 101.0)
     assert history.waypoint is history.at().waypoint is None
     assert history.at(299.5).waypoint == (2.5, 4.0)  # it was there before
-    history.take("mavlink/in", pilot.pack(waypoint_message(1, 301, (7.0, 8.0), 5.0)), b"", 301.0, 102.0)
-    assert history.waypoint == history.at().waypoint == (7.0, 8.0)
+    assert not history.take("mavlink/in", pilot.pack(waypoint_message(1, 301, (7.0, 8.0), 5.0)), b"", 301.0, 102.0)
+    assert history.waypoint is history.at().waypoint is None
 
 
 def test_services_are_judged_as_status_does(history: History) -> None:
@@ -293,7 +293,7 @@ def test_a_live_history_keeps_only_the_newest_particles_and_pose() -> None:
     assert len(history.at().measurements) == 100
 
 
-@pytest.mark.parametrize("key", ["belief", "agdc/stop", "health/uav", "reading", "mavlink/out", "mavlink/in", "nothing/known"])
+@pytest.mark.parametrize("key", ["belief", "agdc/stop", "health/uav", "reading", "mavlink/out", "waypoint", "nothing/known"])
 @pytest.mark.parametrize(
     "payload", [b"", b"{}", b"\xff" * 100, b"[" * 10_000, b'{"step": 1e999}'], ids=["empty", "object", "bytes", "deep", "huge"]
 )

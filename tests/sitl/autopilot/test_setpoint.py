@@ -8,7 +8,7 @@ import pytest
 
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.estimates import position_target_local_ned
-from sitl.autopilot.setpoint import Setpoint
+from sitl.autopilot.setpoint import Answers, Setpoint
 from sitl.autopilot.state import Arrived, Mode, Said, Snapshot
 from sitl.autopilot.vehicle import Vehicle
 from tests.sitl.tlog.flights import (
@@ -296,12 +296,33 @@ def test_a_setpoint_that_makes_no_sense_is_refused_and_changes_nothing(setpoint,
     assert (vehicle.state(AT), vehicle.next_event_s()) == (before, expiry)
 
 
-def test_the_answer_to_a_reading_is_a_position():
-    vehicle = offboard()
-    vehicle.answers.sampled(100)
-    refused = vehicle.setpoint(AT, Setpoint(velocity=(1.0, 0.0, 0.0)), time_boot_ms=100)
-    assert refused == (DENIED, "Waypoint refused: the answer to a reading is a position", "no position")
-    assert vehicle.answers.awaited
+# ---- readings and their answers ----
+
+HERE = Setpoint((1.0, 0.0, -5.0))
+
+
+def test_only_the_first_position_with_the_time_of_the_newest_reading_answers_it():
+    answers = Answers()
+    assert answers.refusal(100, HERE) == (DENIED, "Waypoint refused: no reading was taken at 100 ms", "no reading")
+    answers.sampled(100)
+    velocity = Setpoint(velocity=(1.0, 0.0, 0.0))
+    assert answers.refusal(100, velocity) == (DENIED, "Waypoint refused: the answer to a reading is a position", "no position")
+    assert answers.refusal(100, HERE) is None
+    answers.awaited = False
+    assert answers.refusal(100, HERE) == (REJECTED, "Waypoint ignored: duplicate answer to the reading at 100 ms", "")
+    answers.sampled(200)
+    assert answers.refusal(100, HERE) == (REJECTED, "Waypoint ignored: late answer to the reading at 100 ms", "")
+    assert answers.refusal(200, HERE) is None
+
+
+def test_the_times_of_readings_must_grow():
+    answers = Answers()
+    answers.sampled(100)
+    with pytest.raises(ValueError, match="100 ms"):
+        answers.sampled(100)
+
+
+# ---- silence ----
 
 
 def test_silence_during_a_velocity_counts_from_its_last_setpoint():

@@ -358,8 +358,7 @@ def test_arming_in_offboard_is_refused_once_the_client_is_gone():
 @given(st.tuples(*[st.floats(0.0, 30.0)] * 2, st.floats(-120.0, 0.0)))
 def test_the_position_on_arrival_is_the_waypoints_float32_bit_for_bit(target):
     vehicle = offboard()
-    vehicle.answers.sampled(100)
-    vehicle.setpoint(10.0, target, time_boot_ms=100)
+    vehicle.setpoint(10.0, target, answers=True)
     (arrived,) = fly_on(vehicle)
     assert struct.pack("<3f", *arrived.position) == struct.pack("<3f", *target)
     assert vehicle.state(vehicle.now_s).position == arrived.position
@@ -372,7 +371,7 @@ def test_a_keep_alive_starts_no_new_leg():
     for n in range(1, 100):
         events = vehicle.advance(10.0 + n / 20.0)
         assert len(places(events)) == (1 if 10.0 + (n - 1) / 20.0 < due <= 10.0 + n / 20.0 else 0)
-        vehicle.setpoint(10.0 + n / 20.0, (3.0, 4.0, -5.0), time_boot_ms=n)
+        vehicle.setpoint(10.0 + n / 20.0, (3.0, 4.0, -5.0))
     assert not vehicle.moving
 
 
@@ -394,72 +393,18 @@ def test_a_waypoint_on_the_way_replaces_the_one_flown_to():
 # ---- readings and their answers ----
 
 
-def test_a_late_answer_and_a_second_one_are_ignored():
-    vehicle = offboard()
-    vehicle.answers.sampled(100)
-    assert vehicle.answers.awaited
-    vehicle.setpoint(10.0, (1.0, 0.0, -5.0), time_boot_ms=100)
-    assert not vehicle.answers.awaited
-    again = vehicle.setpoint(10.1, (2.0, 0.0, -5.0), time_boot_ms=100)
-    assert again == (REJECTED, "Waypoint ignored: duplicate answer to the reading at 100 ms", "")
-    fly_on(vehicle)
-    vehicle.answers.sampled(200)
-    late = vehicle.setpoint(20.0, (3.0, 0.0, -5.0), time_boot_ms=100)
-    assert late == (REJECTED, "Waypoint ignored: late answer to the reading at 100 ms", "")
-    assert not vehicle.moving
-    assert vehicle.answers.awaited
-
-
-def test_an_ignored_answer_is_no_sign_of_life():
-    vehicle = offboard()
-    vehicle.answers.sampled(100)
-    vehicle.setpoint(5.0, (0.0, 0.0, -5.0), time_boot_ms=100)
-    vehicle.advance(5.0)
-    expiry = vehicle.next_event_s()
-    vehicle.setpoint(20.0, (0.0, 0.0, -5.0), time_boot_ms=100)
-    assert vehicle.next_event_s() == expiry == 35.0
-
-
 def test_an_answer_to_stay_arrives_at_once():
     vehicle = offboard()
-    vehicle.answers.sampled(100)
-    vehicle.setpoint(10.0, (0.0, 0.0, -5.0), time_boot_ms=100)
+    vehicle.setpoint(10.0, (0.0, 0.0, -5.0), answers=True)
     assert vehicle.next_event_s() == 10.0
     assert vehicle.advance(10.0) == [Arrived(10.0, (0.0, 0.0, -5.0))]
 
 
-def test_a_refused_answer_leaves_the_reading_unanswered():
-    vehicle = offboard()
-    vehicle.answers.sampled(100)
-    vehicle.setpoint(10.0, (31.0, 0.0, -5.0), time_boot_ms=100)
-    assert vehicle.answers.awaited
-
-
-def test_an_answer_before_offboard_is_remembered_as_the_answer():
+def test_an_answer_before_offboard_is_remembered():
     vehicle = hovering()
-    vehicle.answers.sampled(100)
-    vehicle.setpoint(10.0, (1.0, 0.0, -5.0), time_boot_ms=100)
-    assert not vehicle.answers.awaited
+    vehicle.setpoint(10.0, (1.0, 0.0, -5.0), answers=True)
     vehicle.set_mode(10.0, Mode.OFFBOARD)
     assert places(fly_on(vehicle)) == [(1.0, 0.0, -5.0)]
-
-
-def test_the_times_of_readings_must_grow():
-    vehicle = offboard()
-    vehicle.answers.sampled(100)
-    with pytest.raises(ValueError, match="100 ms"):
-        vehicle.answers.sampled(100)
-
-
-def test_a_search_visits_every_waypoint_once_though_each_is_sent_twice():
-    vehicle, visited = offboard(), []
-    for n, (north, east) in enumerate([(0.1, 1.0), (0.1, 1.0), (2.5, 1.0), (2.5, 3.3)]):
-        stamp = 1000 + n
-        vehicle.answers.sampled(stamp)
-        codes = [vehicle.setpoint(vehicle.now_s, (north, east, -5.0), time_boot_ms=stamp).code for _ in range(2)]
-        assert codes == [ACCEPTED, REJECTED]
-        visited += places(fly_on(vehicle))
-    assert visited == [pytest.approx((north, east, -5.0)) for north, east in [(0.1, 1.0), (0.1, 1.0), (2.5, 1.0), (2.5, 3.3)]]
 
 
 # ---- failsafes ----

@@ -85,7 +85,7 @@ def test_a_real_autopilots_frames_are_the_vehicles_output_and_commands_reach_it(
     net = Net(A, B)
     assert net.says(DRONE, A, autopilot=True) == Route((BUS, B), vehicle=True)
     assert net.says(GIMBAL, A) == Route((BUS, B), vehicle=True)  # the whole system behind that link
-    assert net.says(COMPANION, BUS, DRONE) == Route((A,))  # the agent's waypoint, from mavlink/in
+    assert net.says(COMPANION, BUS, DRONE) == Route((A,))  # a companion on the bus, from mavlink/in
     assert net.says(QGC, B, DRONE) == Route((A,))
     assert net.says(QGC, B) == Route((BUS, A))
 

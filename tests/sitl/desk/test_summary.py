@@ -219,8 +219,8 @@ def test_what_a_log_tells_about_itself_may_be_anything(tmp_path: Path, capsys: p
 
 
 def test_a_record_of_a_newer_format_is_one_line(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log.write_bytes(log.read_bytes().replace(b"format\x01\x00\x00\x001", b"format\x01\x00\x00\x002"))
-    assert said(capsys, log, status=2) == f"error: {log} has record format 2 of another plumeward version; readable formats: 0, 1\n"
+    log.write_bytes(log.read_bytes().replace(b"format\x01\x00\x00\x002", b"format\x01\x00\x00\x003"))
+    assert said(capsys, log, status=2) == f"error: {log} has record format 3 of another plumeward version; readable formats: 0, 1, 2\n"
 
 
 def test_what_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -137,14 +137,12 @@ def test_a_global_position_outside_the_area_is_refused_once_a_second_and_counted
     assert protocol.refused == {"outside the area": 60}
 
 
-def test_the_time_of_a_global_setpoint_answers_no_reading():
+def test_a_global_setpoint_is_taken_as_a_waypoint():
     vehicle = hovering()
-    vehicle.answers.sampled(7)
     there = to_global(CONFIG.home_lat_deg, CONFIG.home_lon_deg, 10.0, 20.0)
     message = global_int(mask(*POSITION), 6, there, 5.0)
     message.pack(mavlink.MAVLink(None, 245, 190))
     assert MavlinkProtocol(vehicle).receive(message, 10.0) == []
-    assert vehicle.answers.awaited
     assert vehicle.waypoint == pytest.approx((10.0, 20.0, -5.0), abs=0.012)
 
 

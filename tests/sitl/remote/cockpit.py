@@ -7,7 +7,7 @@ from typing import Any
 from pymavlink.dialects.v20 import all as mavlink
 
 from link.bus.log import Log
-from link.bus.mavlink import Codec, Message, unpack, waypoint_message
+from link.bus.mavlink import Codec, Message, unpack, unpack_waypoint, waypoint_message
 from link.bus.messages import Stop
 from link.bus.tally import Tally
 from sitl.autopilot.config import VehicleConfig
@@ -96,20 +96,24 @@ class Cockpit:
             elif isinstance(event, Arrived) and self.search.measures:
                 self.readings.append((self.now_s, event.position))
                 self.truths.append(tuple(at - home for at, home in zip(self.ap.body.position, self.ap.home, strict=True)))
-                self.vehicle.answers.sampled(round(self.now_s * 1000))
+                self.search.answers.sampled(round(self.now_s * 1000))
                 self.answer_at = self.now_s + self.thinks_s
         self.search.go_on(searchers=True)
         if self.answer_at is not None and self.now_s >= self.answer_at:
             self.answer_at = None
             if (place := self.answers(self)) is not None:
-                newest = self.vehicle.answers.newest
-                assert newest is not None
-                self.tell(waypoint_message(1, newest, place, 5.0), (1, 191))
+                self.answer(place)
+
+    def answer(self, place: tuple[float, float]) -> None:
+        """Answer the newest reading as the agent does."""
+        newest = self.search.answers.newest
+        assert newest is not None
+        self.search.answer(unpack_waypoint(Codec(1, 191).pack(waypoint_message(1, newest, place, 5.0)), 1), self.now_s)
 
     def tell(self, message: Message, sender: tuple[int, int] = (255, 190)) -> list[Message]:
         """Say something to the vehicle on the bus; returns the answers."""
         (heard,) = unpack(Codec(*sender).pack(message))
-        return self.search.receive(heard, self.now_s)
+        return self.search.receive(heard, self.now_s, "on the bus")
 
     def run(self, seconds: float) -> None:
         """Let time pass."""

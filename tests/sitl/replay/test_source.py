@@ -36,8 +36,8 @@ def refused(path: Path) -> str:
 def test_a_record_of_a_newer_format_is_refused_by_name(tmp_path: Path) -> None:
     log = written(tmp_path / "run.mcap")
     assert find(Namespace(log=log, **FLAGS), {}, {})[0].entries
-    log.write_bytes(log.read_bytes().replace(b"format\x01\x00\x00\x001", b"format\x01\x00\x00\x002"))
-    assert refused(log) == f"{log} has record format 2 of another plumeward version; readable formats: 0, 1"
+    log.write_bytes(log.read_bytes().replace(b"format\x01\x00\x00\x002", b"format\x01\x00\x00\x003"))
+    assert refused(log) == f"{log} has record format 3 of another plumeward version; readable formats: 0, 1, 2"
 
 
 def test_a_pipe_and_an_empty_file_are_refused_and_not_waited_for(tmp_path: Path) -> None:

@@ -28,11 +28,11 @@ def stop(**changes: object) -> Entry:
     return Entry("agdc/stop", 0, 12.35, json.dumps({**STOP, **changes}).encode())
 
 
-def waypoint(time_boot_ms: int = 12350, north: float = 4.0, component: int = 191, sequence: int = 0, yaw: float = 0.0) -> Entry:
-    sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=component)
+def waypoint(time_boot_ms: int = 12350, north: float = 4.0, sequence: int = 0, yaw: float = 0.0) -> Entry:
+    sender = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
     sender.seq = sequence
     message = mavlink.MAVLink_set_position_target_local_ned_message(time_boot_ms, 1, 1, 1, 0xDF8, north, 3.0, -5.0, *[0.0] * 6, yaw, 0.0)
-    return Entry("mavlink/in", 0, time_boot_ms / 1000, bytes(message.pack(sender)))
+    return Entry("waypoint", 0, time_boot_ms / 1000, bytes(message.pack(sender)))
 
 
 def text(then: list[Entry], now: list[Entry], *ignored: str, tolerance: float = 0.0) -> str | None:
@@ -118,14 +118,14 @@ def test_what_is_ignored_may_differ(name: str) -> None:
 
 
 def test_keys_and_the_particles_can_be_ignored_by_their_names_on_the_bus() -> None:
-    assert text([belief(), stop(), waypoint()], [belief(CLOUD[:12])], "particles", "agdc/stop", "mavlink/in") is None
-    assert verify.ignored(["mavlink/in.x", "agdc/stop.spread"]) == {"waypoint.x", "stop.spread"}
+    assert text([belief(), stop(), waypoint()], [belief(CLOUD[:12])], "particles", "agdc/stop", "waypoint") is None
+    assert verify.ignored(["waypoint.x", "agdc/stop.spread"]) == {"waypoint.x", "stop.spread"}
 
 
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("gas", "'gas' is not allowed; wanted stop, belief, waypoint, agdc/stop, mavlink/in, a field of theirs, or particles"),
+        ("gas", "'gas' is not allowed; wanted stop, belief, waypoint, agdc/stop, a field of theirs, or particles"),
         ("belief.men", "'belief.men' is not allowed; belief has time_boot_ms, step, position, "),
         ("waypoint.lat", "'waypoint.lat' is not allowed; waypoint has time_boot_ms, target_system, "),
     ],
@@ -159,16 +159,16 @@ def test_the_sequence_numbers_of_a_link_are_not_compared() -> None:
     assert text([waypoint(sequence=4)], [waypoint(sequence=99)]) is None
 
 
-def test_only_the_agents_waypoints_and_what_decodes_are_answers() -> None:
-    assert verify.answers("mavlink/in", waypoint(component=190).payload) == []
+def test_only_waypoints_and_what_decodes_are_answers() -> None:
+    assert verify.answers("mavlink/in", waypoint().payload) == []
     heartbeat = bytes(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 0, 3).pack(mavlink.MAVLink(None, 1, 191)))
-    assert verify.answers("mavlink/in", heartbeat) == []
-    assert [answer.time_boot_ms for answer in verify.answers("mavlink/in", heartbeat + waypoint().payload + waypoint(99).payload)] == [
+    assert verify.answers("waypoint", heartbeat) == []
+    assert [answer.time_boot_ms for answer in verify.answers("waypoint", heartbeat + waypoint().payload + waypoint(99).payload)] == [
         12350,
         99,
     ]
     for payload in (b"noise", b"", b"[]", b"7", b"{}", b'{"time_boot_ms": "soon"}', b"\xff"):
-        assert verify.answers("belief", payload) == verify.answers("agdc/stop", payload) == verify.answers("mavlink/in", payload) == []
+        assert verify.answers("belief", payload) == verify.answers("agdc/stop", payload) == verify.answers("waypoint", payload) == []
     assert verify.answers("reading", belief().payload) == verify.answers("health/estimator", belief().payload) == []
 
 
@@ -206,4 +206,4 @@ def test_a_difference_as_json_has_the_key_and_both_values() -> None:
     assert found.as_json() == {"key": "belief", "time_s": 12.35, "step": 7, "field": "mean[0]", "was": 14.913, "is": 1.0}
     found = verify.compare(verify.said([waypoint()]), {})
     assert found is not None
-    assert found.as_json() == {"key": "mavlink/in", "time_s": 12.35, "step": None, "field": "", "was": {"x": 4.0, "y": 3.0}, "is": None}
+    assert found.as_json() == {"key": "waypoint", "time_s": 12.35, "step": None, "field": "", "was": {"x": 4.0, "y": 3.0}, "is": None}

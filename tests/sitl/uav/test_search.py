@@ -16,7 +16,7 @@ from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
 from sitl.uav.search import Search
 
-PILOT, CLIENT = (255, 190), (245, 190)
+PILOT, CLIENT, AGENT = (255, 190), (245, 190), (1, 191)
 STOP = Stop(9_000, 7, (4.0, 3.0), (0.04, 0.0, 0.04), 0.28, 0.5, "spread:0.5")
 
 
@@ -41,11 +41,11 @@ class Flight:
             for event in self.vehicle.advance(self.now_s):
                 if isinstance(event, Arrived) and self.search.measures:
                     self.readings.append((event.position[1], event.position[0]))
-                    self.vehicle.answers.sampled(round(self.now_s * 1000))
+                    self.search.answers.sampled(round(self.now_s * 1000))
             self.search.go_on(searchers=True)
-            if self.answering and self.vehicle.answers.awaited:
+            if self.answering and self.search.answers.awaited:
                 x, y = self.readings[-1]
-                self.send(waypoint_message(1, self.vehicle.answers.newest or 0, (x + 1, y), 5.0), (1, 191))
+                self.answer(x + 1, y)
 
     def until(self, state: str) -> None:
         """Fly until the search is in a state, at most a minute."""
@@ -55,10 +55,15 @@ class Flight:
             self.fly(0.1)
         raise AssertionError(f"still {self.search.state}, not {state}")
 
-    def send(self, message: Message, sender: tuple[int, int]) -> list[Message]:
+    def answer(self, x: float, y: float, time_boot_ms: int | None = None) -> list[Message]:
+        """Answer the newest reading, or that of another time, as the agent does; returns the answers."""
+        stamp = self.search.answers.newest if time_boot_ms is None else time_boot_ms
+        return self.search.answer(waypoint_message(1, stamp or 0, (x, y), 5.0), self.now_s)
+
+    def send(self, message: Message, sender: tuple[int, int], whence: str = "on the bus") -> list[Message]:
         """Hand a message to the vehicle as if it had come over a link."""
         message.pack(mavlink.MAVLink(None, *sender))
-        return self.search.receive(message, self.now_s)
+        return self.search.receive(message, self.now_s, whence)
 
     def command(self, number: int, *params: float, sender: tuple[int, int] = PILOT) -> int:
         """Send a command; returns its MAV_RESULT."""
@@ -77,12 +82,15 @@ class Flight:
         )
         return self.send(setpoint, sender)
 
-    def push(self, north: float, east: float, time_boot_ms: int = 7, sender: tuple[int, int] = CLIENT) -> list[Message]:
-        """Send a velocity of a client's own, m/s; returns the answers."""
+    def velocity(self, north: float, east: float, time_boot_ms: int = 7) -> Message:
+        """Return a setpoint that is a velocity, m/s."""
         ignored = mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE * 0b111 | POSITION_ONLY & ~0b111000
         vector = [north, east, *[0.0] * 6]
-        velocity = mavlink.MAVLink_set_position_target_local_ned_message(time_boot_ms, 1, 1, 1, ignored, 0, 0, 0, *vector)
-        return self.send(velocity, sender)
+        return mavlink.MAVLink_set_position_target_local_ned_message(time_boot_ms, 1, 1, 1, ignored, 0, 0, 0, *vector)
+
+    def push(self, north: float, east: float) -> list[Message]:
+        """Send a velocity of a client's own, m/s; returns the answers."""
+        return self.send(self.velocity(north, east), CLIENT)
 
     @property
     def mode(self) -> Mode:
@@ -115,7 +123,7 @@ def test_a_mode_that_a_pilot_chooses_during_take_off_stays(flight: Flight, how: 
     flight.fly(3)
     assert not flight.search.leads
     assert flight.mode is not Mode.OFFBOARD
-    assert flight.texts == [f"Search gives way: {how.name} by 255/190"]
+    assert flight.texts == [f"Search gives way: {how.name} by 255/190 on the bus"]
     flight.fly(60)
     if how is Mode.HOLD:
         assert (flight.search.state, flight.place) == ("paused", (0.0, 0.0))
@@ -133,7 +141,7 @@ def test_a_search_that_was_paused_during_take_off_flies_to_its_start_when_it_is_
     assert flight.change(Mode.OFFBOARD) == mavlink.MAV_RESULT_ACCEPTED
     flight.fly(10)
     assert flight.readings[0] == (2.0, 3.0)
-    assert flight.texts[-1] == "Search resumed by 255/190"
+    assert flight.texts[-1] == "Search resumed by 255/190 on the bus"
 
 
 def test_a_pause_of_any_length_can_be_ended_and_the_search_goes_on_where_it_was(flight: Flight) -> None:
@@ -157,7 +165,7 @@ def test_an_answer_that_comes_during_a_pause_is_flown_after_it(flight: Flight) -
     assert flight.readings == [(2.0, 3.0)]
     flight.change(Mode.HOLD)
     assert flight.search.wants_answers
-    flight.send(waypoint_message(1, flight.vehicle.answers.newest or 0, (9.0, 9.0), 5.0), (1, 191))
+    flight.answer(9.0, 9.0)
     flight.fly(5)
     assert flight.place == (2.0, 3.0)
     flight.change(Mode.OFFBOARD)
@@ -173,7 +181,7 @@ def test_a_motor_stop_in_mid_flight_ends_the_search(flight: Flight) -> None:
     readings = list(flight.readings)
     flight.fly(30)
     assert (flight.search.state, flight.search.leads, flight.readings) == ("landed", False, readings)
-    assert "Search gives way: disarmed by 255/190" in flight.texts
+    assert "Search gives way: disarmed by 255/190 on the bus" in flight.texts
 
 
 def test_setpoints_of_another_client_are_refused_while_the_search_leads(flight: Flight) -> None:
@@ -187,6 +195,59 @@ def test_setpoints_of_another_client_are_refused_while_the_search_leads(flight: 
     assert all(abs(y - 3.0) < 1e-6 for _, y in flight.readings)
     assert len(set(flight.readings)) == len(flight.readings)
     assert flight.change(Mode.OFFBOARD, CLIENT) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+
+
+@pytest.mark.parametrize("sender", [CLIENT, AGENT], ids=["another's ids", "the agent's ids"])
+def test_a_setpoint_with_the_time_of_the_awaited_reading_is_no_answer_unless_it_comes_as_one(
+    flight: Flight, sender: tuple[int, int]
+) -> None:
+    flight.until("searching")
+    flight.answering = False
+    flight.fly(10)
+    for _ in range(30):
+        flight.send(waypoint_message(1, flight.search.answers.newest or 0, (29.0, 29.0), 5.0), sender)
+        flight.fly(0.1)
+    assert (flight.place, flight.readings, flight.search.leads) == ((2.0, 3.0), [(2.0, 3.0)], True)
+    flight.answering = True
+    flight.fly(20)
+    assert flight.readings[:3] == [(2.0, 3.0), (3.0, 3.0), (4.0, 3.0)]
+
+
+def test_late_and_doubled_answers_are_ignored_and_an_answer_to_no_reading_is_refused(flight: Flight) -> None:
+    flight.until("searching")
+    flight.answering = False
+    flight.fly(10)
+    first = flight.search.answers.newest or 0
+    assert [flight.answer(x, 3.0) for x in (4.0, 20.0)] == [[], []]
+    flight.fly(10)
+    assert flight.answer(25.0, 25.0, first) == []
+    assert "".join(said.text for said in flight.answer(25.0, 25.0, 7)) == "Waypoint refused: no reading was taken at 7 ms"
+    flight.fly(10)
+    assert flight.readings == [(2.0, 3.0), (4.0, 3.0)]
+    assert flight.answer(4.0, 3.0) == []  # to stay, and measure again
+    flight.fly(1)
+    assert flight.readings == [(2.0, 3.0), (4.0, 3.0), (4.0, 3.0)]
+
+
+def test_an_ignored_answer_is_no_sign_of_life_of_the_agent() -> None:
+    flight = Flight(silence_s=5.0)
+    flight.until("searching")
+    flight.answering = False
+    flight.fly(4)
+    flight.answer(3.0, 3.0)
+    for _ in range(100):
+        flight.answer(3.0, 3.0, 7)
+        flight.fly(0.1)
+    assert flight.mode in (Mode.RETURN, Mode.LAND)
+
+
+def test_who_ends_a_flight_is_named_by_ids_and_link_also_when_a_pilot_leads_already(flight: Flight) -> None:
+    flight.until("searching")
+    flight.fly(5)
+    flight.change(Mode.HOLD)
+    stop = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 0, 21196, *[0.0] * 5)
+    flight.send(stop, PILOT, "at 192.0.2.7:40123")
+    assert flight.texts == ["Search gives way: HOLD by 255/190 on the bus", "disarmed by 255/190 at 192.0.2.7:40123"]
 
 
 def test_velocities_and_global_setpoints_of_another_client_are_refused_while_the_search_leads(flight: Flight) -> None:
@@ -206,9 +267,9 @@ def test_a_velocity_is_no_answer_to_a_reading(flight: Flight) -> None:
     flight.until("searching")
     flight.answering = False
     flight.fly(5)
-    answers = flight.push(1.0, 0.0, time_boot_ms=flight.vehicle.answers.newest or 0, sender=(1, 191))
+    answers = flight.search.answer(flight.velocity(1.0, 0.0, flight.search.answers.newest or 0), flight.now_s)
     assert "".join(answer.text for answer in answers) == "Waypoint refused: the answer to a reading is a position"
-    assert flight.vehicle.answers.awaited
+    assert flight.search.answers.awaited
 
 
 def test_another_client_may_lead_by_velocity_and_then_give_the_search_back(flight: Flight) -> None:
@@ -409,7 +470,7 @@ def test_a_pilot_who_starts_a_mission_in_mid_search_leads_until_the_search_is_gi
     flight.answering = False
     before = len(flight.readings)
     fly_mission(flight)
-    assert flight.texts == ["Search gives way: MISSION by 255/190"]
+    assert flight.texts == ["Search gives way: MISSION by 255/190 on the bus"]
     flight.answering = True
     flight.fly(60)
     assert flight.search.state == "paused"
@@ -418,7 +479,7 @@ def test_a_pilot_who_starts_a_mission_in_mid_search_leads_until_the_search_is_gi
     assert len(flight.readings) == before
     assert flight.change(Mode.OFFBOARD) == mavlink.MAV_RESULT_ACCEPTED
     flight.fly(20)
-    assert flight.texts[-1] == "Search resumed by 255/190"
+    assert flight.texts[-1] == "Search resumed by 255/190 on the bus"
     assert len(flight.readings) > before + 2
 
 
@@ -428,7 +489,7 @@ def test_a_waypoint_outside_the_fence_is_refused_and_silence_brings_the_vehicle_
     flight.until("searching")
     flight.fly(20)  # the agent goes east, 1 m at a time: the eighth waypoint is outside
     assert flight.readings[-1] == (7.0, 3.0)
-    assert flight.vehicle.answers.awaited
+    assert flight.search.answers.awaited
     flight.until("landed")
     assert flight.place == (0.0, 0.0)
     assert flight.texts[-1:] != ["Search gives way: HOLD by the autopilot"]

@@ -47,7 +47,7 @@ def link(tmp_path: Path, log: Log, received: queue.Queue, port: int) -> Iterator
     (tmp_path / "key").write_text("abc")
     url = f"udpin:127.0.0.1:{port}"
     signing = Signing(str(tmp_path / "key"), "uav-7", log)
-    link = UdpLink(url, received.put, system=7, signer=signing.link(url))
+    link = UdpLink(url, lambda message, sender: received.put(message), system=7, signer=signing.link(url))
     yield link
     link.close()
     signing.close()

@@ -1,5 +1,6 @@
 """Protects the UDP link: what it refuses, what it survives, and that closing it frees its thread and socket."""
 
+import contextlib
 import queue
 import socket
 import threading
@@ -36,9 +37,14 @@ def received():
     return queue.Queue()
 
 
+def into(received):
+    """What puts received messages, without their senders, into a queue."""
+    return lambda message, sender: received.put(message)
+
+
 @pytest.fixture
 def link(peer, received):
-    link = UdpLink(f"udpout:127.0.0.1:{peer.getsockname()[1]}", received.put, system=7)
+    link = UdpLink(f"udpout:127.0.0.1:{peer.getsockname()[1]}", into(received), system=7)
     yield link
     link.close()
 
@@ -154,7 +160,7 @@ def test_nobody_listening_is_survived(received):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         address = probe.getsockname()
-    link = UdpLink(f"udpout:127.0.0.1:{address[1]}", received.put)
+    link = UdpLink(f"udpout:127.0.0.1:{address[1]}", into(received))
     try:
         for _ in range(20):
             link.send(mavlink.MAVLink_ping_message(0, 0, 0, 0))
@@ -188,7 +194,7 @@ def test_both_protocol_versions_are_received_and_garbage_between_them_is_counted
 
 
 def test_a_handler_that_fails_does_not_end_the_link(peer, received, caplog):
-    def handle(message):
+    def handle(message, sender):
         received.put(message)
         raise RuntimeError("no")
 
@@ -206,7 +212,7 @@ def test_a_handler_that_fails_does_not_end_the_link(peer, received, caplog):
 
 def test_close_ends_the_thread_and_frees_the_socket_and_may_be_repeated(peer, received):
     before = threading.active_count()
-    link = UdpLink(f"udpout:127.0.0.1:{peer.getsockname()[1]}", received.put)
+    link = UdpLink(f"udpout:127.0.0.1:{peer.getsockname()[1]}", into(received))
     link.send(mavlink.MAVLink_ping_message(0, 0, 0, 0))
     _, own = peer.recvfrom(1000)
     link.close()
@@ -229,9 +235,15 @@ class TestUdpIn:
             probe.bind(("127.0.0.1", 0))
             return probe.getsockname()[1]
 
+    def test_each_message_comes_with_the_address_of_its_sender(self, port, peer):
+        heard = queue.Queue()
+        with contextlib.closing(UdpLink(f"udpin:127.0.0.1:{port}", lambda message, sender: heard.put((message.value, sender)))):
+            peer.sendto(frame(gas=1.0), ("127.0.0.1", port))
+            assert heard.get(timeout=WAIT_S) == (1.0, f"127.0.0.1:{peer.getsockname()[1]}")
+
     @pytest.fixture
     def link(self, port, received):
-        link = UdpLink(f"udpin:127.0.0.1:{port}", received.put, system=7)
+        link = UdpLink(f"udpin:127.0.0.1:{port}", into(received), system=7)
         yield link
         link.close()
 
@@ -358,7 +370,7 @@ class TestUdpIn:
 
     def test_close_ends_the_thread_and_frees_the_port(self, port, received, station):
         before = threading.active_count()
-        link = UdpLink(f"udpin:127.0.0.1:{port}", received.put)
+        link = UdpLink(f"udpin:127.0.0.1:{port}", into(received))
         caller = station()
         self.greet(caller, received)
         link.close()
