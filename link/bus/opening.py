@@ -1,4 +1,4 @@
-"""How a Zenoh session is opened: its settings, and the router."""
+"""How a Zenoh session, the router, and a key's publishers and subscribers are opened: their settings."""
 
 import contextlib
 import json
@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
+import zenoh.ext
 
 from link.access.identity import Identity, is_refused, secured, why_not
 from link.access.roles import ROUTER, access_control
-from link.bus.keys import KEYS, Delivery
+from link.bus.keys import KEYS, Delivery, Key
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
@@ -46,6 +47,68 @@ def priority(how: Delivery) -> zenoh.Priority:
     return zenoh.Priority.INTERACTIVE_HIGH if how.blocking else zenoh.Priority.DATA
 
 
+def declare_publisher(session: zenoh.Session, name: str, how: Delivery) -> Any:
+    """Return a publisher of a key, which delivers as the table says."""
+    options: dict[str, Any] = {
+        "reliability": zenoh.Reliability.RELIABLE if how.reliable else zenoh.Reliability.BEST_EFFORT,
+        "congestion_control": zenoh.CongestionControl.BLOCK if how.blocking else zenoh.CongestionControl.DROP,
+        "priority": priority(how),
+        "express": how.express,
+    }
+    if not how.kept:
+        return session.declare_publisher(name, **options)
+    return zenoh.ext.declare_advanced_publisher(
+        session,
+        name,
+        cache=zenoh.ext.CacheConfig(
+            max_samples=max(how.kept, how.recovered),
+            # By default replies are dropped if history is requested while many new messages are published.
+            replies_config=zenoh.ext.RepliesConfig(
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                priority=priority(how) if how.blocking else zenoh.Priority.DATA_LOW,
+            ),
+        ),
+        publisher_detection=True,
+        sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5, sporadic_heartbeat=None),
+        **options,
+    )
+
+
+def declare_subscriber(session: zenoh.Session, name: str, how: Delivery, handler: Any, origin: zenoh.Locality) -> Any:
+    """Return a subscriber of a key; if messages are kept, it gets them first.
+
+    That of several keys (`*`) gets new messages only: Zenoh would let it drop those of one key for what another's publisher says of itself.
+    """
+    if not how.kept or "*" in name:
+        return session.declare_subscriber(name, handler, allowed_origin=origin)
+    return zenoh.ext.declare_advanced_subscriber(
+        session,
+        name,
+        handler,
+        allowed_origin=origin,
+        # detect_late_publishers loses history in half of the joins to a busy publisher
+        history=zenoh.ext.HistoryConfig(max_samples=how.kept if how.recovered else None),
+        recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
+    )
+
+
+def ask_for_kept(session: zenoh.Session, name: str, most: int, received: Any, where: zenoh.Locality = zenoh.Locality.ANY) -> Any:
+    """Ask the publishers of a key for their newest `most` messages. received: the handler of the replies."""
+    return session.get(
+        f"{name}/@adv/**?_max={most}", received, target=zenoh.QueryTarget.ALL, consolidation=zenoh.ConsolidationMode.NONE,
+        accept_replies=zenoh.ReplyKeyExpr.ANY, allowed_destination=where,
+    )  # fmt: skip
+
+
+def kept_of(session: zenoh.Session, key: Key) -> list[tuple[bytes, bytes | None]]:
+    """Return the messages of a key that this session itself keeps, oldest first, with their attachments."""
+    if not (most := key.delivery.kept) or "<" in key.name:
+        return []
+    replies = ask_for_kept(session, key.name, most, zenoh.handlers.FifoChannel(most), zenoh.Locality.SESSION_LOCAL)
+    samples = [reply.ok for reply in replies if reply.ok]
+    return [(sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else None) for sample in samples]
+
+
 def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zenoh.Config:
     """Return Zenoh's configuration for a mode and what each flag names, such as `connect`. Raises BusError. settings: others of Zenoh's."""
     config = zenoh.Config()
@@ -76,23 +139,27 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
     return config
 
 
+def join(connect: str, within_s: float, **settings: Any) -> zenoh.Session:
+    """Join a router, with an id of Zenoh's choice; raises zenoh.ZError if none admits us in time, BusError if it is not an endpoint."""
+    in_time = {"connect__timeout_ms": round(1000 * within_s), "connect__retry": RETRY}
+    return zenoh.open(zenoh_config("client", {"connect": [connect]}, **in_time | settings))
+
+
 def open_client(connect: str, known: Identity | None, say: Callable[[str], None], **settings: Any) -> zenoh.Session:
     """Join a router. settings: Zenoh's, beside the usual ones or instead of them.
 
     Raises NoRouter if none admits us: within CONNECT_TIMEOUT_S, and if nobody has refused us within SLOW_CONNECT_S more. BusError if
     `connect` is not an endpoint.
     """
-    in_time = {"connect__timeout_ms": round(1000 * CONNECT_TIMEOUT_S), "connect__retry": RETRY}
     try:
-        return zenoh.open(zenoh_config("client", {"connect": [connect]}, **in_time | settings))
+        return join(connect, CONNECT_TIMEOUT_S, **settings)
     except zenoh.ZError:
         if reason := why_not(connect, known):
             raise NoRouter(f"--connect: the router at {connect} cannot be joined: {reason}") from None
     if "connect__timeout_ms" not in settings and not is_refused(connect):
         say(f"the router at {connect} does not answer yet: trying for {SLOW_CONNECT_S:g} s more")
-        later = {"connect__timeout_ms": round(1000 * SLOW_CONNECT_S)}
         with contextlib.suppress(zenoh.ZError):
-            return zenoh.open(zenoh_config("client", {"connect": [connect]}, **in_time | settings | later))
+            return join(connect, SLOW_CONNECT_S, **settings)
     raise NoRouter(f"--connect: no router at {connect} (start one with: plumeward router)")
 
 

@@ -2,6 +2,7 @@
 
 import math
 import queue
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -10,7 +11,6 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 import msgspec
 import zenoh
-import zenoh.ext
 
 from link.access.identity import secured
 from link.access.roles import OF_ALL_VEHICLES
@@ -18,9 +18,10 @@ from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow, Ser
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
 from link.bus.messages import Health, Stop, stop_text
-from link.bus.opening import DEFAULT_ROUTER, BusError, open_client, priority
+from link.bus.opening import DEFAULT_ROUTER, BusError, ask_for_kept, declare_publisher, declare_subscriber, join, kept_of, open_client
 from link.bus.sequence import Sequence
 from link.bus.sole import Sole
+from link.bus.standby import Standby
 from link.bus.tally import REPEATED, Tally
 
 MOST_REASON = 300
@@ -125,9 +126,13 @@ class Bus:
         self.tally = Tally()
         self.log = Log(service, namespace or "-", self.tally, log_level)
         self._session = open_client(connect, self._identity, self.log.warning, **usual | settings)
+        self._standby = Standby(lambda: self.connected, lambda within_s: join(connect, within_s, **usual | settings))
         self._inbox = Inbox() if inbox is None else inbox
+        self._declaring = threading.Lock()
         self._publishers: dict[str, Any] = {}
-        self._subscribers: dict[str, Any] = {}
+        self._declarations: dict[str, Callable[[zenoh.Session], Any]] = {}
+        """What makes each of what we hold on the session: once more, if another takes its place."""
+        self._held: dict[str, Any] = {}
         self._sequences: dict[str, Sequence[Arrival | Stamped]] = {}
         self._overflows: dict[str, Overflow] = {}
         self._names = ServiceNames()
@@ -135,16 +140,22 @@ class Bus:
         self._given_at = time.monotonic()
         self._health_at = math.inf
         self._expired = False
-        self._token: Any = None
-        self._sole = Sole(self._session, self._own_health(), lambda: self.tally.uptime_s) if sole else None
+        self._sole = Sole(self._own_health(), lambda: self.tally.uptime_s) if sole else None
         if self._sole:
-            self._subscribers["own health"] = self._sole.subscriber
+            self._hold("own health", self._sole.listen)
             if self._sole.await_elder(lambda: service in self.services()):
                 self.close()
                 raise self._superfluous()
         if announced:
             self._look_for_rights(HEALTH, HEALTH.writers, "publish", service)
-            self._token = self._session.liveliness().declare_token(self._own_health())
+            self._hold("token", lambda session: session.liveliness().declare_token(self._own_health()))
+
+    def _hold(self, name: str, declare: Callable[[zenoh.Session], Any]) -> None:
+        """Declare something on the session, and on each that takes its place. It replaces what had this name."""
+        if before := self._held.get(name):
+            before.undeclare()
+        self._declarations[name] = declare
+        self._held[name] = declare(self._session)
 
     def _superfluous(self) -> BusError:
         return BusError(f"another {self.service} is already on {self._namespace or 'the bus'}")
@@ -159,39 +170,19 @@ class Bus:
 
     def _publisher(self, key: Key) -> Any:
         if key.name not in self._publishers:
-            name = self._own_health() if key is HEALTH else key.name
-            self._look_for_rights(key, key.writers, "publish", self.service if key is HEALTH else None)
-            how = key.delivery
-            options: dict[str, Any] = {
-                "reliability": zenoh.Reliability.RELIABLE if how.reliable else zenoh.Reliability.BEST_EFFORT,
-                "congestion_control": zenoh.CongestionControl.BLOCK if how.blocking else zenoh.CongestionControl.DROP,
-                "priority": priority(how),
-                "express": how.express,
-            }
-            if how.kept:
-                self._publishers[key.name] = zenoh.ext.declare_advanced_publisher(
-                    self._session,
-                    name,
-                    cache=zenoh.ext.CacheConfig(
-                        max_samples=max(how.kept, how.recovered),
-                        # By default replies are dropped if history is requested while many new messages are published.
-                        replies_config=zenoh.ext.RepliesConfig(
-                            congestion_control=zenoh.CongestionControl.BLOCK,
-                            priority=priority(how) if how.blocking else zenoh.Priority.DATA_LOW,
-                        ),
-                    ),
-                    publisher_detection=True,
-                    sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5, sporadic_heartbeat=None),
-                    **options,
-                )
-            else:
-                self._publishers[key.name] = self._session.declare_publisher(name, **options)
+            with self._declaring:
+                name = self._own_health() if key is HEALTH else key.name
+                self._look_for_rights(key, key.writers, "publish", self.service if key is HEALTH else None)
+                self._publishers[key.name] = declare_publisher(self._session, name, key.delivery)
         return self._publishers[key.name]
 
     def publish(self, key: Key, message: bytes | msgspec.Struct, attachment: bytes | None = None) -> None:
         """Publish a message: bytes as they are, a struct as JSON."""
         payload = message if isinstance(message, bytes) else msgspec.json.encode(message)
-        self._publisher(key).put(payload, attachment=attachment)
+        try:
+            self._publisher(key).put(payload, attachment=attachment)
+        except zenoh.ZError:  # in another thread a new session has taken the place of its session
+            self._publisher(key).put(payload, attachment=attachment)
 
     def subscribe(self, *keys: Key, newest: bool = False) -> None:
         """Put the messages of these keys into the inbox, kept ones first. With `newest` only the newest message of a key waits there."""
@@ -213,10 +204,13 @@ class Bus:
     def on(self, key: Key, arrived: Callable[[Any], None], *, own: bool = True) -> None:
         """Call `arrived` with each message of a key, kept messages first, in a thread of Zenoh's; without `own`, not with ours."""
 
+        heard: set[str] = set()
+
         def received(sample: zenoh.Sample) -> None:
             name = service_of(sample) if key is HEALTH else ""
-            if key is HEALTH and not self._names.admits(name):
+            if name and not self._names.admits(name):
                 return
+            heard.add(name)
             attachment = sample.attachment.to_bytes() if sample.attachment else b""
             arrival = Arrival(key, sample.payload.to_bytes(), attachment, time.monotonic(), name)
             if key.name in self._sequences and (info := sample.source_info) is not None:
@@ -225,23 +219,17 @@ class Bus:
                 arrived(arrival)
 
         self._declare(key, received, zenoh.Locality.ANY if own else zenoh.Locality.REMOTE)
+        if key is HEALTH:  # what is new may come before what is kept
+            self._ask_for_kept_health(lambda sample: received(sample) if service_of(sample) not in heard else None)
 
     def _declare(self, key: Key, handler: Any, origin: zenoh.Locality = zenoh.Locality.ANY) -> None:
         self._look_for_rights(key, (*key.readers, *OF_ALL_VEHICLES), "receive")
         name = key.name.replace("<service>", "*")
-        if key.delivery.kept:
-            subscriber: Any = zenoh.ext.declare_advanced_subscriber(
-                self._session,
-                name,
-                handler,
-                allowed_origin=origin,
-                # detect_late_publishers loses history in half of the joins to a busy publisher
-                history=zenoh.ext.HistoryConfig(max_samples=key.delivery.kept if key.delivery.recovered else None),
-                recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
-            )
-        else:
-            subscriber = self._session.declare_subscriber(name, handler, allowed_origin=origin)
-        self._subscribers[key.name] = subscriber
+        self._hold(key.name, lambda session: declare_subscriber(session, name, key.delivery, handler, origin))
+
+    def _ask_for_kept_health(self, received: Callable[[zenoh.Sample], None]) -> None:
+        name, most = HEALTH.name.replace("<service>", "*"), HEALTH.delivery.kept
+        ask_for_kept(self._session, name, most, lambda reply: received(reply.ok) if reply.ok else None)
 
     def settle(self, timeout_s: float) -> None:
         """Wait, at most timeout_s, until the router has received all that was sent from here, and we have received all that it sent.
@@ -262,7 +250,7 @@ class Bus:
                 put(LivelinessChange(service, sample.kind == zenoh.SampleKind.PUT), 0)
 
         name = HEALTH.name.replace("<service>", "*")
-        self._subscribers["liveliness"] = self._session.liveliness().declare_subscriber(name, changed, history=True)
+        self._hold("liveliness", lambda session: session.liveliness().declare_subscriber(name, changed, history=True))
 
     def services(self) -> set[str]:
         """Return the names of the services present, by their liveliness tokens."""
@@ -310,7 +298,7 @@ class Bus:
         for name, sequence in self._sequences.items():
             if sequence.should_ask_again(now_s):
                 if self.connected:
-                    self._subscribers.pop(name).undeclare()  # a new subscriber receives the history again
+                    # a new subscriber receives the history again
                     self.subscribe(next(key for key in KEYS if key.name == name))
                 else:
                     sequence.wait_on(now_s)
@@ -366,10 +354,26 @@ class Bus:
         self.publish(HEALTH, health)
         self._health_at = time.monotonic() + HEALTH_EVERY_S
 
+    def keep_link(self) -> None:
+        """Go on with a new session if the router keeps ours out: its id was taken while it was away. `keep_health` does it, too."""
+        if (session := self._standby.look()) is None:
+            return
+        self.log.warning(f"the router admits others but not us: our session id {self._session.zid()} is taken; going on with a new one")
+        before, kept = self._session, [(key, kept_of(self._session, key)) for key in KEYS if key.name in self._publishers]
+        with self._declaring:
+            self._session, self._publishers = session, {}
+        for name, declare in self._declarations.items():
+            self._held[name] = declare(session)
+        for key, messages in kept:
+            for payload, attachment in messages:
+                self.publish(key, payload, attachment)
+        before.close()  # type: ignore[no-untyped-call]
+
     def keep_health(self) -> None:
         """Publish the service's health if HEALTH_EVERY_S have passed since the last time. Raises BusError beside an older one, if sole."""
         if self._sole and self._sole.has_elder:
             raise self._superfluous()
+        self.keep_link()
         if not self._expired and (expiry := self.expiry()):
             self._expired = True
             self.log.warning(expiry)
@@ -378,10 +382,9 @@ class Bus:
 
     def close(self) -> None:
         """Leave the bus. An open session would hang the exit of the process."""
-        for subscriber in self._subscribers.values():
-            subscriber.undeclare()
-        if self._token:
-            self._token.undeclare()
+        self._standby.close()
+        for held in self._held.values():
+            held.undeclare()
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:

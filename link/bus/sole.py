@@ -18,13 +18,17 @@ APART_S = 0.5
 class Sole:
     """Listens for a service of the same name that has been there for longer."""
 
-    def __init__(self, session: zenoh.Session, key: str, uptime_s: Callable[[], float]) -> None:
+    def __init__(self, key: str, uptime_s: Callable[[], float]) -> None:
         """Take the key of its own health within the namespace, and its own uptime, s."""
         self.has_elder = False
         """True once another is known to be there. Of the two, the younger has to go."""
+        self._key = key
         self._uptime_s = uptime_s
         self._first_s: float | None = None
-        self.subscriber = session.declare_subscriber(key, self._heard, allowed_origin=zenoh.Locality.REMOTE)
+
+    def listen(self, session: zenoh.Session) -> zenoh.Subscriber[None]:
+        """Listen on a session; returns the subscriber."""
+        return session.declare_subscriber(self._key, self._heard, allowed_origin=zenoh.Locality.REMOTE)
 
     def await_elder(self, is_there: Callable[[], bool]) -> bool:
         """Return whether one is there and stays. `is_there`: whether its token is."""

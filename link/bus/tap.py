@@ -4,6 +4,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import zenoh
@@ -15,8 +16,8 @@ from link.bus.session import Bus, Numbered, Stamped, most_waiting, service_of
 
 DRAIN_EVERY_S = 0.05
 """How often Zenoh's rings are emptied: they are bounded by messages alone, of any size, and drop without a word."""
-Ring = tuple[Key, Any, Callable[[Any, int], None]]
-"""A key, Zenoh's ring of its messages, and what puts them into the inbox."""
+Ring = tuple[Key, Callable[[Any, int], None]]
+"""A key whose messages come into a ring of Zenoh's, and what puts them into the inbox."""
 
 
 class Tap(Bus):
@@ -53,7 +54,9 @@ class Tap(Bus):
         for key in keys:
             self._put_in_order(key)
             self._declare(key, zenoh.handlers.RingChannel(most_waiting(key)))
-            self._rings[key.name] = key, self._subscribers[key.name].handler, self._inbox.lane(key.name, most_waiting(key))
+            self._rings[key.name] = key, (put := self._inbox.lane(key.name, most_waiting(key)))
+            if key is HEALTH:
+                self._ask_for_kept_health(partial(self._move, key, put))
 
     def take(self) -> list[Stamped]:
         """Return the messages that arrived since the last call, in order of publishing."""
@@ -97,8 +100,9 @@ class Tap(Bus):
             for ring in tuple(self._rings.values()):
                 self._full += self._drain_one(*ring)
 
-    def _drain_one(self, key: Key, handler: Any, put: Callable[[Any, int], None]) -> bool:
+    def _drain_one(self, key: Key, put: Callable[[Any, int], None]) -> bool:
         """Empty a ring; returns whether it was full, and so may have dropped messages: nobody knows how many."""
+        handler = self._held[key.name].handler
         for _ in range(most_waiting(key)):
             try:
                 sample = handler.try_recv()
@@ -106,12 +110,15 @@ class Tap(Bus):
                 return False
             if sample is None:
                 return False
-            if key is HEALTH and not self._names.admits(service_of(sample)):
-                continue
-            published_ns = sample.timestamp.get_time_as_ntp64().as_nanos() if sample.timestamp else time.time_ns()
-            attachment = sample.attachment.to_bytes() if sample.attachment else b""
-            message = Stamped(key, sample.payload.to_bytes(), attachment, str(sample.key_expr), published_ns, published_ns)
-            info = sample.source_info if key.name in self._sequences else None
-            size = len(message.payload) + len(attachment)
-            put(message if info is None else Numbered(str(info.source_id), info.source_sn, message), size)
+            self._move(key, put, sample)
         return True
+
+    def _move(self, key: Key, put: Callable[[Any, int], None], sample: zenoh.Sample) -> None:
+        """Put a message into the inbox."""
+        if key is HEALTH and not self._names.admits(service_of(sample)):
+            return
+        published_ns = sample.timestamp.get_time_as_ntp64().as_nanos() if sample.timestamp else time.time_ns()
+        attachment = sample.attachment.to_bytes() if sample.attachment else b""
+        message = Stamped(key, sample.payload.to_bytes(), attachment, str(sample.key_expr), published_ns, published_ns)
+        info = sample.source_info if key.name in self._sequences else None
+        put(message if info is None else Numbered(str(info.source_id), info.source_sn, message), len(message.payload) + len(attachment))

@@ -32,7 +32,7 @@ class Roster(Bus):
         super().__init__(service, connect, None, announced=False, secure=secure, connect__timeout_ms=round(1000 * connect_timeout_s))
         self._changes: deque[Presence] = deque(maxlen=MOST_CHANGES)
         name = HEALTH.name.replace("<service>", "*")
-        self._subscribers["liveliness"] = self._session.liveliness().declare_subscriber(f"**/{name}", self._changed, history=True)
+        self._hold("liveliness", lambda session: session.liveliness().declare_subscriber(f"**/{name}", self._changed, history=True))
 
     def _changed(self, sample: zenoh.Sample) -> None:
         middle = HEALTH.name.partition("<")[0]
@@ -43,4 +43,5 @@ class Roster(Bus):
     def changes(self) -> list[Presence]:
         """Return what has changed since the last call; at first, all that are there. A lost router takes all of them with it."""
         self._names.tell(self.log)
+        self.keep_link()
         return [self._changes.popleft() for _ in range(len(self._changes))]

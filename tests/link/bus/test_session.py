@@ -14,7 +14,7 @@ import zenoh
 from link.bus.inbox import WAITING_MESSAGES, Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, READING, STOP
 from link.bus.messages import Health, Stop
-from link.bus.opening import BusError, NoRouter, open_client, open_router
+from link.bus.opening import BusError, NoRouter, open_client, open_router, zenoh_config
 from link.bus.session import Arrival, Bus, LivelinessChange, Numbered
 from sitl.launch.relay import Relay
 
@@ -41,6 +41,11 @@ def stranger(router: str) -> Iterator[zenoh.Session]:
     config.insert_json5("connect/endpoints", json.dumps([router]))
     with zenoh.open(config) as session:
         yield session
+
+
+def taking(router: str, session_id: str) -> zenoh.Session:
+    """Plain Zenoh with the id of another session, which is away."""
+    return zenoh.open(zenoh_config("client", {"connect": [router]}, id=session_id, connect__timeout_ms=60_000))
 
 
 def settle(stranger: zenoh.Session) -> None:
@@ -253,6 +258,91 @@ def test_health_on_the_key_of_another_is_refused(router: str, capsys: pytest.Cap
         assert viewer.decode(own._replace(name="estimator"), Health) is None
         assert viewer.tally.refused == {"malformed": 1}
     assert "refused health/<service>: 'estimator' says that it is 'agent'" in capsys.readouterr().err
+
+
+def test_who_speaks_with_the_source_id_of_another_hides_no_health_of_that(
+    router: str, stranger: zenoh.Session, wait_until: Callable[..., None]
+) -> None:
+    overheard: list[zenoh.SourceInfo] = []
+    with stranger.declare_subscriber("uav/1/health/agent", lambda sample: overheard.append(sample.source_info)):
+        settle(stranger)
+        with Bus("viewer", router, announced=False) as viewer, Bus("agent", router) as agent:
+            viewer.subscribe(HEALTH)
+            viewer.settle(60.0)
+            agent.publish_health()
+            wait_until(lambda: overheard)
+            publisher = stranger.declare_publisher("uav/1/health/observer", congestion_control=zenoh.CongestionControl.BLOCK)
+            wait_until(lambda: publisher.matching_status.matching)
+            for number in range(1, 100):
+                publisher.put(b"{}", source_info=zenoh.SourceInfo(overheard[0].source_id, number))
+            settle(stranger)
+            agent.publish_health()
+            wait_until(lambda: len(overheard) == 2)
+            heard = [viewer.receive(timeout_s=60.0).name for _ in range(101)]
+            assert heard == ["agent", *["observer"] * 99, "agent"]
+
+
+def test_a_session_whose_id_is_taken_while_it_is_away_goes_on_with_a_new_one(
+    router: str,
+    stranger: zenoh.Session,
+    wait_until: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("link.bus.standby.AWAY_S", 0.2)
+    overheard: list[zenoh.SourceInfo] = []
+    stranger.declare_subscriber("uav/1/reading", lambda sample: overheard.append(sample.source_info))
+    settle(stranger)
+    relay = Relay(router)
+    try:
+        with Bus("uav", relay.endpoint) as uav, Bus("estimator", router) as estimator, Bus("viewer", router, announced=False) as viewer:
+            uav.subscribe(STOP)
+            for payload in (b"0", b"1"):
+                uav.publish(READING, payload, b"attached")
+            wait_until(lambda: overheard)
+            relay.cut()
+            wait_until(lambda: not (uav.receive(timeout_s=0.0) or uav.connected or "uav" in viewer.services()))
+            with taking(router, str(overheard[0].source_id.zid)):
+                relay.restore()
+                wait_until(lambda: uav.receive(timeout_s=0.0) is None and uav.connected)
+                assert capsys.readouterr().err.count("our session id") == 1
+                uav.publish(READING, b"2", b"attached")
+                estimator.publish(STOP, CLAIM)
+                assert uav.decode(uav.receive(timeout_s=60.0), Stop) == CLAIM
+                assert viewer.services() == {"uav", "estimator"}
+                estimator.subscribe(READING)
+                got = [estimator.receive(timeout_s=60.0) for _ in range(3)]
+                assert [(item.payload, item.attachment) for item in got] == [(b"%d" % number, b"attached") for number in range(3)]
+    finally:
+        relay.close()
+
+
+def test_a_session_that_comes_back_by_itself_stays(
+    router: str,
+    stranger: zenoh.Session,
+    wait_until: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("link.bus.standby.AWAY_S", 0.0)
+    ids: set[str] = set()
+    stranger.declare_subscriber("uav/1/reading", lambda sample: ids.add(str(sample.source_info.source_id.zid)))
+    settle(stranger)
+    relay = Relay(router)
+    try:
+        with Bus("uav", relay.endpoint) as uav:
+            uav.publish(READING, b"0")
+            wait_until(lambda: ids)
+            relay.cut()
+            wait_until(lambda: not (uav.receive(timeout_s=0.0) or uav.connected))
+            relay.restore()
+            wait_until(lambda: uav.receive(timeout_s=0.0) is None and uav.connected)
+            uav.publish(READING, b"1")
+            settle(stranger)
+            assert len(ids) == 1
+            assert "our session id" not in capsys.readouterr().err
+    finally:
+        relay.close()
 
 
 def test_what_does_not_decode_is_counted_and_logged_with_key_and_reason(router: str, capsys: pytest.CaptureFixture[str]) -> None:
