@@ -11,9 +11,10 @@ from link.bus.frames import MAVLINK_1, frame_at
 from link.bus.log import Log
 from link.signing.key import read_key
 from link.signing.signature import is_genuine, is_signed, link_and_timestamp, signed
-from link.signing.timestamps import MINUTE, UNITS_A_S, Timestamps
+from link.signing.timestamps import AHEAD, MINUTE, UNITS_A_S, Timestamps
 
 UNSIGNED, WRONG, OLD = "without a signature", "with a wrong signature", "with an old timestamp"
+FAR_AHEAD = f"with a timestamp more than {AHEAD // MINUTE} minutes ahead of this machine's clock"
 """Why a frame is refused."""
 FREE = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
 """Types that need no signature: radios add them to the link, and have no key. The standard lets them through."""
@@ -36,12 +37,16 @@ class Signing:
         file = Path(path).resolve()
         self._who = who
         self._numbers: set[int] = set()
-        self.timestamps = Timestamps(file.with_name(f"{file.name}.{who}"))
+        kept = file.with_name(f"{file.name}.{who}")
+        self.timestamps = Timestamps(kept)
         log.info(f"signs MAVLink by {path!r}, which holds {key.made_from}")
         if key.open_to_all:
             log.warning(f"{path!r} is open to every user of this machine: chmod 600 {path}")
         if (ahead_s := self.timestamps.ahead_s) > MINUTE / UNITS_A_S:
-            log.warning(f"the last timestamp is {ahead_s:.0f} s later than the clock: who signs by the right time is refused")
+            log.warning(
+                f"the last timestamp is {ahead_s:.0f} s later than the clock: who signs by the right time is refused "
+                f"(if the clock is right, remove {str(kept)!r}, at the earliest a minute after its last use)"
+            )
 
     def link(self, url: str) -> "Signer":
         """Return what signs a link. Its link id comes from its URL and whose it is: two processes should not speak with the same ids."""
@@ -100,7 +105,9 @@ class Signer:
         if not is_genuine(frame, self._secret):
             return WRONG
         link, timestamp = link_and_timestamp(frame)
-        return "" if self._timestamps.accept((parts.system, parts.component, link), timestamp) else OLD
+        if self._timestamps.accept((parts.system, parts.component, link), timestamp):
+            return ""
+        return FAR_AHEAD if self._timestamps.is_far_ahead(timestamp) else OLD
 
     def tell(self, log: Log) -> Counter[str]:
         """Log and count what has been refused since the last call; returns the counts by reason."""

@@ -17,6 +17,9 @@ LAST = 2**48 - 1
 """The last timestamp there is; in the year 2104."""
 MINUTE = 60 * UNITS_A_S
 """A stream that is new may be so far behind."""
+AHEAD = 10 * MINUTE
+"""No frame may be further ahead of our clock: it would take our own timestamps along, and those of all who hear us. An autopilot that keeps
+its timestamp across reboots may be some minutes ahead."""
 MOST_STREAMS = 512
 KEPT_EVERY_S = 1.0
 """So often what has been written is brought to the disk, where it outlasts a power cut."""
@@ -101,11 +104,13 @@ class Timestamps:
             return self._last
 
     def accept(self, stream: Stream, timestamp: int) -> bool:
-        """Whether a frame that is rightly signed is new. If so, it is remembered, and own timestamps will be later.
+        """Whether a frame that is rightly signed is new, and not far ahead. If so, it is remembered, and own timestamps will be later.
 
         It must be later than the last one of its stream. A new stream may be a minute behind, not more, and must be later than all
         that was forgotten.
         """
+        if self.is_far_ahead(timestamp):
+            return False
         with self._lock:
             if (before := self._latest.get(stream)) is not None:
                 new = timestamp > before
@@ -118,8 +123,12 @@ class Timestamps:
                 self._look_ahead(stream, timestamp)
             return new
 
+    def is_far_ahead(self, timestamp: int) -> bool:
+        """Whether a timestamp is ahead of the clock by more than AHEAD. Nothing is where the clock stands before 2015: it is not set."""
+        return 0 < self._now() < timestamp - AHEAD
+
     def _look_ahead(self, stream: Stream, timestamp: int) -> None:
-        """Say once that a timestamp is far ahead of the clock. It is taken all the same, as the standard has it: clocks may be wrong."""
+        """Say once that a timestamp is ahead of the clock. It is taken all the same, as the standard has it: clocks may be wrong."""
         if (ahead := timestamp - self._now()) > MINUTE and not self._ahead:
             self._ahead = True
             self.notice = (

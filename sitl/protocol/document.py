@@ -168,6 +168,7 @@ bridge passes signed frames as they are: a station and an autopilot that share a
 | `without a signature` | unsigned, or MAVLink 1, which cannot be signed |
 | `with a wrong signature` | signed with another key, or changed on its way |
 | `with an old timestamp` | a frame that came before, or of a sender whose clock is more than a minute behind |
+| `with a timestamp more than 10 minutes ahead of this machine's clock` | a sender's clock is wrong, or this one's |
 
 Each sender is named once for each reason, up to 16 a link. All are counted, in `health`, by `plumeward status` and in the bridge's last
 lines. Only RADIO_STATUS is let through without a signature, as the standard has it: radios have no key. Its sender does not become a peer
@@ -184,8 +185,12 @@ What signing does not do:
 - All who have the key are equal: each can speak for each system id. Two stations need different ids, since timestamps count for each id.
 - A frame names no receiver and has no date of expiry. One that somebody holds back is taken when it comes, as long as no later one of the
   same sender and link has come; of a sender that is new, within a minute. So is one that was sent to another process with the same key.
-- A sender whose clock is far ahead takes all others along, as the standard wants it: who then starts with the right time is refused. A
-  warning names the first one that is more than a minute ahead of the clock. Set its clock right, and take a new key.
+- A sender that is ahead of the clock takes all others along, as the standard wants it: who then starts with the right time is refused until
+  the clocks have caught up, for 10 minutes at most. A warning names the first one that is more than a minute ahead.
+- A machine whose clock stands before 2015 takes the time from whoever signs, as the standard has it, so there one frame of the far future
+  makes the vehicle deaf to the right time; start it again with its clock set and without that file. A machine whose clock is set but late,
+  such as one that goes on after a reboot where it stopped, refuses all that is 10 minutes ahead: set its clock before the flight, by NTP or
+  GPS.
 
 ## Who it says it is
 

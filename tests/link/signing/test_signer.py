@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.log import Log
 from link.bus.tally import Tally
 from link.signing.signature import link_and_timestamp, signed
-from link.signing.signer import MOST_TOLD, OLD, UNSIGNED, WRONG, Signer, Signing
+from link.signing.signer import FAR_AHEAD, MOST_TOLD, OLD, UNSIGNED, WRONG, Signer, Signing
 from link.signing.timestamps import clock
 
 KEY = hashlib.sha256(b"passphrase").digest()
@@ -68,6 +68,16 @@ def test_a_repeated_frame_is_refused(signer: Signer, log: Log) -> None:
     assert signer.admits(captured, ME)
     assert not signer.admits(captured, "10.0.0.66:1")
     assert signer.tell(log) == {OLD: 1}
+
+
+def test_a_frame_of_the_far_future_is_refused_and_named_and_signing_goes_on(
+    signer: Signer, log: Log, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert not signer.admits(signed(plain(), KEY, 0, 2**48 - 1), ME)
+    assert signer.tell(log) == {FAR_AHEAD: 1}
+    assert told(capsys) == [f"{URL}: {ME}: frames with a timestamp more than 10 minutes ahead of this machine's clock are refused"]
+    assert signer.admits(signed(plain(), KEY, 0, clock()), ME)
+    assert abs(link_and_timestamp(signer.sign(plain()))[1] - clock()) < 60 * 100_000
 
 
 def test_own_frames_that_a_stranger_plays_back_are_refused_also_after_a_restart(tmp_path: Path, log: Log) -> None:
@@ -136,7 +146,7 @@ def test_a_key_that_all_may_read_and_a_clock_that_was_set_back_are_warned_of_in_
     path.chmod(0o644)
     first = Signing(str(path), "uav-1", log)
     assert told(capsys) == [f"'{path}' is open to every user of this machine: chmod 600 {path}"]
-    first.link(URL).admits(signed(plain(), KEY, 0, clock() + 2 * 3600 * 100_000), ME)
+    first.link(URL).admits(signed(plain(), KEY, 0, clock() + 9 * 60 * 100_000), ME)
     first.close()
     Signing(str(path), "uav-1", log).close()
     assert "s later than the clock" in told(capsys)[-1]
