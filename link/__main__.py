@@ -83,6 +83,9 @@ history can be missing. Check the source sequence number of the samples, which c
 drop duplicates. The last {BELIEF.delivery.recovered} beliefs are kept for who finds a gap after its link was down; ask for a history of one
 (`max_samples`) to join with the newest alone. An estimator that starts late, or again, rebuilds its belief from the kept readings.
 
+Hear `health/*` with a plain subscriber, and ask for what is kept once, on `health/*/@adv/**`. An advanced one orders the messages of all
+keys together by what each says of its source: a part that names another's would make you deaf to that one.
+
 ## Floats
 
 Positions, wind and gas cross the wire as float32, and every service computes from the float32 values. JSON numbers are the shortest
@@ -128,11 +131,12 @@ def _payload(key: Key) -> str:
 def _key_tables() -> str:
     lines = ["| key | payload | from → to | rate |", "|---|---|---|---|"]
     lines += [f"| `{key.name}` | {_payload(key)} | {key.source} → {key.target} | {key.rate} |" for key in KEYS]
-    lines += ["", "| key | reliable | under congestion | priority | express | kept |", "|---|---|---|---|---|---|"]
+    lines += ["", "| key | reliable | under congestion | priority | express | kept | at most |", "|---|---|---|---|---|---|---|"]
     for key in KEYS:
         how = key.delivery
         waits, priority = "publisher waits" if how.blocking else "dropped", "real time" if how.realtime else "data"
-        lines.append(f"| `{key.name}` | {_yes(how.reliable)} | {waits} | {priority} | {_yes(how.express)} | {how.kept or ''} |")
+        cells = _yes(how.reliable), waits, priority, _yes(how.express), how.kept or "", f"{key.most_mib} MiB"
+        lines.append(f"| `{key.name}` | {' | '.join(map(str, cells))} |")
     lines += ["", *(f"- `{key.name}`: {key.meaning}" for key in KEYS)]
     return "\n".join(lines)
 

@@ -6,6 +6,7 @@ from link.access.roles import AGENT, BRIDGE, ESTIMATOR, EVERYBODY, OPERATOR, PAY
 from link.bus.messages import Belief, Health, Stop
 
 FRAMES = "MAVLink 2 frames"
+MIB = 2**20
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,8 @@ class Key:
     """The roles that may publish it, with --secure."""
     readers: tuple[str, ...] = ()
     """The roles that may receive it, with --secure; operators and observers always may."""
+    most_mib: int = 1
+    """Most MiB of a message and its attachment: the router drops a larger one."""
 
     @property
     def rights(self) -> Rights:
@@ -96,7 +99,7 @@ BELIEF = Key(
     Delivery(express=True, kept=1, recovered=32),
     "1 per reading",
     "The belief after a reading; the attachment is the particle array. A subscriber needs only the newest.",
-    writers=(ESTIMATOR,), readers=(AGENT, VEHICLE),
+    writers=(ESTIMATOR,), readers=(AGENT, VEHICLE), most_mib=64,
 )  # fmt: skip
 STOP = Key(
     "agdc/stop", Stop, "estimator", "all",

@@ -12,7 +12,7 @@ import zenoh.ext
 
 from link.access.identity import Identity, is_refused, secured, why_not
 from link.access.roles import ROUTER, access_control
-from link.bus.keys import KEYS, Delivery, Key
+from link.bus.keys import BELIEF, KEYS, MIB, Delivery, Key
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
@@ -24,8 +24,14 @@ FULL_S = 0.02
 """How long a router waits for a client that takes nothing and whose queue is full, before it cuts the link. Meanwhile others wait, too:
 Zenoh forwards to one client after the other (its issues 1876 and 2585). By default it waits for 5 s, and the stop with it."""
 
-MOST_MESSAGE = 64 * 2**20
+MOST_MESSAGE = BELIEF.most_mib * MIB
 """Most bytes of a message: a belief of a million particles with all unknowns has 56 MB. Receivers drop a larger one, and keep the link."""
+
+
+MOST_QUERY = MIB
+"""Most bytes that a query may carry; ours carry none."""
+MOST_JOINING = 1000
+"""Connections that may be joining a router at once, for up to 10 s each. With Zenoh's 100, as many silent ones keep all others out."""
 
 
 class BusError(Exception):
@@ -163,6 +169,15 @@ def open_client(connect: str, known: Identity | None, say: Callable[[str], None]
     raise NoRouter(f"--connect: no router at {connect} (start one with: plumeward router)")
 
 
+def low_pass_filter() -> list[dict[str, Any]]:
+    """Return Zenoh's `low_pass_filter` for a router: it drops messages that are larger than the table says. A small key stays small."""
+    sizes = [(key.name, ["put", "delete", "reply"], [f"**/{key.name.replace('<service>', '*')}"], key.most_mib * MIB) for key in KEYS]
+    return [
+        {"id": name, "flows": ["ingress"], "messages": kinds, "key_exprs": [*keys, *(f"{key}/@adv/**" for key in keys)], "size_limit": size}
+        for name, kinds, keys, size in [*sizes, ("queries", ["query"], ["**"], MOST_QUERY)]
+    ]
+
+
 def open_router(endpoint: str, secure: Path | None = None, connect: str | None = None) -> tuple[zenoh.Session, str]:
     """Open a Zenoh router in this process. Returns it and its endpoint, which names the chosen port if port 0 was asked for.
 
@@ -171,9 +186,13 @@ def open_router(endpoint: str, secure: Path | None = None, connect: str | None =
     """
     endpoint, known = secured("--listen", endpoint, secure, ROUTER, None)
     rules = {"transport__link__tls": known.tls, "access_control": access_control(key.rights for key in KEYS)} if known else {}
-    full = {"transport__link__tx__queue__congestion_control__block__wait_before_close": round(1e6 * FULL_S)}
+    limits = {
+        "transport__link__tx__queue__congestion_control__block__wait_before_close": round(1e6 * FULL_S),
+        "transport__unicast__accept_pending": MOST_JOINING,
+        "low_pass_filter": low_pass_filter(),
+    }
     joined = {"connect": [connect]} if connect else {}
-    config = zenoh_config("router", {"listen": [endpoint], **joined}, adminspace__enabled=True, connect__retry=RETRY, **full, **rules)
+    config = zenoh_config("router", {"listen": [endpoint], **joined}, adminspace__enabled=True, connect__retry=RETRY, **limits, **rules)
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import zenoh
 
+from link.access.crowds import Crowds
 from link.access.identity import is_open
 from link.access.refusals import Refusals
 from link.bus.keys import STOP
@@ -42,8 +43,11 @@ def run(endpoint: str, secure: Path | None = None, connect: str | None = None) -
         print(listening, flush=True)
         if not secure and is_open(endpoint):
             log.warning(f"{endpoint} is open to other machines: whoever reaches it can command the vehicle (--secure DIR admits by role)")
+        crowds = Crowds(session) if secure else None
         session.declare_subscriber(f"uav/*/{STOP.name}", lambda sample: _tell_stop(log, sample))
         while True:
             time.sleep(SIGNAL_POLL_S)  # all the work is in Zenoh's threads
             for level, line in refusals.news(time.monotonic()) if refusals else ():
                 log.log(level, line)
+            for line in crowds.news() if crowds else ():
+                log.warning(line)

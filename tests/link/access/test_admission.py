@@ -7,6 +7,7 @@ import json
 import os
 import re
 import socket
+import ssl
 import subprocess
 import sys
 import threading
@@ -17,6 +18,7 @@ import pytest
 import zenoh
 
 from link.access.authority import make
+from link.access.crowds import MOST_OF_ONE, Crowds
 from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, READING, STOP, Key
 from link.bus.opening import NoRouter, open_router
 from link.bus.session import Arrival, Bus
@@ -197,12 +199,49 @@ def test_nobody_reads_the_router_s_own_settings(clients: Clients) -> None:
         assert [reply for reply in one.get("@/*/router/**", timeout=2) if reply.ok] == []
 
 
-def test_connections_that_stay_silent_keep_nobody_out(secure: str, folder: Path) -> None:
+@pytest.mark.parametrize("certificate", [None, "observer"])
+def test_connections_that_stay_silent_keep_nobody_out(
+    secure: str, folder: Path, certificate: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
     host, _, port = secure.removeprefix("tls/").rpartition(":")
+    tls = ssl.create_default_context(cafile=folder / "ca.pem")
     with contextlib.ExitStack() as silent:
-        for _ in range(20):
-            silent.enter_context(socket.create_connection((host, int(port))))
+        for _ in range(150):
+            one = silent.enter_context(socket.create_connection((host, int(port))))
+            if certificate:
+                tls.load_cert_chain(folder / f"{certificate}.pem", folder / f"{certificate}.key")
+                silent.enter_context(tls.wrap_socket(one, server_hostname=host))
         with Bus("agent", secure, secure=folder) as agent:
+            assert agent.connected
+            assert "does not answer yet" not in capsys.readouterr().err
+
+
+def test_one_certificate_holds_so_many_sessions_and_no_more(folder: Path, wait_until: Callable[..., None]) -> None:
+    router, endpoint = open_router("tcp/127.0.0.1:0", folder)
+    with router, contextlib.ExitStack() as stack:
+        crowds = Crowds(router, 3)
+        observers = [stack.enter_context(session(endpoint, folder, "observer")) for _ in range(3)]
+        wait_until(lambda: len(router.info.links()) == 3)
+        with contextlib.suppress(zenoh.ZError):
+            observers.append(stack.enter_context(session(endpoint, folder, "observer")))
+        said: list[str] = []
+        wait_until(lambda: said.extend(crowds.news()) or said)
+        assert re.fullmatch(r"closed sessions \(\d+\): the certificate observer already holds 3", said[0])
+        with Bus("agent", endpoint, secure=folder), session(endpoint, folder, "operator") as operator:
+            wait_until(operator.info.routers_zid)
+            assert all(one.info.routers_zid() for one in observers[:3])
+        observers[0].close()
+        wait_until(lambda: [one.info.routers_zid() for one in observers[1:]].count([]) == max(len(observers) - 4, 0))
+
+
+@pytest.mark.full
+def test_one_certificate_leaves_a_router_its_other_sessions(router: "Router", folder: Path, wait_until: Callable[..., None]) -> None:
+    with contextlib.ExitStack() as stack:
+        for _ in range(MOST_OF_ONE + 10):
+            with contextlib.suppress(zenoh.ZError):
+                stack.enter_context(session(router.endpoint, folder, "observer"))
+        wait_until(lambda: any(f"the certificate observer already holds {MOST_OF_ONE}" in line for line in router.said))
+        with Bus("agent", router.endpoint, secure=folder) as agent:
             assert agent.connected
 
 

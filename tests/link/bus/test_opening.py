@@ -9,9 +9,9 @@ import pytest
 import zenoh
 
 from link.bus import opening
-from link.bus.keys import BELIEF
+from link.bus.keys import BELIEF, MIB
 from link.bus.messages import pack_particles
-from link.bus.opening import open_router, zenoh_config
+from link.bus.opening import MOST_QUERY, open_router, zenoh_config
 from link.bus.session import Arrival, Bus
 from plume.parameters import PARAMETERS
 
@@ -75,6 +75,43 @@ def test_the_router_drops_a_message_above_the_limit_and_keeps_its_sender(wait_un
         assert sizes == [MOST - 1000, 5]
         assert stranger.info.routers_zid()
         held.undeclare()
+
+
+@pytest.mark.parametrize("key", ["mavlink/in", "reading", "agdc/stop", "health/agent"])
+def test_the_router_drops_what_is_larger_than_a_message_of_its_key_can_be(
+    key: str, wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()
+    with our_router() as endpoint, plain("client", connect__endpoints=[endpoint]) as hears, plain(
+        "client", connect__endpoints=[endpoint]
+    ) as stranger:  # fmt: skip
+        sizes: list[tuple[str, int]] = []
+        hears.declare_subscriber("uav/1/**", lambda sample: sizes.append((str(sample.key_expr), len(sample.payload))))
+        publish(stranger, wait_until, 5 * MIB)
+        wait_until(lambda: sizes == [("uav/1/belief", 5 * MIB)])
+        for size in (MIB + 1, 60 * MIB, MIB):
+            stranger.put(f"uav/1/{key}", bytes(size), congestion_control=zenoh.CongestionControl.BLOCK)
+        wait_until(lambda: len(sizes) > 1)
+        assert sizes[1:] == [(f"uav/1/{key}", MIB)]
+
+
+def test_a_large_question_reaches_nobody(wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    with our_router() as endpoint, plain("client", connect__endpoints=[endpoint]) as answers, plain(
+        "client", connect__endpoints=[endpoint]
+    ) as stranger:  # fmt: skip
+        asked: list[int] = []
+        key = "uav/1/reading/@adv/pub/**"
+
+        def answer(query: zenoh.Query) -> None:
+            asked.append(len(query.payload or b""))
+            query.reply("uav/1/reading/@adv/pub/x", b"kept")
+
+        answers.declare_queryable(key, answer)
+        wait_until(lambda: [reply for reply in stranger.get(key, timeout=5) if reply.ok])
+        for _ in stranger.get(key, payload=bytes(MOST_QUERY + 1), timeout=1):
+            pass
+        assert set(asked) == {0}
 
 
 def test_the_largest_belief_is_below_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,58 @@
+"""How many sessions of a router one certificate holds at once: more are closed. Zenoh itself knows only a limit for all."""
+
+import contextlib
+import os
+import socket
+import stat
+import threading
+from collections import Counter, defaultdict
+
+import zenoh
+
+MOST_OF_ONE = 250
+"""Sessions of one certificate. All vehicles' recorders share one, and all their pages; a router holds 1,000 sessions by default."""
+
+
+class Crowds:
+    """Counts the sessions of a router by the names of their certificates, and closes what is too many."""
+
+    def __init__(self, router: zenoh.Session, most: int = MOST_OF_ONE) -> None:
+        """Begin to count the sessions of a router of this process."""
+        self._most = most
+        self._held: dict[str, set[str]] = defaultdict(set)
+        self._closed: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self._listener = router.info.declare_link_events_listener(self._changed, history=True)
+
+    def _changed(self, event: zenoh.LinkEvent) -> None:
+        """Note a link that came or went, in a thread of Zenoh's."""
+        name, address = event.link.auth_identifier, event.link.dst.partition("/")[2]
+        if name is None:
+            return
+        with self._lock:
+            held = self._held[name]
+            if event.kind != zenoh.SampleKind.PUT:
+                held.discard(address)
+            elif len(held) < self._most:
+                held.add(address)
+            else:
+                self._closed[name] += 1
+                _shut(address)
+
+    def news(self) -> list[str]:
+        """Return a line for each certificate of which sessions were closed since the last call."""
+        with self._lock:
+            closed, self._closed = self._closed, Counter()
+        return [f"closed sessions ({count}): the certificate {name} already holds {self._most}" for name, count in closed.items()]
+
+
+def _shut(address: str) -> None:
+    """End the connection of this process with an address: Zenoh has no way to close a session of another. It notices, and cleans up."""
+    host, _, port = address.rpartition(":")
+    for number in map(int, os.listdir("/dev/fd")):
+        with contextlib.suppress(OSError):  # closed meanwhile, or no connection
+            if stat.S_ISSOCK(os.fstat(number).st_mode):
+                with socket.socket(fileno=os.dup(number)) as one:
+                    if one.getpeername()[:2] == (host.strip("[]"), int(port)):
+                        one.shutdown(socket.SHUT_RDWR)
+                        return
