@@ -54,7 +54,9 @@ MAVLINK_OUT = Key(
     "mavlink/out", FRAMES, "vehicle", "bridges, viewers, logs",
     Delivery(reliable=False),
     "PX4's onboard rates",
-    "All MAVLink output of the vehicle. Newest wins: frames are dropped rather than queued for a slow reader.",
+    "All MAVLink output of the vehicle. Newest wins: frames are dropped rather than queued for a slow reader. So may be a command's "
+    "acknowledgement: send the command again until one comes, or until HEARTBEAT shows its mode. A bridge may bring other systems; the "
+    "vehicle is the one that `health/uav` tells.",
     writers=(VEHICLE, BRIDGE), readers=(BRIDGE,),
 )  # fmt: skip
 MAVLINK_IN = Key(

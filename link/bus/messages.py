@@ -85,6 +85,7 @@ class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.0
     about: Annotated[str, Meta(description="what it runs with: the agent's policy, the estimator's particles")] = ""
     ceased: Annotated[bool, Meta(description="true once it knows of the stop: the search has ceased")] = False
+    system: Annotated[int, Meta(ge=0, le=255, description="uav: the vehicle's MAVLink system id; 0: none is told")] = 0
 
 
 def stop_text(stop: Stop) -> str:

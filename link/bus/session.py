@@ -349,7 +349,7 @@ class Bus:
         health = Health(
             service=self.service, state=tally.state, about=tally.about, step=tally.step, rate_hz=tally.rate_hz, latency_s=tally.latency_s,
             compute_s=tally.compute_s, uptime_s=tally.uptime_s, refused=dict(tally.refused), refused_lately=tally.refused_lately,
-            last_error=tally.last_error, warnings=tally.warnings, ceased=tally.ceased,
+            last_error=tally.last_error, warnings=tally.warnings, ceased=tally.ceased, system=tally.system,
         )  # fmt: skip
         self.publish(HEALTH, health)
         self._health_at = time.monotonic() + HEALTH_EVERY_S

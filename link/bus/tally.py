@@ -58,6 +58,8 @@ class Tally:
     last_error: str = ""
     ceased: bool = False
     """True once it knows of the stop."""
+    system: int = 0
+    """A vehicle's MAVLink system id."""
     refused: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:

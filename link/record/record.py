@@ -14,13 +14,15 @@ import contextlib
 import json
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
 
-from link.bus.frames import frame_at
-from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, READING, STOP, WAYPOINT
+from link.bus.frames import Frame, frame_at
+from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER
+from link.record.own import OwnSystem
 
 ABOUT, STOPPED = "plumeward", "stopped"
 """Name of the metadata record that describes the run. If recording stops early, a second such record gives the reason under STOPPED."""
@@ -84,11 +86,11 @@ SETPOINT = {84}
 """SET_POSITION_TARGET_LOCAL_NED begins with the time_boot_ms of the reading it answers."""
 
 
-def _time_boot_ms(payload: bytes, message_ids: set[int]) -> int | None:
-    """Return the time_boot_ms of the first frame with one of these message ids, decoding headers only; None if there is none."""
+def _time_boot_ms(payload: bytes, message_ids: set[int], counts: Callable[[Frame], bool] = lambda _: True) -> int | None:
+    """Return the time_boot_ms of the first frame that counts with one of these message ids, decoding headers only; None: there is none."""
     at = 0
     while (frame := frame_at(payload, at)) is not None:
-        if frame.message_id in message_ids:
+        if frame.message_id in message_ids and counts(frame):
             return int.from_bytes(payload[frame.payload : min(frame.payload + 4, frame.checksum)], "little")
         at = frame.end
     return None
@@ -103,6 +105,7 @@ class SimulationClock:
 
     def __init__(self) -> None:
         """Start at zero."""
+        self._own = OwnSystem()
         self._newest_ms = 0
         self._newest_published_ns = 0
         self._readings: set[int] = set()
@@ -116,6 +119,7 @@ class SimulationClock:
         The newest known time is the vehicle's last published one. It may go back: that follows a restarted vehicle.
         """
         own: int | None = None
+        self._own.learn(key, payload)
         if key in (BELIEF.name, STOP.name):
             with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
                 own = msgspec.json.decode(payload, type=_Timed).time_boot_ms
@@ -123,7 +127,7 @@ class SimulationClock:
             answered = _time_boot_ms(payload, SETPOINT)
             own = answered if answered in self._readings else None  # it may answer none
         elif key in FRAME_KEYS and key != MAVLINK_IN.name:  # a ground station has times of its own
-            own = _time_boot_ms(payload, OWN_TIME)
+            own = _time_boot_ms(payload, OWN_TIME, self._own.sent) if key == MAVLINK_OUT.name else _time_boot_ms(payload, OWN_TIME)
             if own is not None and key == READING.name:
                 self._note(own)
             if own is not None and published_ns >= self._newest_published_ns:

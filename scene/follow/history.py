@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT
 from link.bus.mavlink import BadFrame, unpack_reading
 from link.bus.messages import Belief, Health, Stop, unpack_particles
+from link.record.own import OwnSystem
 from link.record.record import HEALTH_PREFIX
 from scene.follow.parts import restarted, verdict
 from scene.follow.telemetry import HEARTBEAT, LOCAL, SETPOINT, SHOWN, TEXT, Texts, frames, seen, waypoint
@@ -110,6 +111,8 @@ class History:
         """
         self.backdrop = backdrop
         """As it is at first."""
+        self.own = OwnSystem()
+        """Which system the vehicle is."""
         self._turns = turns
         self.time_s = 0.0
         """Simulation time of the newest message."""
@@ -127,17 +130,21 @@ class History:
         """Begin a mission."""
         whole = self._whole
         self.missions += 1
-        self._boot_ms = 0
-        self._crafts: Timed[Craft] = Timed(whole)
+        self._forget_way()
         self._scatters: Timed[_Packed] = Timed(whole)
         self._winds: Timed[tuple[float, float]] = Timed(whole)
         self._waypoints: Timed[Place | None] = Timed(whole)
         self._walls: Timed[float] = Timed(whole)
-        self._track: Timed[Place] = Timed(whole, MOST)
         self.measurements: Timed[Measurement] = Timed(whole, MOST)
         self._endings: Timed[Ending] = Timed()
         self._stop = self._assume = ""
         self._unpacked: tuple[_Packed, Scatter | None] | None = None
+
+    def _forget_way(self) -> None:
+        """Forget where the vehicle is and was."""
+        self._boot_ms = 0
+        self._crafts: Timed[Craft] = Timed(self._whole)
+        self._track: Timed[Place] = Timed(self._whole, MOST)
 
     def _begin_again(self, time_s: float) -> None:
         """Follow the next mission of a vehicle that was started again. Services stay; happenings, too, where no one goes back in time."""
@@ -155,6 +162,8 @@ class History:
         """Take a message, published at a simulation time and at a time by the clock, s. Returns whether it changes the scene."""
         self.time_s, self.wall_s = max(self.time_s, time_s), max(self.wall_s, wall_s)
         self._walls.add(time_s, wall_s)
+        if self.own.learn(key, payload):
+            self._forget_way()
         with suppress(BadFrame, msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError):
             if key == MAVLINK_OUT.name:
                 return self._take_telemetry(payload, time_s)
@@ -189,7 +198,7 @@ class History:
         changed = False
         before = self._crafts.at(math.inf) or Craft(time_s, (math.nan, math.nan))
         craft = before
-        for message_id, fields in frames(payload, SHOWN):
+        for message_id, fields in frames(payload, SHOWN, self.own.sent):
             changed = True
             if message_id == TEXT:
                 if said := self._texts.said(fields):

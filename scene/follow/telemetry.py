@@ -1,13 +1,13 @@
 """The vehicle's telemetry as what there is to see: where it is, in which mode, and what it says."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.frames import LAYOUTS, fields_of
+from link.bus.frames import LAYOUTS, Frame, fields_of
 from link.bus.mavlink import split
 from scene.scene import ERROR, INFO, WARNING, Craft, Place
 
@@ -22,10 +22,10 @@ CHUNK = 50
 """Characters of one STATUSTEXT; longer texts come in chunks."""
 
 
-def frames(payload: bytes, wanted: set[int]) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Yield (message id, fields) of the wanted frames. Raises BadFrame if the payload is not made of whole, valid frames."""
+def frames(payload: bytes, wanted: set[int], counts: Callable[[Frame], bool] = lambda _: True) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield (message id, fields) of the wanted frames that count. Raises BadFrame if the payload is not made of whole, valid frames."""
     for frame in split(payload):
-        if frame.message_id in wanted:
+        if frame.message_id in wanted and counts(frame):
             yield frame.message_id, fields_of(payload, frame, LAYOUTS[frame.message_id])
 
 

@@ -54,8 +54,11 @@ class RecordedScene:
         news = set()
         slot = pose_slot(entry.simulation_s)
         at = 0
+        self._history.own.learn(entry.key, entry.payload)
         while (frame := frame_at(entry.payload, at)) is not None:
             kind, at = frame.message_id, frame.end
+            if not self._history.own.sent(frame):
+                continue
             if kind in (HEARTBEAT, TEXT):
                 news.add(kind)
             elif kind in (ATTITUDE, LOCAL, GLOBAL) and self._slots.get(kind) != slot:

@@ -81,6 +81,7 @@ class Uav:
         self._bus = bus
         self._log = log
         self._tally = log.tally
+        self._tally.system = config.sysid
         self._timeline = Timeline(events)
         self._after_pause_s = [event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None]
         self._sensor = FaultySensor()

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from link.access.identity import AccessError, secured
-from link.bus.frames import frame_at
 from link.bus.keys import KEYS, MAVLINK_IN, MAVLINK_OUT
 from link.bus.opening import NoRouter
 from link.bus.session import Stamped
@@ -19,6 +18,8 @@ from scene.follow.history import History, WindTurn
 from scene.scene import Backdrop, Scene
 from sitl.view.roster import Presence, Roster
 
+COMMANDS = replace(MAVLINK_IN, delivery=replace(MAVLINK_IN.delivery, blocking=False))
+"""Commands go out now or never: what waited here would go out late, when nobody wants it any more. They are sent again anyway."""
 EVERY_S = 0.01
 """How often messages are taken."""
 LOOK_S = 0.2
@@ -48,8 +49,6 @@ class LiveVehicle:
         self.here = True
         self.version = 0
         """Grows with each change of what there is to see."""
-        self.system = 1
-        """Its MAVLink system id."""
         self.listeners: set[Callable[[bytes], None]] = set()
         """Called in the bus's thread with each payload of telemetry."""
         told = described or Described(name, Backdrop(name), None)
@@ -92,8 +91,6 @@ class LiveVehicle:
     def _take(self, message: Stamped) -> bool:
         time_s = self._clock.time_s(message.name, message.payload, message.published_ns)
         if message.name == MAVLINK_OUT.name:
-            if frame := frame_at(message.payload, 0):
-                self.system = frame.system
             for listener in tuple(self.listeners):
                 listener(message.payload)
         return self.history.take(message.name, message.payload, message.attachment, time_s, message.published_ns / 1e9)
@@ -106,13 +103,19 @@ class LiveVehicle:
             self.version += 1
 
     @property
+    def system(self) -> int:
+        """Its MAVLink system id; 0: not known yet."""
+        return self.history.own.system
+
+    @property
     def inhabited(self) -> bool:
         """Whether any of its parts is on the bus."""
         return any(self._alive.values())
 
     def send(self, payload: bytes) -> None:
-        """Publish on `mavlink/in`. It may wait for the router."""
-        self._bus.publish(MAVLINK_IN, payload)
+        """Publish on `mavlink/in`. It does not wait."""
+        if self._frozen_s is None:
+            self._bus.publish(COMMANDS, payload)
 
     def close(self) -> None:
         """Leave its bus and keep what there is to see as it is now."""
