@@ -8,21 +8,15 @@ from typing import Protocol, TypeVar
 from pymavlink.dialects.v20 import all as mavlink
 
 from link.bus.mavlink import Message
-from sitl.autopilot.state import ACCEPTED, Result, VehicleFailed, not_now
+from sitl.autopilot.operator import DONE_S, REASON_S, TRIES, CommandRun, command
+from sitl.autopilot.state import ACCEPTED, Result, VehicleFailed
 from sitl.bridge.links import Channel
 from sitl.remote.connection import Heard
 from sitl.remote.firmware import unfit
 from sitl.remote.known import Known
 
 AGAIN_S = 1.0
-"""Time after which an unacknowledged command is sent again."""
-TRIES = 5
-PATIENT_S = 10.0
-"""Longest time for a command that the autopilot says is in progress."""
-CONFIRMED_S = 3.0
-"""Longest time until telemetry shows what an acknowledged command has changed: a HEARTBEAT comes once a second."""
-REASONS_S = 0.3
-"""Time in which the text with the reason follows a refusal."""
+"""Time after which what is unanswered is sent again."""
 SHORTEST_S = 0.5
 """Shortest real time for any answer, however fast the vehicle's simulator runs."""
 SLOWEST_S = 2.0
@@ -31,7 +25,6 @@ BEAT_S = 1.0
 """Longest time between two HEARTBEATs, of the vehicle's and of real time."""
 STREAMS_S = 2.0
 """Time between two looks at which streams are missing."""
-NO_ANSWER = "no answer"
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 
 Returned = TypeVar("Returned")
@@ -68,7 +61,7 @@ class Commander:
         self.radio = radio
         self._wanted = system
         self.speedup = speedup
-        self._acknowledged: dict[int, Message] = {}
+        self._running: CommandRun | None = None
         self._beat_s = self._streams_s = -math.inf
 
     def patient(self, seconds: float) -> float:
@@ -103,8 +96,8 @@ class Commander:
             self.radio.use(link, system)  # a vehicle may come back on another link
         if not self.system:
             return
-        if message.get_type() == "COMMAND_ACK":
-            self._acknowledged[message.command] = message
+        if message.get_type() == "COMMAND_ACK" and self._running:
+            self._running.acknowledged(message.command, message.result, self.now_s)
         self.known.take(message, self.now_s)
 
     def _ask_for_streams(self) -> None:
@@ -114,41 +107,26 @@ class Commander:
             if self.now_s - self.known.came_s.get(wanted, -math.inf) > self.patient(max(STREAMS_S, 3.0 / rate_hz)):
                 self.send(number, float(wanted), 1e6 / rate_hz)
 
-    def send(self, number: int, *params: float, attempt: int = 0) -> None:
-        """Send MAV_CMD `number`; parameters not given are 0."""
-        filled = (*params, *[0.0] * (7 - len(params)))
-        self.radio.send(mavlink.MAVLink_command_long_message(self.system, AUTOPILOT, number, attempt, *filled))
+    def send(self, number: int, *params: float) -> None:
+        """Send MAV_CMD `number` once; parameters not given are 0."""
+        self.radio.send(command(self.system, number, *params))
 
     # ---- what takes a while ----
 
-    def command(self, number: int, *params: float, seen: Callable[[], bool], within_s: float = CONFIRMED_S) -> Steps[Result]:
-        """Send MAV_CMD `number` until it is acknowledged and telemetry shows what it does; a refusal has the texts that came with it.
-
-        Telemetry counts, not the acknowledgement: that of a command that was obeyed may be lost, and its repetition refused.
-        """
+    def command(self, number: int, *params: float, seen: Callable[[], bool], within_s: float = DONE_S) -> Steps[Result]:
+        """Send MAV_CMD `number` until it is done (`CommandRun`); a refusal has the texts that came with it."""
         if seen():
             return ACCEPTED
-        self._acknowledged.pop(number, None)
         began_s = self.now_s
-        for attempt in range(TRIES):
-            self.send(number, *params, attempt=attempt)
-            if (yield from self.until(lambda: seen() or number in self._acknowledged, self.patient(AGAIN_S))):
-                break
-        else:
-            return not_now(NO_ANSWER)
-        yield from self.until(lambda: seen() or not self._in_progress(number), PATIENT_S)
-        result = self._acknowledged[number].result if number in self._acknowledged else mavlink.MAV_RESULT_ACCEPTED
-        if result == mavlink.MAV_RESULT_ACCEPTED:
-            shown = yield from self.until(seen, self.patient(within_s))
-            return ACCEPTED if shown else not_now("acknowledged, and not done")
-        yield from self.until(lambda: seen() or bool(self.known.warned(began_s)), self.patient(REASONS_S))
-        if seen():
-            return ACCEPTED
-        said = self.known.warned(began_s)
-        return Result(result, said or mavlink.enums["MAV_RESULT"][result].name.removeprefix("MAV_RESULT_").lower().replace("_", " "))
-
-    def _in_progress(self, number: int) -> bool:
-        return number not in self._acknowledged or self._acknowledged[number].result == mavlink.MAV_RESULT_IN_PROGRESS
+        run = self._running = CommandRun(
+            command(self.system, number, *params), seen, lambda: self.known.warned(began_s),
+            self.patient(AGAIN_S), self.patient(within_s), self.patient(REASON_S),
+        )  # fmt: skip
+        while (result := run.over(self.now_s)) is None:
+            if copy := run.send(self.now_s):
+                self.radio.send(copy)
+            yield
+        return result
 
     def until(self, holds: Callable[[], bool], for_s: float) -> Steps[bool]:
         """Wait until something holds, for at most so long; returns whether it does."""

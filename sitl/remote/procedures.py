@@ -4,8 +4,9 @@ import math
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from sitl.autopilot.operator import NO_ANSWER
 from sitl.autopilot.state import ACCEPTED, Led, Mode, Result, Said
-from sitl.remote.commander import NO_ANSWER, Commander, Steps
+from sitl.remote.commander import Commander, Steps
 from sitl.remote.firmware import Firmware
 from sitl.remote.known import Known
 from sitl.remote.safety import ASKED, advice

@@ -102,10 +102,10 @@ def _refusal(args: argparse.Namespace) -> str:
 
 async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     import uvicorn
-    from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
     from link.record.reader import RecordError
     from scene.follow.recorded import backdrop_of, turns_of
+    from sitl.view.connections import Lobby
     from sitl.view.foxglove import LiveFoxglove, NoFoxglove
     from sitl.view.guard import AccessRules
     from sitl.view.live import Described, LiveFleet
@@ -153,15 +153,11 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         def capture_signals(self) -> Iterator[None]:
             yield  # they are ours
 
-    class _WebSocket(WebSocketsSansIOProtocol):
-        async def run_asgi(self) -> None:
-            await super().run_asgi()
-            self.loop.call_later(SEND_S, self.transport.abort)  # what a client does not read is not kept for it
-
+    guest, page_socket = Lobby(SEND_S).protocols()
     config = uvicorn.Config(
-        server.app(), http="h11", ws=_WebSocket, lifespan="off", log_config=None, log_level="critical", access_log=False,
+        server.app(), http=guest, ws=page_socket, lifespan="off", log_config=None, log_level="critical", access_log=False,
         server_header=False, date_header=False, ws_max_size=LONGEST_MESSAGE, ws_per_message_deflate=False,
-        timeout_graceful_shutdown=1, limit_concurrency=100,
+        timeout_graceful_shutdown=1,
     )  # fmt: skip
     http = _Uvicorn(config)
     status = [0]

@@ -2,29 +2,28 @@
 
 import asyncio
 import time
+from contextlib import suppress
 from typing import Literal, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from link.bus.frames import Frame
 from link.bus.mavlink import BadFrame, Codec, Message
-from scene.follow.telemetry import TEXT, Texts, frames
-from sitl.autopilot.operator import OPERATOR, change_mode, command
+from scene.follow.telemetry import HEARTBEAT, TEXT, Texts, frames
+from sitl.autopilot.operator import NO_ANSWER, OPERATOR, TRIES, CommandRun, change_mode, command
 from sitl.autopilot.state import Mode
 from sitl.view.live import LiveVehicle
 
-CommandName = Literal["pause", "resume", "return", "abort"]
-ANSWER_S = 2.0
-"""How long a vehicle may take to answer."""
-REASON_S = 0.3
-"""How long after a refusal its reason may come."""
+CommandName = Literal["hold", "resume", "return", "land"]
+WANTED: dict[CommandName, Mode] = {"hold": Mode.HOLD, "resume": Mode.OFFBOARD, "return": Mode.RETURN, "land": Mode.LAND}
+"""The flight mode that each command leads to."""
+URGENT: tuple[CommandName, ...] = ("return", "land")
+"""Commands that wait for nothing: they replace one that is not answered yet."""
+AGAIN_S = 0.4
+"""Time after which a command that nobody has acknowledged is sent again."""
+LOOK_S = 0.05
+"""Longest time between two looks at a command that is not over."""
 ACK = mavlink.MAVLINK_MSG_ID_COMMAND_ACK
-UNSAID = {
-    mavlink.MAV_RESULT_TEMPORARILY_REJECTED: "the vehicle refuses it for now",
-    mavlink.MAV_RESULT_DENIED: "the vehicle refuses it",
-    mavlink.MAV_RESULT_UNSUPPORTED: "the vehicle does not know this command",
-    mavlink.MAV_RESULT_FAILED: "the vehicle could not do it",
-}
-"""What a refusal means that comes without a reason."""
 
 
 class CommandAnswer(NamedTuple):
@@ -37,54 +36,60 @@ class CommandAnswer(NamedTuple):
 def message(name: CommandName, system: int) -> Message:
     """Return the message of a command to a system.
 
-    pause: hold the position. resume: OFFBOARD, which gives the vehicle back to its search. return: fly home and land. abort: land here.
+    hold: stay where it is. resume: OFFBOARD, which gives the vehicle back to its search. return: fly home and land. land: land here.
     """
     match name:
-        case "pause":
-            return change_mode(system, Mode.HOLD)
-        case "resume":
-            return change_mode(system, Mode.OFFBOARD)
         case "return":
             return command(system, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)
-        case "abort":
+        case "land":
             return command(system, mavlink.MAV_CMD_NAV_LAND)
+    return change_mode(system, WANTED[name])
 
 
 class Awaited:
-    """The answer to one command, found among a vehicle's telemetry. Its times are of one clock, s."""
+    """One command and what its vehicle says meanwhile. Its times are of one clock, s."""
 
-    def __init__(self, number: int, now_s: float) -> None:
-        """Wait for the acknowledgement of a MAV_CMD."""
-        self._number = number
-        self._until_s = now_s + ANSWER_S
-        self._refused = ""
+    def __init__(self, name: CommandName, system: int) -> None:
+        """Begin."""
+        self._name, self._system = name, system
+        self._run = CommandRun(message(name, system), self._seen, lambda: self._reason, AGAIN_S)
         self._texts = Texts()
+        self._reason = ""
+        self._refused = False
+        self._mode, self._armed = -1, True
 
-    def hears(self, payload: bytes, now_s: float) -> CommandAnswer | None:
-        """Take a payload of telemetry; returns the answer once it is known. A refusal's reason is the text that follows it."""
-        try:
-            for message_id, fields in frames(payload, {ACK, TEXT}):
-                if message_id == ACK and fields["command"] == self._number and _to_us(fields["target_system"], fields["target_component"]):
-                    if fields["result"] == mavlink.MAV_RESULT_ACCEPTED:
-                        return CommandAnswer(True)
-                    if fields["result"] != mavlink.MAV_RESULT_IN_PROGRESS:
-                        self._refused = UNSAID.get(fields["result"], f"the vehicle answered with result {fields['result']}")
-                        self._until_s = now_s + REASON_S
-                elif message_id == TEXT and (said := self._texts.said(fields)) and self._refused:
-                    return CommandAnswer(False, said[1])
-        except BadFrame:
-            pass
-        return None
+    def send(self, now_s: float) -> Message | None:
+        """Return the copy of the command that is due."""
+        return self._run.send(now_s)
+
+    def hears(self, payload: bytes, now_s: float) -> None:
+        """Take a payload of telemetry. The reason of a refusal is the text that follows it."""
+        with suppress(BadFrame):
+            for message_id, fields in frames(payload, {ACK, HEARTBEAT, TEXT}, self._is_vehicle):
+                if message_id == HEARTBEAT:
+                    self._mode, self._armed = fields["custom_mode"], bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                elif message_id == TEXT:
+                    said = self._texts.said(fields)
+                    self._reason = said[1] if said and self._refused else self._reason
+                elif _to_us(fields["target_system"], fields["target_component"]):
+                    self._run.acknowledged(fields["command"], fields["result"], now_s)
+                    self._refused = self._run.refused
 
     def over(self, now_s: float) -> CommandAnswer | None:
-        """Return the answer that no more waiting gives; None before the time is over."""
-        if now_s < self._until_s:
+        """Return the answer once it is known."""
+        if (result := self._run.over(now_s)) is None:
             return None
-        return CommandAnswer(False, self._refused or f"no answer within {ANSWER_S:g} s")
+        reason = f"{NO_ANSWER} within {TRIES * AGAIN_S:g} s" if result.reason == NO_ANSWER else result.reason
+        return CommandAnswer(result.accepted, reason)
 
-    def left_s(self, now_s: float) -> float:
-        """Time left to wait."""
-        return max(self._until_s - now_s, 0.0)
+    def _is_vehicle(self, frame: Frame) -> bool:
+        return frame.system == self._system and frame.component == mavlink.MAV_COMP_ID_AUTOPILOT1
+
+    def _seen(self) -> bool:
+        """Whether the vehicle does it; once it has accepted, also whether it is through with it: a return ends as a landing, motors off."""
+        if self._mode == WANTED[self._name].custom_mode:
+            return True
+        return self._run.accepted and (not self._armed or (self._name == "return" and self._mode == Mode.LAND.custom_mode))
 
 
 def _to_us(system: int, component: int) -> bool:
@@ -92,29 +97,25 @@ def _to_us(system: int, component: int) -> bool:
 
 
 async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
-    """Send a command to a vehicle and wait for its answer."""
+    """Send a command to a vehicle until it is done, and return its answer. Once this is cancelled, nothing more is sent."""
     if not vehicle.here:
         return CommandAnswer(False, f"{vehicle.name} is not there")
+    if not vehicle.system:
+        return CommandAnswer(False, f"{vehicle.name} has not said which system it is")
     loop, heard = asyncio.get_running_loop(), asyncio.Queue[bytes]()
 
     def listener(payload: bytes) -> None:
         loop.call_soon_threadsafe(heard.put_nowait, payload)
 
-    said = message(name, vehicle.system)
-    awaited = Awaited(said.command, time.monotonic())
+    awaited, codec = Awaited(name, vehicle.system), Codec(*OPERATOR)
     vehicle.listeners.add(listener)
     try:
-        # In another thread: publishing waits where the router does not keep up.
-        sent = asyncio.create_task(asyncio.to_thread(vehicle.send, Codec(*OPERATOR).pack(said)))
-        answer = None
-        while answer is None and (answer := awaited.over(time.monotonic())) is None:
-            try:
-                async with asyncio.timeout(awaited.left_s(time.monotonic())):
-                    payload = await heard.get()
-            except TimeoutError:
-                continue
-            answer = awaited.hears(payload, time.monotonic())
-        sent.cancel()
+        while (answer := awaited.over(time.monotonic())) is None:
+            if copy := awaited.send(time.monotonic()):
+                vehicle.send(codec.pack(copy))
+            with suppress(TimeoutError):
+                async with asyncio.timeout(LOOK_S):
+                    awaited.hears(await heard.get(), time.monotonic())
         return answer
     finally:
         vehicle.listeners.discard(listener)

@@ -19,19 +19,20 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from plume import __version__
 from scene.scene import Scene
-from sitl.view.control import CommandAnswer, CommandName, operate
+from sitl.view.control import URGENT, CommandAnswer, CommandName, operate
 from sitl.view.guard import AccessRules, Asgi, guarded
 from sitl.view.live import LiveVehicle
 from sitl.view.wire import Cursor, packed
 
 PAGE = Path(__file__).with_name("page")
 MOST_CLIENTS = 20
+"""Most pages that may command, and most that may only look."""
 LONGEST_MESSAGE = 4096
 """Bytes of a message from the page."""
 EVERY_S = 1 / 30
 """Shortest time between two live scenes of a vehicle."""
 MOST_COMMANDS, COMMANDS_S = 5, 1.0
-"""A page may give so many commands within this time; more are refused."""
+"""A page may give so many commands within this time; more are refused, but for the urgent ones."""
 MOST_ANSWERS = 100
 """A page that leaves so many answers to its commands unread is closed."""
 UNDRAWN_S = 1.0
@@ -116,7 +117,8 @@ class PageServer:
         self._rules = rules
         self._page = page
         self._clients: set[Client] = set()
-        self._commanded: set[str] = set()
+        self._commanded: dict[str, tuple[CommandName, asyncio.Task[CommandAnswer]]] = {}
+        """The last command of each vehicle, and what becomes of it."""
         self.bye = ""
         """Set when the server has nothing new to say any more; pages keep what they show."""
         self.left_at: float | None = None
@@ -148,11 +150,11 @@ class PageServer:
 
     async def _scenes(self, socket: WebSocket) -> None:
         await socket.accept()
-        if len(self._clients) >= MOST_CLIENTS:
-            await socket.close(TRY_AGAIN_LATER, f"{MOST_CLIENTS} pages are open; close one of them")
-            return
         why_not = self._rules.why_no_commands(socket.query_params.get("token", ""))
         client = Client(socket, self, self._shown, why_not)
+        if sum(other.may_command == client.may_command for other in self._clients) >= MOST_CLIENTS:
+            await socket.close(TRY_AGAIN_LATER, f"{MOST_CLIENTS} pages are open; close one of them")
+            return
         self._clients.add(client)
         try:
             await client.run()
@@ -167,13 +169,16 @@ class PageServer:
             return CommandAnswer(False, f"there is no vehicle {order.vehicle!r}")
         if self.bye:
             return CommandAnswer(False, self.bye)
-        if order.vehicle in self._commanded:
-            return CommandAnswer(False, "the vehicle has not answered the last command yet")
-        self._commanded.add(order.vehicle)
-        try:
-            return await operate(vehicle, order.command)
-        finally:
-            self._commanded.discard(order.vehicle)
+        name, task = self._commanded.get(order.vehicle, (order.command, None))
+        if task and not task.done() and name != order.command:
+            if order.command not in URGENT:
+                return CommandAnswer(False, "the vehicle has not answered the last command yet")
+            task.cancel()
+        if task is None or task.done() or name != order.command:
+            task = asyncio.create_task(operate(vehicle, order.command))
+            self._commanded[order.vehicle] = order.command, task
+        await asyncio.wait([task])  # it goes on without the page that gave it
+        return CommandAnswer(False, "an urgent command took its place") if task.cancelled() else task.result()
 
 
 class _Sent:
@@ -196,6 +201,7 @@ class Client:
         self._socket, self._server, self._shown = socket, server, shown
         self._live = not any(vehicle.entry()["end_s"] is not None for vehicle in shown.vehicles.values())
         self._why_not = why_not if self._live else "a record takes no commands"
+        self.may_command = not self._why_not
         self._want = Show([])
         self._sent: dict[str, _Sent] = {}
         self._number = 0
@@ -252,10 +258,11 @@ class Client:
             self._answered(order, CommandAnswer(False, self._why_not))
             return
         now_s = time.monotonic()
-        if now_s - self._ordered_s[0] < COMMANDS_S:
-            self._answered(order, CommandAnswer(False, f"more than {MOST_COMMANDS} commands within {COMMANDS_S:g} s: wait a moment"))
-            return
-        self._ordered_s.append(now_s)
+        if order.command not in URGENT:
+            if now_s - self._ordered_s[0] < COMMANDS_S:
+                self._answered(order, CommandAnswer(False, f"more than {MOST_COMMANDS} commands within {COMMANDS_S:g} s: wait a moment"))
+                return
+            self._ordered_s.append(now_s)
 
         async def carry_out() -> None:
             self._answered(order, await self._server.order(order))
@@ -272,8 +279,7 @@ class Client:
     # ---- to the page ----
 
     async def _write(self) -> None:
-        may = not self._why_not
-        await self._say({"hello": {"live": self._live, "may_command": may, "why_not": self._why_not, "version": __version__}})
+        await self._say({"hello": {"live": self._live, "may_command": self.may_command, "why_not": self._why_not, "version": __version__}})
         told = False
         while True:
             self.wake.clear()

@@ -119,7 +119,7 @@ def browser_seeds() -> list[bytes]:
     head = b"127.0.0.1:8447\nhttp://127.0.0.1:8447\ntoken=word\n/static/page.js\n"
     return [
         head + b'{"show":["uav/1"],"truth":true,"at_s":1.5}\n{"drawn":1}',
-        head + b'{"command":"pause","vehicle":"uav/1"}\n{"show":[]}',
+        head + b'{"command":"hold","vehicle":"uav/1"}\n{"show":[]}',
         b"[::1]:80\nhttp://localhost\n\n/\n{}",
     ]
 

@@ -1,5 +1,6 @@
 """Protects the page's server on real processes: what a page sees of a mission and of records, and what it may do."""
 
+import contextlib
 import http.client
 import json
 import re
@@ -9,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from link.bus.keys import BELIEF
@@ -18,6 +20,7 @@ from link.bus.session import Bus
 from tests.conftest import wait_until
 from tests.system.conftest import Part
 from tests.system.pages import Browser, port_of
+from tests.system.stranger import Stranger, messages
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "homing-gaussian-field.mcap"
 OTHER = GOLDEN.with_name("random-gaussian.mcap")
@@ -75,7 +78,7 @@ def test_a_mission_is_seen_from_its_first_reading_to_its_outcome_and_its_page_st
         assert page.verdicts() == {"uav": "ok", "estimator": "ok", "agent": "ok"}  # as the mission left them
         wait_until(lambda: fly.says("page stays open at"))
         assert fly.process.poll() is None
-        answer = page.order("pause")
+        answer = page.order("hold")
         assert (answer["accepted"], answer["reason"]) == (False, "the mission is over")
         record_property("behind_ms", sorted(page.behind_ms)[len(page.behind_ms) // 2])
         with Browser(port) as late:  # loaded again
@@ -109,7 +112,7 @@ def test_a_page_that_dies_is_a_warning(start: type[Part], wait_until: Callable[.
     assert not fly.says("stays open")
 
 
-def test_an_operator_pauses_resumes_and_sees_what_is_refused(
+def test_an_operator_holds_resumes_and_sees_what_is_refused(
     start: type[Part], router: str, view: Callable[..., tuple[Part, int]], wait_until: Callable[..., None]
 ) -> None:
     uav = start("sitl", "uav", "--connect", router, "--seed", "3", "--speedup", "10")
@@ -122,10 +125,10 @@ def test_an_operator_pauses_resumes_and_sees_what_is_refused(
             "vehicle": "uav/1", "command": "return", "accepted": False, "reason": "Return refused: on the ground",
         }  # fmt: skip
         assert page.order("resume")["reason"] == "Offboard refused: no setpoint received yet"
-        assert page.order("pause", "uav/9")["reason"] == "there is no vehicle 'uav/9'"
+        assert page.order("hold", "uav/9")["reason"] == "there is no vehicle 'uav/9'"
         services = [start(part, "--connect", router) for part in ("estimator", "agent")]
         page.until(lambda: page.steps.get("uav/1", [-1])[-1:] >= [3])
-        assert page.order("pause")["accepted"] is True
+        assert page.order("hold")["accepted"] is True
         page.until(lambda: page.scenes["uav/1"]["craft"]["mode"] == "HOLD")
         held = len(page.steps["uav/1"])
         assert page.order("resume")["accepted"] is True
@@ -133,11 +136,35 @@ def test_an_operator_pauses_resumes_and_sees_what_is_refused(
         services[1].kill()
         page.until(lambda: page.verdicts()["agent"] == "missing")
         assert "agent: is gone" in page.happened["uav/1"]
-        assert page.order("abort")["accepted"] is True
+        assert page.order("land")["accepted"] is True
         page.until(lambda: page.scenes["uav/1"]["craft"]["mode"] == "LAND")
         uav.kill()
         page.until(lambda: page.verdicts()["uav"] == "missing")
-        assert page.order("pause")["reason"] == "no answer within 2 s"
+        assert page.order("hold")["reason"] == "no answer within 2 s"
+
+
+def test_another_system_on_the_vehicles_bus_gets_no_command_and_changes_no_picture(
+    start: type[Part], router: str, view: Callable[..., tuple[Part, int]]
+) -> None:
+    with Stranger(router) as stranger:
+        stranger.mav.srcSystem, stranger.mav.srcComponent = 42, 1
+        commands, say = stranger.subscribe("mavlink/in"), stranger.publisher
+        _, port = view("--connect", router)
+        start("sitl", "uav", "--connect", router, "--seed", "3", "--speedup", "10")
+        with Browser(port) as page:
+            page.until(lambda: "uav/1" in page.vehicles)
+            page.show("uav/1")
+            page.until(lambda: page.scenes.get("uav/1", {}).get("craft"))
+            put = say("mavlink/out")
+            for second in range(50, 0, -2):  # two vehicles, each of which seems to start again and again
+                place = mavlink.MAVLink_local_position_ned_message(1000 * second, 20.0, 20.0, -9.0, 0, 0, 0)
+                put(stranger.frames(mavlink.MAVLink_heartbeat_message(2, 12, 128, 6 << 16, 4, 3), place))
+                page.until(lambda received=page.received: page.received > received)
+            assert page.order("land")["reason"] == "Land refused: on the ground"
+            assert "uav: a new mission begins" not in page.happened["uav/1"]
+            assert page.scenes["uav/1"]["craft"]["y"] == pytest.approx(0.0, abs=0.1)
+        told = [message.target_system for message in messages(commands.get(timeout=60)).values()]
+        assert told == [1]
 
 
 def test_vehicles_appear_and_go_and_two_are_seen_at_once(router: str, view: Callable[..., tuple[Part, int]]) -> None:
@@ -152,7 +179,7 @@ def test_vehicles_appear_and_go_and_two_are_seen_at_once(router: str, view: Call
             page.until(lambda: page.particles.get("uav/1") == 2 and page.particles.get("fleet/uav/2") == 3)
         page.until(lambda: not page.vehicles["fleet/uav/2"]["here"])
         assert page.vehicles["uav/1"]["here"]
-        assert page.order("pause", "fleet/uav/2")["reason"] == "fleet/uav/2 is not there"
+        assert page.order("hold", "fleet/uav/2")["reason"] == "fleet/uav/2 is not there"
 
 
 def _particles(count: int):
@@ -218,7 +245,7 @@ def test_two_records_are_seen_on_one_time_line(replay: int) -> None:
         page.show(GOLDEN.stem, at_s=-1.0)
         page.until(lambda: page.steps[GOLDEN.stem] == [])
         assert page.particles[GOLDEN.stem] == 0
-        assert page.order("pause", GOLDEN.stem)["reason"] == "a record takes no commands"
+        assert page.order("hold", GOLDEN.stem)["reason"] == "a record takes no commands"
 
 
 @pytest.mark.parametrize("name", ["README.md", "nothing.mcap"])
@@ -291,11 +318,11 @@ def test_elsewhere_only_a_token_may_command(view: Callable[..., tuple[Part, int]
         _, open_to_all = view("--connect", router, "--host", "0.0.0.0")
         with Browser(open_to_all) as page:
             assert page.hello["may_command"] is False
-            assert page.order("abort")["reason"] == page.hello["why_not"] == "read-only: the page is served on 0.0.0.0 without --token"
+            assert page.order("land")["reason"] == page.hello["why_not"] == "read-only: the page is served on 0.0.0.0 without --token"
         _, guarded = view("--connect", router, "--host", "0.0.0.0", "--token", "secret")
         with Browser(guarded) as page, Browser(guarded, "wrong") as wrong, Browser(guarded, "secret") as right:
             assert (page.hello["may_command"], wrong.hello["may_command"], right.hello["may_command"]) == (False, False, True)
-            assert "token" in page.order("abort")["reason"]
+            assert "token" in page.order("land")["reason"]
 
 
 # ---- clients that misbehave ----
@@ -340,6 +367,23 @@ def test_the_twenty_first_page_is_told_why_it_is_refused(view: Callable[..., tup
     finally:
         for page in pages:
             page.close()
+
+
+def test_who_has_the_token_commands_past_twenty_pages_that_look_and_connections_that_say_nothing(
+    view: Callable[..., tuple[Part, int]], router: str
+) -> None:
+    with Bus("uav", router), contextlib.ExitStack() as held:
+        _, port = view("--connect", router, "--token", "word")
+        for _ in range(20):
+            held.enter_context(Browser(port))
+        for _ in range(150):
+            held.enter_context(socket.create_connection(("127.0.0.1", port)))
+        assert asked(port, "/static/app.js", Host=f"127.0.0.1:{port}")[0] == 200
+        with pytest.raises(ConnectionClosed):
+            Browser(port)
+        with Browser(port, "word") as page:
+            page.until(lambda: "uav/1" in page.vehicles)
+            assert page.order("land")["reason"] == "uav/1 has not said which system it is"
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

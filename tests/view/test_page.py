@@ -232,7 +232,7 @@ def test_a_lost_connection_is_told_and_comes_back_by_itself(stage: Stage, window
     stage.close()
     window.until("plumeward.state.link === 'lost'")
     assert "Connection lost" in window.text("#notice")
-    assert window.page.locator("[data-command=pause]").is_disabled()
+    assert window.page.locator("[data-command=hold]").is_disabled()
     assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 40  # the last picture is there
     assert "grayscale" in window.of("getComputedStyle(document.querySelector('.map')).filter")
     window.keep("connection-lost")
@@ -252,7 +252,7 @@ def test_a_mission_that_is_over_keeps_its_picture(stage: Stage, window: Window) 
     window.until("plumeward.state.link === 'over'")
     assert window.text("#notice") == "The mission is over. The last picture stays."
     assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 40
-    assert window.page.locator("[data-command=pause]").is_disabled()
+    assert window.page.locator("[data-command=hold]").is_disabled()
 
 
 # ---- who may command ----
@@ -277,25 +277,25 @@ def test_the_token_in_the_pages_address_allows_commands(look: Callable[..., Wind
     stage.open()
     try:
         stage.enter(scene())
-        assert drawn(look(stage.address)).page.locator("[data-command=pause]").is_disabled()
-        assert drawn(look(f"{stage.address}?token=a%20b%26c")).page.locator("[data-command=pause]").is_enabled()
+        assert drawn(look(stage.address)).page.locator("[data-command=hold]").is_disabled()
+        assert drawn(look(f"{stage.address}?token=a%20b%26c")).page.locator("[data-command=hold]").is_enabled()
     finally:
         stage.close()
 
 
-def test_an_answer_is_shown_with_its_reason_and_abort_asks_first(window: Window) -> None:
-    window.page.get_by_role("button", name="Abort").click()
+def test_an_answer_is_shown_with_its_reason_and_land_asks_first(window: Window) -> None:
+    window.page.get_by_role("button", name="Land").click()
     dialog = window.page.get_by_role("dialog")
-    assert "Abort the mission?" in dialog.inner_text()
-    window.keep("abort")
+    assert "Land here?" in dialog.inner_text()
+    window.keep("land")
     assert window.violations() == []
     dialog.get_by_role("button", name="Keep flying").click()
     assert window.of("plumeward.answers") == []
-    window.page.get_by_role("button", name="Abort").click()
-    dialog.get_by_role("button", name="Abort").click()
+    window.page.get_by_role("button", name="Land").click()
+    dialog.get_by_role("button", name="Land").click()
     window.until("plumeward.answers.length")
-    assert "Abort refused: there is no vehicle 'uav/1'" in window.text(".answer")  # the stage's vehicles are not on a bus
-    assert window.of("plumeward.answers[0].command") == "abort"
+    assert "Land refused: there is no vehicle 'uav/1'" in window.text(".answer")  # the stage's vehicles are not on a bus
+    assert window.of("plumeward.answers[0].command") == "land"
 
 
 # ---- all windows, all people ----
@@ -310,7 +310,7 @@ def test_on_a_phone_nothing_reaches_beyond_the_sides(stage: Stage, look: Callabl
     width = window.page.locator(".map canvas").bounding_box()["width"]
     assert 290 < width <= 360
     assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 20
-    for button in ("Pause", "Resume", "Return home", "Abort"):
+    for button in ("Hold", "Resume", "Return", "Land"):
         box = window.page.get_by_role("button", name=button).bounding_box()
         assert box["height"] >= 32
         assert box["x"] + box["width"] <= 360
@@ -342,25 +342,25 @@ def test_all_is_reached_by_keyboard_and_the_focus_is_seen(window: Window) -> Non
         window.page.keyboard.press("Tab")
         reached.append(window.of("document.activeElement.id || document.activeElement.dataset.command || document.activeElement.className"))
         assert window.of("getComputedStyle(document.activeElement).outlineStyle") in ("solid", "auto")
-        if reached[-1] == "abort":
+        if reached[-1] == "land":
             break
-    assert reached == ["first", "truth", "theme", "help-open", "pause", "resume", "return", "abort"]
+    assert reached == ["first", "truth", "theme", "help-open", "hold", "resume", "return", "land"]
     window.page.keyboard.press("Enter")
-    window.until("document.querySelector('#abort').open")
+    window.until("document.querySelector('#land').open")
     assert window.of("document.activeElement.textContent") == "Keep flying"  # the safe choice comes first
     window.page.keyboard.press("Escape")
-    window.until("!document.querySelector('#abort').open")
+    window.until("!document.querySelector('#land').open")
     window.page.keyboard.press("?")
     window.until("document.querySelector('#help').open")
-    assert "pause the mission" in window.text("#help")
+    assert "hold: stay where it is" in window.text("#help")
     window.keep("help")
     assert window.violations() == []
     window.page.keyboard.press("Escape")
     window.page.keyboard.press("t")
     window.until("plumeward.state.models['uav/1'].plume")
-    window.page.keyboard.press("p")
+    window.page.keyboard.press("h")
     window.until("plumeward.answers.length")
-    assert window.of("plumeward.answers[0].command") == "pause"
+    assert window.of("plumeward.answers[0].command") == "hold"
 
 
 def test_always_the_newest_and_never_a_backlog(stage: Stage, window: Window) -> None:

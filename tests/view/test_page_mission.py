@@ -43,9 +43,9 @@ def test_a_mission_from_the_ground_to_its_outcome_with_an_operators_commands(
     start("sitl", "uav", str(mission), "--connect", router, "--speedup", "20")
     window.until(f"plumeward.drawn && {MODEL}?.scene?.craft && {verdict('uav', 'ok')}")
 
-    window.page.get_by_role("button", name="Return home").click()
+    window.page.get_by_role("button", name="Return").click()
     window.until("plumeward.answers.length === 1")
-    assert window.text(".answer") == "Return home refused: on the ground"
+    assert window.text(".answer") == "Return refused: on the ground"
     window.keep("refused")
 
     start("estimator", "--connect", router)
@@ -53,9 +53,9 @@ def test_a_mission_from_the_ground_to_its_outcome_with_an_operators_commands(
     window.until(f"{MODEL}.measurements.length >= 3")
     window.until("document.querySelector('[data-fact=mode]').textContent === 'OFFBOARD'")
 
-    window.page.keyboard.press("p")
+    window.page.keyboard.press("h")
     window.until(f"plumeward.answers.length === 2 && {MODEL}.scene.craft.mode === 'HOLD'")
-    assert "Pause accepted" in window.text(".answer")
+    assert "Hold accepted" in window.text(".answer")
     # At most one waypoint is reached after the command, and the belief after one reading is under way. From then on time passes, and the
     # vehicle stays and reads nothing.
     began_s, x, y, step = window.of(
@@ -67,7 +67,7 @@ def test_a_mission_from_the_ground_to_its_outcome_with_an_operators_commands(
     assert window.model("scene.craft.y") == pytest.approx(y, abs=1.0)
     window.drawn()
     assert window.text("[data-fact=mode]") == "HOLD"
-    window.keep("paused")
+    window.keep("held")
     window.page.get_by_role("button", name="Resume").click()
     window.until(f"{MODEL}.measurements.length > {step} + 1")
 

@@ -81,7 +81,7 @@ def test_a_record_opens_at_its_outcome(replay: Window) -> None:
     assert replay.text("#link") == "record"
     assert not replay.page.locator("#notice").is_visible()
     assert replay.text(".why") == "A record takes no commands"
-    assert replay.page.locator("[data-command=pause]").is_disabled()
+    assert replay.page.locator("[data-command=hold]").is_disabled()
     assert replay.violations() == []
     replay.keep("replay")
 

@@ -205,12 +205,12 @@ function aloud(text) {
 
 // ---- what people want ----
 
-const TITLES = { pause: "Pause", resume: "Resume", return: "Return home", abort: "Abort" };
+const TITLES = { hold: "Hold", resume: "Resume", return: "Return", land: "Land" };
 
 function command(name, vehicle = state.show[0]) {
   const pane = panes.get(vehicle);
   if (!pane || pane.root.querySelector(`[data-command="${name}"]`).disabled) return;
-  if (name === "abort") return confirmAbort(vehicle);
+  if (name === "land") return confirmLand(vehicle);
   send(name, vehicle);
 }
 
@@ -218,11 +218,11 @@ function send(name, vehicle) {
   if (link.say({ command: name, vehicle })) panes.get(vehicle).answer(`${TITLES[name]} asked…`, "wait");
 }
 
-function confirmAbort(vehicle) {
-  const dialog = find("abort");
-  setText(find("abort-text"), `${vehicle} ends its search and lands where it is. The search cannot be resumed.`);
+function confirmLand(vehicle) {
+  const dialog = find("land");
+  setText(find("land-text"), `${vehicle} ends its search and lands where it is. The search cannot be resumed.`);
   dialog.returnValue = "no";
-  dialog.onclose = () => { if (dialog.returnValue === "yes") send("abort", vehicle); };
+  dialog.onclose = () => { if (dialog.returnValue === "yes") send("land", vehicle); };
   dialog.showModal();
 }
 

@@ -9,9 +9,10 @@ from sitl.autopilot.operator import OPERATOR
 from sitl.autopilot.state import Mode
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
-from sitl.view.control import Awaited, CommandAnswer, CommandName, message
+from sitl.view.control import Awaited, CommandAnswer, CommandName
 
-HOLD, RTL, LAND = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, mavlink.MAV_CMD_NAV_LAND
+RTL, LAND = mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, mavlink.MAV_CMD_NAV_LAND
+ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
 UAV = Codec(1, 1)
 
 
@@ -21,6 +22,11 @@ def ack(number: int, result: int, target: tuple[int, int] = OPERATOR) -> object:
 
 def text(words: str) -> object:
     return mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_WARNING, words.encode())
+
+
+def beat(mode: Mode, armed: bool = True) -> object:
+    flags = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
+    return mavlink.MAVLink_heartbeat_message(2, 12, flags, mode.custom_mode, 4, 3)
 
 
 class Flying:
@@ -37,30 +43,40 @@ class Flying:
             self.vehicle.advance(self.now_s)
 
     def told(self, name: CommandName) -> CommandAnswer | None:
-        said = message(name, system=1)
+        awaited = Awaited(name, system=1)
+        said = awaited.send(0.0)
+        assert said is not None
         said.pack(mavlink.MAVLink(None, *OPERATOR))
-        awaited = Awaited(said.command, 0.0)
-        return awaited.hears(UAV.pack(*self.protocol.receive(said, self.now_s)), 0.1) or awaited.over(0.1 + 0.3)
+        awaited.hears(UAV.pack(*self.protocol.receive(said, self.now_s)), 0.1)
+        awaited.hears(UAV.pack(beat(self.mode, self.vehicle.armed)), 0.2)
+        return awaited.over(0.5)
 
     @property
     def mode(self) -> Mode:
         return self.vehicle.state(self.now_s).mode
 
 
-def test_a_vehicle_is_paused_and_resumed_at_its_last_waypoint() -> None:
+def awaited(name: CommandName = "return") -> Awaited:
+    """A command that has been sent once."""
+    command = Awaited(name, system=1)
+    assert command.send(0.0)
+    return command
+
+
+def test_a_vehicle_is_held_and_resumed_at_its_last_waypoint() -> None:
     uav, waypoint = Flying(), (3.0, 4.0, -5.0)
     uav.vehicle.setpoint(uav.now_s, waypoint)
     assert uav.told("resume") == CommandAnswer(True)
     assert uav.mode is Mode.OFFBOARD
-    assert uav.told("pause") == CommandAnswer(True)
+    assert uav.told("hold") == CommandAnswer(True)
     assert uav.mode is Mode.HOLD
     assert uav.told("resume") == CommandAnswer(True)
     assert uav.mode is Mode.OFFBOARD
     assert uav.vehicle.waypoint == waypoint
 
 
-@pytest.mark.parametrize(("name", "mode"), [("return", Mode.RETURN), ("abort", Mode.LAND)])
-def test_return_flies_home_and_abort_lands_here(name: CommandName, mode: Mode) -> None:
+@pytest.mark.parametrize(("name", "mode"), [("return", Mode.RETURN), ("land", Mode.LAND)])
+def test_return_flies_home_and_land_lands_here(name: CommandName, mode: Mode) -> None:
     uav = Flying()
     assert uav.told(name) == CommandAnswer(True)
     assert uav.mode is mode
@@ -72,33 +88,54 @@ def test_a_refusal_comes_with_the_vehicles_reason() -> None:
 
 
 def test_a_long_reason_is_joined_from_its_chunks() -> None:
-    awaited, words = Awaited(RTL, 0.0), "Return refused: " + "the reason goes on " * 5
+    command, words = awaited(), "Return refused: " + "the reason goes on " * 5
     said = MavlinkProtocol(Vehicle(VehicleConfig())).statustext(mavlink.MAV_SEVERITY_WARNING, words)
     assert len(said) == 3  # 111 characters, 50 in each
-    assert awaited.hears(UAV.pack(ack(RTL, mavlink.MAV_RESULT_DENIED), *said), 0.1) == CommandAnswer(False, words)
+    command.hears(UAV.pack(ack(RTL, DENIED), *said), 0.1)
+    assert command.over(0.1) == CommandAnswer(False, words)
 
 
 def test_a_reason_may_come_a_little_later_and_may_be_missing() -> None:
-    awaited = Awaited(RTL, 0.0)
-    assert awaited.hears(UAV.pack(ack(RTL, mavlink.MAV_RESULT_DENIED)), 0.1) is None
-    assert awaited.hears(UAV.pack(text("Return refused: no home")), 0.2) == CommandAnswer(False, "Return refused: no home")
-    awaited = Awaited(RTL, 0.0)
-    awaited.hears(UAV.pack(ack(RTL, mavlink.MAV_RESULT_UNSUPPORTED)), 0.1)
-    assert awaited.over(0.3) is None
-    assert awaited.over(0.45) == CommandAnswer(False, "the vehicle does not know this command")
+    command = awaited()
+    command.hears(UAV.pack(text("Battery low"), ack(RTL, DENIED)), 0.1)
+    assert command.over(0.1) is None
+    command.hears(UAV.pack(text("Return refused: no home")), 0.2)
+    assert command.over(0.2) == CommandAnswer(False, "Return refused: no home")
+    command = awaited()
+    command.hears(UAV.pack(ack(RTL, mavlink.MAV_RESULT_UNSUPPORTED)), 0.1)
+    assert command.over(0.3) is None
+    assert command.over(0.45) == CommandAnswer(False, "the vehicle does not know this command")
 
 
-def test_answers_to_other_commands_and_stations_and_other_texts_are_not_ours() -> None:
-    awaited = Awaited(RTL, 0.0)
-    accepted = mavlink.MAV_RESULT_ACCEPTED
-    for said in (ack(LAND, accepted), ack(RTL, accepted, (254, 190)), ack(RTL, accepted, (255, 1)), text("Landed"),
-                    ack(RTL, mavlink.MAV_RESULT_IN_PROGRESS)):  # fmt: skip
-        assert awaited.hears(UAV.pack(said), 0.1) is None
-    assert awaited.hears(b"\xfd garbage", 0.1) is None
-    assert awaited.hears(UAV.pack(ack(RTL, accepted)), 0.1) == CommandAnswer(True)
+def test_answers_to_other_commands_and_stations_and_those_of_other_systems_are_not_ours() -> None:
+    command = awaited()
+    for said in (ack(LAND, DENIED), ack(RTL, DENIED, (254, 190)), ack(RTL, DENIED, (255, 1)), text("Landed")):
+        command.hears(UAV.pack(said), 0.1)
+    command.hears(b"\xfd garbage", 0.1)
+    for sender in ((42, 1), (1, 191)):
+        command.hears(Codec(*sender).pack(ack(RTL, DENIED), beat(Mode.RETURN)), 0.1)
+    assert command.over(1.0) is None
+    assert command.send(1.0)  # nobody has acknowledged it
+
+
+def test_it_is_done_when_telemetry_shows_it_or_what_comes_of_it() -> None:
+    command = awaited()
+    command.hears(UAV.pack(ack(RTL, ACCEPTED)), 0.1)
+    assert command.over(1.0) is None
+    command.hears(UAV.pack(beat(Mode.HOLD)), 1.0)
+    assert command.over(1.0) is None
+    command.hears(UAV.pack(beat(Mode.LAND)), 1.2)  # it was nearly home
+    assert command.over(1.2) == CommandAnswer(True)
+    command = awaited("land")
+    command.hears(UAV.pack(beat(Mode.HOLD, armed=False)), 0.1)
+    assert command.over(0.1) is None  # it stands, and may refuse
+    command.hears(UAV.pack(ack(LAND, ACCEPTED)), 0.1)
+    assert command.over(0.1) == CommandAnswer(True)
 
 
 def test_a_vehicle_that_says_nothing_has_not_accepted() -> None:
-    awaited = Awaited(HOLD, 10.0)
-    assert awaited.over(11.9) is None
-    assert awaited.over(12.0) == CommandAnswer(False, "no answer within 2 s")
+    command = Awaited("hold", system=1)
+    sent_s = [ms / 1000 for ms in range(3000) if command.send(ms / 1000)]
+    assert sent_s == pytest.approx([0.0, 0.4, 0.8, 1.2, 1.6], abs=0.01)
+    assert command.over(1.9) is None
+    assert command.over(2.01) == CommandAnswer(False, "no answer within 2 s")

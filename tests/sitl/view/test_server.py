@@ -1,7 +1,8 @@
-"""Protects the bus and the other pages from one page that gives commands without end."""
+"""Protects an operator in a hurry, and the bus and the other pages from one page that gives commands without end."""
 
 import asyncio
 import json
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,25 +13,36 @@ from link.bus.mavlink import Codec
 from scene.follow.history import History
 from scene.scene import Backdrop
 from sitl.autopilot.operator import OPERATOR
+from sitl.autopilot.state import Mode
+from sitl.view.control import CommandAnswer, operate
 from sitl.view.guard import AccessRules
 from sitl.view.live import LiveVehicle
 from sitl.view.server import Client, PageServer
 
 
 class Obeying(LiveVehicle):
-    """A vehicle that accepts every command at once."""
+    """A vehicle that does what it is told at once, unless it is deaf."""
+
+    system = 1
 
     def __init__(self) -> None:
-        self.name, self.here, self.system, self.listeners = "uav/1", True, 1, set()
+        self.name, self.here, self.listeners = "uav/1", True, set()
         self.history = History(Backdrop("uav/1"))
-        self.commanded = 0
+        self.heard: list[str] = []
+        """The mode that each copy of a command asks for."""
+        self.deaf = False
 
     def send(self, payload: bytes) -> None:
-        self.commanded += 1
         for message in mavlink.MAVLink(None).parse_buffer(payload):
+            mode = ASKED.get(message.command) or Mode((int(message.param2), int(message.param3)))
+            self.heard.append(mode.name)
             ack = mavlink.MAVLink_command_ack_message(message.command, 0, target_system=OPERATOR[0], target_component=OPERATOR[1])
-            for listener in tuple(self.listeners):
-                listener(Codec(1, 1).pack(ack))
+            shown = mavlink.MAVLink_heartbeat_message(2, 12, 128, mode.custom_mode, 4, 3)
+            for listener in () if self.deaf else tuple(self.listeners):
+                listener(Codec(1, 1).pack(ack, shown))
+
+
+ASKED = {mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: Mode.RETURN, mavlink.MAV_CMD_NAV_LAND: Mode.LAND}
 
 
 class Socket:
@@ -53,14 +65,18 @@ class Socket:
     async def close(self, _: int, reason: str) -> None:
         self.closed = reason
 
-    async def order(self, count: int, name: str = "pause") -> list[dict[str, Any]]:
+    async def order(self, count: int, name: str = "hold") -> list[dict[str, Any]]:
         """Give a command so many times at once; returns the answers."""
         wanted = len(self.answers) + count
         for _ in range(count):
-            self.said.put_nowait(json.dumps({"command": name, "vehicle": "uav/1"}))
+            self.asks(name)
         while len(self.answers) < wanted:
             await asyncio.sleep(0.001)
         return self.answers[wanted - count :]
+
+    def asks(self, name: str) -> None:
+        """Give a command."""
+        self.said.put_nowait(json.dumps({"command": name, "vehicle": "uav/1"}))
 
     @property
     def answers(self) -> list[dict[str, Any]]:
@@ -86,8 +102,10 @@ def test_a_page_that_commands_without_end_is_refused_and_told_so_and_another_pag
             assert [answer["accepted"] for answer in await one.order(1)] == [True]
         flooded = await one.order(1000)
         assert {(answer["accepted"], answer["reason"]) for answer in flooded} == {(False, "more than 5 commands within 1 s: wait a moment")}
-        assert vehicle.commanded == 5
-        assert (await other.order(1, "abort"))[0]["accepted"]
+        assert vehicle.heard == ["HOLD"] * 5
+        assert (await other.order(1))[0]["accepted"]
+        assert [answer["accepted"] for answer in await one.order(6, "land")] == [True] * 6
+        assert vehicle.heard[6:] == ["LAND"] * len(vehicle.heard[6:])
         now_s[0] += 1.0
         assert (await one.order(1))[0]["accepted"]
         for task in tasks:
@@ -102,9 +120,68 @@ def test_a_page_that_does_not_read_the_answers_to_its_commands_is_closed() -> No
         deaf = Socket(reads=False)
         _, (served,) = pages(deaf)
         for _ in range(1000):
-            deaf.said.put_nowait('{"command":"pause","vehicle":"uav/1"}')
+            deaf.said.put_nowait('{"command":"hold","vehicle":"uav/1"}')
         await asyncio.wait_for(served, 4.0)
         assert deaf.closed == "commands come faster than their answers are read"
         assert deaf.said.qsize() > 850
 
     asyncio.run(flood())
+
+
+async def until(holds: Callable[[], object]) -> None:
+    """Let the server work until something holds."""
+    async with asyncio.timeout(60):
+        while not holds():
+            await asyncio.sleep(0.001)
+
+
+def test_land_goes_out_while_a_hold_is_unanswered_which_is_then_not_sent_again_and_nothing_replaces_it() -> None:
+    async def hurry() -> None:
+        one, other = Socket(), Socket()
+        vehicle, tasks = pages(one, other)
+        vehicle.deaf = True
+        one.asks("hold")
+        await until(lambda: vehicle.heard == ["HOLD"])
+        other.asks("land")
+        await until(lambda: vehicle.heard[-1] == "LAND")
+        one.asks("resume")
+        await until(lambda: len(one.answers) == 2)
+        await until(lambda: vehicle.heard.count("LAND") == 3)
+        vehicle.deaf = False
+        await until(lambda: other.answers)
+        assert vehicle.heard[vehicle.heard.index("LAND") :] == ["LAND"] * vehicle.heard.count("LAND")
+        assert [(answer["command"], answer["accepted"], answer["reason"]) for answer in (*one.answers, *other.answers)] == [
+            ("hold", False, "an urgent command took its place"),
+            ("resume", False, "the vehicle has not answered the last command yet"),
+            ("land", True, ""),
+        ]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    asyncio.run(hurry())
+
+
+def test_a_command_that_is_cancelled_is_not_sent_later() -> None:
+    async def cancel() -> None:
+        vehicle = Obeying()
+        vehicle.deaf = True
+        command = asyncio.create_task(operate(vehicle, "resume"))
+        await until(lambda: len(vehicle.heard) == 2)
+        command.cancel()
+        await asyncio.gather(command, return_exceptions=True)
+        land = asyncio.create_task(operate(vehicle, "land"))
+        await until(lambda: len(vehicle.heard) == 5)  # more than the time between two copies has passed
+        vehicle.deaf = False
+        assert await land == CommandAnswer(True)
+        assert vehicle.heard == ["OFFBOARD"] * 2 + ["LAND"] * (len(vehicle.heard) - 2)
+        assert not vehicle.listeners
+
+    asyncio.run(cancel())
+
+
+def test_a_vehicle_that_is_not_known_yet_gets_no_command() -> None:
+    vehicle = Obeying()
+    vehicle.system = 0
+    assert asyncio.run(operate(vehicle, "land")) == CommandAnswer(False, "uav/1 has not said which system it is")
+    assert vehicle.heard == []
