@@ -73,6 +73,32 @@ class Timed(Generic[T]):
         return self.values[count - 1] if count else None
 
 
+class Trail:
+    """Where the vehicle was, in order of time. What was once taken stays as it is, so that no scene needs a copy of it."""
+
+    def __init__(self, whole: bool) -> None:
+        """Keep all places, or the newest: `MOST`, and at least half of it."""
+        self.last: Place | None = None
+        self._times_s: list[float] = []
+        self._places: Floats = np.empty((64, 2), np.float32)
+        self._most = sys.maxsize if whole else MOST
+
+    def add(self, time_s: float, place: Place) -> None:
+        """Add the newest."""
+        count = len(self._times_s)
+        if count >= min(len(self._places), self._most):
+            kept = self._places[count - self._most // 2 if count >= self._most else 0 : count]
+            del self._times_s[: count - len(kept)]
+            count = len(kept)
+            self._places = np.concatenate([kept, np.empty_like(kept)])  # scenes have the former ones
+        self._times_s.append(max(time_s, self._times_s[-1]) if self._times_s else time_s)
+        self._places[count] = self.last = place
+
+    def until(self, time_s: float) -> Floats:
+        """All places until a time, it included: (N, 2) m."""
+        return self._places[: bisect_right(self._times_s, time_s)]
+
+
 class WindTurn(NamedTuple):
     """A change of the true wind, and of the whole plume with it, by a mission script."""
 
@@ -144,7 +170,7 @@ class History:
         """Forget where the vehicle is and was."""
         self._boot_ms = 0
         self._crafts: Timed[Craft] = Timed(self._whole)
-        self._track: Timed[Place] = Timed(self._whole, MOST)
+        self._track = Trail(self._whole)
 
     def _begin_again(self, time_s: float) -> None:
         """Follow the next mission of a vehicle that was started again. Services stay; happenings, too, where no one goes back in time."""
@@ -209,10 +235,9 @@ class History:
                     self._begin_again(time_s)
                 self._boot_ms = fields["time_boot_ms"]
             craft = seen(craft, message_id, fields, time_s)
-            if message_id == LOCAL:
-                last = self._track.at(math.inf)
-                if last is None or math.dist(last, craft.position) >= TRACK_STEP_M:
-                    self._track.add(time_s, craft.position)
+            last = self._track.last
+            if message_id == LOCAL and (last is None or math.dist(last, craft.position) >= TRACK_STEP_M):
+                self._track.add(time_s, craft.position)
             if message_id == HEARTBEAT:
                 if craft.mode != before.mode:
                     self._happened(time_s, INFO, "uav", f"mode {craft.mode}")
@@ -301,7 +326,7 @@ class History:
             backdrop=self._backdrop(min(time_s, self.time_s), self.measurements.values[count - 1].step if count else -1),
             time_s=min(time_s, self.time_s),
             craft=self._crafts.at(time_s),
-            track=np.array(self._track.until(time_s), np.float32).reshape(-1, 2),
+            track=self._track.until(time_s),
             measurements=self.measurements.values[:count],
             scatter=self._scatter(packed) if packed else None,
             waypoint=self._waypoints.at(time_s),
@@ -315,9 +340,10 @@ class History:
 
     def _scatter(self, packed: _Packed) -> Scatter | None:
         """Return the particles; those of the same belief are the same object when asked for again."""
-        if self._unpacked is None or self._unpacked[0] is not packed:
-            self._unpacked = packed, _scatter(packed)
-        return self._unpacked[1]
+        unpacked = self._unpacked  # several threads may ask
+        if unpacked is None or unpacked[0] is not packed:
+            unpacked = self._unpacked = packed, _scatter(packed)
+        return unpacked[1]
 
     def _backdrop(self, time_s: float, step: int) -> Backdrop:
         """Return the backdrop with the wind at a time, after the belief of a step."""

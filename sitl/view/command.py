@@ -120,17 +120,35 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     except NoFoxglove as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    streamed_at = 0.0
+    news = asyncio.Event()
+
+    def told() -> None:
+        news.set()
+        if server is not None:
+            server.news()
 
     def changed() -> None:
-        nonlocal streamed_at
-        if stream and server is not None and time.monotonic() - streamed_at >= STREAM_EVERY_S:
-            streamed_at = time.monotonic()
-            for vehicle in tuple(shown.vehicles.values()):
-                stream.show(vehicle.scene()[0])
-        if server is not None:
-            with contextlib.suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(server.news)
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(told)
+
+    def failed() -> None:
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(lambda: end(cli.FAILED))
+
+    def show(stream: LiveFoxglove) -> None:
+        for vehicle in tuple(shown.vehicles.values()):
+            stream.show(vehicle.scene()[0])
+
+    async def keep_streaming(stream: LiveFoxglove) -> None:
+        try:
+            while True:
+                await news.wait()
+                news.clear()
+                await asyncio.to_thread(show, stream)
+                await asyncio.sleep(STREAM_EVERY_S)
+        except Exception as error:  # nobody awaits it
+            print(f"error: Foxglove gets no more scenes: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
+            end(cli.FAILED)
 
     try:
         if args.logs:
@@ -141,7 +159,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
             described = None
             if args.about:
                 described = Described(args.about["namespace"], *backdrop_of(args.about), turns_of(args.about))
-            shown = LiveFleet(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True), args.secure)
+            shown = LiveFleet(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True), failed, args.secure)
     except RecordError as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
@@ -162,9 +180,9 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     http = _Uvicorn(config)
     status = [0]
 
-    def end() -> None:
+    def end(number: int = INTERRUPTED) -> None:
         let_go_of_the_terminal()
-        status[0] = cli.FAILED if args.logs and shown.damaged else INTERRUPTED
+        status[0] = cli.FAILED if args.logs and shown.damaged else number
         http.should_exit = True
 
     async def linger() -> None:
@@ -183,10 +201,12 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     print(f"page at {rules.address}", flush=True)
     if stream:
         print(f"Foxglove at {stream.address}", flush=True)
+        streaming = asyncio.create_task(keep_streaming(stream))
     if args.open:
         threading.Thread(target=webbrowser.open, args=(rules.address,), daemon=True).start()
     await http.serve(sockets=[listening])
     shown.end()
     if stream:
+        streaming.cancel()
         stream.close()
     return status[0]

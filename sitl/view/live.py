@@ -1,4 +1,7 @@
-"""Vehicles on a router, followed as they appear and go. One thread talks to the bus; scenes may be asked for from any other."""
+"""Vehicles on a router, followed as they appear and go. One thread talks to the bus; scenes may be asked for from any other.
+
+The bus's thread only takes messages. Whoever asks first for a new version of a scene builds it, and all others get the same one.
+"""
 
 import threading
 import time
@@ -27,6 +30,8 @@ LOOK_S = 0.2
 CONNECT_TIMEOUT_S = 1.0
 GONE_AFTER_S = 0.5
 """A part that is back within this time was not gone; a router that is back gets as long to name the parts that it knows."""
+JUDGE_S = 1.0
+"""Longest time between two versions of what there is to see: silent parts are judged anew."""
 MOST_VEHICLES = 32
 
 
@@ -38,6 +43,10 @@ class Described(NamedTuple):
     backdrop: Backdrop
     budget: int | None
     turns: Sequence[WindTurn] | None = ()
+
+
+Built = tuple[Scene, object, float | None]
+"""A scene, which mission it is of, and when the newest message in it was published, ms since 1970."""
 
 
 class LiveVehicle:
@@ -56,6 +65,9 @@ class LiveVehicle:
         self._clock = SimulationClock()
         self._frozen_s: float | None = None
         self._lock = threading.Lock()
+        self._building = threading.Lock()
+        self._built: tuple[int, Built] | None = None
+        self._judge_at = 0.0
         self._alive: dict[str, bool] = {}
         self._bus = Tap(
             "view", router, name, "error", announced=False, secure=secure, connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S),
@@ -70,22 +82,28 @@ class LiveVehicle:
             "begin_s": None, "end_s": None, "readings_s": None, "moments": None,
         }  # fmt: skip
 
-    def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:
+    def scene(self, at_s: float | None = None) -> Built:
         """Return the newest scene, which of its missions it is of, and when the newest message in it was published, ms since 1970."""
-        with self._lock:
-            history = self.history
-            return history.at(wall_s=self._frozen_s or time.time()), history.missions, 1000 * history.wall_s or None
+        with self._building:
+            if self._built is None or self._built[0] != self.version:
+                with self._lock:
+                    history, version = self.history, self.version
+                    scene = history.at(wall_s=self._frozen_s or time.time())
+                    self._built = version, (scene, history.missions, 1000 * history.wall_s or None)
+            return self._built[1]
 
     # ---- in the bus's thread ----
 
     def follow(self) -> bool:
         """Take what has arrived; returns whether there is something new to see."""
-        messages = self._bus.take()
-        if not messages:
+        messages, now_s = self._bus.take(), time.monotonic()
+        if not messages and now_s < self._judge_at:
             return False
         with self._lock:
-            changed = any([self._take(message) for message in messages])
+            changed = any([self._take(message) for message in messages]) or now_s >= self._judge_at
             self.version += changed
+        if changed:
+            self._judge_at = now_s + JUDGE_S
         return changed
 
     def _take(self, message: Stamped) -> bool:
@@ -119,7 +137,9 @@ class LiveVehicle:
 
     def close(self) -> None:
         """Leave its bus and keep what there is to see as it is now."""
-        self._frozen_s = time.time()
+        with self._lock:
+            self._frozen_s = time.time()
+            self.version += 1
         self._bus.close()
 
 
@@ -128,11 +148,12 @@ class LiveFleet:
 
     def __init__(
         self, router: str, described: Described | None, changed: Callable[[], None], say: Callable[[str], None],
-        secure: Path | None = None,
+        failed: Callable[[], None], secure: Path | None = None,
     ) -> None:  # fmt: skip
         """Begin to follow.
 
-        changed: called in the bus's thread when there is something new to see; say: told, in a line, of what is wrong.
+        changed: called in the bus's thread when there is something new to see; say: told, in a line, of what is wrong;
+        failed: called in the bus's thread when it ends by a fault, which was told.
         secure: the folder of certificates. Raises BusError if `router` is not an endpoint, AccessError without a certificate that is fit.
         """
         self.vehicles: dict[str, LiveVehicle] = {}
@@ -141,7 +162,7 @@ class LiveFleet:
         """Grows with each change of the list or the notice."""
         self.notice = ""
         """What people should know of the bus: no router, too many vehicles."""
-        self._router, self._described, self._changed, self._say = router, described, changed, say
+        self._router, self._described, self._changed, self._say, self._failed = router, described, changed, say, failed
         self._secure = secure
         self._ended = threading.Event()
         self._pending: dict[tuple[str, str], float] = {}
@@ -151,7 +172,7 @@ class LiveFleet:
             roster = Roster("view", router, CONNECT_TIMEOUT_S, secure)
         except NoRouter as error:
             trouble = self._trouble(error)
-        self._thread = threading.Thread(target=self._run, args=(roster, trouble), name="bus", daemon=True)
+        self._thread = threading.Thread(target=self._guard, args=(roster, trouble), name="bus", daemon=True)
         self._thread.start()
 
     def entries(self) -> list[dict[str, Any]]:
@@ -163,6 +184,13 @@ class LiveFleet:
         self._ended.set()
         self._thread.join(CONNECT_TIMEOUT_S + 1.0)
 
+    def _guard(self, roster: Roster | None, trouble: str) -> None:
+        try:
+            self._run(roster, trouble)
+        except Exception as error:  # whatever it was: nobody would see that the picture stands still
+            self._say(f"error: the bus is no longer followed: {type(error).__name__}: {error}")
+            self._failed()
+
     def _run(self, roster: Roster | None, trouble: str) -> None:
         while roster is None and not self._ended.wait(LOOK_S):
             self._tell(trouble)
@@ -173,10 +201,13 @@ class LiveFleet:
         if roster is None:
             return
         with roster:
-            self._follow(roster)
-            for vehicle in self.vehicles.values():
-                vehicle.follow()
-                vehicle.close()
+            try:
+                self._follow(roster)
+                for vehicle in self.vehicles.values():
+                    vehicle.follow()
+            finally:
+                for vehicle in self.vehicles.values():
+                    vehicle.close()
 
     def _follow(self, roster: Roster) -> None:
         joining: deque[Presence] = deque()

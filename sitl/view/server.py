@@ -36,7 +36,7 @@ MOST_COMMANDS, COMMANDS_S = 5, 1.0
 MOST_ANSWERS = 100
 """A page that leaves so many answers to its commands unread is closed."""
 UNDRAWN_S = 1.0
-"""After this long the next scene is sent, though the last one was not drawn; and one without news, to judge silent services anew."""
+"""After this long the next scene is sent, though the last one was not drawn."""
 SEND_S = 5.0
 """A client that takes longer to read what was sent is gone."""
 GONE = (WebSocketDisconnect, TimeoutError, RuntimeError)
@@ -311,15 +311,19 @@ class Client:
                 return UNDRAWN_S - since_s
             if self._live and since_s < EVERY_S:
                 return EVERY_S - since_s
-        elif what == sent.what and (self._server.bye or not self._live):
+        elif what == sent.what:
             return UNDRAWN_S
-        scene, mission, published_ms = vehicle.scene(None if self._live else want.at_s)
         self._number += 1
-        data = packed(scene, sent.cursor, mission, self._number, truth=want.truth, published_ms=published_ms)
+        data = await asyncio.to_thread(self._packed, vehicle, want, sent.cursor)
         sent.number, sent.at_s, sent.drawn, sent.what = self._number, now_s, False, what
         async with asyncio.timeout(SEND_S):
             await self._socket.send_bytes(data)
         return UNDRAWN_S
+
+    def _packed(self, vehicle: Showable, want: Show, cursor: Cursor) -> bytes:
+        """Build and pack a scene; in another thread, as it may take long."""
+        scene, mission, published_ms = vehicle.scene(None if self._live else want.at_s)
+        return packed(scene, cursor, mission, self._number, truth=want.truth, published_ms=published_ms)
 
     async def _say(self, message: dict[str, Any]) -> None:
         async with asyncio.timeout(SEND_S):

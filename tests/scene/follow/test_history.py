@@ -76,6 +76,22 @@ def test_the_track_has_a_point_every_tenth_of_a_metre(history: History) -> None:
     assert np.all(np.diff(track[:, 0]) >= 0.0999)
 
 
+def test_the_track_is_not_copied_for_each_scene_and_a_former_scene_stays_as_it_was() -> None:
+    history = History(Backdrop("uav/1"), whole=False)
+    former = history.at()
+    for n in range(150_000):
+        frame = mavlink.MAVLink_local_position_ned_message(n, 0.0, n / 5, -5.0, 0.0, 0.0, 0.0)
+        history.take("mavlink/out", UAV.pack(frame), b"", n / 10, 100.0)
+        if n == 60_000:
+            former = history.at()
+            assert np.shares_memory(former.track, history.at().track)
+    assert len(former.track) == 60_001
+    assert np.allclose(former.track[:, 0], np.arange(60_001) / 5)
+    newest = history.at().track
+    assert 50_000 <= len(newest) <= 100_000  # it is bounded
+    assert np.allclose(newest[:, 0], np.arange(150_000 - len(newest), 150_000) / 5)
+
+
 def test_changes_of_mode_arming_and_long_texts_are_told_once(history: History) -> None:
     armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
     for mode, flags in (((4, 3), 0), ((4, 2), armed), ((4, 2), armed), ((6, 0), armed)):

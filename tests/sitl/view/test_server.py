@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +12,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Codec
 from scene.follow.history import History
-from scene.scene import Backdrop
+from scene.scene import Backdrop, Scene
 from sitl.autopilot.operator import OPERATOR
 from sitl.autopilot.state import Mode
 from sitl.view.control import CommandAnswer, operate
@@ -51,11 +52,15 @@ class Socket:
     def __init__(self, reads: bool = True) -> None:
         self.said = asyncio.Queue[str]()
         self.heard: list[dict[str, Any]] = []
+        self.scenes = 0
         self.closed = ""
         self._reads = reads
 
     async def receive(self) -> dict[str, Any]:
         return {"type": "websocket.receive", "text": await self.said.get()}
+
+    async def send_bytes(self, _: bytes) -> None:
+        self.scenes += 1
 
     async def send_text(self, text: str) -> None:
         if not self._reads:
@@ -185,3 +190,37 @@ def test_a_vehicle_that_is_not_known_yet_gets_no_command() -> None:
     vehicle.system = 0
     assert asyncio.run(operate(vehicle, "land")) == CommandAnswer(False, "uav/1 has not said which system it is")
     assert vehicle.heard == []
+
+
+def test_a_scene_is_built_once_for_all_pages_and_not_in_the_loop_that_serves_them(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    build, built_in = History.at, list[threading.Thread]()
+
+    def at(history: History, **when: float) -> Scene:
+        built_in.append(threading.current_thread())
+        return build(history, **when)
+
+    monkeypatch.setattr(History, "at", at)
+
+    async def watch() -> None:
+        sockets = [Socket() for _ in range(5)]
+        vehicle = LiveVehicle("uav/1", router, None)
+        shown = SimpleNamespace(vehicles={"uav/1": vehicle}, list_version=0, notice="", entries=lambda: [])
+        server = PageServer(shown, AccessRules("127.0.0.1", 8447))
+        tasks = [asyncio.create_task(Client(socket, server, shown, "").run()) for socket in sockets]  # type: ignore[arg-type]
+        for socket in sockets:
+            socket.said.put_nowait('{"show":["uav/1"]}')
+        await until(lambda: all(socket.scenes for socket in sockets))
+        assert len(built_in) == 1
+        vehicle.lives("agent", True)  # a new version
+        server.news()
+        for socket in sockets:
+            socket.said.put_nowait('{"drawn":99}')
+        await until(lambda: all(socket.scenes == 2 for socket in sockets))
+        assert len(built_in) == 2
+        assert threading.current_thread() not in built_in
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        vehicle.close()
+
+    asyncio.run(watch())
