@@ -43,4 +43,4 @@ class OwnSystem:
 
 
 def _is_autopilot(frame: Frame) -> bool:
-    return frame.component == mavlink.MAV_COMP_ID_AUTOPILOT1
+    return frame.component == int(mavlink.MAV_COMP_ID_AUTOPILOT1)

@@ -77,7 +77,7 @@ class CommandRun:
     @property
     def accepted(self) -> bool:
         """Whether it was acknowledged as accepted."""
-        return self._result == mavlink.MAV_RESULT_ACCEPTED
+        return self._result == int(mavlink.MAV_RESULT_ACCEPTED)
 
     @property
     def refused(self) -> bool:
