@@ -21,6 +21,8 @@ URGENT: tuple[CommandName, ...] = ("return", "land")
 """Commands that wait for nothing: they replace one that is not answered yet."""
 AGAIN_S = 0.4
 """Time after which a command that nobody has acknowledged is sent again."""
+ANSWER_S = TRIES * AGAIN_S
+"""Longest time without an acknowledgement."""
 LOOK_S = 0.05
 """Longest time between two looks at a command that is not over."""
 ACK = mavlink.MAVLINK_MSG_ID_COMMAND_ACK
@@ -79,7 +81,7 @@ class Awaited:
         """Return the answer once it is known."""
         if (result := self._run.over(now_s)) is None:
             return None
-        reason = f"{NO_ANSWER} within {TRIES * AGAIN_S:g} s" if result.reason == NO_ANSWER else result.reason
+        reason = f"{NO_ANSWER} within {ANSWER_S:g} s" if result.reason == NO_ANSWER else result.reason
         return CommandAnswer(result.accepted, reason)
 
     def _is_vehicle(self, frame: Frame) -> bool:
@@ -100,8 +102,11 @@ async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
     """Send a command to a vehicle until it is done, and return its answer. Once this is cancelled, nothing more is sent."""
     if not vehicle.here:
         return CommandAnswer(False, f"{vehicle.name} is not there")
-    if not vehicle.system:
-        return CommandAnswer(False, f"{vehicle.name} has not said which system it is")
+    until_s = time.monotonic() + ANSWER_S
+    while not vehicle.system:  # it is told as soon as the bus is joined
+        if time.monotonic() >= until_s:
+            return CommandAnswer(False, f"{vehicle.name} has not said which system it is")
+        await asyncio.sleep(LOOK_S)
     loop, heard = asyncio.get_running_loop(), asyncio.Queue[bytes]()
 
     def listener(payload: bytes) -> None:

@@ -185,11 +185,17 @@ def test_a_command_that_is_cancelled_is_not_sent_later() -> None:
     asyncio.run(cancel())
 
 
-def test_a_vehicle_that_is_not_known_yet_gets_no_command() -> None:
-    vehicle = Obeying()
-    vehicle.system = 0
-    assert asyncio.run(operate(vehicle, "land")) == CommandAnswer(False, "uav/1 has not said which system it is")
-    assert vehicle.heard == []
+def test_a_command_waits_until_the_vehicle_has_said_which_system_it_is() -> None:
+    async def hurry() -> None:
+        vehicle = Obeying()
+        vehicle.system = 0
+        land = asyncio.create_task(operate(vehicle, "land"))
+        await asyncio.wait([land], timeout=0.1)
+        assert vehicle.heard == []
+        vehicle.system = 1
+        assert await land == CommandAnswer(True)
+
+    asyncio.run(hurry())
 
 
 def test_a_scene_is_built_once_for_all_pages_and_not_in_the_loop_that_serves_them(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
