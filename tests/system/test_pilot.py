@@ -54,7 +54,8 @@ def test_a_pilot_holds_during_take_off_and_later_gives_the_search_back(fly: Call
     mission = fly()
     pilot.until_mode(Mode.TAKEOFF)
     assert pilot.change(Mode.HOLD) == 0
-    wait_until(lambda: mission.says("Search gives way: HOLD by 255/190"))
+    where = f"127.0.0.1:{pilot.link.port.getsockname()[1]}"
+    wait_until(lambda: mission.says(f"Search gives way: HOLD by 255/190 at {where}"))
     for _ in range(3):  # the next heartbeats, three simulated seconds
         assert pilot.until("HEARTBEAT", lambda _: True).custom_mode == Mode.HOLD.custom_mode  # type: ignore[attr-defined]
     assert not mission.says("step   0")

@@ -330,10 +330,8 @@ class TestUav:
             f"Waypoint refused: no reading was taken at {start.time_boot_ms + 1} ms",
         ):
             wait_until(lambda words=words: uav.says(words))
-        refused: dict = {}
-        while not refused.get("waypoint"):
-            refused = json.loads(get(health).payload.to_bytes())["refused"]
-        assert refused == {"malformed": 2, "other vehicle": 1, "waypoint": 1}
+        counts = {"malformed": 2, "other vehicle": 1, "waypoint": 1}
+        wait_until(lambda: json.loads(get(health).payload.to_bytes())["refused"] == counts)
         publish(stranger.waypoint(start.time_boot_ms, 10.0, 10.0))
         while (place := messages(get(readings))["LOCAL_POSITION_NED"]).time_boot_ms == start.time_boot_ms:
             pass
@@ -352,13 +350,24 @@ class TestUav:
         stranger.publisher("mavlink/in")(astray)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
             peer.sendto(astray, ("127.0.0.1", port))
-        refused: dict = {}
-        while refused.get("waypoint", 0) < 2:
-            refused = json.loads(get(health).payload.to_bytes())["refused"]
+        wait_until(lambda: json.loads(get(health).payload.to_bytes())["refused"] == {"waypoint": 2})
         stranger.publisher("waypoint")(stranger.waypoint(start_at.time_boot_ms, 10.0, 10.0))
         while (place := messages(get(readings))["LOCAL_POSITION_NED"]).time_boot_ms == start_at.time_boot_ms:
             pass
         assert (place.x, place.y) == (10.0, 10.0)
+
+    def test_who_takes_the_vehicle_is_named_by_how_it_came_whatever_ids_are_forged(
+        self, uav, stranger: Stranger, wait_until: Callable
+    ) -> None:
+        readings, publish = self.begin(stranger), stranger.publisher("mavlink/in")
+        get(readings)
+        forged = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+        hold = mavlink.MAVLink_command_long_message(1, 1, 176, 0, 1.0, 4.0, 3.0, 0, 0, 0, 0)
+        publish(bytes(hold.pack(forged)))
+        wait_until(lambda: uav.says("Search gives way: HOLD by 255/190 on the bus"))
+        stop = mavlink.MAVLink_command_long_message(1, 1, 400, 0, 0.0, 21196.0, 0, 0, 0, 0, 0)
+        publish(bytes(stop.pack(forged)), attachment=b"bridge")
+        wait_until(lambda: uav.says("disarmed by 255/190 through a bridge"))
 
     def test_it_survives_a_client_that_turns_all_streams_off(self, uav, stranger: Stranger) -> None:
         publish = stranger.publisher("mavlink/in")
