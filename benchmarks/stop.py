@@ -24,7 +24,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link import cli
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, STOP, WAYPOINT
-from link.bus.mavlink import Codec, Reading, pack_reading
+from link.bus.mavlink import Codec, Reading, pack_reading, waypoint_message
 from link.bus.messages import Belief, Health, Stop, pack_particles
 from link.bus.session import Arrival, Bus
 from plume.randomness import keyed
@@ -71,11 +71,12 @@ def flood(name: str, endpoint: str) -> None:
     """Publish messages of a key at FLOOD_HZ: those of the vehicle's peers are valid, none answers a reading."""
     key, codec = FLOODS[name], Codec(1, 191)
     beat = codec.pack(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3))
+    said = {WAYPOINT: codec.pack(waypoint_message(1, 0, (10.0, 12.0), 5.0))}
     with Bus(f"flood-{name.partition('/')[2] or name}", endpoint, announced=False) as bus:
-        health = msgspec.json.encode(Health(bus.service, "flooding", 0, 0.0, 0.0, {}))
+        said[HEALTH] = msgspec.json.encode(Health(bus.service, "flooding", 0, 0.0, 0.0, {}))
         for number in _paced(FLOOD_HZ):
             reading = pack_reading(codec, Reading(number, (10.0, 12.0), 5.0, (2.0, 1.0), 0.5)) if key is READING else b""
-            bus.publish(key, reading or (health if key is HEALTH else beat))
+            bus.publish(key, reading or said.get(key, beat))
 
 
 def _paced(rate_hz: float, until: Callable[[], bool] = lambda: False) -> Iterator[int]:
