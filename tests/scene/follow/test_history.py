@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -10,14 +11,15 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Codec, Reading, pack_reading, waypoint_message
 from link.bus.messages import Belief, Health, Stop, pack_particles
-from link.record.reader import Recording
+from link.record.reader import Recording, read
 from link.record.record import Entry
 from scene.follow.history import History
-from scene.follow.recorded import remark_on
+from scene.follow.recorded import history_of, remark_on
 from scene.scene import Backdrop, Release
 
 RELEASE = Release((12.0, 20.0), (2.0, 0.0), 300.0, 4.0, 10.0)
 UAV = Codec(1, 1)
+GOLDEN = Path(__file__).parents[2] / "golden" / "greedy-gaussian.mcap"
 PARTICLES = np.array([[1.0, 2.0, 0.25], [3.0, 4.0, 0.75]], np.float32)
 
 
@@ -143,6 +145,13 @@ def test_readings_and_waypoints_are_shown(history: History) -> None:
     history.take("reading", pack_reading(UAV, Reading(1000, (2.0, 3.0), 5.0, (1.5, -0.5), 0.25)), b"", 1.0, 100.0)
     history.take("waypoint", Codec(1, 191).pack(waypoint_message(1, 1000, (2.5, 4.0), 5.0)), b"", 1.1, 100.0)
     assert (history.at().wind, history.at().waypoint) == ((1.5, -0.5), (2.5, 4.0))
+
+
+def test_a_record_from_before_waypoints_had_a_key_shows_where_each_led() -> None:
+    history = history_of(read(GOLDEN))
+    later = history.measurements.values[1:]
+    assert len(later) > 10
+    assert [history.at(measured.time_s - 0.01).waypoint for measured in later] == [measured.position for measured in later]
 
 
 def test_a_belief_gives_a_measurement_and_its_particles(history: History) -> None:

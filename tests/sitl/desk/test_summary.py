@@ -218,6 +218,15 @@ def test_what_a_log_tells_about_itself_may_be_anything(tmp_path: Path, capsys: p
         )
 
 
+def test_the_waypoints_of_a_record_from_before_they_had_a_key_are_listed_and_exported_under_it(capsys: pytest.CaptureFixture[str]) -> None:
+    golden = Path(__file__).parents[2] / "golden" / "greedy-gaussian.mcap"
+    fields = json.loads(said(capsys, golden, json=True).splitlines()[-1])
+    assert fields["keys"]["waypoint"]["messages"] >= fields["steps"] > 10
+    assert "mavlink/in" not in fields["keys"]
+    rows = said(capsys, golden, csv="waypoint/SET_POSITION_TARGET_LOCAL_NED").splitlines()
+    assert len(rows) == 1 + fields["keys"]["waypoint"]["messages"]
+
+
 def test_a_record_of_a_newer_format_is_one_line(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log.write_bytes(log.read_bytes().replace(b"format\x01\x00\x00\x002", b"format\x01\x00\x00\x003"))
     assert said(capsys, log, status=2) == f"error: {log} has record format 3 of another plumeward version; readable formats: 0, 1, 2\n"
