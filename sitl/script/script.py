@@ -5,7 +5,9 @@
 
 import math
 import os
+import sys
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -169,12 +171,12 @@ class Lose(ScriptEvent, frozen=True, tag="lose"):
     times: Annotated[int, Meta(ge=1, le=100)] = 1
 
 
-class Pause(ScriptEvent, frozen=True, tag="pause"):
+class Hold(ScriptEvent, frozen=True, tag="hold"):
     """The operator makes the vehicle hold its position."""
 
 
 class Resume(ScriptEvent, frozen=True, tag="resume"):
-    """The operator resumes the search; `after_s` counts from the last pause."""
+    """The operator resumes the search; `after_s` counts from the last hold."""
 
     after_s: TimeS | None = None
 
@@ -184,8 +186,12 @@ class Resume(ScriptEvent, frozen=True, tag="resume"):
             raise ValueError("wanted exactly one of time_s and after_s, and no step: a vehicle that holds takes no steps")
 
 
-class Abort(ScriptEvent, frozen=True, tag="abort"):
-    """The operator commands a return to launch."""
+class Return(ScriptEvent, frozen=True, tag="return"):
+    """The operator calls the vehicle home, where it lands."""
+
+
+class Land(ScriptEvent, frozen=True, tag="land"):
+    """The operator makes the vehicle land where it is."""
 
 
 class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
@@ -226,8 +232,10 @@ class Cut(ScriptEvent, frozen=True, tag="cut"):
     for_s: Annotated[float, Meta(gt=0, le=600, description="a number above 0 up to 600: real time, s")]
 
 
-OnBoard = Wind | Dropout | Stuck | Spike | Duplicate | Delay | Lose | Pause | Resume | Abort
+OnBoard = Wind | Dropout | Stuck | Spike | Duplicate | Delay | Lose | Hold | Resume | Return | Land
 """Events that the UAV service carries out."""
+OLD_WORDS = {"pause": "hold", "abort": "return"}
+"""What older scripts call these events."""
 
 
 class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -324,6 +332,8 @@ def find(mission: str | Path) -> Path:
 def load(mission: str | Path) -> Script:
     """Read a mission script, or a shipped one by its name. Raises FileError with file, line, field and what is allowed, in one line."""
     document = Document(find(mission))
+    if old := _renamed(document.value):
+        _warn(f"{document.path}: " + ", ".join(f"{word!r} is an old word, read as {OLD_WORDS[word]!r}" for word in old))
     script = document.to(Script, MAY_BE_INFINITE)
     try:
         sensor.parse(script.sensor)
@@ -346,6 +356,22 @@ def load(mission: str | Path) -> Script:
         wanted = "a policy, or scripted waypoints from step 0 on without a gap"
         raise document.error(["agent", "policy"], f"'none' is not allowed; wanted {wanted}")
     return script
+
+
+def _renamed(value: Any) -> list[str]:
+    """Give the events of a script's value the names of today. Returns the old ones that it had."""
+    events = value.get("events") if isinstance(value, dict) else None
+    named = [event for event in events if isinstance(event, dict) and isinstance(event.get("do"), str)] if isinstance(events, list) else []
+    old = [word for word in OLD_WORDS if any(event["do"] == word for event in named)]
+    for event in named:
+        event["do"] = OLD_WORDS.get(event["do"], event["do"])
+    return old
+
+
+@cache
+def _warn(line: str) -> None:
+    """Print a warning, once: a command may read its script more than once."""
+    print(f"warning: {line}", file=sys.stderr)
 
 
 def _check(document: Document, number: int, event: ScriptEvent) -> None:

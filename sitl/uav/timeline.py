@@ -6,11 +6,11 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 
 from sitl.autopilot.state import Arrived
-from sitl.script.script import Abort, OnBoard, Pause
+from sitl.script.script import Hold, Land, OnBoard, Return
 
 Item = OnBoard | Arrived
 """A script event, or a place at which to measure again after a sensor dropout."""
-BY_OPERATOR = (Pause, Abort)
+BY_OPERATOR = (Hold, Return, Land)
 """Operator events: they happen after the reading of their step, all others before it."""
 
 

@@ -26,7 +26,7 @@ from sitl.autopilot.vehicle import Vehicle
 from sitl.bridge.bus_link import BRIDGED
 from sitl.payload.asking import Asking, Sample
 from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
-from sitl.script.script import Abort, AfterStop, Delay, Dropout, Duplicate, Lose, OnBoard, Pause, Resume, Spike, Stuck, Wind
+from sitl.script.script import AfterStop, Delay, Dropout, Duplicate, Hold, Land, Lose, OnBoard, Resume, Return, Spike, Stuck, Wind
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
 from sitl.uav.ports import BusLink, FromUdp, Port
@@ -83,7 +83,7 @@ class Uav:
         self._tally = log.tally
         self._tally.system = config.sysid
         self._timeline = Timeline(events)
-        self._after_pause_s = [event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None]
+        self._after_hold_s = [event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None]
         self._sensor = FaultySensor()
         self._radio = FaultyRadio(self._publish_reading)
         self._gas: tuple[int, float] | None = None
@@ -374,15 +374,17 @@ class Uav:
                 self._sensor.begin(event, self._vehicle.now_s)
             case Delay() | Duplicate() | Lose():
                 self._radio.begin(event)
-            case Pause():
+            case Hold():
                 self._operate(change_mode(self._vehicle.config.sysid, Mode.HOLD))
-                for after_s in self._after_pause_s[:1]:
+                for after_s in self._after_hold_s[:1]:
                     self._timeline.schedule(self._vehicle.now_s + after_s, Resume(time_s=self._vehicle.now_s + after_s))
-                del self._after_pause_s[:1]
+                del self._after_hold_s[:1]
             case Resume():
                 self._operate(change_mode(self._vehicle.config.sysid, Mode.OFFBOARD))
-            case Abort():
+            case Return():
                 self._operate(command(self._vehicle.config.sysid, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH))
+            case Land():
+                self._operate(command(self._vehicle.config.sysid, mavlink.MAV_CMD_NAV_LAND))
 
     def _operate(self, message: Message) -> None:
         """Handle a message of the script's operator as if it had come over a link."""

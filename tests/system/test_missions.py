@@ -23,7 +23,7 @@ from tests.system.conftest import Part
 from tests.system.live import run_sitl
 
 MISSIONS = Path(__file__).parents[2] / "missions"
-UNDISTURBED = ("bad-radio", "crashing-services", "link-cut", "operator-pause", "router-restart", "sensor-dropout")
+UNDISTURBED = ("bad-radio", "crashing-services", "link-cut", "operator-hold", "router-restart", "sensor-dropout")
 """Missions of seed 2 whose events cost time and nothing else."""
 
 
@@ -123,9 +123,22 @@ def test_an_event_that_comes_too_late_is_told(missed: Flown) -> None:
     assert "warning: events[0] of step 5 did not happen: the search ended at step 4\n" in missed.said
 
 
+# ---- what the operator does ----
+
+
+@pytest.mark.parametrize(("word", "ends"), [("return", "returned home"), ("abort", "returned home"), ("land", "landed")])
+def test_the_operators_words_end_the_search_where_they_say(tmp_path: Path, word: str, ends: str) -> None:
+    script = f"seed: 2\nagent: {{policy: random}}\nevents: [{{step: 5, do: {word}}}]\nexpect: [not ceased, landed, returned home]\n"
+    flight = flown(tmp_path, script)
+    assert flight.result["expectations"] == {"not ceased": True, "landed": True, "returned home": ends == "returned home"}
+    assert flight.result["steps"] == 5
+    old = f"warning: {flight.script}: 'abort' is an old word, read as 'return'\n"
+    assert flight.said.count(old) == (word == "abort")
+
+
 # ---- a mission with many events ----
 
-TURNS, LED, PAUSED, SILENT, DOUBLED = 2, 4, 8, 10, 12
+TURNS, LED, HELD, SILENT, DOUBLED = 2, 4, 8, 10, 12
 """The steps of the events, far enough from each other not to meet."""
 POINTS = [[4.25, 5.5], [6.75, 5.5], [6.1, 8.3]]
 
@@ -138,7 +151,7 @@ agent: {{policy: random, budget: 14}}
 events:
   - {{step: {TURNS}, do: wind, u: 3.5, phi: 1.0}}
   - {{step: {LED}, do: waypoints, points: {json.dumps(POINTS)}}}
-  - {{step: {PAUSED}, do: pause}}
+  - {{step: {HELD}, do: hold}}
   - {{after_s: 45, do: resume}}
   - {{step: {SILENT}, do: dropout, for_s: 2.5}}
   - {{step: {DOUBLED}, do: duplicate, readings: 2, copies: 3}}
@@ -167,8 +180,8 @@ def test_scripted_waypoints_are_flown_and_then_the_agent_goes_on(eventful: Flown
         assert math.dist(before, after) == pytest.approx(1.0, abs=1e-5)
 
 
-def test_a_pause_takes_as_long_as_it_says(eventful: Flown) -> None:
-    times = [reading.time_boot_ms for reading in eventful.readings()][PAUSED - 1 : PAUSED + 3]
+def test_a_hold_takes_as_long_as_it_says(eventful: Flown) -> None:
+    times = [reading.time_boot_ms for reading in eventful.readings()][HELD - 1 : HELD + 3]
     leg_ms = 1000 * 2 * math.sqrt(1 / 3)  # time of 1 m from rest to rest at 3 m/s²
     assert [after - before for before, after in pairwise(times)] == pytest.approx([leg_ms, leg_ms + 45_000, leg_ms], abs=2)
 

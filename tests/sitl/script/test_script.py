@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from plume.scenario import draw
 from plume.sensor import Hits
-from sitl.script.script import Script, load, schema
+from sitl.script.script import Hold, Land, Resume, Return, Script, load, schema
 from sitl.script.typed_yaml import FileError
 
 ROOT = Path(__file__).parents[3]
@@ -29,7 +29,7 @@ estimator:
   prior: {q: 'gamma:2,150'}
 events:
   - {step: 30, do: wind, phi: 2}
-  - {time_s: 10, do: pause}
+  - {time_s: 10, do: hold}
   - {after_s: 10.5, do: resume}
   - step: 3
     do: lawnmower
@@ -62,7 +62,7 @@ MISTAKES = {
     ("do: wind, phi: 2", "do: winds"): "9: events[0].do: 'winds' is not allowed; wanted one of wind, dropout, stuck, spike, ",
     ("do: wind, ", ""): "9: events[0]: do is missing; wanted one of wind, dropout",
     ("do: wind, phi: 2", "do: stuck"): "9: events[0]: readings is missing; wanted a whole number from 1 up to 1000000",
-    ("do: pause", "step: 2, do: pause"): "10: events[1]: wanted exactly one of step and time_s",
+    ("do: hold", "step: 2, do: hold"): "10: events[1]: wanted exactly one of step and time_s",
     ("time_s: 10, ", ""): "10: events[1]: wanted exactly one of step and time_s",
     ("after_s: 10.5", "step: 3"): "11: events[2]: wanted exactly one of time_s and after_s",
     ("high: [10, 10]", "high: [0, 10]"): "14: events[3].high: [0.0, 10.0] is not allowed; wanted a corner north-east of low, [0.0, 0.0]",
@@ -83,7 +83,7 @@ MISTAKES = {
     ("[12, 13]", "[12, 13, 14]"): "3: scenario.source: [12, 13, 14] is not allowed; wanted a list of two: a number from 0 up to 30",
     ("do: wind, phi: 2", "do: [wind]"): "9: events[0].do: ['wind'] is not allowed; wanted one of wind, dropout",
     ("do: wind, phi: 2", "do: stuck, reading: 2"): "9: events[0].reading: unknown field; allowed: do, readings, step, time_s",
-    ("{step: 30, do: wind, phi: 2}", "pause"): "9: events[0]: 'pause' is not allowed; wanted fields with do: one of wind, dropout",
+    ("{step: 30, do: wind, phi: 2}", "hold"): "9: events[0]: 'hold' is not allowed; wanted fields with do: one of wind, dropout",
     ("after_s: 10.5", "after_s: -1"): "11: events[2].after_s: -1 is not allowed; wanted a number from 0: simulation time, s",
     (
         "do: lawnmower\n    high: [10, 10]",
@@ -119,7 +119,7 @@ NOT_FINITE = {
     "scenario: {height: .nan}": "scenario.height: nan",
     "scenario: {source: [3, .nan]}": "scenario.source[1]: nan",
     "events: [{do: spike, step: 1, gas: .nan}]": "events[0].gas: nan",
-    "events: [{do: pause, time_s: .inf}]": "events[0].time_s: inf",
+    "events: [{do: hold, time_s: .inf}]": "events[0].time_s: inf",
 }
 
 
@@ -237,6 +237,39 @@ def test_a_lawnmower_mows_rows_to_and_fro_and_ends_on_the_edges(tmp_path: Path) 
     path.write_text("events:\n- {step: 2, do: lawnmower, low: [1, 2], high: [4, 5], spacing_m: 2, step_m: 1.5}\n")
     points = [(1, 2), (2.5, 2), (4, 2), (4, 4), (2.5, 4), (1, 4), (1, 5), (2.5, 5), (4, 5)]
     assert load(path).scripted() == dict(enumerate(points, start=2))
+
+
+def test_what_the_operator_does_has_the_words_of_the_page(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mission.yaml"
+    events = ("{step: 1, do: hold}", "{after_s: 2, do: resume}", "{step: 3, do: return}", "{time_s: 4, do: land}")
+    path.write_text("events:\n" + "".join(f"- {event}\n" for event in events))
+    assert load(path).events == [Hold(step=1), Resume(after_s=2), Return(step=3), Land(time_s=4)]
+    assert capfd.readouterr().err == ""
+
+
+def test_the_words_of_older_scripts_mean_what_they_meant_and_are_warned_of_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "old.yaml"
+    path.write_text("events:\n- {step: 1, do: pause}\n- {after_s: 2, do: resume}\n- {step: 5, do: pause}\n- {step: 7, do: abort}\n")
+    for _ in range(2):
+        assert load(path).events == [Hold(step=1), Resume(after_s=2), Hold(step=5), Return(step=7)]
+    assert capfd.readouterr().err == f"warning: {path}: 'pause' is an old word, read as 'hold', 'abort' is an old word, read as 'return'\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("events: [{do: abort, sep: 1}]", "events[0].sep: unknown field; allowed: do, step, time_s"),
+        ("events: [{do: [abort]}]", "events[0].do: ['abort'] is not allowed; wanted one of wind, "),
+        ("events: [abort]", "events[0]: 'abort' is not allowed; wanted fields with do: "),
+        ("events: abort", "events: 'abort' is not allowed"),
+        ("[abort]", "['abort'] is not allowed"),
+    ],
+)
+def test_a_mistake_beside_an_old_word_is_named(tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "mission.yaml"
+    path.write_text(f"{text}\n")
+    with pytest.raises(FileError, match=re.escape(f"{path}:1: {told}")):
+        load(path)
 
 
 def test_without_a_policy_the_search_ends_with_the_waypoints(tmp_path: Path) -> None:

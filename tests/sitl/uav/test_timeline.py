@@ -1,6 +1,6 @@
 """Protects the order of events: each happens once, at its step or time."""
 
-from sitl.script.script import Abort, Pause, Spike, Stuck, Wind
+from sitl.script.script import Hold, Land, Return, Spike, Stuck, Wind
 from sitl.uav.timeline import Timeline
 
 
@@ -14,10 +14,11 @@ def test_events_of_a_time_come_in_the_order_of_their_times() -> None:
 
 
 def test_events_of_a_step_come_once_those_of_the_operator_behind_its_reading() -> None:
-    stuck, pause, spike, abort = Stuck(step=4, readings=2), Pause(step=4), Spike(step=4, gas=1.0), Abort(step=5)
-    timeline = Timeline([stuck, pause, spike, abort])
+    stuck, hold, spike = Stuck(step=4, readings=2), Hold(step=4), Spike(step=4, gas=1.0)
+    back, land = Return(step=5), Land(step=5)
+    timeline = Timeline([stuck, hold, spike, back, land])
     assert timeline.next_s() is None
     assert (timeline.before(3), timeline.after(3)) == ([], [])
-    assert (timeline.before(4), timeline.after(4)) == ([stuck, spike], [pause])
+    assert (timeline.before(4), timeline.after(4)) == ([stuck, spike], [hold])
     assert (timeline.before(4), timeline.after(4)) == ([], [])
-    assert (timeline.before(5), timeline.after(5)) == ([], [abort])
+    assert (timeline.before(5), timeline.after(5)) == ([], [back, land])
