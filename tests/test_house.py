@@ -38,9 +38,9 @@ def room_of(module: str) -> str:
 def may_import(room: str) -> set[str]:
     """The rooms that a room says it imports."""
     docstring = ast.get_docstring(ast.parse(ROOMS[room].read_text())) or ""
-    said = re.search(r"Imports: (.+?)\.(?:\n|$)", docstring)
+    said = re.search(r"Imports: (.+?)\.(?:\n|$)", docstring, re.DOTALL)
     assert said, f"{room} does not say what it imports"
-    return set() if said[1] == "nothing of ours" else set(said[1].split(", "))
+    return set() if said[1] == "nothing of ours" else set(re.split(r",\s", said[1]))
 
 
 @cache

@@ -1,1 +1,4 @@
-"""Who may do what on the bus: roles, certificates, the router's rules, and why a connection is refused. Imports: nothing of ours."""
+"""Who may do what on the bus: roles, certificates, the router's rules, why a connection is refused, whom an address is open to.
+
+Imports: nothing of ours.
+"""

@@ -1,12 +1,12 @@
 """A service's own certificate: found, checked before it is used, and given to Zenoh; and why a router was not reached with it."""
 
 import datetime
-import ipaddress
 import socket
 import ssl
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from link.access.reach import host_and_port
 from link.access.roles import MOST_VEHICLES, OF_A_VEHICLE, ROUTER, SERVICES, common_name, role_of
 
 if TYPE_CHECKING:
@@ -129,27 +129,12 @@ def issued(certificate: "Certificate", ca: "Certificate") -> bool:
     return True
 
 
-def is_open(endpoint: str) -> bool:
-    """Whether an endpoint to listen on is reached from other machines."""
-    protocol, _, address = endpoint.partition("/")
-    host = _host_and_port(address)[0]
-    try:
-        return not ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host != "localhost" and not protocol.startswith("unixsock")
-
-
-def _host_and_port(address: str) -> tuple[str, str]:
-    host, _, port = address.partition("#")[0].partition("?")[0].rpartition(":")
-    return host.strip("[]"), port
-
-
 # ---- why a router was not reached ----
 
 
 def why_not(endpoint: str, known: Identity | None) -> str:
     """Return why a router cannot be joined that somebody answers for; empty if nobody answers."""
-    host, port = _host_and_port(endpoint.partition("/")[2])
+    host, port = host_and_port(endpoint.partition("/")[2])
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = known is not None
     context.verify_mode = ssl.CERT_NONE if known is None else ssl.CERT_REQUIRED
@@ -165,7 +150,7 @@ def why_not(endpoint: str, known: Identity | None) -> str:
 
 def is_refused(endpoint: str) -> bool:
     """Whether nobody listens at an endpoint. Where packets are lost, or who listens is slow, nobody has refused yet."""
-    host, port = _host_and_port(endpoint.partition("/")[2])
+    host, port = host_and_port(endpoint.partition("/")[2])
     try:
         socket.create_connection((host, int(port)), timeout=PROBE_S).close()
     except TimeoutError:

@@ -1,4 +1,4 @@
 """MAVLink 2 signing: the key, the signatures of frames, and timestamps that only go forward.
 
-Imports: link.bus.
+Imports: link.access, link.bus.
 """

@@ -7,8 +7,9 @@ import stat
 from pathlib import Path
 from typing import NamedTuple
 
+from link.access.secret import read_secret
+
 WANTED = "a file with 64 hexadecimal digits, or with a passphrase in one line"
-MOST_BYTES = 1024
 
 
 class SecretKey(NamedTuple):
@@ -28,22 +29,8 @@ def read_key(path: str | Path) -> SecretKey:
     64 hexadecimal digits are the key itself. Any other line is a passphrase: the key is its SHA-256, as in MAVProxy,
     QGroundControl and Mission Planner. Space around it, a line end among it, does not count.
     """
-    try:
-        mode = Path(path).stat().st_mode
-        if not stat.S_ISREG(mode):
-            raise ValueError(f"{str(path)!r} is not a file; wanted {WANTED}")
-        with open(path, "rb") as file:
-            content = file.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise ValueError(f"{str(path)!r}: {error.strerror}; wanted {WANTED}") from None
+    text, mode = read_secret(path, WANTED)
     open_to_all = bool(mode & (stat.S_IROTH | stat.S_IWOTH)) and os.name == "posix"
-    try:
-        text = content.decode("utf-8-sig").strip()
-    except UnicodeDecodeError:
-        raise ValueError(f"{str(path)!r} is not text; wanted {WANTED}") from None
-    if not text or not text.isprintable() or len(content) > MOST_BYTES:
-        fault = "is empty" if not text else "is too long" if len(content) > MOST_BYTES else "has more than one line"
-        raise ValueError(f"{str(path)!r} {fault}; wanted {WANTED}")
     if re.fullmatch(r"[0-9a-fA-F]{64}", text):
         return SecretKey(bytes.fromhex(text), "64 hexadecimal digits", open_to_all)
     return SecretKey(hashlib.sha256(text.encode()).digest(), "a passphrase", open_to_all)

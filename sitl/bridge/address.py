@@ -4,6 +4,8 @@ import re
 import termios
 from typing import NamedTuple
 
+from link.access.reach import is_open
+
 ALLOWED = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE[:BAUD]"
 LISTENING = ("udpin", "tcpin")
 """Kinds that wait for others at HOST:PORT. The others call HOST:PORT."""
@@ -40,12 +42,12 @@ class Address(NamedTuple):
     @property
     def other_side(self) -> str:
         """What the other side is, or how it connects."""
-        return OTHER_SIDE[self.kind].format(host="HOST" if self.open_to_all else self.host, port=self.port)
+        return OTHER_SIDE[self.kind].format(host="HOST" if self.host == EVERYWHERE else self.host, port=self.port)
 
     @property
-    def open_to_all(self) -> bool:
-        """Whether it listens on all interfaces."""
-        return self.kind in LISTENING and self.host == EVERYWHERE
+    def open(self) -> bool:
+        """Whether it listens to other machines."""
+        return self.kind in LISTENING and is_open(self.host)
 
 
 def parse_address(url: str) -> Address:

@@ -54,8 +54,8 @@ def run(args: argparse.Namespace) -> int:
         bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
         for address in addresses:
             bus.log.info(f"{address.text}: {address.other_side}")
-            if address.open_to_all and not args.sign:
-                bus.log.warning(f"{address.text} listens on all interfaces: whoever reaches port {address.port} can command the vehicle")
+            if address.open and not args.sign:
+                bus.log.warning(f"{address.text} is open to other machines: whoever reaches port {address.port} can command the vehicle")
         on_end(lambda _: bridge.end())  # no KeyboardInterrupt, which could strike within a frame
         signal.set_wakeup_fd(bridge.wake_descriptor, warn_on_full_buffer=False)
         bus.publish_health()

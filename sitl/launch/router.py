@@ -9,7 +9,7 @@ import msgspec
 import zenoh
 
 from link.access.crowds import Crowds
-from link.access.identity import is_open
+from link.access.reach import endpoint_is_open
 from link.access.refusals import Refusals
 from link.bus.keys import STOP
 from link.bus.log import Log
@@ -41,7 +41,7 @@ def run(endpoint: str, secure: Path | None = None, connect: str | None = None) -
     session, listening = open_router(endpoint, secure, connect)
     with session:
         print(listening, flush=True)
-        if not secure and is_open(endpoint):
+        if not secure and endpoint_is_open(endpoint):
             log.warning(f"{endpoint} is open to other machines: whoever reaches it can command the vehicle (--secure DIR admits by role)")
         crowds = Crowds(session) if secure else None
         session.declare_subscriber(f"uav/*/{STOP.name}", lambda sample: _tell_stop(log, sample))

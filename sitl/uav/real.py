@@ -63,7 +63,10 @@ def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | N
     from sitl.remote.vehicle import RemoteVehicle
 
     connection = Connection(parse_address(url), log)
-    log.info(f"vehicle at {connection.address.text}; the other side: {connection.address.other_side}")
+    address = connection.address
+    log.info(f"vehicle at {address.text}; the other side: {address.other_side}")
+    if address.open:
+        log.warning(f"{address.text} is open to other machines: whoever reaches port {address.port} can speak as the vehicle")
     return RemoteVehicle(config, Commander(connection, speedup, sysid)), connection
 
 

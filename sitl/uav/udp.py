@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from link.access.reach import is_open
 from link.bus.frames import LAYOUTS, Frame, checksums, frame_at, frame_length
 from link.bus.log import Log
 from link.bus.mavlink import Codec, Message
@@ -45,7 +46,7 @@ class Url(NamedTuple):
     @property
     def open(self) -> bool:
         """Whether it listens to other machines."""
-        return self.listens and not (self.host.startswith("127.") or self.host == "localhost")
+        return self.listens and is_open(self.host)
 
     @property
     def counterpart(self) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from link.access.authority import make
-from link.access.identity import AccessError, is_open, secured, why_not
+from link.access.identity import AccessError, secured, why_not
 
 LONG_AGO = datetime.datetime(2000, 1, 1, tzinfo=datetime.UTC)
 
@@ -105,13 +105,6 @@ def test_with_certificates_tcp_means_tls(folder: Path) -> None:
 def test_tls_needs_certificates() -> None:
     with pytest.raises(AccessError, match=r"^--listen: 'tls/127\.0\.0\.1:7447' is not allowed without --secure DIR"):
         secured("--listen", "tls/127.0.0.1:7447", None, "router", None)
-
-
-def test_which_endpoints_other_machines_reach() -> None:
-    assert not any(map(is_open, ("tcp/127.0.0.1:7447", "tcp/localhost:0", "tcp/[::1]:7447", "unixsock-stream/router.sock")))
-    assert all(map(is_open, ("tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.168.1.2:7447", "tcp/example.org:7447")))
-    assert all(map(is_open, ("tcp/127.example.org:7447", "tcp/localhost.example.org:7447")))
-    assert not is_open("tcp/127.0.0.2:0?prio=1#iface=lo")
 
 
 def test_a_certificate_that_is_gone_when_the_router_is_asked_why_raises_nothing(folder: Path) -> None:
