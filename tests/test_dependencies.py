@@ -24,7 +24,6 @@ DEVELOPMENT = ("tests", "benchmarks")
 EXTRAS = {
     "train": ("agent/learn/", "plumeward/environments.py"),
     "view": ("scene/drawing.py", "scene/animation.py", "agent/trials/report/"),
-    "foxglove": ("sitl/view/foxglove.py",),
     "ray": ("agent/trials/cluster.py",),
 }
 """Extras of users, and the code that may import what they bring."""

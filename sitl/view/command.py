@@ -24,6 +24,8 @@ from plume.randomness import MAX_SEED
 from plume.worlds import WORLDS, check
 from sitl.script.script import Script, load, shipped
 from sitl.script.typed_yaml import FileError
+from sitl.view.guard import AccessRules, Asgi, origin
+from sitl.view.word import word_in
 
 PORT = 8447
 FIRST_PAGE_S = 30.0
@@ -50,7 +52,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cli.add_secure_argument(parser)
     parser.add_argument("--host", metavar="ADDRESS", default="127.0.0.1", help="where to serve the page (default: %(default)s)")
     parser.add_argument("--port", type=cli.whole(0, 65535), default=PORT, metavar="N", help="0: a free port (default: %(default)s)")
-    parser.add_argument("--token", default="", metavar="WORD", help="allow commands only where the page's address ends in ?token=WORD")
+    parser.add_argument(
+        "--token-file", type=Path, metavar="FILE",
+        help="allow commands only to those who enter the word in this file; if there is none, it is made with a new word",
+    )  # fmt: skip
+    parser.add_argument("--token", type=_gone, help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--origin", type=cli.checked(origin), action="append", default=[], metavar="URL",
+        help="allow those who come from here, too: a proxy before the page, a web page that shows --foxglove; may be repeated",
+    )  # fmt: skip
     parser.add_argument("--open", action="store_true", help="open the page in a browser")
     parser.add_argument("--foxglove", type=cli.whole(0, 65535), metavar="N", help="stream the scenes to Foxglove, too, on this local port")
     truth = "simulation only: the truth to show of the first vehicle is that of"
@@ -60,6 +70,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mission = parser.add_argument("--mission", metavar="MISSION", help=f"{truth} this mission script")
     cli.completed(mission, shipped, "yaml", "yml")
     parser.add_argument("--about", type=json.loads, help=argparse.SUPPRESS)
+
+
+def _gone(_: str) -> str:
+    raise argparse.ArgumentTypeError("not allowed any more: everyone on this machine can read it there; wanted --token-file FILE")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -97,6 +111,14 @@ def _refusal(args: argparse.Namespace) -> str:
             return str(error)
         args.about = {"namespace": None, "mission": script, "scenario": script.simulated().truth, "seed": script.seed}
         args.about = msgspec.to_builtins(args.about)
+    args.word = ""
+    if args.token_file:
+        try:
+            args.word, line = word_in(args.token_file)
+        except ValueError as error:
+            return f"--token-file: {error}"
+        if line:
+            print(line, file=sys.stderr, flush=True)
     return ""
 
 
@@ -106,17 +128,17 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     from link.record.reader import RecordError
     from scene.follow.recorded import backdrop_of, turns_of
     from sitl.view.connections import Lobby
-    from sitl.view.foxglove import LiveFoxglove, NoFoxglove
-    from sitl.view.guard import AccessRules
+    from sitl.view.foxglove import LONGEST_REQUEST, LiveFoxglove, NoFoxglove
     from sitl.view.live import Described, LiveFleet
     from sitl.view.records import RecordedFleet
     from sitl.view.server import LONGEST_MESSAGE, SEND_S, PageServer
 
     loop = asyncio.get_running_loop()
     port = listening.getsockname()[1]
+    origins = tuple(map(origin, args.origin))
     server: PageServer | None = None
     try:
-        stream = None if args.foxglove is None else LiveFoxglove(args.foxglove)
+        stream = None if args.foxglove is None else LiveFoxglove(args.foxglove, origins)
     except NoFoxglove as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
@@ -163,7 +185,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     except RecordError as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    rules = AccessRules(args.host, port, args.token)
+    rules = AccessRules(args.host, port, args.word, origins)
     server = PageServer(shown, rules)
 
     class _Uvicorn(uvicorn.Server):
@@ -171,13 +193,20 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         def capture_signals(self) -> Iterator[None]:
             yield  # they are ours
 
-    guest, page_socket = Lobby(SEND_S).protocols()
-    config = uvicorn.Config(
-        server.app(), http=guest, ws=page_socket, lifespan="off", log_config=None, log_level="critical", access_log=False,
-        server_header=False, date_header=False, ws_max_size=LONGEST_MESSAGE, ws_per_message_deflate=False,
-        timeout_graceful_shutdown=1,
-    )  # fmt: skip
-    http = _Uvicorn(config)
+    def serving(app: Asgi, longest_message: int) -> uvicorn.Server:
+        guest, page_socket = Lobby(SEND_S).protocols()
+        config = uvicorn.Config(
+            app, http=guest, ws=page_socket, lifespan="off", log_config=None, log_level="critical", access_log=False,
+            server_header=False, date_header=False, ws_max_size=longest_message, ws_per_message_deflate=False,
+            timeout_graceful_shutdown=1,
+            proxy_headers=bool(origins),  # who is behind a proxy of this machine, by X-Forwarded-For
+        )  # fmt: skip
+        return _Uvicorn(config)
+
+    http = serving(server.app(), LONGEST_MESSAGE)
+    servers = [(http, listening)]
+    if stream:
+        servers.append((serving(stream.app(), LONGEST_REQUEST), stream.listening))
     status = [0]
 
     def end(number: int = INTERRUPTED) -> None:
@@ -204,9 +233,12 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         streaming = asyncio.create_task(keep_streaming(stream))
     if args.open:
         threading.Thread(target=webbrowser.open, args=(rules.address,), daemon=True).start()
-    await http.serve(sockets=[listening])
+    tasks = [asyncio.create_task(each.serve(sockets=[at])) for each, at in servers]
+    await tasks[0]
+    for each, _ in servers:
+        each.should_exit = True
+    await asyncio.gather(*tasks)
     shown.end()
     if stream:
         streaming.cancel()
-        stream.close()
     return status[0]

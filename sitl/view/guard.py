@@ -2,10 +2,12 @@
 
 import hmac
 import ipaddress
+import re
 import socket
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any, NamedTuple
-from urllib.parse import quote
+
+from link.access.reach import is_open
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -22,48 +24,71 @@ HEADERS = {
 }
 
 
+WANTED = "read-only: to command, enter the word of --token-file"
+WRONG = "read-only: that is not the word of --token-file"
+USUAL_PORTS = {"http": ":80", "https": ":443"}
+FILE = "file://"
+"""The Origin of programs that are made like web pages, such as the desktop app of Lichtblick, and of files that a browser opens."""
+
+
 class AccessRules(NamedTuple):
-    """Where the page is served, and the word that allows commands."""
+    """Where the page is served, from where others may use it, and the word that allows commands."""
 
     host: str
     """The address that it is bound to."""
     port: int
     token: str = ""
-    """Empty: none is needed on a loopback address, and elsewhere nobody may command."""
+    """Empty: none is needed where only this machine reaches the page, and elsewhere nobody may command."""
+    origins: tuple[str, ...] = ()
+    """Other origins that may use it, as `origin` returns them: that of a proxy."""
+    programs: bool = False
+    """Whether programs may connect that are no web pages: they name no Origin, or FILE."""
 
     @property
     def address(self) -> str:
         """What to enter in a browser on this machine."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"http://{host}:{self.port}/" + (f"?token={quote(self.token, safe='')}" if self.token else "")
+        return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}/"
 
     def allows_host(self, host: str) -> bool:
-        """Whether a Host header is this server's: a page whose name was pointed here (DNS rebinding) has another one.
+        """Whether a Host header is this server's or a proxy's: a page whose name was pointed here (DNS rebinding) has another one."""
+        return self._is_own(host) or any(host.lower() == known.partition("://")[2] for known in self.origins)
 
-        Bound to all addresses, any address is: a name is what rebinding needs.
-        """
+    def _is_own(self, host: str) -> bool:
+        """Whether a Host header is this server's. Bound to all addresses, any address is: a name is what rebinding needs."""
         name, port = _split(host)
         if port != self.port:
             return False
         bound, asked = _address(self.host), _address(name)
         if name == "localhost":
-            return bound is None or bound.is_loopback or bound.is_unspecified
+            return not is_open(self.host) or (bound is not None and bound.is_unspecified)
         if bound is not None and bound.is_unspecified:
             return asked is not None or name == socket.gethostname().lower()
         return name == self.host.lower() or (asked is not None and asked == bound)
 
-    def allows_origin(self, origin: str, host: str) -> bool:
-        """Whether an Origin header is that of the page served under this Host header."""
-        return origin.lower() == f"http://{host.lower()}"
+    def allows_origin(self, origin: str | None, host: str) -> bool:
+        """Whether an Origin header, None if there is none, is of the page that this Host header asks for, or of the others allowed."""
+        if origin is None or origin == FILE:
+            return self.programs
+        return origin.lower() in self.origins or (self._is_own(host) and origin.lower() == f"http://{host.lower()}")
 
     def why_no_commands(self, token: str) -> str:
         """Return why a client with this token may only look; empty if it may command."""
         if self.token:
-            right = hmac.compare_digest(token.encode(), self.token.encode())
-            return "" if right else "read-only: the page's address lacks the right token (?token=...)"
-        bound = _address(self.host)
-        loopback = self.host == "localhost" if bound is None else bound.is_loopback
-        return "" if loopback else f"read-only: the page is served on {self.host} without --token"
+            if not token:
+                return WANTED
+            return "" if hmac.compare_digest(token.encode(), self.token.encode()) else WRONG
+        if is_open(self.host):
+            return f"read-only: the page is served on {self.host} without --token-file"
+        return "read-only: the page is open to --origin without --token-file" if self.origins else ""
+
+
+def origin(text: str) -> str:
+    """Return an origin as browsers write it; raises ValueError if it is none."""
+    match = re.fullmatch(r"([a-z][a-z0-9+.-]*)://([a-z0-9._-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?/?", text.lower())
+    if not match:
+        raise ValueError(f"{text!r} is not an origin; wanted the beginning of an address, without a path: https://drone.example:8443")
+    scheme, host, port = match[1], match[2], match[3] or ""
+    return f"{scheme}://{host}{'' if port == USUAL_PORTS.get(scheme) else port}"
 
 
 def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
@@ -112,8 +137,8 @@ def _refusal(scope: Scope, rules: AccessRules) -> str:
     hosts, origins = _values(scope, b"host"), _values(scope, b"origin")
     if len(hosts) != 1 or not rules.allows_host(hosts[0]):
         return f"Host {', '.join(hosts)!r} is not this server; wanted its address and port {rules.port}"
-    if scope["type"] == "websocket" and (len(origins) != 1 or not rules.allows_origin(origins[0], hosts[0])):
-        return f"Origin {', '.join(origins)!r} is not this page; wanted http://{hosts[0]}"
+    if scope["type"] == "websocket" and (len(origins) > 1 or not rules.allows_origin(next(iter(origins), None), hosts[0])):
+        return f"Origin {', '.join(origins)!r} is not this page; wanted http://{hosts[0]}, or one that --origin names"
     return ""
 
 

@@ -23,6 +23,7 @@ from sitl.view.control import URGENT, CommandAnswer, CommandName, operate
 from sitl.view.guard import AccessRules, Asgi, guarded
 from sitl.view.live import LiveVehicle
 from sitl.view.wire import Cursor, packed
+from sitl.view.word import ASKS, PROTOCOL, Doorkeeper, word_of
 
 PAGE = Path(__file__).with_name("page")
 MOST_CLIENTS = 20
@@ -115,6 +116,7 @@ class PageServer:
         """Take what to show and who may do what."""
         self._shown = shown
         self._rules = rules
+        self._door = Doorkeeper(rules)
         self._page = page
         self._clients: set[Client] = set()
         self._commanded: dict[str, tuple[CommandName, asyncio.Task[CommandAnswer]]] = {}
@@ -149,9 +151,8 @@ class PageServer:
         return FileResponse(self._page / "index.html")
 
     async def _scenes(self, socket: WebSocket) -> None:
-        await socket.accept()
-        why_not = self._rules.why_no_commands(socket.query_params.get("token", ""))
-        client = Client(socket, self, self._shown, why_not)
+        await socket.accept(PROTOCOL if PROTOCOL in socket.scope["subprotocols"] else None)
+        client = Client(socket, self, self._shown, self._why_no_commands(socket))
         if sum(other.may_command == client.may_command for other in self._clients) >= MOST_CLIENTS:
             await socket.close(TRY_AGAIN_LATER, f"{MOST_CLIENTS} pages are open; close one of them")
             return
@@ -161,6 +162,11 @@ class PageServer:
         finally:
             self._clients.discard(client)
             self.left_at = time.monotonic()
+
+    def _why_no_commands(self, socket: WebSocket) -> str:
+        """Return why a client may only look; empty if it may command."""
+        address = socket.client.host if socket.client else ""
+        return self._door.why_no_commands(word_of(socket.scope["subprotocols"]), address, time.monotonic())
 
     async def order(self, order: Order) -> CommandAnswer:
         """Carry out a command from a page that may command."""
@@ -279,7 +285,9 @@ class Client:
     # ---- to the page ----
 
     async def _write(self) -> None:
-        await self._say({"hello": {"live": self._live, "may_command": self.may_command, "why_not": self._why_not, "version": __version__}})
+        may, word = self.may_command, ASKS.get(self._why_not, "")
+        hello = {"live": self._live, "may_command": may, "why_not": self._why_not, "word": word, "version": __version__}
+        await self._say({"hello": hello})
         told = False
         while True:
             self.wake.clear()

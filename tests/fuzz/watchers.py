@@ -115,8 +115,8 @@ def _shown() -> OneRecord:
 
 
 def browser_seeds() -> list[bytes]:
-    """Return a Host, an Origin, a query, a path, and the messages, a line each."""
-    head = b"127.0.0.1:8447\nhttp://127.0.0.1:8447\ntoken=word\n/static/page.js\n"
+    """Return a Host, an Origin, a subprotocol, a path, and the messages, a line each."""
+    head = b"127.0.0.1:8447\nhttp://127.0.0.1:8447\nword.c2VjcmV0\n/static/page.js\n"
     return [
         head + b'{"show":["uav/1"],"truth":true,"at_s":1.5}\n{"drawn":1}',
         head + b'{"command":"hold","vehicle":"uav/1"}\n{"show":[]}',
@@ -126,26 +126,27 @@ def browser_seeds() -> list[bytes]:
 
 def browser(data: bytes) -> None:
     """Requests and messages of a page are answered or refused with a reason; none ends the server."""
-    host, origin, query, path, *said = data.split(b"\n")[:12] + [b""] * max(4 - data.count(b"\n") - 1, 0)
+    host, origin, protocol, path, *said = data.split(b"\n")[:12] + [b""] * max(4 - data.count(b"\n") - 1, 0)
     for each in said:
         try:
             message_of(each)
         except ValueError:
             continue
-    asyncio.run(_both(host, origin, query, path, said))
+    asyncio.run(_both(host, origin, protocol, path, said))
 
 
 async def _both(*hostile: Any) -> None:
-    app = PageServer(_shown(), AccessRules("127.0.0.1", 8447, "word")).app()
+    app = PageServer(_shown(), AccessRules("127.0.0.1", 8447, "secret")).app()
     await _asked(app, *hostile)
-    await _asked(app, b"127.0.0.1:8447", b"http://127.0.0.1:8447", b"token=word", b"/", [b'{"show":["uav/1"]}'], fine=True)
+    await _asked(app, b"127.0.0.1:8447", b"http://127.0.0.1:8447", b"word.c2VjcmV0", b"/", [b'{"show":["uav/1"]}'], fine=True)
 
 
-async def _asked(app: Asgi, host: bytes, origin: bytes, query: bytes, path: bytes, said: list[bytes], fine: bool = False) -> None:
+async def _asked(app: Asgi, host: bytes, origin: bytes, protocol: bytes, path: bytes, said: list[bytes], fine: bool = False) -> None:
     scope = {
-        "path": path.decode("latin-1"), "raw_path": path, "query_string": query, "root_path": "", "http_version": "1.1",
-        "headers": [(b"host", host), (b"origin", origin)], "scheme": "http", "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 8447),
-        "method": "GET", "subprotocols": [], "asgi": {"version": "3.0"}, "extensions": {"websocket.http.response": {}},
+        "path": path.decode("latin-1"), "raw_path": path, "query_string": protocol, "root_path": "",
+        "http_version": "1.1", "headers": [(b"host", host), (b"origin", origin)], "scheme": "http", "client": ("127.0.0.1", 1),
+        "server": ("127.0.0.1", 8447), "method": "GET", "subprotocols": [protocol.decode("latin-1")], "asgi": {"version": "3.0"},
+        "extensions": {"websocket.http.response": {}},
     }  # fmt: skip
     answers: list[dict[str, Any]] = []
     waiting = [{"type": "websocket.connect"}]

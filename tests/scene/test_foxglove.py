@@ -62,10 +62,11 @@ def test_the_first_scene_says_all_there_is_to_see(said: dict[str, Any]) -> None:
 
 
 def test_the_schemas_are_the_official_ones() -> None:
-    foxglove = pytest.importorskip("foxglove.messages")
+    from foxglove import messages
+
     for _, kind, _ in SceneEncoder().encode(SCENE, STAMP_NS):
         name, schema = schema_of(kind)
-        official = getattr(foxglove, kind.DESCRIPTOR.name).get_schema()
+        official = getattr(messages, kind.DESCRIPTOR.name).get_schema()
         assert (name, "protobuf") == (official.name, official.encoding)
         assert files(schema) == files(official.data), name
 

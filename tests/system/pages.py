@@ -1,8 +1,10 @@
 """A browser's stand-in: connects to the page's WebSocket, acknowledges scenes and keeps what a page would keep."""
 
 import json
+import socket
 import struct
 import time
+from base64 import urlsafe_b64encode
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
@@ -13,14 +15,15 @@ from tests.system.conftest import Part
 
 
 class Browser:
-    """One page of a server at 127.0.0.1."""
+    """One page of a server at 127.0.0.1; `host` is what its Host header says instead."""
 
-    def __init__(self, port: int, token: str = "", **how: Any) -> None:
+    def __init__(self, port: int, word: str = "", host: str = "", **how: Any) -> None:
         self.port = port
-        query = f"?token={token}" if token else ""
-        how = {"origin": f"http://127.0.0.1:{port}", "max_size": None, **how}
+        offered = ["plumeward", f"word.{urlsafe_b64encode(word.encode()).decode().rstrip('=')}"] if word else None
+        how = {"origin": f"http://127.0.0.1:{port}", "max_size": None, "subprotocols": offered, **how}
         self._open = ExitStack()
-        self.socket: ClientConnection = self._open.enter_context(connect(f"ws://127.0.0.1:{port}/scenes{query}", **how))
+        plain = socket.create_connection(("127.0.0.1", port))
+        self.socket: ClientConnection = self._open.enter_context(connect(f"ws://{host or f'127.0.0.1:{port}'}/scenes", sock=plain, **how))
         self.hello: dict[str, Any] = {}
         self.vehicles: dict[str, dict[str, Any]] = {}
         self.notice = ""

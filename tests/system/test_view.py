@@ -313,16 +313,79 @@ def test_another_page_gets_no_scenes(replay: int, origin: str | None) -> None:
     assert refused.value.response.status_code == 403
 
 
-def test_elsewhere_only_a_token_may_command(view: Callable[..., tuple[Part, int]], router: str) -> None:
+def test_elsewhere_only_the_word_of_the_token_file_commands(view: Callable[..., tuple[Part, int]], router: str, tmp_path: Path) -> None:
+    file = tmp_path / "word"
     with Bus("uav", router):
         _, open_to_all = view("--connect", router, "--host", "0.0.0.0")
         with Browser(open_to_all) as page:
             assert page.hello["may_command"] is False
-            assert page.order("land")["reason"] == page.hello["why_not"] == "read-only: the page is served on 0.0.0.0 without --token"
-        _, guarded = view("--connect", router, "--host", "0.0.0.0", "--token", "secret")
-        with Browser(guarded) as page, Browser(guarded, "wrong") as wrong, Browser(guarded, "secret") as right:
-            assert (page.hello["may_command"], wrong.hello["may_command"], right.hello["may_command"]) == (False, False, True)
-            assert "token" in page.order("land")["reason"]
+            assert page.order("land")["reason"] == page.hello["why_not"] == "read-only: the page is served on 0.0.0.0 without --token-file"
+        part, guarded = view("--connect", router, "--host", "0.0.0.0", "--token-file", str(file))
+        word = file.read_text().strip()
+        assert file.stat().st_mode & 0o777 == 0o600
+        with Browser(guarded) as page, Browser(guarded, word) as right, Browser(guarded, "a wrong word") as wrong:
+            assert [(each.hello["may_command"], each.hello["word"]) for each in (page, right, wrong)] == [
+                (False, "wanted"), (True, ""), (False, "wrong"),
+            ]  # fmt: skip
+            assert "--token-file" in page.order("land")["reason"]
+        assert word not in "".join([*part.out, *part.err, *Path(f"/proc/{part.process.pid}/cmdline").read_text().split("\0")])
+
+
+def test_a_word_in_the_arguments_is_refused_with_what_to_use_and_not_repeated(start: type[Part]) -> None:
+    part = start("sitl", "view", "--port", "0", "--token", "secret-word")
+    assert part.ended() == 2
+    (line,) = part.err
+    assert "error: --token: not allowed any more" in line
+    assert "wanted --token-file FILE" in line
+    assert "secret-word" not in line
+
+
+@pytest.mark.parametrize(
+    ("flags", "told"),
+    [
+        (("--token-file", "empty"), "error: --token-file: 'empty' is empty; wanted a file with a word of at least 8 characters in one"),
+        (("--token-file", "short"), "error: --token-file: 'short' holds a word of 7 characters; wanted a file with a word of at least 8 "),
+        (("--token-file", "none/word"), "error: --token-file: 'none/word': No such file or directory; wanted a file with a word"),
+        (("--token-file", "."), "error: --token-file: '.' is not a file; wanted a file with a word"),
+        (("--origin", "drone.example"), "error: --origin: 'drone.example' is not an origin; wanted the beginning of an address"),
+        (("--origin", "https://drone.example/page"), "error: --origin: 'https://drone.example/page' is not an origin"),
+    ],
+)
+def test_a_word_or_an_origin_that_cannot_be_used_is_named_in_one_line(
+    tmp_path: Path, flags: tuple[str, str], told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "empty").touch()
+    (tmp_path / "short").write_text("seven77\n")
+    part = Part("sitl", "view", "--port", "0", *flags, cwd=tmp_path)
+    assert part.ended() == 2
+    (line,) = part.err
+    assert told in line
+
+
+def test_a_word_that_others_can_read_is_warned_of(start: type[Part], tmp_path: Path) -> None:
+    file = tmp_path / "word"
+    file.write_text("a long secret\n")
+    file.chmod(0o640)
+    part = start("sitl", "view", "--port", "0", "--token-file", str(file), str(GOLDEN))
+    wait_until(lambda: part.out)
+    assert part.err == [f"warning: {str(file)!r} is open to other users of this machine: chmod 600 {file}\n"]
+
+
+def test_a_proxy_is_admitted_by_origin_alone_and_then_commands_need_the_word(
+    view: Callable[..., tuple[Part, int]], router: str, replay: int
+) -> None:
+    proxy, name = "https://drone.example", "drone.example"
+    with Bus("uav", router):
+        _, port = view("--connect", router, "--origin", proxy, "--origin", "http://other.example:8080")
+        for origin, host in ((proxy, ""), (proxy, name), ("http://other.example:8080", "other.example:8080")):
+            with Browser(port, origin=origin, host=host) as page:
+                assert page.hello["why_not"] == "read-only: the page is open to --origin without --token-file"
+        for origin, host in (("https://evil.example", ""), ("http://drone.example", name), (proxy, "evil.example")):
+            with pytest.raises(InvalidStatus, match="403"):
+                Browser(port, origin=origin, host=host)
+    for host in ("", name):
+        with pytest.raises(InvalidStatus, match="403"):
+            Browser(replay, origin=proxy, host=host)
 
 
 # ---- clients that misbehave ----

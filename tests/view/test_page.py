@@ -272,13 +272,52 @@ def test_a_page_that_may_not_command_says_why(look: Callable[..., Window]) -> No
         stage.close()
 
 
-def test_the_token_in_the_pages_address_allows_commands(look: Callable[..., Window]) -> None:
-    stage = Stage(token="a b&c")
+def enter(window: Window, word: str) -> None:
+    """Give the page a word, as people do."""
+    window.page.get_by_role("button", name="Enter the word…").click()
+    window.page.get_by_label("It is in the file that --token-file names:").fill(word)
+    window.page.keyboard.press("Enter")
+
+
+def test_the_word_that_is_entered_allows_commands_until_the_window_closes_and_no_address_holds_it(look: Callable[..., Window]) -> None:
+    stage = Stage(token="two words, é+/")
     stage.open()
     try:
         stage.enter(scene())
-        assert drawn(look(stage.address)).page.locator("[data-command=hold]").is_disabled()
-        assert drawn(look(f"{stage.address}?token=a%20b%26c")).page.locator("[data-command=hold]").is_enabled()
+        window = drawn(look(stage.address))
+        commands = window.page.locator("[data-command]").first
+        assert commands.is_disabled()
+        assert "enter the word" in window.text(".why")
+        window.page.get_by_role("button", name="Enter the word…").click()
+        window.keep("word")
+        assert window.violations() == []
+        window.page.get_by_role("button", name="Only look").click()
+        enter(window, "two words, é+/")
+        window.until("plumeward.state.hello.may_command")
+        window.until("!document.querySelector('[data-command]').disabled")
+        assert window.page.locator("#word-open").is_hidden()
+        window.page.reload()
+        drawn(window)
+        assert commands.is_enabled()
+        assert window.page.url == stage.address
+        assert {url.partition("?")[2] for url in window.asked} == {""}
+        assert drawn(look(stage.address)).page.locator("[data-command]").first.is_disabled()  # another window
+    finally:
+        stage.close()
+
+
+def test_a_wrong_word_is_told_and_forgotten_and_the_right_one_taken_though_it_comes_too_soon(look: Callable[..., Window]) -> None:
+    stage = Stage(token="the secret")
+    stage.open()
+    try:
+        stage.enter(scene())
+        window = drawn(look(stage.address))
+        enter(window, "not the secret")
+        window.until("plumeward.state.hello.word === 'wrong'")
+        assert "not the word" in window.text(".why")
+        assert window.of("sessionStorage.length") == 0
+        enter(window, "the secret")
+        window.until("plumeward.state.hello.may_command")
     finally:
         stage.close()
 

@@ -6,6 +6,7 @@ import { Link } from "./link.js";
 import { merge, unknown, unpack } from "./model.js";
 import { make, Pane, sentence, setText } from "./pane.js";
 import { TimeLine } from "./timeline.js";
+import { followWord } from "./word.js";
 
 const MOST_LATENCIES = 2000;
 const find = (id) => document.getElementById(id);
@@ -142,6 +143,7 @@ function whyNot(vehicle) {
 const link = new Link({
   hello(hello) {
     state.hello = hello;
+    hearWord(hello.word);
     asked = "";
     state.bye = "";
     setText(find("empty-title"), hello.live ? "Waiting for a vehicle" : "Opening the record");
@@ -233,6 +235,7 @@ function toggleTruth() {
 }
 
 page.line = new TimeLine((time_s) => { state.at_s = time_s; plan(); });
+const hearWord = followWord(find("word-open"), find("word"), () => link.again());
 followTheme(find("theme"), () => plan(true));
 followKeys({
   replay: () => listed().some(isRecord), line: page.line, command, truth: toggleTruth,

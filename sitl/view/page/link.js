@@ -1,5 +1,7 @@
 // The connection to the server. It comes back by itself, and says what it is doing.
 
+import { offered } from "./word.js";
+
 const FIRST_WAIT_MS = 200, LONGEST_WAIT_MS = 1500;
 
 export class Link {
@@ -15,8 +17,7 @@ export class Link {
 
   open() {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const token = new URLSearchParams(location.search).get("token");
-    const socket = new WebSocket(`${scheme}://${location.host}/scenes${token ? `?token=${encodeURIComponent(token)}` : ""}`);
+    const socket = new WebSocket(`${scheme}://${location.host}/scenes`, offered());
     socket.binaryType = "arraybuffer";
     socket.onmessage = ({ data }) => this.message(data);
     socket.onclose = ({ reason }) => {
@@ -25,6 +26,14 @@ export class Link {
       this.wait_ms = Math.min(2 * this.wait_ms, LONGEST_WAIT_MS);
     };
     this.socket = socket;
+  }
+
+  /** Connect anew, with the word that people have entered. Without a connection the next one has it. */
+  again() {
+    if (this.socket.readyState !== WebSocket.OPEN) return;
+    this.socket.onclose = this.socket.onmessage = null;
+    this.socket.close();
+    this.open();
   }
 
   message(data) {

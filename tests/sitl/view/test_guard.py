@@ -2,10 +2,11 @@
 
 import pytest
 
-from sitl.view.guard import AccessRules
+from sitl.view.guard import AccessRules, origin
 
 LOCAL = AccessRules("127.0.0.1", 8447)
 EVERYWHERE = AccessRules("0.0.0.0", 8447)
+PROXIED = LOCAL._replace(origins=("https://drone.example", "http://other.example:8080"))
 
 
 @pytest.mark.parametrize(
@@ -33,9 +34,18 @@ EVERYWHERE = AccessRules("0.0.0.0", 8447)
         (EVERYWHERE, "192.168.1.5:8447", True),
         (EVERYWHERE, "localhost:8447", True),
         (EVERYWHERE, "evil.example:8447", False),
+        (LOCAL, "drone.example", False),
+        (PROXIED, "drone.example", True),
+        (PROXIED, "Drone.Example", True),
+        (PROXIED, "other.example:8080", True),
+        (PROXIED, "drone.example:8447", False),
+        (PROXIED, "other.example", False),
+        (PROXIED, "evil.drone.example", False),
+        (PROXIED, "", False),
+        (PROXIED, "127.0.0.1:8447", True),
     ],
 )
-def test_only_the_servers_own_name_is_allowed_as_host(rules: AccessRules, host: str, allowed: bool) -> None:
+def test_only_the_servers_own_name_or_a_proxys_is_allowed_as_host(rules: AccessRules, host: str, allowed: bool) -> None:
     assert rules.allows_host(host) == allowed
 
 
@@ -56,14 +66,55 @@ def test_only_the_page_itself_is_allowed_as_origin(origin: str, allowed: bool) -
 
 
 @pytest.mark.parametrize(
+    ("origin", "host", "allowed"),
+    [
+        ("https://drone.example", "drone.example", True),
+        ("https://drone.example", "127.0.0.1:8447", True),  # a proxy that names the server by its own address
+        ("http://other.example:8080", "other.example:8080", True),
+        ("http://127.0.0.1:8447", "127.0.0.1:8447", True),
+        ("http://drone.example", "drone.example", False),  # not encrypted: not the origin that was named
+        ("http://other.example", "other.example:8080", False),
+        ("https://evil.example", "drone.example", False),
+        ("file://", "drone.example", False),
+        (None, "drone.example", False),
+    ],
+)
+def test_other_origins_are_allowed_as_they_were_named(origin: str | None, host: str, allowed: bool) -> None:
+    assert PROXIED.allows_origin(origin, host) == allowed
+
+
+@pytest.mark.parametrize(
+    ("text", "written"),
+    [
+        ("https://drone.example", "https://drone.example"),
+        ("HTTPS://Drone.Example/", "https://drone.example"),
+        ("https://drone.example:443", "https://drone.example"),
+        ("http://drone.example:80/", "http://drone.example"),
+        ("http://drone.example:443", "http://drone.example:443"),
+        ("http://[fe80::1]:8080", "http://[fe80::1]:8080"),
+    ],
+)
+def test_an_origin_is_kept_as_browsers_write_it(text: str, written: str) -> None:
+    assert origin(text) == written
+
+
+@pytest.mark.parametrize(
+    "text", ["", "*", "null", "drone.example", "https://", "https://a/b", "https://a?b", "https://a#b", "https://me@a", "https://a b"]
+)
+def test_what_is_no_origin_is_refused_with_what_is_wanted(text: str) -> None:
+    with pytest.raises(ValueError, match=r"is not an origin; wanted the beginning of an address, without a path: https://drone\.example"):
+        origin(text)
+
+
+@pytest.mark.parametrize(
     ("rules", "address"),
     [
         (LOCAL, "http://127.0.0.1:8447/"),
         (AccessRules("::1", 80), "http://[::1]:80/"),
-        (AccessRules("drone.lan", 8447, "two words&more=é/#"), "http://drone.lan:8447/?token=two%20words%26more%3D%C3%A9%2F%23"),
+        (AccessRules("drone.lan", 8447, "secret"), "http://drone.lan:8447/"),
     ],
 )
-def test_the_address_that_is_printed_opens_the_page_with_its_token(rules: AccessRules, address: str) -> None:
+def test_the_address_that_is_printed_opens_the_page_and_holds_no_word(rules: AccessRules, address: str) -> None:
     assert rules.address == address
 
 
@@ -83,9 +134,12 @@ def test_the_address_that_is_printed_opens_the_page_with_its_token(rules: Access
         (EVERYWHERE._replace(token="secret"), "sécret", False),
         (LOCAL._replace(token="secret"), "", False),  # who sets a token wants it everywhere
         (LOCAL._replace(token="secret"), "secret", True),
+        (PROXIED, "", False),  # whoever comes from the proxy comes from this machine
+        (PROXIED, "anything", False),
+        (PROXIED._replace(token="secret"), "secret", True),
     ],
 )
-def test_elsewhere_only_the_right_token_commands(rules: AccessRules, token: str, may: bool) -> None:
+def test_elsewhere_only_the_right_word_commands(rules: AccessRules, token: str, may: bool) -> None:
     why_not = rules.why_no_commands(token)
     assert (why_not == "") == may
     assert "secret" not in why_not
