@@ -276,7 +276,8 @@ def test_a_viewer_that_reads_nothing_is_left_and_keeps_nobody_waiting(monkeypatc
     many = np.zeros((100_000, 2), np.float32)
 
     async def deaf(live: LiveFoxglove) -> None:
-        async with Viewer.joined(live.address, max_queue=1, max_size=None) as hearing, Viewer.joined(live.address, max_queue=1) as other:
+        how: dict[str, Any] = {"max_queue": 1, "max_size": None}
+        async with Viewer.joined(live.address, **how) as hearing, Viewer.joined(live.address, **how) as other:
             live.show(scatter(0.0))
             for each in (hearing, other):
                 await each.subscribe(CLOUD)
