@@ -1,7 +1,6 @@
 """Protects the live connection for Foxglove: any viewer gets the whole scene, whenever it joins, and is no web page of a stranger."""
 
 import asyncio
-import contextlib
 import json
 import socket
 import sys
@@ -29,15 +28,20 @@ SCENE = Scene(
     scatter=Scatter(PLACES, np.array([0.25, 0.75], np.float32)),
 )
 CLOUD = "scene/particles"
+HANDSHAKE = (
+    "GET / HTTP/1.1\r\nHost: {}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n"
+    "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
+)
 
 
 @asynccontextmanager
 async def streaming(*origins: str) -> AsyncIterator[LiveFoxglove]:
     """Serve it."""
     live = LiveFoxglove(0, origins)
-    server = uvicorn.Server(
-        uvicorn.Config(live.app(), http="h11", ws="websockets-sansio", lifespan="off", log_config=None, access_log=False)
+    config = uvicorn.Config(
+        live.app(), http="h11", ws="websockets-sansio", lifespan="off", log_config=None, access_log=False, ws_per_message_deflate=False
     )
+    server = uvicorn.Server(config)
     serving = asyncio.create_task(server.serve(sockets=[live.listening]))
     try:
         yield live
@@ -78,12 +82,6 @@ class Viewer:
         while not self._messages:
             await self._hear()
         return self._messages.popleft()
-
-    async def left(self) -> None:
-        """Read until the server has left."""
-        with contextlib.suppress(websockets.ConnectionClosed):
-            while True:
-                await self._hear()
 
     async def _hear(self) -> None:
         said = await self.socket.recv()
@@ -273,19 +271,30 @@ def test_one_viewer_more_than_fit_is_refused_until_one_goes() -> None:
 
 def test_a_viewer_that_reads_nothing_is_left_and_keeps_nobody_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sitl.view.foxglove.SEND_S", 0.2)
+    monkeypatch.setattr("sitl.view.foxglove.MOST_VIEWERS", 2)
     many = np.zeros((100_000, 2), np.float32)
 
     async def deaf(live: LiveFoxglove) -> None:
-        how: dict[str, Any] = {"max_queue": 1, "max_size": None}
-        async with Viewer.joined(live.address, **how) as hearing, Viewer.joined(live.address, **how) as other:
-            live.show(scatter(0.0))
-            for each in (hearing, other):
-                await each.subscribe(CLOUD)
-            for number in range(40):  # 64 MB
+        live.show(scatter(0.0))
+        async with Viewer.joined(live.address, max_size=None) as hearing:
+            await hearing.subscribe(CLOUD)
+            reader, writer = await asyncio.open_connection("127.0.0.1", int(live.address.rpartition(":")[2]))
+            wanted = b'{"op":"subscribe","subscriptions":[{"id":0,"channelId":%d}]}' % hearing.channels[CLOUD]["id"]
+            frame = bytes([0x81, 0x80 | len(wanted), 0, 0, 0, 0]) + wanted  # a whole text, masked by zeros
+            writer.write(HANDSHAKE.format(live.address.removeprefix("ws://")).encode())
+            assert b" 101 " in await reader.readuntil(b"\r\n\r\n")
+            writer.write(frame)
+            for number in range(20):  # 32 MB: more than sockets hold
                 live.show(Scene(Backdrop("uav/1"), scatter=Scatter(many + np.float32(number), np.full(100_000, 1e-5, np.float32))))
                 while east((await hearing.next())[1]) != number:
                     pass
-            await other.left()
+            while True:  # until the deaf one has made room
+                try:
+                    await heard(live.address, [CLOUD], max_size=None)
+                    break
+                except websockets.InvalidStatus:
+                    assert not reader.at_eof()
+            writer.close()
 
     run(deaf)
 
