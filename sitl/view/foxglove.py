@@ -62,12 +62,20 @@ class _Subscription(msgspec.Struct, rename="camel"):
     channel_id: Number
 
 
-class _Request(msgspec.Struct, rename="camel"):
+class ViewerRequest(msgspec.Struct, rename="camel"):
     """What a viewer asks for. Of the protocol's other requests none is served, and none has to be answered."""
 
     op: str
     subscriptions: list[_Subscription] = []
     subscription_ids: list[Number] = []
+
+
+def request_of(text: str | bytes) -> ViewerRequest:
+    """Return a message from a viewer; raises ValueError if it is none."""
+    try:
+        return msgspec.json.decode(text, type=ViewerRequest)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(str(error)) from None
 
 
 class LiveFoxglove:
@@ -157,7 +165,7 @@ class _Viewer:
             async with asyncio.TaskGroup() as both:
                 both.create_task(self._read())
                 both.create_task(self._write())
-        except* (*GONE, msgspec.DecodeError):
+        except* (*GONE, ValueError):
             with contextlib.suppress(*GONE):
                 async with asyncio.timeout(UNDRAWN_S):
                     await self._socket.close(POLICY)
@@ -174,9 +182,9 @@ class _Viewer:
             if received["type"] == "websocket.disconnect":
                 raise WebSocketDisconnect
             if text := received.get("text"):
-                self._answer(msgspec.json.decode(text, type=_Request))
+                self._answer(request_of(text))
 
-    def _answer(self, request: _Request) -> None:
+    def _answer(self, request: ViewerRequest) -> None:
         names = list(self._topics)
         if request.op == "subscribe":
             for wanted in request.subscriptions:

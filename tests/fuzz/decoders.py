@@ -25,6 +25,7 @@ DECODERS = {
     "messages": Decoder(watchers.messages_seeds, watchers.messages),
     "recording": Decoder(watchers.messages_seeds, watchers.recording),
     "browser": Decoder(watchers.browser_seeds, watchers.browser),
+    "viewer": Decoder(watchers.viewer_seeds, watchers.viewer),
     "record": Decoder(files.record_seeds, files.record),
     "tlog": Decoder(files.tlog_seeds, files.tlog),
     "script": Decoder(files.script_seeds, files.script),

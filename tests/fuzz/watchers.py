@@ -1,6 +1,7 @@
 """What watches the bus, and what watches the watchers: recorder, status and page, and the requests of browsers."""
 
 import asyncio
+import contextlib
 import itertools
 import json
 import shutil
@@ -19,6 +20,7 @@ from scene.follow.history import History
 from scene.scene import Backdrop
 from sitl.desk.scenes import RecordedScene
 from sitl.desk.status import Board
+from sitl.view.foxglove import request_of
 from sitl.view.guard import AccessRules, Asgi
 from sitl.view.records import RecordedVehicle
 from sitl.view.server import PageServer, message_of
@@ -174,3 +176,18 @@ async def _asked(app: Asgi, host: bytes, origin: bytes, protocol: bytes, path: b
     await app({**scope, "type": "websocket", "path": "/scenes"}, receive, answer)
     assert answers[0].get("status") == 403 or answers[0]["type"] == "websocket.accept"
     assert not fine or answers[0]["type"] == "websocket.accept"
+
+
+def viewer_seeds() -> list[bytes]:
+    """Return what Foxglove and Lichtblick ask for."""
+    return [
+        b'{"op":"subscribe","subscriptions":[{"id":0,"channelId":3},{"id":1,"channelId":4}]}',
+        b'{"op":"unsubscribe","subscriptionIds":[0,1]}',
+        b'{"op":"getParameters","parameterNames":["a"],"id":"1"}',
+    ]
+
+
+def viewer(data: bytes) -> None:
+    """A viewer's message is read or refused."""
+    with contextlib.suppress(ValueError):
+        request_of(data)
