@@ -432,11 +432,12 @@ def test_the_twenty_first_page_is_told_why_it_is_refused(view: Callable[..., tup
             page.close()
 
 
-def test_who_has_the_token_commands_past_twenty_pages_that_look_and_connections_that_say_nothing(
-    view: Callable[..., tuple[Part, int]], router: str
+def test_who_has_the_word_commands_past_twenty_pages_that_look_and_connections_that_say_nothing(
+    view: Callable[..., tuple[Part, int]], router: str, tmp_path: Path
 ) -> None:
     with Bus("uav", router), contextlib.ExitStack() as held:
-        _, port = view("--connect", router, "--token", "word")
+        file = tmp_path / "word"
+        _, port = view("--connect", router, "--token-file", str(file))
         for _ in range(20):
             held.enter_context(Browser(port))
         for _ in range(150):
@@ -444,7 +445,7 @@ def test_who_has_the_token_commands_past_twenty_pages_that_look_and_connections_
         assert asked(port, "/static/app.js", Host=f"127.0.0.1:{port}")[0] == 200
         with pytest.raises(ConnectionClosed):
             Browser(port)
-        with Browser(port, "word") as page:
+        with Browser(port, file.read_text().strip()) as page:
             page.until(lambda: "uav/1" in page.vehicles)
             assert page.order("land")["reason"] == "uav/1 has not said which system it is"
 
