@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from link.early import INTERRUPTED, end_at_once
-from link.interrupts import STREAMS, discard, interrupt, leave, polled, unanswered
+from link.interrupts import STREAMS, discard, interrupt, leave, lost_thread, polled, unanswered
 
 UNREAD = 141
 """Exit status if the reader of stdout has gone, as in `plumeward evaluate | head -1`: that of a program killed by SIGPIPE."""
@@ -283,11 +283,11 @@ def run(command: Callable[[], int | None]) -> NoReturn:
     try:
         interrupt()
         status = _status(command)
-        if status == INTERRUPTED or unanswered():
-            leave(INTERRUPTED)
+        if status == INTERRUPTED or unanswered() or lost_thread():
+            leave()
         end_at_once()
     except KeyboardInterrupt:  # a second signal: `timeout` sends two
-        leave(INTERRUPTED)
+        leave()
     gc.freeze()  # skips a last look through all objects
     sys.exit(status)
 

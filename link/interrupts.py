@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP: each ends a command that is under way, at any moment and at the first one."""
+"""Ctrl-C, SIGTERM, SIGHUP and the death of a thread: each ends a command that is under way, at any moment and at the first one."""
 
 import contextlib
 import os
@@ -26,6 +26,7 @@ NUMBA = f"{os.sep}numba{os.sep}"
 """In the path of each file of numba. An exception there comes out of its C code as a SystemError."""
 _lost: queue.SimpleQueue[int] = queue.SimpleQueue()
 _unanswered_since: float | None = None
+_lost_thread = False
 
 
 def ends() -> list[signal.Signals]:
@@ -70,13 +71,15 @@ def discard(streams: Iterable[int]) -> None:
 
 
 def interrupt() -> None:
-    """Let a signal raise KeyboardInterrupt in the main thread, again if Python has lost it, and let this process end with its launcher.
+    """Let a signal raise KeyboardInterrupt in the main thread, again if Python has lost it.
+
+    Let this process also end with its launcher, and when one of its threads dies.
 
     An exception in a handler can be lost: where Python calls it within a destructor or another callback, it says so to
     `sys.unraisablehook`; while a module is loaded or compiled, C code may swallow it or make another of it. The signal is then sent again.
     """
     on_end(_interrupt)
-    sys.unraisablehook, sys.excepthook = _ignored_exception, _uncaught
+    sys.unraisablehook, sys.excepthook, threading.excepthook = _ignored_exception, _uncaught, _end_without_thread
     threading.Thread(target=_send_again, name="signals", daemon=True).start()
     launcher = os.environ.pop(LAUNCHER, None)  # the launcher is not the parent of what this process starts
     if launcher is not None:
@@ -97,17 +100,22 @@ def uninterrupted() -> Iterator[list[int]]:
         raise KeyboardInterrupt
 
 
-def leave(status: int) -> NoReturn:
+def leave() -> NoReturn:
     """Exit at once. An interrupt may strike while a session opens or closes; its threads would then keep the process for ever."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it, or it is closed
             stream.flush()
-    os._exit(status)
+    os._exit(1 if _lost_thread else INTERRUPTED)
 
 
 def unanswered() -> bool:
     """Whether a signal has come that could not be answered yet."""
     return _unanswered_since is not None
+
+
+def lost_thread() -> bool:
+    """Whether a thread has died. The command then fails."""
+    return _lost_thread
 
 
 def _interrupt(number: int) -> None:
@@ -119,7 +127,7 @@ def _interrupt(number: int) -> None:
     if _unanswered_since is None:
         _unanswered_since = now_s
     if now_s - _unanswered_since >= LOADING_S:
-        leave(INTERRUPTED)  # so long only a command loads that has not begun, and has nothing to lose
+        leave()  # so long only a command loads that has not begun, and has nothing to lose
     _lost.put(number)
 
 
@@ -144,6 +152,27 @@ def _uncaught(kind: type[BaseException], error: BaseException, trace: Any) -> No
     if issubclass(kind, KeyboardInterrupt):  # one more signal, while the command is already leaving
         os._exit(INTERRUPTED)
     sys.__excepthook__(kind, error, trace)
+
+
+def _end_without_thread(died: threading.ExceptHookArgs) -> None:
+    """Say in one line which thread has died and why, and end this process: others would wait for that thread for ever.
+
+    It ends as by SIGTERM, so that a real vehicle is sent home and a record gets its end.
+    """
+    global _lost_thread
+    if _lost_thread or issubclass(died.exc_type, SystemExit):
+        return
+    _lost_thread = True
+    try:
+        import traceback
+
+        from link.terminal import printable
+
+        place = traceback.extract_tb(died.exc_traceback)[-1]
+        why = printable(f"{died.exc_type.__name__}: {died.exc_value} ({place.filename}:{place.lineno})")
+        print(f"error: thread {died.thread.name if died.thread else ''!r} has died: {why}", file=sys.stderr, flush=True)
+    finally:
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
 
 
 def _send_again() -> None:

@@ -69,7 +69,9 @@ def _end_with_parent(alive: Connection) -> None:
     """End this worker when its parent closes the other end of the pipe or dies."""
 
     def watch() -> None:
-        alive.poll(None)  # nothing is ever sent
-        os._exit(1)
+        try:
+            alive.poll(None)  # nothing is ever sent
+        finally:
+            os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

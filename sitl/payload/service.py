@@ -42,11 +42,7 @@ class Measuring:
     def _run(self) -> None:
         while True:
             question: Question = self._questions.get()
-            try:
-                self._inbox.put(Measured(question, self._measure(question)))
-            except Exception as error:  # the service raises it
-                self._inbox.put(error)
-                return
+            self._inbox.put(Measured(question, self._measure(question)))
 
 
 def run(bus: Bus, measuring: Measuring) -> None:
@@ -70,8 +66,6 @@ def run(bus: Bus, measuring: Measuring) -> None:
                     measuring.begin(asked)
             case Measured() if item.question == question:  # else the vehicle asks something else by now
                 sample = item.sample
-            case Exception():
-                raise item
         if question is None:
             continue
         if sample is None and time.monotonic() >= deadline_s:

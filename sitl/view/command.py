@@ -232,7 +232,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         print(f"Foxglove at {stream.address}", flush=True)
         streaming = asyncio.create_task(keep_streaming(stream))
     if args.open:
-        threading.Thread(target=webbrowser.open, args=(rules.address,), daemon=True).start()
+        threading.Thread(target=_open, args=(rules.address,), daemon=True).start()
     tasks = [asyncio.create_task(each.serve(sockets=[at])) for each, at in servers]
     await tasks[0]
     for each, _ in servers:
@@ -242,3 +242,11 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     if stream:
         streaming.cancel()
     return status[0]
+
+
+def _open(address: str) -> None:
+    """Open a browser; where it cannot be started, the page stays without it."""
+    try:
+        webbrowser.open(address)
+    except (OSError, webbrowser.Error) as error:
+        print(f"warning: --open: no browser shows {address}: {error}", file=sys.stderr, flush=True)

@@ -103,11 +103,11 @@ def test_two_signals_at_once_end_a_command_without_a_word() -> None:
 import os, signal
 from link import cli
 leave, signal_again = cli.leave, [True]
-def twice(status):
+def twice():
     if signal_again:
         signal_again.clear()
         os.kill(os.getpid(), signal.SIGTERM)
-    leave(status)
+    leave()
 cli.leave = twice
 cli.run(lambda: os.kill(os.getpid(), signal.SIGTERM))
 """

@@ -1,4 +1,4 @@
-"""Protects that one signal ends a command, whatever it does just then, without a word of Python's."""
+"""Protects that one signal, or the death of a thread, ends a command, whatever it does just then, without a word of Python's."""
 
 import os
 import pty
@@ -126,6 +126,57 @@ cli.run(command)
     assert os.read(read, 100) == b"cleaned up"
     os.close(read)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == INTERRUPTED
+
+
+WAITS = {
+    "for ever": "time.sleep(600)",
+    "for signals of its own": "ends = []; on_end(ends.append)\n    while not ends: time.sleep(0.01)",
+    "where nothing may interrupt it": "with uninterrupted() as ends:\n        while not ends: time.sleep(0.01)",
+}
+
+
+@pytest.mark.parametrize("wait", WAITS.values(), ids=WAITS)
+def test_a_command_one_of_whose_threads_dies_cleans_up_and_fails_with_a_line_that_says_which_and_why(tmp_path: Path, wait: str) -> None:
+    program = f"""
+import threading, time
+from link import cli
+from link.interrupts import on_end, uninterrupted
+
+def work():
+    raise RuntimeError("no room\\nlevel=info forged")
+
+def wait():
+    {wait}
+
+def command():
+    for _ in range(2):
+        threading.Thread(target=work, name="drainer").start()
+    try:
+        wait()
+    finally:
+        print("cleaned up")
+
+cli.run(command)
+"""
+    status, out, err = run(program, tmp_path)
+    assert (status, out) == (1, "cleaned up\n")
+    assert err == "error: thread 'drainer' has died: RuntimeError: no room\\nlevel=info forged (<string>:7)\n"
+
+
+def test_a_thread_that_exits_ends_nothing_else(tmp_path: Path) -> None:
+    program = """
+import sys, threading
+from link import cli
+
+def command():
+    thread = threading.Thread(target=sys.exit)
+    thread.start()
+    thread.join()
+    print("goes on")
+
+cli.run(command)
+"""
+    assert run(program, tmp_path) == (0, "goes on\n", "")
 
 
 COMMANDS = [

@@ -53,6 +53,22 @@ def replay(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     part.kill()
 
 
+def test_a_page_whose_browser_cannot_be_started_says_so_and_stays(
+    view: Callable[..., tuple[Part, int]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wait_until: Callable[..., None]
+) -> None:
+    (tmp_path / "firefox").write_bytes(b"\0")  # no program
+    (tmp_path / "firefox").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.delenv("BROWSER", raising=False)
+    part, port = view("--open", str(GOLDEN))
+    wait_until(lambda: part.says(f"warning: --open: no browser shows http://127.0.0.1:{port}"))
+    connection = http.client.HTTPConnection("127.0.0.1", port)
+    connection.request("GET", "/")
+    assert connection.getresponse().status == 200
+    connection.close()
+
+
 # ---- a mission ----
 
 
