@@ -94,7 +94,8 @@ decimals that read back as the same double.
 ## Refused messages
 
 A refused message is dropped. It never stops a service and never changes the belief. It is counted in `health` under its kind, and logged
-with key and reason (`overflow`: once per burst; `stranger`: once). A reading that overflowed is fetched again from the kept ones.
+with key and reason (`overflow`: once per burst; `fault`: once for each type of message; `stranger`: once). A reading that overflowed is
+fetched again from the kept ones.
 
 | kind | refused message |
 |---|---|
@@ -108,6 +109,7 @@ with key and reason (`overflow`: once per burst; `stranger`: once). A reading th
 | `conflicting` | a different reading with the newest one's time |
 | `repeated` | the newest reading again: it is not assimilated twice, but the belief is published again |
 | `overflow` | the oldest waiting message of a key, if more than {WAITING_MESSAGES:,} (in addition to the kept ones) or {MIB} MiB wait |
+| `fault` | a MAVLink message that the vehicle could not handle for a fault of its own |
 | `stranger` | health, or a liveliness token, of a service of another name than ours, beyond the first {MOST_OTHERS} such names |
 
 ## Health

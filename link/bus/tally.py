@@ -13,6 +13,8 @@ OVERFLOW = "overflow"
 """Kind of messages that are dropped because too many wait."""
 STRANGER = "stranger"
 """Kind of messages from services whose names are not taken notice of."""
+FAULT = "fault"
+"""Kind of messages that could not be handled for a fault of ours."""
 GRAIN = 0.001
 """Recent merges events closer than this share of its window. It thus stores about a thousand at most."""
 

@@ -29,6 +29,7 @@ from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
 from sitl.script.script import AfterStop, Delay, Dropout, Duplicate, Hold, Land, Lose, OnBoard, Resume, Return, Spike, Stuck, Wind
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
+from sitl.uav.handling import Handling
 from sitl.uav.ports import BusLink, FromUdp, Port
 from sitl.uav.real import leave
 from sitl.uav.search import PAUSED, SEARCHING, SETPOINTS, Search
@@ -82,6 +83,7 @@ class Uav:
         self._log = log
         self._tally = log.tally
         self._tally.system = config.sysid
+        self._handling = Handling(log)
         self._timeline = Timeline(events)
         self._after_hold_s = [event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None]
         self._sensor = FaultySensor()
@@ -92,8 +94,7 @@ class Uav:
         self._readings = 0
         self._tried = -1  # number of the newest reading that was tried
         self._codec = Codec(config.sysid, COMPONENT)
-        self._resend_s = RESEND_FIRST_S
-        self._resend_at = time.monotonic()
+        self._resend_s, self._resend_at = RESEND_FIRST_S, time.monotonic()
         self._asking: Asking | None = None
         if self._remote and bus is not None:
             self._asking = Asking(lambda question: bus.publish(PAYLOAD_IN, question), self._codec)
@@ -212,7 +213,8 @@ class Uav:
         match item:
             case FromUdp(index, message, peer):
                 port = self._ports[index]
-                self._message(message, port, partial(self._search.receive, whence=f"at {peer}", streams=port.telemetry))
+                with self._handling.of(message):
+                    self._message(message, port, partial(self._search.receive, whence=f"at {peer}", streams=port.telemetry))
             case Arrival(key, payload, attachment) if key in (MAVLINK_IN, WAYPOINT) and self._bus:
                 port, whence = self._ports[0], "through a bridge" if attachment == BRIDGED else "on the bus"
                 take = self._search.answer if key is WAYPOINT else partial(self._search.receive, whence=whence, streams=port.telemetry)
@@ -222,7 +224,8 @@ class Uav:
                     self._bus.refuse(key, str(error), error.kind)
                     return
                 for message in messages:
-                    self._message(message, port, take)
+                    with self._handling.of(message):
+                        self._message(message, port, take)
             case Arrival(key, payload) if key is PAYLOAD_OUT and self._asking and self._bus:
                 try:
                     if sample := self._asking.receive(payload):

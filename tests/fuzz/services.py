@@ -21,7 +21,7 @@ from link.bus.log import LOGGER, Log
 from link.bus.mavlink import Codec, Reading, pack_reading, split, waypoint_message
 from link.bus.messages import Belief, Health, Stop, unpack_particles
 from link.bus.session import Arrival, Bus, LivelinessChange
-from link.bus.tally import REPEATED, Tally
+from link.bus.tally import FAULT, REPEATED, Tally
 from link.record.reader import read
 from plume.scenario import AREA_M, draw
 from plume.sensor import GAUSSIAN
@@ -281,6 +281,7 @@ def mavlink_in(data: bytes) -> None:
     payload = as_sent(data)
     flight = _Flight(searching=len(data) % 2 == 0)
     flight.goes_on(Arrival(MAVLINK_IN, payload, b""), *(FromUdp(0, message, "127.0.0.1:14550") for message in udp.decode(payload).messages))
+    assert FAULT not in flight.bus.tally.refused
     _lives_on(flight)
 
 
@@ -289,6 +290,7 @@ def waypoint(data: bytes) -> None:
     flight = _Flight(searching=True)
     flight.goes_on(Arrival(WAYPOINT, as_sent(data), b""), 0.0)
     assert (flight.vehicle.mode, flight.vehicle.armed, flight.bus.tally.state) == (Mode.OFFBOARD, True, SEARCHING)
+    assert FAULT not in flight.bus.tally.refused
     _lives_on(flight)
 
 
