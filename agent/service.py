@@ -12,7 +12,7 @@ from agent.planning.moves import Reach
 from agent.policies import choose
 from agent.policies import policy as find_policy
 from link.bus.keys import BELIEF, STOP, WAYPOINT
-from link.bus.mavlink import ONBOARD_COMPUTER, Codec, waypoint_message
+from link.bus.mavlink import ONBOARD_COMPUTER, Codec, elapsed_ms, waypoint_message
 from link.bus.messages import Belief, Particles, unpack_particles
 from link.bus.session import Arrival, Bus
 from plume.parameters import PARAMETERS
@@ -55,16 +55,17 @@ def run(
     bus.tally.about = policy
     bus.publish_health()
     bus.log.info(f"ready: {policy}")
-    answered = -1
+    answered: int | None = None
     waypoint = (0.0, 0.0)
     while True:
         received = _next_belief(bus, reach.area_m)
         if received is None:
             continue
         belief, particles = received
-        if belief.ceased or belief.step >= budget or belief.time_boot_ms < answered:
+        later = 1 if answered is None else elapsed_ms(answered, belief.time_boot_ms)
+        if belief.ceased or belief.step >= budget or later < 0:
             continue
-        if belief.time_boot_ms > answered:
+        if later:
             began = time.perf_counter()
             waypoint = scripted[belief.step] if belief.step in scripted else choose(policy, belief, particles, seed, reach)
             bus.tally.compute_s += time.perf_counter() - began

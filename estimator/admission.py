@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from estimator.filter import Config
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform
-from link.bus.mavlink import Reading
+from link.bus.mavlink import Reading, elapsed_ms
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.elementary import exp
 from plume.parameters import GREATEST_CV, PARAMETERS
@@ -30,9 +30,9 @@ def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[s
     absurd = _noisiest(config).refusal(reading.gas, greatest_concentration(config))
     if absurd:
         return "absurd", absurd
-    if latest is None or reading.time_boot_ms > latest.time_boot_ms:
+    if latest is None or (later := elapsed_ms(latest.time_boot_ms, reading.time_boot_ms)) > 0:
         return None
-    if reading.time_boot_ms < latest.time_boot_ms:
+    if later < 0:
         return "late", f"time_boot_ms {reading.time_boot_ms} is before {latest.time_boot_ms}"
     if reading != latest:
         return "conflicting", f"time_boot_ms {reading.time_boot_ms} again, with other values"

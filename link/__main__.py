@@ -59,7 +59,8 @@ The search plane has x east and y north: (x, y) = (NED y, NED x). Its wind vecto
 
 ## The loop
 
-1. The vehicle reaches a waypoint, takes one reading and publishes it. `time_boot_ms` identifies the reading and grows with each one.
+1. The vehicle reaches a waypoint, takes one reading and publishes it. `time_boot_ms` identifies the reading and grows with each
+   one. It wraps to 0 after 49.7 days: of two times, the one up to 24.8 days ahead of the other, modulo 2³², is the later.
 2. The estimator answers each reading with one belief of the same `time_boot_ms`. When the stop criterion is first met, it publishes
    `agdc/stop`, then the belief with `ceased` set.
 3. The agent answers each belief that has not ceased with one waypoint of the same `time_boot_ms`.

@@ -17,6 +17,11 @@ READING_KINDS = ("LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT")
 NOT_WHOLE = "the payload is not made of whole MAVLink frames"
 ONBOARD_COMPUTER = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 
+WRAP_MS = 2**32
+"""time_boot_ms is a uint32: it wraps to zero after 49.7 days."""
+WRAPPED_MS = 3_600_000
+"""A clock that goes back has wrapped if its step modulo 2³² is at most this; else it restarted."""
+
 POSITION_ONLY = (
     mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
     | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
@@ -37,7 +42,7 @@ class Reading(NamedTuple):
     """
 
     time_boot_ms: int
-    """Milliseconds since the start; identifies the reading."""
+    """Milliseconds since the start, modulo 2³²; identifies the reading."""
     position: tuple[float, float]
     """(x, y) m, x east, y north."""
     altitude_m: float
@@ -46,6 +51,25 @@ class Reading(NamedTuple):
     """(u cos φ, u sin φ) m/s: points to where the wind comes from."""
     gas: float
     """In the sensor's unit: g/m³, or a count of hits."""
+
+
+def elapsed_ms(since: int, until: int) -> int:
+    """Return the time from one time_boot_ms to another, ms, in [-2³¹, 2³¹): negative if `until` is the earlier one."""
+    return (until - since + WRAP_MS // 2) % WRAP_MS - WRAP_MS // 2
+
+
+def nearest(time_ms: int, time_boot_ms: int) -> int:
+    """Return the time nearest to another that time_boot_ms may stand for, ms: this goes on where time_boot_ms wraps."""
+    return time_ms + elapsed_ms(time_ms, time_boot_ms)
+
+
+def continued(newest_ms: int, time_boot_ms: int) -> int:
+    """Return a vehicle's own time, ms: it goes on from the newest known where time_boot_ms wraps, and begins anew when the vehicle does."""
+    step = elapsed_ms(newest_ms, time_boot_ms)
+    if abs(step) <= WRAPPED_MS and newest_ms + step >= 0:
+        return newest_ms + step
+    wraps, newest = divmod(newest_ms, WRAP_MS)
+    return wraps * WRAP_MS + time_boot_ms if time_boot_ms > newest else time_boot_ms
 
 
 class BadFrame(ValueError):

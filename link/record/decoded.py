@@ -29,7 +29,7 @@ UNKNOWN = "UNKNOWN"
 class FlatReading(msgspec.Struct, frozen=True):
     """One sample of gas and wind, in the search plane."""
 
-    time_boot_ms: Annotated[int, Meta(ge=0, description="milliseconds since the start of the simulation")]
+    time_boot_ms: Annotated[int, Meta(ge=0, description="milliseconds since the start of the simulation, modulo 2³²")]
     x: Annotated[float, Meta(description="place of the reading, m east of home")]
     y: Annotated[float, Meta(description="place of the reading, m north of home")]
     altitude_m: Annotated[float, Meta(description="height of the reading above home, m")]

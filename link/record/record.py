@@ -21,7 +21,7 @@ import msgspec
 
 from link.bus.frames import Frame, frame_at
 from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING, STOP, WAYPOINT
-from link.bus.mavlink import ONBOARD_COMPUTER
+from link.bus.mavlink import ONBOARD_COMPUTER, continued
 from link.record.own import OwnSystem
 
 ABOUT, STOPPED = "plumeward", "stopped"
@@ -101,15 +101,15 @@ MOST_READINGS = 4096
 
 
 class SimulationClock:
-    """Assigns a simulation time to each message, from the vehicle's own time stamps."""
+    """Assigns a simulation time to each message, from the vehicle's own time stamps. It goes on where those wrap."""
 
     def __init__(self) -> None:
         """Start at zero."""
         self._own = OwnSystem()
         self._newest_ms = 0
         self._newest_published_ns = 0
-        self._readings: set[int] = set()
-        """The time_boot_ms of the last MOST_READINGS; `_order` has them in the order in which they came."""
+        self._readings: dict[int, int] = {}
+        """The times of the last MOST_READINGS by their time_boot_ms; `_order` has them in the order in which they came."""
         self._order: deque[int] = deque()
         self._count = 0
 
@@ -122,26 +122,35 @@ class SimulationClock:
         self._own.learn(key, payload)
         if key in (BELIEF.name, STOP.name):
             with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-                own = msgspec.json.decode(payload, type=_Timed).time_boot_ms
+                answered = msgspec.json.decode(payload, type=_Timed).time_boot_ms
+                own = self._readings.get(answered, answered)
         elif key == WAYPOINT.name:
-            answered = _time_boot_ms(payload, SETPOINT)
-            own = answered if answered in self._readings else None  # it may answer none
-        elif key in FRAME_KEYS and key != MAVLINK_IN.name:  # a ground station has times of its own
-            own = _time_boot_ms(payload, OWN_TIME, self._own.sent) if key == MAVLINK_OUT.name else _time_boot_ms(payload, OWN_TIME)
-            if own is not None and key == READING.name:
-                self._note(own)
-            if own is not None and published_ns >= self._newest_published_ns:
+            if (setpoint := _time_boot_ms(payload, SETPOINT)) is not None:
+                own = self._readings.get(setpoint)  # it may answer none
+        elif (boot_ms := self._boot_ms(key, payload)) is not None:
+            own = continued(self._newest_ms, boot_ms)
+            if key == READING.name:
+                own = self._noted(boot_ms, own)
+            if published_ns >= self._newest_published_ns:
                 self._newest_ms, self._newest_published_ns = own, published_ns
         return (self._newest_ms if own is None else own) / 1000.0
 
-    def _note(self, reading_ms: int) -> None:
-        if reading_ms in self._readings:
-            return
-        self._count += 1
-        self._readings.add(reading_ms)
-        self._order.append(reading_ms)
-        if len(self._order) > MOST_READINGS:
-            self._readings.remove(self._order.popleft())
+    def _boot_ms(self, key: str, payload: bytes) -> int | None:
+        if key == MAVLINK_OUT.name:
+            return _time_boot_ms(payload, OWN_TIME, self._own.sent)
+        if key in FRAME_KEYS and key != MAVLINK_IN.name:  # a ground station has times of its own
+            return _time_boot_ms(payload, OWN_TIME)
+        return None
+
+    def _noted(self, boot_ms: int, time_ms: int) -> int:
+        """Return the time of a reading: that at which it first came."""
+        if boot_ms not in self._readings:
+            self._count += 1
+            self._readings[boot_ms] = time_ms
+            self._order.append(boot_ms)
+            if len(self._order) > MOST_READINGS:
+                del self._readings[self._order.popleft()]
+        return self._readings[boot_ms]
 
     @property
     def step(self) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT
-from link.bus.mavlink import BadFrame, unpack_reading
+from link.bus.mavlink import BadFrame, continued, unpack_reading
 from link.bus.messages import Belief, Health, Stop, unpack_particles
 from link.record.own import OwnSystem
 from link.record.record import HEALTH_PREFIX
@@ -231,9 +231,10 @@ class History:
                     self._happened(time_s, said[0], "uav", said[1])
                 continue
             if message_id == LOCAL:
-                if fields["time_boot_ms"] + RESTART_MS < self._boot_ms:
+                boot_ms = continued(self._boot_ms, fields["time_boot_ms"])
+                if boot_ms + RESTART_MS < self._boot_ms:
                     self._begin_again(time_s)
-                self._boot_ms = fields["time_boot_ms"]
+                self._boot_ms = boot_ms
             craft = seen(craft, message_id, fields, time_s)
             last = self._track.last
             if message_id == LOCAL and (last is None or math.dist(last, craft.position) >= TRACK_STEP_M):

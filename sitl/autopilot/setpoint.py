@@ -3,6 +3,7 @@
 import math
 from typing import NamedTuple
 
+from link.bus.mavlink import WRAP_MS, elapsed_ms
 from sitl.autopilot.config import VehicleConfig, metres
 from sitl.autopilot.motion import NOTHING, ZERO, Box, Limits, Motion, Ned, Push, Spin, Trajectory, Turn, halt, steer, wrapped
 from sitl.autopilot.state import Result, denied, not_now
@@ -155,14 +156,20 @@ class Answers:
     def __init__(self) -> None:
         """Begin without a reading: nothing awaits an answer."""
         self._readings: set[int] = set()
+        self._last_ms = -1
         self.newest: int | None = None
         """The time of the newest reading."""
         self.awaited = False
         """True while the newest reading is unanswered."""
 
+    def time_of(self, now_s: float) -> int:
+        """Return the time_boot_ms of a reading that is about to be taken, later than that of any before."""
+        self._last_ms = max(round(now_s * 1000), self._last_ms + 1)
+        return self._last_ms % WRAP_MS
+
     def sampled(self, time_boot_ms: int) -> None:
         """Note that a reading was taken. Raises ValueError unless times increase."""
-        if self.newest is not None and time_boot_ms <= self.newest:
+        if self.newest is not None and elapsed_ms(self.newest, time_boot_ms) <= 0:
             raise ValueError(f"reading at {time_boot_ms} ms after one at {self.newest} ms: reading times must increase")
         self._readings.add(time_boot_ms)
         self.newest, self.awaited = time_boot_ms, True

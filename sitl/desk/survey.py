@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from link.bus.mavlink import WRAP_MS
 from link.bus.messages import Belief, Stop
 from link.record.record import Entry
 from link.terminal import printable
@@ -49,7 +50,7 @@ class Survey:
         self.published_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self.simulation_s: dict[str, array[float]] = defaultdict(lambda: array("d"))
         self.asked: set[int] = set()
-        """The time_boot_ms of all readings; `answered` has those of beliefs."""
+        """The times of all readings, ms; `answered` has those of beliefs, as time_boot_ms, which wraps."""
         self.answered: set[int] = set()
         self.trace: dict[int, TracePoint] = {}
         """By step, what the first belief of the step says."""
@@ -83,8 +84,8 @@ class Survey:
     def gaps(self) -> list[str]:
         """Return a line for each kind of gap: unanswered readings, missing steps, pauses, restarted services."""
         lines = []
-        if unanswered := sorted(self.asked - self.answered):
-            times = [f"{time_boot_ms / 1000:.2f} s" for time_boot_ms in unanswered[:LISTED]]
+        if unanswered := sorted(time_ms for time_ms in self.asked if time_ms % WRAP_MS not in self.answered):
+            times = [f"{time_ms / 1000:.2f} s" for time_ms in unanswered[:LISTED]]
             lines.append(f"{len(unanswered)} readings without a belief, at {_few(times, len(unanswered))} of simulation")
         steps = sorted(self.trace)
         if missing := max(steps, default=-1) + 1 - len(steps):  # counted, not listed: a foreign message may have any step

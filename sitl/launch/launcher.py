@@ -187,7 +187,7 @@ class MissionWatch:
         while not self._over and time.monotonic() < lost_at:
             self._listen(self._disturbances.wait_s())
             if self._last:
-                self._disturbances.reached(self._last.step, self._last.time_boot_ms / 1000)
+                self._disturbances.reached(self._last.step, self._trace.time_s(self._last.step))
             if self._landed and not self._stopped and time.monotonic() >= self._landed_since + LATE_STOP_S:
                 break
             if not (self._stopped or self._ceased) or self._disturbances.wait_s() is not None:

@@ -3,7 +3,7 @@
 import math
 from bisect import bisect_left, bisect_right
 
-from link.bus.mavlink import BadFrame, unpack_reading
+from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.bus.messages import Belief
 from plume.outcome import TracePoint
 
@@ -20,7 +20,9 @@ class HeardTrace:
     def __init__(self) -> None:
         """Begin with nothing heard."""
         self._points: dict[int, TracePoint] = {}
-        self._times: dict[int, int] = {-1: -1}
+        self._times: dict[int, float] = {-1: -math.inf}
+        self._near_ms: int | None = None
+        """The time of the newest belief, ms, which goes on where time_boot_ms wraps; before any, that of the first reading."""
         self.kept: dict[int, tuple[tuple[float, float], float]] = {}
         """The readings whose beliefs are not all known, by time."""
         self._whole_to = -1
@@ -31,21 +33,31 @@ class HeardTrace:
             said = unpack_reading(payload, system)
         except BadFrame:
             return
-        if said.time_boot_ms > self._times[self._whole_to] and len(self.kept) < MOST_READINGS:
-            self.kept.setdefault(said.time_boot_ms, (said.position, said.gas))
+        time_ms = self._time_ms(said.time_boot_ms)
+        if time_ms > self._times[self._whole_to] and len(self.kept) < MOST_READINGS:
+            self.kept.setdefault(time_ms, (said.position, said.gas))
+
+    def _time_ms(self, time_boot_ms: int) -> int:
+        if self._near_ms is None:
+            self._near_ms = time_boot_ms
+        return nearest(self._near_ms, time_boot_ms)
 
     def belief(self, belief: Belief) -> bool:
         """Take a belief; returns whether it is a new one."""
         if belief.step in self._points:
             return False
         self._points[belief.step] = TracePoint(belief.position, belief.gas, belief.mean, belief.spread)
-        self._times[belief.step] = belief.time_boot_ms
+        self._times[belief.step] = self._near_ms = self._time_ms(belief.time_boot_ms)
         if belief.step == self._whole_to + 1:
             while self._whole_to + 1 in self._points:
                 self._whole_to += 1
             now = self._times[self._whole_to]
             self.kept = {time: said for time, said in self.kept.items() if time > now}
         return True
+
+    def time_s(self, step: int) -> float:
+        """Return the simulation time of a belief that has come, s."""
+        return self._times[step] / 1000
 
     @property
     def missing(self) -> int:

@@ -83,7 +83,7 @@ class Player:
         self._slowest_s = 0.0
         self._heard: set[tuple[int, str]] = set()
         self._reading: Entry | None = None
-        self._first_ms, self._latest_ms = -1, -1
+        self._first_ms, self._latest_ms, self._shown_ms = -1, -1, -1
         self._published_at = 0.0
         self._resend_at, self._resend_s = math.inf, RESEND_FIRST_S
         self._last: Belief | None = None
@@ -107,10 +107,10 @@ class Player:
         for entry in self._source.entries:
             if speedup:
                 self._listen(began + (entry.published_ns - first_ns) / 1e9 / speedup)
-            if entry.key == READING.name and (time_boot_ms := reading_time(entry)) is not None and time_boot_ms > self._latest_ms:
+            if entry.key == READING.name and (time_ms := reading_time(entry)) is not None and time_ms > self._latest_ms:
                 began += self._wait_for_answers()
                 if not self._difference:
-                    self._begin(entry, time_boot_ms)
+                    self._begin(entry, time_ms)
             if self._difference:
                 return
             self._bus.publish(VEHICLE_KEYS[entry.key], entry.payload, entry.attachment or None)
@@ -125,16 +125,16 @@ class Player:
 
     # ---- waiting ----
 
-    def _begin(self, reading: Entry, time_boot_ms: int) -> None:
+    def _begin(self, reading: Entry, time_ms: int) -> None:
         """Expect the answers to a new reading."""
-        self._reading, self._latest_ms = reading, time_boot_ms
+        self._reading, self._latest_ms = reading, time_ms
         if self._first_ms < 0:
-            self._first_ms = time_boot_ms
+            self._first_ms = time_ms
         if self._source.recorded:
-            while self._awaited and self._awaited[0][0] <= time_boot_ms:
+            while self._awaited and self._awaited[0][0] <= time_ms:
                 self._due.add(self._awaited.popleft())  # also answers whose reading the log lacks
         else:
-            self._due.add((time_boot_ms, "belief"))
+            self._due.add((time_ms, "belief"))
         self._due = {(time, kind) for time, kind in self._due if time >= self._first_ms and kind not in self._given_up}
         self._published_at = time.monotonic()
         self._resend_s = RESEND_FIRST_S
@@ -149,12 +149,12 @@ class Player:
         return time.monotonic() - began
 
     def _miss(self, key: tuple[int, str]) -> None:
-        time_boot_ms, kind = key
+        time_ms, kind = key
         service = SERVICES[kind]
         gone = "" if service in self._present else f": the {service} is gone"
         again = " (it refuses readings that it has seen before: restart it)" if not (self._own or self._heard or gone) else ""
         self._progress.say(
-            f"warning: no {kind} received for the reading at {time_boot_ms / 1000:.2f} s within {self._patience_s:g} s{gone}{again}"
+            f"warning: no {kind} received for the reading at {time_ms / 1000:.2f} s within {self._patience_s:g} s{gone}{again}"
         )
         self._compare(key, None)
         self._given_up |= {kind for _, kind in self._due}  # not waited for again until one arrives
@@ -191,18 +191,19 @@ class Player:
                 if (health := self._bus.decode(item, Health)) is not None:
                     self._present.add(health.service)
             case Arrival(key, payload, attachment):
-                for answer in verify.answers(key.name, payload, attachment):
-                    self._answered(answer)
-                    if answer.kind == "belief" and answer.time_boot_ms <= self._latest_ms:
+                for said in verify.answers(key.name, payload, attachment):
+                    self._answered(answer := said.near(self._latest_ms))
+                    if answer.kind == "belief" and self._shown_ms < answer.time_ms <= self._latest_ms:
+                        self._shown_ms = answer.time_ms
                         self._show(self._bus.decode(item, Belief))
 
     def _answered(self, answer: Answer) -> None:
-        if answer.time_boot_ms > self._latest_ms:
+        if answer.time_ms > self._latest_ms:
             return  # from an earlier flight, kept for late joiners
-        key = answer.time_boot_ms, answer.kind
+        key = answer.time_ms, answer.kind
         self._due.discard(key)
         self._given_up.discard(answer.kind)
-        if key not in self._heard and answer.time_boot_ms == self._latest_ms:
+        if key not in self._heard and answer.time_ms == self._latest_ms:
             self._slowest_s = max(self._slowest_s, time.monotonic() - self._published_at)
         self._heard.add(key)
         self._compare(key, answer)
@@ -221,7 +222,7 @@ class Player:
         return key not in source.then and key[0] <= source.sure_ms and verify.must_be_silent(source.then, *key, source.budget)
 
     def _show(self, belief: Belief | None) -> None:
-        if belief is None or (self._last and belief.time_boot_ms <= self._last.time_boot_ms):
+        if belief is None:
             return
         if self._last:
             self._flown_m += math.dist(self._last.position, belief.position)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple
 import msgspec
 
 from link.bus.keys import HEALTH, MAVLINK_OUT, READING
-from link.bus.mavlink import BadFrame, unpack_reading
+from link.bus.mavlink import BadFrame, nearest, unpack_reading
 from link.record.reader import RecordError, is_record, read
 from link.record.record import Entry
 from plume import sensor
@@ -143,8 +143,8 @@ def _slowest_s(entries: list[Entry]) -> float:
     for entry in entries:
         if entry.key == READING.name:
             asked.setdefault(reading_time(entry), entry.published_ns)
-        for answer in verify.answers(entry.key, entry.payload, entry.attachment):
-            answered.setdefault((answer.time_boot_ms, answer.kind), entry.published_ns)
+        for answer in verify.recorded(entry):
+            answered.setdefault((answer.time_ms, answer.kind), entry.published_ns)
     return max((ns - asked[time] for (time, _), ns in answered.items() if time in asked), default=0) / 1e9
 
 
@@ -191,9 +191,9 @@ def find(args: argparse.Namespace, chosen: Mapping[str, Any], filtering: Mapping
 
 
 def reading_time(entry: Entry) -> int | None:
-    """The time that identifies a reading, ms; None if no estimator accepts it."""
+    """The time of a reading, ms, which goes on where time_boot_ms wraps; None if no estimator accepts it."""
     try:
-        return unpack_reading(entry.payload).time_boot_ms
+        return nearest(round(1000 * entry.simulation_s), unpack_reading(entry.payload).time_boot_ms)
     except BadFrame:
         return None
 

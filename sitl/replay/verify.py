@@ -9,7 +9,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.keys import BELIEF, STOP, WAYPOINT
-from link.bus.mavlink import BadFrame, unpack
+from link.bus.mavlink import BadFrame, nearest, unpack
 from link.bus.messages import Belief, Stop
 from link.record.record import Entry
 
@@ -32,16 +32,20 @@ class Answer(NamedTuple):
     """One answer of a service to one reading."""
 
     kind: str
-    time_boot_ms: int
+    time_ms: int
     """Time of the reading that it answers."""
     fields: dict[str, Any]
+
+    def near(self, time_ms: float) -> "Answer":
+        """Return it with its time near to another of the vehicle's, ms: so its time goes on where time_boot_ms wraps."""
+        return self._replace(time_ms=nearest(round(time_ms), self.time_ms))
 
 
 class Difference(NamedTuple):
     """The first difference from the recording."""
 
     kind: str
-    time_boot_ms: int
+    time_ms: int
     step: int | None
     """None where no belief says it."""
     field: str
@@ -52,7 +56,7 @@ class Difference(NamedTuple):
     @property
     def time_s(self) -> float:
         """Simulation time of the reading."""
-        return self.time_boot_ms / 1000
+        return self.time_ms / 1000
 
     def text(self) -> str:
         """One line for people."""
@@ -78,12 +82,12 @@ EXACTLY = Rules()
 
 def place(key: tuple[int, str]) -> tuple[int, int]:
     """Sort key of answers by time and kind: the order in which they are compared."""
-    time_boot_ms, kind = key
-    return time_boot_ms, list(KINDS).index(kind)
+    time_ms, kind = key
+    return time_ms, list(KINDS).index(kind)
 
 
 def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
-    """Return the answers in a message; empty if it is not an answer of a service or does not decode."""
+    """Return the answers in a message, with their time_boot_ms; empty if it is not an answer of a service or does not decode."""
     if key == WAYPOINT.name:
         return _waypoints(payload)
     kind = {BELIEF.name: "belief", STOP.name: "stop"}.get(key)
@@ -101,12 +105,17 @@ def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
     return [Answer(kind, time_boot_ms, fields)]
 
 
+def recorded(entry: Entry) -> list[Answer]:
+    """Return the answers in a message of a log."""
+    return [answer.near(1000 * entry.simulation_s) for answer in answers(entry.key, entry.payload, entry.attachment)]
+
+
 def said(entries: Iterable[Entry]) -> dict[tuple[int, str], Answer]:
     """Return the answers in a log by reading and kind, in order; repeated ones count once."""
     found: dict[tuple[int, str], Answer] = {}
     for entry in entries:
-        for answer in answers(entry.key, entry.payload, entry.attachment):
-            found.setdefault((answer.time_boot_ms, answer.kind), answer)
+        for answer in recorded(entry):
+            found.setdefault((answer.time_ms, answer.kind), answer)
     return {key: found[key] for key in sorted(found, key=place)}
 
 
@@ -139,7 +148,7 @@ def difference(was: Answer | None, now: Answer | None, rules: Rules = EXACTLY, s
     assert one is not None
     if one.kind in rules.ignored:
         return None
-    where = one.kind, one.time_boot_ms, next((known for known in (_step(was), _step(now), step) if known is not None), None)
+    where = one.kind, one.time_ms, next((known for known in (_step(was), _step(now), step) if known is not None), None)
     if was is None or now is None:
         return Difference(*where, "", _headline(was), _headline(now))
     for name in dict.fromkeys((*was.fields, *now.fields)):
@@ -159,19 +168,19 @@ def compare(then: Mapping[tuple[int, str], Answer], now: Mapping[tuple[int, str]
     return None
 
 
-def must_be_silent(then: Mapping[tuple[int, str], Answer], time_boot_ms: int, kind: str, budget: float) -> bool:
+def must_be_silent(then: Mapping[tuple[int, str], Answer], time_ms: int, kind: str, budget: float) -> bool:
     """True if a missing answer proves that none was sent, rather than that the log begins later or ends earlier.
 
     Answers to the last reading may have been sent after the recording ended, unless the log shows that none was to be sent.
     """
     times = [time for time, _ in then]
-    if not times or not times[0] <= time_boot_ms <= times[-1]:
+    if not times or not times[0] <= time_ms <= times[-1]:
         return False
-    if time_boot_ms < times[-1]:
+    if time_ms < times[-1]:
         return True
-    belief = then.get((time_boot_ms, "belief"))
+    belief = then.get((time_ms, "belief"))
     if kind != "waypoint" or belief is None:
-        return any((time_boot_ms, later) in then for later in ("belief", "waypoint") if later != kind)
+        return any((time_ms, later) in then for later in ("belief", "waypoint") if later != kind)
     step = _step(belief)
     return bool(belief.fields.get("ceased")) or (step is not None and step >= budget)
 

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import all as mavlink
 
+from link.bus.mavlink import WRAP_MS, WRAPPED_MS
 from sitl.tlog import frames
 from sitl.tlog.frames import Integers
 from sitl.tlog.sender import GLOBAL, LOCAL, Autopilot, FlightError, FlightLog, few
@@ -21,10 +22,6 @@ REORDER_MS = 1000
 """Messages overtake each other by up to this time, on a radio or over UDP; a clock that goes back further may have restarted."""
 LOOKAHEAD = 5
 """If one of the next LOOKAHEAD messages continues the old clock, a message that went back further was only late: no restart."""
-WRAP = 2**32
-"""time_boot_ms wraps to zero after 49.7 days."""
-WRAPPED_MS = 3_600_000
-"""A clock that goes back has wrapped if its step modulo 2³² is at most this; else it restarted."""
 GAP_US = 5_000_000
 """Shortest silence that is noted."""
 
@@ -54,7 +51,7 @@ class VehicleClock:
         if not len(self._ticks):
             return self.logged_ms(records)
         tick = self._tick(records)
-        since = (boot_ms - self._raw[tick] + WRAP // 2) % WRAP - WRAP // 2
+        since = (boot_ms - self._raw[tick] + WRAP_MS // 2) % WRAP_MS - WRAP_MS // 2
         return (self._times_ms[tick] + since).astype(np.float64)
 
     def logged_ms(self, records: Integers) -> Floats:
@@ -110,9 +107,9 @@ def _continuous(raw: list[int], logged_us: list[int]) -> tuple[Integers, Integer
     newest = last
     for index, now in enumerate(raw):
         if _goes_on(last, now):
-            late = (last - now) % WRAP
+            late = (last - now) % WRAP_MS
             if late > REORDER_MS:
-                newest, last, late = newest + (now - last) % WRAP, now, 0
+                newest, last, late = newest + (now - last) % WRAP_MS, now, 0
         elif any(_goes_on(last, later) for later in raw[index + 1 : index + 1 + LOOKAHEAD]):
             late = last - now
         else:
@@ -125,7 +122,7 @@ def _continuous(raw: list[int], logged_us: list[int]) -> tuple[Integers, Integer
 
 def _goes_on(last: int, now: int) -> bool:
     """True if a clock can go from `last` to `now` without a restart: later, slightly earlier (a late message), or wrapped."""
-    return now > last or (last - now) % WRAP <= REORDER_MS or (now - last) % WRAP <= WRAPPED_MS
+    return now > last or (last - now) % WRAP_MS <= REORDER_MS or (now - last) % WRAP_MS <= WRAPPED_MS
 
 
 def _remove_jumps(log: FlightLog, own: Integers, ticks: Integers, times_ms: Integers, boots: Integers) -> list[str]:

@@ -11,14 +11,14 @@ import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from link.bus.keys import MAVLINK_OUT, READING
-from link.bus.mavlink import Codec, Reading, pack_reading
+from link.bus.mavlink import WRAP_MS, Codec, Reading, pack_reading
 from link.record.record import Entry
 from plume.geodesy import to_global
 from plume.scenario import AREA_M
 from plume.world import World, float32
 from sitl.tlog import clock as clocks
 from sitl.tlog import sender, track
-from sitl.tlog.clock import WRAP, Floats, VehicleClock
+from sitl.tlog.clock import Floats, VehicleClock
 from sitl.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wind, steady
 from sitl.tlog.sender import AUTOPILOT, Autopilot, FlightError, FlightLog, counted, few
 from sitl.tlog.track import Anchor, FlownPath, Place
@@ -214,11 +214,11 @@ def _readings(
     taken: Sequence[Taken], corner: Pair, side_m: float, plume: World | None, left_out: Counter[str]
 ) -> list[tuple[Reading, LoggedGas]]:
     """Return the readings inside the area, with times shifted if they do not fit MAVLink's 32-bit time_boot_ms."""
-    fits = bool(taken) and taken[0].sample.time_ms >= 0 and taken[-1].sample.time_ms < WRAP
+    fits = bool(taken) and taken[0].sample.time_ms >= 0 and taken[-1].sample.time_ms < WRAP_MS
     first_ms = 0 if fits or not taken else taken[0].sample.time_ms
     readings: list[tuple[Reading, LoggedGas]] = []
     for sample, (north, east, up), wind in taken:
-        if sample.time_ms - first_ms >= WRAP:
+        if sample.time_ms - first_ms >= WRAP_MS:
             left_out["later than time_boot_ms can say"] += 1
             continue
         position = float32(east - corner[1]), float32(north - corner[0])

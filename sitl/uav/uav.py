@@ -288,7 +288,7 @@ class Uav:
         for event in self._timeline.before(self._readings):
             self._perform(event)
         north, east, _ = arrived.position
-        self._last_time_boot_ms = max(round(self._vehicle.now_s * 1000), self._last_time_boot_ms + 1)
+        self._last_time_boot_ms = self._search.answers.time_of(self._vehicle.now_s)
         if self._asking and self._remote:
             self._asked = arrived
             self._asking.ask(self._last_time_boot_ms, self._readings, arrived.position, self._remote.wind)

@@ -4,6 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from link.bus.mavlink import unpack
 from link.bus.messages import Belief
 from tests.fuzz.services import BETWEEN, answered, belief_seeds
 
@@ -44,3 +45,10 @@ def test_particles_that_are_far_apart_need_no_grid_between_them() -> None:
     for policy in (POLICY, "homing"):
         bus = answered(policy, msgspec.json.encode(narrow) + BETWEEN + rows.tobytes())
         assert len(bus.published) == 1
+
+
+def test_beliefs_across_the_wrap_of_the_vehicles_time_are_answered_in_order_and_late_ones_are_not() -> None:
+    times = [2**32 - 1200, 2**32 - 100, 1000, 2**32 - 100, 2100]  # the fourth comes late
+    bus = answered("homing", *(said(time_boot_ms=time, step=step) for step, time in enumerate(times)))
+    told = [message.time_boot_ms for _, frames, _ in bus.published for message in unpack(frames)]
+    assert told == [2**32 - 1200, 2**32 - 100, 1000, 2100]

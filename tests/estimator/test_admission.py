@@ -18,6 +18,12 @@ def test_a_new_reading_from_the_area_is_taken() -> None:
     assert refusal(GOOD, GOOD._replace(time_boot_ms=1999), Config()) is None
 
 
+def test_a_reading_after_the_wrap_of_the_vehicles_time_is_new_and_one_from_before_it_late() -> None:
+    before, after = GOOD._replace(time_boot_ms=2**32 - 5), GOOD._replace(time_boot_ms=3)
+    assert refusal(after, before, Config()) is None
+    assert refusal(before, after, Config()) == ("late", "time_boot_ms 4294967291 is before 3")
+
+
 @pytest.mark.parametrize(
     ("reading", "kind", "reason"),
     [

@@ -112,7 +112,7 @@ def golden(name: str) -> str:
             place = choose(policy, said, particles, seed, reach(policy))
             message = waypoint_message(1, said.time_boot_ms, place, said.altitude_m)
             answers += verify.answers(WAYPOINT.name, codec.pack(message))
-    then, now = verify.said(log.entries), {(answer.time_boot_ms, answer.kind): answer for answer in answers}
+    then, now = verify.said(log.entries), {(answer.time_ms, answer.kind): answer for answer in answers}
     found = verify.compare(then, now)
     differs = f" DIFFERS {found.text()}" if found else "" if then else " DIFFERS nothing is recorded"
     return digest_of(now.values()) + differs

@@ -7,7 +7,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.mavlink import BadFrame, Codec, Reading, flat_reading, pack_reading, unpack, unpack_reading, unpack_waypoint, waypoint_message
+from link.bus.mavlink import (
+    BadFrame,
+    Codec,
+    Reading,
+    continued,
+    elapsed_ms,
+    flat_reading,
+    nearest,
+    pack_reading,
+    unpack,
+    unpack_reading,
+    unpack_waypoint,
+    waypoint_message,
+)
 
 READING = Reading(time_boot_ms=1234, position=(3.5, 4.25), altitude_m=5.0, wind=(1.5, -0.5), gas=0.75)
 float32 = st.floats(-1000, 1000, width=32)
@@ -129,3 +142,36 @@ def test_frames_of_mavlink_1_and_signed_ones_tell_a_reading_too() -> None:
 def test_a_flat_reading_leaves_open_what_is_not_said() -> None:
     said = {"LOCAL_POSITION_NED": {"time_boot_ms": 5, "x": 1.0, "y": 2.0, "z": -3.0}, "WIND_COV": {"wind_x": 4.0}}
     assert flat_reading(said) == {"time_boot_ms": 5, "x": 2.0, "y": 1.0, "altitude_m": 3.0, "wind_x": None, "wind_y": -4.0, "gas": None}
+
+
+# ---- time_boot_ms, which wraps after 49.7 days ----
+
+ROUND = 4_294_967_296
+HOURS = 3_600_000
+
+
+@given(st.integers(0, 3 * ROUND), st.integers(1 - ROUND // 2, ROUND // 2 - 1))
+def test_of_two_times_the_later_one_is_less_than_half_a_round_ahead(since_ms: int, step_ms: int) -> None:
+    until_ms = since_ms + step_ms
+    assert elapsed_ms(since_ms % ROUND, until_ms % ROUND) == step_ms
+    assert nearest(since_ms, until_ms % ROUND) == until_ms
+
+
+@pytest.mark.parametrize(
+    ("newest_ms", "time_boot_ms", "time_ms"),
+    [
+        (0, 3_000_000_000, 3_000_000_000),  # heard for the first time
+        (5000, 5010, 5010),
+        (5000, 4000, 4000),  # overtaken, or started again
+        (ROUND - 10, 5, ROUND + 5),
+        (ROUND + 5, ROUND - 10, ROUND - 10),
+        (ROUND + 5, 20 * HOURS, ROUND + 20 * HOURS),  # not heard of for long
+        (2 * ROUND + 50, 49, 2 * ROUND + 49),
+        (3_000_000_000, 0, 0),  # started again
+        (ROUND + 20 * HOURS, 100, 100),
+    ],
+)
+def test_a_vehicles_own_time_goes_on_where_it_wraps_and_begins_anew_with_the_vehicle(
+    newest_ms: int, time_boot_ms: int, time_ms: int
+) -> None:
+    assert continued(newest_ms, time_boot_ms) == time_ms

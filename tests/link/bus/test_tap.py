@@ -224,6 +224,30 @@ def test_the_newest_time_is_that_which_was_published_last() -> None:
     assert clock.time_s("health/uav", b"", 50) == 4.0
 
 
+def test_simulation_time_goes_on_where_the_vehicles_own_wraps() -> None:
+    clock, wrap = SimulationClock(), 2**32
+    before, after = wrap - 3000, 1_000_000  # at a thousandfold speed minutes pass until an answer comes
+    told = [
+        clock.time_s(key, payload, at)
+        for at, (key, payload) in enumerate(
+            [
+                ("reading", UAV.pack(_at(before))),
+                ("mavlink/out", UAV.pack(_at(5000))),
+                ("belief", b'{"time_boot_ms":%d}' % before),
+                ("mavlink/out", UAV.pack(_at(9_000_000))),
+                ("reading", UAV.pack(_at(before))),  # again
+                ("waypoint", UAV.pack(_waypoint(before))),
+                ("reading", UAV.pack(_at(after))),
+                ("belief", b'{"time_boot_ms":%d}' % after),
+                ("health/uav", b""),
+            ]
+        )
+    ]
+    times_ms = [before, wrap + 5000, before, wrap + 9_000_000, before, before, wrap + after, wrap + after, wrap + after]
+    assert told == [time_ms / 1000 for time_ms in times_ms]
+    assert clock.step == 1
+
+
 def test_the_clock_counts_each_reading_once_knows_what_answers_the_last_ones_and_forgets_older_ones() -> None:
     """The truth is plain: reading n is at n s, is repeated 10 readings later, and is answered with its own time."""
     clock = SimulationClock()

@@ -286,6 +286,15 @@ def test_a_vehicle_that_is_started_again_begins_a_new_mission(history: History) 
     assert said(history)[-1] == ("info", "uav", "a new mission begins")
 
 
+def test_a_vehicle_whose_time_wraps_is_in_the_same_mission_and_one_that_is_started_again_then_is_not(history: History) -> None:
+    for number, time_boot_ms in enumerate((2**32 - 500, 2**32 - 1, 20, 5000)):
+        local = mavlink.MAVLink_local_position_ned_message(time_boot_ms, 0.0, float(number), -5.0, 0.0, 0.0, 0.0)
+        history.take("mavlink/out", UAV.pack(local), b"", 4_294_967.0 + number, 100.0 + number)
+    assert (history.missions, len(history.at().track)) == (1, 4)
+    history.take("mavlink/out", UAV.pack(mavlink.MAVLink_local_position_ned_message(0, *[0.0] * 6)), b"", 0.0, 200.0)
+    assert history.missions == 2
+
+
 def test_of_a_record_of_two_missions_the_last_one_is_shown_on_its_own_times(history: History) -> None:
     def local(time_s: float) -> bytes:
         return UAV.pack(mavlink.MAVLink_local_position_ned_message(round(1000 * time_s), 0.0, 0.0, -5.0, 0.0, 0.0, 0.0))

@@ -389,3 +389,16 @@ def test_the_vehicles_own_search_need_not_stream():
     (arrived,) = fly_on(vehicle)
     assert texts(vehicle.advance(arrived.time_s + 29.9)) == []
     assert texts(vehicle.advance(arrived.time_s + 30.1)) == ["No setpoint for 30 s: returning home"]
+
+
+def test_readings_and_their_answers_pass_the_wrap_of_time():
+    answers = Answers()
+    times = [answers.time_of(now_s) for now_s in (4_294_967.290, 4_294_967.290, 4_294_967.296, 4_294_967.5)]
+    assert times == [2**32 - 6, 2**32 - 5, 0, 204]
+    for stamp in times:
+        answers.sampled(stamp)
+    late = "Waypoint ignored: late answer to the reading at 4294967290 ms"
+    assert answers.refusal(times[0], HERE) == (REJECTED, late, "")
+    assert answers.refusal(204, HERE) is None
+    with pytest.raises(ValueError, match="reading times must increase"):
+        answers.sampled(2**32 - 4)

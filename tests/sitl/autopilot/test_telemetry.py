@@ -365,3 +365,11 @@ def test_time_mode_and_estimator_are_told():
     packed = mode.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))
     custom, intended, standard = struct.unpack("<IIB", packed[10:19])
     assert (custom, intended, standard) == (4 << 16 | 5 << 24, 4 << 16 | 5 << 24, 5)
+
+
+@pytest.mark.parametrize("at_s", [4_294_967.296, 9_000_000.25])
+def test_every_message_tells_its_time_after_that_has_wrapped(at_s):
+    assert report("LOCAL_POSITION_NED", at_s=at_s).time_boot_ms == round(at_s * 1000) % 2**32
+    for name, number in NUMBER.items():
+        if telemetry().build(number, at_s):
+            report(name, at_s=at_s)  # it can be packed

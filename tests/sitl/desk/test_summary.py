@@ -81,6 +81,15 @@ def said(capsys: pytest.CaptureFixture[str], path: Path, status: int = 0, **flag
     return err if status else out
 
 
+def test_a_reading_after_the_wrap_of_the_vehicles_time_is_answered_by_the_belief_of_its_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrap_s = 4_294_967.296
+    messages = [(0.1, wrap_s + 1, "reading", reading(0)), (0.2, wrap_s + 1, "belief", belief(0)), (0.3, wrap_s + 2, "reading", reading(1))]
+    fields = json.loads(said(capsys, record(tmp_path / "run.mcap", messages), json=True).splitlines()[-1])
+    assert fields["gaps"] == ["1 readings without a belief, at 4294969.30 s of simulation"]
+
+
 def test_the_summary_counts_keys_repeats_and_what_is_missing(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fields = json.loads(said(capsys, log, json=True).splitlines()[-1])
     assert fields["complete"]

@@ -2,7 +2,9 @@
 
 import math
 
-from link.bus.mavlink import Codec, Reading, pack_reading
+from msgspec.structs import replace
+
+from link.bus.mavlink import Codec, Reading, pack_reading, unpack_reading
 from link.bus.messages import Belief
 from plume.outcome import TracePoint
 from sitl.launch.trace import HeardTrace
@@ -80,3 +82,19 @@ def test_the_readings_of_known_beliefs_are_let_go() -> None:
     trace = heard(range(50), [belief(step) for step in range(50)])
     trace.reading(reading(3), 1)
     assert not trace.kept
+
+
+def test_the_trace_is_the_same_where_the_vehicles_time_wraps() -> None:
+    def shifted(time_boot_ms: int) -> int:
+        return (time_boot_ms + 2**32 - 2500) % 2**32  # after the third reading
+
+    trace = HeardTrace()
+    for step in (0, 2, 1, 3, 4):
+        said = unpack_reading(reading(step))
+        trace.reading(pack_reading(VEHICLE, said._replace(time_boot_ms=shifted(said.time_boot_ms))), 1)
+    for known_belief in (belief(1), belief(4)):
+        trace.belief(replace(known_belief, time_boot_ms=shifted(known_belief.time_boot_ms)))
+    points = trace.points()
+    assert points is not None
+    assert [(point.position, point.reading) for point in points] == [((float(step), 2.0), step / 4) for step in range(5)]
+    assert [trace.time_s(step) for step in (1, 4)] == [4_294_965.796, 4_294_968.796]

@@ -163,7 +163,7 @@ def test_only_waypoints_and_what_decodes_are_answers() -> None:
     assert verify.answers("mavlink/in", waypoint().payload) == []
     heartbeat = bytes(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 0, 3).pack(mavlink.MAVLink(None, 1, 191)))
     assert verify.answers("waypoint", heartbeat) == []
-    assert [answer.time_boot_ms for answer in verify.answers("waypoint", heartbeat + waypoint().payload + waypoint(99).payload)] == [
+    assert [answer.time_ms for answer in verify.answers("waypoint", heartbeat + waypoint().payload + waypoint(99).payload)] == [
         12350,
         99,
     ]
@@ -176,6 +176,18 @@ def test_silence_in_the_middle_of_a_log_means_that_nothing_was_said() -> None:
     then = verify.said([belief(time_boot_ms=1000), belief(time_boot_ms=2000), belief(time_boot_ms=3000)])
     assert all(verify.must_be_silent(then, 2000, kind, math.inf) for kind in ("stop", "waypoint"))
     assert verify.must_be_silent(then, 2500, "belief", math.inf)
+
+
+def test_answers_keep_their_order_where_the_vehicles_time_wraps() -> None:
+    def at(time_boot_ms: int, time_s: float, **changed: object) -> Entry:
+        return belief(time_boot_ms=time_boot_ms, **changed)._replace(simulation_s=time_s)
+
+    then = [at(2**32 - 1000, 4_294_966.3), at(200, 4_294_967.496), at(1400, 4_294_968.7)]
+    now = [then[0], at(200, 4_294_967.496, ceased=True), then[2]]
+    said = verify.said(then)
+    assert [time for time, _ in said] == [2**32 - 1000, 2**32 + 200, 2**32 + 1400]
+    assert verify.must_be_silent(said, 2**32 + 200, "waypoint", math.inf)
+    assert text(then, now) == "belief at 4294967.50 s (step 7): ceased was false, is true"
 
 
 def test_a_log_does_not_tell_what_was_said_before_it_began_and_after_it_ended() -> None:
