@@ -9,7 +9,7 @@ from link.signing import timestamps
 from sitl.bridge import bus_link, links, tcp
 from sitl.script import typed_yaml
 from sitl.uav import udp
-from sitl.view import live, server
+from sitl.view import connections, live, server, word
 
 PAGE = Path(__file__).parents[1] / "docs" / "security.md"
 MIB, GIB = 2**20, 2**30
@@ -28,9 +28,11 @@ def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
         "mission script": f"{typed_yaml.MOST_BYTES:,} bytes; {typed_yaml.MOST_VALUES:,} values, aliases expanded",
         "waiting messages of a key": f"{inbox.WAITING_MESSAGES:,} and the kept ones; {inbox.WAITING_BYTES // MIB} MiB",
         "names of services": f"ours and {inbox.MOST_OTHERS} others",
-        "pages of one server": f"{server.MOST_CLIENTS}",
+        "pages of one server": f"{server.MOST_CLIENTS} that only look, {server.MOST_CLIENTS} that may command",
+        "connections to the page's server that are no page": f"{connections.MOST_WAITING}",
         "message of a page": f"{server.LONGEST_MESSAGE:,} bytes",
-        "commands of a page": f"{server.MOST_COMMANDS} within {server.COMMANDS_S:g} s",
+        "words that allow commands": f"of an address that gave a wrong one none for {word.WRONG_S:g} s; {word.SHORTEST} characters at least",
+        "commands of a page": f"{server.MOST_COMMANDS} within {server.COMMANDS_S:g} s; return and land without limit",
         "unread answers to a page's commands": f"{server.MOST_ANSWERS}",
         "vehicles on a page": f"{live.MOST_VEHICLES}",
         "peers of a MAVLink endpoint that listens": f"{links.MOST_PEERS}",

@@ -212,7 +212,7 @@ def test_a_mission_with_what_the_agent_refuses_ends_in_the_agents_line(tmp_path:
     (tmp_path / "empty.zip").write_bytes(b"")
     ended = command("sitl", "fly", *flags, "--speedup", "0", cwd=tmp_path)
     assert (ended.returncode, ended.stdout) == (2, "")
-    (said,) = ended.stderr.splitlines()
+    *_, said = ended.stderr.splitlines()  # a slow machine's launcher says first what it waits for
     assert line in said
 
 
