@@ -41,10 +41,13 @@ def echo(endpoint: str, seed: int) -> None:
     late: list[tuple[float, int, bytes]] = []
     with Bus("echo", endpoint, announced=False) as bus:
         publisher = bus._session.declare_publisher(READING.name, congestion_control=zenoh.CongestionControl.BLOCK)
-        bus._subscribers[READING.name] = bus._session.declare_subscriber(  # as a stranger: each reading as it comes, without history
+        bus._hold(  # as a stranger: each reading as it comes, without history
             READING.name,
-            lambda sample: bus._inbox.put(Arrival(READING, sample.payload.to_bytes(), b"")),
-            allowed_origin=zenoh.Locality.REMOTE,
+            lambda session: session.declare_subscriber(
+                READING.name,
+                lambda sample: bus._inbox.put(Arrival(READING, sample.payload.to_bytes(), b"")),
+                allowed_origin=zenoh.Locality.REMOTE,
+            ),
         )
         _ready()
         count = 0
