@@ -365,9 +365,7 @@ class Uav:
                 self._sample(event)
             return
         words = " ".join(f"{name} {value}" for name, value in msgspec.structs.asdict(event).items() if value is not None)
-        text = f"Script: {event.__struct_config__.tag} {words}"
-        self._log.info(text)
-        self._broadcast(self._protocol.statustext(mavlink.MAV_SEVERITY_INFO, text))
+        self._tell(mavlink.MAV_SEVERITY_INFO, f"Script: {event.__struct_config__.tag} {words}")
         match event:
             case Wind(u=u, phi=phi):
                 world = self._world
