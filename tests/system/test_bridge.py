@@ -303,3 +303,14 @@ def test_mavsdk_flies_the_vehicle_of_the_bus_through_the_bridge(kind: str, start
             await until(drone.telemetry.armed(), lambda armed: not armed)
 
     asyncio.run(fly())
+
+
+@pytest.mark.parametrize(
+    ("words", "may"),
+    [(("bridge",), "command the vehicle"), (("uav", "--out"), "command the vehicle"), (("uav", "--vehicle"), "speak as the vehicle")],
+)
+def test_whatever_listens_beside_the_loopback_warns(start, router: str, wait_until: Callable, words: tuple[str, ...], may: str) -> None:
+    port = free_port(UDP)
+    url = f"udpin:{socket.gethostname()}:{port}"  # a name may point anywhere
+    part = start("sitl", *words, url, *(() if "--out" in words else ("--connect", router)))
+    wait_until(lambda: part.says(f"{url} is open to other machines: whoever reaches port {port} can {may}"))
