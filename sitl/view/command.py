@@ -153,10 +153,6 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         with contextlib.suppress(RuntimeError):  # the loop has ended
             loop.call_soon_threadsafe(told)
 
-    def failed() -> None:
-        with contextlib.suppress(RuntimeError):
-            loop.call_soon_threadsafe(lambda: end(cli.FAILED))
-
     def show(stream: LiveFoxglove) -> None:
         for vehicle in tuple(shown.vehicles.values()):
             stream.show(vehicle.scene()[0])
@@ -181,7 +177,7 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
             described = None
             if args.about:
                 described = Described(args.about["namespace"], *backdrop_of(args.about), turns_of(args.about))
-            shown = LiveFleet(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True), failed, args.secure)
+            shown = LiveFleet(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True), args.secure)
     except RecordError as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT

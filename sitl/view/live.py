@@ -148,12 +148,11 @@ class LiveFleet:
 
     def __init__(
         self, router: str, described: Described | None, changed: Callable[[], None], say: Callable[[str], None],
-        failed: Callable[[], None], secure: Path | None = None,
+        secure: Path | None = None,
     ) -> None:  # fmt: skip
         """Begin to follow.
 
-        changed: called in the bus's thread when there is something new to see; say: told, in a line, of what is wrong;
-        failed: called in the bus's thread when it ends by a fault, which was told.
+        changed: called in the bus's thread when there is something new to see; say: told, in a line, of what is wrong.
         secure: the folder of certificates. Raises BusError if `router` is not an endpoint, AccessError without a certificate that is fit.
         """
         self.vehicles: dict[str, LiveVehicle] = {}
@@ -162,7 +161,7 @@ class LiveFleet:
         """Grows with each change of the list or the notice."""
         self.notice = ""
         """What people should know of the bus: no router, too many vehicles."""
-        self._router, self._described, self._changed, self._say, self._failed = router, described, changed, say, failed
+        self._router, self._described, self._changed, self._say = router, described, changed, say
         self._secure = secure
         self._ended = threading.Event()
         self._pending: dict[tuple[str, str], float] = {}
@@ -172,7 +171,7 @@ class LiveFleet:
             roster = Roster("view", router, CONNECT_TIMEOUT_S, secure)
         except NoRouter as error:
             trouble = self._trouble(error)
-        self._thread = threading.Thread(target=self._guard, args=(roster, trouble), name="bus", daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(roster, trouble), name="bus", daemon=True)
         self._thread.start()
 
     def entries(self) -> list[dict[str, Any]]:
@@ -183,13 +182,6 @@ class LiveFleet:
         """Leave the bus. What there is to see stays as it is."""
         self._ended.set()
         self._thread.join(CONNECT_TIMEOUT_S + 1.0)
-
-    def _guard(self, roster: Roster | None, trouble: str) -> None:
-        try:
-            self._run(roster, trouble)
-        except Exception as error:  # whatever it was: nobody would see that the picture stands still
-            self._say(f"error: the bus is no longer followed: {type(error).__name__}: {error}")
-            self._failed()
 
     def _run(self, roster: Roster | None, trouble: str) -> None:
         while roster is None and not self._ended.wait(LOOK_S):

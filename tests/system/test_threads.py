@@ -65,6 +65,17 @@ def command():
     Measuring(measure, Inbox()).begin(Question(1, 1000, 0, (4.0, 3.0), None))
     time.sleep(600)
 """,
+    "bus": """
+from sitl.__main__ import main
+from sitl.view.roster import Roster
+
+def changes(_):
+    raise RuntimeError("a fault")
+
+def command():
+    Roster.changes = changes
+    return main(arguments=["view", "--connect", sys.argv[1], "--port", "0"])
+""",
 }
 
 

@@ -11,7 +11,6 @@ from link.access.authority import make
 from link.bus.opening import open_router
 from link.bus.session import Bus
 from sitl.view.live import LiveFleet
-from tests.system.live import run_sitl
 from tests.system.stranger import Stranger
 
 LONG_AGO = datetime.datetime.now(datetime.UTC) - datetime.timedelta(days=800)
@@ -29,7 +28,7 @@ def folder(tmp_path: Path) -> Path:
 def following(router: str, folder: Path | None = None) -> Iterator[tuple[LiveFleet, list[str]]]:
     """A fleet that is followed, and the lines that it has said."""
     lines: list[str] = []
-    fleet = LiveFleet(router, None, lambda: None, lines.append, lambda: None, folder)
+    fleet = LiveFleet(router, None, lambda: None, lines.append, folder)
     try:
         yield fleet, lines
     finally:
@@ -80,14 +79,3 @@ def test_a_token_for_a_pattern_of_keys_is_no_vehicle_and_does_not_end_the_page(r
         wait_until(lambda: {f"{pattern}/health/uav" for pattern in patterns} <= set(witness.announced()))
         with Bus("uav", router, "uav/7"):
             wait_until(lambda: list(fleet.vehicles) == ["uav/7"])
-
-
-def test_a_fault_in_the_buss_thread_ends_the_page_with_a_line(
-    router: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def broken(_: object) -> None:
-        raise KeyError("broken")
-
-    monkeypatch.setattr("sitl.view.roster.Roster.changes", broken)
-    status, _, err = run_sitl(monkeypatch, capsys, "view", "--connect", router, "--port", "0")
-    assert (status, err) == (1, ["error: the bus is no longer followed: KeyError: 'broken'"])
