@@ -3,8 +3,10 @@
 import argparse
 import errno
 import gc
+import io
 import math
 import os
+import resource
 import select
 import sys
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -280,6 +282,9 @@ def existing(flag: str, paths: Iterable[Path], force: bool) -> str | None:
 def run(command: Callable[[], int | None]) -> NoReturn:
     """Run a command and exit with its status: 0 done, 1 failed, 2 bad input, 130 interrupted, 141 if the reader of its output has gone."""
     gc.set_threshold(100_000)  # Python's own 700 costs a tenth of the start-up time
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # None where the caller closed it
+            stream.reconfigure(errors="backslashreplace")  # where ASCII alone is printed, and for names of files that are not text
     try:
         interrupt()
         status = _status(command)
@@ -310,6 +315,13 @@ def _status(command: Callable[[], int | None]) -> int:
         print(f"error: {error}", file=sys.stderr)
         return BAD_INPUT
     except OSError as error:
+        if error.errno == errno.EMFILE:
+            most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+            print(
+                f"error: {error.strerror}: wanted more than the {most} that may be open at a time (set it with: ulimit -n 1024)",
+                file=sys.stderr,
+            )
+            return FAILED
         return _lost_output(error)
 
 

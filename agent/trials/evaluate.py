@@ -2,6 +2,7 @@
 
 import argparse
 import csv
+import errno
 import gzip
 import json
 import os
@@ -167,6 +168,8 @@ def _evaluate(sweep: "Sweep", args: argparse.Namespace) -> int:
         tell(f"interrupted: {kept()}")
         raise
     except (WorkerLost, OSError) as error:
+        if isinstance(error, OSError) and error.errno == errno.EMFILE:
+            raise
         print(f"error: {error}; {kept()}", file=sys.stderr)
         return cli.FAILED
     rows = ordered(rows, sweep)

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import re
+import resource
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,8 @@ Zenoh forwards to one client after the other (its issues 1876 and 2585). By defa
 
 MOST_MESSAGE = BELIEF.most_mib * MIB
 """Most bytes of a message: a belief of a million particles with all unknowns has 56 MB. Receivers drop a larger one, and keep the link."""
+FEWEST_FILES = 64
+"""Fewest files that a process must be allowed to open: with less than half of them Zenoh panics."""
 
 
 MOST_QUERY = MIB
@@ -117,6 +120,9 @@ def kept_of(session: zenoh.Session, key: Key) -> list[tuple[bytes, bytes | None]
 
 def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zenoh.Config:
     """Return Zenoh's configuration for a mode and what each flag names, such as `connect`. Raises BusError. settings: others of Zenoh's."""
+    most_files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if 0 <= most_files < FEWEST_FILES:
+        raise BusError(f"only {most_files} files may be open at a time; wanted {FEWEST_FILES} at least (set it with: ulimit -n 1024)")
     config = zenoh.Config()
     config.insert_json5("mode", json.dumps(mode))
     config.insert_json5("scouting/multicast/enabled", "false")
@@ -200,6 +206,15 @@ def open_router(endpoint: str, secure: Path | None = None, connect: str | None =
         raise BusError(f"--listen: cannot listen on {endpoint}: {reason.group(1) if reason else str(error).split(' at /')[0]}") from None
     for reply in session.get(f"@/{session.zid()}/router"):
         if reply.ok is not None:
-            return session, str(json.loads(reply.ok.payload.to_bytes())["locators"][0])
+            addresses = json.loads(reply.ok.payload.to_bytes())["locators"] or at_loopback(endpoint)
+            if addresses:
+                return session, str(addresses[0])
     session.close()  # type: ignore[no-untyped-call]
-    raise BusError(f"--listen: the router on {endpoint} does not report its address")
+    raise BusError(f"--listen: the router on {endpoint} does not report its address; wanted one with a port, like {DEFAULT_ROUTER}")
+
+
+def at_loopback(endpoint: str) -> list[str]:
+    """Return where a router on all addresses is reached if there is none but loopback, as Zenoh then reports none. Empty for port 0."""
+    protocol, _, address = endpoint.partition("/")
+    port = address.partition("#")[0].partition("?")[0].rpartition(":")[2]
+    return [f"{protocol}/{'[::1]' if address.startswith('[') else '127.0.0.1'}:{port}"] if port != "0" else []

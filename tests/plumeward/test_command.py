@@ -84,6 +84,32 @@ def test_what_there_is_to_choose_from_is_listed_by_name(capsys: pytest.CaptureFi
     assert set(assumptions) == {"paper", "field"}
 
 
+def test_what_a_terminal_cannot_show_is_printed_in_ascii() -> None:
+    environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
+    command = [sys.executable, "-m", "plumeward", "list", "sensors"]
+    ran = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=60, encoding="ascii")
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert "Gaussian noise, g/m\\xb3" in ran.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("most", "words", "status", "said"),
+    [
+        (30, "fly", 2, "error: only 30 files may be open at a time; wanted 64 at least (set it with: ulimit -n 1024)"),
+        (8, "fly", 1, "error: Too many open files: wanted more than the 8 that may be open at a time (set it with: ulimit"),
+        (20, "evaluate --scenarios 8 --policy random --budget 1 --workers 8", 1, "error: Too many open files: wanted more than the 20 "),
+    ],
+)
+def test_too_few_open_files_are_told_in_one_line_with_what_to_set(tmp_path: Path, most: int, words: str, status: int, said: str) -> None:
+    command = f"ulimit -n {most}; exec {sys.executable} -m plumeward {words}"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run(["bash", "-c", command], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    assert (ran.returncode, ran.stdout) == (status, "")
+    assert ran.stderr.splitlines()[-1].startswith(said)
+    assert "Traceback" not in ran.stderr
+
+
 WRONG = [
     (["flyy"], "plumeward: error: no command 'flyy'; did you mean 'fly'?"),
     (["juggle"], "plumeward: error: no command 'juggle'; wanted fly, rollout, list, "),

@@ -1,6 +1,8 @@
-"""Protects memory from large messages: a receiver drops them, and goes on with its link."""
+"""Protects how sessions are opened: large messages are dropped and the link stays; a router says where it is reached."""
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -112,6 +114,33 @@ def test_a_large_question_reaches_nobody(wait_until: Callable[..., None], monkey
         for _ in stranger.get(key, payload=bytes(MOST_QUERY + 1), timeout=1):
             pass
         assert set(asked) == {0}
+
+
+ALONE = """
+import ctypes, fcntl, socket, struct, sys
+if ctypes.CDLL(None).unshare(0x10000000 | 0x40000000):  # a user and a network of its own
+    sys.exit("not permitted")
+with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any:
+    fcntl.ioctl(any, 0x8914, struct.pack("16sh14x", b"lo", 1))  # loopback is up
+from link.bus.opening import BusError, open_router  # its threads may not move to another network
+session, endpoint = open_router("tcp/0.0.0.0:7447")
+print(endpoint)
+session.close()
+try:
+    open_router("tcp/0.0.0.0:0")
+except BusError as error:
+    print(error)
+"""
+
+
+def test_on_a_machine_with_loopback_only_a_router_on_all_addresses_says_the_loopback_one() -> None:
+    ran = subprocess.run([sys.executable, "-c", ALONE], capture_output=True, text=True, timeout=300)
+    if ran.stderr == "not permitted\n":
+        pytest.skip("a network of its own is not permitted here")
+    assert ran.stdout.splitlines() == [
+        "tcp/127.0.0.1:7447",
+        "--listen: the router on tcp/0.0.0.0:0 does not report its address; wanted one with a port, like tcp/127.0.0.1:7447",
+    ], ran.stderr
 
 
 def test_the_largest_belief_is_below_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
