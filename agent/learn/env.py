@@ -156,6 +156,12 @@ def _seed(value: Any) -> int:
     return int(value)
 
 
+def _refuse(options: Any) -> None:
+    """Raise ValueError on options of a reset: there are none."""
+    if options:
+        raise ValueError(f"options {_short(options)} are not allowed; wanted none: the seed draws the start and all else of a mission")
+
+
 def _told(missions: Missions) -> dict[str, Any]:
     """The infos of each mission; the policy does not see them. `located` is False where the mission has not ceased."""
     return {
@@ -195,7 +201,8 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         self.missions: Missions | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Begin a mission and take its first reading."""
+        """Begin a mission and take its first reading. Raises ValueError on a bad seed and on options: there are none."""
+        _refuse(options)
         seed = None if seed is None else _seed(seed)
         super().reset(seed=seed)
         self.missions = self.settings.begin([int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed])
@@ -251,7 +258,11 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence; without a seed, the next ones drawn."""
+        """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence; without a seed, the next ones drawn.
+
+        Raises like `SourceSearch.reset`.
+        """
+        _refuse(options)
         if seed is None and self._draws:
             seeds = [self._next(i) for i in range(self.num_envs)]
         else:

@@ -286,6 +286,14 @@ def test_a_reset_of_many_begins_a_seed_and_those_after_it_or_those_that_are_name
             several.reset(seed=seeds)
 
 
+def test_a_reset_has_no_options_and_says_so() -> None:
+    for env in (make(), SourceSearchVector(3, **QUICK)):
+        for none in (None, {}):
+            env.reset(seed=1, options=none)
+        with pytest.raises(ValueError, match=r"^options \{'start': \(1.0, 2.0\)\} are not allowed; wanted none: "):
+            env.reset(seed=1, options={"start": (1.0, 2.0)})
+
+
 class Highest:
     """A generator that draws the greatest number it may."""
 
