@@ -94,8 +94,8 @@ def _rollout(args: argparse.Namespace) -> None:
 
     (stop,) = args.stops
     result, trace = rollout(
-        args.seed, args.policy, args.particles, stop.threshold_m, args.budget, cli.reach_given(args), world=args.world,
-        within=stop.within, **args.knowledge,
+        args.seed, args.policy, args.particles, budget=args.budget, moves=cli.reach_given(args), world=args.world, stop=stop.text,
+        **args.knowledge,
     )  # fmt: skip
     tell(outcome_text(result), sys.stderr if args.json else sys.stdout)
     if args.json:

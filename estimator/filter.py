@@ -24,7 +24,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Config:
-    """What the estimator knows beforehand, and its stop criterion. Raises ValueError if they are inconsistent.
+    """What the estimator knows beforehand, and its stop criterion.
+
+    Raises ValueError if they are inconsistent, TypeError if the sensor or a prior is something else, such as its text.
 
     Example:
         `Config(particles=4000, rate=250.0, diffusivity=3.0)` knows the release rate (g/s) and the diffusivity (m²/s), and takes the
@@ -58,7 +60,12 @@ class Config:
     """(R, P): the search stops when at least the share P of the belief lies within R metres of the estimate, whatever ζ."""
 
     def __post_init__(self) -> None:
-        """Refuse bad assumptions, priors and limits."""
+        """Refuse bad assumptions, sensors, priors and limits."""
+        if not isinstance(self.sensor, Sensor):
+            raise TypeError(f"sensor {self.sensor!r} is not allowed; wanted a sensor, such as plume.sensor.parse('hits:3,0.1')")
+        for name, given in self.priors.items():
+            if not isinstance(given, Prior):
+                raise TypeError(f"the prior {given!r} of {name} is not allowed; wanted one such as estimator.priors.Gamma(2, 150)")
         if not len(self.unknown_indices):
             raise ValueError("nothing is unknown: at least one parameter needs a prior that is not fixed")
         for name in self.stop_limits:

@@ -6,6 +6,7 @@ from typing import Any
 
 from agent.policies import DEFAULT
 from agent.trials.evaluate import FIRST_TEST_SEED, named
+from agent.trials.rollout import check as check_knowledge
 from agent.trials.sweep import Sweep, fly, on_cores, ordered
 from estimator.criterion import USUAL_THRESHOLD_M, chosen
 from plume.scenario import BUDGET_STEPS
@@ -40,7 +41,7 @@ def evaluate(
         assume: What the estimator takes to be known: `field` or `paper`, where all but the position is known.
         stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop when at least 99% of the belief is
             within 1 m of the estimate.
-        knowledge: Further fields of `plumeward.Config`, such as `sensor`.
+        knowledge: Further fields of `plumeward.Config`, as `plumeward.rollout` takes them.
 
     Returns:
         A dict with an entry for each policy, as `plumeward evaluate --json` prints it; of several worlds each has its own, such as
@@ -50,6 +51,7 @@ def evaluate(
 
     Raises:
         ValueError: A policy or a world is not known, a number is out of range, or the assumption or the criterion is not allowed.
+        TypeError: There is no such argument, or the sensor or a prior is something else, such as its text.
 
     Example:
         ```python
@@ -62,7 +64,8 @@ def evaluate(
         check(name)
     if not names or not worlds or scenarios < 1 or workers < 1:
         raise ValueError("wanted one policy, one world, one scenario and one worker at least")
-    knowledge = {"assume": assume, **knowledge}
+    check_knowledge(assume, knowledge)
+    knowledge["assume"] = assume
     seeds = range(first_seed, first_seed + scenarios)
     sweep = Sweep(names, seeds, (particles,), (chosen(threshold_m, stop),), budget, knowledge=knowledge, worlds=worlds)
     by_seed = (list(flights) for _, flights in groupby(sweep.flights, key=lambda flight: flight[2]))

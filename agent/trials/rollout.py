@@ -21,6 +21,8 @@ from plume.worlds import AS_MODELLED
 ALTITUDE_M = 5.0
 USUAL: Mapping[str, float] = MappingProxyType({})
 """The planner's own moves."""
+FURTHER = ("area_m", "priors", "sensor", "stop_on_location", "stop_limits")
+"""Fields of `Config` that may be given for a mission; the others have arguments of their own, or come from the scenario."""
 
 
 class Step(NamedTuple):
@@ -62,6 +64,14 @@ def mission(
     return Mission(there.truth, config, steps)
 
 
+def check(assume: str, knowledge: Mapping[str, Any]) -> None:
+    """Refuse further fields of `Config` that a mission cannot take. Raises TypeError, or ValueError if they are inconsistent."""
+    for name, value in knowledge.items():
+        if name not in FURTHER:
+            raise TypeError(f"argument {name}={value!r} is not allowed; wanted further knowledge of {', '.join(FURTHER)}")
+    Config(assume=assume, **knowledge)
+
+
 def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: int, within: Reach, ends: bool) -> Iterator[Step]:
     posterior, position, decision_s = prior(config), world.start, 0.0
     for step in range(budget + 1):
@@ -94,13 +104,14 @@ def rollout(
         assume: What the estimator takes to be known: `field` or `paper`, where all but the position is known.
         stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop when at least 99% of the belief is
             within 1 m of the estimate.
-        knowledge: Further fields of `plumeward.Config`, such as `sensor` and `priors`.
+        knowledge: Further fields of `plumeward.Config`: `sensor`, `priors`, `stop_limits`, `stop_on_location` and `area_m`.
 
     Returns:
         The outcome, and a trace of one point for each reading, the first of them before any move. Lengths are in metres.
 
     Raises:
         ValueError: The policy or the world is not known, or cannot be flown so; or the assumption or the criterion is not allowed.
+        TypeError: There is no such argument, or the sensor or a prior is something else, such as its text.
 
     Example:
         ```python
@@ -109,7 +120,8 @@ def rollout(
         ```
     """
     criterion = chosen(threshold_m, stop)
-    knowledge = {"assume": assume, "within": criterion.within, **knowledge}
+    check(assume, knowledge)
+    knowledge |= {"assume": assume, "within": criterion.within}
     flown = mission(seed, policy, particles, criterion.threshold_m, budget, moves, world=world, **knowledge)
     trace: list[TracePoint] = []
     search_time_s = 0.0

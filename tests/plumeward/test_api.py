@@ -3,8 +3,10 @@
 import ast
 import json
 import math
+import re
 import subprocess
 import sys
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -184,6 +186,21 @@ def test_policies_are_compared_in_several_worlds() -> None:
 def test_what_cannot_be_evaluated_is_a_value_error(wrong: dict) -> None:
     with pytest.raises(ValueError, match=r"wanted|Wanted"):
         plumeward.evaluate(**{"scenarios": 1, **wrong})
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"rate": 250.0}, "argument rate=250.0 is not allowed; wanted further knowledge of area_m, priors, sensor, "),
+        ({"ends": False}, "argument ends=False is not allowed; wanted further knowledge of "),
+        ({"sensor": "hits:3,0.1"}, "sensor 'hits:3,0.1' is not allowed; wanted a sensor, such as plume.sensor.parse"),
+        ({"priors": {"q": "gamma:2,150"}}, "the prior 'gamma:2,150' of q is not allowed; wanted one such as estimator.priors.Gamma"),
+    ],
+)
+def test_an_argument_that_a_mission_cannot_take_is_named_with_those_that_it_can(wrong: dict, said: str) -> None:
+    for flown in (partial(plumeward.rollout, 1), partial(plumeward.evaluate, "homing", 1)):
+        with pytest.raises(TypeError, match=f"^{re.escape(said)}"):
+            flown(**wrong)
 
 
 def test_the_policies_are_the_planners_the_learned_ones_and_plug_ins(tmp_path: Path) -> None:
