@@ -15,12 +15,10 @@ from link.bus.keys import BELIEF, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, elapsed_ms, waypoint_message
 from link.bus.messages import Belief, Particles, unpack_particles
 from link.bus.session import Arrival, Bus
-from plume.parameters import PARAMETERS
+from plume.parameters import MOST, PARAMETERS
 from plume.sensor import parse
 from plume.world import float32
 
-MOST = 1e12
-"""Greatest number of a belief that is believed, in its own unit; squares and products of such numbers are finite."""
 NONE: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
 

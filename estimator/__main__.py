@@ -5,11 +5,10 @@ if __name__ == "__main__":  # here, because the modules below take long to load
 
     end_at_once()
 
-import math
-
 from estimator.options import add_sensor_argument, criteria, knowledge
 from link import cli
 from link.bus.session import Bus
+from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M
 
@@ -20,11 +19,11 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
     cli.add_bus_arguments(parser)
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
-    positive = cli.number(0, math.inf, above=True)
+    rate, diffusivity, lifetime = (cli.number(*LIMITS[name]) for name in ("q", "d", "tau"))
     parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="seed of the filter's random draws (default: %(default)s)")
-    parser.add_argument("--rate", type=positive, default=300.0, metavar="Q", help="release rate q, g/s (default: %(default)g)")
-    parser.add_argument("--diffusivity", type=positive, default=4.5, metavar="D", help="diffusivity d, m²/s (default: %(default)g)")
-    parser.add_argument("--lifetime", type=positive, default=10.0, metavar="TAU", help="lifetime τ of the gas, s (default: %(default)g)")
+    parser.add_argument("--rate", type=rate, default=300.0, metavar="Q", help="release rate q, g/s (default: %(default)g)")
+    parser.add_argument("--diffusivity", type=diffusivity, default=4.5, metavar="D", help="diffusivity d, m²/s (default: %(default)g)")
+    parser.add_argument("--lifetime", type=lifetime, default=10.0, metavar="TAU", help="lifetime τ of the gas, s (default: %(default)g)")
     parser.add_argument(
         "--area", type=cli.number(0, 100_000, above=True), default=AREA_M, metavar="M",
         help="side of the square search area, m; its south-west corner is home (default: %(default)g)",

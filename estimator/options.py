@@ -4,13 +4,20 @@ import argparse
 import math
 from typing import Any
 
+import numpy as np
+
 from estimator import criterion
 from estimator.assumptions import effective_priors, unknowns
 from estimator.criterion import Criterion
-from estimator.priors import Fixed, Prior, parse, support
+from estimator.priors import Fixed, Prior, draw, parse, table
 from link import cli
 from plume import sensor
+from plume.parameters import PARAMETERS
+from plume.randomness import keyed
 from plume.scenario import AREA_M
+
+TRIED = 1000
+"""Values that are drawn of a prior before it is taken: a service then need not refuse it."""
 
 
 def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +50,7 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
         try:
             name, prior = parse(text)
             if not isinstance(prior, Fixed):
-                support(name, prior, area_m)
+                draw(table({name: prior}, {}, area_m), np.array([PARAMETERS.index(name)]), TRIED, keyed(0, "trial"))
         except ValueError as error:
             raise ValueError(f"--prior: {error}") from None
         priors[name] = prior

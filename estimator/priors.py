@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plume.elementary import exp, log
-from plume.parameters import GAMMA, GREATEST_CV, KNOWN, LOGNORMAL, MEASURED, NORMAL, PARAMETERS, UNIFORM
+from plume.parameters import GAMMA, GREATEST_CV, KNOWN, LOGNORMAL, MEASURED, MOST, NORMAL, PARAMETERS, UNIFORM
 from plume.randomness import standard_gamma, standard_normal
 
 Array = NDArray[np.float64]
 
 SMALLEST = 1e-6
 """Lower bound of a positive parameter under every prior, so that it stays above 0."""
+MOST_DRAWS = 10_000
+"""Most draws of a value until one is within its support."""
 POSITIVE = ("q", "d", "tau", "wind-speed", "gain", "noise")
 NOT_NEGATIVE = ("q", "u", "d", "tau", "wind-speed", "gain", "noise", "cv")
 
@@ -97,18 +99,18 @@ def parse(text: str) -> tuple[str, Prior]:
             sound = median > 0 and sigma > 0 and name in NOT_NEGATIVE
             rule = f"MEDIAN and SIGMA above 0, and NAME of {', '.join(NOT_NEGATIVE)}"
         case Fixed(value):
-            sound, rule = value > 0 or name not in POSITIVE, f"VALUE above 0 for {', '.join(POSITIVE)}"
+            sound, rule = value >= SMALLEST or name not in POSITIVE, f"VALUE from {SMALLEST:g} for {', '.join(POSITIVE)}"
             if name == "cv":
                 sound, rule = 0 <= value <= GREATEST_CV, f"VALUE from 0 to {GREATEST_CV:g} for cv"
-    if not (sound and all(map(math.isfinite, values))):
-        raise ValueError(f"{text!r} is not allowed; wanted {rule}")
+    if not (sound and all(abs(value) <= MOST for value in values)):
+        raise ValueError(f"{text!r} is not allowed; wanted {rule}, and numbers up to {MOST:g}")
     return name, prior
 
 
 def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
     """Return the ends of a parameter's range under its prior; raises ValueError if the prior excludes every possible value."""
-    low = SMALLEST if name in POSITIVE else 0.0 if name in ("x", "y", "u", "cv") else -math.inf
-    high = area_m if name in ("x", "y") else GREATEST_CV if name == "cv" else math.inf
+    low = SMALLEST if name in POSITIVE else 0.0 if name in ("x", "y", "u", "cv") else -MOST
+    high = area_m if name in ("x", "y") else GREATEST_CV if name == "cv" else MOST
     match prior:
         case Uniform(a, b):
             low, high = max(low, a), min(high, b)
@@ -151,7 +153,7 @@ def draw(rows: Array, unknowns: NDArray[np.int64], count: int, rng: np.random.Ge
     """Draw particles (D, count) from the priors.
 
     Uniform priors use a low-discrepancy lattice with a random shift (the R sequence, Roberts 2018): each draw is uniform, and
-    together they leave no gaps.
+    together they leave no gaps. Raises ValueError if a prior hardly ever gives a value that its parameter can have.
     """
     power, ratio = len(unknowns) + 1, 1.5
     for _ in range(20):  # the positive root of x^(D+1) = x + 1 (Newton)
@@ -165,10 +167,14 @@ def draw(rows: Array, unknowns: NDArray[np.int64], count: int, rng: np.random.Ge
             result[row] = low + (np.arange(count) / math.prod([ratio] * (row + 1)) + shift[row]) % 1.0 * (high - low)
             continue
         missing = np.arange(count)
-        while len(missing):  # redraw values outside the support
+        for _ in range(MOST_DRAWS):  # redraw values outside the support
             drawn = b * standard_gamma(rng, a, len(missing)) if kind == GAMMA else a + b * standard_normal(rng, len(missing))
             result[row, missing] = exp(drawn) if kind == LOGNORMAL else drawn
             missing = missing[(result[row, missing] < low) | (result[row, missing] > high)]
+            if not len(missing):
+                break
+        else:
+            raise ValueError(f"the prior of {PARAMETERS[index]} excludes nearly every possible value")
     return result
 
 

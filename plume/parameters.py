@@ -14,3 +14,7 @@ KNOWN, UNIFORM, NORMAL, GAMMA, MEASURED, LOGNORMAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.
 """Kinds of knowledge about a parameter: known value, family of its prior, or measured with each reading (wind)."""
 GREATEST_CV = 3.0
 """The strongest intermittency that the sensor model covers."""
+LIMITS = {"q": (0.001, 1e6), "u": (0.0, 120.0), "d": (0.001, 1e4), "tau": (0.001, 1e6), "z": (-1000.0, 1000.0)}
+"""Least and greatest value of a release's parameters that may be given: far beyond any leak, and no arithmetic overflows between them."""
+MOST = 1e12
+"""Greatest number of a sensor, a prior or a belief that is taken, in its own unit; squares and products of such numbers are finite."""

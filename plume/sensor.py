@@ -6,7 +6,7 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plume.parameters import GREATEST_CV
+from plume.parameters import GREATEST_CV, MOST
 from plume.randomness import Draws
 
 Array = NDArray[np.float64]
@@ -253,10 +253,10 @@ def parse(text: str) -> Sensor:
         raise ValueError(f"{text!r} is not allowed; wanted {name} or {name}:{','.join(names)}") from None
     for field, value in zip(names, astuple(sensor), strict=True):
         may_be_zero = field in ("missed", "sensor_noise", "cv")
-        sound = math.isfinite(value) and value >= 0 and (may_be_zero or value > 0)
+        sound = 0 <= value <= MOST and (may_be_zero or value >= 1 / MOST)
         if not sound or (field == "missed" and value >= 1) or (field == "cv" and value > GREATEST_CV):
             limited = {"missed": "a number from 0 to below 1", "cv": f"a number from 0 to {GREATEST_CV:g}"}
-            wanted = limited.get(field, "a number from 0" if may_be_zero else "a number above 0")
+            wanted = limited.get(field, f"a number from {0 if may_be_zero else 1 / MOST:g} up to {MOST:g}")
             raise ValueError(f"{text!r} is not allowed; {field} is {value:g}, wanted {wanted}")
     return sensor
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from link import cli
 from link.terminal import tell
 from plume import sensor
+from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
 
 if TYPE_CHECKING:
@@ -100,9 +101,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cli.add_filter_arguments(parser)
     for name in ("particles", "assume", "threshold", "stop_on"):
         parser.set_defaults(**{name: _Unset(parser.get_default(name))})
-    parser.add_argument("--rate", type=positive, metavar="Q", help="release rate q (default: the plume's, or 300 g/s)")
-    parser.add_argument("--diffusivity", type=positive, metavar="D", help="diffusivity d (default: the plume's, or 4.5 m²/s)")
-    parser.add_argument("--lifetime", type=positive, metavar="TAU", help="lifetime τ of the gas (default: the plume's, or 10 s)")
+    rate, diffusivity, lifetime = (cli.number(*LIMITS[name]) for name in ("q", "d", "tau"))
+    parser.add_argument("--rate", type=rate, metavar="Q", help="release rate q (default: the plume's, or 300 g/s)")
+    parser.add_argument("--diffusivity", type=diffusivity, metavar="D", help="diffusivity d (default: the plume's, or 4.5 m²/s)")
+    parser.add_argument("--lifetime", type=lifetime, metavar="TAU", help="lifetime τ of the gas (default: the plume's, or 10 s)")
     parser.add_argument(
         "--sensor", type=cli.checked(sensor.parse), metavar="KIND[:NUMBERS]",
         help="gaussian, threshold or hits, each with its numbers if wanted (default: the plume's, or gaussian)",

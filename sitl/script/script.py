@@ -15,6 +15,7 @@ import msgspec
 from msgspec import Meta
 
 from plume import sensor
+from plume.parameters import LIMITS, MOST
 from plume.randomness import MAX_SEED
 from plume.scenario import AREA_M, BUDGET_STEPS, STEP_M, Scenario, draw
 from plume.world import World
@@ -22,6 +23,23 @@ from plume.worlds import AS_MODELLED, WORLDS, check
 from sitl.autopilot.config import VehicleConfig
 from sitl.script.typed_yaml import Document, FileError
 
+
+def _limits(name: str) -> Meta:
+    low, high = LIMITS[name]
+    return Meta(ge=low, le=high)
+
+
+def _says(name: str, words: str, unit: str) -> Meta:
+    """Return a description of a release's parameter."""
+    low, high = LIMITS[name]
+    return Meta(description=f"{words}, a number from {low:g} up to {high:.12g}, {unit}")
+
+
+Rate = Annotated[float, _limits("q")]
+WindSpeed = Annotated[float, _limits("u")]
+Diffusivity = Annotated[float, _limits("d")]
+Lifetime = Annotated[float, _limits("tau")]
+Height = Annotated[float, _limits("z")]
 Positive = Annotated[float, Meta(gt=0)]
 Seconds = Annotated[float, Meta(ge=0)]
 Coordinate = Annotated[float, Meta(ge=0, le=AREA_M)]
@@ -46,13 +64,13 @@ class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """The gas release; the seed draws every field that is left out."""
 
     source: Annotated[Point | None, Meta(description="(x, y) m, x east, y north, each from 0 to 30")] = None
-    q: Annotated[Positive | None, Meta(description="release rate, a number above 0, g/s")] = None
-    u: Annotated[Annotated[float, Meta(ge=0)] | None, Meta(description="wind speed, a number from 0, m/s")] = None
+    q: Annotated[Rate | None, _says("q", "release rate", "g/s")] = None
+    u: Annotated[WindSpeed | None, _says("u", "wind speed", "m/s")] = None
     phi: Annotated[Radians | None, Meta(description="direction the wind comes from, counter-clockwise from east, rad, -2π to 2π")] = None
-    d: Annotated[Positive | None, Meta(description="effective diffusivity, a number above 0, m²/s")] = None
-    tau: Annotated[Positive | None, Meta(description="lifetime of the gas, a number above 0, s")] = None
+    d: Annotated[Diffusivity | None, _says("d", "effective diffusivity", "m²/s")] = None
+    tau: Annotated[Lifetime | None, _says("tau", "lifetime of the gas", "s")] = None
     start: Annotated[Point | None, Meta(description="where the search begins: (x, y) m, each from 0 to 30")] = None
-    height: Annotated[float | None, Meta(description="a number: height of the source above the search plane, m")] = None
+    height: Annotated[Height | None, _says("z", "height of the source above the search plane", "m")] = None
 
 
 class VehiclePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -87,9 +105,9 @@ class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     stop: Annotated[str | None, Meta(description="the stop criterion, in the format of --stop; default: spread:0.5")] = None
     prior: Annotated[dict[str, str], Meta(description="priors by name, in the format of --prior: {q: 'gamma:2,150'}")] = {}
     stop_on: Annotated[str, Meta(description="what must be known before a stop, in the format of --stop-on")] = "location"
-    rate: Annotated[Positive | None, Meta(description="release rate assumed by the estimator, g/s; default: the scenario's")] = None
-    diffusivity: Annotated[Positive | None, Meta(description="diffusivity assumed by the estimator, m²/s; default: the scenario's")] = None
-    lifetime: Annotated[Positive | None, Meta(description="lifetime assumed by the estimator, s; default: the scenario's")] = None
+    rate: Annotated[Rate | None, _says("q", "release rate assumed by the estimator, by default the scenario's", "g/s")] = None
+    diffusivity: Annotated[Diffusivity | None, _says("d", "diffusivity assumed by the estimator, by default the scenario's", "m²/s")] = None
+    lifetime: Annotated[Lifetime | None, _says("tau", "lifetime assumed by the estimator, by default the scenario's", "s")] = None
 
     def __post_init__(self) -> None:
         """Require at most one of threshold_m and stop."""
@@ -127,7 +145,7 @@ class ScriptEvent(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 class Wind(ScriptEvent, frozen=True, tag="wind"):
     """The wind changes its direction or speed, and the plume with it, from this reading on."""
 
-    u: Annotated[float, Meta(ge=0)] | None = None
+    u: WindSpeed | None = None
     phi: Radians | None = None
 
 
@@ -146,7 +164,9 @@ class Stuck(ScriptEvent, frozen=True, tag="stuck"):
 class Spike(ScriptEvent, frozen=True, tag="spike"):
     """A number is added to the sensor's readings."""
 
-    gas: Annotated[float, Meta(description="a number that is added to the reading, in the sensor's unit")]
+    gas: Annotated[
+        float, Meta(ge=-MOST, le=MOST, description=f"a number up to ±{MOST:g} that is added to the reading, in the sensor's unit")
+    ]
     readings: Count = 1
 
 

@@ -24,7 +24,7 @@ def said(**changed: object) -> bytes:
         ({"time_boot_ms": 2**32}, "Expected `int` <= 4294967295 - at `$.time_boot_ms`"),
         ({"step": 10**30}, "Expected `int` <= 4294967295 - at `$.step`"),
         ({"altitude_m": 1e39}, "a number beyond ±1e+12"),
-        ({"sensor": "hits:3.5e38,0.1"}, "a number beyond ±1e+12"),
+        ({"sensor": "hits:3.5e38,0.1"}, "efficiency is 3.5e+38, wanted a number from 1e-12 up to 1e+12"),
         ({"sensor": "hits:1e12,0.1", "wind": [1e300, 0.0]}, "a number beyond ±1e+12"),
         ({"covariance": [-1.0, 0.0, 1.0]}, "(-1.0, 0.0, 1.0) is not a covariance (xx, xy, yy)"),
         ({"covariance": [1.0, 2.0, 1.0]}, "(1.0, 2.0, 1.0) is not a covariance (xx, xy, yy)"),

@@ -18,7 +18,7 @@ COMMANDS = [
     (["agent", "rollout", "--seed", "x"], ["--seed", "'x'", "whole number"]),
     (["agent", "--budget", "0"], ["--budget", "'0'", "from 1"]),
     (["estimator", "--threshold", "nan"], ["--threshold", "'nan'", "above 0"]),
-    (["estimator", "--rate", "0"], ["--rate", "'0'", "above 0"]),
+    (["estimator", "--rate", "0"], ["--rate", "'0'", "from 0.001 up to 1e+06"]),
     (["estimator", "--connect", "nowhere"], ["--connect", "'nowhere'", "tcp/127.0.0.1:7447"]),
     (["sitl", "fly", "--particles", "-5"], ["--particles", "'-5'", "from 10 to 1000000"]),
     (["sitl", "--speedup", "-1"], ["--speedup", "'-1'", "from 0"]),

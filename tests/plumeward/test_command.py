@@ -154,6 +154,22 @@ WRONG = [
         ["rollout", "--sensor", "hits", "--prior", "noise=fixed:2"],
         "plumeward rollout: error: --prior: a prior of noise is not allowed with ",
     ),
+    (
+        ["estimator", "--rate", "1e308"],
+        "plumeward estimator: error: --rate: '1e308' is not allowed; wanted a number from 0.001 up to 1e+06",
+    ),
+    (
+        ["rollout", "--sensor", "hits:1e308"],
+        "plumeward rollout: error: --sensor: 'hits:1e308' is not allowed; efficiency is 1e+308, wanted ",
+    ),
+    (
+        ["rollout", "--prior", "q=uniform:0,1e308"],
+        "plumeward rollout: error: --prior: 'q=uniform:0,1e308' is not allowed; wanted LOW below HIGH, and numbers up to 1e+12",
+    ),
+    (
+        ["evaluate", "--prior", "q=normal:-7.9,1"],
+        "plumeward evaluate: error: --prior: the prior of q excludes nearly every possible value",
+    ),
     (["fly", "--headings", "5"], "plumeward fly: error: --headings: 5 is not allowed; wanted 4 or 8"),
     (["rollout", "--policy", "hommer"], "plumeward rollout: error: --policy: 'hommer' is not allowed; did you mean 'homing'? Wanted "),
     (["evaluate", "--policy", "homing,gredy"], "plumeward evaluate: error: --policy: 'gredy' is not allowed; did you mean 'greedy'? "),

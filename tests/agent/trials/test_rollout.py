@@ -3,14 +3,19 @@
 import math
 import subprocess
 import sys
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
 
 from agent.trials.rollout import mission, rollout
+from estimator.belief import belief
+from estimator.filter import Config, assimilate, prior
+from link.bus.mavlink import Reading
 from plume.outcome import outcome_text
-from plume.scenario import draw
+from plume.parameters import LIMITS
+from plume.scenario import Scenario, draw
+from plume.sensor import KINDS, parse
 from plume.world import World
 from plume.worlds import WORLDS
 
@@ -35,6 +40,23 @@ def test_in_every_world_the_estimator_is_told_the_same_and_the_mission_is_judged
     assert (result.world, result.scenario, result.source) == (world, there.truth, there.truth.source)
     assert [point.reading for point in trace] == [there.gas(point.position, step) for step, point in enumerate(trace)]
     assert result.error_m == pytest.approx(math.dist(trace[-1].mean, there.truth.source))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("assume", ["paper", "field"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_at_the_limits_of_what_may_be_given_gas_and_belief_stay_finite(kind: str, assume: str) -> None:
+    """A belief is where the source may be: its spread is above 0 and within the area, and nothing overflows on the way."""
+    q, u, d, tau, height = (LIMITS[name] for name in ("q", "u", "d", "tau", "z"))
+    for release in product(q, u, d, tau, (0.0, *height)):
+        scenario = Scenario((10.0, 10.0), release[0], release[1], 0.0, *release[2:4], (12.0, 10.0), release[4])
+        world = World(scenario, 1, parse(kind))
+        config = Config(100, rate=scenario.q, diffusivity=scenario.d, lifetime=scenario.tau, sensor=world.sensor, assume=assume)
+        posterior = prior(config)
+        for step, position in enumerate([(12.0, 10.0), (9.0, 10.0), (10.0, 10.0), (10.0, 11.0)]):
+            reading = Reading(step, position, 5.0, world.wind, world.gas(position, step))
+            posterior = assimilate(posterior, reading, config)
+            assert 0 <= belief(posterior, reading, config)[0].spread < 30, release
 
 
 def test_where_readings_are_lost_the_values_taken_later_are_the_same() -> None:
