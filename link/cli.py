@@ -279,6 +279,21 @@ def existing(flag: str, paths: Iterable[Path], force: bool) -> str | None:
     return None if there is None else f"{flag}: {str(there)!r} exists; wanted another name, or --force"
 
 
+def unwritable(flag: str, paths: Iterable[Path], force: bool) -> str | None:
+    """Return one line that refuses to write the first of these files that exists or cannot be written; None if all can be.
+
+    A pipe or a device has no content to protect.
+    """
+    from link.files import obstacle
+
+    for path in paths:
+        if reason := existing(flag, filter(os.path.isfile, [path]), force):
+            return reason
+        if reason := obstacle(path):
+            return f"{flag}: {str(path)!r} {reason}"
+    return None
+
+
 def run(command: Callable[[], int | None]) -> NoReturn:
     """Run a command and exit with its status: 0 done, 1 failed, 2 bad input, 130 interrupted, 141 if the reader of its output has gone."""
     gc.set_threshold(100_000)  # Python's own 700 costs a tenth of the start-up time

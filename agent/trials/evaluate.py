@@ -128,14 +128,7 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
-    if args.missions and not args.missions.parent.is_dir():
-        print(f"error: --missions: no such folder: {str(args.missions.parent)!r}", file=sys.stderr)
-        return cli.BAD_INPUT
-    if args.missions and args.missions.is_dir():
-        print(f"error: --missions: {str(args.missions)!r} is a folder; wanted a file", file=sys.stderr)
-        return cli.BAD_INPUT
-    files = [args.missions] if args.missions and args.missions.is_file() else []  # a pipe or a device has no content to protect
-    if refusal := cli.existing("--missions", files, args.force):
+    if refusal := cli.unwritable("--missions", [args.missions] if args.missions else [], args.force):
         print(f"error: {refusal}", file=sys.stderr)
         return cli.BAD_INPUT
     try:

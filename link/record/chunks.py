@@ -1,6 +1,7 @@
 """MCAP files with atomic flushes: each flush is in the file whole or not at all, even if the disk is full."""
 
 import contextlib
+import os
 from pathlib import Path
 from typing import Any
 
@@ -8,17 +9,31 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import DataEnd, Footer, Metadata
 from mcap.writer import MCAP0_MAGIC, Writer
 
+from link.files import claim
+
 UNLIMITED = 1 << 62
 """Chunk size that is never reached: only a flush closes a chunk."""
+
+
+def _as_it_is(path: str, flags: int) -> int:
+    """Open a file without emptying it: it may be another process's."""
+    return os.open(path, flags & ~os.O_TRUNC, 0o666)
 
 
 class WholeFile:
     """A file to which pieces are appended, each whole or not at all."""
 
     def __init__(self, path: Path) -> None:
-        """Create an empty file; raises OSError if that fails."""
-        self._file = open(path, "wb", buffering=0)  # noqa: SIM115
+        """Create an empty file; raises OSError if that fails, or if another process is writing it."""
+        self._file = open(path, "wb", buffering=0, opener=_as_it_is)  # noqa: SIM115
         self.size = 0
+        try:
+            claim(self._file)
+            if path.is_file():
+                self._file.truncate()
+        except OSError:
+            self._file.close()
+            raise
 
     def append(self, piece: bytes | bytearray) -> None:
         """Append a piece. Raises OSError if it does not fit; then none of it stays in the file."""

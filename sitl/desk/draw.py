@@ -59,10 +59,10 @@ def run(args: argparse.Namespace) -> int:
         args.out = args.log.with_suffix(".png")
     wanted = {flag: path for flag, path in (("--out", args.out), ("--gif", args.gif), ("--mp4", args.mp4)) if path}
     try:
-        for flag, path in wanted.items():
-            if refusal := cli.existing(flag, [path], args.force):
-                raise _Undrawable(refusal)
         history, damaged = _history(args.log)
+        for flag, path in wanted.items():
+            if refusal := cli.unwritable(flag, [path], args.force):
+                raise _Undrawable(refusal)
         beliefs = _beliefs(history, args.at) if args.out else []
         for flag, path in wanted.items():
             try:

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 from link import cli
+from link.files import is_claimed
 
 
 class RecordFiles:
@@ -25,6 +26,8 @@ class RecordFiles:
         for path in wanted:
             if os.path.isdir(path):
                 return f"--record: {str(path)!r} is a folder; wanted a file"
+            if is_claimed(path):
+                return f"--record: another process is writing {str(path)!r}; wanted another name"
         if any(map(os.path.lexists, wanted)):
             self.path = self._wanted.with_name(f".{self._wanted.stem}-{os.getpid()}.mcap")
         return None
@@ -32,6 +35,8 @@ class RecordFiles:
     def take_place(self) -> str:
         """Replace older files, once the search has begun. Returns what went wrong, or an empty text."""
         if self.path != self._wanted:
+            if is_claimed(self._wanted):
+                return f"the record stays in {self.path}: another process is writing {self._wanted}"
             try:
                 for path, wanted in reversed(list(zip(both(self.path), both(self._wanted), strict=True))):
                     path.replace(wanted)

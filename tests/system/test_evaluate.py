@@ -144,7 +144,7 @@ def test_a_table_can_go_through_a_pipe(start, tmp_path: Path) -> None:
 @pytest.mark.full
 def test_a_table_that_cannot_be_written_loses_nothing(start, tmp_path: Path) -> None:
     command = (*QUICK, "--scenarios", "2", "--missions")
-    refused = start(*command, "/proc/missions.csv", cwd=tmp_path)
+    refused = start(*command, "/dev/full", cwd=tmp_path)
     assert refused.ended() == 2
     assert "error: --missions: " in refused.err[-1]
     (journal,) = tmp_path.glob("runs/*.jsonl")
@@ -163,7 +163,8 @@ def test_a_table_that_cannot_be_written_loses_nothing(start, tmp_path: Path) -> 
         (("--scenarios", "0"), "--scenarios: '0' is not allowed"),
         (("--headings", "5"), "--headings: 5 is not allowed; wanted 4 or 8"),
         (("--missions", "/tmp"), "--missions: '/tmp' is a folder; wanted a file"),
-        (("--missions", "nowhere/missions.csv"), "--missions: no such folder: 'nowhere'"),
+        (("--missions", "nowhere/missions.csv"), "--missions: 'nowhere/missions.csv' cannot be written: No such file or directory"),
+        (("--missions", "/proc/missions.csv"), "--missions: '/proc/missions.csv' cannot be written: No such file or directory"),
         (("--assume", "paper", "--stop-on", "q=3"), "--stop-on: 'q=3' is not allowed"),
     ],
 )

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         print(f"error: --out: no folder {str(args.out)!r} to write in: {error.strerror}", file=sys.stderr)
         return cli.BAD_INPUT
-    if refusal := cli.existing("--out", (args.out / name for name in FILES), args.force):
+    if refusal := cli.unwritable("--out", (args.out / name for name in FILES), args.force):
         print(f"error: {refusal}", file=sys.stderr)
         return cli.BAD_INPUT
     try:

@@ -259,6 +259,12 @@ def test_no_file_of_a_folder_is_written_over_unasked(tmp_path: Path, capsys, nam
     assert (tmp_path / name).read_text() == "a page of mine"
 
 
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_drawn(capsys, tmp_path: Path) -> None:
+    results_of(tmp_path, FOUR)
+    assert run(argparse.Namespace(results=tmp_path, out=Path("/proc"), force=False)) == 2
+    assert capsys.readouterr() == ("", "error: --out: '/proc/particles.png' cannot be written: No such file or directory\n")
+
+
 def test_the_service_does_not_pay_for_it() -> None:
     loaded = "import sys, agent.__main__; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", loaded], check=False).returncode == 0

@@ -82,6 +82,7 @@ def test_an_interrupt_leaves_what_was_there_and_nothing_half_written(log: Path, 
     [
         (["--at", "40"], "error: --at: 40 is not allowed; wanted steps of the log, 0 to 32\n"),
         (["--at", "1,2,3,4,5,6"], "error: --at: 6 steps are not allowed; wanted at most 5\n"),
+        (["--gif", "/proc/a.gif"], "error: --gif: '/proc/a.gif' cannot be written: No such file or directory\n"),
         (["--out", "nowhere/a.png"], "error: --out: 'nowhere/a.png' cannot be written: No such file or directory\n"),
     ],
 )

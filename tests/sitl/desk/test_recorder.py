@@ -52,6 +52,20 @@ def test_of_two_recorders_that_begin_at_once_the_second_is_refused(tmp_path: Pat
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(there, "the first one's")]
 
 
+def test_a_record_that_is_being_written_is_refused_even_with_force_and_stays_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], router: str
+) -> None:
+    first = recorder.begin(tmp_path / "run.mcap", True, {"seed": 1})
+    assert recorder.run(given(tmp_path / "run.mcap", router, "--force")) == 2
+    path = str(tmp_path / "run.mcap")
+    assert capsys.readouterr().err.splitlines()[-1] == f"error: FILE.mcap: cannot write {path!r}: another process is writing it"
+    first.close()
+    recording = read(tmp_path / "run.mcap")
+    assert (recording.complete, recording.about) == (True, {"seed": 1})
+    recorder.begin(tmp_path / "run.mcap", True, {"seed": 2}).close()
+    assert read(tmp_path / "run.mcap").about == {"seed": 2}
+
+
 def test_where_only_one_file_can_be_made_neither_is_left(tmp_path: Path) -> None:
     (tmp_path / "run.tlog").symlink_to(tmp_path / "nowhere" / "run.tlog")
     with pytest.raises(OSError, match="exists"):

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from link.record.reader import read
+from link.record.writer import Writer
 from sitl.launch.recording import RecordFiles
 
 
@@ -42,6 +44,23 @@ def test_a_folder_is_refused_whatever_is_forced(tmp_path: Path) -> None:
     assert (
         RecordFiles(tmp_path / "good.mcap").refusal(force=True) == f"--record: {str(tmp_path / 'good.tlog')!r} is a folder; wanted a file"
     )
+
+
+def test_a_record_that_is_being_written_is_refused_whatever_is_forced(tmp_path: Path) -> None:
+    path = tmp_path / "good.mcap"
+    writer = Writer(path, {})
+    assert RecordFiles(path).refusal(force=True) == f"--record: another process is writing {str(path)!r}; wanted another name"
+    writer.close()
+    assert RecordFiles(path).refusal(force=True) is None
+
+
+def test_of_two_missions_that_are_forced_on_one_name_both_records_stay_whole(old: Path) -> None:
+    files = made(old)
+    first = Writer(old, {"seed": 1})  # it began meanwhile
+    assert files.take_place() == f"the record stays in {files.path}: another process is writing {old}"
+    assert (files.path.read_text(), files.path.with_suffix(".tlog").read_text()) == ("new", "new")
+    first.close()
+    assert read(old).about == {"seed": 1}
 
 
 def test_older_files_are_replaced_when_the_search_begins(old: Path) -> None:
