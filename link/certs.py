@@ -7,7 +7,7 @@ from itertools import groupby
 from pathlib import Path
 
 from link import cli
-from link.access.authority import CA, CA_DAYS, ROUTER_NAMES, CertificateError, Made, host, make
+from link.access.authority import CA, CA_DAYS, ROUTER_NAMES, CertificateError, Made, host, make, risks
 from link.access.roles import MOST_VEHICLES
 
 
@@ -36,6 +36,8 @@ def run(args: argparse.Namespace) -> int:
         told = f"cannot write {error.filename or args.folder}: {error.strerror}" if isinstance(error, OSError) else error
         print(f"error: DIR: {told}", file=sys.stderr)
         return cli.BAD_INPUT
+    for risk in risks(args.folder):
+        print(f"warning: DIR: {risk}", file=sys.stderr)
     print("\n".join(_summary(args.folder, made)))
     return 0
 

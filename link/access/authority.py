@@ -4,6 +4,7 @@ import datetime
 import ipaddress
 import os
 import re
+import stat
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -84,6 +85,21 @@ def make(
                 raise CertificateError(f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {OTHERWISE}")
             made.append(Made(name, kept.not_valid_after_utc, False))
     return made
+
+
+def risks(folder: Path) -> list[str]:
+    """Return why others may come by the keys in a folder, or put theirs in their place: a line for each reason."""
+    said = []
+    there = folder.resolve()
+    if there != Path(os.path.abspath(folder)):
+        said.append(f"{folder} leads through a link to {there}: whoever may change the link chooses where keys are")
+    for place in (there, *there.parents):
+        mode = place.stat().st_mode
+        if mode & stat.S_IWOTH and (place == there or not mode & stat.S_ISVTX):  # in a sticky folder others cannot rename ours
+            said.append(
+                f"{place} may be written by everybody, who can so replace certificates and keys (forbid it with: chmod o-w {place})"
+            )
+    return said
 
 
 def files(path: Path) -> tuple[Path, Path]:

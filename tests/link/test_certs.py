@@ -45,3 +45,27 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest
     status, out, err = made(capsys, str(tmp_path / "file"))
     assert (status, out) == (2, [])
     assert err.splitlines() == [f"error: DIR: cannot write {tmp_path / 'file'}: File exists"]
+
+
+def test_a_folder_behind_a_link_or_open_to_everybody_is_made_with_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "there")
+    (tmp_path / "there").mkdir()
+    status, lines, err = made(capsys, str(tmp_path / "link" / "certs"))
+    assert (status, len(lines)) == (0, 4)
+    (line,) = err.splitlines()
+    assert line.startswith(f"warning: DIR: {tmp_path / 'link' / 'certs'} leads through a link to {tmp_path / 'there' / 'certs'}: ")
+    assert made(capsys, str(tmp_path / "there" / "certs"))[2] == ""
+    for mode, risky in ((0o1777, tmp_path / "there" / "certs"), (0o777, tmp_path / "there"), (0o1777, None)):
+        place = risky or tmp_path / "there"
+        place.chmod(mode)
+        _, lines, err = made(capsys, str(tmp_path / "there" / "certs"))
+        assert err.splitlines() == (
+            [
+                f"warning: DIR: {place} may be written by everybody, who can so replace certificates and keys "
+                f"(forbid it with: chmod o-w {place})"
+            ]
+            if risky
+            else []
+        )
+        assert len(lines) == 4
+        place.chmod(0o700)
