@@ -461,6 +461,14 @@ def test_an_example_in_python_runs(block: Block, checkout: Path, said: Path, tmp
     assert status == 0, output(said)
 
 
+def test_the_page_says_with_which_python_its_example_for_mavsdk_4_runs() -> None:
+    (block,) = (block for block in of("python") if "mavsdk.asyncio" in block.text)
+    text = " ".join(block.page.read_text().split())
+    assert "run the example with `.venv/clients/mavsdk4/bin/python`" in text
+    assert "`.venv` has version 3" in text
+    assert "\nmavsdk==3." in (ROOT / "constraints.txt").read_text()
+
+
 @pytest.mark.parametrize("block", of("yaml"), ids=lambda block: f"{block.page.name}:{block.line}")
 def test_an_example_in_yaml_is_a_mission_that_can_be_flown(block: Block, tmp_path: Path) -> None:
     script = tmp_path / "example.yaml"

@@ -206,8 +206,11 @@ Plumeward's own version, as PX4's vendors write it (patch, minor, major), and th
 
 ## Fly it from your own code
 
-The example needs the package `mavsdk`, version 4. It starts the vehicle at four times real time, takes off, flies two setpoints and lands.
-PX4's simulated vehicle sends to the same port, so `fly` flies it as well.
+The example needs the package `mavsdk`, version 4; version 3 has other modules. In a checkout `.venv` has version 3, and `make setup`
+installs version 4 beside it: with `.venv` active, run the example with `.venv/clients/mavsdk4/bin/python`.
+
+It starts the vehicle at four times real time, takes off, flies two setpoints and lands. PX4's simulated vehicle sends to the same port, so
+`fly` flies it as well.
 
 ```python
 {example}```
