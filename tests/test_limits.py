@@ -31,7 +31,8 @@ def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
         "pages of one server": f"{server.MOST_CLIENTS} that only look, {server.MOST_CLIENTS} that may command",
         "connections to the page's server that are no page": f"{connections.MOST_WAITING}",
         "message of a page": f"{server.LONGEST_MESSAGE:,} bytes",
-        "words that allow commands": f"of an address that gave a wrong one none for {word.WRONG_S:g} s; {word.SHORTEST} characters at least",
+        "words that allow commands": f"of an address that gave a wrong one none for {word.WRONG_S:g} s; "
+        f"{word.SHORTEST} characters at least",
         "commands of a page": f"{server.MOST_COMMANDS} within {server.COMMANDS_S:g} s; return and land without limit",
         "unread answers to a page's commands": f"{server.MOST_ANSWERS}",
         "vehicles on a page": f"{live.MOST_VEHICLES}",

@@ -34,7 +34,8 @@ from link.bus.messages import Belief
 from link.bus.session import Arrival, Bus
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
 from sitl.launch.processes import environment
-from sitl.script.script import Cut, Delay, Duplicate, Kill, Lose, Script
+from sitl.script.events import Cut, Delay, Duplicate, Kill, Lose
+from sitl.script.script import Script
 
 SPEEDUP, SLOW_SPEEDUP = 20.0, 4.0
 """The second where packets are dropped: TCP's waits do not shrink with the time of the mission."""

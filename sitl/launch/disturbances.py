@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from sitl.launch.processes import Processes
 from sitl.launch.relay import Relay
 from sitl.launch.watchdog import Watchdog
-from sitl.script.script import Cut, Kill
+from sitl.script.events import Cut, Kill
 
 
 class Disturbances:

@@ -6,7 +6,8 @@ from link.bus.keys import HEALTH, SEARCHERS
 from link.bus.messages import Health
 from link.bus.session import Arrival, Bus, LivelinessChange
 from sitl.launch.processes import MissionFailed
-from sitl.script.script import AgentPart, Cut, EstimatorPart, Kill, Lawnmower, Script, Waypoints
+from sitl.script.events import Cut, Kill, Lawnmower, Waypoints
+from sitl.script.script import AgentPart, EstimatorPart, Script
 
 THEIRS = {"estimator": EstimatorPart(), "agent": AgentPart()}
 SAY_AFTER_S = 1.0

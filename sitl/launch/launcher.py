@@ -30,7 +30,8 @@ from sitl.launch.relay import Relay
 from sitl.launch.trace import HeardTrace
 from sitl.launch.viewing import MissionPage
 from sitl.launch.watchdog import LOOK_S, RECORDER, ROUTER, Watchdog
-from sitl.script.script import Cut, Expectation, Kill, Script
+from sitl.script.events import Cut, Kill
+from sitl.script.script import Expectation, Script
 
 PAYLOAD = "payload"
 CALL_EVERY_S = 1.0

@@ -14,7 +14,8 @@ from link.bus.tally import Tally
 from link.signing.signer import Signing
 from sitl.autopilot.state import VehicleFailed
 from sitl.autopilot.vehicle import Vehicle
-from sitl.script.script import OnBoard, Script
+from sitl.script.events import OnBoard
+from sitl.script.script import Script
 from sitl.uav.clock import Clock
 from sitl.uav.options import at_own_home
 from sitl.uav.real import real_script, real_vehicle

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from plume.world import float32
-from sitl.script.script import Delay, Dropout, Duplicate, Lose, Spike, Stuck
+from sitl.script.events import Delay, Dropout, Duplicate, Lose, Spike, Stuck
 
 
 class FaultySensor:

@@ -10,7 +10,8 @@ from link import cli
 from link.bus.log import Log
 from sitl.autopilot.config import VehicleConfig
 from sitl.bridge.address import ALLOWED, parse_address
-from sitl.script.script import Script, VehiclePart, Wind
+from sitl.script.events import Wind
+from sitl.script.script import Script, VehiclePart
 from sitl.uav.clock import Clock
 
 if TYPE_CHECKING:

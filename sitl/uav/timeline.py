@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 
 from sitl.autopilot.state import Arrived
-from sitl.script.script import Hold, Land, OnBoard, Return
+from sitl.script.events import Hold, Land, OnBoard, Return
 
 Item = OnBoard | Arrived
 """A script event, or a place at which to measure again after a sensor dropout."""

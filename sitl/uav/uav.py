@@ -26,7 +26,8 @@ from sitl.autopilot.vehicle import Vehicle
 from sitl.bridge.bus_link import BRIDGED
 from sitl.payload.asking import Asking, Sample
 from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
-from sitl.script.script import AfterStop, Delay, Dropout, Duplicate, Hold, Land, Lose, OnBoard, Resume, Return, Spike, Stuck, Wind
+from sitl.script.events import Delay, Dropout, Duplicate, Hold, Land, Lose, OnBoard, Resume, Return, Spike, Stuck, Wind
+from sitl.script.script import AfterStop
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
 from sitl.uav.handling import Handling

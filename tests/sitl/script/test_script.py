@@ -13,7 +13,8 @@ from ruamel.yaml import YAML
 
 from plume.scenario import draw
 from plume.sensor import Hits
-from sitl.script.script import Hold, Land, Resume, Return, Script, load, schema
+from sitl.script.events import Hold, Land, Resume, Return
+from sitl.script.script import Script, load, schema
 from sitl.script.typed_yaml import FileError
 
 ROOT = Path(__file__).parents[3]

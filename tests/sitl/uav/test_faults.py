@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sitl.script.script import Delay, Dropout, Duplicate, Lose, Spike, Stuck
+from sitl.script.events import Delay, Dropout, Duplicate, Lose, Spike, Stuck
 from sitl.uav.faults import FaultyRadio, FaultySensor
 
 

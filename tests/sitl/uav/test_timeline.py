@@ -1,6 +1,6 @@
 """Protects the order of events: each happens once, at its step or time."""
 
-from sitl.script.script import Hold, Land, Return, Spike, Stuck, Wind
+from sitl.script.events import Hold, Land, Return, Spike, Stuck, Wind
 from sitl.uav.timeline import Timeline
 
 
