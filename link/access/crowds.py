@@ -39,11 +39,11 @@ class Crowds:
                 self._closed[name] += 1
                 _shut(address)
 
-    def news(self) -> list[str]:
-        """Return a line for each certificate of which sessions were closed since the last call."""
+    def closed(self) -> Counter[str]:
+        """Return how many sessions of which certificates were closed since the last call."""
         with self._lock:
             closed, self._closed = self._closed, Counter()
-        return [f"closed sessions ({count}): the certificate {name} already holds {self._most}" for name, count in closed.items()]
+        return closed
 
 
 def _shut(address: str) -> None:

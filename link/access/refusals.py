@@ -65,10 +65,10 @@ class Refusals:
             if joins := JOINS.search(line):
                 lines.append((logging.INFO, f"{joins[2] or 'a nameless client'} joins from {joins[1]}"))
             elif DROPS in line:
-                self._count("messages", "the certificates of their senders give no right to them")
+                self.count("messages", "the certificates of their senders give no right to them")
             elif refused := REFUSES.search(line):
                 meant = next((meaning for words, meaning in MEANING if words in refused[1]), f"is refused: {refused[1]}")
-                self._count("connections", f"the client {meant}")
+                self.count("connections", f"the client {meant}")
         for (what, why), count in list(self._counts.items()):
             if now_s - self._told_at.get((what, why), -EVERY_S) >= EVERY_S:
                 del self._counts[what, why]
@@ -84,8 +84,9 @@ class Refusals:
         *lines, self._begun = COLOUR.sub("", text).split("\n")
         return lines
 
-    def _count(self, what: str, why: str) -> None:
+    def count(self, what: str, why: str, more: int = 1) -> None:
+        """Count what was refused and why: `news` tells of it."""
         kind = what, why
         if kind not in self._counts and kind not in self._told_at and len(self._told_at | self._counts) >= MOST_KINDS:
             why = "for other reasons"
-        self._counts[what, why] = self._counts.get((what, why), 0) + 1
+        self._counts[what, why] = self._counts.get((what, why), 0) + more

@@ -2,13 +2,14 @@
 
 import contextlib
 import os
+import resource
 import time
 from pathlib import Path
 
 import msgspec
 import zenoh
 
-from link.access.crowds import Crowds
+from link.access.crowds import MOST_OF_ONE, Crowds
 from link.access.reach import endpoint_is_open
 from link.access.refusals import Refusals
 from link.bus.keys import STOP
@@ -37,17 +38,20 @@ def run(endpoint: str, secure: Path | None = None, connect: str | None = None) -
     """
     log = Log("router", "-", Tally())
     refusals = Refusals() if secure else None
+    with contextlib.suppress(ValueError, OSError):  # each connection takes a file
+        resource.setrlimit(resource.RLIMIT_NOFILE, (resource.getrlimit(resource.RLIMIT_NOFILE)[1],) * 2)
     os.environ.setdefault("ZENOH_RUNTIME", MORE_RECEIVERS)
     session, listening = open_router(endpoint, secure, connect)
     with session:
         print(listening, flush=True)
         if not secure and endpoint_is_open(endpoint):
             log.warning(f"{endpoint} is open to other machines: whoever reaches it can command the vehicle (--secure DIR admits by role)")
-        crowds = Crowds(session) if secure else None
+        crowds = Crowds(session)
         session.declare_subscriber(f"uav/*/{STOP.name}", lambda sample: _tell_stop(log, sample))
         while True:
             time.sleep(SIGNAL_POLL_S)  # all the work is in Zenoh's threads
-            for level, line in refusals.news(time.monotonic()) if refusals else ():
-                log.log(level, line)
-            for line in crowds.news() if crowds else ():
-                log.warning(line)
+            if refusals:
+                for name, count in crowds.closed().items():
+                    refusals.count("sessions", f"the certificate {name} already holds {MOST_OF_ONE}", count)
+                for level, line in refusals.news(time.monotonic()):
+                    log.log(level, line)
