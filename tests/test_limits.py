@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from agent import bundle, graphs
+from link.access import crowds
 from link.bus import inbox, opening
+from link.bus.keys import BELIEF, KEYS, READING
 from link.record import reader
 from link.signing import timestamps
 from sitl.bridge import bus_link, links, tcp
@@ -19,7 +21,11 @@ def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
     section = PAGE.read_text().partition("## Limits on hostile input")[2].partition("\n## ")[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line.startswith("| ")][1:]
     assert {row[0]: row[1] for row in rows} == {
-        "message on the bus": f"{opening.MOST_MESSAGE // MIB} MiB",
+        "message on the bus": f"{READING.most_mib} MiB, a belief {opening.MOST_MESSAGE // MIB} MiB, "
+        f"a query {opening.MOST_QUERY // MIB} MiB",
+        "sessions of a router": f"{opening.MOST_SESSIONS:,}; {crowds.MOST_OF_A_PART} of a vehicle's certificate, "
+        f"{crowds.MOST_FOR_ALL} of another",
+        "connections that are joining a router": f"{opening.MOST_JOINING:,}, for {opening.JOINING_S:g} s each",
         "policy bundle": f"{bundle.MOST_BYTES // MIB} MiB of graph, {bundle.MOST_PAGE_BYTES // MIB} MiB of page, "
         f"{graphs.MOST_NODES} nodes, {graphs.MOST_WORK:,} multiplications a decision",
         "record": f"unpacks to {reader.MOST_RATIO} times its size, or to {reader.SMALL // MIB} MiB; "
@@ -40,6 +46,7 @@ def test_the_limits_on_hostile_input_are_those_of_the_code() -> None:
         "what waits for a TCP connection of a bridge": f"{tcp.MOST_BYTES // 1024} KiB",
         "signed MAVLink streams": f"{timestamps.MOST_STREAMS}",
     }
+    assert {key.most_mib for key in KEYS if key is not BELIEF} == {READING.most_mib}
     assert udp.MOST_PEERS == links.MOST_PEERS
     assert (bus_link.MOST_WAITING, bus_link.WAITING_BYTES) == (inbox.WAITING_MESSAGES, inbox.WAITING_BYTES)
     compose = PAGE.parents[1] / "compose.yaml"

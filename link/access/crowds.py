@@ -9,16 +9,22 @@ from collections import Counter, defaultdict
 
 import zenoh
 
-MOST_OF_ONE = 250
-"""Sessions of one certificate. All vehicles' recorders share one, and all their pages; a router holds 1,000 sessions by default."""
+from link.access.roles import OF_ALL_VEHICLES
+
+MOST_OF_A_PART, MOST_FOR_ALL = 16, 250
+"""Sessions of a certificate of one vehicle, and of one of all vehicles: all recorders share one. A router holds 1,000 sessions."""
+
+
+def most_of(name: str) -> int:
+    """Return how many sessions the certificate of this name may hold at once."""
+    return MOST_FOR_ALL if name in OF_ALL_VEHICLES else MOST_OF_A_PART
 
 
 class Crowds:
     """Counts the sessions of a router by the names of their certificates, and closes what is too many."""
 
-    def __init__(self, router: zenoh.Session, most: int = MOST_OF_ONE) -> None:
+    def __init__(self, router: zenoh.Session) -> None:
         """Begin to count the sessions of a router of this process."""
-        self._most = most
         self._held: dict[str, set[str]] = defaultdict(set)
         self._closed: Counter[str] = Counter()
         self._lock = threading.Lock()
@@ -33,7 +39,7 @@ class Crowds:
             held = self._held[name]
             if event.kind != zenoh.SampleKind.PUT:
                 held.discard(address)
-            elif len(held) < self._most:
+            elif len(held) < most_of(name):
                 held.add(address)
             else:
                 self._closed[name] += 1

@@ -33,8 +33,9 @@ FEWEST_FILES = 64
 
 MOST_QUERY = MIB
 """Most bytes that a query may carry; ours carry none."""
-MOST_JOINING = 1000
-"""Connections that may be joining a router at once, for up to 10 s each. With Zenoh's 100, as many silent ones keep all others out."""
+MOST_SESSIONS = 1000
+MOST_JOINING, JOINING_S = 1000, 10.0
+"""Connections that may be joining a router at once, and for how long. With Zenoh's 100, as many silent ones keep all others out."""
 
 
 class BusError(Exception):
@@ -194,7 +195,9 @@ def open_router(endpoint: str, secure: Path | None = None, connect: str | None =
     rules = {"transport__link__tls": known.tls, "access_control": access_control(key.rights for key in KEYS)} if known else {}
     limits = {
         "transport__link__tx__queue__congestion_control__block__wait_before_close": round(1e6 * FULL_S),
+        "transport__unicast__max_sessions": MOST_SESSIONS,
         "transport__unicast__accept_pending": MOST_JOINING,
+        "transport__unicast__accept_timeout": round(1000 * JOINING_S),
         "low_pass_filter": low_pass_filter(),
     }
     joined = {"connect": [connect]} if connect else {}

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import zenoh
 
-from link.access.crowds import MOST_OF_ONE, Crowds
+from link.access.crowds import Crowds, most_of
 from link.access.reach import endpoint_is_open
 from link.access.refusals import Refusals
 from link.bus.keys import STOP
@@ -52,6 +52,6 @@ def run(endpoint: str, secure: Path | None = None, connect: str | None = None) -
             time.sleep(SIGNAL_POLL_S)  # all the work is in Zenoh's threads
             if refusals:
                 for name, count in crowds.closed().items():
-                    refusals.count("sessions", f"the certificate {name} already holds {MOST_OF_ONE}", count)
+                    refusals.count("sessions", f"the certificate {name} already holds {most_of(name)}", count)
                 for level, line in refusals.news(time.monotonic()):
                     log.log(level, line)

@@ -18,7 +18,7 @@ import pytest
 import zenoh
 
 from link.access.authority import make
-from link.access.crowds import MOST_OF_ONE, Crowds
+from link.access.crowds import MOST_FOR_ALL, MOST_OF_A_PART, Crowds
 from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, READING, STOP, Key
 from link.bus.opening import NoRouter, open_router
 from link.bus.session import Arrival, Bus
@@ -219,26 +219,26 @@ def test_connections_that_stay_silent_keep_nobody_out(
 def test_one_certificate_holds_so_many_sessions_and_no_more(folder: Path, wait_until: Callable[..., None]) -> None:
     router, endpoint = open_router("tcp/127.0.0.1:0", folder)
     with router, contextlib.ExitStack() as stack:
-        crowds = Crowds(router, 3)
-        observers = [stack.enter_context(session(endpoint, folder, "observer")) for _ in range(3)]
-        wait_until(lambda: len(router.info.links()) == 3)
-        with contextlib.suppress(zenoh.ZError):
-            observers.append(stack.enter_context(session(endpoint, folder, "observer")))
-        wait_until(lambda: crowds.closed()["observer"])
-        with Bus("agent", endpoint, secure=folder), session(endpoint, folder, "operator") as operator:
-            wait_until(operator.info.routers_zid)
-            assert all(one.info.routers_zid() for one in observers[:3])
-        observers[0].close()
-        wait_until(lambda: [one.info.routers_zid() for one in observers[1:]].count([]) == max(len(observers) - 4, 0))
+        crowds = Crowds(router)
+        agents = [stack.enter_context(session(endpoint, folder, "uav/1/agent")) for _ in range(MOST_OF_A_PART)]
+        wait_until(lambda: len(router.info.links()) == MOST_OF_A_PART)
+        with contextlib.suppress(zenoh.ZError), contextlib.closing(session(endpoint, folder, "uav/1/agent")):
+            wait_until(lambda: crowds.closed()["uav/1/agent"])
+        with Bus("estimator", endpoint, secure=folder), session(endpoint, folder, "uav/2/agent") as other:
+            wait_until(other.info.routers_zid)
+            assert all(one.info.routers_zid() for one in agents)
+        agents[0].close()
+        with contextlib.closing(session(endpoint, folder, "uav/1/agent")) as late:
+            wait_until(late.info.routers_zid)
 
 
 @pytest.mark.full
 def test_one_certificate_leaves_a_router_its_other_sessions(router: "Router", folder: Path, wait_until: Callable[..., None]) -> None:
     with contextlib.ExitStack() as stack:
-        for _ in range(MOST_OF_ONE + 10):
+        for _ in range(MOST_FOR_ALL + 10):
             with contextlib.suppress(zenoh.ZError):
                 stack.enter_context(session(router.endpoint, folder, "observer"))
-        told = rf"level=warning .*refused sessions \(\d+\): the certificate observer already holds {MOST_OF_ONE}"
+        told = rf"level=warning .*refused sessions \(\d+\): the certificate observer already holds {MOST_FOR_ALL}"
         wait_until(lambda: any(re.search(told, line) for line in router.said))
         with Bus("agent", router.endpoint, secure=folder) as agent:
             assert agent.connected
