@@ -5,12 +5,17 @@ A mission script's operator events, the page and the companion of a real autopil
 
 from collections.abc import Callable
 from copy import copy
+from typing import Literal
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Message
 from sitl.autopilot.state import ACCEPTED, Mode, Result, not_now
 
+CommandName = Literal["hold", "resume", "return", "land"]
+"""What an operator wants: the words of the page and of mission scripts."""
+WANTED: dict[CommandName, Mode] = {"hold": Mode.HOLD, "resume": Mode.OFFBOARD, "return": Mode.RETURN, "land": Mode.LAND}
+"""The flight mode that each leads to."""
 OPERATOR = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
 """System id and component id of a ground station."""
 TRIES = 5
@@ -40,6 +45,19 @@ def command(system: int, number: int, *params: float) -> Message:
 def change_mode(system: int, mode: Mode) -> Message:
     """COMMAND_LONG (76) with MAV_CMD_DO_SET_MODE (176) and PX4's mode numbers."""
     return command(system, mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *mode.value)
+
+
+def order(name: CommandName, system: int) -> Message:
+    """Return the command of a word to a system.
+
+    hold: stay where it is. resume: OFFBOARD, which gives the vehicle back to its search. return: fly home and land. land: land here.
+    """
+    match name:
+        case "return":
+            return command(system, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+        case "land":
+            return command(system, mavlink.MAV_CMD_NAV_LAND)
+    return change_mode(system, WANTED[name])
 
 
 class CommandRun:

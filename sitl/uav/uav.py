@@ -5,7 +5,7 @@ import queue
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 from pymavlink.dialects.v20 import common as mavlink
@@ -19,8 +19,8 @@ from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.interrupts import uninterrupted
 from link.signing.signer import Signing
 from plume.world import World
-from sitl.autopilot.operator import OPERATOR, change_mode, command
-from sitl.autopilot.state import Arrived, Led, Mode, Reached, Snapshot, VehicleFailed
+from sitl.autopilot.operator import OPERATOR, CommandName, order
+from sitl.autopilot.state import Arrived, Led, Reached, Snapshot, VehicleFailed
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from sitl.bridge.bus_link import BRIDGED
@@ -376,17 +376,11 @@ class Uav:
                 self._sensor.begin(event, self._vehicle.now_s)
             case Delay() | Duplicate() | Lose():
                 self._radio.begin(event)
-            case Hold():
-                self._operate(change_mode(self._vehicle.config.sysid, Mode.HOLD))
-                for after_s in self._after_hold_s[:1]:
-                    self._timeline.schedule(self._vehicle.now_s + after_s, Resume(time_s=self._vehicle.now_s + after_s))
-                del self._after_hold_s[:1]
-            case Resume():
-                self._operate(change_mode(self._vehicle.config.sysid, Mode.OFFBOARD))
-            case Return():
-                self._operate(command(self._vehicle.config.sysid, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH))
-            case Land():
-                self._operate(command(self._vehicle.config.sysid, mavlink.MAV_CMD_NAV_LAND))
+            case Hold() | Resume() | Return() | Land():
+                self._operate(order(cast(CommandName, event.__struct_config__.tag), self._vehicle.config.sysid))
+                if isinstance(event, Hold) and self._after_hold_s:
+                    due_s = self._vehicle.now_s + self._after_hold_s.pop(0)
+                    self._timeline.schedule(due_s, Resume(time_s=due_s))
 
     def _operate(self, message: Message) -> None:
         """Handle a message of the script's operator as if it had come over a link."""

@@ -3,20 +3,17 @@
 import asyncio
 import time
 from contextlib import suppress
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.frames import Frame
 from link.bus.mavlink import BadFrame, Codec, Message
 from scene.follow.telemetry import HEARTBEAT, TEXT, Texts, frames
-from sitl.autopilot.operator import NO_ANSWER, OPERATOR, TRIES, CommandRun, change_mode, command
+from sitl.autopilot.operator import NO_ANSWER, OPERATOR, TRIES, WANTED, CommandName, CommandRun, order
 from sitl.autopilot.state import Mode
 from sitl.view.live import LiveVehicle
 
-CommandName = Literal["hold", "resume", "return", "land"]
-WANTED: dict[CommandName, Mode] = {"hold": Mode.HOLD, "resume": Mode.OFFBOARD, "return": Mode.RETURN, "land": Mode.LAND}
-"""The flight mode that each command leads to."""
 URGENT: tuple[CommandName, ...] = ("return", "land")
 """Commands that wait for nothing: they replace one that is not answered yet."""
 AGAIN_S = 0.4
@@ -35,26 +32,13 @@ class CommandAnswer(NamedTuple):
     reason: str = ""
 
 
-def message(name: CommandName, system: int) -> Message:
-    """Return the message of a command to a system.
-
-    hold: stay where it is. resume: OFFBOARD, which gives the vehicle back to its search. return: fly home and land. land: land here.
-    """
-    match name:
-        case "return":
-            return command(system, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)
-        case "land":
-            return command(system, mavlink.MAV_CMD_NAV_LAND)
-    return change_mode(system, WANTED[name])
-
-
 class Awaited:
     """One command and what its vehicle says meanwhile. Its times are of one clock, s."""
 
     def __init__(self, name: CommandName, system: int) -> None:
         """Begin."""
         self._name, self._system = name, system
-        self._run = CommandRun(message(name, system), self._seen, lambda: self._reason, AGAIN_S)
+        self._run = CommandRun(order(name, system), self._seen, lambda: self._reason, AGAIN_S)
         self._texts = Texts()
         self._reason = ""
         self._refused = False

@@ -19,7 +19,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from plume import __version__
 from scene.scene import Scene
-from sitl.view.control import URGENT, CommandAnswer, CommandName, operate
+from sitl.autopilot.operator import CommandName
+from sitl.view.control import URGENT, CommandAnswer, operate
 from sitl.view.guard import AccessRules, Asgi, guarded
 from sitl.view.live import LiveVehicle
 from sitl.view.wire import Cursor, packed

@@ -5,11 +5,11 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Codec
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.operator import OPERATOR
+from sitl.autopilot.operator import OPERATOR, CommandName
 from sitl.autopilot.state import Mode
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
-from sitl.view.control import Awaited, CommandAnswer, CommandName
+from sitl.view.control import Awaited, CommandAnswer
 
 RTL, LAND = mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, mavlink.MAV_CMD_NAV_LAND
 ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED
