@@ -83,7 +83,6 @@ class Uav:
         self._bus = bus
         self._log = log
         self._tally = log.tally
-        self._tally.system = config.sysid
         self._handling = Handling(log)
         self._timeline = Timeline(events)
         self._after_hold_s = [event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None]
@@ -103,7 +102,7 @@ class Uav:
         self._felt: tuple[float, float] | None = None  # the wind of the last sample
         self._searchers: set[str] = set()
         self._progress = self._vehicle.progress
-        self._tally.state = self._search.state
+        self._tally.system, self._tally.state = config.sysid, self._search.state
         self._sampled_at = time.monotonic()
         self._ports: list[Port] = []
         self._udp: list[UdpLink] = []
@@ -214,8 +213,7 @@ class Uav:
         match item:
             case FromUdp(index, message, peer):
                 port = self._ports[index]
-                with self._handling.of(message):
-                    self._message(message, port, partial(self._search.receive, whence=f"at {peer}", streams=port.telemetry))
+                self._message(message, port, partial(self._search.receive, whence=f"at {peer}", streams=port.telemetry))
             case Arrival(key, payload, attachment) if key in (MAVLINK_IN, WAYPOINT) and self._bus:
                 port, whence = self._ports[0], "through a bridge" if attachment == BRIDGED else "on the bus"
                 take = self._search.answer if key is WAYPOINT else partial(self._search.receive, whence=whence, streams=port.telemetry)
@@ -225,8 +223,7 @@ class Uav:
                     self._bus.refuse(key, str(error), error.kind)
                     return
                 for message in messages:
-                    with self._handling.of(message):
-                        self._message(message, port, take)
+                    self._message(message, port, take)
             case Arrival(key, payload) if key is PAYLOAD_OUT and self._asking and self._bus:
                 try:
                     if sample := self._asking.receive(payload):
@@ -240,18 +237,19 @@ class Uav:
                 (self._searchers.add if alive else self._searchers.discard)(service)
 
     def _message(self, message: Message, port: Port, take: Callable[[Message, float], list[Message]]) -> None:
-        refused, awaited = self._protocol.refused.total(), self._search.answers.awaited
-        answers = take(message, self._clock.now_s())
-        if message.get_type() in SETPOINTS:
-            self._clock.heard()
-        if awaited and not self._search.answers.awaited:
-            self._tally.latency_s = time.monotonic() - self._sampled_at
-        if self._protocol.refused.total() > refused:
-            self._tally.refuse("waypoint")
-        if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
-            self._log.warning("".join(texts))
-        if answers:
-            port.link.send(*answers)
+        with self._handling.of(message):
+            refused, awaited = self._protocol.refused.total(), self._search.answers.awaited
+            answers = take(message, self._clock.now_s())
+            if message.get_type() in SETPOINTS:
+                self._clock.heard()
+            if awaited and not self._search.answers.awaited:
+                self._tally.latency_s = time.monotonic() - self._sampled_at
+            if self._protocol.refused.total() > refused:
+                self._tally.refuse("waypoint")
+            if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
+                self._log.warning("".join(texts))
+            if answers:
+                port.link.send(*answers)
 
     # ---- the search ----
 
