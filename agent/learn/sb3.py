@@ -21,8 +21,8 @@ class StableBaselinesEnv(VecEnv):
         super().__init__(vector.num_envs, vector.single_observation_space, vector.single_action_space)
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin new missions."""
-        observations, _ = self.vector.reset(seed=self._seed)
+        """Begin new missions. Raises ValueError if options have been set: there are none."""
+        observations, _ = self.vector.reset(seed=self._seed, options=next(filter(None, self._options), None))
         self._seed = None
         return observations
 

@@ -64,6 +64,13 @@ def test_a_seed_is_for_one_reset() -> None:
     assert env.reset().tobytes() == following.tobytes()
 
 
+def test_options_of_a_reset_are_refused_here_too() -> None:
+    env = adapted()
+    env.set_options({"start": (1.0, 2.0)})
+    with pytest.raises(ValueError, match=r"^options \{'start': \(1.0, 2.0\)\} are not allowed"):
+        env.reset()
+
+
 def test_what_is_one_for_all_cannot_be_set_for_one() -> None:
     from stable_baselines3.common.vec_env import VecMonitor
 
