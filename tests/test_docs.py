@@ -134,7 +134,7 @@ STAYS = {
     "tensorboard --logdir runs/train": "http://",
 }
 """Commands that stay up, and what each must print before the next command of the block runs. At the end they are interrupted."""
-VARIES = re.compile(r"router at|runs/\d|begun 20|messages in|^time=|^(belief|health|mavlink|reading)|replayed in|^plumeward \d")
+VARIES = re.compile(r"router at|runs/\d|begun 20|messages in|^time=|^(belief|health|mavlink|reading|waypoint)|replayed in|^plumeward \d")
 """Lines of output whose figures differ between runs: times, rates, ports, names."""
 
 

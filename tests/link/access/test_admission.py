@@ -199,7 +199,7 @@ def test_nobody_reads_the_router_s_own_settings(clients: Clients) -> None:
         assert [reply for reply in one.get("@/*/router/**", timeout=2) if reply.ok] == []
 
 
-@pytest.mark.parametrize("certificate", [None, "observer"])
+@pytest.mark.parametrize("certificate", [None, pytest.param("observer", marks=pytest.mark.full)])
 def test_connections_that_stay_silent_keep_nobody_out(
     secure: str, folder: Path, certificate: str | None, capsys: pytest.CaptureFixture[str]
 ) -> None:
