@@ -39,7 +39,9 @@ def fly(seed: int, policy: str, particles: int, secure: Path | None = None) -> l
         with Bus("bench", endpoint, announced=False, secure=secure) as bus:
             bus.subscribe(READING, BELIEF, HEALTH)
             last: int | None = None
-            while last is None or not (last in compute["estimator"] and last - 1 in compute["agent"] and last in compute["uav"]):
+            while last is None or not (
+                last < len(read_at) and last in compute["estimator"] and last - 1 in compute["agent"] and last in compute["uav"]
+            ):  # readings may come late: a missing one is asked for again
                 item = bus.receive()
                 now = time.perf_counter()
                 match item:

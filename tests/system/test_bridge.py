@@ -33,6 +33,7 @@ def beats_until(wait_until: Callable, say: Callable[[], None], holds: Callable[[
 @pytest.fixture
 def bus(router: str) -> Iterator[BusWire]:
     with BusWire(router) as bus:
+        bus.settle()
         yield bus
 
 
@@ -54,8 +55,8 @@ class Five:
 
 
 @pytest.fixture
-def five(start, router: str, tmp_path: Path, wait_until: Callable) -> Iterator[Five]:
-    with ExitStack() as stack:
+def five(start, router: str, bus: BusWire, tmp_path: Path, wait_until: Callable) -> Iterator[Five]:
+    with ExitStack() as stack:  # after the bus has joined: what a bridge says that knows of no receiver is not sent
         yield Five(start, router, tmp_path, stack, wait_until)
 
 
