@@ -168,7 +168,8 @@ def _handshake(context: ssl.SSLContext, plain: socket.socket, host: str, known: 
     except OSError as error:
         if known is None:
             return ""
-        return _refusal(error, known) or "it does not speak TLS: start it with --secure too"
+        flooded = "; or connections flood it" * isinstance(error, TimeoutError)
+        return _refusal(error, known) or f"it does not speak TLS: start it with --secure too{flooded}"
     with secret:
         if known is None:
             return "it wants TLS: give --secure DIR"
