@@ -141,6 +141,7 @@ def test_a_bundle_that_cannot_be_written_leaves_the_one_before(tmp_path: Path) -
     assert (tmp_path / "a.zip").read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", [("ReLU",), ("Tanh", "Tanh"), ("ReLU", "Tanh", "Tanh")], ids=" ".join)
 @pytest.mark.parametrize("squashed", [False, True])
 def test_a_graph_says_what_torch_says(tmp_path: Path, kinds: tuple[str, ...], squashed: bool) -> None:

@@ -36,6 +36,7 @@ COMMANDS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "named"), COMMANDS, ids=lambda value: " ".join(value))
 def test_bad_input_is_one_clear_line_and_status_2(arguments: list[str], named: list[str]) -> None:
     ended = subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=60)
@@ -46,6 +47,7 @@ def test_bad_input_is_one_clear_line_and_status_2(arguments: list[str], named: l
         assert words in said[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments", [["sitl"], ["sitl", "fly"], ["sitl", "uav"], ["sitl", "router"], ["estimator"], ["agent"], ["agent", "rollout"]]
 )

@@ -43,6 +43,7 @@ def test_beliefs_are_shown_when_the_spread_has_fallen_by_a_third_by_two_thirds_a
     assert telling(measured(5.0)) == [0]
 
 
+@pytest.mark.slow
 def test_the_picture_lies_beside_the_log_and_is_not_written_over_unasked(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments=["draw", str(log)]) == 0
     picture = log.with_suffix(".png")
@@ -57,6 +58,7 @@ def test_the_picture_lies_beside_the_log_and_is_not_written_over_unasked(log: Pa
     assert picture.read_bytes() != before
 
 
+@pytest.mark.slow
 def test_an_animation_has_a_frame_for_each_reading_and_needs_no_picture(log: Path) -> None:
     assert drawn(str(log), "--gif", str(log.with_name("a.gif"))) == 0
     assert {path.name for path in log.parent.iterdir()} == {"log.mcap", "a.gif"}
@@ -101,6 +103,7 @@ def test_a_file_without_a_belief_is_refused(tmp_path: Path, capsys: pytest.Captu
     assert [path.name for path in tmp_path.iterdir()] == ["notes.mcap"]
 
 
+@pytest.mark.slow
 def test_a_log_that_was_cut_off_is_drawn_with_a_warning(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert drawn(str(log)) == 0
     assert capsys.readouterr().err == ""
@@ -136,6 +139,7 @@ def in_small_chunks(log: Path) -> bytearray:
     return bytearray(log.with_name("small.mcap").read_bytes())
 
 
+@pytest.mark.slow
 def test_a_damaged_log_is_drawn_without_what_is_missing_and_has_a_status_of_its_own(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = in_small_chunks(log)
     chunks = [match.start() for match in re.finditer(b"\x04\x00\x00\x00zstd", whole)]

@@ -53,6 +53,7 @@ class Flown:
             self.look()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "listen"),
     [

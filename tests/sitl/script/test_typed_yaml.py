@@ -69,6 +69,7 @@ def test_a_file_of_the_greatest_size_is_read(tmp_path: Path) -> None:
         load(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("opening", ["[", "{", "- ", "? "])
 def test_a_nest_without_a_bottom_is_refused(tmp_path: Path, opening: str) -> None:
     path = tmp_path / "mission.yaml"
@@ -133,6 +134,7 @@ def test_an_empty_script_is_the_usual_mission(tmp_path: Path, content: bytes) ->
     assert load(path) == Script()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["k" * 200_000 + ": 1", "about: !" + "t" * 200_000 + " x", "seed: " + "y" * 200_000])
 def test_a_line_that_is_told_stays_short(tmp_path: Path, text: str) -> None:
     path = tmp_path / "mission.yaml"
