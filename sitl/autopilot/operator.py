@@ -9,7 +9,7 @@ from typing import Literal
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.mavlink import Message
+from link.bus.mavlink import ONBOARD_COMPUTER, Message
 from sitl.autopilot.state import ACCEPTED, Mode, Result, not_now
 
 CommandName = Literal["hold", "resume", "return", "land"]
@@ -37,9 +37,9 @@ UNSAID = {
 """What an answer means that comes without a reason."""
 
 
-def command(system: int, number: int, *params: float) -> Message:
-    """COMMAND_LONG (76) to the autopilot of a system; parameters not given are 0."""
-    return mavlink.MAVLink_command_long_message(system, mavlink.MAV_COMP_ID_AUTOPILOT1, number, 0, *params, *[0.0] * (7 - len(params)))
+def command(system: int, number: int, *params: float, component: int = mavlink.MAV_COMP_ID_AUTOPILOT1) -> Message:
+    """COMMAND_LONG (76) to the autopilot of a system, or to another component; parameters not given are 0."""
+    return mavlink.MAVLink_command_long_message(system, component, number, 0, *params, *[0.0] * (7 - len(params)))
 
 
 def change_mode(system: int, mode: Mode) -> Message:
@@ -47,17 +47,35 @@ def change_mode(system: int, mode: Mode) -> Message:
     return command(system, mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *mode.value)
 
 
-def order(name: CommandName, system: int) -> Message:
-    """Return the command of a word to a system.
+TO_SEARCH: dict[CommandName, tuple[int, float]] = {
+    "hold": (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0.0), "resume": (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1.0),
+    "return": (mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, 0.0), "land": (mavlink.MAV_CMD_NAV_LAND, 0.0),
+}  # fmt: skip
+"""The words as commands to the search of a real vehicle: a MAV_CMD and its param 1."""
+
+
+def order(name: CommandName, system: int, to_search: bool = False) -> Message:
+    """Return the command of a word to a system; `to_search`: to the search of a real vehicle, component 191, beside its autopilot.
 
     hold: stay where it is. resume: OFFBOARD, which gives the vehicle back to its search. return: fly home and land. land: land here.
     """
+    if to_search:
+        number, param = TO_SEARCH[name]
+        return command(system, number, param, component=ONBOARD_COMPUTER)
     match name:
         case "return":
             return command(system, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)
         case "land":
             return command(system, mavlink.MAV_CMD_NAV_LAND)
     return change_mode(system, WANTED[name])
+
+
+def word_of(number: int, param1: float) -> CommandName | None:
+    """Return the word that a command to the search of a real vehicle is; None if it is none of the four."""
+    for name, (wanted, param) in TO_SEARCH.items():
+        if number == wanted and (param1 == param or wanted != mavlink.MAV_CMD_DO_PAUSE_CONTINUE):
+            return name
+    return None
 
 
 class CommandRun:

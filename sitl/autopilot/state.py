@@ -111,10 +111,12 @@ class Snapshot(NamedTuple):
 
 
 class Arrived(NamedTuple):
-    """The vehicle came to rest exactly on a setpoint (NED, m from home): one reading is due here."""
+    """The vehicle came to rest on a setpoint (NED, m from home): one reading is due here."""
 
     time_s: float
     position: Ned
+    boot_ms: int | None = None
+    """A real autopilot's clock when it was at the position; None: the vehicle has no clock but that of the simulation."""
 
 
 class Said(NamedTuple):
@@ -124,6 +126,8 @@ class Said(NamedTuple):
     severity: int
     """MAV_SEVERITY."""
     text: str
+    heard: bool = False
+    """Whether a real autopilot has said it itself, so that its clients have heard it."""
 
 
 class Reached(NamedTuple):
@@ -141,6 +145,8 @@ class Led(NamedTuple):
     """The autopilot's name of the mode."""
     given_back: bool
     """Whether it is the one in which it follows a companion."""
+    by: str = ""
+    """Who asked for it, if a client has; empty: the autopilot itself, or a pilot by another way."""
 
 
 VehicleEvent = Arrived | Said | Reached | Led

@@ -24,6 +24,11 @@ class Vehicle(Navigator):
     through `sitl.protocol.protocol`. Positions are NED, in m from home.
     """
 
+    failure = ""
+    """It never gives a search up."""
+    wind: tuple[float, float] | None = None
+    """It does not estimate the wind."""
+
     def __init__(self, config: VehicleConfig) -> None:
         """Start at home at time 0, disarmed, with a full battery."""
         super().__init__(config)
@@ -80,6 +85,30 @@ class Vehicle(Navigator):
     def landing(self) -> bool:
         """True from the beginning of a landing until the motors have stopped."""
         return self._armed and self._mode is Mode.LAND
+
+    @property
+    def busy(self) -> bool:
+        """True while it waits for nobody: it flies, lands, or waits for a time of its mission."""
+        return self.moving or self.landing or self.waiting
+
+    @property
+    def free(self) -> bool:
+        """True while it stands on the ground and nobody flies it."""
+        on_ground = self._landed_state() == mavlink.MAV_LANDED_STATE_ON_GROUND
+        return on_ground and not self.moving and self._mode is Mode.HOLD
+
+    @property
+    def is_searched(self) -> bool:
+        """True while its search leads it: that need not stream setpoints."""
+        return self.companion.is_own_search
+
+    @is_searched.setter
+    def is_searched(self, leads: bool) -> None:
+        self.companion.is_own_search = leads
+
+    def still(self, arrived: Arrived) -> Arrived:
+        """Return the arrival as it is now, for another measurement: a simulated vehicle does not drift."""
+        return arrived
 
     def state(self, t_s: float) -> State:
         """The state at a time between the current one and the next event."""

@@ -13,8 +13,9 @@ from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, Rally
 from sitl.autopilot.plan import NOT_GIVEN, BadItem, Item
 from sitl.autopilot.state import Snapshot
 from sitl.autopilot.status import mission_current
+from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.parameters import crc32
-from sitl.protocol.service import AnyVehicle, Microservice, Reply, asker
+from sitl.protocol.service import Microservice, Reply, asker
 
 RETRY_S, ACTION_S = 0.25, 5.0
 """Real time after which an item is asked for again, and after which an upload is given up: PX4's values. A client lives in real time."""
@@ -48,7 +49,7 @@ class Upload:
 class PlanService:
     """The lists on board of one vehicle. An upload that fails or ends half-way changes nothing."""
 
-    def __init__(self, vehicle: AnyVehicle, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, vehicle: Vehicle, clock: Callable[[], float] = time.monotonic) -> None:
         """Load the vehicle's mission, fence and rally points. `clock` is real time, s."""
         self._vehicle, self._clock = vehicle, clock
         self.link: object = None

@@ -10,7 +10,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Message
 from sitl.autopilot.status import CELLS, EMPTY_CELL_V, FULL_CELL_V
-from sitl.protocol.service import AnyVehicle, Microservice, Reply, asker
+from sitl.autopilot.vehicle import Vehicle
+from sitl.protocol.service import Microservice, Reply, asker
 
 REAL, INT = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
 FORMS = {REAL: "<f", INT: "<i"}
@@ -93,7 +94,7 @@ INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 class Parameters:
     """The parameters of one vehicle."""
 
-    def __init__(self, vehicle: AnyVehicle) -> None:
+    def __init__(self, vehicle: Vehicle) -> None:
         """Read and change the vehicle's configuration."""
         self._vehicle = vehicle
         extended = "PARAM_EXT_ACK: failed; the parameters are PARAM_VALUE's"

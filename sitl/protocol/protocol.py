@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -14,20 +13,17 @@ from plume.geodesy import to_local
 from sitl.autopilot.plan import ABOVE_HOME, ABOVE_SEA
 from sitl.autopilot.state import ACCEPTED, UNSUPPORTED, Mode, Result, denied
 from sitl.autopilot.telemetry import Telemetry
+from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol import clocks, files, logs, refused, setpoints
 from sitl.protocol.missions import PlanService
 from sitl.protocol.modes import available_modes
 from sitl.protocol.parameters import Parameters
-from sitl.protocol.service import AnyVehicle, Microservice
+from sitl.protocol.service import Microservice
+from sitl.protocol.words import Words
 
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FORCE = 21196.0
 """MAVLink's magic number: as param2 of MAV_CMD_COMPONENT_ARM_DISARM (400) it forces a disarm in the air."""
-TEXT_LENGTH = 50
-"""Characters in one STATUSTEXT (253)."""
-REFUSAL_INTERVAL_S = 1.0
-"""Clients repeat setpoints at 20 Hz: each kind of refusal is reported at most once per interval."""
-
 COMMANDS = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: "arms and disarms; in the air only with param 2 = 21196, and the vehicle falls",
     mavlink.MAV_CMD_NAV_TAKEOFF: "climbs to an altitude above sea, at least and with NaN to MIS_TAKEOFF_ALT; disarmed: once it is armed",
@@ -86,13 +82,12 @@ class Params(NamedTuple):
     frame: int
 
 
-class MavlinkProtocol:
+class MavlinkProtocol(Words):
     """Handles the MAVLink messages of all clients of one vehicle and builds the answers."""
 
-    def __init__(self, vehicle: AnyVehicle, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, vehicle: Vehicle, clock: Callable[[], float] = time.monotonic) -> None:
         """Serve one vehicle. `clock` is real time, s: clients live in it."""
-        self.refused: Counter[str] = Counter()
-        """Refused setpoints, by kind of reason."""
+        super().__init__()
         self._vehicle = vehicle
         self._missions = PlanService(vehicle, clock)
         self._parameters = Parameters(vehicle)
@@ -104,8 +99,6 @@ class MavlinkProtocol:
             for service in services
         }  # fmt: skip
         """By the type of message that each takes."""
-        self._told_s: dict[str, float] = {}  # when each kind of refusal was last reported
-        self._chunked_texts = 0
 
     def receive(self, message: Message, t_s: float, streams: Telemetry | None = None) -> list[Message]:
         """Handle one decoded message received at `t_s`; return the answers for the caller to send back over the same link.
@@ -121,17 +114,18 @@ class MavlinkProtocol:
                 if message.target_system == 0 and message.command not in ASKED_OF_ALL:
                     return self.refuse(message, BROADCAST)
                 result, answers = self._command(message.command, _params(message), t_s, streams)
-                return [_acknowledge(message, message.command, result), *answers, *self._reason(result)]
+                ack, *reason = self.answer(message, message.command, result)
+                return [ack, *answers, *reason]
             case "SET_MODE":
                 result = self._set_custom_mode(t_s, message.base_mode, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24)
-                return [_acknowledge(message, mavlink.MAVLINK_MSG_ID_SET_MODE, result), *self._reason(result)]
+                return self.answer(message, mavlink.MAVLINK_MSG_ID_SET_MODE, result)
             case setpoints.LOCAL | setpoints.GLOBAL:
                 return self.refuse_setpoint(setpoints.take(self._vehicle, message, t_s), t_s)
         if service := self.services.get(message.get_type()):
             self._missions.link = streams
             reply = service.answer(message, t_s)
-            quiet = reply.kind and self._has_told(reply.kind, t_s)
-            return [*reply.messages, *([] if quiet else self._reason(denied(reply.reason)))]
+            quiet = reply.kind and self.has_told(reply.kind, t_s)
+            return [*reply.messages, *([] if quiet else self.reason(denied(reply.reason)))]
         return []
 
     def next_due_s(self) -> float:
@@ -141,7 +135,7 @@ class MavlinkProtocol:
     def due(self, streams: Telemetry) -> list[Message]:
         """Return what has to be sent again over a link, of the telemetry `streams`, because a client has not answered."""
         reply = self._missions.due(streams)
-        return [*reply.messages, *self._reason(denied(reply.reason))]
+        return [*reply.messages, *self.reason(denied(reply.reason))]
 
     def is_addressed(self, message: Message) -> bool:
         """True unless a message is for another system or component, or comes from our own ids: PX4 ignores those, too."""
@@ -149,23 +143,6 @@ class MavlinkProtocol:
         if (message.get_srcSystem(), message.get_srcComponent()) == ours:
             return False
         return all(getattr(message, f"target_{name}", 0) in (0, own) for name, own in zip(("system", "component"), ours, strict=True))
-
-    def refuse(self, message: Message, result: Result) -> list[Message]:
-        """Return the answer to a command or a change of mode that is refused."""
-        command = message.command if message.get_type() != "SET_MODE" else mavlink.MAVLINK_MSG_ID_SET_MODE
-        return [_acknowledge(message, command, result), *self._reason(result)]
-
-    def statustext(self, severity: int, text: str) -> list[Message]:
-        """Return a text as STATUSTEXT (253). A long text is split into chunks of one id; the first chunk that is not full ends it."""
-        raw = text.encode("ascii", "replace")
-        if len(raw) <= TEXT_LENGTH:
-            return [mavlink.MAVLink_statustext_message(severity, raw)]
-        self._chunked_texts = self._chunked_texts % 0xFFFF + 1
-        chunks = [raw[at : at + TEXT_LENGTH] for at in range(0, len(raw) + 1, TEXT_LENGTH)]
-        return [mavlink.MAVLink_statustext_message(severity, chunk, self._chunked_texts, n) for n, chunk in enumerate(chunks)]
-
-    def _reason(self, result: Result) -> list[Message]:
-        return self.statustext(mavlink.MAV_SEVERITY_WARNING, result.reason) if result.reason else []
 
     # ---- commands ----
 
@@ -265,22 +242,6 @@ class MavlinkProtocol:
     def _above_home(self, p: Params) -> float:
         return p.alt_m if p.frame in ABOVE_HOME else p.alt_m - self._vehicle.config.home_alt_m
 
-    # ---- setpoints ----
-
-    def refuse_setpoint(self, result: Result, t_s: float) -> list[Message]:
-        """Count a setpoint that is denied; returns the reason as STATUSTEXT, unless the same kind was told within a second."""
-        if result.code != mavlink.MAV_RESULT_DENIED:
-            return []
-        self.refused[result.kind] += 1
-        return [] if self._has_told(result.kind, t_s) else self._reason(result)
-
-    def _has_told(self, kind: str, t_s: float) -> bool:
-        """Whether this kind of refusal was told within a second; if not, it is now."""
-        if t_s - self._told_s.get(kind, -math.inf) < REFUSAL_INTERVAL_S:
-            return True
-        self._told_s[kind] = t_s
-        return False
-
 
 def _params(m: Message) -> Params:
     if m.get_type() == "COMMAND_LONG":
@@ -316,9 +277,3 @@ def _request(message_id: int, index: float, t_s: float, streams: Telemetry | Non
             message = streams.build(message_id, t_s)
             messages = [] if message is None else [message]
     return (ACCEPTED, messages) if messages else (UNSUPPORTED, [])
-
-
-def _acknowledge(message: Message, command: int, result: Result) -> Message:
-    return mavlink.MAVLink_command_ack_message(
-        command, result.code, target_system=message.get_srcSystem(), target_component=message.get_srcComponent()
-    )

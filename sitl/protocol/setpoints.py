@@ -14,7 +14,7 @@ from sitl.autopilot.motion import Ned
 from sitl.autopilot.plan import snapped
 from sitl.autopilot.setpoint import Setpoint
 from sitl.autopilot.state import Result, denied
-from sitl.protocol.service import AnyVehicle
+from sitl.autopilot.vehicle import Vehicle
 
 LOCAL, GLOBAL = "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"
 POSITION, VELOCITY, ACCELERATION = 0, 3, 6
@@ -43,7 +43,7 @@ Parts = tuple[float | None, float | None, float | None]
 """North, east, down; None is ignored."""
 
 
-def take(vehicle: AnyVehicle, message: Message, t_s: float) -> Result:
+def take(vehicle: Vehicle, message: Message, t_s: float) -> Result:
     """Hand a setpoint to the vehicle; returns why not if it is refused."""
     setpoint = read(message, vehicle.config, vehicle.state(t_s).yaw)
     if isinstance(setpoint, Result):
