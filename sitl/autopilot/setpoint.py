@@ -162,9 +162,9 @@ class Answers:
         self.awaited = False
         """True while the newest reading is unanswered."""
 
-    def time_of(self, now_s: float) -> int:
+    def time_of(self, now_ms: float) -> int:
         """Return the time_boot_ms of a reading that is about to be taken, later than that of any before."""
-        self._last_ms = max(round(now_s * 1000), self._last_ms + 1)
+        self._last_ms = max(round(now_ms), self._last_ms + 1)
         return self._last_ms % WRAP_MS
 
     def sampled(self, time_boot_ms: int) -> None:

@@ -81,11 +81,12 @@ class Channel:
     """
 
     def __init__(self, traffic: Traffic, send: Callable[[bytes], None], who: str) -> None:
-        """Take the counts of its URL, the function that sends a frame, and who the other side is, for people."""
+        """Take the counts of its URL, the function that sends a frame, and who the other side is."""
         self.traffic = traffic
         self.stream = FrameStream()
         self._send = send
-        self._who = who
+        self.who = who
+        """Who the other side is, for people."""
 
     def send(self, frame: bytes) -> None:
         """Send a frame, signed if the link signs."""
@@ -100,7 +101,7 @@ class Channel:
         letters = self.stream.take(data, datagram=datagram)
         self.traffic.drop(GARBAGE, self.stream.garbage - before)
         if signer := self.traffic.signer:
-            letters = [letter._replace(data=unsigned(letter.data)) for letter in letters if signer.admits(letter.data, self._who)]
+            letters = [letter._replace(data=unsigned(letter.data)) for letter in letters if signer.admits(letter.data, self.who)]
         self.traffic.received += len(letters)
         return letters
 

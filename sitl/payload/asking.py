@@ -18,7 +18,8 @@ class Asking:
     def __init__(self, send: Callable[[bytes], None], codec: Codec, clock: Callable[[], float] = time.monotonic) -> None:
         """Take what publishes on `payload/in`, the vehicle's codec, and the clock of real time, s."""
         self._send = send
-        self._codec = codec
+        self.codec = codec
+        """Packs the questions."""
         self._clock = clock
         self._open: tuple[int, bytes] | None = None  # time_boot_ms of the question, and its frames
         self._wait_s = RESEND_FIRST_S
@@ -34,7 +35,7 @@ class Asking:
 
         wind: (u cos φ, u sin φ) m/s, points to where it comes from, as the autopilot reports it; None if it reports none.
         """
-        frames = pack_question(self._codec, time_boot_ms, number, position, wind)
+        frames = pack_question(self.codec, time_boot_ms, number, position, wind)
         self._open = time_boot_ms, frames
         self._wait_s = RESEND_FIRST_S
         self._due_s = self._clock() + self._wait_s

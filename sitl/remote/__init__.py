@@ -1,4 +1,4 @@
-"""A real autopilot as the vehicle: a MAVLink client with the interface of the simulated one.
+"""A real autopilot as the vehicle: a MAVLink client that flies it for a search.
 
-Imports: plume, link.bus, sitl.bridge, sitl.autopilot, sitl.protocol.
+Imports: plume, link.bus, link.signing, sitl.bridge, sitl.autopilot.
 """

@@ -7,7 +7,7 @@ from typing import Protocol, TypeVar
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from link.bus.mavlink import Message
+from link.bus.mavlink import ONBOARD_COMPUTER, Message
 from sitl.autopilot.operator import DONE_S, REASON_S, TRIES, CommandRun, command
 from sitl.autopilot.state import ACCEPTED, Result, VehicleFailed
 from sitl.bridge.links import Channel
@@ -44,9 +44,20 @@ class Radio(Protocol):
     def use(self, link: Channel, system: int) -> None:
         """Speak on this link from now on, as a companion of a system."""
 
+    def frames(self) -> list[bytes]:
+        """Return the vehicle's own frames as they came, since the last call."""
+
+    def forward(self, frame: bytes) -> None:
+        """Send a frame of someone else as it is."""
+
     @property
     def state(self) -> str:
         """How the connection is doing."""
+
+
+def _is_ours(ack: Message, system: int) -> bool:
+    """Whether an acknowledgement is for us: clients' commands are handed on to the same autopilot."""
+    return ack.target_system in (0, system) and ack.target_component in (0, ONBOARD_COMPUTER)
 
 
 class Commander:
@@ -96,7 +107,7 @@ class Commander:
             self.radio.use(link, system)  # a vehicle may come back on another link
         if not self.system:
             return
-        if message.get_type() == "COMMAND_ACK" and self._running:
+        if message.get_type() == "COMMAND_ACK" and self._running and _is_ours(message, system):
             self._running.acknowledged(message.command, message.result, self.now_s)
         self.known.take(message, self.now_s)
 

@@ -1,15 +1,17 @@
-"""The connection to an autopilot: one endpoint of the bridge's kinds, polled by whoever owns it. It comes back by itself."""
+"""Endpoints of the bridge's kinds, polled by whoever owns them: the connection to an autopilot, and the links of its clients."""
 
 import contextlib
 import selectors
 import time
+from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from link.bus.frames import MAVLINK_2
 from link.bus.log import Log
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Message
+from link.signing.signer import Signing
 from sitl.bridge.address import Address
 from sitl.bridge.bridge import ENDPOINTS, TICK_S
 from sitl.bridge.links import Channel
@@ -25,7 +27,9 @@ HEARD = frozenset(
         mavlink.MAVLINK_MSG_ID_STATUSTEXT,
     }
 )  # fmt: skip
-"""Messages that are decoded; the others are skipped."""
+"""Messages that are decoded; the others are only handed on."""
+MOST_FRAMES = 4096
+"""Most frames that wait to be handed on."""
 
 
 class Heard(NamedTuple):
@@ -35,54 +39,96 @@ class Heard(NamedTuple):
     link: Channel
 
 
-class Connection:
-    """One endpoint. Behind it may be several links (`udpin`, `tcpin`); `use` says which one leads to the vehicle.
+class Came(NamedTuple):
+    """A frame and the link that it came on."""
 
-    What is sent while nothing is connected is lost, as on any radio.
-    """
+    link: Channel
+    letter: Letter
+
+
+class Endpoints:
+    """Endpoints, each with any number of links. They come back by themselves; what is sent while nothing is connected is lost."""
+
+    def __init__(self, addresses: Sequence[Address], log: Log, signing: Signing | None = None) -> None:
+        """Open them; raises ValueError if one cannot be used on this machine. signing: what signs all links."""
+        self.selector: selectors.BaseSelector = selectors.DefaultSelector()
+        self.log = log
+        self.links: list[Channel] = []
+        self._came: list[Came] = []
+        self._tick_at_s = 0.0
+        self._endpoints = [ENDPOINTS[address.kind](address, self) for address in addresses]
+        for endpoint in self._endpoints:
+            endpoint.traffic.signer = signing.link(endpoint.address.text) if signing else None
+            try:
+                endpoint.open()
+            except ValueError:
+                self.close()
+                raise
+
+    # ---- what an endpoint calls ----
+
+    def join(self, link: Channel) -> None:
+        """A link is there."""
+        self.links.append(link)
+
+    def leave(self, link: Channel) -> None:
+        """A link has gone."""
+        self.links.remove(link)
+
+    def route(self, link: Channel, letters: list[Letter]) -> None:
+        """Take frames of a link."""
+        self._came += [Came(link, letter) for letter in letters]
+
+    # ---- what their owner calls ----
+
+    @property
+    def state(self) -> str:
+        """Why nothing can be heard, or how the endpoints are doing."""
+        return ", ".join(endpoint.trouble() or endpoint.state() for endpoint in self._endpoints)
+
+    def send_all(self, frames: Sequence[bytes]) -> None:
+        """Send frames on all links."""
+        for link in [*self.links]:
+            for frame in frames:
+                link.send(frame)
+
+    def take(self, wait_s: float = 0.0) -> list[Came]:
+        """Return what has come; waits for at most this real time until something does."""
+        if (now_s := time.monotonic()) >= self._tick_at_s:
+            self._tick_at_s = now_s + TICK_S
+            for endpoint in self._endpoints:
+                endpoint.tick(now_s)
+                endpoint.traffic.tell_refused()
+        for key, events in self.selector.select(wait_s):
+            key.data(events)
+        came, self._came = self._came, []
+        return came
+
+    def close(self) -> None:
+        """Free all that they have opened."""
+        for endpoint in self._endpoints:
+            endpoint.close()
+        self.selector.close()
+
+
+class Connection(Endpoints):
+    """The endpoint of an autopilot. Behind it may be several links (`udpin`, `tcpin`); `use` says which one leads to the vehicle."""
 
     def __init__(self, address: Address, log: Log) -> None:
         """Open the endpoint; raises ValueError if it cannot be used on this machine."""
-        self.selector: selectors.BaseSelector = selectors.DefaultSelector()
-        self.log = log
         self.address = address
-        self._links: list[Channel] = []
         self._used: Channel | None = None
         self._system = 0
         self._codec = Codec(0, ONBOARD_COMPUTER)
         self._parser = mavlink.MAVLink(None)
-        self._heard: list[Heard] = []
-        self._tick_at_s = 0.0
-        self._endpoint = ENDPOINTS[address.kind](address, self)
-        self._endpoint.open()
-
-    # ---- what the endpoint calls ----
-
-    def join(self, link: Channel) -> None:
-        """A link is there."""
-        self._links.append(link)
+        self._frames: deque[bytes] = deque(maxlen=MOST_FRAMES)
+        super().__init__([address], log)
 
     def leave(self, link: Channel) -> None:
         """A link has gone."""
-        self._links.remove(link)
+        super().leave(link)
         if link is self._used:
             self._used = None
-
-    def route(self, link: Channel, letters: list[Letter]) -> None:
-        """Take frames of a link."""
-        for letter in letters:
-            frame = letter.data
-            number = int.from_bytes(frame[7:10], "little") if frame[0] == MAVLINK_2 else frame[5]
-            if number in HEARD:
-                with contextlib.suppress(mavlink.MAVError):
-                    self._heard.append(Heard(self._parser.decode(bytearray(frame)), link))
-
-    # ---- what its owner calls ----
-
-    @property
-    def state(self) -> str:
-        """Why nothing can be heard, or how the endpoint is doing."""
-        return self._endpoint.trouble() or self._endpoint.state()
 
     def use(self, link: Channel, system: int) -> None:
         """Speak on this link from now on, as a companion computer of a system."""
@@ -92,21 +138,26 @@ class Connection:
 
     def send(self, message: Message) -> None:
         """Send on the link in use; while there is none, on all of them."""
-        frame = self._codec.pack(message)
-        for link in [self._used] if self._used else [*self._links]:
+        self.forward(self._codec.pack(message))
+
+    def forward(self, frame: bytes) -> None:
+        """Send a frame of someone else as it is."""
+        for link in [self._used] if self._used else [*self.links]:
             link.send(frame)
 
     def poll(self, wait_s: float = 0.0) -> list[Heard]:
         """Return what has come; waits for at most this real time until something does."""
-        if (now_s := time.monotonic()) >= self._tick_at_s:
-            self._tick_at_s = now_s + TICK_S
-            self._endpoint.tick(now_s)
-        for key, events in self.selector.select(wait_s):
-            key.data(events)
-        heard, self._heard = self._heard, []
+        heard = []
+        for link, letter in self.take(wait_s):
+            if link is self._used and letter.system == self._system and letter.component != ONBOARD_COMPUTER:
+                self._frames.append(letter.data)
+            if letter.message_id in HEARD:
+                with contextlib.suppress(mavlink.MAVError):
+                    heard.append(Heard(self._parser.decode(bytearray(letter.data)), link))
         return heard
 
-    def close(self) -> None:
-        """Free all that it has opened."""
-        self._endpoint.close()
-        self.selector.close()
+    def frames(self) -> list[bytes]:
+        """Return the vehicle's own frames as they came, since the last call."""
+        frames = [*self._frames]
+        self._frames.clear()
+        return frames

@@ -46,7 +46,8 @@ class Known:
     position: Ned = ZERO
     velocity: Ned = ZERO
     position_s: float = -math.inf
-    yaw: float = 0.0
+    position_ms: int = 0
+    """The autopilot's clock at the position."""
     origin: Global | None = None
     home: Global | None = None
     home_s: float = -math.inf
@@ -90,9 +91,9 @@ class Known:
                 position, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
                 if all(map(math.isfinite, (*position, *velocity))):  # an EKF that has lost itself sends NaN
                     self.position, self.velocity, self.position_s = position, velocity, now_s
+                    self.position_ms = message.time_boot_ms
             case "ATTITUDE":
                 self._tick(message.time_boot_ms)
-                self.yaw = message.yaw if math.isfinite(message.yaw) else self.yaw
             case "GPS_GLOBAL_ORIGIN":
                 self.origin = message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
             case "HOME_POSITION":

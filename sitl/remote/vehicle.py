@@ -1,4 +1,4 @@
-"""A real vehicle with the interface of the simulated one: commands go out over MAVLink, arrival is derived from telemetry."""
+"""A real vehicle as its search flies it: commands go out over MAVLink, arrival is derived from telemetry."""
 
 import math
 from dataclasses import replace
@@ -7,10 +7,9 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from link.bus.mavlink import POSITION_ONLY
 from sitl.autopilot.config import VehicleConfig, metres
-from sitl.autopilot.motion import ZERO, Ned, as_float32, wrapped
-from sitl.autopilot.plan import FlightPlan, MissionProgress, MissionStep
-from sitl.autopilot.setpoint import Companion, Setpoint
-from sitl.autopilot.state import ACCEPTED, Arrived, Mode, Result, State, VehicleEvent, denied, going_on, not_now
+from sitl.autopilot.motion import ZERO, Ned, as_float32
+from sitl.autopilot.setpoint import Setpoint
+from sitl.autopilot.state import ACCEPTED, Arrived, Led, Mode, Result, Said, VehicleEvent, denied, going_on, not_now
 from sitl.remote.arrival import Approach, ArrivalRule
 from sitl.remote.commander import AUTOPILOT, Commander
 from sitl.remote.known import Known
@@ -26,7 +25,8 @@ IGNORED_M = 0.5
 """A target that the autopilot reads back so far from the setpoint is not the setpoint."""
 IGNORED_S = 5.0
 """A setpoint that is not read back for so long is ignored."""
-ELSEWHERE = "a ground station sends it to the autopilot itself"
+ASKED_S = 3.0
+"""A change of mode so soon after a client's command comes of it."""
 
 
 ARRIVAL = ArrivalRule()
@@ -35,7 +35,7 @@ ARRIVAL = ArrivalRule()
 class RemoteVehicle:
     """One real multirotor, or its own simulator. Positions are NED, m from the search area's south-west corner, which is home.
 
-    No call waits: a command begins, `state` shows what is being done, and `advance` tells what comes of it. Times are s of the
+    No call waits: a command begins, `mode` shows what is being done, and `advance` tells what comes of it. Times are s of the
     caller's clock, which runs as fast as the vehicle's own simulator. Setpoints go out only while the caller goes on calling: if it
     hangs, the autopilot's failsafe sees that they have stopped.
     """
@@ -43,8 +43,8 @@ class RemoteVehicle:
     def __init__(self, config: VehicleConfig, commander: Commander, arrival: ArrivalRule = ARRIVAL) -> None:
         """Take the conversation with a vehicle, which need not be there yet; `config` says how high and how far it may fly."""
         self.config = config
-        self.mission = FlightPlan()
-        self.companion = Companion()
+        self.is_searched = False
+        """True while its search leads it."""
         self.flight = Procedures(commander)
         self._guard = Watch(self.flight)
         self._commander, self._arrival = commander, arrival
@@ -57,6 +57,7 @@ class RemoteVehicle:
         self._streamed_s = -math.inf
         self._ignored_since_s = math.inf
         self._heard_s = math.inf  # when the last waypoint came, or was reached
+        self._asked_by, self._asked_s = "", -math.inf  # the client who last asked for a change of mode
 
     # ---- time ----
 
@@ -78,9 +79,10 @@ class RemoteVehicle:
     def advance(self, t_s: float) -> list[VehicleEvent]:
         """Take what the vehicle has said; returns its texts and ours, and its arrival if there is one."""
         self.catch_up(t_s)
-        for severity, text in self._known.texts:
-            self.flight.say(severity, f"{self.flight.firmware.name}: {text}")
-        events: list[VehicleEvent] = [*self.flight.events]
+        heard = [Said(self._now, severity, f"{self.flight.firmware.name}: {text}", heard=True) for severity, text in self._known.texts]
+        asked_by = self._asked_by if self._now - self._asked_s <= self._commander.patient(ASKED_S) else ""
+        events: list[VehicleEvent] = [event._replace(by=asked_by) if isinstance(event, Led) else event for event in self.flight.events]
+        events += heard
         self._known.texts.clear()
         self.flight.events.clear()
         if self._leg and self._flies_leg:
@@ -99,24 +101,19 @@ class RemoteVehicle:
         return self._known.armed and (self._flies_leg or math.hypot(*self._known.velocity) > self._arrival.speed_mps)
 
     @property
-    def landing(self) -> bool:
-        """True from the beginning of a landing until the motors have stopped."""
-        return self._known.armed and self.mode is Mode.LAND
+    def busy(self) -> bool:
+        """True while it moves: there is nothing else that it would do by itself."""
+        return self.moving
+
+    @property
+    def free(self) -> bool:
+        """True while it stands on the ground and no pilot has begun to fly it."""
+        return not self.flight.flying and not self.moving and self.mode is Mode.HOLD
 
     @property
     def armed(self) -> bool:
         """True while its motors may turn."""
         return self._known.armed
-
-    @property
-    def waiting(self) -> bool:
-        """It flies no mission that could wait for a time."""
-        return False
-
-    @property
-    def progress(self) -> MissionProgress:
-        """It flies no mission of ours."""
-        return MissionProgress()
 
     @property
     def wind(self) -> tuple[float, float] | None:
@@ -126,34 +123,28 @@ class RemoteVehicle:
         x, y, _ = as_float32((*self._known.wind, 0.0))
         return x, y
 
-    def state(self, t_s: float) -> State:
-        """Return the newest state, whatever the time."""
-        known, mode = self._known, self.mode
-        return State(
-            time_s=t_s, position=self._position, velocity=known.velocity, acceleration=ZERO, roll=0.0, pitch=0.0, yaw=wrapped(known.yaw),
-            yaw_rate=0.0, mode=mode, armed=known.armed, landed_state=self._landed_state(mode), failsafe=known.failsafe,
-            battery=1.0 if math.isnan(known.battery) else known.battery, fit=not known.missing(self._now),
-            target=self._setpoint if self._setpoint and mode is Mode.OFFBOARD else self._position,
-        )  # fmt: skip
+    @property
+    def system(self) -> int:
+        """The autopilot's system id; 0 until one is found."""
+        return self._commander.system
 
-    def _landed_state(self, mode: Mode) -> int:
-        if not self._known.armed or self._known.on_ground:
-            return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
-        if mode is Mode.TAKEOFF:
-            return int(mavlink.MAV_LANDED_STATE_TAKEOFF)
-        return int(mavlink.MAV_LANDED_STATE_LANDING if mode is Mode.LAND else mavlink.MAV_LANDED_STATE_IN_AIR)
+    def still(self, arrived: Arrived) -> Arrived:
+        """Return the arrival as it is now: where it has drifted to since."""
+        return Arrived(self._now, self.position, self._known.position_ms)
+
+    # ---- what its clients say and hear ----
+
+    def frames(self) -> list[bytes]:
+        """Return what the autopilot has said since the last call, frame by frame, unchanged."""
+        return self._commander.radio.frames()
+
+    def forward(self, frame: bytes, asks_for_mode: str = "") -> None:
+        """Hand a client's frame on to the autopilot, unchanged. asks_for_mode: who sent it, if it may change the flight mode."""
+        if asks_for_mode:
+            self._asked_by, self._asked_s = asks_for_mode, self._now
+        self._commander.radio.forward(frame)
 
     # ---- commands: each is begun, not waited for ----
-
-    def configure(self, t_s: float, config: VehicleConfig) -> None:
-        """Change nothing: the autopilot has its own parameters."""
-
-    def load(self, t_s: float, steps: tuple[MissionStep, ...], number: int = 0, current: int = 0) -> None:
-        """Change nothing: the autopilot has its own missions."""
-
-    def set_current(self, t_s: float, seq: int) -> Result:
-        """Refuse: the autopilot has its own missions."""
-        return denied(f"Mission refused: {ELSEWHERE}")
 
     def arm(self, t_s: float) -> Result:
         """Arm, once the vehicle can really fly; refused with what is being waited for until it is armed."""
@@ -169,16 +160,9 @@ class RemoteVehicle:
             self.flight.arm()
         return going_on("Arming")
 
-    def disarm(self, t_s: float, force: bool = False) -> Result:
-        """Disarm a vehicle that stands on the ground."""
-        if force or self.flight.flying:
-            return not_now("Disarm refused: in the air")
-        self._commander.send(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
-        return ACCEPTED
-
-    def take_off(self, t_s: float, altitude_m: float | None = None) -> Result:
-        """Climb straight up to an altitude above home (default: `takeoff_altitude_m`), then hold."""
-        altitude = self.config.takeoff_altitude_m if altitude_m is None else altitude_m
+    def take_off(self, t_s: float) -> Result:
+        """Climb straight up to `takeoff_altitude_m` above home, then hold."""
+        altitude = self.config.takeoff_altitude_m
         if not 0.0 < altitude <= self.config.ceiling_m:
             return denied(f"Take-off refused: altitude {metres(altitude)} m, allowed is above 0 and up to {self.config.ceiling_m:g} m")
         if not self._known.armed:
@@ -191,17 +175,9 @@ class RemoteVehicle:
         self.flight.take_off(altitude)
         return ACCEPTED
 
-    def go_to(self, t_s: float, position: Ned, yaw_rad: float | None = None) -> Result:
-        """Refuse: only the search's waypoints are handed on."""
-        return denied(f"Go-to refused: {ELSEWHERE}")
-
     def set_mode(self, t_s: float, mode: Mode) -> Result:
-        """Begin to change the flight mode; OFFBOARD needs a setpoint."""
+        """Begin to change the flight mode to OFFBOARD, HOLD, RETURN or LAND; OFFBOARD needs a setpoint."""
         name = mode.name.capitalize()
-        if mode is Mode.TAKEOFF:
-            return self.take_off(t_s)
-        if mode is Mode.MISSION:
-            return denied(f"Mission refused: {ELSEWHERE}")
         if mode is self.mode and not self.flight.theirs:
             return ACCEPTED
         if not self.flight.flying:
@@ -212,7 +188,7 @@ class RemoteVehicle:
         {Mode.OFFBOARD: self.flight.fly, Mode.HOLD: self.flight.hold, Mode.RETURN: self.flight.go_home, Mode.LAND: self.flight.land}[mode]()
         return ACCEPTED
 
-    def setpoint(self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, answers: bool = False) -> Result:
+    def setpoint(self, t_s: float, wanted: Ned | Setpoint, *, answers: bool = False) -> Result:
         """Take a waypoint as the simulated vehicle does: fly there in OFFBOARD, else remember it. The yaw is the autopilot's.
 
         The agent answers with the altitude that it has read, which is never exactly the one flown: the search's altitude is kept, or
@@ -230,7 +206,7 @@ class RemoteVehicle:
             down = -self.config.takeoff_altitude_m
         if answers or (north, east, down) != self._setpoint:
             self._setpoint = as_float32((north, east, down))
-        deadline_s = self._arrival.deadline_s(self._now, self._position, self._setpoint)
+        deadline_s = self._arrival.deadline_s(self._now, self.position, self._setpoint)
         if self._leg is None or answers or self._leg.target != self._setpoint:
             self._leg = Approach(self._arrival, self._setpoint, deadline_s)
         self._leg.deadline_s = deadline_s
@@ -293,7 +269,7 @@ class RemoteVehicle:
         return self._leg is not None and self.mode is Mode.OFFBOARD and self.flight.doing is None and self.flight.flying
 
     @property
-    def _position(self) -> Ned:
+    def position(self) -> Ned:
         """Where it says it is, in the area's frame, as float32."""
         north, east, down = (there - at for there, at in zip(self._known.position, self._corner or ZERO, strict=True))
         return as_float32((north, east, down))
@@ -318,12 +294,12 @@ class RemoteVehicle:
 
     def _go_on_with(self, leg: Approach, events: list[VehicleEvent]) -> None:
         """Judge the way to the setpoint by what the vehicle says."""
-        (north, east, _), away_m = leg.target, math.dist(self._position, leg.target)
+        (north, east, _), away_m = leg.target, math.dist(self.position, leg.target)
         if self._known.lost(self._now):  # nothing can be said about it meanwhile
-            leg.deadline_s = max(leg.deadline_s, self._arrival.deadline_s(self._now, self._position, leg.target))
-        if leg.arrived(self._now, self._position, self._known.velocity, self._known.knows_place(self._now)):
+            leg.deadline_s = max(leg.deadline_s, self._arrival.deadline_s(self._now, self.position, leg.target))
+        if leg.arrived(self._now, self.position, self._known.velocity, self._known.knows_place(self._now)):
             self._leg, self._heard_s = None, self._now
-            events.append(Arrived(self._now, self._position))
+            events.append(Arrived(self._now, self.position, self._known.position_ms))
         elif self._is_ignored(leg.target):
             self.flight.fail(f"Waypoint ({east:.2f}, {north:.2f}) m is ignored by the autopilot: is it outside its geofence?")
         elif self._now > leg.deadline_s:

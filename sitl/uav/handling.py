@@ -14,7 +14,7 @@ class Handling:
 
     def __init__(self, log: Log) -> None:
         """Take the log that is told of the first such message of each type, with the traceback."""
-        self._log = log
+        self.log = log
         self._told: set[str] = set()
 
     @contextmanager
@@ -25,8 +25,8 @@ class Handling:
         except VehicleFailed:
             raise
         except Exception as error:
-            self._log.tally.refuse(FAULT)
+            self.log.tally.refuse(FAULT)
             if (kind := message.get_type()) not in self._told:
                 self._told.add(kind)
                 who = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
-                self._log.exception(f"{kind} of {who} dropped: {type(error).__name__}: {error}")
+                self.log.exception(f"{kind} of {who} dropped: {type(error).__name__}: {error}")

@@ -1,10 +1,9 @@
-"""The UAV service: flies, measures, and speaks MAVLink on the bus and over UDP."""
+"""The UAV service: the loop that flies a search, measures, and lets the vehicle's clients have their part."""
 
 import math
 import queue
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
@@ -13,29 +12,25 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, PAYLOAD_IN, PAYLOAD_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP, WAYPOINT
 from link.bus.log import Log
-from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack, unpack_waypoint
-from link.bus.px4 import MissionCurrent
+from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack_waypoint
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.interrupts import uninterrupted
 from link.signing.signer import Signing
 from plume.world import World
-from sitl.autopilot.operator import OPERATOR, CommandName, order
-from sitl.autopilot.state import Arrived, Led, Reached, Snapshot, VehicleFailed
-from sitl.autopilot.telemetry import Telemetry
+from sitl.autopilot.operator import CommandName
+from sitl.autopilot.state import Arrived, Led, Reached, VehicleFailed
 from sitl.autopilot.vehicle import Vehicle
-from sitl.bridge.bus_link import BRIDGED
 from sitl.payload.asking import Asking, Sample
-from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
+from sitl.protocol.protocol import COMPONENT
 from sitl.script.events import Delay, Dropout, Duplicate, Hold, Land, Lose, OnBoard, Resume, Return, Spike, Stuck, Wind
 from sitl.script.script import AfterStop
+from sitl.uav.aircraft import Aircraft, Clients
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
 from sitl.uav.handling import Handling
-from sitl.uav.ports import BusLink, FromUdp, Port
-from sitl.uav.real import leave
-from sitl.uav.search import PAUSED, SEARCHING, SETPOINTS, Search
+from sitl.uav.search import PAUSED, SEARCHING, Search
+from sitl.uav.simulated import FromUdp, SimulatedClients
 from sitl.uav.timeline import Timeline
-from sitl.uav.udp import UdpLink
 
 if TYPE_CHECKING:
     from sitl.remote.vehicle import RemoteVehicle
@@ -68,15 +63,8 @@ class Uav:
         events: the script events that happen on board; after_stop: what the vehicle does once the source is found;
         signing: what signs its UDP links.
         """
-        config = vehicle.config
-        self._vehicle = vehicle
-        self._remote = None if isinstance(vehicle, Vehicle) else vehicle
-        self._protocol = MavlinkProtocol(vehicle)
-        if self._remote:
-            from sitl.remote.refused import not_served  # a simulated vehicle starts without all of MAVLink's dialects
-
-            self._protocol.services |= {service.request: service for service in not_served()}
-        self._search = Search(self._vehicle, self._protocol, world.start, after_stop, self._tell)
+        self._vehicle: Aircraft = vehicle
+        self._search = Search(vehicle, world.start, after_stop, self._tell)
         self._world = world
         self._clock = clock
         self._inbox = inbox
@@ -88,37 +76,37 @@ class Uav:
         self._after_hold_s = [event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None]
         self._sensor = FaultySensor()
         self._radio = FaultyRadio(self._publish_reading)
-        self._gas: tuple[int, float] | None = None
         self._last_reading = b""
         self._last_time_boot_ms = -1
         self._readings = 0
         self._tried = -1  # number of the newest reading that was tried
-        self._codec = Codec(config.sysid, COMPONENT)
+        self._codec = Codec(0, COMPONENT)
         self._resend_s, self._resend_at = RESEND_FIRST_S, time.monotonic()
         self._asking: Asking | None = None
-        if self._remote and bus is not None:
-            self._asking = Asking(lambda question: bus.publish(PAYLOAD_IN, question), self._codec)
         self._asked: Arrived | None = None
         self._felt: tuple[float, float] | None = None  # the wind of the last sample
         self._searchers: set[str] = set()
-        self._progress = self._vehicle.progress
-        self._tally.system, self._tally.state = config.sysid, self._search.state
+        self._tally.state = self._search.state
         self._sampled_at = time.monotonic()
-        self._ports: list[Port] = []
-        self._udp: list[UdpLink] = []
-        if bus is not None:
-            self._ports.append(Port(BusLink(bus, config.sysid), self._telemetry()))
-        for url in outs:
-            index = len(self._ports)
-            put = inbox.lane(url)
-            signer = signing.link(url) if signing else None
-            link = UdpLink(url, lambda *said, index=index, put=put: put(FromUdp(index, *said), 0), config.sysid, COMPONENT, signer)
-            self._udp.append(link)
-            self._ports.append(Port(link, self._telemetry()))
+        if isinstance(vehicle, Vehicle):
+            self._clients: Clients = SimulatedClients(
+                vehicle, self._search, bus, outs, inbox, clock, self._handling, lambda: self._wind, signing
+            )  # fmt: skip
+        else:
+            from sitl.uav.passing import RealClients  # a simulated vehicle starts without all of MAVLink's dialects
 
-    def _telemetry(self) -> Telemetry:
-        # The vehicle's time, not the streams' time: at speed-up 0 they differ.
-        return Telemetry(lambda _: Snapshot(self._vehicle.config, self._vehicle.state(self._vehicle.now_s), self._wind, self._gas))
+            assert bus is not None
+            self._clients = RealClients(vehicle, self._search, bus, outs, clock, self._handling, signing)
+            self._asking = Asking(lambda question: bus.publish(PAYLOAD_IN, question), self._codec)
+        self._meet()
+
+    def _meet(self) -> None:
+        """Speak with the vehicle's system id, once that is known."""
+        system = self._clients.system
+        if system != self._tally.system:
+            self._tally.system, self._codec = system, Codec(system, COMPONENT)
+            if self._asking:
+                self._asking.codec = self._codec
 
     def run(self) -> None:
         """Run the service until it is interrupted."""
@@ -134,30 +122,19 @@ class Uav:
                     if not self._clock.speedup:
                         self._clock.jump(self._busy, self._next_event_s())
                     self._live_until(self._clock.now_s())
-                    self._tell_progress()
+                    self._meet()
                     self._go_on_with_the_search()
-                    self._judge()
+                    if self._vehicle.failure and not self._vehicle.armed:  # it has given the search up, and stands on the ground again
+                        raise VehicleFailed(self._vehicle.failure)
                     self._resend()
-                    for port in self._ports:
-                        if due := [*port.telemetry.due(self._clock.stream_s()), *self._protocol.due(port.telemetry)]:
-                            port.link.send(*due)
+                    self._clients.serve()
                     self._tally.compute_s += time.perf_counter() - busy_since
                     if self._bus:
                         self._bus.keep_health()
                     self._inbox.tell_dropped(self._log)
-                    for link in self._udp:
-                        link.tell_refused(self._log)
                     self._handle(self._receive())
             finally:
-                if self._remote:
-                    leave(self._remote, self._clock, self._tell)
-                for link in self._udp:
-                    link.close()
-
-    def _judge(self) -> None:
-        """Raise VehicleFailed once a real vehicle has given the search up and stands on the ground again."""
-        if self._remote and self._remote.failure and not self._remote.armed:
-            raise VehicleFailed(self._remote.failure)
+                self._clients.end(self._tell)
 
     # ---- time ----
 
@@ -168,9 +145,9 @@ class Uav:
     @property
     def _busy(self) -> bool:
         """True if the vehicle waits for nobody: at speed-up 0 time may then jump to the next event."""
-        vehicle, under_way = self._vehicle, self._tally.state in (SEARCHING, PAUSED)
+        under_way = self._tally.state in (SEARCHING, PAUSED)
         scripted = under_way and self._timeline.next_s() is not None and not self._must_resend
-        return vehicle.moving or vehicle.landing or vehicle.waiting or scripted
+        return self._vehicle.busy or scripted
 
     def _live_until(self, now_s: float) -> None:
         """Advance to a time; each script event happens at its exact time."""
@@ -186,9 +163,11 @@ class Uav:
                 if self._measures:
                     self._sample(event)
             elif isinstance(event, Reached):
-                self._broadcast([mavlink.MAVLink_mission_item_reached_message(event.seq)])
+                self._clients.send(mavlink.MAVLink_mission_item_reached_message(event.seq))
             elif isinstance(event, Led):
-                self._search.led(event.mode, event.given_back)
+                self._search.led(event.mode, event.given_back, event.by)
+            elif event.heard:
+                self._log_text(event.severity, event.text)
             else:
                 self._tell(event.severity, event.text)
 
@@ -197,9 +176,8 @@ class Uav:
         if self._busy and not self._clock.speedup:
             timeout_s = 0.0
         else:
-            next_stream_s = min(port.telemetry.next_due_s() for port in self._ports)
-            timeout_s = self._clock.wait_s(next_event_s, next_stream_s)
-            real_s = min(self._radio.next_s(), self._protocol.next_due_s(), self._resend_at if self._must_resend else math.inf)
+            timeout_s = min(self._clock.wait_s(next_event_s, math.inf), self._clients.wait_s())
+            real_s = min(self._radio.next_s(), self._resend_at if self._must_resend else math.inf)
             real_s = min(real_s, self._asking.next_s() if self._asking else math.inf)
             timeout_s = min(timeout_s, max(real_s - time.monotonic(), 0.0))
         try:
@@ -211,19 +189,11 @@ class Uav:
 
     def _handle(self, item: Any) -> None:
         match item:
-            case FromUdp(index, message, peer):
-                port = self._ports[index]
-                self._message(message, port, partial(self._search.receive, whence=f"at {peer}", streams=port.telemetry))
-            case Arrival(key, payload, attachment) if key in (MAVLINK_IN, WAYPOINT) and self._bus:
-                port, whence = self._ports[0], "through a bridge" if attachment == BRIDGED else "on the bus"
-                take = self._search.answer if key is WAYPOINT else partial(self._search.receive, whence=whence, streams=port.telemetry)
+            case Arrival(key, payload) if key is WAYPOINT and self._bus:
                 try:
-                    messages = [unpack_waypoint(payload, self._vehicle.config.sysid)] if key is WAYPOINT else unpack(payload)
+                    self._answer(unpack_waypoint(payload, self._clients.system))
                 except BadFrame as error:
-                    self._bus.refuse(key, str(error), error.kind)
-                    return
-                for message in messages:
-                    self._message(message, port, take)
+                    self._bus.refuse(WAYPOINT, str(error), error.kind)
             case Arrival(key, payload) if key is PAYLOAD_OUT and self._asking and self._bus:
                 try:
                     if sample := self._asking.receive(payload):
@@ -235,47 +205,39 @@ class Uav:
                     self._search.declare(stop)
             case LivelinessChange(service, alive):
                 (self._searchers.add if alive else self._searchers.discard)(service)
+            case FromUdp() | Arrival():
+                self._clients.take(item)
 
-    def _message(self, message: Message, port: Port, take: Callable[[Message, float], list[Message]]) -> None:
-        with self._handling.of(message):
-            refused, awaited = self._protocol.refused.total(), self._search.answers.awaited
-            answers = take(message, self._clock.now_s())
-            if message.get_type() in SETPOINTS:
-                self._clock.heard()
+    def _answer(self, waypoint: Message) -> None:
+        """Fly where the agent wants."""
+        with self._handling.of(waypoint):
+            awaited, now_s = self._search.answers.awaited, self._clock.now_s()
+            result = self._search.answer(waypoint, now_s)
+            self._clock.heard()
             if awaited and not self._search.answers.awaited:
                 self._tally.latency_s = time.monotonic() - self._sampled_at
-            if self._protocol.refused.total() > refused:
+            if result.code == mavlink.MAV_RESULT_DENIED:
                 self._tally.refuse("waypoint")
-            if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
-                self._log.warning("".join(texts))
-            if answers:
-                port.link.send(*answers)
+                self._clients.refuse(result, now_s)
 
     # ---- the search ----
 
     def _go_on_with_the_search(self) -> None:
-        self._search.go_on(self._searchers >= (SENSING if self._remote else SEARCHERS))
+        self._search.go_on(self._searchers >= (SENSING if self._asking else SEARCHERS))
         self._tally.warnings = (self._search.waits_for,) if self._search.waits_for else ()
         if self._tally.state != self._search.state:
             self._tally.state = self._search.state
-            for port in self._ports:  # stations see at once what has changed: after the landing the process may end
-                if heartbeat := port.telemetry.build(mavlink.MAVLINK_MSG_ID_HEARTBEAT, self._clock.stream_s()):
-                    port.link.send(heartbeat)
+            self._clients.changed()
             if self._bus:
                 self._bus.publish_health()
 
     def _tell(self, severity: int, text: str) -> None:
         """Tell people: in the log and as STATUSTEXT (253)."""
-        (self._log.warning if severity <= mavlink.MAV_SEVERITY_WARNING else self._log.info)(text)
-        self._broadcast(self._protocol.statustext(severity, text))
+        self._log_text(severity, text)
+        self._clients.tell(severity, text)
 
-    def _tell_progress(self) -> None:
-        """Tell at once when the mission goes on, as PX4 does: stations take it for finished before they see the next mode."""
-        if (progress := self._vehicle.progress) != self._progress:
-            self._progress = progress
-            for port in self._ports:
-                if current := port.telemetry.build(MissionCurrent.id, self._clock.stream_s()):
-                    port.link.send(current)
+    def _log_text(self, severity: int, text: str) -> None:
+        (self._log.warning if severity <= mavlink.MAV_SEVERITY_WARNING else self._log.info)(text)
 
     @property
     def _measures(self) -> bool:
@@ -287,10 +249,11 @@ class Uav:
         for event in self._timeline.before(self._readings):
             self._perform(event)
         north, east, _ = arrived.position
-        self._last_time_boot_ms = self._search.answers.time_of(self._vehicle.now_s)
-        if self._asking and self._remote:
+        boot_ms = self._vehicle.now_s * 1000 if arrived.boot_ms is None else arrived.boot_ms
+        self._last_time_boot_ms = self._search.answers.time_of(boot_ms)
+        if self._asking:
             self._asked = arrived
-            self._asking.ask(self._last_time_boot_ms, self._readings, arrived.position, self._remote.wind)
+            self._asking.ask(self._last_time_boot_ms, self._readings, arrived.position, self._vehicle.wind)
             return
         lost = self._world.loses(self._readings) and self._tried < self._readings
         self._tried = self._readings
@@ -309,7 +272,7 @@ class Uav:
     @property
     def _wind(self) -> tuple[float, float]:
         """The wind of a reading: the payload knows it best, then the autopilot, else it is the scenario's."""
-        return self._felt or (self._remote and self._remote.wind) or self._world.wind
+        return self._felt or self._vehicle.wind or self._world.wind
 
     def _read(self, arrived: Arrived, measured: float) -> None:
         """Make a reading of what was measured where the vehicle has arrived; NaN: the sensor has no value."""
@@ -320,7 +283,7 @@ class Uav:
             self._publish_reading(reading)
             self._timeline.schedule(self._vehicle.now_s + TRY_AGAIN_S, arrived)
             return
-        self._gas = self._last_time_boot_ms, gas
+        self._clients.measured(self._last_time_boot_ms, gas)
         self._search.answers.sampled(self._last_time_boot_ms)
         self._last_reading = reading
         self._radio.new_reading()
@@ -361,7 +324,7 @@ class Uav:
         """Carry out a script event, or measure again after a dropout."""
         if isinstance(event, Arrived):
             if self._measures and not self._vehicle.moving:
-                self._sample(event)
+                self._sample(self._vehicle.still(event))
             return
         words = " ".join(f"{name} {value}" for name, value in msgspec.structs.asdict(event).items() if value is not None)
         self._tell(mavlink.MAV_SEVERITY_INFO, f"Script: {event.__struct_config__.tag} {words}")
@@ -375,19 +338,7 @@ class Uav:
             case Delay() | Duplicate() | Lose():
                 self._radio.begin(event)
             case Hold() | Resume() | Return() | Land():
-                self._operate(order(cast(CommandName, event.__struct_config__.tag), self._vehicle.config.sysid))
+                self._clients.operate(cast(CommandName, event.__struct_config__.tag))
                 if isinstance(event, Hold) and self._after_hold_s:
                     due_s = self._vehicle.now_s + self._after_hold_s.pop(0)
                     self._timeline.schedule(due_s, Resume(time_s=due_s))
-
-    def _operate(self, message: Message) -> None:
-        """Handle a message of the script's operator as if it had come over a link."""
-        message.pack(mavlink.MAVLink(None, *OPERATOR))
-        answers = self._search.receive(message, self._vehicle.now_s, whence="in the script")
-        for text in (answer.text for answer in answers if answer.get_type() == "STATUSTEXT"):
-            self._log.warning(text)
-        self._broadcast(answers)
-
-    def _broadcast(self, messages: Sequence[Message]) -> None:
-        for port in self._ports:
-            port.link.send(*messages)

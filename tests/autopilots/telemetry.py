@@ -45,7 +45,7 @@ def gps_raw(ap: "Autopilot") -> Message:
     fixed = ap.gps_good
     latitude, longitude = degrees_e7(*ap.body.position[:2]) if fixed else (0, 0)
     return mavlink.MAVLink_gps_raw_int_message(
-        round(ap.now_s * 1e6), (6 if ap.is_ardupilot else 3) if fixed else 1, latitude, longitude,
+        round(ap.now_s * 1e6), (6 if ap.is_ardupilot else 3) if fixed else 0 if ap.faults.on("gps") else 1, latitude, longitude,
         round(amsl_m(ap.body.position[2]) * 1000) if fixed else 0, 121 if fixed else 9999, 200 if fixed else 65535, 0, 0,
         10 if fixed else 0,
     )  # fmt: skip

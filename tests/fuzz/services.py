@@ -35,7 +35,8 @@ from sitl.bridge.stream import FrameStream
 from sitl.uav import udp
 from sitl.uav.clock import Clock
 from sitl.uav.search import RETURNING, SEARCHING
-from sitl.uav.uav import FromUdp, Uav
+from sitl.uav.simulated import FromUdp
+from sitl.uav.uav import Uav
 from tests.fuzz.mutants import as_sent
 
 QUIET = (LOGGER, logging.getLogger("sitl.uav.udp"))

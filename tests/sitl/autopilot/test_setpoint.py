@@ -393,7 +393,7 @@ def test_the_vehicles_own_search_need_not_stream():
 
 def test_readings_and_their_answers_pass_the_wrap_of_time():
     answers = Answers()
-    times = [answers.time_of(now_s) for now_s in (4_294_967.290, 4_294_967.290, 4_294_967.296, 4_294_967.5)]
+    times = [answers.time_of(1000 * now_s) for now_s in (4_294_967.290, 4_294_967.290, 4_294_967.296, 4_294_967.5)]
     assert times == [2**32 - 6, 2**32 - 5, 0, 204]
     for stamp in times:
         answers.sampled(stamp)

@@ -6,18 +6,22 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from link.bus.frames import frame_at
+from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, Key
 from link.bus.log import Log
 from link.bus.mavlink import Codec, Message, unpack, unpack_waypoint, waypoint_message
 from link.bus.messages import Stop
+from link.bus.session import Arrival, Bus
 from link.bus.tally import Tally
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.state import Arrived, Led, Mode, Said, VehicleFailed
 from sitl.bridge.links import Channel, Traffic
-from sitl.protocol.protocol import MavlinkProtocol
 from sitl.remote.commander import Commander
 from sitl.remote.connection import Heard
-from sitl.remote.refused import not_served
 from sitl.remote.vehicle import RemoteVehicle
+from sitl.uav.clock import Clock
+from sitl.uav.handling import Handling
+from sitl.uav.passing import RealClients
 from sitl.uav.search import Search
 from tests.autopilots.body import DT_S
 from tests.autopilots.settings import Settings
@@ -41,6 +45,12 @@ class Radio:
         self._parser.robust_parsing = True
         self._link = Channel(Traffic("double", Log("uav", "test", Tally(), "error")), lambda _: None, "double")
         self._heard: list[Heard] = []
+        self._system = 0
+        self._frames: list[bytes] = []
+        self.said: list[bytes] = []
+        """All frames that came from the double since it was found."""
+        self.forwarded: list[bytes] = []
+        """What was handed on to it."""
 
     def send(self, message: Message) -> None:
         self.sent.append(message)
@@ -48,7 +58,16 @@ class Radio:
 
     def use(self, link: Channel, system: int) -> None:
         assert link is self._link
-        self._codec = Codec(system, 191)
+        if system != self._system:
+            self._system, self._codec = system, Codec(system, 191)
+
+    def frames(self) -> list[bytes]:
+        frames, self._frames = self._frames, []
+        return frames
+
+    def forward(self, frame: bytes) -> None:
+        self.forwarded.append(frame)
+        self.wire.hear(frame)
 
     def poll(self, wait_s: float = 0.0) -> list[Heard]:
         heard, self._heard = self._heard, []
@@ -56,22 +75,66 @@ class Radio:
 
     def advance(self) -> None:
         for frame in self.wire.advance(STEPS):
+            if self._system:
+                self._frames.append(frame)
+                self.said.append(frame)
             self._heard += [Heard(message, self._link) for message in self._parser.parse_buffer(frame) or ()]
+
+
+class OneEnd(Bus):
+    """A bus without a router, which keeps what the vehicle publishes."""
+
+    def __init__(self, log: Log) -> None:
+        self.log, self.tally = log, log.tally
+        self.published: list[bytes] = []
+        """Payloads of `mavlink/out`."""
+
+    def publish(self, key: Key, message: bytes | Any, attachment: bytes | None = None) -> None:
+        if key is MAVLINK_OUT:
+            self.published.append(message)
+
+    def frames(self, component: int) -> list[bytes]:
+        """Return what a component has said on `mavlink/out`, frame by frame."""
+        frames = []
+        for payload in self.published:
+            at = 0
+            while (frame := frame_at(payload, at)) is not None:
+                at = frame.end
+                if frame.component == component:
+                    frames.append(payload[frame.start : frame.end])
+        return frames
+
+    def heard(self, component: int = 191) -> list[Message]:
+        """Return what a component has said on `mavlink/out`; first that of the search."""
+        parser = mavlink.MAVLink(None)
+        return [parser.decode(bytearray(frame)) for frame in self.frames(component)]
+
+
+class Told(Clock):
+    """A clock that stands where its cockpit is."""
+
+    def __init__(self, cockpit: "Cockpit") -> None:
+        super().__init__(1.0)
+        self._cockpit = cockpit
+
+    def now_s(self) -> float:
+        return self._cockpit.now_s
 
 
 class Cockpit:
     """A double, the vehicle that flies it, its search, and an agent that goes 1 m further at each reading."""
 
     def __init__(
-        self, kind: str, *faults: str, after_stop: Any = "return", parameters: dict[str, float] | None = None, **settings: Any
-    ) -> None:
+        self, kind: str, *faults: str, after_stop: Any = "return", parameters: dict[str, float] | None = None, outs: tuple[str, ...] = (),
+        **settings: Any,
+    ) -> None:  # fmt: skip
         settings = {"ready_s": 6.0, **settings}
         self.wire = Wire(kind, Settings(faults=faults, parameters=tuple((parameters or {}).items()), **settings))
         self.radio = Radio(self.wire)
         self.vehicle = RemoteVehicle(VehicleConfig(), Commander(self.radio))
-        self.protocol = MavlinkProtocol(self.vehicle)
-        self.protocol.services |= {service.request: service for service in not_served()}
-        self.search = Search(self.vehicle, self.protocol, START, after_stop, lambda _, text: self.said.append(text), lambda: self.now_s)
+        self.search = Search(self.vehicle, START, after_stop, lambda _, text: self.said.append(text))
+        self.bus = OneEnd(Log("uav", "test", Tally(), "error"))
+        self.clients = RealClients(self.vehicle, self.search, self.bus, outs, Told(self), Handling(self.bus.log), None)
         self.said: list[str] = []
         self.readings: list[tuple[float, tuple[float, float, float]]] = []
         """Time and reported place, north, east, down from the area's corner."""
@@ -92,13 +155,14 @@ class Cockpit:
             if isinstance(event, Said):
                 self.said.append(event.text)
             elif isinstance(event, Led):
-                self.search.led(event.mode, event.given_back)
+                self.search.led(event.mode, event.given_back, event.by)
             elif isinstance(event, Arrived) and self.search.measures:
                 self.readings.append((self.now_s, event.position))
                 self.truths.append(tuple(at - home for at, home in zip(self.ap.body.position, self.ap.home, strict=True)))
                 self.search.answers.sampled(round(self.now_s * 1000))
                 self.answer_at = self.now_s + self.thinks_s
         self.search.go_on(searchers=True)
+        self.clients.serve()
         if self.answer_at is not None and self.now_s >= self.answer_at:
             self.answer_at = None
             if (place := self.answers(self)) is not None:
@@ -108,12 +172,19 @@ class Cockpit:
         """Answer the newest reading as the agent does."""
         newest = self.search.answers.newest
         assert newest is not None
-        self.search.answer(unpack_waypoint(Codec(1, 191).pack(waypoint_message(1, newest, place, 5.0)), 1), self.now_s)
+        system = self.ap.system
+        frame = Codec(system, 191).pack(waypoint_message(system, newest, place, 5.0))
+        self.search.answer(unpack_waypoint(frame, system), self.now_s)
 
     def tell(self, message: Message, sender: tuple[int, int] = (255, 190)) -> list[Message]:
-        """Say something to the vehicle on the bus; returns the answers."""
-        (heard,) = unpack(Codec(*sender).pack(message))
-        return self.search.receive(heard, self.now_s, "on the bus")
+        """Say something on the bus; returns what the search answers at once."""
+        before = len(self.bus.published)
+        self.hear(Codec(*sender).pack(message))
+        return [answer for payload in self.bus.published[before:] for answer in unpack(payload)]
+
+    def hear(self, payload: bytes) -> None:
+        """Hear a payload on `mavlink/in`."""
+        self.clients.take(Arrival(MAVLINK_IN, payload, b""))
 
     def run(self, seconds: float) -> None:
         """Let time pass."""
@@ -131,7 +202,7 @@ class Cockpit:
     def fails(self, most_s: float = 200.0) -> str:
         """Let time pass until the mission has failed and the vehicle stands; returns the reason, as the uav service gives it."""
         began_s = self.now_s
-        while not (self.vehicle.failure and not self.vehicle.state(self.now_s).armed):
+        while not (self.vehicle.failure and not self.vehicle.armed):
             assert self.now_s - began_s < most_s, f"not failed within {most_s:g} s; said: {self.said}"
             try:
                 self.step()
@@ -155,7 +226,7 @@ class Cockpit:
     @property
     def mode(self) -> Mode:
         """As the vehicle reports it on the bus."""
-        return self.vehicle.state(self.now_s).mode
+        return self.vehicle.mode
 
     def heard(self, text: str) -> bool:
         """Whether people were told this."""

@@ -69,13 +69,13 @@ def test_a_vehicle_flies_over_tcp_and_udp(kind: str, listen: str) -> None:
         vehicle = flown.vehicle
         flown.until(lambda: vehicle.arm(flown.now_s).accepted)
         assert vehicle.take_off(flown.now_s).accepted
-        flown.until(lambda: vehicle.state(0.0).mode is Mode.HOLD)
+        flown.until(lambda: vehicle.mode is Mode.HOLD)
         assert vehicle.setpoint(flown.now_s, (3.0, 2.0, -5.0)).accepted
         assert vehicle.set_mode(flown.now_s, Mode.OFFBOARD).accepted
         flown.until(lambda: flown.arrived)
         assert math.dist(flown.arrived[0], (3.0, 2.0, -5.0)) < 0.3 + 0.01
         assert vehicle.set_mode(flown.now_s, Mode.LAND).accepted
-        flown.until(lambda: not vehicle.state(0.0).armed)
+        flown.until(lambda: not vehicle.armed)
         flown.connection.close()
 
 

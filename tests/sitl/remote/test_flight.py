@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot.operator import change_mode, command
+from sitl.autopilot.operator import order
 from sitl.autopilot.state import Mode
 from sitl.uav.search import LANDED, PAUSED, SEARCHING
 from tests.sitl.remote.cockpit import START, Cockpit, away_m
@@ -130,30 +130,15 @@ def test_what_comes_after_the_stop_is_done(kind: str, after_stop: str, mode: Mod
 @both
 def test_someone_on_the_bus_may_pause_and_resume(kind: str) -> None:
     cockpit = searching(kind)
-    cockpit.tell(change_mode(1, Mode.HOLD))
+    cockpit.tell(order("hold", 1, to_search=True))
     cockpit.run(5.0)
     assert cockpit.search.state == PAUSED
     assert cockpit.ap.mode in ("BRAKE", "HOLD")
     count = len(cockpit.readings)
     cockpit.run(10.0)
     assert len(cockpit.readings) == count
-    cockpit.tell(change_mode(1, Mode.OFFBOARD))
+    cockpit.tell(order("resume", 1, to_search=True))
     cockpit.reads(count + 2)
-
-
-def test_missions_parameters_and_files_of_a_real_autopilot_are_refused_with_a_word() -> None:
-    cockpit = searching("ardupilot")
-    refused = cockpit.tell(mavlink.MAVLink_mission_count_message(1, 1, 3, 0))
-    assert refused[0].get_type() == "MISSION_ACK"
-    assert refused[0].type == mavlink.MAV_MISSION_UNSUPPORTED
-    for message in (
-        mavlink.MAVLink_param_request_list_message(1, 1),
-        mavlink.MAVLink_param_set_message(1, 1, b"MPC_XY_CRUISE", 3.0, 9),
-        command(1, mavlink.MAV_CMD_MISSION_START),
-        command(1, mavlink.MAV_CMD_DO_REPOSITION, -1.0),
-    ):
-        cockpit.run(1.1)  # the same kind of refusal is told once a second
-        assert any("refused" in answer.text for answer in cockpit.tell(message) if answer.get_type() == "STATUSTEXT"), message
 
 
 @pytest.mark.parametrize("faults", [("drop:5",), ("progress",), ("busy:9",), ("drop:5", "progress")])

@@ -6,7 +6,6 @@ import pytest
 
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.state import Mode, VehicleFailed
-from sitl.protocol.protocol import MavlinkProtocol
 from sitl.remote.commander import Commander
 from sitl.remote.vehicle import RemoteVehicle
 from sitl.uav.search import LANDED, PAUSED, RETURNING, SEARCHING, Search
@@ -350,9 +349,7 @@ def test_a_flight_that_was_under_way_before_the_program_is_someone_elses(kind: s
     cockpit = searching(kind)
     cockpit.answer_at = None
     cockpit.vehicle = RemoteVehicle(VehicleConfig(), Commander(cockpit.radio))
-    cockpit.search = Search(
-        cockpit.vehicle, MavlinkProtocol(cockpit.vehicle), (1.0, 1.0), "return", lambda _, text: cockpit.said.append(text)
-    )
+    cockpit.search = Search(cockpit.vehicle, (1.0, 1.0), "return", lambda _, text: cockpit.said.append(text))
     cockpit.ap.parameters["BATT_FS_LOW_ACT"] = cockpit.ap.parameters["COM_LOW_BAT_ACT"] = 0
     cockpit.ap.parameters["COM_OBL_RC_ACT"] = 5
     cockpit.ap.battery_percent = 10

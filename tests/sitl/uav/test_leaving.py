@@ -15,8 +15,7 @@ from plume.scenario import draw
 from plume.sensor import Gaussian
 from plume.world import World
 from sitl.remote.vehicle import RemoteVehicle
-from sitl.uav import real
-from sitl.uav import uav as module
+from sitl.uav import passing, real
 from sitl.uav.clock import Clock
 from sitl.uav.uav import Uav
 from tests.autopilots.body import DT_S
@@ -77,7 +76,7 @@ def test_a_second_and_a_third_signal_do_not_keep_a_vehicle_from_being_sent_home(
     """A launcher with threads that is killed can cause several signals: one in the loop, others before and after the vehicle is told."""
     cockpit = Cockpit(kind)
     cockpit.reads(1)
-    leave, told = module.leave, RemoteVehicle.leave
+    leave, told = passing.leave, RemoteVehicle.leave
 
     def leave_struck(*args) -> None:
         strike()
@@ -87,7 +86,7 @@ def test_a_second_and_a_third_signal_do_not_keep_a_vehicle_from_being_sent_home(
         strike()
         return told(vehicle)
 
-    monkeypatch.setattr(module, "leave", leave_struck)
+    monkeypatch.setattr(passing, "leave", leave_struck)
     monkeypatch.setattr(RemoteVehicle, "leave", told_struck)
     fly_until_struck(cockpit)
     assert cockpit.vehicle.left

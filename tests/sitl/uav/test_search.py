@@ -15,6 +15,7 @@ from sitl.autopilot.state import Arrived, Mode
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
 from sitl.uav.search import Search
+from sitl.uav.simulated import Asked
 
 PILOT, CLIENT, AGENT = (255, 190), (245, 190), (1, 191)
 STOP = Stop(9_000, 7, (4.0, 3.0), (0.04, 0.0, 0.04), 0.28, 0.5, "spread:0.5")
@@ -27,8 +28,9 @@ class Flight:
         self.vehicle = Vehicle(VehicleConfig(silence_s=silence_s, stream_s=stream_s))
         self.texts: list[str] = []
         self.real_s = 100.0
-        protocol = MavlinkProtocol(self.vehicle)
-        self.search = Search(self.vehicle, protocol, (2.0, 3.0), after_stop, lambda _, text: self.texts.append(text), lambda: self.real_s)  # type: ignore[arg-type]
+        self.search = Search(self.vehicle, (2.0, 3.0), after_stop, lambda _, text: self.texts.append(text))  # type: ignore[arg-type]
+        self.protocol = MavlinkProtocol(self.vehicle)
+        self.asked = Asked(self.vehicle, self.protocol, self.search, lambda: self.real_s)
         self.readings: list[tuple[float, float]] = []
         self.now_s = 0.0
         self.answering = True
@@ -58,12 +60,13 @@ class Flight:
     def answer(self, x: float, y: float, time_boot_ms: int | None = None) -> list[Message]:
         """Answer the newest reading, or that of another time, as the agent does; returns the answers."""
         stamp = self.search.answers.newest if time_boot_ms is None else time_boot_ms
-        return self.search.answer(waypoint_message(1, stamp or 0, (x, y), 5.0), self.now_s)
+        result = self.search.answer(waypoint_message(1, stamp or 0, (x, y), 5.0), self.now_s)
+        return self.protocol.refuse_setpoint(result, self.now_s)
 
     def send(self, message: Message, sender: tuple[int, int], whence: str = "on the bus") -> list[Message]:
         """Hand a message to the vehicle as if it had come over a link."""
         message.pack(mavlink.MAVLink(None, *sender))
-        return self.search.receive(message, self.now_s, whence)
+        return self.asked.receive(message, self.now_s, whence)
 
     def command(self, number: int, *params: float, sender: tuple[int, int] = PILOT) -> int:
         """Send a command; returns its MAV_RESULT."""
@@ -267,8 +270,8 @@ def test_a_velocity_is_no_answer_to_a_reading(flight: Flight) -> None:
     flight.until("searching")
     flight.answering = False
     flight.fly(5)
-    answers = flight.search.answer(flight.velocity(1.0, 0.0, flight.search.answers.newest or 0), flight.now_s)
-    assert "".join(answer.text for answer in answers) == "Waypoint refused: the answer to a reading is a position"
+    result = flight.search.answer(flight.velocity(1.0, 0.0, flight.search.answers.newest or 0), flight.now_s)
+    assert result.reason == "Waypoint refused: the answer to a reading is a position"
     assert flight.search.answers.awaited
 
 

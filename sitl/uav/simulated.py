@@ -1,0 +1,260 @@
+"""A simulated vehicle's clients: it is its own autopilot, which tells them its state and does what they ask."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from link.bus.inbox import Inbox
+from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
+from link.bus.mavlink import BadFrame, Codec, Message, unpack
+from link.bus.px4 import MissionCurrent
+from link.bus.session import Arrival, Bus
+from link.signing.signer import Signing
+from sitl.autopilot.operator import OPERATOR, CommandName, order
+from sitl.autopilot.state import Mode, Result, Snapshot, denied, not_now
+from sitl.autopilot.telemetry import Telemetry
+from sitl.autopilot.vehicle import Vehicle
+from sitl.bridge.bus_link import BRIDGED
+from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
+from sitl.protocol.setpoints import GLOBAL, LOCAL
+from sitl.uav.clock import Clock
+from sitl.uav.handling import Handling
+from sitl.uav.search import Search
+from sitl.uav.udp import UdpLink
+
+STREAM_S = 1.0
+"""Real time after which a client's stream of setpoints has ended: PX4's COM_OF_LOSS_T."""
+CHANGES = {"COMMAND_LONG", "COMMAND_INT", "SET_MODE"}
+SETPOINTS = {LOCAL, GLOBAL}
+
+Sender = tuple[int, int]
+"""System and component id."""
+
+
+class Link(Protocol):
+    """A destination for MAVLink messages."""
+
+    def send(self, *messages: Message) -> None:
+        """Send messages with this link's own sequence numbers."""
+
+
+class BusLink:
+    """MAVLink over the bus."""
+
+    def __init__(self, bus: Bus, system: int) -> None:
+        """Publish on `mavlink/out` as this system id."""
+        self._bus = bus
+        self._codec = Codec(system, COMPONENT)
+
+    def send(self, *messages: Message) -> None:
+        """Send messages as one sample."""
+        self._bus.publish(MAVLINK_OUT, self._codec.pack(*messages))
+
+
+class Port(NamedTuple):
+    """A link and its telemetry: the client of each link sets its own rates."""
+
+    link: Link
+    telemetry: Telemetry
+
+
+class FromUdp(NamedTuple):
+    """A message received over UDP, with the index of its `Port` and its sender's HOST:PORT."""
+
+    port: int
+    message: Message
+    peer: str
+
+
+class SimulatedClients:
+    """The clients of a simulated vehicle, each link with telemetry of its own."""
+
+    def __init__(
+        self, vehicle: Vehicle, search: Search, bus: Bus | None, outs: Sequence[str], inbox: Inbox, clock: Clock,
+        handling: Handling, wind: Callable[[], tuple[float, float]], signing: Signing | None,
+    ) -> None:  # fmt: skip
+        """Open the links; raises ValueError for a UDP URL that cannot be used. wind: the wind that telemetry tells."""
+        self.system = vehicle.config.sysid
+        self._vehicle, self._bus, self._clock, self._wind = vehicle, bus, clock, wind
+        self._handling, self._log = handling, handling.log
+        self._protocol = MavlinkProtocol(vehicle)
+        self._asked = Asked(vehicle, self._protocol, search)
+        self._gas: tuple[int, float] | None = None
+        self._progress = vehicle.progress
+        self._ports: list[Port] = []
+        self._udp: list[UdpLink] = []
+        if bus is not None:
+            self._ports.append(Port(BusLink(bus, self.system), self._telemetry()))
+        for url in outs:
+            index = len(self._ports)
+            put = inbox.lane(url)
+            signer = signing.link(url) if signing else None
+            link = UdpLink(url, lambda *said, index=index, put=put: put(FromUdp(index, *said), 0), self.system, COMPONENT, signer)
+            self._udp.append(link)
+            self._ports.append(Port(link, self._telemetry()))
+
+    def _telemetry(self) -> Telemetry:
+        # The vehicle's time, not the streams' time: at speed-up 0 they differ.
+        return Telemetry(lambda _: Snapshot(self._vehicle.config, self._vehicle.state(self._vehicle.now_s), self._wind(), self._gas))
+
+    # ---- what they are told ----
+
+    def serve(self) -> None:
+        """Tell what is due; and at once when the mission goes on: stations take it for finished before they see the next mode."""
+        if (progress := self._vehicle.progress) != self._progress:
+            self._progress = progress
+            self._send_now(MissionCurrent.id)
+        for port in self._ports:
+            if due := [*port.telemetry.due(self._clock.stream_s()), *self._protocol.due(port.telemetry)]:
+                port.link.send(*due)
+        for link in self._udp:
+            link.tell_refused(self._log)
+
+    def _send_now(self, message_id: int) -> None:
+        for port in self._ports:
+            if message := port.telemetry.build(message_id, self._clock.stream_s()):
+                port.link.send(message)
+
+    def wait_s(self) -> float:
+        """Return the real time until something is due."""
+        telemetry_s = self._clock.wait_s(None, min(port.telemetry.next_due_s() for port in self._ports))
+        return min(telemetry_s, max(self._protocol.next_due_s() - time.monotonic(), 0.0))
+
+    def changed(self) -> None:
+        """Tell at once what the search does now: after the landing the process may end."""
+        self._send_now(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+
+    def tell(self, severity: int, text: str) -> None:
+        """Tell a text."""
+        self.send(*self._protocol.statustext(severity, text))
+
+    def measured(self, time_boot_ms: int, gas: float) -> None:
+        """Tell the newest reading from now on."""
+        self._gas = time_boot_ms, gas
+
+    def send(self, *messages: Message) -> None:
+        """Send messages on all links."""
+        for port in self._ports:
+            port.link.send(*messages)
+
+    # ---- what they ask ----
+
+    def take(self, item: object) -> None:
+        """Take a message that came over UDP, or a payload of `mavlink/in`."""
+        if isinstance(item, FromUdp):
+            self._take(item.message, self._ports[item.port], f"at {item.peer}")
+        elif isinstance(item, Arrival) and self._bus:
+            try:
+                messages = unpack(item.payload)
+            except BadFrame as error:
+                self._bus.refuse(MAVLINK_IN, str(error), error.kind)
+                return
+            for message in messages:
+                self._take(message, self._ports[0], "through a bridge" if item.attachment == BRIDGED else "on the bus")
+
+    def _take(self, message: Message, port: Port, whence: str) -> None:
+        with self._handling.of(message):
+            refused = self._protocol.refused.total()
+            answers = self._asked.receive(message, self._clock.now_s(), whence, port.telemetry)
+            if message.get_type() in SETPOINTS:
+                self._clock.heard()
+            if self._protocol.refused.total() > refused:
+                self._log.tally.refuse("waypoint")
+            self._answer(answers, port)
+
+    def refuse(self, result: Result, t_s: float) -> None:
+        """Tell on the bus why a waypoint is refused."""
+        self._answer(self._protocol.refuse_setpoint(result, t_s), self._ports[0])
+
+    def _answer(self, answers: Sequence[Message], port: Port) -> None:
+        if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
+            self._log.warning("".join(texts))
+        if answers:
+            port.link.send(*answers)
+
+    def operate(self, name: CommandName) -> None:
+        """Handle a word of the script's operator as if it had come over a link."""
+        message = order(name, self.system)
+        message.pack(mavlink.MAVLink(None, *OPERATOR))
+        answers = self._asked.receive(message, self._vehicle.now_s, "in the script")
+        for text in (answer.text for answer in answers if answer.get_type() == "STATUSTEXT"):
+            self._log.warning(text)
+        self.send(*answers)
+
+    def end(self, say: Callable[[int, str], None]) -> None:
+        """Close the links."""
+        for link in self._udp:
+            link.close()
+
+
+class Asked:
+    """Handles what clients ask. Anyone's change of mode takes the vehicle from the search; OFFBOARD gives it back."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        protocol: MavlinkProtocol,
+        search: Search,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Take the vehicle, its protocol and its search. `clock` is real time, s."""
+        self._vehicle, self._protocol, self._search, self._clock = vehicle, protocol, search, clock
+        self._streams: dict[Sender, float] = {}  # when each client last sent a setpoint
+
+    def receive(self, message: Message, t_s: float, whence: str, streams: Telemetry | None = None) -> list[Message]:
+        """Handle a message from any link as `MavlinkProtocol.receive` does, and see to it that only the leader leads.
+
+        whence: how it came, in words; anybody can write any ids into a frame.
+        """
+        self._vehicle.catch_up(t_s)
+        if not self._protocol.is_addressed(message):
+            return []
+        kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
+        who = f"{sender[0]}/{sender[1]} {whence}"
+        if kind in SETPOINTS:
+            self._streams[sender] = self._clock()
+            if self._search.leads:
+                return self._protocol.refuse_setpoint(denied("Waypoint refused: the search leads, HOLD stops it", "not leading"), t_s)
+            return self._protocol.receive(message, t_s, streams)
+        if kind not in CHANGES:
+            return self._protocol.receive(message, t_s, streams)
+        before = self._flown()
+        if _asks_offboard(message) and self._search.under_way and not self._search.found:
+            if self._search.leads and self._is_streaming(sender):
+                reason = "Offboard refused: the search leads, HOLD stops it"
+                return self._protocol.refuse(message, not_now(reason))
+            if not self._search.leads and not self._is_streaming(None):
+                return self._give_back(message, who, t_s, streams)
+        answers = self._protocol.receive(message, t_s, streams)
+        if self._search.under_way and self._flown() != before:
+            how = self._vehicle.mode.name if self._vehicle.armed else "disarmed"
+            self._search.give_way(f"{how} by {who}")
+        return answers
+
+    def _give_back(self, message: Message, who: str, t_s: float, streams: Telemetry | None) -> list[Message]:
+        """Lead again where the search left off. Nobody else sends its waypoint again, so it is set here."""
+        self._search.leads = True
+        self._vehicle.setpoint(t_s, self._search.waypoint)
+        answers = self._protocol.receive(message, t_s, streams)
+        self._search.leads = self._vehicle.mode is Mode.OFFBOARD
+        if self._search.leads:
+            self._search.resumed(f" by {who}")
+        return answers
+
+    def _flown(self) -> tuple[Mode, bool]:
+        return self._vehicle.mode, self._vehicle.armed
+
+    def _is_streaming(self, sender: Sender | None) -> bool:
+        """Whether a client, or with None any client, streams setpoints of its own: then it leads in OFFBOARD."""
+        heard_s = max(self._streams.values(), default=-math.inf) if sender is None else self._streams.get(sender, -math.inf)
+        return self._clock() - heard_s <= STREAM_S
+
+
+def _asks_offboard(message: Message) -> bool:
+    main = Mode.OFFBOARD.value[0]
+    if message.get_type() == "SET_MODE":
+        return bool(message.custom_mode >> 16 & 0xFF == main)
+    return bool(message.command == mavlink.MAV_CMD_DO_SET_MODE and message.param2 == main)
