@@ -11,9 +11,9 @@ import numpy as np
 from agent.planning.moves import Reach
 from agent.policies import choose
 from agent.policies import policy as find_policy
-from link.bus.keys import BELIEF, STOP, WAYPOINT
+from link.bus.keys import BELIEF, HEALTH, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, elapsed_ms, waypoint_message
-from link.bus.messages import Belief, Particles, unpack_particles
+from link.bus.messages import Belief, Health, Particles, unpack_particles
 from link.bus.session import Arrival, Bus
 from plume.parameters import MOST, PARAMETERS
 from plume.sensor import parse
@@ -40,24 +40,30 @@ def _carried(coordinate: float, within: Reach) -> float:
 
 
 def run(
-    bus: Bus, policy: str, seed: int, budget: int, system: int, reach: Reach, scripted: Mapping[int, tuple[float, float]] = NONE
+    bus: Bus, policy: str, seed: int, budget: int, system: int | None, reach: Reach, scripted: Mapping[int, tuple[float, float]] = NONE
 ) -> None:
     """Serve until interrupted: answer each belief, unless the search has ceased or the budget is spent.
 
+    system: the vehicle's MAVLink system id; None: the one that its health tells, before which nothing is answered.
     scripted: waypoints that replace the policy's, by the step of the belief they answer.
     """
     find_policy(policy)  # loads or compiles the policy before the first belief arrives
-    codec = Codec(system, ONBOARD_COMPUTER)
+    codec = Codec(system or 0, ONBOARD_COMPUTER)
     bus.subscribe(BELIEF, newest=True)
-    bus.subscribe(STOP)
+    bus.subscribe(STOP, *[HEALTH] * (system is None))
     bus.tally.about = policy
     bus.publish_health()
     bus.log.info(f"ready: {policy}")
     answered: int | None = None
     waypoint = (0.0, 0.0)
     while True:
-        received = _next_belief(bus, reach.area_m)
-        if received is None:
+        arrival: Arrival = bus.receive()
+        if arrival.key is HEALTH and arrival.name == "uav":
+            health = bus.decode(arrival, Health)
+            if health and health.system not in (0, system):
+                system, codec = health.system, Codec(health.system, ONBOARD_COMPUTER)
+        received = _belief(bus, arrival, reach.area_m)
+        if received is None or system is None:  # an unanswered belief comes again
             continue
         belief, particles = received
         later = 1 if answered is None else elapsed_ms(answered, belief.time_boot_ms)
@@ -74,11 +80,11 @@ def run(
         bus.answered()
 
 
-def _next_belief(bus: Bus, area_m: float) -> tuple[Belief, Particles] | None:
-    """Wait for a belief. An invalid one, which no policy could answer, is refused and gives None; so does the stop."""
-    arrival: Arrival = bus.receive()
+def _belief(bus: Bus, arrival: Arrival, area_m: float) -> tuple[Belief, Particles] | None:
+    """Return the belief of a message. An invalid one, which no policy could answer, is refused and gives None; so does all else."""
     if arrival.key is STOP:
         bus.take_stop(arrival)
+    if arrival.key is not BELIEF:
         return None
     belief = bus.decode(arrival, Belief)
     if belief is None:

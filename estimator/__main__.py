@@ -28,7 +28,7 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
         "--area", type=cli.number(0, 100_000, above=True), default=AREA_M, metavar="M",
         help="side of the square search area, m; its south-west corner is home (default: %(default)g)",
     )  # fmt: skip
-    parser.add_argument("--sysid", type=cli.whole(1, 255), default=1, help="the vehicle's MAVLink system id (default: %(default)s)")
+    parser.add_argument("--sysid", type=cli.whole(1, 255), metavar="N", help="the vehicle's system id (default: the first reading's)")
     args = parser.parse_args(arguments)
     try:
         known, (stop,) = knowledge(args, args.area), criteria(args)

@@ -1,25 +1,34 @@
 """The estimator service: takes readings, publishes one belief for each, and one stop."""
 
 import time
-from collections.abc import Iterator
 
 from estimator.admission import refusal
 from estimator.belief import belief, stop, warning
 from estimator.filter import Config, assimilate, prior
 from link.bus.keys import BELIEF, READING, STOP
-from link.bus.mavlink import BadFrame, Reading, unpack_reading
+from link.bus.mavlink import BadFrame, sender, unpack_reading
 from link.bus.messages import Belief, pack_particles
 from link.bus.session import Arrival, Bus
 from link.bus.tally import REPEATED
 from plume.sensor import text
 
 
-def run(bus: Bus, config: Config, system: int) -> None:
-    """Serve until interrupted. The first readings are those published before it joined: this alone recovers a restarted estimator."""
+def run(bus: Bus, config: Config, system: int | None) -> None:
+    """Serve until interrupted. The first readings are those published before it joined: this alone recovers a restarted estimator.
+
+    system: the vehicle's MAVLink system id; None: that of the first reading that is admitted.
+    """
+    _begin(bus, config)
     posterior = prior(config)
     latest, summary, particles = None, None, b""
     stopped = False
-    for reading in _readings(bus, config, system):
+    while True:
+        arrival: Arrival = bus.receive()
+        try:
+            reading = unpack_reading(arrival.payload, system)
+        except BadFrame as error:
+            bus.refuse(READING, str(error), error.kind)
+            continue
         refused = refusal(reading, latest, config)
         if refused:
             kind, reason = refused
@@ -33,7 +42,7 @@ def run(bus: Bus, config: Config, system: int) -> None:
             particles = pack_particles(array)
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(summary.step)
-            latest = reading
+            latest, system = reading, system or sender(arrival.payload)
             _judge(bus, summary, config)
             if summary.ceased and not stopped:
                 bus.publish(STOP, stop(summary, config))
@@ -58,7 +67,7 @@ def _judge(bus: Bus, said: Belief, config: Config) -> None:
     bus.tally.warnings = (reason,)
 
 
-def _readings(bus: Bus, config: Config, system: int) -> Iterator[Reading]:
+def _begin(bus: Bus, config: Config) -> None:
     bus.subscribe(READING)
     bus.tally.about = f"{config.particles} particles, assume {config.assume}, stop {config.criterion.text}"
     bus.publish_health()
@@ -68,9 +77,3 @@ def _readings(bus: Bus, config: Config, system: int) -> Iterator[Reading]:
         f"told q {config.rate:g} g/s, d {config.diffusivity:g} m²/s, tau {config.lifetime:g} s; "
         f"sensor {text(config.sensor)}{', for which intermittency of the gas is not modelled' if steady else ''}"
     )
-    while True:
-        arrival: Arrival = bus.receive()
-        try:
-            yield unpack_reading(arrival.payload, system)
-        except BadFrame as error:
-            bus.refuse(READING, str(error), error.kind)

@@ -201,6 +201,11 @@ def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
     return reading
 
 
+def sender(payload: bytes) -> int:
+    """Return the system id of a payload's first frame; raises BadFrame as `split` does."""
+    return split(payload)[0].system
+
+
 def waypoint_message(system: int, answers_time_boot_ms: int, position: tuple[float, float], altitude_m: float) -> Message:
     """SET_POSITION_TARGET_LOCAL_NED (84) with the time_boot_ms of the reading that it answers; position (x, y) m, x east, y north."""
     return mavlink.MAVLink_set_position_target_local_ned_message(

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import msgspec
-from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEARCHERS, STOP
@@ -19,7 +18,7 @@ from link.terminal import printable
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.worlds import AS_MODELLED
-from sitl.autopilot.operator import OPERATOR, command
+from sitl.autopilot.operator import OPERATOR, CommandName, order
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.joining import await_services
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
@@ -307,7 +306,7 @@ class MissionWatch:
             self._bus.subscribe(MAVLINK_OUT)  # where it has landed
         if not self._landed:
             self._progress.say("returning home" if after == "return" else "landing")
-        order = mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH if after == "return" else mavlink.MAV_CMD_NAV_LAND
+        word: CommandName = "return" if after == "return" else "land"
         codec, call_at = Codec(*OPERATOR), 0.0
         while not self._landed or (home and math.isnan(self._landed_at[0])):
             state = self._compute["uav"].state if "uav" in self._compute else ""
@@ -315,7 +314,8 @@ class MissionWatch:
                 self._progress.say("a pilot leads the vehicle: it is left to them")
                 return
             if state == "searching" and not last.ceased and time.monotonic() >= call_at:
-                self._bus.publish(MAVLINK_IN, codec.pack(command(self._mission.system, order)))
+                system, is_real = self._mission.system or self._compute["uav"].system, bool(self._mission.vehicle)
+                self._bus.publish(MAVLINK_IN, codec.pack(order(word, system, to_search=is_real)))
                 call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)
 

@@ -32,7 +32,7 @@ class Launch(NamedTuple):
     patience_s: float = PATIENCE_S
     """Real time after which a silent part counts as hung."""
     sysid: int | None = None
-    """MAVLink system id; None: that of the instance."""
+    """MAVLink system id; None: that of the instance, or of the real autopilot."""
     vehicle: str | None = None
     """The URL of a real autopilot; None: the simulated vehicle."""
     payload: str = SIMULATED
@@ -43,9 +43,9 @@ class Launch(NamedTuple):
     """The folder of certificates; None: nothing is secured."""
 
     @property
-    def system(self) -> int:
-        """The vehicle's MAVLink system id."""
-        return self.sysid or self.instance + 1
+    def system(self) -> int | None:
+        """The vehicle's MAVLink system id; None: a real autopilot's, which nobody knows yet."""
+        return self.sysid or (None if self.vehicle else self.instance + 1)
 
     @property
     def truth(self) -> Scenario | None:

@@ -27,8 +27,8 @@ class HeardTrace:
         """The readings whose beliefs are not all known, by time."""
         self._whole_to = -1
 
-    def reading(self, payload: bytes, system: int) -> None:
-        """Take a reading; one that cannot be read is left to the estimator, which refuses it."""
+    def reading(self, payload: bytes, system: int | None) -> None:
+        """Take a reading of a system, or with None of any; one that cannot be read is left to the estimator, which refuses it."""
         try:
             said = unpack_reading(payload, system)
         except BadFrame:

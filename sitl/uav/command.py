@@ -53,9 +53,9 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
             joining = f"--connect {endpoint} --namespace {namespace}" + (f" --secure {args.secure}" if args.secure else "")
             chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
             chosen += "" if script.estimator.assume == "field" else f" --assume {script.estimator.assume}"
-            who = "" if config.sysid == 1 else f" --sysid {config.sysid}"
+            who = "" if args.vehicle and not args.sysid else f" --sysid {config.sysid}"
             log.info(f"its estimator: plumeward estimator {joining} --rate {release.q!r} --diffusivity {release.d!r}{chosen}{who}")
-            log.info(f"its agent: plumeward agent {joining} --sysid {config.sysid}")
+            log.info(f"its agent: plumeward agent {joining}{who}")
         events = [event for event in script.events if isinstance(event, OnBoard)]
         vehicle: Vehicle | RemoteVehicle = Vehicle(config)
         if args.vehicle:
