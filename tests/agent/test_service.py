@@ -4,9 +4,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from agent import service
+from agent.policies import reach
+from link.bus.keys import BELIEF, HEALTH
 from link.bus.mavlink import unpack
-from link.bus.messages import Belief
-from tests.fuzz.services import BETWEEN, answered, belief_seeds
+from link.bus.messages import Belief, Health
+from link.bus.session import Arrival
+from tests.fuzz.services import BETWEEN, QuietBus, answered, belief_seeds, until_all_are_taken
 
 POLICY = "space-aware-infotaxis"
 
@@ -52,3 +56,17 @@ def test_beliefs_across_the_wrap_of_the_vehicles_time_are_answered_in_order_and_
     bus = answered("homing", *(said(time_boot_ms=time, step=step) for step, time in enumerate(times)))
     told = [message.time_boot_ms for _, frames, _ in bus.published for message in unpack(frames)]
     assert told == [2**32 - 1200, 2**32 - 100, 1000, 2100]
+
+
+def test_an_agent_that_was_told_no_system_id_answers_once_the_vehicles_health_tells_it() -> None:
+    payload, _, particles = said().partition(BETWEEN)
+    one = Arrival(BELIEF, payload, particles)
+
+    def health(service: str, system: int) -> Arrival:
+        status = Health(service, "searching", 0, 0.0, 1.0, {}, system=system)
+        return Arrival(HEALTH, msgspec.json.encode(status), b"", name=service)
+
+    bus = QuietBus(one, health("uav", 0), health("recorder", 9), one, health("uav", 32), one)
+    until_all_are_taken(lambda: service.run(bus, "homing", 3, 300, None, reach("homing")))
+    (waypoint,) = [message for _, answer, _ in bus.published for message in unpack(answer)]
+    assert (waypoint.get_srcSystem(), waypoint.target_system) == (32, 32)

@@ -30,6 +30,8 @@ class Wire:
         self._mav = mavlink.MAVLink(None, srcSystem=self.autopilot.system, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
+        self.said: list[bytes] = []
+        """All frames that have come out of the link."""
         self._luck_in, self._luck_out = (random.Random(f"{settings.seed} {way}") for way in ("in", "out"))
 
     def hear(self, data: bytes) -> None:
@@ -49,6 +51,7 @@ class Wire:
                 self._mav.seq = (self._mav.seq + 1) % 256
                 if not self._lost(self._luck_out, "silence", "mute"):
                     frames.append(frame)
+        self.said += frames
         return frames
 
     def _lost(self, luck: random.Random, *silences: str) -> bool:

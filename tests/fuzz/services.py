@@ -4,6 +4,7 @@ import contextlib
 import logging
 import math
 import queue
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,12 @@ class QuietBus(Bus):
     def publish(self, key: Key, message: bytes | msgspec.Struct, attachment: bytes | None = None) -> None:
         payload = message if isinstance(message, bytes) else msgspec.json.encode(message)
         self.published.append((key, payload, attachment or b""))
+
+
+def until_all_are_taken(serve: Callable[[], object]) -> None:
+    """Run a service until its bus has nothing more to give."""
+    with contextlib.suppress(_End):
+        serve()
 
 
 @cache

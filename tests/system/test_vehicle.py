@@ -6,9 +6,12 @@ import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from link.bus.mavlink import split, unpack, unpack_reading
 from link.record.reader import read
+from link.record.record import Entry
 from plume.scenario import draw
 from tests.autopilots.settings import Settings
 from tests.autopilots.wire import Double
@@ -24,8 +27,8 @@ SHORT = ("--seed", str(SEED), "--particles", "100", "--budget", "2", "--json", "
 
 @pytest.fixture
 def ardupilot() -> Iterator[Double]:
-    """An ArduCopter over TCP, ready to fly 12 s after its boot, that says it feels a wind of 2 m/s from the east."""
-    with Double("ardupilot", settings=Settings(ready_s=12.0, wind=(90.0, 2.0)), speedup=FAST) as double:
+    """An ArduCopter over TCP, system 32, ready to fly 12 s after its boot, that says it feels a wind of 2 m/s from the east."""
+    with Double("ardupilot", settings=Settings(instance=31, ready_s=12.0, wind=(90.0, 2.0)), speedup=FAST) as double:
         yield double
 
 
@@ -64,11 +67,37 @@ def test_a_mission_on_ardupilot_reads_the_plume_where_it_reports_to_be_in_the_wi
         assert step["reading"] == pytest.approx(by_hand(*step["position"], (2.0, 0.0)), rel=1e-4, abs=1e-4)
     assert math.dist(said["trace"][0]["position"], draw(SEED).start) < 0.5
     assert not ardupilot.wire.autopilot.armed  # it has landed at home
-    about = read(tmp_path / "flight.mcap").about
+    record = read(tmp_path / "flight.mcap")
+    about = record.about
     assert (about["vehicle"], about["payload"]) == (ardupilot.url, "simulated")
+    assert not any("--sysid" in words for words in about["parts"].values())
+    shows_the_autopilot_as_it_was(record.entries, ardupilot)
     verified = replayed(monkeypatch, capsys, tmp_path / "flight.mcap")
     assert (verified["verified"], verified["beliefs"], verified["waypoints"]) == (True, 3, 2)
     assert verified["estimate"] == said["estimate"]
+
+
+def shows_the_autopilot_as_it_was(entries: list[Entry], double: Double) -> None:
+    """The record has the autopilot's own frames, and readings by its clock where it said to be then."""
+    frames = [entry.payload[f.start : f.end] for entry in entries if entry.key == "mavlink/out" for f in split(entry.payload)]
+    own = [frame for frame in frames if frame[6] == 1]
+    assert len(own) > 100
+    assert {(frame[5], frame[6]) for frame in frames} == {(32, 1), (32, 191)}
+    assert set(own) <= set(double.wire.said)
+    kinds = [(message.get_type(), message) for frame in double.wire.said for message in unpack(frame)]
+    places = {said.time_boot_ms: (said.x, said.y, said.z) for kind, said in kinds if kind == "LOCAL_POSITION_NED"}
+    readings = {entry.payload: entry for entry in entries if entry.key == "reading"}
+    for entry in readings.values():
+        place, _, _ = unpack(entry.payload)
+        assert place.get_srcSystem() == 32
+        there = (at + home for at, home in zip((place.x, place.y, place.z), double.wire.autopilot.settings.home, strict=True))
+        assert math.dist(there, places[place.time_boot_ms]) < 0.02, "home is told in 1e-7 degrees, which are 0.01 m"
+        assert entry.simulation_s == place.time_boot_ms / 1000
+    gas = [(said.time_boot_ms, said.name) for frame in frames for said in unpack(frame) if said.get_type() == "NAMED_VALUE_FLOAT"]
+    assert gas == [(unpack_reading(payload).time_boot_ms, "gas") for payload in readings]
+    systems = [msgspec.json.decode(entry.payload)["system"] for entry in entries if entry.key == "health/uav"]
+    assert [*dict.fromkeys(systems)] == [0, 32]
+    assert {unpack(entry.payload)[0].target_system for entry in entries if entry.key == "waypoint"} == {32}
 
 
 @pytest.mark.full

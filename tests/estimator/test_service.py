@@ -1,0 +1,27 @@
+"""Protects which vehicle an estimator listens to that was told no system id."""
+
+from estimator import service
+from estimator.filter import Config
+from link.bus.keys import BELIEF, READING
+from link.bus.mavlink import Codec, Reading, pack_reading
+from link.bus.session import Arrival
+from tests.fuzz.services import QuietBus, until_all_are_taken
+
+
+def reading(system: int, time_boot_ms: int, x: float = 2.0) -> Arrival:
+    return Arrival(READING, pack_reading(Codec(system, 1), Reading(time_boot_ms, (x, 3.0), 5.0, (1.5, 0.5), 0.5)), b"")
+
+
+def estimated(*readings: Arrival) -> QuietBus:
+    bus = QuietBus(*readings)
+    until_all_are_taken(lambda: service.run(bus, Config(20), None))
+    return bus
+
+
+def test_it_keeps_to_the_system_of_the_first_reading_that_it_takes_and_does_so_again_after_a_restart() -> None:
+    outside = reading(7, 500, x=-4.0)
+    said = outside, reading(32, 1000), reading(7, 2000), reading(32, 3000)
+    bus = estimated(*said)
+    assert [key for key, _, _ in bus.published] == [BELIEF, BELIEF]
+    assert dict(bus.tally.refused) == {"outside": 1, "other vehicle": 1}
+    assert estimated(*said).published == bus.published
