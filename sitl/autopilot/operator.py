@@ -18,6 +18,8 @@ WANTED: dict[CommandName, Mode] = {"hold": Mode.HOLD, "resume": Mode.OFFBOARD, "
 """The flight mode that each leads to."""
 OPERATOR = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
 """System id and component id of a ground station."""
+AUTOPILOT, SEARCH = int(mavlink.MAV_COMP_ID_AUTOPILOT1), ONBOARD_COMPUTER
+"""Component ids of a vehicle's autopilot, and of the search that flies a real one."""
 TRIES = 5
 """So often a command is sent that nobody acknowledges."""
 IN_PROGRESS_S = 10.0
@@ -37,8 +39,8 @@ UNSAID = {
 """What an answer means that comes without a reason."""
 
 
-def command(system: int, number: int, *params: float, component: int = mavlink.MAV_COMP_ID_AUTOPILOT1) -> Message:
-    """COMMAND_LONG (76) to the autopilot of a system, or to another component; parameters not given are 0."""
+def command(system: int, number: int, *params: float, component: int = AUTOPILOT) -> Message:
+    """COMMAND_LONG (76) to a component of a system; parameters not given are 0."""
     return mavlink.MAVLink_command_long_message(system, component, number, 0, *params, *[0.0] * (7 - len(params)))
 
 
@@ -47,35 +49,36 @@ def change_mode(system: int, mode: Mode) -> Message:
     return command(system, mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *mode.value)
 
 
-TO_SEARCH: dict[CommandName, tuple[int, float]] = {
-    "hold": (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0.0), "resume": (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1.0),
-    "return": (mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, 0.0), "land": (mavlink.MAV_CMD_NAV_LAND, 0.0),
-}  # fmt: skip
-"""The words as commands to the search of a real vehicle: a MAV_CMD and its param 1."""
+def order(name: CommandName, system: int, component: int = AUTOPILOT) -> Message:
+    """Return the command of a word to a system: to the simulated autopilot, or to the `SEARCH` that flies a real one.
 
-
-def order(name: CommandName, system: int, to_search: bool = False) -> Message:
-    """Return the command of a word to a system; `to_search`: to the search of a real vehicle, component 191, beside its autopilot.
-
-    hold: stay where it is. resume: OFFBOARD, which gives the vehicle back to its search. return: fly home and land. land: land here.
+    hold: stay where it is. resume: give the vehicle back to its search. return: fly home and land. land: land here.
     """
-    if to_search:
-        number, param = TO_SEARCH[name]
-        return command(system, number, param, component=ONBOARD_COMPUTER)
     match name:
         case "return":
-            return command(system, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+            return command(system, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, component=component)
         case "land":
-            return command(system, mavlink.MAV_CMD_NAV_LAND)
+            return command(system, mavlink.MAV_CMD_NAV_LAND, component=component)
+    if component == SEARCH:
+        return command(system, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, float(name == "resume"), component=component)
     return change_mode(system, WANTED[name])
 
 
 def word_of(number: int, param1: float) -> CommandName | None:
-    """Return the word that a command to the search of a real vehicle is; None if it is none of the four."""
-    for name, (wanted, param) in TO_SEARCH.items():
-        if number == wanted and (param1 == param or wanted != mavlink.MAV_CMD_DO_PAUSE_CONTINUE):
-            return name
+    """Return the word that a command to the `SEARCH` is: a MAV_CMD and its param 1; None if it is none of the four."""
+    match number:
+        case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+            return "return"
+        case mavlink.MAV_CMD_NAV_LAND:
+            return "land"
+        case mavlink.MAV_CMD_DO_PAUSE_CONTINUE if param1 in (0.0, 1.0):
+            return "resume" if param1 else "hold"
     return None
+
+
+def named(sender: tuple[int, int], whence: str) -> str:
+    """Return who a sender is, in words, from system id and component id and how its message came; anybody can write any ids."""
+    return f"{sender[0]}/{sender[1]} {whence}"
 
 
 class CommandRun:

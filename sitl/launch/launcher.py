@@ -18,7 +18,7 @@ from link.terminal import printable
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.worlds import AS_MODELLED
-from sitl.autopilot.operator import OPERATOR, CommandName, order
+from sitl.autopilot.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, order
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.joining import await_services
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
@@ -314,8 +314,9 @@ class MissionWatch:
                 self._progress.say("a pilot leads the vehicle: it is left to them")
                 return
             if state == "searching" and not last.ceased and time.monotonic() >= call_at:
-                system, is_real = self._mission.system or self._compute["uav"].system, bool(self._mission.vehicle)
-                self._bus.publish(MAVLINK_IN, codec.pack(order(word, system, to_search=is_real)))
+                component = SEARCH if self._mission.vehicle else AUTOPILOT
+                system = self._mission.system or self._compute["uav"].system
+                self._bus.publish(MAVLINK_IN, codec.pack(order(word, system, component)))
                 call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)
 

@@ -24,6 +24,8 @@ WARM_UP_S = 1.5
 """Setpoints stream for so long before OFFBOARD is asked for; PX4 wants a second."""
 MODE_TRIES = 5
 AGAIN_S = 1.0
+ASKED_S = 3.0
+"""A change so soon after a client has asked for one is the client's: a HEARTBEAT comes once a second."""
 ENDED = object()
 
 
@@ -52,6 +54,7 @@ class Procedures:
         self.procedure: Steps[None] | None = None
         """What is being done, until it ends."""
         self._reading: Steps[None] | None = None
+        self._client, self._client_s = "", -math.inf
         self._asked: set[int] = set()
         self._mode: int | None = None
         self._boots = 0
@@ -134,7 +137,12 @@ class Procedures:
             return
         self.theirs, self.theirs_s = True, self.now_s
         self._stop()
-        self.events.append(Led(self.now_s, self.firmware.mode_name(mode), mode == self.guided))
+        client = self._client if self.now_s - self._client_s <= ASKED_S else ""
+        self.events.append(Led(self.now_s, self.firmware.mode_name(mode), mode == self.guided, client))
+
+    def asked_by(self, client: str) -> None:
+        """Note that a client's command goes to the autopilot through us: what changes soon after it, the client has changed."""
+        self._client, self._client_s = client, self.now_s
 
     def _stop(self) -> None:
         self.procedure, self.doing, self.arming = None, None, False

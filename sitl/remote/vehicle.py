@@ -9,7 +9,7 @@ from link.bus.mavlink import POSITION_ONLY
 from sitl.autopilot.config import VehicleConfig, metres
 from sitl.autopilot.motion import ZERO, Ned, as_float32
 from sitl.autopilot.setpoint import Setpoint
-from sitl.autopilot.state import ACCEPTED, Arrived, Led, Mode, Result, Said, VehicleEvent, denied, going_on, not_now
+from sitl.autopilot.state import ACCEPTED, Arrived, Mode, Result, Said, VehicleEvent, denied, going_on, not_now
 from sitl.remote.arrival import Approach, ArrivalRule
 from sitl.remote.commander import AUTOPILOT, Commander
 from sitl.remote.known import Known
@@ -25,8 +25,6 @@ IGNORED_M = 0.5
 """A target that the autopilot reads back so far from the setpoint is not the setpoint."""
 IGNORED_S = 5.0
 """A setpoint that is not read back for so long is ignored."""
-ASKED_S = 3.0
-"""A change of mode so soon after a client's command comes of it."""
 
 
 ARRIVAL = ArrivalRule()
@@ -57,7 +55,6 @@ class RemoteVehicle:
         self._streamed_s = -math.inf
         self._ignored_since_s = math.inf
         self._heard_s = math.inf  # when the last waypoint came, or was reached
-        self._asked_by, self._asked_s = "", -math.inf  # the client who last asked for a change of mode
 
     # ---- time ----
 
@@ -80,9 +77,7 @@ class RemoteVehicle:
         """Take what the vehicle has said; returns its texts and ours, and its arrival if there is one."""
         self.catch_up(t_s)
         heard = [Said(self._now, severity, f"{self.flight.firmware.name}: {text}", heard=True) for severity, text in self._known.texts]
-        asked_by = self._asked_by if self._now - self._asked_s <= self._commander.patient(ASKED_S) else ""
-        events: list[VehicleEvent] = [event._replace(by=asked_by) if isinstance(event, Led) else event for event in self.flight.events]
-        events += heard
+        events: list[VehicleEvent] = [*self.flight.events, *heard]
         self._known.texts.clear()
         self.flight.events.clear()
         if self._leg and self._flies_leg:
@@ -141,7 +136,7 @@ class RemoteVehicle:
     def forward(self, frame: bytes, asks_for_mode: str = "") -> None:
         """Hand a client's frame on to the autopilot, unchanged. asks_for_mode: who sent it, if it may change the flight mode."""
         if asks_for_mode:
-            self._asked_by, self._asked_s = asks_for_mode, self._now
+            self.flight.asked_by(asks_for_mode)
         self._commander.radio.forward(frame)
 
     # ---- commands: each is begun, not waited for ----

@@ -7,14 +7,14 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.frames import LAYOUTS, fields_of, frame_at
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
-from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Message, gas_message
+from link.bus.mavlink import Codec, Message, gas_message
 from link.bus.session import Arrival, Bus
 from link.signing.signer import Signing
-from sitl.autopilot.operator import OPERATOR, CommandName, word_of
+from sitl.autopilot.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, named, word_of
 from sitl.autopilot.state import UNSUPPORTED, Result, denied
 from sitl.bridge.address import parse_address
 from sitl.bridge.bus_link import BRIDGED
-from sitl.bridge.routing import AUTOPILOT, SETUP_SIGNING
+from sitl.bridge.routing import SETUP_SIGNING
 from sitl.bridge.stream import FrameStream, Letter
 from sitl.protocol.words import Words
 from sitl.remote.connection import Endpoints
@@ -52,7 +52,7 @@ class RealClients:
         self._vehicle, self._search, self._bus, self._clock = vehicle, search, bus, clock
         self._handling = handling
         self._words = Words()
-        self._codec = Codec(0, ONBOARD_COMPUTER)
+        self._codec = Codec(0, SEARCH)
         self._beat_at_s = 0.0
         self._spoke_as = 0
         self._outs = Endpoints([parse_address(url) for url in outs], handling.log, signing)
@@ -96,7 +96,7 @@ class RealClients:
         if not self.system or not messages:
             return
         if self._spoke_as != self.system:
-            self._spoke_as, self._codec = self.system, Codec(self.system, ONBOARD_COMPUTER)
+            self._spoke_as, self._codec = self.system, Codec(self.system, SEARCH)
         self._pass_on([self._codec.pack(message) for message in messages])
 
     def _pass_on(self, frames: Sequence[bytes]) -> None:
@@ -119,23 +119,23 @@ class RealClients:
         system, tally = self.system, self._handling.log.tally
         if not system or letter.target_system not in (0, system):
             return
-        if letter.system == system and letter.component in (AUTOPILOT, ONBOARD_COMPUTER):
+        if letter.system == system and letter.component in (AUTOPILOT, SEARCH):
             tally.refuse(POSED)
         elif letter.message_id == SETUP_SIGNING:  # a key that came over a safe link must not leave by another one
             tally.refuse(KEYS)
-        elif letter.target_system and letter.target_component == ONBOARD_COMPUTER:
+        elif letter.target_system and letter.target_component == SEARCH:
             if letter.message_id in COMMANDS:
                 self._obey(mavlink.MAVLink(None).decode(bytearray(letter.data)), whence)
         elif letter.message_id in SETPOINTS and self._search.leads:
             self.refuse(denied("Setpoint refused: the search leads, HOLD stops it", "not leading"), self._clock.now_s())
             tally.refuse("waypoint")
         else:
-            self._vehicle.forward(letter.data, _who(letter.system, letter.component, whence) if _changes(letter) else "")
+            self._vehicle.forward(letter.data, named((letter.system, letter.component), whence) if _changes(letter) else "")
 
     def _obey(self, message: Message, whence: str) -> None:
         with self._handling.of(message):
             word = word_of(message.command, message.param1)
-            who = _who(message.get_srcSystem(), message.get_srcComponent(), whence)
+            who = named((message.get_srcSystem(), message.get_srcComponent()), whence)
             result = self._search.obey(word, self._clock.now_s(), who) if word else UNSUPPORTED
             self._say(self._words.answer(message, message.command, result))
 
@@ -145,7 +145,7 @@ class RealClients:
 
     def operate(self, name: CommandName) -> None:
         """Obey a word of the script's operator."""
-        self._say(self._words.reason(self._search.obey(name, self._vehicle.now_s, _who(*OPERATOR, "in the script"))))
+        self._say(self._words.reason(self._search.obey(name, self._vehicle.now_s, named(OPERATOR, "in the script"))))
 
     def _say(self, answers: Sequence[Message]) -> None:
         if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
@@ -156,10 +156,6 @@ class RealClients:
         """Leave the vehicle to someone, and close the links."""
         leave(self._vehicle, self._clock, say)
         self._outs.close()
-
-
-def _who(system: int, component: int, whence: str) -> str:
-    return f"{system}/{component} {whence}"
 
 
 def _changes(letter: Letter) -> bool:

@@ -117,6 +117,12 @@ class Search:
         gives_way, self.leads = "Search gives way: " * self.leads, False
         self._say(mavlink.MAV_SEVERITY_WARNING, f"{gives_way}{how}")
 
+    def give_back(self, by: str) -> Result:
+        """Lead again where the search left off, as someone wants it."""
+        if self.found:
+            return not_now("Resume refused: the source is found")
+        return self._resume(f" by {by}")
+
     def _resume(self, how: str) -> Result:
         """Lead again where the search left off."""
         now_s = self._vehicle.now_s
@@ -191,7 +197,7 @@ class Search:
         if not self.under_way:
             return not_now(f"{name} refused: the search flies nothing")
         if word == "resume":
-            return not_now("Resume refused: the source is found") if self.found else self._resume(f" by {by}")
+            return self.give_back(by)
         result = self._vehicle.set_mode(t_s, WANTED[word])
         if result.accepted:
             self.give_way(f"{self._vehicle.mode.name} by {by}")

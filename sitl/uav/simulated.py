@@ -13,7 +13,7 @@ from link.bus.mavlink import BadFrame, Codec, Message, unpack
 from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival, Bus
 from link.signing.signer import Signing
-from sitl.autopilot.operator import OPERATOR, CommandName, order
+from sitl.autopilot.operator import OPERATOR, CommandName, named, order
 from sitl.autopilot.state import Mode, Result, Snapshot, denied, not_now
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
@@ -213,7 +213,7 @@ class Asked:
         if not self._protocol.is_addressed(message):
             return []
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
-        who = f"{sender[0]}/{sender[1]} {whence}"
+        who = named(sender, whence)
         if kind in SETPOINTS:
             self._streams[sender] = self._clock()
             if self._search.leads:

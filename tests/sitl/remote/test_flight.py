@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot.operator import order
+from sitl.autopilot.operator import SEARCH, order
 from sitl.autopilot.state import Mode
 from sitl.uav.search import LANDED, PAUSED, SEARCHING
 from tests.sitl.remote.cockpit import START, Cockpit, away_m
@@ -130,14 +130,14 @@ def test_what_comes_after_the_stop_is_done(kind: str, after_stop: str, mode: Mod
 @both
 def test_someone_on_the_bus_may_pause_and_resume(kind: str) -> None:
     cockpit = searching(kind)
-    cockpit.tell(order("hold", 1, to_search=True))
+    cockpit.tell(order("hold", 1, SEARCH))
     cockpit.run(5.0)
     assert cockpit.search.state == PAUSED
     assert cockpit.ap.mode in ("BRAKE", "HOLD")
     count = len(cockpit.readings)
     cockpit.run(10.0)
     assert len(cockpit.readings) == count
-    cockpit.tell(order("resume", 1, to_search=True))
+    cockpit.tell(order("resume", 1, SEARCH))
     cockpit.reads(count + 2)
 
 

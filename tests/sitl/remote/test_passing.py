@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import POSITION_ONLY, Codec, Message
-from sitl.autopilot.operator import CommandName, command, order
+from sitl.autopilot.operator import SEARCH, CommandName, command, order
 from sitl.uav.search import PAUSED, SEARCHING
 from tests.sitl.remote.cockpit import Cockpit
 
@@ -86,7 +86,7 @@ def test_nothing_is_said_in_the_name_of_a_vehicle_that_is_not_there_yet(kind: st
     cockpit = Cockpit(kind, "mute")
     cockpit.run(5.0)
     cockpit.clients.tell(4, "Waiting")
-    assert cockpit.tell(order("hold", 1, to_search=True)) == []
+    assert cockpit.tell(order("hold", 1, SEARCH)) == []
     assert cockpit.clients.system == 0
     assert cockpit.bus.published == []
 
@@ -153,7 +153,7 @@ def test_what_is_not_for_the_autopilot_or_comes_in_its_name_is_not_handed_on(mes
 
 def word(cockpit: Cockpit, name: CommandName) -> int:
     """Say a word to the search; returns the result that it acknowledges with."""
-    (ack,) = [answer for answer in cockpit.tell(order(name, 1, to_search=True)) if answer.get_type() == "COMMAND_ACK"]
+    (ack,) = [answer for answer in cockpit.tell(order(name, 1, SEARCH)) if answer.get_type() == "COMMAND_ACK"]
     assert (ack.get_srcSystem(), ack.get_srcComponent(), ack.target_system, ack.target_component) == (1, 191, 255, 190)
     return int(ack.result)
 
