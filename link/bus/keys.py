@@ -56,14 +56,16 @@ MAVLINK_OUT = Key(
     "PX4's onboard rates",
     "All MAVLink output of the vehicle. Newest wins: frames are dropped rather than queued for a slow reader. So may be a command's "
     "acknowledgement: send the command again until one comes, or until HEARTBEAT shows its mode. A bridge may bring other systems; the "
-    "vehicle is the one that `health/uav` tells.",
+    "vehicle is the one that `health/uav` tells. Of a real vehicle these are its autopilot's own frames, unchanged, and, as component 191, "
+    "those of its search.",
     writers=(VEHICLE, BRIDGE), readers=(BRIDGE,),
 )  # fmt: skip
 MAVLINK_IN = Key(
     "mavlink/in", FRAMES, "operator, GCS bridge", "vehicle",
     Delivery(blocking=True, express=True),
     "as they come",
-    "Commands to the vehicle, and setpoints of whoever flies it in the search's place. A bridge passes MAVLink 1 frames as they are.",
+    "Commands to the vehicle, and setpoints of whoever flies it in the search's place. A bridge passes MAVLink 1 frames as they are. "
+    "A real vehicle's autopilot gets them unchanged; commands to component 191 are for its search.",
     writers=(BRIDGE, OPERATOR), readers=(VEHICLE, BRIDGE),
 )  # fmt: skip
 WAYPOINT = Key(
@@ -78,7 +80,8 @@ READING = Key(
     "reading", FRAMES, "vehicle", "estimator",
     Delivery(blocking=True, express=True, kept=100_000),
     "1 per waypoint; repeated while unanswered",
-    "One sample: LOCAL_POSITION_NED, WIND_COV, NAMED_VALUE_FLOAT `gas`, with one time_boot_ms. All readings are kept for late joiners.",
+    "One sample: LOCAL_POSITION_NED, WIND_COV, NAMED_VALUE_FLOAT `gas`, with one time_boot_ms, of a real "
+    "vehicle the autopilot's. All readings are kept for late joiners.",
     writers=(VEHICLE,), readers=(ESTIMATOR,),
 )  # fmt: skip
 PAYLOAD_IN = Key(
