@@ -93,10 +93,11 @@ def battery_status(s: Snapshot) -> Message:
 def home_position(s: Snapshot) -> Message:
     """HOME_POSITION (242): the origin of the local frame."""
     heading = math.radians(s.config.home_heading_deg)
+    latitude, longitude, altitude = _home(s)
     return mavlink.MAVLink_home_position_message(
-        latitude=round(s.config.home_lat_deg * 1e7),
-        longitude=round(s.config.home_lon_deg * 1e7),
-        altitude=round(s.config.home_alt_m * 1000.0),
+        latitude=latitude,
+        longitude=longitude,
+        altitude=altitude,
         x=0.0,
         y=0.0,
         z=0.0,
@@ -105,6 +106,11 @@ def home_position(s: Snapshot) -> Message:
         approach_y=0.0,
         approach_z=0.0,
     )
+
+
+def gps_global_origin(s: Snapshot) -> Message:
+    """GPS_GLOBAL_ORIGIN (49): the origin of the local frame is home."""
+    return mavlink.MAVLink_gps_global_origin_message(*_home(s), time_usec=round(s.state.time_s * 1e6))
 
 
 def extended_sys_state(s: Snapshot) -> Message:
@@ -184,6 +190,11 @@ def autopilot_version(s: Snapshot) -> Message:
         uid=s.config.sysid,
         uid2=[*b"plumeward".ljust(17, b"\0"), s.config.sysid],
     )
+
+
+def _home(s: Snapshot) -> tuple[int, int, int]:
+    """Latitude and longitude in 1e-7 degrees, altitude above sea in mm."""
+    return round(s.config.home_lat_deg * 1e7), round(s.config.home_lon_deg * 1e7), round(s.config.home_alt_m * 1000.0)
 
 
 def _voltage_mv(s: Snapshot) -> int:

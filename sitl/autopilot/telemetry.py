@@ -49,6 +49,7 @@ STREAMS = (
     Stream(mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, 0.0, estimates.attitude_quaternion),
     Stream(mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 0.0, estimates.highres_imu),
     Stream(mavlink.MAVLINK_MSG_ID_ODOMETRY, 0.0, estimates.odometry),
+    Stream(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, 0.0, status.gps_global_origin),
     Stream(mavlink.MAVLINK_MSG_ID_FENCE_STATUS, 0.0, status.fence_status),
     Stream(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0, status.autopilot_version),
     Stream(AvailableModesMonitor.id, 0.0, status.available_modes_monitor),

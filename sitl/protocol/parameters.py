@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Message
+from sitl.autopilot.state import LOW_BATTERY
 from sitl.autopilot.status import CELLS, EMPTY_CELL_V, FULL_CELL_V
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.service import Microservice, Reply, asker
@@ -71,6 +72,12 @@ PARAMETERS = tuple(
             ),
             Parameter("RTL_TYPE", INT, "a return goes to the nearest of home and rally points", value=0),
             _changed("COM_OF_LOSS_T", "silence_s", 0.5, 3600, "s", "time without a setpoint until OFFBOARD returns home"),
+            Parameter("COM_OBL_RC_ACT", INT, "when OFFBOARD gets no setpoints: return home", value=3),
+            Parameter("COM_LOW_BAT_ACT", INT, "at BAT_LOW_THR a warning, at BAT_CRIT_THR a landing", value=2),
+            Parameter("BAT_LOW_THR", REAL, "charge at which the battery is low", value=LOW_BATTERY),
+            Parameter("BAT_CRIT_THR", REAL, "charge at which it lands", value=0),
+            Parameter("NAV_DLL_ACT", INT, "the loss of a ground station does nothing", value=0),
+            Parameter("COM_RCL_EXCEPT", INT, "modes that fly on without RC: all", value=7),
             _changed("COM_DISARM_LAND", "disarm_landed_s", NEVER, 20, "s", "time after a landing until the motors stop"),
             _changed(
                 "COM_DISARM_PRFLT", "disarm_preflight_s", NEVER, 60, "s", "time after arming without a take-off until the motors stop"

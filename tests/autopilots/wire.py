@@ -13,10 +13,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.autopilots.arducopter import ArduCopter
 from tests.autopilots.autopilot import Autopilot
 from tests.autopilots.body import DT_S
+from tests.autopilots.own import Own
 from tests.autopilots.px4 import Px4
 from tests.autopilots.settings import Settings
 
-KINDS: dict[str, type[Autopilot]] = {"ardupilot": ArduCopter, "px4": Px4}
+KINDS: dict[str, type[Autopilot] | type[Own]] = {"ardupilot": ArduCopter, "px4": Px4, "plumeward": Own}
 DATAGRAM_BYTES = 1200
 MOST_STEPS = 50
 """At most this many time steps (1 s) between two looks at the socket."""

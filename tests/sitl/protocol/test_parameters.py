@@ -3,6 +3,7 @@
 import binascii
 import math
 import struct
+from dataclasses import replace
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -97,6 +98,38 @@ def test_the_hash_is_px4s_checksum_of_what_was_listed(station):
     station.set("MPC_XY_CRUISE", 4.0)
     assert station.read(b"_HASH_CHECK")[0].param_value != first.param_value
     assert station.set("_HASH_CHECK", first.param_value, UINT32) == []  # "I have them all": PX4 does not answer this either
+
+
+@pytest.mark.parametrize(("stream_s", "told_s"), [(math.inf, 30.0), (1.0, 1.0)], ids=["kind", "strict"])
+def test_a_companion_that_falls_silent_gets_what_the_failsafe_says(stream_s, told_s):
+    """3 is PX4's number for a return."""
+    vehicle = offboard()
+    vehicle.setpoint(vehicle.now_s, (3.0, 4.0, -5.0))
+    heard_s = vehicle.now_s + 10.0
+    vehicle.setpoint(heard_s, (3.0, 4.0, -5.0))
+    vehicle.configure(heard_s, replace(vehicle.config, stream_s=stream_s))
+    station = Station(vehicle)
+    assert float_in_int(station.value("COM_OBL_RC_ACT")) == 3
+    assert station.value("COM_OF_LOSS_T") == told_s
+    lost_s = heard_s + station.value("COM_OF_LOSS_T")
+    vehicle.advance(lost_s - 0.01)
+    assert vehicle.mode is Mode.OFFBOARD
+    vehicle.advance(lost_s)
+    assert vehicle.mode is Mode.RETURN
+
+
+def test_the_battery_warns_and_lands_at_the_charges_that_are_told():
+    """2 is PX4's number for a landing at the critical charge."""
+    vehicle = hovering(VehicleConfig(endurance_s=100.0))
+    station = Station(vehicle)
+    assert float_in_int(station.value("COM_LOW_BAT_ACT")) == 2
+    low_s, critical_s = (100.0 * (1.0 - station.value(name)) for name in ("BAT_LOW_THR", "BAT_CRIT_THR"))
+    assert vehicle.advance(low_s - 0.1) == []
+    assert [event.text for event in vehicle.advance(low_s + 0.1)] == ["Battery low: 15% left"]
+    vehicle.advance(critical_s - 0.1)
+    assert vehicle.mode is Mode.HOLD
+    vehicle.advance(critical_s + 0.1)
+    assert vehicle.mode is Mode.LAND
 
 
 @pytest.mark.parametrize(

@@ -87,6 +87,19 @@ def test_the_current_mode_and_the_monitor_come_on_request():
     assert [number(m) for m in ask(command(512, 437.0))] == [77, 437]
 
 
+def test_the_origin_comes_on_request_and_as_a_stream_once_it_is_asked_for():
+    """The local frame begins at home: a companion that subtracts one from the other gets zero."""
+    _, home = ask(command(512, 242.0))
+    ack, origin = ask(command(512, 49.0))
+    assert ack.result == ACCEPTED
+    assert (origin.latitude, origin.longitude, origin.altitude) == (home.latitude, home.longitude, home.altitude) != (0, 0, 0)
+    vehicle = hovering()
+    telemetry = Telemetry(lambda t: Snapshot(vehicle.config, vehicle.state(t), (1.0, 0.0), None), 10.0)
+    assert "GPS_GLOBAL_ORIGIN" not in {m.get_type() for m in telemetry.due(10.0)}
+    assert telemetry.set_interval(49, 1e6, 10.0).accepted
+    assert "GPS_GLOBAL_ORIGIN" in {m.get_type() for m in telemetry.due(11.0)}
+
+
 @pytest.mark.parametrize("message", [command(510, 30.0), command(512, 244.0, 30.0)], ids=["GET_MESSAGE_INTERVAL", "REQUEST_MESSAGE"])
 def test_the_interval_of_a_message_is_told(message):
     ack, interval = ask(message)
