@@ -100,6 +100,9 @@ INSTEAD = {
     "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447":
         "plumeward payload --payload serial:nothing:9600 --connect tcp/127.0.0.1:7447",
     "plumeward replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "plumeward replay flight.tlog --gas gas*1.0 --wind 2.5,270",
+    "plumeward uav --out udpout:127.0.0.1:14540 --seed 3000950": "plumeward uav --out udpout:127.0.0.1:7447 --seed 3000950 --speedup 10",
+    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 3000950 --speedup 1 --record first.mcap":
+        "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 3000950 --speedup 10 --record first.mcap",
     "plumeward fly --vehicle tcp:127.0.0.1:5760 --seed 11": "plumeward fly --vehicle tcp:127.0.0.1:1 --seed 11",
     "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 11",
     "tensorboard --logdir runs/train": "tensorboard --logdir runs/train --port 0",
@@ -112,6 +115,7 @@ STAYS = {
     "plumeward agent --connect tls/127.0.0.1:7447 --secure certs": "ready: ",
     "plumeward uav --seed 7 --connect tcp/127.0.0.1:7447": "its agent: ",
     "plumeward uav --out udpout:127.0.0.1:14540": "MAVLink to ",
+    "plumeward uav --out udpout:127.0.0.1:14540 --seed 3000950": "MAVLink to ",
     "plumeward uav --out udpin:127.0.0.1:14550": "MAVLink to ",
     "plumeward uav --out udpin:127.0.0.1:14550 --sign fleet.key": "MAVLink to ",
     "plumeward bridge udpin:127.0.0.1:14550 tcp:127.0.0.1:5760 --connect tcp/127.0.0.1:7447": "it is tried again",
