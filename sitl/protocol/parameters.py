@@ -57,6 +57,7 @@ PARAMETERS = tuple(
             _changed("MIS_TAKEOFF_ALT", "takeoff_altitude_m", 0.5, 80, "m", "altitude of a take-off above home"),
             _changed("RTL_RETURN_ALT", "return_altitude_m", 0.5, 150, "m", "lowest altitude of a return above home"),
             _changed("GF_MAX_VER_DIST", "ceiling_m", 1, 10_000, "m", "highest altitude above home"),
+            Parameter("GF_MAX_HOR_DIST", REAL, "no circle around home is a fence", value=0),
             _changed("MPC_XY_CRUISE", "speed_mps", 0.5, 20, "m/s", "horizontal speed"),
             _changed("MPC_Z_VEL_MAX_UP", "climb_mps", 0.5, 8, "m/s", "speed of climbs"),
             _changed("MPC_Z_VEL_MAX_DN", "descent_mps", 0.5, 4, "m/s", "speed of descents"),

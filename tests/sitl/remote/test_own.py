@@ -57,6 +57,7 @@ def test_it_tells_its_failsafe_and_does_so_when_the_setpoints_stop(parameters: d
     cockpit = test_flight.searching("plumeward", parameters=parameters)
     assert cockpit.heard(f"PX4 changes to RETURN after {loss_s:g} s")
     assert not cockpit.heard("could not be read")
+    assert not cockpit.heard("No parameter"), "it has all that it is asked for"
     stopped_s = cockpit.ap.now_s
     while cockpit.ap.mode == "OFFBOARD":
         cockpit.radio.advance()  # the program does nothing
