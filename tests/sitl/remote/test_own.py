@@ -75,6 +75,7 @@ def test_a_second_search_flies_the_same_vehicle_after_it_has_landed() -> None:
     first = test_flight.searching("plumeward")
     first.finds()
     first.until(lambda: first.search.state == LANDED)
-    second = Cockpit("plumeward", wire=first.wire)
+    second = Cockpit("plumeward")
+    second.wire = second.radio.wire = first.wire
     second.reads(3)
     assert not second.vehicle.failure
