@@ -31,5 +31,11 @@ def to_local(home_lat_deg: float, home_lon_deg: float, lat_deg: float, lon_deg: 
     return north * scale, east * scale
 
 
+def home_from(origin: tuple[float, float, float], home: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return (north, east, down) m of home from a local frame's origin; both as latitude and longitude, degrees, and altitude, m."""
+    north, east = to_local(origin[0], origin[1], home[0], home[1])
+    return north, east, origin[2] - home[2]
+
+
 def _wrapped_deg(longitude: float) -> float:
     return longitude if -180.0 <= longitude <= 180.0 else math.remainder(longitude, 360.0)

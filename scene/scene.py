@@ -60,20 +60,45 @@ class Backdrop:
 
 
 @dataclass(frozen=True, slots=True)
+class Condition:
+    """How the vehicle says it is. What it does not say is unknown."""
+
+    battery: float | None = None
+    """Remaining charge, 0 to 1."""
+    volts: float | None = None
+    gps: str = ""
+    """`3-D fix, 10 satellites`, `no fix`; empty if unknown."""
+    ailing: tuple[str, ...] | None = None
+    """Parts that are on and not healthy, in MAVLink's words."""
+    placed: bool | None = None
+    """Whether its estimator stands by the position."""
+    wind: tuple[float, float] | None = None
+    """As it estimates it, (u cos φ, u sin φ) m/s: points to where it comes from."""
+
+    @property
+    def health(self) -> str:
+        """`ok`, or what is wrong; empty if unknown."""
+        wrong = [*(self.ailing or ()), *["position"] * (self.placed is False)]
+        return ", ".join(wrong) or ("" if self.ailing is None else "ok")
+
+
+@dataclass(frozen=True, slots=True)
 class Craft:
     """The vehicle as it reports itself."""
 
     time_s: float
     position: Place
+    """NaN if unknown."""
     altitude_m: float = 0.0
     """Above home."""
     heading: float = math.nan
     """Where the nose points, counter-clockwise from +x (east); NaN if unknown."""
     mode: str = ""
-    """`HOLD`, `OFFBOARD`; empty if unknown."""
+    """`HOLD`, `OFFBOARD`, ArduCopter's `BRAKE`; empty if unknown."""
     armed: bool | None = None
     fix: tuple[float, float, float] | None = None
     """(latitude, longitude) in degrees, altitude above mean sea level in m; None if unknown."""
+    condition: Condition = Condition()
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +175,7 @@ class Scene:
     scatter: Scatter | None = None
     waypoint: Place | None = None
     wind: tuple[float, float] | None = None
-    """As measured, (u cos φ, u sin φ) m/s: points to where it comes from."""
+    """As measured, before that as the vehicle estimates it, (u cos φ, u sin φ) m/s: points to where it comes from."""
     stop: str = ""
     """The stop criterion, in the form of --stop."""
     assume: str = ""

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.px4 import PX4_ONLY
+from link.bus.px4 import ADDED
 
 MAVLINK_1, MAVLINK_2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
 HEADER_1, HEADER_2 = struct.Struct("<BBxBBB"), struct.Struct("<BBBxxBBHB")
@@ -107,7 +107,7 @@ def _layout(message: Any) -> Layout:
     return Layout(message.msgname, message.unpacker.size, bytes([message.crc_extra]), message.unpacker.unpack, counts, plain)
 
 
-DIALECT: dict[int, Any] = {**mavlink.mavlink_map, **PX4_ONLY}
+DIALECT: dict[int, Any] = {**mavlink.mavlink_map, **ADDED}
 """The message types that the vehicle speaks, by number."""
 LAYOUTS = {message_id: _layout(message) for message_id, message in DIALECT.items()}
 

@@ -1,11 +1,11 @@
-"""Message types of MAVLink that PX4 sends and ground stations know, but that pymavlink's common dialect lacks in whole or in part."""
+"""Message types of MAVLink that PX4 or ArduPilot sends, but that pymavlink's common dialect lacks in whole or in part."""
 
 import struct
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-CODES = {"uint8_t": "B", "uint16_t": "H", "uint32_t": "I", "char": "s"}
+CODES = {"uint8_t": "B", "uint16_t": "H", "uint32_t": "I", "float": "f", "char": "s"}
 """C type of a field: its code in `struct`."""
 
 
@@ -98,4 +98,19 @@ MissionCurrent = _message_type(
     Field("uint32_t", "rally_points_id", extension=True),
 )
 
-PX4_ONLY = {kind.id: kind for kind in (ProtocolVersion, AvailableModes, CurrentMode, AvailableModesMonitor, MissionCurrent)}
+Wind = _message_type(168, "WIND", Field("float", "direction"), Field("float", "speed"), Field("float", "speed_z"))
+EkfStatusReport = _message_type(
+    193,
+    "EKF_STATUS_REPORT",
+    Field("float", "velocity_variance"),
+    Field("float", "pos_horiz_variance"),
+    Field("float", "pos_vert_variance"),
+    Field("float", "compass_variance"),
+    Field("float", "terrain_alt_variance"),
+    Field("uint16_t", "flags"),
+    Field("float", "airspeed_variance", extension=True),
+)
+
+ADDED = {
+    kind.id: kind for kind in (ProtocolVersion, AvailableModes, CurrentMode, AvailableModesMonitor, MissionCurrent, Wind, EkfStatusReport)
+}

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.frames import Frame
 from link.bus.keys import HEALTH, MAVLINK_OUT
-from link.bus.mavlink import BadFrame, split
+from link.bus.mavlink import ONBOARD_COMPUTER, BadFrame, split
 
 OWN_HEALTH = HEALTH.name.replace("<service>", "uav")
 """With --secure only the vehicle may publish it."""
@@ -40,6 +40,10 @@ class OwnSystem:
     def sent(self, frame: Frame) -> bool:
         """Whether a frame is from the vehicle's own autopilot."""
         return frame.system == self.system and _is_autopilot(frame)
+
+    def searched(self, frame: Frame) -> bool:
+        """Whether a frame is from the search that flies a real vehicle: it speaks under the autopilot's system id."""
+        return frame.system == self.system and frame.component == ONBOARD_COMPUTER
 
 
 def _is_autopilot(frame: Frame) -> bool:

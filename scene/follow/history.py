@@ -1,24 +1,26 @@
 """The history of a mission: what was said so far, and the scene at any moment of it."""
 
 import math
-import sys
-from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from link.bus.frames import Frame
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT
 from link.bus.mavlink import BadFrame, continued, unpack_reading
 from link.bus.messages import Belief, Health, Stop, unpack_particles
+from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
 from link.record.record import HEALTH_PREFIX
+from scene.follow.area import HEARTBEAT, PLACING, AreaFrame
 from scene.follow.parts import restarted, verdict
-from scene.follow.telemetry import HEARTBEAT, LOCAL, SETPOINT, SHOWN, TEXT, Texts, frames, seen, waypoint
+from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, Texts, frames, seen, waypoint
+from scene.follow.timed import MOST, Timed, Trail
 from scene.scene import INFO, WARNING, Backdrop, Craft, Ending, Floats, Happening, Measurement, Place, Scatter, Scene, Service, judged
 from scene.scene import STOP as STOPPED
 
@@ -26,77 +28,10 @@ TRACK_STEP_M = 0.1
 """The track gets a point when the vehicle has moved so far."""
 RESTART_MS = 1000
 """A vehicle whose own time goes back by more was started again."""
-MOST = 100_000
-"""Most readings, points of the track and happenings that are kept where not all is; then the older half goes."""
 LONGEST = 300
 """Characters of a text that are kept: it may quote a stranger."""
 MOST_PARTS = 64
 """Most parts that are followed; health messages of more are left out. Names are easily forged."""
-
-T = TypeVar("T")
-
-
-class Timed(Generic[T]):
-    """Values in order of time; a time before the last one counts as the last one."""
-
-    def __init__(self, whole: bool = True, most: int = 1) -> None:
-        """Keep all values, or the newest: `most`, and at least half of it."""
-        self.times_s: list[float] = []
-        self.values: list[T] = []
-        self._most = sys.maxsize if whole else most
-
-    def add(self, time_s: float, value: T) -> None:
-        """Add the newest."""
-        time_s = max(time_s, self.times_s[-1]) if self.times_s else time_s
-        self.times_s.append(time_s)
-        self.values.append(value)
-        if len(self.values) > self._most:
-            old = len(self.values) - (self._most + 1) // 2
-            del self.times_s[:old], self.values[:old]
-
-    def restart(self, time_s: float) -> None:
-        """Keep only the newest value, if there is any, and take it as of another time."""
-        self.values = self.values[-1:]
-        self.times_s = [time_s] * len(self.values)
-
-    def count(self, time_s: float) -> int:
-        """Number of values until a time, it included."""
-        return len(self.values) if time_s == math.inf else bisect_right(self.times_s, time_s)
-
-    def until(self, time_s: float) -> list[T]:
-        """All values until a time."""
-        return self.values[: self.count(time_s)]
-
-    def at(self, time_s: float) -> T | None:
-        """The newest value at a time."""
-        count = self.count(time_s)
-        return self.values[count - 1] if count else None
-
-
-class Trail:
-    """Where the vehicle was, in order of time. What was once taken stays as it is, so that no scene needs a copy of it."""
-
-    def __init__(self, whole: bool) -> None:
-        """Keep all places, or the newest: `MOST`, and at least half of it."""
-        self.last: Place | None = None
-        self._times_s: list[float] = []
-        self._places: Floats = np.empty((64, 2), np.float32)
-        self._most = sys.maxsize if whole else MOST
-
-    def add(self, time_s: float, place: Place) -> None:
-        """Add the newest."""
-        count = len(self._times_s)
-        if count >= min(len(self._places), self._most):
-            kept = self._places[count - self._most // 2 if count >= self._most else 0 : count]
-            del self._times_s[: count - len(kept)]
-            count = len(kept)
-            self._places = np.concatenate([kept, np.empty_like(kept)])  # scenes have the former ones
-        self._times_s.append(max(time_s, self._times_s[-1]) if self._times_s else time_s)
-        self._places[count] = self.last = place
-
-    def until(self, time_s: float) -> Floats:
-        """All places until a time, it included: (N, 2) m."""
-        return self._places[: bisect_right(self._times_s, time_s)]
 
 
 class WindTurn(NamedTuple):
@@ -147,7 +82,10 @@ class History:
         self._whole = whole
         self.happenings: Timed[Happening] = Timed(whole, MOST)
         self._signs: dict[str, Timed[_Sign]] = {}
-        self._texts = Texts()
+        self._texts = {"uav": Texts(), "search": Texts()}
+        self._area = AreaFrame()
+        self.is_real = False
+        """Whether a search flies a real autopilot: it speaks beside it, under the same system id."""
         self.missions = 0
         """Missions so far; with each one the measurements and the track begin anew."""
         self._begin()
@@ -168,6 +106,7 @@ class History:
 
     def _forget_way(self) -> None:
         """Forget where the vehicle is and was."""
+        self._area.forget()
         self._boot_ms = 0
         self._crafts: Timed[Craft] = Timed(self._whole)
         self._track = Trail(self._whole)
@@ -189,6 +128,7 @@ class History:
         self.time_s, self.wall_s = max(self.time_s, time_s), max(self.wall_s, wall_s)
         self._walls.add(time_s, wall_s)
         if self.own.learn(key, payload):
+            self.is_real = False
             self._forget_way()
         with suppress(BadFrame, msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError):
             if key == MAVLINK_OUT.name:
@@ -220,24 +160,37 @@ class History:
             self._signed(service, _Sign(wall_s, alive, None if alive or known is None else known.health), self.time_s)
             self._happened(self.time_s, INFO if alive else WARNING, service, "joined" if alive else "is gone")
 
+    def _counts(self, frame: Frame) -> bool:
+        """Whether a frame is the vehicle's own, or one of the search that flies it."""
+        return self.own.sent(frame) or (frame.message_id in (TEXT, HEARTBEAT) and self.own.searched(frame))
+
     def _take_telemetry(self, payload: bytes, time_s: float) -> bool:
         changed = False
         before = self._crafts.at(math.inf) or Craft(time_s, (math.nan, math.nan))
         craft = before
-        for message_id, fields in frames(payload, SHOWN, self.own.sent):
-            changed = True
+        for frame, fields in frames(payload, SHOWN, self._counts):
+            changed, message_id = True, frame.message_id
+            is_own = self.own.sent(frame)
+            if message_id == HEARTBEAT:
+                self.is_real |= not is_own or fields["autopilot"] == ARDUPILOT
             if message_id == TEXT:
-                if said := self._texts.said(fields):
-                    self._happened(time_s, said[0], "uav", said[1])
+                who = "uav" if is_own else "search"
+                if said := self._texts[who].said(fields):
+                    self._happened(time_s, said[0], who, said[1])
+            if message_id == TEXT or not is_own:
                 continue
             if message_id == LOCAL:
                 boot_ms = continued(self._boot_ms, fields["time_boot_ms"])
                 if boot_ms + RESTART_MS < self._boot_ms:
                     self._begin_again(time_s)
+                    craft = replace(craft, position=(math.nan, math.nan))
                 self._boot_ms = boot_ms
-            craft = seen(craft, message_id, fields, time_s)
+            if message_id in PLACING and self._area.take(message_id, fields):  # where it was is told from another corner
+                craft, self._track = replace(craft, position=(math.nan, math.nan)), Trail(self._whole)
+            craft = seen(craft, message_id, fields, time_s, self._area)
             last = self._track.last
-            if message_id == LOCAL and (last is None or math.dist(last, craft.position) >= TRACK_STEP_M):
+            known = message_id == LOCAL and not math.isnan(craft.position[0])
+            if known and (last is None or math.dist(last, craft.position) >= TRACK_STEP_M):
                 self._track.add(time_s, craft.position)
             if message_id == HEARTBEAT:
                 if craft.mode != before.mode:
@@ -322,16 +275,16 @@ class History:
         """Return the scene at a simulation time, by default the newest. `wall_s` is now by the clock, for judging silent parts."""
         count = self.measurements.count(time_s)
         wall = (self._walls.at(time_s) or self.wall_s) if wall_s is None else wall_s
-        packed = self._scatters.at(time_s)
+        packed, craft = self._scatters.at(time_s), self._crafts.at(time_s)
         return Scene(
             backdrop=self._backdrop(min(time_s, self.time_s), self.measurements.values[count - 1].step if count else -1),
             time_s=min(time_s, self.time_s),
-            craft=self._crafts.at(time_s),
+            craft=craft,
             track=self._track.until(time_s),
             measurements=self.measurements.values[:count],
             scatter=self._scatter(packed) if packed else None,
             waypoint=self._waypoints.at(time_s),
-            wind=self._winds.at(time_s),
+            wind=self._winds.at(time_s) or (craft.condition.wind if craft else None),
             stop=self._stop,
             assume=self._assume,
             services=tuple(self._services(time_s, wall)),

@@ -9,47 +9,82 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.frames import LAYOUTS, Frame, fields_of
 from link.bus.mavlink import split
-from scene.scene import ERROR, INFO, WARNING, Craft, Place
+from link.modes import mode_name
+from scene.follow.area import PLACING, AreaFrame
+from scene.scene import ERROR, INFO, WARNING, Condition, Craft, Place
 
-HEARTBEAT, ATTITUDE, LOCAL, GLOBAL, TEXT, SETPOINT = 0, 30, 32, 33, 253, 84
-SHOWN = {HEARTBEAT, ATTITUDE, LOCAL, GLOBAL, TEXT}
-PX4_MODES = {
-    (1, 0): "MANUAL", (2, 0): "ALTITUDE", (3, 0): "POSITION", (4, 2): "TAKEOFF", (4, 3): "HOLD", (4, 4): "MISSION", (4, 5): "RETURN",
-    (4, 6): "LAND", (6, 0): "OFFBOARD",
-}  # fmt: skip
-"""Names of PX4's flight modes by (main, sub) mode."""
+ATTITUDE, LOCAL, GLOBAL, TEXT, SETPOINT = 30, 32, 33, 253, 84
+SYS_STATUS, GPS_RAW, WIND, EKF_STATUS, ESTIMATOR_STATUS, WIND_COV = 1, 24, 168, 193, 230, 231
+SHOWN = {*PLACING, ATTITUDE, LOCAL, GLOBAL, TEXT, SYS_STATUS, GPS_RAW, WIND, EKF_STATUS, ESTIMATOR_STATUS, WIND_COV}
+UNKNOWN_MV, UNKNOWN_SATELLITES = 0xFFFF, 0xFF
+FIXES = ("no GPS", "no fix", "2-D fix", "3-D fix", "3-D fix, DGPS", "RTK float", "RTK fixed", "static", "3-D fix, PPP")
+"""GPS_RAW_INT's fix_type (GPS_FIX_TYPE)."""
 CHUNK = 50
 """Characters of one STATUSTEXT; longer texts come in chunks."""
 
 
-def frames(payload: bytes, wanted: set[int], counts: Callable[[Frame], bool] = lambda _: True) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Yield (message id, fields) of the wanted frames that count. Raises BadFrame if the payload is not made of whole, valid frames."""
+def frames(payload: bytes, wanted: set[int], counts: Callable[[Frame], bool] = lambda _: True) -> Iterator[tuple[Frame, dict[str, Any]]]:
+    """Yield the wanted frames that count, with their fields. Raises BadFrame if the payload is not made of whole, valid frames."""
     for frame in split(payload):
         if frame.message_id in wanted and counts(frame):
-            yield frame.message_id, fields_of(payload, frame, LAYOUTS[frame.message_id])
+            yield frame, fields_of(payload, frame, LAYOUTS[frame.message_id])
 
 
-def mode_name(custom_mode: int) -> str:
-    """Return the name of a mode in PX4's numbers, as HEARTBEAT carries them."""
-    numbers = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
-    return PX4_MODES.get(numbers, f"mode {numbers[0]}.{numbers[1]}")
-
-
-def seen(craft: Craft, message_id: int, fields: dict[str, Any], time_s: float) -> Craft:
-    """Return the vehicle after one of its messages; values that are not finite are not taken."""
+def seen(craft: Craft, message_id: int, fields: dict[str, Any], time_s: float, area: AreaFrame) -> Craft:
+    """Return the vehicle after one of its messages; a position or heading that is not finite is not taken."""
     match message_id:
         case 0:  # HEARTBEAT
             armed = bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-            return replace(craft, mode=mode_name(fields["custom_mode"]), armed=armed)
+            return replace(craft, mode=mode_name(fields["autopilot"], fields["custom_mode"]), armed=armed)
         case 30 if math.isfinite(fields["yaw"]):  # ATTITUDE: yaw is clockwise from north
             heading = math.remainder(math.pi / 2 - fields["yaw"], 2 * math.pi)
             # Not `replace`, which takes ten times as long: these two are nearly all of the telemetry.
-            return Craft(time_s, craft.position, craft.altitude_m, heading, craft.mode, craft.armed, craft.fix)
-        case 32 if all(map(math.isfinite, (fields["x"], fields["y"], fields["z"]))):  # LOCAL_POSITION_NED
-            return Craft(time_s, (fields["y"], fields["x"]), -fields["z"], craft.heading, craft.mode, craft.armed, craft.fix)
-        case 33:  # GLOBAL_POSITION_INT
-            return replace(craft, fix=(fields["lat"] / 1e7, fields["lon"] / 1e7, fields["alt"] / 1e3))
-    return craft
+            return Craft(time_s, craft.position, craft.altitude_m, heading, craft.mode, craft.armed, craft.fix, craft.condition)
+        case 32 if place := area.place(fields):  # LOCAL_POSITION_NED
+            return Craft(time_s, place[:2], place[2], craft.heading, craft.mode, craft.armed, craft.fix, craft.condition)
+        case 33:  # GLOBAL_POSITION_INT; (0, 0) is sent without a position
+            fix = fields["lat"] / 1e7, fields["lon"] / 1e7, fields["alt"] / 1e3
+            return replace(craft, fix=fix if any(fix[:2]) else None)
+    condition = _condition(craft.condition, message_id, fields)
+    return craft if condition == craft.condition else replace(craft, condition=condition)
+
+
+def _condition(known: Condition, message_id: int, fields: dict[str, Any]) -> Condition:
+    """Return the vehicle's condition after one of its messages."""
+    match message_id:
+        case 1:  # SYS_STATUS
+            percent, millivolts = fields["battery_remaining"], fields["voltage_battery"]
+            return replace(
+                known,
+                battery=percent / 100 if 0 <= percent <= 100 else None,
+                volts=millivolts / 1e3 if millivolts not in (0, UNKNOWN_MV) else None,  # ArduPilot sends 0 without a monitor
+                ailing=_ailing(fields),
+            )
+        case 24:  # GPS_RAW_INT
+            kind, satellites = fields["fix_type"], fields["satellites_visible"]
+            words = FIXES[kind] if kind < len(FIXES) else f"fix type {kind}"
+            return replace(known, gps=words if satellites == UNKNOWN_SATELLITES else f"{words}, {satellites} satellites")
+        case 168:  # WIND, ArduPilot's: from where it comes, degrees clockwise from north
+            angle = math.radians(fields["direction"]) if math.isfinite(fields["direction"]) else math.nan
+            return replace(known, wind=_wind(fields["speed"] * math.sin(angle), fields["speed"] * math.cos(angle)))
+        case 193 | 230:  # EKF_STATUS_REPORT, ArduPilot's, and ESTIMATOR_STATUS, whose first flags mean the same
+            return replace(known, placed=bool(fields["flags"] & mavlink.ESTIMATOR_POS_HORIZ_ABS))
+        case 231:  # WIND_COV: where the air goes
+            return replace(known, wind=_wind(-fields["wind_y"], -fields["wind_x"]))
+    return known
+
+
+def _ailing(fields: dict[str, Any]) -> tuple[str, ...]:
+    """Return the parts that a SYS_STATUS calls present, enabled and not healthy."""
+    present, enabled, healthy = (fields[f"onboard_control_sensors_{state}"] for state in ("present", "enabled", "health"))
+    names = mavlink.enums["MAV_SYS_STATUS_SENSOR"]
+    bits = [1 << n for n in range(32) if present & enabled & ~healthy & 1 << n]
+    return tuple(names[bit].name.removeprefix("MAV_SYS_STATUS_").removeprefix("SENSOR_").replace("_", " ").lower() for bit in bits)
+
+
+def _wind(x: float, y: float) -> Place | None:
+    """Return a wind; one of exactly zero is one that the autopilot has not estimated."""
+    return (x, y) if math.isfinite(x) and math.isfinite(y) and (x or y) else None
 
 
 def waypoint(fields: dict[str, Any]) -> Place | None:

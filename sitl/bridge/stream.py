@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import all as mavlink
 
 from link.bus.frames import MAVLINK_2, SIGNED, Frame, checksums, frame_at, frame_length
-from link.bus.px4 import PX4_ONLY
+from link.bus.px4 import ADDED
 
 MARKER = re.compile(rb"[\xfd\xfe]")
 """The first byte of a frame."""
@@ -57,7 +57,7 @@ def _kind(message: Any) -> _Kind:
     return _Kind(bytes([message.crc_extra]), offsets.get("target_system", -1), offsets.get("target_component", -1))
 
 
-KINDS = {number: _kind(message) for number, message in ({**PX4_ONLY, **mavlink.mavlink_map}).items()}
+KINDS = {number: _kind(message) for number, message in ({**ADDED, **mavlink.mavlink_map}).items()}
 """The message types of all of pymavlink's dialects, by number."""
 
 

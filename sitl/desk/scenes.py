@@ -6,9 +6,10 @@ from typing import Any
 from link.bus.frames import frame_at
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, WAYPOINT
 from link.record.record import Entry
+from scene.follow.area import PLACING
 from scene.follow.history import History
 from scene.follow.recorded import backdrop_of, turns_of
-from scene.follow.telemetry import ATTITUDE, GLOBAL, HEARTBEAT, LOCAL, TEXT
+from scene.follow.telemetry import ATTITUDE, GLOBAL, LOCAL, TEXT
 from scene.foxglove import Encoded, SceneEncoder, pose_slot
 
 
@@ -57,9 +58,11 @@ class RecordedScene:
         self._history.own.learn(entry.key, entry.payload)
         while (frame := frame_at(entry.payload, at)) is not None:
             kind, at = frame.message_id, frame.end
+            if kind == TEXT and self._history.own.searched(frame):
+                news.add(kind)
             if not self._history.own.sent(frame):
                 continue
-            if kind in (HEARTBEAT, TEXT):
+            if kind == TEXT or kind in PLACING:
                 news.add(kind)
             elif kind in (ATTITUDE, LOCAL, GLOBAL) and self._slots.get(kind) != slot:
                 self._slots[kind] = slot

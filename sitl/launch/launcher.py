@@ -8,16 +8,19 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from link.bus.frames import Frame
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEARCHERS, STOP
 from link.bus.log import LEVELS
-from link.bus.mavlink import BadFrame, Codec, Message, unpack
+from link.bus.mavlink import BadFrame, Codec
 from link.bus.messages import Belief, Health, Stop
 from link.bus.session import Arrival, Bus, LivelinessChange
 from link.terminal import printable
 from plume import COMPILING
 from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.worlds import AS_MODELLED
+from scene.follow.area import PLACING, AreaFrame
+from scene.follow.telemetry import LOCAL, frames
 from sitl.autopilot.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, order
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.joining import await_services
@@ -178,7 +181,7 @@ class MissionWatch:
         self._record_ended = False
         self._stopped = self._landed = False
         self._landed_since = 0.0
-        self._landed_at = (math.nan, math.nan)
+        self._area, self._landed_at = AreaFrame(), (math.nan, math.nan)
 
     def until_the_end(self) -> Flown:
         """Watch; returns the result."""
@@ -265,7 +268,7 @@ class MissionWatch:
                 if (belief := self._bus.decode(item, Belief)) and self._trace.belief(belief):
                     self._follow(belief)
             case Arrival(key, payload) if key is READING:
-                self._trace.reading(payload, self._mission.system)
+                self._trace.reading(payload, self._system)
             case Arrival(key) if key is HEALTH:
                 if health := self._bus.decode(item, Health):
                     self._watchdog.heard(health.service, time.monotonic())
@@ -274,9 +277,25 @@ class MissionWatch:
                     if (health.service, health.state) == ("uav", "landed") and not self._landed:
                         self._landed, self._landed_since = True, time.monotonic()
             case Arrival(key, payload) if key is MAVLINK_OUT:
-                for message in _frames(payload):
-                    if message.get_type() == "LOCAL_POSITION_NED" and -message.z < ON_GROUND_M:
-                        self._landed_at = (message.y, message.x)
+                self._follow_down(payload)
+
+    def _follow_down(self, payload: bytes) -> None:
+        """Note where the vehicle stands, m from home."""
+        with contextlib.suppress(BadFrame):
+            for frame, fields in frames(payload, {*PLACING, LOCAL}, self._is_vehicle):
+                if frame.message_id in PLACING:
+                    self._area.take(frame.message_id, fields)
+                elif (place := self._area.place(fields)) and (self._area.on_ground or place[2] < ON_GROUND_M):
+                    self._landed_at = place[:2]
+
+    def _is_vehicle(self, frame: Frame) -> bool:
+        return frame.system == self._system and frame.component == AUTOPILOT
+
+    @property
+    def _system(self) -> int:
+        """The vehicle's MAVLink system id, as its health tells it: a real autopilot has its own."""
+        uav = self._compute.get("uav")
+        return (uav.system if uav else 0) or self._mission.system
 
     def _follow(self, belief: Belief) -> None:
         script = self._script
@@ -315,8 +334,7 @@ class MissionWatch:
                 return
             if state == "searching" and not last.ceased and time.monotonic() >= call_at:
                 component = SEARCH if self._mission.vehicle else AUTOPILOT
-                system = self._mission.system or self._compute["uav"].system
-                self._bus.publish(MAVLINK_IN, codec.pack(order(word, system, component)))
+                self._bus.publish(MAVLINK_IN, codec.pack(order(word, self._system, component)))
                 call_at = time.monotonic() + CALL_EVERY_S
             self._listen(CALL_EVERY_S)
 
@@ -357,10 +375,3 @@ class MissionWatch:
             "returned home": self._landed and math.hypot(*self._landed_at) < AT_HOME_M,
         }  # fmt: skip
         return Flown(script, result, points, {expected: so[expected] for expected in script.expectations})
-
-
-def _frames(payload: bytes) -> list[Message]:
-    try:
-        return unpack(payload)
-    except BadFrame:
-        return []

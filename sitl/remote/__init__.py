@@ -1,4 +1,4 @@
 """A real autopilot as the vehicle: a MAVLink client that flies it for a search.
 
-Imports: plume, link.bus, link.signing, sitl.bridge, sitl.autopilot.
+Imports: plume, link, link.bus, link.signing, sitl.bridge, sitl.autopilot.
 """

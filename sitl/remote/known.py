@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import all as mavlink
 
 from link.bus.mavlink import Message
-from plume.geodesy import to_local
+from plume.geodesy import home_from
 from sitl.autopilot.motion import ZERO, Ned
 from sitl.remote.firmware import ARDUCOPTER, ESTIMATES, FIRMWARES, Firmware
 
@@ -185,8 +185,7 @@ class Known:
         """Return where home is in the EKF's frame. Raises ValueError before both are known."""
         if self.origin is None or self.home is None:
             raise ValueError("origin and home are not known yet")
-        north, east = to_local(self.origin[0], self.origin[1], self.home[0], self.home[1])
-        return north, east, self.origin[2] - self.home[2]
+        return home_from(self.origin, self.home)
 
     @property
     def on_ground(self) -> bool:

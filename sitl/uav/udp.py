@@ -15,7 +15,7 @@ from link.access.reach import is_open
 from link.bus.frames import LAYOUTS, Frame, checksums, frame_at, frame_length
 from link.bus.log import Log
 from link.bus.mavlink import Codec, Message
-from link.bus.px4 import PX4_ONLY
+from link.bus.px4 import ADDED
 from link.signing.signer import FREE, Signer
 
 logger = logging.getLogger(__name__)
@@ -119,7 +119,7 @@ def _may_begin(head: bytes, left: int) -> bool:
 def _message(parser: mavlink.MAVLink, datagram: bytes, frame: Frame) -> Message | None:
     """Return the message of a frame; None if its checksum is wrong, or its type unknown: then the checksum cannot be verified."""
     layout = LAYOUTS.get(frame.message_id)
-    if layout is None or frame.message_id in PX4_ONLY:  # none of them asks for anything
+    if layout is None or frame.message_id in ADDED:  # none of them asks for anything
         return None
     received, right = checksums(datagram, frame, layout.seed)
     if received != right:

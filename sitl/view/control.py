@@ -9,8 +9,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.frames import Frame
 from link.bus.mavlink import BadFrame, Codec, Message
-from scene.follow.telemetry import HEARTBEAT, TEXT, Texts, frames
-from sitl.autopilot.operator import NO_ANSWER, OPERATOR, TRIES, WANTED, CommandName, CommandRun, order
+from link.modes import meaning
+from scene.follow.area import HEARTBEAT
+from scene.follow.telemetry import TEXT, Texts, frames
+from sitl.autopilot.operator import AUTOPILOT, NO_ANSWER, OPERATOR, SEARCH, TRIES, WANTED, CommandName, CommandRun, order
 from sitl.autopilot.state import Mode
 from sitl.view.live import LiveVehicle
 
@@ -35,14 +37,14 @@ class CommandAnswer(NamedTuple):
 class Awaited:
     """One command and what its vehicle says meanwhile. Its times are of one clock, s."""
 
-    def __init__(self, name: CommandName, system: int) -> None:
-        """Begin."""
-        self._name, self._system = name, system
-        self._run = CommandRun(order(name, system), self._seen, lambda: self._reason, AGAIN_S)
+    def __init__(self, name: CommandName, system: int, component: int = AUTOPILOT) -> None:
+        """Begin with a command to a component of the vehicle: its simulated autopilot, or the search that flies a real one."""
+        self._name, self._system, self._component = name, system, component
+        self._run = CommandRun(order(name, system, component), self._seen, lambda: self._reason, AGAIN_S)
         self._texts = Texts()
         self._reason = ""
         self._refused = False
-        self._mode, self._armed = -1, True
+        self._mode, self._armed = "", True
 
     def send(self, now_s: float) -> Message | None:
         """Return the copy of the command that is due."""
@@ -51,10 +53,11 @@ class Awaited:
     def hears(self, payload: bytes, now_s: float) -> None:
         """Take a payload of telemetry. The reason of a refusal is the text that follows it."""
         with suppress(BadFrame):
-            for message_id, fields in frames(payload, {ACK, HEARTBEAT, TEXT}, self._is_vehicle):
-                if message_id == HEARTBEAT:
-                    self._mode, self._armed = fields["custom_mode"], bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-                elif message_id == TEXT:
+            for frame, fields in frames(payload, {ACK, HEARTBEAT, TEXT}, self._counts):
+                if frame.message_id == HEARTBEAT:
+                    self._mode = meaning(fields["autopilot"], fields["custom_mode"])
+                    self._armed = bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                elif frame.message_id == TEXT:
                     said = self._texts.said(fields)
                     self._reason = said[1] if said and self._refused else self._reason
                 elif _to_us(fields["target_system"], fields["target_component"]):
@@ -68,14 +71,20 @@ class Awaited:
         reason = f"{NO_ANSWER} within {ANSWER_S:g} s" if result.reason == NO_ANSWER else result.reason
         return CommandAnswer(result.accepted, reason)
 
-    def _is_vehicle(self, frame: Frame) -> bool:
-        return frame.system == self._system and frame.component == mavlink.MAV_COMP_ID_AUTOPILOT1
+    def _counts(self, frame: Frame) -> bool:
+        """Whether a frame is the autopilot's HEARTBEAT, or what the commanded component says."""
+        return frame.system == self._system and frame.component == (AUTOPILOT if frame.message_id == HEARTBEAT else self._component)
 
     def _seen(self) -> bool:
         """Whether the vehicle does it; once it has accepted, also whether it is through with it: a return ends as a landing, motors off."""
-        if self._mode == WANTED[self._name].custom_mode:
+        if self._mode == WANTED[self._name].name and (self._run.accepted or not self._gives_back):
             return True
-        return self._run.accepted and (not self._armed or (self._name == "return" and self._mode == Mode.LAND.custom_mode))
+        return self._run.accepted and (not self._armed or (self._name == "return" and self._mode == Mode.LAND.name))
+
+    @property
+    def _gives_back(self) -> bool:
+        """Whether a real vehicle is given back: a pilot may fly it in the very mode in which the search does."""
+        return self._name == "resume" and self._component == SEARCH
 
 
 def _to_us(system: int, component: int) -> bool:
@@ -96,7 +105,7 @@ async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
     def listener(payload: bytes) -> None:
         loop.call_soon_threadsafe(heard.put_nowait, payload)
 
-    awaited, codec = Awaited(name, vehicle.system), Codec(*OPERATOR)
+    awaited, codec = Awaited(name, vehicle.system, vehicle.commanded), Codec(*OPERATOR)
     vehicle.listeners.add(listener)
     try:
         while (answer := awaited.over(time.monotonic())) is None:

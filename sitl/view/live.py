@@ -19,6 +19,7 @@ from link.bus.tap import Tap
 from link.record.record import SimulationClock
 from scene.follow.history import History, WindTurn
 from scene.scene import Backdrop, Scene
+from sitl.autopilot.operator import AUTOPILOT, SEARCH
 from sitl.view.roster import Presence, Roster
 
 COMMANDS = replace(MAVLINK_IN, delivery=replace(MAVLINK_IN.delivery, blocking=False))
@@ -124,6 +125,11 @@ class LiveVehicle:
     def system(self) -> int:
         """Its MAVLink system id; 0: not known yet."""
         return self.history.own.system
+
+    @property
+    def commanded(self) -> int:
+        """The component that obeys an operator's words: the simulated autopilot, or the search that flies a real one."""
+        return SEARCH if self.history.is_real else AUTOPILOT
 
     @property
     def inhabited(self) -> bool:

@@ -1,6 +1,5 @@
 """A scene as the page reads it: one binary message with a JSON header and float32 arrays, and only what the page does not have yet."""
 
-import math
 import struct
 from dataclasses import dataclass
 from functools import lru_cache
@@ -94,10 +93,13 @@ def _header(scene: Scene, cursor: Cursor) -> dict[str, Any]:
 
 
 def _craft(craft: Craft | None) -> dict[str, Any] | None:
-    if craft is None or not all(map(math.isfinite, craft.position)):
-        return None  # a vehicle that has not said where it is cannot be drawn
-    x, y = craft.position
-    return {"x": x, "y": y, "altitude_m": craft.altitude_m, "heading": craft.heading, "mode": craft.mode, "armed": craft.armed}
+    if craft is None:
+        return None
+    (x, y), it = craft.position, craft.condition
+    return {
+        "x": x, "y": y, "altitude_m": craft.altitude_m, "heading": craft.heading, "mode": craft.mode, "armed": craft.armed,
+        "battery": it.battery, "volts": it.volts, "gps": it.gps, "health": it.health,
+    }  # fmt: skip
 
 
 def _estimate(last: Measurement) -> dict[str, Any]:

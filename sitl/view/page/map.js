@@ -60,7 +60,7 @@ export class WorldMap {
     drawWaypoint(g, view, scene);
     if (scene.estimate) drawEstimate(g, view, scene.estimate);
     if (scene.truth) drawSource(g, view, scene.truth.source);
-    if (scene.craft) drawCraft(g, view, scene.craft);
+    if (isPlaced(scene.craft)) drawCraft(g, view, scene.craft);
     g.restore();
     this.canvas.setAttribute("aria-label", inWords(scene));
   }
@@ -209,6 +209,9 @@ function haloed(g, css, width) {
   g.stroke();
 }
 
+/** Whether a vehicle has said where it is. */
+const isPlaced = (craft) => Number.isFinite(craft?.x) && Number.isFinite(craft?.y);
+
 function drawReadings(g, view, rows) {
   const most = rows.reduce((a, [, , gas]) => Math.max(a, gas), 0) || 1;
   g.lineWidth = 1;
@@ -225,7 +228,7 @@ function drawReadings(g, view, rows) {
 function drawWaypoint(g, view, { waypoint, craft }) {
   if (!waypoint) return;
   const [x, y] = [view.x(waypoint[0]), view.y(waypoint[1])];
-  if (craft) {
+  if (isPlaced(craft)) {
     g.beginPath();
     g.moveTo(view.x(craft.x), view.y(craft.y));
     g.lineTo(x, y);
@@ -283,7 +286,7 @@ function drawCraft(g, view, { x, y, heading }) {
 function inWords({ area_m, craft, estimate, wind, truth }) {
   const at = (x, y) => `(${x.toFixed(1)}, ${y.toFixed(1)})`;
   const said = [`Map, ${area_m} m square`];
-  if (craft) said.push(`vehicle at ${at(craft.x, craft.y)}`);
+  if (isPlaced(craft)) said.push(`vehicle at ${at(craft.x, craft.y)}`);
   if (estimate) said.push(`estimate at ${at(estimate.x, estimate.y)} ± ${estimate.spread_m.toFixed(2)} m`);
   if (wind) said.push(`wind ${Math.hypot(...wind).toFixed(1)} m/s from ${bearing(wind)}°`);
   if (truth) said.push(`true source at ${at(...truth.source)}`);

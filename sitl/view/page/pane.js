@@ -7,6 +7,7 @@ import { newest } from "./model.js";
 const SIGNS = { ok: "✓", missing: "✕", starting: "…", stale: "!", refusing: "!" };
 const LEVELS = { info: "·", warning: "!", error: "✕", stop: "■" };
 const ENDINGS = { located: ["✓", "Located", "good"], "FALSE STOP": ["✕", "False stop", "bad"], ceased: ["■", "Ceased", "calm"], "not ceased": ["!", "Not ceased", "warn"] };
+const LEADING = ["taking off", "searching"]; // the uav's states in which the search leads
 const MOST_ROWS = 200;
 
 /** Set a text only where it differs, so that nothing is laid out in vain. */
@@ -42,6 +43,8 @@ export class Pane {
     }
     this.announced = null;
     this.shownServices = "";
+    this.whyNot = "";
+    this.leads = false;
   }
 
   /** Begin to draw, once the pane is on the page. */
@@ -61,10 +64,18 @@ export class Pane {
 
   /** Allow commands, or say why not. */
   allow(whyNot) {
-    for (const button of this.root.querySelectorAll("[data-command]")) button.disabled = Boolean(whyNot);
+    this.whyNot = whyNot;
+    this.drawButtons();
     const why = this.find(".why");
     why.hidden = !whyNot;
     setText(why, sentence(whyNot));
+  }
+
+  /** While the search leads there is nothing to give back to it. */
+  drawButtons() {
+    for (const button of this.root.querySelectorAll("[data-command]")) {
+      button.disabled = Boolean(this.whyNot) || (button.dataset.command === "resume" && this.leads);
+    }
   }
 
   /** Show what became of a command. */
@@ -78,10 +89,13 @@ export class Pane {
   draw(model, context) {
     const { scene } = model;
     if (!scene) return;
-    const row = newest(model);
+    const row = newest(model), { craft } = scene;
     const facts = {
-      mode: scene.craft?.mode || "–",
-      armed: scene.craft?.armed === true ? "yes" : scene.craft?.armed === false ? "no" : "–",
+      mode: craft?.mode || "–",
+      armed: craft?.armed === true ? "yes" : craft?.armed === false ? "no" : "–",
+      battery: charge(craft),
+      gps: craft?.gps || "–",
+      health: craft?.health || "–",
       time: seconds(scene.time_s),
       step: row ? String(row.step) : "–",
       spread: row ? `${row.spread_m.toFixed(2)} m` : "–",
@@ -89,6 +103,13 @@ export class Pane {
       assume: scene.assume || "–",
     };
     for (const [name, text] of Object.entries(facts)) setText(this.facts[name], text);
+    mark(this.facts.gps, /^no /.test(facts.gps));
+    mark(this.facts.health, !["ok", "–"].includes(facts.health));
+    const leads = LEADING.includes(scene.services.find(({ name }) => name === "uav")?.state);
+    if (leads !== this.leads) {
+      this.leads = leads;
+      this.drawButtons();
+    }
     this.drawEnding(scene.ending);
     this.map.draw(model);
     this.drawLegend(scene, model.plume);
@@ -172,6 +193,18 @@ function happening(element, [time_s, level, who, text]) {
   sign.setAttribute("aria-hidden", "true");
   element.append(make("span", "time figure", seconds(time_s)), sign, make("strong", "", who), make("span", "text", text));
   return element;
+}
+
+/** What is left in the battery, as far as the vehicle says it. */
+function charge(craft) {
+  const share = Number.isFinite(craft?.battery) ? `${Math.round(100 * craft.battery)}%` : "";
+  const volts = Number.isFinite(craft?.volts) ? `${craft.volts.toFixed(1)} V` : "";
+  return [share, volts].filter(Boolean).join(", ") || "–";
+}
+
+function mark(element, warns) {
+  if (warns) element.dataset.level = "warn";
+  else delete element.dataset.level;
 }
 
 const oneDigit = (value) => String(Number(value.toPrecision(1)));

@@ -8,14 +8,14 @@ from pymavlink.dialects.v20 import common, development
 
 from link.bus.frames import LAYOUTS, fields_of
 from link.bus.mavlink import split
-from link.bus.px4 import PX4_ONLY, AvailableModes, AvailableModesMonitor, CurrentMode, MissionCurrent, ProtocolVersion
+from link.bus.px4 import ADDED, AvailableModes, AvailableModesMonitor, CurrentMode, MissionCurrent, ProtocolVersion
 from link.record.decoded import decode, message_schema
 
 SENDER = {"srcSystem": 1, "srcComponent": 1}
 
 
 def test_their_checksums_begin_with_the_bytes_of_mavlinks_c_library() -> None:
-    assert {number: kind.crc_extra for number, kind in PX4_ONLY.items()} == {300: 217, 435: 134, 436: 193, 437: 30, 42: 28}
+    assert {number: kind.crc_extra for number, kind in ADDED.items()} == {300: 217, 435: 134, 436: 193, 437: 30, 42: 28, 168: 1, 193: 71}
 
 
 @pytest.mark.parametrize(

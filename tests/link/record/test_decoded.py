@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import BadFrame, Codec, Reading, gas_message, pack_reading, unpack
 from link.bus.messages import Belief, Health, Stop
-from link.bus.px4 import PX4_ONLY
+from link.bus.px4 import ADDED
 from link.record.decoded import FlatReading, Malformed, decode, decode_reading, message_schema, struct_schema
 
 NUMBER = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
@@ -44,7 +44,7 @@ def sayable(value: object) -> bool:
     return all(map(sayable, value)) if isinstance(value, list) else not isinstance(value, float) or math.isfinite(value)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in TYPES if NUMBER[kind] not in PX4_ONLY])
+@pytest.mark.parametrize("kind", [kind for kind in TYPES if NUMBER[kind] not in ADDED])
 def test_every_type_of_message_is_decoded_as_pymavlink_does_and_keeps_to_its_schema(kind: str) -> None:
     rng = random.Random(kind)
     size = mavlink.mavlink_map[getattr(mavlink, f"MAVLINK_MSG_ID_{kind}")].unpacker.size
