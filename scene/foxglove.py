@@ -53,6 +53,7 @@ LONGEST_PATH = 1000
 PLUME_CELLS = 60
 ORANGE, BLUE, GREEN, VERMILION, GREY = (0.90, 0.62, 0.0), (0.34, 0.71, 0.91), (0.0, 0.62, 0.45), (0.84, 0.37, 0.0), (0.6, 0.6, 0.6)
 """Colours of Okabe and Ito, which colour-blind people tell apart: vehicle, estimate, waypoint, source; and the area."""
+ON_GROUND_M = 0.1
 DISC_M = 0.02
 """Thickness of the ellipse."""
 
@@ -130,7 +131,7 @@ class SceneEncoder:
         _turn(transform.rotation, craft.heading if math.isfinite(craft.heading) else 0.0)
         yield from self._say("transforms", message, stamp_ns)
         if craft.fix is not None:
-            if self._origin is None:
+            if self._origin is None or craft.altitude_m < ON_GROUND_M:  # until the take-off home may be set anew
                 self._origin = _origin(craft, craft.fix)
             fix = LocationFix(frame_id=self._prefix + VEHICLE, position_covariance=[0.0] * 9)
             fix.latitude, fix.longitude, fix.altitude = craft.fix

@@ -77,9 +77,9 @@ class Condition:
 
     @property
     def health(self) -> str:
-        """`ok`, or what is wrong; empty if unknown."""
+        """`ok`, or what is `not healthy`; empty if unknown."""
         wrong = [*(self.ailing or ()), *["position"] * (self.placed is False)]
-        return ", ".join(wrong) or ("" if self.ailing is None else "ok")
+        return f"not healthy: {', '.join(wrong)}" if wrong else ("" if self.ailing is None else "ok")
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import contextlib
 import json
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
@@ -156,6 +156,19 @@ class SimulationClock:
     def step(self) -> int:
         """Number of the newest reading, 0 at the start; -1 before the first."""
         return self._count - 1
+
+
+EARLY_S = 1.0
+"""A vehicle whose clock shows no more when it is first heard was started for the run."""
+
+
+def began_s(times_s: Iterable[float]) -> float:
+    """Return when a run begins by the vehicle's clock, from the simulation times of its messages.
+
+    Those before its first word are at 0, and an autopilot may have been on for hours before that.
+    """
+    first_s = min((time_s for time_s in times_s if time_s > 0.0), default=0.0)
+    return first_s if first_s > EARLY_S else 0.0
 
 
 # ---- conversion to text and back ----

@@ -16,7 +16,7 @@ from link.bus.mavlink import BadFrame, continued, unpack_reading
 from link.bus.messages import Belief, Health, Stop, unpack_particles
 from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
-from link.record.record import HEALTH_PREFIX
+from link.record.record import HEALTH_PREFIX, began_s
 from scene.follow.area import HEARTBEAT, PLACING, AreaFrame
 from scene.follow.parts import restarted, verdict
 from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, Texts, frames, seen, waypoint
@@ -265,6 +265,11 @@ class History:
     def craft(self) -> Craft | None:
         """The vehicle as it reported itself last."""
         return self._crafts.at(math.inf)
+
+    @property
+    def begin_s(self) -> float:
+        """Simulation time at which the vehicle was first heard; 0 if it was started then."""
+        return began_s(self._crafts.times_s)
 
     @property
     def waypoint(self) -> Place | None:

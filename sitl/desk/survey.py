@@ -12,7 +12,7 @@ import msgspec
 
 from link.bus.mavlink import WRAP_MS
 from link.bus.messages import Belief, Stop
-from link.record.record import Entry
+from link.record.record import Entry, began_s
 from link.terminal import printable
 from plume.outcome import TracePoint
 
@@ -67,9 +67,11 @@ class Survey:
 
     @property
     def tables(self) -> list[KeyTable]:
-        """Return a table for each key."""
+        """Return a table for each key. Simulation times from before the vehicle told its clock are left out."""
+        began = began_s(time_s for times in self.simulation_s.values() for time_s in times)
+        told = {key: [time_s for time_s in times if time_s >= began] if began else times for key, times in self.simulation_s.items()}
         return [
-            KeyTable(key, times, self.simulation_s[key], len(times) - len(self._told[key]) if key in self._told else None)
+            KeyTable(key, times, told[key], len(times) - len(self._told[key]) if key in self._told else None)
             for key, times in sorted(self.published_s.items())
         ]
 

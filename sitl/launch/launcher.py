@@ -327,7 +327,9 @@ class MissionWatch:
             self._progress.say("returning home" if after == "return" else "landing")
         word: CommandName = "return" if after == "return" else "land"
         codec, call_at = Codec(*OPERATOR), 0.0
-        while not self._landed or (home and math.isnan(self._landed_at[0])):
+        lost_at = math.inf  # from then on the place that was not told is not waited for
+        while not self._landed or (home and math.isnan(self._landed_at[0]) and time.monotonic() < lost_at):
+            lost_at = min(lost_at, time.monotonic() + LAG_S) if self._landed else math.inf
             state = self._compute["uav"].state if "uav" in self._compute else ""
             if state in ("paused", "holding"):
                 self._progress.say("a pilot leads the vehicle: it is left to them")

@@ -25,8 +25,8 @@ class RecordedVehicle:
         readings = history.measurements.times_s
         return {
             "name": self.name, "title": history.backdrop.title, "here": True, "has_truth": history.backdrop.release is not None,
-            "begin_s": 0.0, "end_s": history.time_s, "readings_s": readings,
-            "moments": [(each.time_s, each.level, each.who, each.text) for each in history.happenings.values],
+            "begin_s": history.begin_s, "end_s": history.time_s, "readings_s": readings,
+            "moments": [(max(each.time_s, history.begin_s), each.level, each.who, each.text) for each in history.happenings.values],
         }  # fmt: skip
 
     def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:

@@ -5,8 +5,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from scene.scene import Craft, Ending, Happening
+from link.bus.mavlink import Codec
+from scene.follow.history import History
+from scene.scene import Backdrop, Condition, Craft, Ending, Happening, Service
 from tests.system.pages import Browser
 from tests.view.conftest import PHONE, Window
 from tests.view.stage import RELEASE, Stage, bearing_deg, cloud, measured, scene
@@ -111,6 +114,56 @@ def test_facts_services_and_happenings_are_told(window: Window) -> None:
         ["3.0 s", "!", "estimator", "hot"],
         ["0.5 s", "·", "uav", "armed"],
     ]
+
+
+def test_a_copter_is_shown_as_it_says_it_is(stage: Stage, look: Callable[..., Window]) -> None:
+    """ArduCopter, system 32, held by its pilot: without a battery monitor, and it has lost its GPS. Home is 8 m north of its origin."""
+    history = History(Backdrop("uav/1", title="by hand"))
+    messages = (
+        mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 128, 17, mavlink.MAV_STATE_CRITICAL, 3),
+        mavlink.MAVLink_gps_global_origin_message(600000000, 100000000, 100_000),
+        mavlink.MAVLink_home_position_message(600000719, 100000000, 100_000, *[0.0] * 3, [1.0, 0.0, 0.0, 0.0], *[0.0] * 3),
+        mavlink.MAVLink_attitude_message(60_000, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.0),
+        mavlink.MAVLink_local_position_ned_message(60_000, 20.0, 6.0, -5.0, 0.0, 0.0, 0.0),
+        mavlink.MAVLink_sys_status_message(32, 32, 0, 0, 0xFFFF, -1, -1, 0, 0, 0, 0, 0, 0),
+        mavlink.MAVLink_gps_raw_int_message(0, 1, 0, 0, 0, 0, 0, 0, 0, 0),
+        mavlink.MAVLink_ekf_status_report_message(167, 0.0, 0.0, 0.0, 0.0, 0.0),
+    )
+    history.take("mavlink/out", Codec(32, 1).pack(*messages), b"", 60.0, 0.0)
+    history.take("mavlink/out", Codec(32, 191).pack(mavlink.MAVLink_statustext_message(4, b"Search gives way: BRAKE")), b"", 60.0, 0.0)
+    made = scene()
+    shown = history.at()
+    paused = Service("uav", "ok", "paused", "", 5, 0.012)
+    made = replace(
+        made, craft=shown.craft, track=shown.track, wind=shown.wind, happenings=shown.happenings, waypoint=None,
+        services=(paused, *made.services[1:]),
+    )  # fmt: skip
+    stage.enter(made)
+    window = drawn(look(stage.address))
+    facts = {name: window.text(f"[data-fact={name}]") for name in ("mode", "armed", "battery", "gps", "health")}
+    assert facts == {"mode": "BRAKE", "armed": "yes", "battery": "–", "gps": "no fix, 0 satellites", "health": "not healthy: gps, position"}
+    assert sum(window.pixel(6.0, 12.0)) < 150  # 20 m north of the origin, 12 m of home
+    assert "vehicle at (6.0, 12.0)" in window.page.locator("canvas").first.get_attribute("aria-label")
+    assert "wind" not in window.page.locator("canvas").first.get_attribute("aria-label")
+    assert window.violations() == []
+    window.keep("ardupilot")
+
+
+def test_the_search_is_resumed_only_while_it_does_not_lead(stage: Stage, window: Window) -> None:
+    button = window.page.get_by_role("button", name="Resume")
+    assert button.is_disabled()
+    assert "gives the vehicle back to the search" in button.get_attribute("title")
+    for state, is_disabled in (("paused", False), ("taking off", True), ("returning", False), ("searching", True)):
+        stage.vehicles["uav/1"].show(services=(Service("uav", "ok", state),))
+        window.until(f"document.querySelector('[data-command=resume]').disabled === {str(is_disabled).lower()}")
+
+
+def test_a_battery_that_is_known_is_shown(stage: Stage, window: Window) -> None:
+    said = Condition(battery=0.624, volts=15.43, gps="3-D fix, 10 satellites", ailing=(), placed=True)
+    stage.vehicles["uav/1"].show(craft=replace(scene().craft, condition=said))
+    window.until("document.querySelector('[data-fact=battery]').textContent === '62%, 15.4 V'")
+    assert (window.text("[data-fact=gps]"), window.text("[data-fact=health]")) == ("3-D fix, 10 satellites", "ok")
+    window.keep("simulated")
 
 
 def test_the_charts_hold_every_reading_and_the_threshold(stage: Stage, window: Window) -> None:
@@ -382,7 +435,7 @@ def test_all_is_reached_by_keyboard_and_the_focus_is_seen(window: Window) -> Non
         assert window.of("getComputedStyle(document.activeElement).outlineStyle") in ("solid", "auto")
         if reached[-1] == "land":
             break
-    assert reached == ["first", "truth", "theme", "help-open", "hold", "resume", "return", "land"]
+    assert reached == ["first", "truth", "theme", "help-open", "hold", "return", "land"]  # the search leads: nothing to resume
     window.page.keyboard.press("Enter")
     window.until("document.querySelector('#land').open")
     assert window.of("document.activeElement.textContent") == "Keep flying"  # the safe choice comes first

@@ -90,6 +90,15 @@ def test_a_reading_after_the_wrap_of_the_vehicles_time_is_answered_by_the_belief
     assert fields["gaps"] == ["1 readings without a belief, at 4294969.30 s of simulation"]
 
 
+def test_an_autopilot_that_was_on_for_an_hour_before_does_not_make_the_flight_longer(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    later = [(at_s, simulation_s and simulation_s + 3600, key, payload) for at_s, simulation_s, key, payload in MESSAGES]
+    log = record(tmp_path / "run.mcap", later)
+    assert json.loads(said(capsys, log, json=True).splitlines()[-1])["simulation_s"] == pytest.approx(3.0)
+    assert "3.0 s of simulation" in said(capsys, log)
+
+
 def test_the_summary_counts_keys_repeats_and_what_is_missing(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fields = json.loads(said(capsys, log, json=True).splitlines()[-1])
     assert fields["complete"]

@@ -5,9 +5,11 @@ from typing import Any
 
 import msgspec
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.keys import BELIEF, STOP
-from link.bus.messages import Stop
+from link.bus.keys import BELIEF, HEALTH, MAVLINK_OUT, STOP
+from link.bus.mavlink import Codec
+from link.bus.messages import Health, Stop
 from link.bus.session import Arrival
 from sitl.launch import launcher as module
 from sitl.launch.disturbances import Disturbances
@@ -37,14 +39,15 @@ class FallsSilent(QuietBus):
         return None
 
 
-def watch(bus: FallsSilent, monkeypatch: pytest.MonkeyPatch) -> MissionWatch:
+def watch(bus: FallsSilent, monkeypatch: pytest.MonkeyPatch, mission: Launch | None = None) -> MissionWatch:
     """The watch over a mission of one move, in the bus's time."""
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: bus.now_s))
     progress: Any = SimpleNamespace(wait=lambda _: None, say=lambda _: None, show=lambda *_: None)
     watchdog = Watchdog([], PATIENCE_S, 0.0, progress.say)
     processes: Any = None
     disturbances = Disturbances([], processes, {}, watchdog, progress.say)
-    mission = Launch(Script(seed=7).changed({"agent.budget": 1, "vehicle.after_stop": "hold"}), patience_s=PATIENCE_S)
+    held = Script(seed=7).changed({"agent.budget": 1, "vehicle.after_stop": "hold"})
+    mission = mission or Launch(held, patience_s=PATIENCE_S)
     return MissionWatch(mission, bus, progress, watchdog, disturbances, "tcp/127.0.0.1:1", None)
 
 
@@ -64,3 +67,23 @@ def test_a_mission_whose_last_compute_times_are_lost_ends_with_its_outcome(monke
     flown = watch(bus, monkeypatch).until_the_end()
     assert (len(flown.trace), flown.outcome.search_time_s) == (2, 0.0)
     assert PATIENCE_S <= bus.now_s <= PATIENCE_S + 2.0
+
+
+def test_a_real_vehicle_has_returned_home_where_home_is_and_not_its_estimators_origin(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Home lies 30 m north of the origin and 4 m below it, and the autopilot is system 32; it lands 0.2 m from home, 0.3 m too high."""
+    copter = Codec(32, 1)
+    beat = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 1, 6, 3, 3)
+    origin = mavlink.MAVLink_gps_global_origin_message(473977419, 85455938, 488_000)
+    home = mavlink.MAVLink_home_position_message(473977419 + 2698, 85455938, 484_000, *[0.0] * 3, [1.0, 0.0, 0.0, 0.0], *[0.0] * 3)
+    state = mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_ON_GROUND)
+    place = mavlink.MAVLink_local_position_ned_message(1000, 30.0, 0.2, 3.7, 0.0, 0.0, 0.0)
+    landed = Health("uav", "landed", step=1, compute_s=0.0, uptime_s=9.0, refused={}, system=32)
+    script = Script(seed=7, expect="returned home").changed({"agent.budget": 1})
+    mission = Launch(script, patience_s=PATIENCE_S, vehicle="tcp:127.0.0.1:5760")
+    for said, home_again in ((copter.pack(beat, origin, home, state, place), True), (Codec(33, 1).pack(beat, state, place), False)):
+        bus = FallsSilent(
+            *(Arrival(BELIEF, msgspec.json.encode(belief(step)), b"") for step in (0, 1)),
+            Arrival(HEALTH, msgspec.json.encode(landed), b"", name="uav"),
+            Arrival(MAVLINK_OUT, said, b""),
+        )
+        assert watch(bus, monkeypatch, mission).until_the_end().expectations == {"returned home": home_again}

@@ -5,7 +5,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.mavlink import Codec
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.operator import OPERATOR, CommandName
+from sitl.autopilot.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName
 from sitl.autopilot.state import Mode
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
@@ -139,3 +139,49 @@ def test_a_vehicle_that_says_nothing_has_not_accepted() -> None:
     assert sent_s == pytest.approx([0.0, 0.4, 0.8, 1.2, 1.6], abs=0.01)
     assert command.over(1.9) is None
     assert command.over(2.01) == CommandAnswer(False, "no answer within 2 s")
+
+
+# ---- the search that flies a real autopilot ----
+
+COPTER, SEARCHER = Codec(32, AUTOPILOT), Codec(32, SEARCH)
+PAUSE = mavlink.MAV_CMD_DO_PAUSE_CONTINUE
+
+
+def copter_beat(custom_mode: int, armed: bool = True) -> bytes:
+    return COPTER.pack(mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 128 * armed + 1, custom_mode, 4, 3))
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "first"), [("hold", PAUSE, 0.0), ("resume", PAUSE, 1.0), ("return", RTL, 0.0), ("land", LAND, 0.0)]
+)
+def test_a_real_vehicles_search_gets_the_word_and_answers_it(name: CommandName, number: int, first: float) -> None:
+    command = Awaited(name, system=32, component=SEARCH)
+    said = command.send(0.0)
+    assert said is not None
+    assert (said.target_system, said.target_component, said.command, said.param1) == (32, 191, number, first)
+    command.hears(COPTER.pack(ack(number, DENIED)), 0.1)  # the autopilot was not asked
+    assert command.over(0.2) is None
+    command.hears(SEARCHER.pack(ack(number, DENIED), text(f"{name} refused: not now")), 0.3)
+    assert command.over(0.3) == CommandAnswer(False, f"{name} refused: not now")
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "custom_mode"), [("hold", PAUSE, 17), ("return", RTL, 6), ("land", LAND, 9), ("resume", PAUSE, 4)]
+)
+def test_a_word_is_done_when_the_copter_is_in_the_firmwares_mode_of_it(name: CommandName, number: int, custom_mode: int) -> None:
+    command = Awaited(name, system=32, component=SEARCH)
+    assert command.send(0.0)
+    command.hears(copter_beat(5), 0.1)  # LOITER is none of them
+    command.hears(SEARCHER.pack(ack(number, ACCEPTED)), 0.1)
+    assert command.over(1.0) is None
+    command.hears(copter_beat(custom_mode), 1.1)
+    assert command.over(1.1) == CommandAnswer(True)
+
+
+def test_a_copter_in_guided_is_not_given_back_before_its_search_says_so() -> None:
+    command = Awaited("resume", system=32, component=SEARCH)
+    assert command.send(0.0)
+    command.hears(copter_beat(4), 0.1)  # a pilot's own go-to
+    assert command.over(0.2) is None
+    command.hears(SEARCHER.pack(ack(PAUSE, ACCEPTED)), 0.3)
+    assert command.over(0.3) == CommandAnswer(True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scene.scene import INFO, Backdrop, Craft, Happening, Measurement, Release, Scatter, Scene
+from scene.scene import INFO, Backdrop, Condition, Craft, Happening, Measurement, Release, Scatter, Scene
 from sitl.view.wire import Cursor, framed, packed
 
 RELEASE = Release((20.0, 12.0), (1.0, 0.0), q=300.0, d=4.0, tau=10.0)
@@ -21,6 +21,7 @@ def measurement(step: int, gas: float = 0.5) -> Measurement:
     return Measurement(step, 10.0 + step, (1.0 + step, 2.0), gas, 3.0, (5.0, 6.0), (4.0, 0.0, 1.0))
 
 
+UNSAID = {"battery": None, "volts": None, "gps": "", "health": ""}
 SCENE = Scene(
     Backdrop("uav/1", 30.0, "homing, seed 1", RELEASE),
     time_s=12.5,
@@ -64,7 +65,7 @@ def test_a_scene_is_sent_in_full_at_first() -> None:
     assert header["vehicle"] == "uav/1"
     assert header["published_ms"] == 1763800000000.5
     assert header["threshold_m"] == 0.5
-    assert header["craft"] == {"x": 1.5, "y": 2.5, "altitude_m": 5.0, "heading": 0.5, "mode": "OFFBOARD", "armed": True}
+    assert header["craft"] == {"x": 1.5, "y": 2.5, "altitude_m": 5.0, "heading": 0.5, "mode": "OFFBOARD", "armed": True} | UNSAID
     assert header["estimate"] == {"x": 5.0, "y": 6.0, "spread_m": 3.0, "ellipse": [4.0, 2.0, 0.0]}  # 2 σ of variances 4 and 1 m²
     assert header["measurements"] == {
         "from": 0, "rows": [[0, 10.0, 1.0, 2.0, 0.5, 3.0, 5.0, 6.0], [1, 11.0, 2.0, 2.0, 0.5, 3.0, 5.0, 6.0]],
@@ -140,5 +141,17 @@ def test_numbers_that_are_not_finite_are_null(heading: float) -> None:
     assert header["measurements"]["rows"][0][4] is None
 
 
-def test_a_vehicle_that_has_not_said_where_it_is_is_not_there_yet() -> None:
-    assert sent(replace(SCENE, craft=Craft(0.0, (math.nan, math.nan), mode="HOLD")), Cursor())[0]["craft"] is None
+def test_a_vehicle_that_has_not_said_where_it_is_has_no_place_yet_but_a_mode() -> None:
+    craft = sent(replace(SCENE, craft=Craft(0.0, (math.nan, math.nan), mode="HOLD")), Cursor())[0]["craft"]
+    assert (craft["x"], craft["y"], craft["mode"]) == (None, None, "HOLD")
+
+
+def test_what_the_vehicle_says_of_itself_is_sent() -> None:
+    condition = Condition(battery=0.5, volts=15.1, gps="no fix", ailing=("gps",), placed=False)
+    craft = sent(replace(SCENE, craft=Craft(0.0, (1.0, 2.0), condition=condition)), Cursor())[0]["craft"]
+    assert {name: craft[name] for name in UNSAID} == {
+        "battery": 0.5,
+        "volts": 15.1,
+        "gps": "no fix",
+        "health": "not healthy: gps, position",
+    }
