@@ -1,5 +1,6 @@
 """Protects the launcher's watch over a mission from waiting for ever for what is lost."""
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_OUT, STOP
-from link.bus.mavlink import Codec
+from link.bus.mavlink import Codec, unpack
 from link.bus.messages import Health, Stop
 from link.bus.session import Arrival
 from sitl.launch import launcher as module
@@ -29,12 +30,18 @@ class FallsSilent(QuietBus):
 
     connected = True
     now_s = 0.0
+    land_at_s = math.inf
+    landed: Arrival | None = None
+    """When the vehicle lands, and what then arrives."""
 
     def receive(self, timeout_s: float | None = None) -> Any:
         if self._arrivals:
             return self._arrivals.pop(0)
         assert timeout_s
         self.now_s += timeout_s
+        if self.now_s >= self.land_at_s:
+            self.land_at_s = math.inf
+            return self.landed
         assert self.now_s < 1000.0, "it waits for ever"
         return None
 
@@ -87,3 +94,19 @@ def test_a_real_vehicle_has_returned_home_where_home_is_and_not_its_estimators_o
             Arrival(MAVLINK_OUT, said, b""),
         )
         assert watch(bus, monkeypatch, mission).until_the_end().expectations == {"returned home": home_again}
+
+
+def test_a_vehicle_whose_budget_is_spent_is_sent_home_by_its_own_id_and_a_real_one_by_its_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script(seed=7).changed({"agent.budget": 1})
+    for url, system, told in ((None, 1, (1, 1)), ("tcp:127.0.0.1:5760", 32, (32, 191))):
+        flying, landed = (
+            msgspec.json.encode(Health("uav", state, step=1, compute_s=0.0, uptime_s=uptime_s, refused={}, system=system))
+            for state, uptime_s in (("searching", 9.0), ("landed", 10.0))
+        )
+        bus = FallsSilent(
+            Arrival(HEALTH, flying, b"", name="uav"), *(Arrival(BELIEF, msgspec.json.encode(belief(step)), b"") for step in (0, 1))
+        )
+        bus.land_at_s, bus.landed = 50.0, Arrival(HEALTH, landed, b"", name="uav")
+        watch(bus, monkeypatch, Launch(script, patience_s=PATIENCE_S, vehicle=url)).until_the_end()
+        orders = {(it.target_system, it.target_component, it.command) for _, payload, _ in bus.published for it in unpack(payload)}
+        assert orders == {(*told, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)}
