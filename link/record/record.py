@@ -158,8 +158,8 @@ class SimulationClock:
         return self._count - 1
 
 
-EARLY_S = 1.0
-"""A vehicle whose clock shows no more when it is first heard was started for the run."""
+EARLY_S = 60.0
+"""A run whose first word has no later time begins at 0: so little before it is no trouble."""
 
 
 def began_s(times_s: Iterable[float]) -> float:

@@ -268,7 +268,7 @@ class MissionWatch:
                 if (belief := self._bus.decode(item, Belief)) and self._trace.belief(belief):
                     self._follow(belief)
             case Arrival(key, payload) if key is READING:
-                self._trace.reading(payload, self._system)
+                self._trace.reading(payload, self._system or None)
             case Arrival(key) if key is HEALTH:
                 if health := self._bus.decode(item, Health):
                     self._watchdog.heard(health.service, time.monotonic())
@@ -293,9 +293,9 @@ class MissionWatch:
 
     @property
     def _system(self) -> int:
-        """The vehicle's MAVLink system id, as its health tells it: a real autopilot has its own."""
+        """The vehicle's MAVLink system id, as its health tells it: a real autopilot has its own. 0: not known yet."""
         uav = self._compute.get("uav")
-        return (uav.system if uav else 0) or self._mission.system
+        return (uav.system if uav else 0) or self._mission.sysid or (0 if self._mission.vehicle else self._mission.instance + 1)
 
     def _follow(self, belief: Belief) -> None:
         script = self._script
