@@ -295,7 +295,7 @@ class MissionWatch:
     def _system(self) -> int:
         """The vehicle's MAVLink system id, as its health tells it: a real autopilot has its own. 0: not known yet."""
         uav = self._compute.get("uav")
-        return (uav.system if uav else 0) or self._mission.sysid or (0 if self._mission.vehicle else self._mission.instance + 1)
+        return (uav.system if uav else 0) or self._mission.system or 0
 
     def _follow(self, belief: Belief) -> None:
         script = self._script

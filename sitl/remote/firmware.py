@@ -44,6 +44,7 @@ def _rates(*more: int) -> dict[int, float]:
         mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20.0, mavlink.MAVLINK_MSG_ID_ATTITUDE: 10.0, mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0, mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
         mavlink.MAVLINK_MSG_ID_HOME_POSITION: 1.0, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 2.0, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,  # for people
     }  # fmt: skip
     return usual | dict.fromkeys(more, 5.0)
 
