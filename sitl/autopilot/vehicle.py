@@ -26,6 +26,8 @@ class Vehicle(Navigator):
 
     failure = ""
     """It never gives a search up."""
+    caveat = ""
+    """Its position never jumps."""
     wind: tuple[float, float] | None = None
     """It does not estimate the wind."""
 

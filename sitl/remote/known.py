@@ -12,6 +12,7 @@ from link.bus.mavlink import Message
 from plume.geodesy import home_from
 from sitl.autopilot.motion import ZERO, Ned
 from sitl.remote.firmware import ARDUCOPTER, ESTIMATES, FIRMWARES, Firmware
+from sitl.remote.glitches import Fix, Glitches
 
 LOST_S = 3.0
 """Time without a HEARTBEAT after which the link counts as lost; it comes once a second."""
@@ -48,6 +49,8 @@ class Known:
     position_s: float = -math.inf
     position_ms: int = 0
     """The autopilot's clock at the position."""
+    glitches: Glitches = field(default_factory=Glitches)
+    """Whether that position can be trusted."""
     origin: Global | None = None
     home: Global | None = None
     home_s: float = -math.inf
@@ -89,7 +92,9 @@ class Known:
             case "LOCAL_POSITION_NED":
                 self._tick(message.time_boot_ms)
                 position, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
-                if all(map(math.isfinite, (*position, *velocity))):  # an EKF that has lost itself sends NaN
+                finite = all(map(math.isfinite, (*position, *velocity)))  # an EKF that has lost itself sends NaN
+                self.glitches.flies(self.armed and not self.on_ground)
+                if finite and self.glitches.moved(Fix(message.time_boot_ms, position, velocity), now_s):
                     self.position, self.velocity, self.position_s = position, velocity, now_s
                     self.position_ms = message.time_boot_ms
             case "ATTITUDE":
@@ -100,6 +105,7 @@ class Known:
                 self.home, self.home_s = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0), now_s
             case "EKF_STATUS_REPORT" | "ESTIMATOR_STATUS":
                 self.flags = message.flags
+                self.glitches.judge(message, self.firmware.is_ardupilot, now_s)
             case "SYS_STATUS":
                 self.battery = message.battery_remaining / 100.0 if 0 <= message.battery_remaining <= 100 else math.nan
                 check = mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -123,10 +129,12 @@ class Known:
 
     def _tick(self, boot_ms: int) -> None:
         if boot_ms < self.boot_ms - NEW_BOOT_MS:  # it has started again, and knows nothing of what it knew
+            self.boot_ms = 0
             self.boots += 1
             self.origin = self.home = None
             self.flags = 0
-        self.boot_ms = boot_ms
+            self.glitches.starts_again()
+        self.boot_ms = max(self.boot_ms, boot_ms)
 
     def _value(self, message: Message) -> float:
         """The value of a PARAM_VALUE: PX4 sends the bytes of an integer where ArduPilot sends its value."""
@@ -146,6 +154,7 @@ class Known:
             if len(message.text) == 50 and len(text) < 1000:
                 self._chunks = {number: text}
                 return
+        self.glitches.hear(text, now_s)
         if BREACH.search(text) and "clear" not in text.lower():
             self.breach_s = now_s
         if message.severity <= mavlink.MAV_SEVERITY_NOTICE:
@@ -169,11 +178,15 @@ class Known:
         """True if the position is fresh and the EKF stands by it: after a loss of GPS positions keep coming, but the flag goes."""
         return now_s - self.position_s <= self.stale_s and bool(self.flags & ESTIMATES)
 
+    def trusts_place(self, now_s: float) -> bool:
+        """True if the position is known and nothing speaks against it: a reading may be taken."""
+        return self.knows_place(now_s) and not self.glitches.lasts(now_s)
+
     def missing(self, now_s: float) -> str:
         """Return what is still missing to fly by setpoints; empty if nothing is. Arming may be accepted long before that."""
         if self.lost(now_s):
             return "no HEARTBEAT"
-        if not self.knows_place(now_s):
+        if not self.trusts_place(now_s):
             return "no position yet: its EKF has not settled"
         if self.origin is None or self.home is None:
             return f"no {'GPS_GLOBAL_ORIGIN' if self.origin is None else 'HOME_POSITION'} yet"

@@ -235,6 +235,11 @@ class RemoteVehicle:
         return self.flight.failure
 
     @property
+    def caveat(self) -> str:
+        """What its readings have to be read with, because of GPS glitches; empty if there was none."""
+        return self._known.glitches.caveat
+
+    @property
     def left(self) -> bool:
         """Whether someone else is in charge of it: a pilot, or the autopilot, which returns or lands by itself."""
         return (
@@ -266,8 +271,15 @@ class RemoteVehicle:
     @property
     def position(self) -> Ned:
         """Where it says it is, in the area's frame, as float32."""
-        north, east, down = (there - at for there, at in zip(self._known.position, self._corner or ZERO, strict=True))
+        north, east, down = (there - at for there, at in zip(self._known.position, self._area_at, strict=True))
         return as_float32((north, east, down))
+
+    @property
+    def _area_at(self) -> Ned:
+        """The area's corner in the EKF's frame. When the position jumps, it moves as well: the vehicle, and the area, have stayed."""
+        north, east, down = self._corner or ZERO
+        shift = self._known.glitches.shift
+        return north + shift[0], east + shift[1], down
 
     def _place_area(self) -> None:
         """Place the area at home; until the take-off home may still move."""
@@ -290,10 +302,11 @@ class RemoteVehicle:
     def _go_on_with(self, leg: Approach, events: list[VehicleEvent]) -> None:
         """Judge the way to the setpoint by what the vehicle says."""
         (north, east, _), away_m = leg.target, math.dist(self.position, leg.target)
-        if self._known.lost(self._now):  # nothing can be said about it meanwhile
+        if self._known.lost(self._now) or self._known.glitches.lasts(self._now):  # nothing can be said about it meanwhile
             leg.deadline_s = max(leg.deadline_s, self._arrival.deadline_s(self._now, self.position, leg.target))
-        if leg.arrived(self._now, self.position, self._known.velocity, self._known.knows_place(self._now)):
+        if leg.arrived(self._now, self.position, self._known.velocity, self._known.trusts_place(self._now)):
             self._leg, self._heard_s = None, self._now
+            self._known.glitches.read_s = self._now
             events.append(Arrived(self._now, self.position, self._known.position_ms))
         elif self._is_ignored(leg.target):
             self.flight.fail(f"Waypoint ({east:.2f}, {north:.2f}) m is ignored by the autopilot: is it outside its geofence?")
@@ -309,7 +322,7 @@ class RemoteVehicle:
         return self._now - self._ignored_since_s > self._commander.patient(IGNORED_S)
 
     def _in_ekf_frame(self, position: Ned) -> Ned:
-        north, east, down = (there + at for there, at in zip(position, self._corner or ZERO, strict=True))
+        north, east, down = (there + at for there, at in zip(position, self._area_at, strict=True))
         return north, east, down
 
     def _stream(self) -> None:

@@ -13,6 +13,8 @@ UNKNOWN_S = 1.0
 """A position that is unknown for so long is told."""
 BLIND_S = 10.0
 """A vehicle that hovers without a position for so long, and does nothing about it, is landed."""
+GLITCHES_S = 120.0
+"""A glitch that lasts for so long ends the search; one that ArduPilot takes for the truth for half a minute lasts for one."""
 SAME_TIME_S = 3.0
 """A failsafe's words, its state and its change of mode come within this time."""
 CRITICAL, WARNING, INFO = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_INFO
@@ -38,6 +40,7 @@ class Watch:
         self._fence(now_s)
         self._battery()
         self._position(now_s)
+        self._glitch(now_s)
 
     def _link(self, now_s: float) -> None:
         if not self._known.lost(now_s):
@@ -94,6 +97,17 @@ class Watch:
             self._flight.say(CRITICAL, "Position lost: no readings until the EKF has it again")
         if blind_s > BLIND_S and self._ours:
             self._flight.failure = self._flight.failure or f"Position lost for {blind_s:.0f} s"
+            self._flight.say(CRITICAL, f"{self._flight.failure}: landing")
+            self._flight.land()
+
+    def _glitch(self, now_s: float) -> None:
+        glitches = self._known.glitches
+        glitches.look(now_s)
+        for text in glitches.news:
+            self._flight.say(WARNING, text)
+        glitches.news.clear()
+        if now_s - glitches.began_s > GLITCHES_S and self._ours:
+            self._flight.failure = self._flight.failure or f"GPS glitch for {now_s - glitches.began_s:.0f} s"
             self._flight.say(CRITICAL, f"{self._flight.failure}: landing")
             self._flight.land()
 

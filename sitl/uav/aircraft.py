@@ -47,6 +47,10 @@ class Aircraft(Protocol):
         """Why it has given the search up; empty if it has not."""
 
     @property
+    def caveat(self) -> str:
+        """What its readings have to be read with; empty if nothing is wrong with them."""
+
+    @property
     def wind(self) -> tuple[float, float] | None:
         """(u cos φ, u sin φ) m/s, to where the wind comes from, as float32; None where its autopilot does not tell."""
 

@@ -158,6 +158,8 @@ class Search:
             return
         (x, y), mode = stop.estimate, AFTER_STOP[self._after_stop]
         self._say(mavlink.MAV_SEVERITY_NOTICE, f"Source found at ({x:.2f}, {y:.2f}) m, spread {stop.spread:.2f} m")
+        if caveat := self._vehicle.caveat:
+            self._say(mavlink.MAV_SEVERITY_WARNING, f"The source may be elsewhere: {caveat}")
         if self.leads:
             self.leads = False
             self._obeyed(self._vehicle.set_mode(self._vehicle.now_s, mode))

@@ -224,7 +224,7 @@ class Uav:
 
     def _go_on_with_the_search(self) -> None:
         self._search.go_on(self._searchers >= (SENSING if self._asking else SEARCHERS))
-        self._tally.warnings = (self._search.waits_for,) if self._search.waits_for else ()
+        self._tally.warnings = tuple(filter(None, (self._search.waits_for, self._vehicle.caveat)))
         if self._tally.state != self._search.state:
             self._tally.state = self._search.state
             self._clients.changed()

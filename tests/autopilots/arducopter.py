@@ -242,7 +242,7 @@ class ArduCopter(Autopilot):
             return
         if self.aim == "velocity" and self.now_s - self.aimed_s > self.parameters["GUID_TIMEOUT"]:
             self.velocity = STILL
-        self.fly(self.place, self.velocity)
+        self.fly(self.gps.truly(self.place) if self.aim == "position" else self.place, self.velocity)
 
     # ---- failsafes
 

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from tests.autopilots.body import DT_S, FREE, NAN, STILL, Body, Vector
 from tests.autopilots.faults import Fault, Faults
+from tests.autopilots.gps import Gps
 from tests.autopilots.settings import Settings
 
 Message = Any
@@ -67,7 +68,7 @@ class Autopilot:
         self.failsafe = False
         self.battery_v, self.battery_percent = 12.6, 100
         self.noise = [0.0, 0.0, 0.0]
-        self.drift = [0.0, 0.0]
+        self.drift, self.gps = [0.0, 0.0], Gps()
         self.gps_lost_s: float | None = None
         self.station_seen_s: float | None = None
         self.trip = Return()
@@ -102,6 +103,7 @@ class Autopilot:
         self.gps_lost_s = (self.gps_lost_s or self.now_s) if self.faults.on("gps") else None
         if self.armed and self.steps % 50 == 0 and self.battery_percent > 1:
             self.battery_v -= 0.0002
+        self.gps.step(self, DT_S)
         self.watch()
         self._land_detector()
         if self.armed:
@@ -160,7 +162,7 @@ class Autopilot:
     def reported(self) -> Vector:
         """The position that the EKF reports."""
         north, east, down = (p + n for p, n in zip(self.body.position, self.noise, strict=True))
-        return north + self.drift[0], east + self.drift[1], down
+        return north + self.drift[0] + self.gps.shift[0], east + self.drift[1] + self.gps.shift[1], down
 
     def text(self, severity: int, words: str) -> None:
         """STATUSTEXT; more than 50 characters go out in chunks that share an id."""

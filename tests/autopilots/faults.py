@@ -26,6 +26,8 @@ FAULTS = {
     "progress": Kind("seconds", FOREVER, "a command is answered IN_PROGRESS first, and finally after 1 s"),
     "ignore": Kind("seconds", FOREVER, "targets are ignored silently"),
     "gps": Kind("seconds", FOREVER, "GPS is lost: the position flows on, the EKF flags drop, LAND follows"),
+    "glitch": Kind("seconds", FOREVER, "GPS is 33 m off: the EKF rejects it for 10 s (PX4: 7), then follows, and so back again"),
+    "jump": Kind("seconds", FOREVER, "the EKF's position is 33 m off at once, without a word"),
     "ekf": Kind("seconds", FOREVER, "the EKF's variances are too large"),
     "low": Kind("", "", "the battery is low"),
     "critical": Kind("", "", "the battery is critical"),
@@ -97,6 +99,10 @@ class Faults:
     def on(self, *names: str) -> bool:
         """Whether a fault of one of these names lasts now."""
         return any(one.name in names and one.lasts(self.now_s) for one in self.all)
+
+    def knows(self, name: str) -> bool:
+        """Whether such a fault has struck, or is to come."""
+        return any(one.name == name for one in self.all)
 
     def drop_share(self) -> float:
         """The share of frames that the link loses now."""

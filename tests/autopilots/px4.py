@@ -236,7 +236,7 @@ class Px4(Autopilot):
         match self.mode:
             case "OFFBOARD":
                 velocity = tuple(0.0 if math.isnan(v) else v for v in self.velocity)
-                self.fly(self.place, velocity)  # type: ignore[arg-type]
+                self.fly(self.gps.truly(self.place), velocity)  # type: ignore[arg-type]
             case "TAKEOFF":
                 self.hold()
                 if abs(self.body.position[2] - self.trip.place[2]) < 0.3:

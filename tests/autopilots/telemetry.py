@@ -123,14 +123,14 @@ def wind(ap: "Autopilot") -> Message:
 
 def ekf_status(ap: "Autopilot") -> Message:
     """EKF_STATUS_REPORT (193), ArduPilot's."""
-    bad = ap.faults.on("ekf")
-    return mavlink.MAVLink_ekf_status_report_message(ap.ekf_flags(), *((1.8, 1.4, 0.3, 0.9) if bad else (0.02, 0.03, 0.02, 0.05)), 0.0)
+    ratios = (1.8, 1.4, 0.3, 0.9) if ap.faults.on("ekf") else ap.gps.ratios()
+    return mavlink.MAVLink_ekf_status_report_message(ap.ekf_flags() | ap.gps.flag(True), *ratios, 0.0)
 
 
 def estimator_status(ap: "Autopilot") -> Message:
     """ESTIMATOR_STATUS (230), PX4's."""
-    ratios = (1.8, 1.4, 0.3, 0.9) if ap.faults.on("ekf") else (0.02, 0.03, 0.02, 0.05)
-    return mavlink.MAVLink_estimator_status_message(round(ap.now_s * 1e6), ap.ekf_flags(), *ratios, NAN, NAN, 0.3, 0.4)
+    ratios = (1.8, 1.4, 0.3, 0.9) if ap.faults.on("ekf") else ap.gps.ratios()
+    return mavlink.MAVLink_estimator_status_message(round(ap.now_s * 1e6), ap.ekf_flags() | ap.gps.flag(False), *ratios, NAN, NAN, 0.3, 0.4)
 
 
 def wind_cov(ap: "Autopilot") -> Message:
