@@ -91,10 +91,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SPEED,FROM",
         help="tlog: wind to use instead of the log's, m/s and the direction it comes from in degrees",
     )
-    parser.add_argument("--every", type=positive, metavar="S", help="tlog: time between two readings (default: 1 s)")
+    parser.add_argument(
+        "--every", type=positive, metavar="S", help="tlog: time between two readings (default: 1 s; all readings that a record holds)"
+    )
     parser.add_argument(
         "--origin", type=_pair("NORTH,EAST"), metavar="NORTH,EAST",
-        help="tlog: south-western corner of the search area, m in the log's local frame (default: around the flight)",
+        help="tlog: south-western corner of the search area, m in the log's local frame (default: home, if the readings lie "
+        "in the area then, else around the flight)",
     )  # fmt: skip
     parser.add_argument("--area", type=positive, metavar="M", help="tlog: side of the search area (default: around the flight)")
     parser.add_argument("--plume", metavar="MISSION", help="tlog: simulate the gas along the path with this mission's plume")

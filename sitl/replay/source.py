@@ -153,7 +153,7 @@ def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str,
     try:
         world = script.load(chosen["plume"]).simulated() if "plume" in chosen else None
         flown = flight.read(
-            path, system=chosen.get("sysid"), gas=chosen.get("gas", "gas"), wind=chosen.get("wind"), every_s=chosen.get("every", 1.0),
+            path, system=chosen.get("sysid"), gas=chosen.get("gas", "gas"), wind=chosen.get("wind"), every_s=chosen.get("every"),
             origin=chosen.get("origin"), area_m=chosen.get("area"), plume=world,
         )  # fmt: skip
     except (FlightError, FileError) as error:

@@ -11,7 +11,7 @@ import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
 from link.bus.keys import MAVLINK_OUT, READING
-from link.bus.mavlink import WRAP_MS, Codec, Reading, pack_reading
+from link.bus.mavlink import GAS_NAME, WRAP_MS, Codec, Reading, pack_reading
 from link.record.record import Entry
 from plume.geodesy import to_global
 from plume.scenario import AREA_M
@@ -19,6 +19,7 @@ from plume.world import World, float32
 from sitl.tlog import clock as clocks
 from sitl.tlog import sender, track
 from sitl.tlog.clock import Floats, VehicleClock
+from sitl.tlog.recorded import Recorded
 from sitl.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wind, steady
 from sitl.tlog.sender import AUTOPILOT, Autopilot, FlightError, FlightLog, counted, few
 from sitl.tlog.track import Anchor, FlownPath, Place
@@ -27,6 +28,7 @@ NOT_A_TLOG = {b"ULog": "is a PX4 ULog", b"\xa3\x95": "is an ArduPilot dataflash 
 MARGIN_M = 2.0
 """Between the path and the edge of a search area that is fitted to it."""
 STRONGEST_MPS = 100.0
+EVERY_S = 1.0
 LEAST_EVERY_S = 0.001
 """Reading times are whole milliseconds."""
 
@@ -57,15 +59,16 @@ class Flight(NamedTuple):
 
 
 def read(
-    path: Path, *, system: int | None = None, gas: str = "gas", wind: Pair | None = None, every_s: float = 1.0,
+    path: Path, *, system: int | None = None, gas: str = GAS_NAME, wind: Pair | None = None, every_s: float | None = None,
     origin: Pair | None = None, area_m: float | None = None, plume: World | None = None,
 ) -> Flight:  # fmt: skip
     """Read a flight; raises FlightError if it yields no readings or an argument is not allowed.
 
     system: the vehicle's system id; default: the autopilot with the most positions. gas: see `parse_gas`.
     wind: (speed in m/s, direction it comes from in degrees clockwise from north), instead of the log's wind.
-    every_s: at most one reading per this time. plume: a simulated world to take gas and wind from, instead of the log.
-    origin: (north, east) in m of the search area's south-west corner in the log's local frame. area_m: the side of the area.
+    every_s: at most one reading per this time; default: `EVERY_S`, but all readings of a search's own record. plume: a simulated world to
+    take gas and wind from, instead of the log. origin: (north, east) in m of the search area's south-west corner in the log's local frame;
+    default: home if all readings lie in the area then, else around the path. area_m: the side of the area.
     """
     source = parse_gas(gas)
     _check(wind, every_s, origin, area_m, plume)
@@ -74,36 +77,45 @@ def read(
     notes += sender.notes_on_senders(log, autopilot)
     clock, told = clocks.vehicle_clock(log, autopilot)
     notes += told
-    flown, told = track.flown(log, autopilot, clock)
+    own = Recorded(log, autopilot, clock)
+    flown, told = track.flown(log, autopilot, clock, own.fixes)
     notes += told
     flying, told = track.flying(log, autopilot, clock)
     notes += told
+    home = track.home(log, autopilot, clock, flying, flown.anchor)
     left_out: Counter[str] = Counter()
-    if plume:
-        samples, told = _along(flown, clock, every_s)
+    at: Where = flown.at
+    air: Air
+    every = every_s or EVERY_S
+    if own.samples and not plume and wind is None and gas == GAS_NAME:
+        samples, air, told = own.samples, own.air, ["gas, wind and positions: readings of a search"]
+        home = home or (0.0, 0.0)
+        at, every = own.around(home), every_s or LEAST_EVERY_S
+    elif plume:
+        samples, told = _along(flown, clock, every)
         air = steady(plume.wind)
     else:
         samples, told = read_gas(log, autopilot, clock, source, left_out)
         notes += told
         air, told = read_wind(log, autopilot, clock, wind)
     notes += told
-    taken = _take(samples, every_s, flying, flown, air, left_out)
-    side_m, corner = _area([place for _, place, _ in taken], origin, area_m, plume is not None)
+    taken = _take(samples, every, flying, at, air, left_out)
+    side_m, corner = _area([place for _, place, _ in taken], origin, area_m, plume is not None, home)
     readings = _readings(taken, corner, side_m, plume, left_out)
     if not readings:
         raise FlightError(f"{path}: none of the {len(samples):,} samples can be a reading; left out: {_listed(left_out) or 'none'}")
     where = _where(corner, flown.anchor)
-    notes += _notes_on_readings([reading for reading, _ in readings], left_out, every_s, side_m, where)
+    notes += _notes_on_readings([reading for reading, _ in readings], left_out, every, side_m, where)
     return Flight(_entries(log, autopilot, clock, readings), autopilot.system, side_m, where, notes)
 
 
-def _check(wind: Pair | None, every_s: float, origin: Pair | None, area_m: float | None, plume: World | None) -> None:
+def _check(wind: Pair | None, every_s: float | None, origin: Pair | None, area_m: float | None, plume: World | None) -> None:
     if wind is not None and plume is not None:
         raise FlightError("a wind is not allowed with a plume, which has its own")
     if wind is not None and not (0.0 <= wind[0] <= STRONGEST_MPS and abs(wind[1]) <= 360.0):
         wanted = f"a speed from 0 to {STRONGEST_MPS:g} m/s and a direction within ±360°"
         raise FlightError(f"wind {wind[0]:g},{wind[1]:g} is not allowed; wanted {wanted}")
-    if not LEAST_EVERY_S <= every_s < math.inf:
+    if every_s is not None and not LEAST_EVERY_S <= every_s < math.inf:
         raise FlightError(f"a reading every {every_s:g} s is not allowed; wanted a number from {LEAST_EVERY_S:g}")
     if origin is not None and not all(map(math.isfinite, origin)):
         raise FlightError(f"origin {origin[0]:g},{origin[1]:g} is not allowed; wanted m north and m east")
@@ -160,6 +172,10 @@ def _by_message(counts: Counter[int]) -> list[str]:
 # ---- readings ----
 
 
+Where = Callable[[float], Place | None]
+"""Maps the vehicle's time in ms to its place; None if unknown."""
+
+
 class Taken(NamedTuple):
     """A sample that can become a reading, with its place and wind."""
 
@@ -180,7 +196,7 @@ def _along(path: FlownPath, clock: VehicleClock, every_s: float) -> tuple[list[L
 
 
 def _take(
-    samples: Sequence[LoggedGas], every_s: float, flying: Callable[[float], bool], path: FlownPath, air: Air, left_out: Counter[str]
+    samples: Sequence[LoggedGas], every_s: float, flying: Callable[[float], bool], at: Where, air: Air, left_out: Counter[str]
 ) -> list[Taken]:
     """Return the first sample of each interval that was taken in the air, at a known place and in a known wind."""
     taken: list[Taken] = []
@@ -191,7 +207,7 @@ def _take(
             left_out[f"extra within {every_s:g} s"] += 1
         elif not flying(sample.time_ms):
             left_out["not in the air"] += 1
-        elif (place := path.at(sample.time_ms)) is None:
+        elif (place := at(sample.time_ms)) is None:
             left_out["without a position"] += 1
         elif (wind := air(sample.time_ms)) is None:
             left_out["without a wind"] += 1
@@ -201,9 +217,15 @@ def _take(
     return taken
 
 
-def _area(places: Sequence[Place], origin: Pair | None, area_m: float | None, usual: bool) -> tuple[float, Pair]:
-    """Return the area's side and (north, east) corner in m: as given, else centred on the path with the default side or a larger one."""
+def _area(places: Sequence[Place], origin: Pair | None, area_m: float | None, usual: bool, home: Pair | None) -> tuple[float, Pair]:
+    """Return the area's side and (north, east) corner in m.
+
+    As given, else at home if all of it lies north and east of that, as a search's does; else centred on the path. The side is the default,
+    or a larger one that holds the path.
+    """
     low, high = (end(np.array(places or [(0.0, 0.0, 0.0)])[:, :2], axis=0) for end in (np.min, np.max))
+    if origin is None and home is not None and not usual and all(low >= home) and all(high <= np.add(home, area_m or AREA_M)):
+        origin = home
     span = float(np.max(high - (low if origin is None else origin))) + MARGIN_M * (2 if origin is None else 1)
     side_m = area_m or (AREA_M if usual or span <= AREA_M else float(math.ceil(span)))
     north, east = ((low + high - side_m) / 2).round(2).tolist()
@@ -244,9 +266,10 @@ def _where(corner: Pair, anchor: Anchor | None) -> Origin:
 def _notes_on_readings(readings: Sequence[Reading], left_out: Counter[str], every_s: float, side_m: float, origin: Origin) -> list[str]:
     gas = [reading.gas for reading in readings]
     x, y = np.mean([reading.wind for reading in readings], axis=0).tolist()
+    most = f", at most one per {every_s:g} s" * (every_s > LEAST_EVERY_S)
     globe = "" if origin.lat_deg is None else f" ({origin.lat_deg:.7f}, {origin.lon_deg:.7f})"
     notes = [
-        f"readings: {len(readings):,}, at most one per {every_s:g} s, gas from {min(gas):g} to {max(gas):g}; "
+        f"readings: {len(readings):,}{most}, gas from {min(gas):g} to {max(gas):g}; "
         f"mean wind {math.hypot(x, y):.1f} m/s from {math.degrees(math.atan2(x, y)) % 360:.0f}°"
     ]
     if left_out:

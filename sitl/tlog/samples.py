@@ -24,7 +24,8 @@ NAME_LENGTH = 10
 """Longest name of a NAMED_VALUE_FLOAT (251) or NAMED_VALUE_INT (252)."""
 
 SAME_CLOCK_MS, OWN_CLOCK_MS = 500.0, 5000.0
-"""Largest difference between a sender's time and the vehicle's if both share a clock: of the median, and of a single value."""
+"""Largest difference between a sender's time and the vehicle's if both share a clock: of the median, and by which a single value may be
+later."""
 WIND_AGE_MS = 30_000.0
 """A wind message is valid for this long before and after it was logged."""
 
@@ -88,11 +89,20 @@ def read_gas(
 ) -> tuple[list[LoggedGas], list[str]]:
     """Return the gas values in order of time, and notes; raises FlightError if there are none."""
     said: list[tuple[int, int, int]] = []
-    values = []
+    values: list[float] = []
+    told: set[tuple[int, ...]] = set()
+    boots = clock.boots(np.arange(len(log)))
     for index, m in log.messages(log.select(autopilot.system, source.message_ids)):
-        if source.name is None or m.name == source.name:
-            said.append((index, m.get_srcComponent(), getattr(m, "time_boot_ms", 0)))
-            values.append(getattr(m, source.field))
+        if source.name is not None and m.name != source.name:
+            continue
+        component, boot_ms, value = m.get_srcComponent(), getattr(m, "time_boot_ms", 0), getattr(m, source.field)
+        if boot_ms and (taken := (component, int(boots[index]), boot_ms, value)) in told:
+            left_out["repeated"] += 1  # a value that was taken once is said again until there is another
+            continue
+        if boot_ms:
+            told.add(taken)
+        said.append((index, component, boot_ms))
+        values.append(value)
     if not said:
         raise FlightError(_no_gas(log, autopilot, source))
     notes = [f"gas: {counted(len(said), 'value')} of {source.text}"]
@@ -116,13 +126,16 @@ def read_gas(
 
 
 def _timed(clock: VehicleClock, records: Integers, components: Integers, boot_ms: Integers) -> tuple[Floats, int]:
-    """Return the vehicle's times of gas values, and how many come from the log because their sender has another clock or none."""
+    """Return the vehicle's times of gas values, and how many come from the log because their sender has another clock or none.
+
+    Where a sender has the vehicle's clock, what is older was lost at first, and came when it was said again.
+    """
     logged_ms, own_ms = clock.logged_ms(records), clock.own_ms(records, boot_ms)
-    apart_ms = np.abs(own_ms - logged_ms)
-    is_own = apart_ms <= OWN_CLOCK_MS
+    is_own = own_ms - logged_ms <= OWN_CLOCK_MS
     for component in np.unique(components):
-        if np.median(apart_ms[components == component]) > SAME_CLOCK_MS:
+        if np.median(np.abs(own_ms - logged_ms)[components == component]) > SAME_CLOCK_MS:
             is_own[components == component] = False
+    is_own &= (boot_ms > 0) | (np.abs(own_ms - logged_ms) <= OWN_CLOCK_MS)
     return np.where(is_own, own_ms, logged_ms), int(np.count_nonzero(~is_own))
 
 

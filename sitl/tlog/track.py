@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -105,13 +105,13 @@ class FlownPath:
         return next((place for track in self.tracks if (place := track.at(time_ms)) is not None), None)
 
 
-def flown(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[FlownPath, list[str]]:
-    """Return the path and notes; raises FlightError if the vehicle sent no position.
+def flown(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, foreign: Sequence[int] = ()) -> tuple[FlownPath, list[str]]:
+    """Return the path and notes; raises FlightError if the vehicle sent no position. foreign: records of positions in another frame.
 
     Fixes come from LOCAL_POSITION_NED (32), else GLOBAL_POSITION_INT (33); from GPS_RAW_INT (24) only if neither was ever sent.
     """
-    home = _home(log, autopilot)
-    local = _track(log, autopilot, clock, LOCAL, _local_place)
+    home = next((home for _, home in _homes(log, autopilot)), None)
+    local = _track(log, autopilot, clock, LOCAL, _local_place, foreign)
     around, home = _globe_track(log, autopilot, clock, GLOBAL, home)
     name = "GLOBAL_POSITION_INT"
     if not len(local) and not len(around):
@@ -151,9 +151,12 @@ def flown(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[Fl
     return FlownPath([local, around], Anchor(home[0], home[1], -float(base[0]), -float(base[1]))), notes
 
 
-def _track(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, message_id: int, place: Callable[[Message], Place | None]) -> Track:
+def _track(
+    log: FlightLog, autopilot: Autopilot, clock: VehicleClock, message_id: int, place: Callable[[Message], Place | None],
+    foreign: Sequence[int] = (),
+) -> Track:  # fmt: skip
     """Return the fixes of one message. A GPS_RAW_INT (24) may carry any clock's time, so its log time is used."""
-    records = log.select(autopilot.system, (message_id,), autopilot.component)
+    records = np.setdiff1d(log.select(autopilot.system, (message_id,), autopilot.component), foreign)
     fixes = [(index, spot, getattr(m, "time_boot_ms", 0)) for index, m in log.messages(records) if (spot := place(m)) is not None]
     kept = np.array([index for index, _, _ in fixes], np.int64)
     boot_ms = np.array([boot_ms for _, _, boot_ms in fixes], np.int64)
@@ -182,12 +185,32 @@ def _globe_track(
     return _track(log, autopilot, clock, message_id, place), home
 
 
-def _home(log: FlightLog, autopilot: Autopilot) -> Home | None:
-    """Return the first valid HOME_POSITION (242)."""
-    for _, m in log.messages(log.select(autopilot.system, (mavlink.MAVLINK_MSG_ID_HOME_POSITION,), autopilot.component)):
+def _homes(log: FlightLog, autopilot: Autopilot) -> list[tuple[int, Home]]:
+    """Return each valid HOME_POSITION (242), with its record."""
+    told = log.messages(log.select(autopilot.system, (mavlink.MAVLINK_MSG_ID_HOME_POSITION,), autopilot.component))
+    return [(index, (m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3)) for index, m in told if _is_place(m.latitude, m.longitude)]
+
+
+def home(
+    log: FlightLog, autopilot: Autopilot, clock: VehicleClock, flying: Callable[[float], bool], anchor: Anchor | None
+) -> tuple[float, float] | None:
+    """Return where home was before the flight, (north, east) in m of the local frame; None if the log does not say.
+
+    It is where GPS_GLOBAL_ORIGIN (49) puts it, as for the search; else where the vehicle's global positions do, to 1 cm.
+    """
+    homes = _homes(log, autopilot)
+    times_ms = clock.logged_ms(np.array([index for index, _ in homes], np.int64)).tolist()
+    before = list(takewhile(lambda told: not flying(told[0]), zip(times_ms, homes, strict=True)))
+    if not homes:
+        return None
+    lat, lon, _ = (before[-1][1] if before else homes[0])[1]
+    for _, m in log.messages(log.select(autopilot.system, (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,), autopilot.component)):
         if _is_place(m.latitude, m.longitude):
-            return m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3
-    return None
+            return to_local(m.latitude / 1e7, m.longitude / 1e7, lat, lon)
+    if anchor is None:
+        return None
+    north, east = to_local(anchor.lat_deg, anchor.lon_deg, lat, lon)
+    return round(anchor.north_m + north, 2) + 0.0, round(anchor.east_m + east, 2) + 0.0
 
 
 def _is_place(lat_e7: int, lon_e7: int) -> bool:

@@ -14,9 +14,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from link.bus.mavlink import split, unpack_reading
 from link.record.reader import read
 from link.record.record import Entry
 from link.record.writer import Writer
+from sitl.tlog import flight
 from tests.golden.__main__ import path as golden
 from tests.system.live import Services, run_sitl
 from tests.system.stranger import Stranger
@@ -390,6 +392,24 @@ class TestAutopilotLog:
         assert result["beliefs"] == stop["step"] + 1
         assert replay.says("replay: flown.tlog: ")  # what was read of it
         assert replay.says(f"{result['beliefs']} readings, ceased at step {stop['step']}")
+
+    def test_what_a_ground_station_heard_of_a_mission_gives_its_readings(self, log: Path, tmp_path: Path) -> None:
+        """Each value is said 10 times a second, until there is another. Positions at rest, 30 times a second, are those of the readings."""
+        entries = sorted(read(log).entries, key=lambda entry: entry.published_ns)
+        mission = [unpack_reading(entry.payload) for entry in entries if entry.key == "reading"]
+        heard = tmp_path / "heard.tlog"
+        frames = [
+            (entry.published_ns // 1000).to_bytes(8) + entry.payload[frame.start : frame.end]
+            for entry in entries
+            if entry.key == "mavlink/out"
+            for frame in split(entry.payload)
+        ]
+        heard.write_bytes(b"".join(frames))
+        again = [unpack_reading(entry.payload) for entry in flight.read(heard).entries if entry.key == "reading"]
+        assert [(each.time_boot_ms, each.gas, each.wind) for each in again] == [
+            (each.time_boot_ms, each.gas, each.wind) for each in mission
+        ]
+        assert max(math.dist(one.position, other.position) for one, other in zip(again, mission, strict=True)) < 0.002
 
     def test_a_simulated_plume_over_a_flown_path_tells_its_error(self, start, log: Path, tmp_path: Path) -> None:
         mission = tmp_path / "plume.yaml"
