@@ -189,7 +189,7 @@ def _words(given: argparse.Namespace, *names: str) -> list[str]:
 
 def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]:
     """Return the words of the command line that the uav has to know, too."""
-    words, changed = _words(given, "seed", "sensor", "world", "silence", "after_stop", "sysid", "sign"), vars(given)
+    words, changed = _words(given, "seed", "sensor", "world", "silence", "after_stop", "sysid", "sign", "wind"), vars(given)
     if "strict" in changed:
         words.append("--strict")
     if args.home:
@@ -211,7 +211,7 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     script = _script(args, given)
     reason = _unfit_for_connect(script, given) if args.connect else None
     try:
-        script = real_script(script, given) if args.vehicle else script
+        script = real_script(script, given)
     except ValueError as error:
         reason = str(error)
     if reason := reason or unfit_for_payload(script, args.vehicle, args.payload, vars(given)):

@@ -28,8 +28,6 @@ class Vehicle(Navigator):
     """It never gives a search up."""
     caveat = ""
     """Its position never jumps."""
-    wind: tuple[float, float] | None = None
-    """It does not estimate the wind."""
 
     def __init__(self, config: VehicleConfig) -> None:
         """Start at home at time 0, disarmed, with a full battery."""

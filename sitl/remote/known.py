@@ -63,6 +63,8 @@ class Known:
     landed: int = mavlink.MAV_LANDED_STATE_UNDEFINED
     wind: tuple[float, float] | None = None
     """(u cos φ, u sin φ) m/s, x east, y north, to where the wind comes from; None where the autopilot does not tell."""
+    wind_s: float = -math.inf
+    """When it last told of a wind, or that it does not know it."""
     target: Ned | None = None
     """The position that it says it flies to."""
     breach_s: float = -math.inf
@@ -113,10 +115,10 @@ class Known:
             case "EXTENDED_SYS_STATE":
                 self.landed = message.landed_state
             case "WIND_COV":
-                self._blows(message.wind_x, message.wind_y)
+                self._blows(message.wind_x, message.wind_y, now_s)
             case "WIND":  # ArduPilot's: from where it comes, degrees clockwise from north
                 angle = math.radians(message.direction)
-                self._blows(-message.speed * math.cos(angle), -message.speed * math.sin(angle))
+                self._blows(-message.speed * math.cos(angle), -message.speed * math.sin(angle), now_s)
             case "POSITION_TARGET_LOCAL_NED":
                 place = message.x, message.y, message.z
                 self.target = None if message.type_mask & 7 or not all(map(math.isfinite, place)) else place
@@ -142,10 +144,10 @@ class Known:
             return float(message.param_value)
         return float(struct.unpack("<i", struct.pack("<f", message.param_value))[0])
 
-    def _blows(self, north: float, east: float) -> None:
+    def _blows(self, north: float, east: float, now_s: float) -> None:
         """Take the velocity of the air. A wind of exactly zero is one that the autopilot has not estimated."""
         known = math.isfinite(north) and math.isfinite(east) and (north or east)
-        self.wind = (-east, -north) if known else None
+        self.wind, self.wind_s = (-east, -north) if known else None, now_s
 
     def _hear(self, message: Message, now_s: float) -> None:
         text, number = message.text.rstrip("\0"), getattr(message, "id", 0)

@@ -109,6 +109,11 @@ class Procedures:
         if _ended(self._reading):
             self._reading = None
 
+    @property
+    def has_read(self) -> bool:
+        """Whether the vehicle has been found and its parameters have been read."""
+        return bool(self.commander.system) and self._reading is None
+
     def say(self, severity: int, text: str) -> None:
         """Tell people."""
         self.events.append(Said(self.now_s, severity, text))

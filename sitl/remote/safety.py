@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from sitl.remote.firmware import Firmware
+from sitl.remote.winds import ESTIMATES
 
 ASKED = {
-    "ArduCopter": ("FS_GCS_ENABLE", "SYSID_MYGCS|MAV_GCS_SYSID", "FS_GCS_TIMEOUT"),
-    "PX4": ("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "NAV_DLL_ACT", "COM_RCL_EXCEPT"),
+    "ArduCopter": ("FS_GCS_ENABLE", "SYSID_MYGCS|MAV_GCS_SYSID", "FS_GCS_TIMEOUT", *ESTIMATES["ArduCopter"]),
+    "PX4": ("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "NAV_DLL_ACT", "COM_RCL_EXCEPT", *ESTIMATES["PX4"]),
 }
 """The parameters to read. One has another name in newer versions: either of them answers."""
 OFFBOARD_LOSS = {0: "POSITION", 1: "ALTITUDE", 2: "STABILIZED", 3: "RETURN", 4: "LAND", 5: "HOLD", 6: "TERMINATE", 7: "DISARM"}

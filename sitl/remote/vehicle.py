@@ -27,6 +27,8 @@ IGNORED_S = 5.0
 """A setpoint that is not read back for so long is ignored."""
 
 
+WIND_S = 5.0
+"""A wind that was told so long ago is not known."""
 ARRIVAL = ArrivalRule()
 
 
@@ -112,8 +114,8 @@ class RemoteVehicle:
 
     @property
     def wind(self) -> tuple[float, float] | None:
-        """(u cos φ, u sin φ) m/s, to where the wind comes from, as float32; None where the autopilot does not tell."""
-        if self._known.wind is None:
+        """(u cos φ, u sin φ) m/s, to where the wind comes from, as float32; None where the autopilot does not tell, or no longer."""
+        if self._known.wind is None or self._now - self._known.wind_s > self._commander.patient(WIND_S):
             return None
         x, y, _ = as_float32((*self._known.wind, 0.0))
         return x, y
@@ -122,6 +124,16 @@ class RemoteVehicle:
     def system(self) -> int:
         """The autopilot's system id; 0 until one is found."""
         return self._commander.system
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether its position cannot be trusted now, because of a GPS glitch."""
+        return self._known.glitches.lasts(self._now)
+
+    def arrive_again(self) -> None:
+        """Let the next arrival be at the same waypoint, once the position can be trusted: a reading was in vain."""
+        assert self._setpoint
+        self._leg = Approach(self._arrival, self._setpoint, self._arrival.deadline_s(self._now, self.position, self._setpoint))
 
     def still(self, arrived: Arrived) -> Arrived:
         """Return the arrival as it is now: where it has drifted to since."""

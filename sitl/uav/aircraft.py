@@ -51,10 +51,6 @@ class Aircraft(Protocol):
         """What its readings have to be read with; empty if nothing is wrong with them."""
 
     @property
-    def wind(self) -> tuple[float, float] | None:
-        """(u cos φ, u sin φ) m/s, to where the wind comes from, as float32; None where its autopilot does not tell."""
-
-    @property
     def waypoint(self) -> Ned | None:
         """The last accepted position."""
 

@@ -14,6 +14,7 @@ from link.bus.tally import Tally
 from link.signing.signer import Signing
 from sitl.autopilot.state import VehicleFailed
 from sitl.autopilot.vehicle import Vehicle
+from sitl.remote.winds import parse_wind
 from sitl.script.events import OnBoard
 from sitl.script.script import Script
 from sitl.uav.clock import Clock
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> int:
     """Fly until interrupted. given: the arguments on the command line; script: the mission, with the flags put in."""
     try:
-        script = real_script(script, given) if args.vehicle else script
+        script = real_script(script, given)
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
         try:
             uav = Uav(
                 vehicle, script.simulated(), Clock(script.speedup), inbox, bus, [out.text for out in outs], log, events,
-                script.vehicle.after_stop, signing,
+                script.vehicle.after_stop, signing, parse_wind(args.wind) if args.wind else None,
             )  # fmt: skip
         except ValueError as error:
             print(f"error: --out: {error}", file=sys.stderr)

@@ -10,6 +10,7 @@ from link import cli
 from link.bus.log import Log
 from sitl.autopilot.config import VehicleConfig
 from sitl.bridge.address import ALLOWED, parse_address
+from sitl.remote.winds import parse_wind
 from sitl.script.events import Wind
 from sitl.script.script import Script, VehiclePart
 from sitl.uav.clock import Clock
@@ -32,16 +33,28 @@ TAKEN = ("takeoff_altitude_m", "silence_s", "after_stop")
 
 
 def add_vehicle_url(parser: argparse.ArgumentParser) -> None:
-    """Add `--vehicle`."""
+    """Add `--vehicle` and `--wind`."""
     parser.add_argument(
         "--vehicle", type=cli.checked(parse_address), metavar="URL",
         help=f"fly a real autopilot, ArduCopter or PX4, or its own simulator: {ALLOWED}; --speedup is then that of its simulator "
         "(default: 1), --sysid its system id (default: the first heard)",
     )  # fmt: skip
+    parser.add_argument(
+        "--wind", type=cli.checked(parse_wind), metavar="SPEED,FROM",
+        help="with --vehicle, the wind of all readings, m/s and the direction it comes from in degrees, instead of what payload and "
+        "autopilot say",
+    )  # fmt: skip
 
 
 def real_script(script: Script, given: argparse.Namespace) -> Script:
-    """Return the script at the vehicle's own speed. Raises ValueError with the flag that a real vehicle cannot take, and why."""
+    """Return the script at a real vehicle's own speed, a simulated one's as it is.
+
+    Raises ValueError with the flag that the vehicle cannot take, and why.
+    """
+    if not getattr(given, "vehicle", None):
+        if "wind" in given:
+            raise ValueError("--wind: only with --vehicle; the simulated vehicle's wind is the mission's")
+        return script
     for flag, reason in SIMULATED_ONLY.items():
         if flag in given:
             raise ValueError(f"--{flag}: not with --vehicle: {reason}")

@@ -22,6 +22,7 @@ from sitl.autopilot.state import Arrived, Led, Reached, VehicleFailed
 from sitl.autopilot.vehicle import Vehicle
 from sitl.payload.asking import Asking, Sample
 from sitl.protocol.protocol import COMPONENT
+from sitl.remote.winds import Winds
 from sitl.script.events import Delay, Dropout, Duplicate, Hold, Land, Lose, OnBoard, Resume, Return, Spike, Stuck, Wind
 from sitl.script.script import AfterStop
 from sitl.uav.aircraft import Aircraft, Clients
@@ -56,12 +57,13 @@ class Uav:
         events: Sequence[OnBoard] = (),
         after_stop: AfterStop = "return",
         signing: Signing | None = None,
+        wind: tuple[float, float] | None = None,
     ) -> None:
         """Open the links; raises ValueError for a UDP URL that cannot be used.
 
         vehicle: a real one needs a bus, where its gas sensor answers; outs: UDP URLs; log: the bus's own log if there is a bus;
         events: the script events that happen on board; after_stop: what the vehicle does once the source is found;
-        signing: what signs its UDP links.
+        signing: what signs its UDP links; wind: of a real vehicle's readings, if it is given.
         """
         self._vehicle: Aircraft = vehicle
         self._search = Search(vehicle, world.start, after_stop, self._tell)
@@ -84,18 +86,20 @@ class Uav:
         self._resend_s, self._resend_at = RESEND_FIRST_S, time.monotonic()
         self._asking: Asking | None = None
         self._asked: Arrived | None = None
-        self._felt: tuple[float, float] | None = None  # the wind of the last sample
+        self._remote: RemoteVehicle | None = None
+        self._winds = Winds(wind, world.wind)  # of a real vehicle
         self._searchers: set[str] = set()
         self._tally.state = self._search.state
         self._sampled_at = time.monotonic()
         if isinstance(vehicle, Vehicle):
             self._clients: Clients = SimulatedClients(
-                vehicle, self._search, bus, outs, inbox, clock, self._handling, lambda: self._wind, signing
+                vehicle, self._search, bus, outs, inbox, clock, self._handling, lambda: self._world.wind, signing
             )  # fmt: skip
         else:
             from sitl.uav.passing import RealClients  # a simulated vehicle starts without all of MAVLink's dialects
 
             assert bus is not None
+            self._remote = vehicle
             self._clients = RealClients(vehicle, self._search, bus, outs, clock, self._handling, signing)
             self._asking = Asking(lambda question: bus.publish(PAYLOAD_IN, question), self._codec)
         self._meet()
@@ -196,8 +200,8 @@ class Uav:
                     self._bus.refuse(WAYPOINT, str(error), error.kind)
             case Arrival(key, payload) if key is PAYLOAD_OUT and self._asking and self._bus:
                 try:
-                    if sample := self._asking.receive(payload):
-                        self._measured(sample)
+                    if (sample := self._asking.receive(payload)) and self._remote:
+                        self._measured(self._remote, sample)
                 except BadFrame as error:
                     self._bus.refuse(PAYLOAD_OUT, str(error), error.kind)
             case Arrival(key) if key is STOP and self._bus:
@@ -223,13 +227,25 @@ class Uav:
     # ---- the search ----
 
     def _go_on_with_the_search(self) -> None:
-        self._search.go_on(self._searchers >= (SENSING if self._asking else SEARCHERS))
+        self._search.go_on(self._may_begin)
         self._tally.warnings = tuple(filter(None, (self._search.waits_for, self._vehicle.caveat)))
         if self._tally.state != self._search.state:
             self._tally.state = self._search.state
             self._clients.changed()
             if self._bus:
                 self._bus.publish_health()
+
+    @property
+    def _may_begin(self) -> bool:
+        """Whether all is there that a search needs. A real vehicle's payload is asked for the wind first, on the ground."""
+        if not self._remote or not self._asking:
+            return self._searchers >= SEARCHERS
+        if not self._searchers >= SENSING:
+            return False
+        if self._winds.source is None and self._remote.flight.has_read and not self._asking.waiting:
+            remote = self._remote
+            self._asking.ask(round(remote.now_s * 1000), 0, remote.position, self._winds.asked(remote.wind))
+        return self._winds.source is not None
 
     def _tell(self, severity: int, text: str) -> None:
         """Tell people: in the log and as STATUSTEXT (253)."""
@@ -251,34 +267,38 @@ class Uav:
         north, east, _ = arrived.position
         boot_ms = self._vehicle.now_s * 1000 if arrived.boot_ms is None else arrived.boot_ms
         self._last_time_boot_ms = self._search.answers.time_of(boot_ms)
-        if self._asking:
+        if self._asking and self._remote:
             self._asked = arrived
-            self._asking.ask(self._last_time_boot_ms, self._readings, arrived.position, self._vehicle.wind)
+            self._asking.ask(self._last_time_boot_ms, self._readings, arrived.position, self._winds.asked(self._remote.wind))
             return
         lost = self._world.loses(self._readings) and self._tried < self._readings
         self._tried = self._readings
         silent = lost or self._sensor.silent(self._vehicle.now_s)
-        self._read(arrived, math.nan if silent else self._world.gas((east, north), self._readings))
+        self._read(arrived, math.nan if silent else self._world.gas((east, north), self._readings), self._world.wind)
 
-    def _measured(self, sample: Sample) -> None:
-        """Take the payload's answer, unless the vehicle has been led away meanwhile."""
+    def _measured(self, remote: "RemoteVehicle", sample: Sample) -> None:
+        """Take the payload's answer, unless the vehicle has been led away. Raises VehicleFailed if there is no wind to fly with."""
         arrived, self._asked = self._asked, None
-        if arrived and self._measures:
-            if sample.wind:
-                self._felt = sample.wind
-            silent = self._sensor.silent(self._vehicle.now_s)
-            self._read(arrived, math.nan if silent else sample.gas)
+        if self._winds.source is None:
+            known = remote.flight.known
+            if reason := self._winds.before(sample.wind, remote.wind, known.parameters, known.firmware.name):
+                raise VehicleFailed(reason)
+        elif arrived and self._measures and remote.doubtful:
+            remote.arrive_again()
+        elif arrived and self._measures:
+            if wind := self._winds.of(sample.wind, remote.wind):
+                self._read(arrived, math.nan if self._sensor.silent(remote.now_s) else sample.gas, wind)
+            else:
+                self._timeline.schedule(remote.now_s + TRY_AGAIN_S, arrived)
+        for text in self._winds.news:
+            self._tell(mavlink.MAV_SEVERITY_WARNING if arrived else mavlink.MAV_SEVERITY_INFO, text)
+        self._winds.news.clear()
 
-    @property
-    def _wind(self) -> tuple[float, float]:
-        """The wind of a reading: the payload knows it best, then the autopilot, else it is the scenario's."""
-        return self._felt or self._vehicle.wind or self._world.wind
-
-    def _read(self, arrived: Arrived, measured: float) -> None:
+    def _read(self, arrived: Arrived, measured: float, wind: tuple[float, float]) -> None:
         """Make a reading of what was measured where the vehicle has arrived; NaN: the sensor has no value."""
         north, east, down = arrived.position
         gas = measured if math.isnan(measured) else self._sensor.read(measured)
-        reading = pack_reading(self._codec, Reading(self._last_time_boot_ms, (east, north), -down, self._wind, gas))
+        reading = pack_reading(self._codec, Reading(self._last_time_boot_ms, (east, north), -down, wind, gas))
         if math.isnan(gas):
             self._publish_reading(reading)
             self._timeline.schedule(self._vehicle.now_s + TRY_AGAIN_S, arrived)
