@@ -23,6 +23,7 @@ BATTERY_ACTIONS = {1: "LAND", 2: "RTL"}
 DEFAULTS = {
     "SYSID_MYGCS": 255.0, "FS_GCS_ENABLE": 0.0, "FS_GCS_TIMEOUT": 5.0, "RTL_ALT": 1500.0, "GUID_TIMEOUT": 3.0,
     "BATT_FS_LOW_ACT": 2.0, "BATT_FS_CRT_ACT": 1.0,  # the real ones are 0 until someone sets them
+    "EK3_DRAG_BCOEF_X": 0.0, "EK3_DRAG_BCOEF_Y": 0.0, "EK3_DRAG_MCOEF": 0.0,
     "FENCE_ENABLE": 0.0, "FENCE_ACTION": 1.0, "FENCE_RADIUS": 300.0, "FENCE_ALT_MAX": 100.0,
 }  # fmt: skip
 

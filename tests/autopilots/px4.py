@@ -31,6 +31,7 @@ DEFAULTS: dict[str, float] = {
     "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RCL_EXCEPT": 0, "NAV_DLL_ACT": 0, "NAV_RCL_ACT": 2, "COM_DL_LOSS_T": 10,
     "COM_FAIL_ACT_T": 5.0, "COM_LOW_BAT_ACT": 3, "COM_DISARM_PRFLT": 10.0, "COM_DISARM_LAND": 2.0, "MIS_TAKEOFF_ALT": 2.5,
     "RTL_RETURN_ALT": 60.0, "GF_ACTION": 2, "GF_MAX_HOR_DIST": 0.0, "GF_MAX_VER_DIST": 0.0,
+    "EKF2_DRAG_CTRL": 0,
 }  # fmt: skip
 """An int is an INT32 on the wire."""
 

@@ -117,7 +117,9 @@ def version(ap: "Autopilot") -> Message:
 
 
 def wind(ap: "Autopilot") -> Message:
-    """WIND (168), ArduPilot's: the direction that it comes from (deg)."""
+    """WIND (168), ArduPilot's: the direction that it comes from (deg). Without the model of its drag, and on the ground, it reads 0."""
+    if ap.landed or not any(value for name, value in ap.parameters.items() if name.startswith("EK3_DRAG")):
+        return mavlink.MAVLink_wind_message(-180.0, 0.0, 0.0)
     return mavlink.MAVLink_wind_message(*ap.settings.wind, 0.0)
 
 

@@ -248,11 +248,17 @@ def test_a_busy_autopilot_rejects_for_now_and_a_slow_one_says_so_first() -> None
     assert bench.last("COMMAND_ACK").result == ACCEPTED
 
 
-def test_the_wind_may_read_0() -> None:
-    bench = Bench("ardupilot")
+def test_the_wind_reads_0_until_it_flies_and_always_without_the_model_of_its_drag() -> None:
+    for parameters, speed in (({}, 0.0), ({"EK3_DRAG_MCOEF": 0.2}, 4.0)):
+        bench = hovering(parameters=parameters, wind=(90.0, 4.0))
+        assert bench.all("WIND") == []
+        bench.ask(168)
+        bench.run(1)
+        assert bench.last("WIND").speed == speed
+    bench = Bench("ardupilot", parameters={"EK3_DRAG_MCOEF": 0.2}, wind=(90.0, 4.0))
     bench.ask(168)
     bench.run(1)
-    assert (bench.last("WIND").direction, bench.last("WIND").speed) == (0.0, 0.0)
+    assert (bench.last("WIND").direction, bench.last("WIND").speed) == (-180.0, 0.0)
 
 
 def test_the_station_failsafe_watches_the_configured_station_alone() -> None:

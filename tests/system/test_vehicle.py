@@ -13,6 +13,8 @@ from link.bus.mavlink import split, unpack, unpack_reading
 from link.record.reader import read
 from link.record.record import Entry
 from plume.scenario import draw
+from sitl.remote.winds import parse_wind
+from sitl.tlog import flight as tlog
 from tests.autopilots.settings import Settings
 from tests.autopilots.wire import Double
 from tests.system.conftest import Part
@@ -72,6 +74,9 @@ def test_a_mission_on_ardupilot_reads_the_plume_where_it_reports_to_be_in_the_wi
     assert (about["vehicle"], about["payload"]) == (ardupilot.url, "simulated")
     assert not any("--sysid" in words for words in about["parts"].values())
     shows_the_autopilot_as_it_was(record.entries, ardupilot)
+    mission = dict.fromkeys(unpack_reading(entry.payload) for entry in read(tmp_path / "flight.mcap").entries if entry.key == "reading")
+    again = [unpack_reading(entry.payload) for entry in tlog.read(tmp_path / "flight.tlog").entries if entry.key == "reading"]
+    assert again == [*mission]
     verified = replayed(monkeypatch, capsys, tmp_path / "flight.mcap")
     assert (verified["verified"], verified["beliefs"], verified["waypoints"]) == (True, 3, 2)
     assert verified["estimate"] == said["estimate"]
@@ -107,7 +112,7 @@ def test_a_mission_on_px4_with_a_sensor_on_a_serial_line_claims_nothing_about_a_
 ) -> None:  # fmt: skip
     sensor = f"serial:{tmp_path / 'sensor'}:9600"
     with SerialWire(tmp_path / "sensor") as wire:
-        words = ("--payload", sensor, "--record", "flight.mcap")
+        words = ("--payload", sensor, "--wind", "2.5,270", "--record", "flight.mcap")
         flight = start("sitl", "fly", "--vehicle", px4.url, "--speedup", f"{STEADY:g}", *SHORT, *words, cwd=tmp_path)
 
         def over() -> bool:
@@ -119,6 +124,8 @@ def test_a_mission_on_px4_with_a_sensor_on_a_serial_line_claims_nothing_about_a_
     said = json.loads(flight.out[-1])
     assert [said[name] for name in ("located", "error_m", "source", "scenario")] == [None] * 4
     assert [step["reading"] for step in said["trace"]] == [0.25] * 3
+    entries = read(tmp_path / "flight.mcap").entries
+    assert {unpack_reading(entry.payload).wind for entry in entries if entry.key == "reading"} == {parse_wind("2.5,270")}
     assert not any("source" in line for line in flight.err)
     about = read(tmp_path / "flight.mcap").about
     assert "scenario" not in about
@@ -171,6 +178,8 @@ REFUSED = {
     ("--vehicle", "tcp:127.0.0.1:9", "--speedup", "0"): "--speedup: 0 is not allowed with --vehicle; wanted ",
     ("--vehicle", "tcp:127.0.0.1:9", "--home", "1,2,3,4"): "--home: not with --vehicle: ",
     ("--vehicle", "tcp:127.0.0.1:9", "--strict"): "--strict: not with --vehicle: ",
+    ("--wind", "3,270"): "--wind: only with --vehicle; the simulated vehicle's wind is the mission's",
+    ("--vehicle", "tcp:127.0.0.1:9", "--wind", "fast"): "--wind: 'fast' is not allowed; wanted SPEED,FROM: m/s from 0 to 100, and ",
     ("wind-shift", "--vehicle", "tcp:127.0.0.1:9"): "MISSION: a wind event is not allowed with --vehicle: ",
     ("flat-battery", "--vehicle", "tcp:127.0.0.1:9"): "MISSION: vehicle.endurance_s is not allowed with --vehicle: ",
     ("--vehicle", "tcp:127.0.0.1:9", "--payload", "serial:/x", "--world", "wind-10"): "--world: 'wind-10' is not allowed with --payload ",

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sitl.remote.winds import WindSource, Winds, parse_wind, will_estimate
+from sitl.remote.winds import Winds, WindSource, parse_wind, will_estimate
 
 SCENARIO, EAST, NORTH = (0.7, -2.0), (2.0, 0.0), (0.0, 3.0)
 NO_DRAG = {"EK3_DRAG_BCOEF_X": 0.0, "EK3_DRAG_BCOEF_Y": 0.0, "EK3_DRAG_MCOEF": 0.0}

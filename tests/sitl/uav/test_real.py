@@ -24,12 +24,18 @@ from tests.fuzz.services import QuietBus
 from tests.sitl.remote.cockpit import Cockpit
 from tests.sitl.uav.test_leaving import InStep
 
+Air = tuple[float, float] | None
+MEASURED = (1.5, -0.5)
+
 
 class Others(QuietBus):
     """A bus with a payload and an agent: they answer at once what is asked on it."""
 
-    def __init__(self) -> None:
+    def __init__(self, wind: Callable[[int], Air] = lambda _: MEASURED) -> None:
         super().__init__()
+        self.wind = wind
+        """What the payload measures of the wind, by the number of the question; the first one is asked on the ground."""
+        self.questions = 0
         self.due: deque[Any] = deque(LivelinessChange(name, True) for name in ("payload", "estimator", "agent"))
         self.systems: list[int] = []
         """The vehicle's system id, each time that its health was told."""
@@ -41,7 +47,10 @@ class Others(QuietBus):
         super().publish(key, message, attachment)
         if key is PAYLOAD_IN:
             asked = unpack_question(message)
-            self.due.append(Arrival(PAYLOAD_OUT, pack_answer(asked.system, Sample(asked.time_boot_ms, 0.25, None)), b""))
+            self.due.append(
+                Arrival(PAYLOAD_OUT, pack_answer(asked.system, Sample(asked.time_boot_ms, 0.25, self.wind(self.questions))), b"")
+            )
+            self.questions += 1
         elif key is READING:
             with suppress(BadFrame):  # one without a value
                 self.answer(message)
@@ -72,16 +81,22 @@ class Told(Inbox):
         return self._bus.due.popleft() if self._bus.due else None
 
 
-def fly(cockpit: Cockpit, holds: Callable[[Others], object], *events: OnBoard) -> Others:
-    """Run the uav service until something holds."""
-    bus = Others()
+def fly(
+    cockpit: Cockpit,
+    holds: Callable[[Others], object],
+    *events: OnBoard,
+    wind: Callable[[int], Air] = lambda _: MEASURED,
+    given: Air = None,
+) -> Others:
+    """Run the uav service until something holds; wind: what the payload measures; given: --wind."""
+    bus = Others(wind)
 
     def over() -> object:
         assert cockpit.now_s < 300.0, "not within 300 s"
         return holds(bus)
 
     world = World(draw(1_000_000), 1, Gaussian())
-    uav = Uav(cockpit.vehicle, world, InStep(cockpit), Told(bus, over), bus, (), bus.log, events)
+    uav = Uav(cockpit.vehicle, world, InStep(cockpit), Told(bus, over), bus, (), bus.log, events, wind=given)
     with pytest.raises(KeyboardInterrupt):
         uav.run()
     return bus
