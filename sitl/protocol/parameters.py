@@ -77,6 +77,7 @@ PARAMETERS = tuple(
             Parameter("COM_LOW_BAT_ACT", INT, "at BAT_LOW_THR a warning, at BAT_CRIT_THR a landing", value=2),
             Parameter("BAT_LOW_THR", REAL, "charge at which the battery is low", value=LOW_BATTERY),
             Parameter("BAT_CRIT_THR", REAL, "charge at which it lands", value=0),
+            Parameter("EKF2_DRAG_CTRL", INT, "the wind is estimated: WIND_COV", value=1),
             Parameter("NAV_DLL_ACT", INT, "the loss of a ground station does nothing", value=0),
             Parameter("COM_RCL_EXCEPT", INT, "modes that fly on without RC: all", value=7),
             _changed("COM_DISARM_LAND", "disarm_landed_s", NEVER, 20, "s", "time after a landing until the motors stop"),
