@@ -20,6 +20,8 @@ OPERATOR = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
 """System id and component id of a ground station."""
 AUTOPILOT, SEARCH = int(mavlink.MAV_COMP_ID_AUTOPILOT1), ONBOARD_COMPUTER
 """Component ids of a vehicle's autopilot, and of the search that flies a real one."""
+LAUNCHER, BY_LAUNCHER = (OPERATOR[0], mavlink.MAV_COMP_ID_PATHPLANNER), "the launcher"
+"""System id and component id of the launcher, which ends a search whose budget is spent, and what people are told of it."""
 TRIES = 5
 """So often a command is sent that nobody acknowledges."""
 IN_PROGRESS_S = 10.0
@@ -78,7 +80,7 @@ def word_of(number: int, param1: float) -> CommandName | None:
 
 def named(sender: tuple[int, int], whence: str) -> str:
     """Return who a sender is, in words, from system id and component id and how its message came; anybody can write any ids."""
-    return f"{sender[0]}/{sender[1]} {whence}"
+    return BY_LAUNCHER if sender == LAUNCHER else f"{sender[0]}/{sender[1]} {whence}"
 
 
 class CommandRun:

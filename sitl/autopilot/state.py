@@ -138,13 +138,11 @@ class Reached(NamedTuple):
 
 
 class Led(NamedTuple):
-    """Someone else has changed the flight mode of a real autopilot: a pilot, or the autopilot itself."""
+    """Someone else has changed the flight mode or the target of a real autopilot: a pilot, or the autopilot itself."""
 
     time_s: float
     mode: str
-    """The autopilot's name of the mode."""
-    given_back: bool
-    """Whether it is the one in which it follows a companion."""
+    """The autopilot's name of the mode, and that the target is another one."""
     by: str = ""
     """Who asked for it, if a client has; empty: the autopilot itself, or a pilot by another way."""
 

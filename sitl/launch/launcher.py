@@ -21,7 +21,7 @@ from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.worlds import AS_MODELLED
 from scene.follow.area import PLACING, AreaFrame
 from scene.follow.telemetry import LOCAL, frames
-from sitl.autopilot.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, order
+from sitl.autopilot.operator import AUTOPILOT, LAUNCHER, SEARCH, CommandName, order
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.joining import await_services
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
@@ -198,6 +198,8 @@ class MissionWatch:
         if self._stopped and not self._ceased:
             raise MissionFailed("the estimator has declared the stop, but its last belief was not received")
         if self._last is None or (self._landed and not self._ceased and not script.expectations):
+            if self._landed and (how := "; ".join(self._compute["uav"].warnings)):
+                raise MissionFailed(how)
             words = self._last_words.get("uav", "none")
             raise MissionFailed(f"the uav landed before the search was over; its last words: {words}")
         self._await_landing(self._last)
@@ -326,7 +328,7 @@ class MissionWatch:
         if not self._landed:
             self._progress.say("returning home" if after == "return" else "landing")
         word: CommandName = "return" if after == "return" else "land"
-        codec, call_at = Codec(*OPERATOR), 0.0
+        codec, call_at = Codec(*LAUNCHER), 0.0
         lost_at = math.inf  # from then on the place that was not told is not waited for
         while not self._landed or (home and math.isnan(self._landed_at[0]) and time.monotonic() < lost_at):
             lost_at = min(lost_at, time.monotonic() + LAG_S) if self._landed else math.inf

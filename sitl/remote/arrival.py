@@ -1,6 +1,7 @@
-"""When a real vehicle counts as having arrived: near enough and slow enough, for long enough."""
+"""The targets of a real vehicle: whose it flies to, and when it has arrived: near enough and slow enough, for long enough."""
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 from sitl.autopilot.motion import Ned
@@ -35,3 +36,46 @@ class Approach:
         near = math.dist(position, self.target) <= self._arrival.radius_m and math.hypot(*velocity) <= self._arrival.speed_mps
         self._near_since_s = min(self._near_since_s, now_s) if near and known else math.inf
         return now_s - self._near_since_s >= self._arrival.settle_s
+
+
+SAME_M = 0.1
+"""Targets so near to each other are the same."""
+KEPT = 4
+"""So many of our latest targets may still be read back: a radio link is slow."""
+
+
+class Targets:
+    """Whose target an autopilot flies to, as far as it reads back. Positions NED, m from the EKF's origin; None is no position.
+
+    What it reads back is foreign if it is neither one of ours nor what it was before: a target of ours that the autopilot does not take
+    leaves the one before, and a take-off reads back whatever was there before it.
+    """
+
+    def __init__(self) -> None:
+        """Begin with nothing sent, and nothing read back."""
+        self._ours: deque[Ned] = deque(maxlen=KEPT)
+        self._read: Ned | None = None
+        self._fresh = True
+
+    def send(self, target: Ned) -> None:
+        """Note that this target of ours is sent."""
+        if not self._ours or self._ours[-1] != target:
+            self._ours.append(target)
+
+    def begin(self) -> None:
+        """Take whatever is read back next for what was there before: the mode has changed, or the vehicle stands."""
+        self._fresh = True
+
+    def takes(self, target: Ned | None) -> bool:
+        """Take what the autopilot reads back; returns False if it is foreign."""
+        before, fresh = self._read, self._fresh
+        self._read, self._fresh = target, False
+        return fresh or _same(target, before) or any(_same(target, one) for one in self._ours)
+
+    def has(self, target: Ned) -> bool:
+        """Whether the autopilot has read back this target last."""
+        return not self._fresh and _same(self._read, target)
+
+
+def _same(one: Ned | None, other: Ned | None) -> bool:
+    return one is other if one is None or other is None else math.dist(one, other) <= SAME_M

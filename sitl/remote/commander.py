@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable, Generator
+from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol, TypeVar
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -12,7 +13,7 @@ from sitl.autopilot.operator import DONE_S, REASON_S, TRIES, CommandRun, command
 from sitl.autopilot.state import ACCEPTED, Result, VehicleFailed
 from sitl.bridge.links import Channel
 from sitl.remote.connection import Heard
-from sitl.remote.firmware import unfit
+from sitl.remote.firmware import FIRMWARES, unfit
 from sitl.remote.known import Known
 
 AGAIN_S = 1.0
@@ -25,6 +26,8 @@ BEAT_S = 1.0
 """Longest time between two HEARTBEATs, of the vehicle's and of real time."""
 STREAMS_S = 2.0
 """Time between two looks at which streams are missing."""
+MOST_UNFIT = 8
+"""So many kinds of HEARTBEATs that are not the vehicle's are told."""
 AUTOPILOT = mavlink.MAV_COMP_ID_AUTOPILOT1
 
 Returned = TypeVar("Returned")
@@ -63,13 +66,29 @@ def _is_ours(ack: Message, system: int) -> bool:
 class Commander:
     """Keeps up what is known of one vehicle, and commands it. Times are of the vehicle's own clock, s, except where said."""
 
-    def __init__(self, radio: Radio, speedup: float = 1.0, system: int | None = None) -> None:
-        """Take the connection. speedup: how fast the vehicle's simulator runs. system: the vehicle's id; None takes the first heard."""
+    def __init__(
+        self,
+        radio: Radio,
+        speedup: float = 1.0,
+        system: int | None = None,
+        handling: Callable[[Message], AbstractContextManager[None]] = lambda _: nullcontext(),
+    ) -> None:
+        """Take the connection.
+
+        speedup: how fast the vehicle's simulator runs; system: the vehicle's id, None takes the first heard; handling: what a message
+        is read in, so that a fault of ours ends nothing.
+        """
         self.known = Known(slowest_s=SLOWEST_S * speedup)
         self.system = 0
         """The vehicle's system id; 0 until it is found."""
         self.now_s = 0.0
+        self.quiet = False
+        """Whether only HEARTBEATs go out unasked: a pilot leads."""
+        self.ignored: list[str] = []
+        """What is not listened to, and why, in words; each once."""
         self.radio = radio
+        self._handling = handling
+        self._unfit: set[str] = set()
         self._wanted = system
         self.speedup = speedup
         self._running: CommandRun | None = None
@@ -89,8 +108,9 @@ class Commander:
             kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
             self.radio.send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
         for message, link in self.radio.poll():
-            self._take(message, link)
-        if self.system and now_s - self._streams_s >= self.patient(STREAMS_S):
+            with self._handling(message):
+                self._take(message, link)
+        if self.system and not self.quiet and now_s - self._streams_s >= self.patient(STREAMS_S):
             self._streams_s = now_s
             self._ask_for_streams()
 
@@ -101,8 +121,16 @@ class Commander:
         if message.get_type() == "HEARTBEAT":
             if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
                 return
-            if reason := unfit(message):
+            reason = unfit(message)
+            if reason and not self.system:
                 raise VehicleFailed(f"system {system}: {reason}")
+            if not reason and self.system and FIRMWARES[message.autopilot] is not self.known.firmware:
+                reason = f"this is not {self.known.firmware.name}"
+            if reason:  # a gimbal or a companion that has taken the vehicle's ids
+                if reason not in self._unfit and len(self._unfit) < MOST_UNFIT:
+                    self._unfit.add(reason)
+                    self.ignored.append(f"Another HEARTBEAT with the vehicle's ids, {system}/{AUTOPILOT}, is ignored: {reason}")
+                return
             self.system = system
             self.radio.use(link, system)  # a vehicle may come back on another link
         if not self.system:

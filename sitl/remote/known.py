@@ -22,6 +22,9 @@ NEW_BOOT_MS = 2000
 """A clock that goes back by more than this has begun anew."""
 BREACH = re.compile("breach|geofence|fence violation", re.IGNORECASE)
 """What an autopilot's text on a geofence says."""
+FAILSAFE = re.compile("failsafe", re.IGNORECASE)
+OVER = re.compile("clear|recover|deactivated", re.IGNORECASE)
+"""What a text on a fence or a failsafe says that is over."""
 INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT8, mavlink.MAV_PARAM_TYPE_UINT16, mavlink.MAV_PARAM_TYPE_INT16,
     mavlink.MAV_PARAM_TYPE_UINT32, mavlink.MAV_PARAM_TYPE_INT32,
@@ -69,6 +72,10 @@ class Known:
     """The position that it says it flies to."""
     breach_s: float = -math.inf
     """When it last said that the geofence is breached."""
+    critical_s: float = -math.inf
+    """When its status last rose to critical, or above."""
+    struck_s: float = -math.inf
+    """When a failsafe's last sign came that was new: the status rose, a breach began, a text said so."""
     texts: list[tuple[int, str]] = field(default_factory=list)
     """STATUSTEXTs since they were last taken: severity and text."""
     warnings: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=20))
@@ -81,6 +88,7 @@ class Known:
     came_s: dict[int, float] = field(default_factory=dict)
     """When each message type last came, by its number."""
     _chunks: dict[int, str] = field(default_factory=dict)
+    _breach: tuple[int, int] = (0, 0)  # whether the fence is breached, and how often it was
 
     def take(self, message: Message, now_s: float) -> None:
         """Take a message of this vehicle's autopilot."""
@@ -88,6 +96,8 @@ class Known:
         match message.get_type():
             case "HEARTBEAT":
                 self.firmware = FIRMWARES[message.autopilot]
+                if message.system_status > self.status and message.system_status >= mavlink.MAV_STATE_CRITICAL:
+                    self.critical_s = self.struck_s = now_s
                 self.custom_mode, self.status = message.custom_mode, message.system_status
                 self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                 self.heard_s = now_s
@@ -123,7 +133,10 @@ class Known:
                 place = message.x, message.y, message.z
                 self.target = None if message.type_mask & 7 or not all(map(math.isfinite, place)) else place
             case "FENCE_STATUS":
-                self.breach_s = now_s if message.breach_status else self.breach_s
+                before, self._breach = self._breach, (message.breach_status, message.breach_count)
+                if message.breach_status:
+                    self.breach_s = now_s
+                    self.struck_s = self.struck_s if self._breach == before else now_s
             case "PARAM_VALUE":
                 self.parameters[message.param_id.rstrip("\0")] = self._value(message)
             case "STATUSTEXT":
@@ -141,6 +154,8 @@ class Known:
     def _value(self, message: Message) -> float:
         """The value of a PARAM_VALUE: PX4 sends the bytes of an integer where ArduPilot sends its value."""
         if self.firmware.is_ardupilot or message.param_type not in INTEGERS:
+            if not math.isfinite(message.param_value):
+                raise ValueError(f"{message.param_id} is {message.param_value}")
             return float(message.param_value)
         return float(struct.unpack("<i", struct.pack("<f", message.param_value))[0])
 
@@ -157,8 +172,9 @@ class Known:
                 self._chunks = {number: text}
                 return
         self.glitches.hear(text, now_s)
-        if BREACH.search(text) and "clear" not in text.lower():
-            self.breach_s = now_s
+        if not OVER.search(text):
+            self.breach_s = now_s if BREACH.search(text) else self.breach_s
+            self.struck_s = now_s if BREACH.search(text) or FAILSAFE.search(text) else self.struck_s
         if message.severity <= mavlink.MAV_SEVERITY_NOTICE:
             self.warnings.append((now_s, text))
         self.texts.append((message.severity, text))

@@ -1,4 +1,4 @@
-"""What a real vehicle is told to do over several seconds: one procedure at a time, resumed at each poll; and who changed its mode."""
+"""What a real vehicle is told to do over several seconds: one procedure at a time, resumed at each poll; and who else leads it."""
 
 import math
 
@@ -6,6 +6,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.autopilot.operator import NO_ANSWER
 from sitl.autopilot.state import ACCEPTED, Led, Mode, Result, Said
+from sitl.remote.arrival import Targets
 from sitl.remote.commander import Commander, Steps
 from sitl.remote.firmware import Firmware
 from sitl.remote.known import Known
@@ -41,9 +42,13 @@ class Procedures:
         self.doing: Mode | None = None
         """The mode of the search that a procedure is about to reach; None if none runs."""
         self.arming = False
+        self.targets = Targets()
         self.theirs = False
-        """True since someone else has changed the mode: a pilot, or the autopilot by itself."""
-        self.theirs_s = -math.inf
+        """True since someone else has changed the mode or the target: a pilot, or the autopilot by itself."""
+        self.taken_s = -math.inf
+        """When someone else last changed it so."""
+        self.taken_from_us = self.taken_by_client = False
+        """Whether it was ours before that, and whether a client of ours had asked for it."""
         self.begun = False
         """Whether we have begun this flight: one that was under way before us, or begins after ours, is someone else's."""
         self.armed_by_us = False
@@ -93,21 +98,36 @@ class Procedures:
 
     def poll(self, now_s: float) -> None:
         """Take what the vehicle has said, and go on with what it is told. Raises VehicleFailed if it is no vehicle for a search."""
+        try:
+            self._hear(now_s)
+        finally:  # whatever we are told, a vehicle is not left half-way
+            self.go_on()
+        if _ended(self._reading):
+            self._reading = None
+
+    def _hear(self, now_s: float) -> None:
         found = self.commander.system
+        self.commander.quiet = self.begun and self.theirs
         self.commander.poll(now_s)
+        for text in self.commander.ignored:
+            self.say(mavlink.MAV_SEVERITY_WARNING, text)
+        self.commander.ignored.clear()
         if not found and self.commander.system:
             name, mode = self.firmware.name, self.firmware.mode_name(self.known.custom_mode)
             self.say(mavlink.MAV_SEVERITY_INFO, f"{name} found: system {self.commander.system}, {mode}")
             self._reading = self._read_failsafes()
         if self.commander.system:
             self._watch_mode()
+            self._watch_target()
             self.armed_by_us = self.known.armed and (self.armed_by_us or self.arming)
+
+    def go_on(self) -> None:
+        """Go on with what is being done."""
         steps = self.procedure
         if _ended(steps) and self.procedure is steps:  # it may have begun another
             self._stop()
         self.begun = self.begun and (self.known.armed or self.procedure is not None)
-        if _ended(self._reading):
-            self._reading = None
+        self.streams = self.streams and self.begun
 
     @property
     def has_read(self) -> bool:
@@ -138,12 +158,33 @@ class Procedures:
         if self.known.armed:
             self._flew = self.flying
         self._mode = mode
-        if before is None or mode == before or (mode in self._asked and not self.theirs):
+        if before is None or mode == before:
             return
-        self.theirs, self.theirs_s = True, self.now_s
+        self.targets.begin()
+        if self.theirs or mode not in self._asked:
+            self._taken(self.firmware.mode_name(mode))
+
+    def _watch_target(self) -> None:
+        """See whether the autopilot flies to someone else's target: in GUIDED a ground station's go-to changes no mode.
+
+        PX4 changes its mode for a go-to. What streams setpoints beside us is not told apart there.
+        """
+        if self.known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED) != self.now_s or not self.firmware.is_ardupilot:
+            return
+        if not self.flying:
+            self.targets.begin()
+        ours = self.targets.takes(self.known.target)
+        follows = self.known.custom_mode == self.guided and self.doing in (None, Mode.TAKEOFF, Mode.OFFBOARD)
+        if not ours and follows and self.in_charge:
+            self._taken(f"{self.firmware.mode_name(self.guided)} to another target")
+
+    def _taken(self, how: str) -> None:
+        """Give way: from now on nothing of ours goes out."""
+        asked = self.now_s - self._client_s <= ASKED_S
+        self.taken_from_us, self.taken_by_client = self.in_charge, asked
+        self.theirs, self.taken_s, self.streams = True, self.now_s, False
         self._stop()
-        client = self._client if self.now_s - self._client_s <= ASKED_S else ""
-        self.events.append(Led(self.now_s, self.firmware.mode_name(mode), mode == self.guided, client))
+        self.events.append(Led(self.now_s, how, self._client if asked else ""))
 
     def asked_by(self, client: str) -> None:
         """Note that a client's command goes to the autopilot through us: what changes soon after it, the client has changed."""
@@ -155,7 +196,7 @@ class Procedures:
     def begin(self, procedure: Steps[None], doing: Mode | None, *asked: int) -> None:
         """Do something instead of what was being done; `asked`: the custom modes that come of it."""
         self.procedure, self.doing, self.arming = procedure, doing, False
-        self.theirs, self.begun = False, True
+        self.theirs, self.begun, self.streams = False, True, False
         self._asked = {*asked}
 
     def fail(self, reason: str) -> None:
@@ -222,15 +263,14 @@ class Procedures:
 
     def fly(self) -> None:
         """Follow the setpoints, which stream from now on."""
-        self.streams = True
         self.begin(self._fly(), Mode.OFFBOARD, self.guided)
+        self.streams = True
 
     def _fly(self) -> Steps[None]:
         if not self.firmware.is_ardupilot:
             yield from self._wait(self.commander.patient(WARM_UP_S))
         result = yield from self._insist(self.guided)
         if not result.accepted:
-            self.streams = False
             self.fail(f"{self.firmware.mode_name(self.guided)} refused: {result.reason}")
 
     def hold(self) -> None:
@@ -251,7 +291,6 @@ class Procedures:
         self._come_down(Mode.LAND)
 
     def _come_down(self, mode: Mode) -> None:
-        self.streams = False
         self.begin(self._until_down(mode), mode, self.firmware.modes[Mode.RETURN], self.firmware.modes[Mode.LAND])
 
     def _until_down(self, mode: Mode) -> Steps[None]:

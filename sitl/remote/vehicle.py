@@ -17,7 +17,9 @@ from sitl.remote.procedures import Procedures
 from sitl.remote.watch import COMING_DOWN, Watch
 
 STREAM_HZ = 10.0
-"""Setpoints a second of the vehicle's time, from before OFFBOARD on. PX4 wants more than 2."""
+"""Setpoints a second of the vehicle's time to PX4, from before OFFBOARD on. It wants more than 2."""
+SEND_AGAIN_S = 0.5
+"""Time after which ArduPilot is sent a setpoint again that it has not read back; its target stands until there is another."""
 POLL_S = 0.05
 INSIDE_M = 0.05
 """A reading is taken at least this far inside the area's edge."""
@@ -215,7 +217,7 @@ class RemoteVehicle:
             self._setpoint = as_float32((north, east, down))
         deadline_s = self._arrival.deadline_s(self._now, self.position, self._setpoint)
         if self._leg is None or answers or self._leg.target != self._setpoint:
-            self._leg = Approach(self._arrival, self._setpoint, deadline_s)
+            self._leg, self._ignored_since_s = Approach(self._arrival, self._setpoint, deadline_s), math.inf
         self._leg.deadline_s = deadline_s
         self._heard_s, self._streamed_s = self._now, -math.inf
         self._stream()
@@ -239,6 +241,7 @@ class RemoteVehicle:
             return f"The vehicle is left in {self._mode_name}"
         if self.flight.doing not in COMING_DOWN:
             self.flight.go_home()
+            self.flight.go_on()  # at once: `catch_up` may fail
         return "The vehicle is told to return home"
 
     @property
@@ -338,14 +341,20 @@ class RemoteVehicle:
         return north, east, down
 
     def _stream(self) -> None:
-        """Send the setpoint, `STREAM_HZ` times a second while it is, or may again be, flown."""
-        if not self.flight.streams or self._setpoint is None or self._now - self._streamed_s < 1.0 / STREAM_HZ:
+        """Send the setpoint while it is flown: to PX4 all the time, to ArduPilot until it reads it back.
+
+        A stream would hide the target of a ground station, which is the pilot's.
+        """
+        ardupilot = self.flight.firmware.is_ardupilot
+        every_s = self._commander.patient(SEND_AGAIN_S) if ardupilot else 1.0 / STREAM_HZ
+        if not self.flight.streams or self._setpoint is None or self._now - self._streamed_s < every_s:
             return
-        if self.flight.firmware.is_ardupilot and self._known.custom_mode != self.flight.guided:
-            return  # PX4 wants them before it takes OFFBOARD, also from a pilot who gives the search back
-        self._streamed_s = self._now
-        milliseconds = round(self._now * 1000) & 0xFFFFFFFF
         place = self._in_ekf_frame(self._setpoint)
+        if ardupilot and (self._known.custom_mode != self.flight.guided or self.flight.targets.has(place)):
+            return  # PX4 wants them before it takes OFFBOARD
+        self._streamed_s = self._now
+        self.flight.targets.send(place)
+        milliseconds = round(self._now * 1000) & 0xFFFFFFFF
         self._commander.radio.send(
             mavlink.MAVLink_set_position_target_local_ned_message(
                 milliseconds, self._commander.system, AUTOPILOT, mavlink.MAV_FRAME_LOCAL_NED, POSITION_ONLY, *place, *[0.0] * 8

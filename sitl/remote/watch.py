@@ -29,14 +29,17 @@ class Watch:
         self._lost_since_s = math.inf
         self._blind_since_s = math.inf
         self._blind = self._drained = False
-        self._judged_s = -math.inf  # the change of mode that was looked at last
+        self._explained_s = -math.inf  # the change of mode that a failsafe has made
+        self._judged_s = self._warned_s = -math.inf  # the change of mode, and the critical status, that were looked at last
 
     def look(self, now_s: float) -> None:
         """Look, and act. Raises VehicleFailed when the vehicle has been lost."""
         self._link(now_s)
         if not self._flight.flying or self._known.lost(now_s):
+            self._warned_s = self._warned_s if self._flight.flying else self._known.critical_s
             return
         self._mode(now_s)
+        self._failsafe(now_s)
         self._fence(now_s)
         self._battery()
         self._position(now_s)
@@ -56,24 +59,38 @@ class Watch:
                 raise VehicleFailed(f"link lost for {now_s - self._lost_since_s:.0f} s: the autopilot's own failsafe is in charge")
 
     def _mode(self, now_s: float) -> None:
-        """A failsafe that only hovers leaves nobody in charge: then it is flown home. A pilot is left alone."""
-        flight, changed_s = self._flight, self._flight.theirs_s
+        """A failsafe that only hovers leaves nobody in charge: then it is flown home. A pilot is left alone.
+
+        A failsafe's sign is new when it changes the mode: one that was there before has not done it. It explains one change; the next is
+        a pilot's, who has seen it.
+        """
+        flight, changed_s = self._flight, self._flight.taken_s
         if not flight.begun or not flight.theirs or changed_s == self._judged_s:
             return
-        breached = self._known.breach_s >= changed_s - SAME_TIME_S
-        if self._known.failsafe or breached:
-            self._judged_s = changed_s
+        by_hand = flight.taken_by_client or changed_s - self._explained_s <= SAME_TIME_S
+        if not by_hand and abs(self._known.struck_s - changed_s) <= SAME_TIME_S:
+            self._judged_s = self._explained_s = changed_s
             mode = self._known.custom_mode
             said = self._known.warned(changed_s - SAME_TIME_S)
             reason = f"{flight.firmware.name} has changed to {flight.firmware.mode_name(mode)} by its failsafe{said and ': '}{said}"
-            if mode in flight.firmware.hovers:
+            if mode in flight.firmware.hovers and flight.taken_from_us:
                 flight.theirs = False
                 flight.fail(reason)
             else:
                 flight.failure = flight.failure or reason
                 flight.say(CRITICAL, reason)
-        elif now_s - changed_s > SAME_TIME_S:
+        elif by_hand or now_s - changed_s > SAME_TIME_S:
             self._judged_s = changed_s
+
+    def _failsafe(self, now_s: float) -> None:
+        """A failsafe that only warns, as its action is 0. Each is looked at once: a pilot who leads then knows of it."""
+        critical_s = self._known.critical_s
+        if critical_s <= self._warned_s or now_s - critical_s <= SAME_TIME_S:
+            return
+        self._warned_s = critical_s
+        if self._ours and self._known.failsafe:
+            said = self._known.warned(critical_s - SAME_TIME_S)
+            self._flight.fail(f"{self._flight.firmware.name}'s failsafe has struck{said and ': '}{said}")
 
     def _fence(self, now_s: float) -> None:
         if self._ours and now_s - self._known.breach_s <= SAME_TIME_S:

@@ -14,6 +14,7 @@ from sitl.remote.winds import parse_wind
 from sitl.script.events import Wind
 from sitl.script.script import Script, VehiclePart
 from sitl.uav.clock import Clock
+from sitl.uav.handling import Handling
 
 if TYPE_CHECKING:
     from sitl.remote.connection import Connection
@@ -81,7 +82,7 @@ def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | N
     log.info(f"vehicle at {address.text}; the other side: {address.other_side}")
     if address.open:
         log.warning(f"{address.text} is open to other machines: whoever reaches port {address.port} can speak as the vehicle")
-    return RemoteVehicle(config, Commander(connection, speedup, sysid)), connection
+    return RemoteVehicle(config, Commander(connection, speedup, sysid, Handling(log).of)), connection
 
 
 def leave(vehicle: "RemoteVehicle", clock: Clock, tell: Callable[[int, str], None]) -> None:
@@ -89,17 +90,16 @@ def leave(vehicle: "RemoteVehicle", clock: Clock, tell: Callable[[int, str], Non
 
     Call it where no signal can cut it short (`link.interrupts.uninterrupted`).
     """
-    from sitl.autopilot.state import VehicleFailed
-
-    until_s = time.monotonic() + LEAVE_S
-    with contextlib.suppress(VehicleFailed):
-        said = vehicle.leave()
-        vehicle.catch_up(clock.now_s())
-        if said:
-            tell(WARNING, said)
-        while not vehicle.left and time.monotonic() < until_s:
-            vehicle.leave()
+    until_s, told = time.monotonic() + LEAVE_S, False
+    while True:
+        with contextlib.suppress(Exception):  # whatever fails, the way home is asked for again
+            if (said := vehicle.leave()) and not told:
+                told = True
+                tell(WARNING, said)
+        with contextlib.suppress(Exception):
             vehicle.catch_up(clock.now_s())
-            time.sleep(LEAVE_POLL_S)
-        if not vehicle.left:
-            tell(CRITICAL, "The vehicle has not answered: its own failsafe is in charge")
+        if vehicle.left or time.monotonic() >= until_s:
+            break
+        time.sleep(LEAVE_POLL_S)
+    if not vehicle.left:
+        tell(CRITICAL, "The vehicle has not answered: its own failsafe is in charge")

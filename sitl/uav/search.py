@@ -1,7 +1,7 @@
 """The search's side of the vehicle: when it begins and ends, and who leads, the search or a pilot. The pilot always wins.
 
 One rule: the search leads only while it holds control. Anyone else's change of mode takes control at once; the search then leads again
-only when it is given back, by OFFBOARD. Setpoints are the leader's alone.
+only when it is given back: a simulated vehicle by OFFBOARD, a real one by a command to its search. Setpoints are the leader's alone.
 """
 
 from collections.abc import Callable
@@ -11,9 +11,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from link.bus.mavlink import Message
 from link.bus.messages import Stop
 from sitl.autopilot.motion import Ned
-from sitl.autopilot.operator import WANTED, CommandName
+from sitl.autopilot.operator import BY_LAUNCHER, WANTED, CommandName
 from sitl.autopilot.setpoint import Answers
-from sitl.autopilot.state import Mode, Result, not_now
+from sitl.autopilot.state import ACCEPTED, Mode, Result, not_now
 from sitl.protocol.setpoints import read
 from sitl.script.script import AfterStop
 from sitl.uav.aircraft import Aircraft
@@ -46,6 +46,7 @@ class Search:
         """The search's own setpoint: the start, then what the agent last answered."""
         self._begun = False
         self._said = ""
+        self._pilot = ""  # how, and by whom, the vehicle was last taken from the search
 
     @property
     def leads(self) -> bool:
@@ -63,8 +64,8 @@ class Search:
 
     @property
     def waits_for(self) -> str:
-        """Why it has not begun, in words; empty if it has, or if only the services are missing."""
-        return "" if self._begun else self._said
+        """Why it has not begun, or how a pilot has ended it, in words; empty if it goes on, or if only the services are missing."""
+        return self._said if not self._begun or self.state == LANDED else ""
 
     @property
     def measures(self) -> bool:
@@ -89,7 +90,9 @@ class Search:
             elif searchers:
                 self._begin(now_s)
         elif not self._vehicle.armed and not self._vehicle.moving:
-            self.leads, self.state = False, LANDED
+            self._said, self.leads, self.state = "", False, LANDED
+            if self._pilot and not self.found and not self._vehicle.failure:
+                self._say_once(f"ended by the pilot: {self._pilot}")
         elif mode in (Mode.RETURN, Mode.LAND):
             self.leads, self.state = False, RETURNING  # by a pilot, a failsafe, or since the source is found
         elif self.leads and self.state == SEARCHING and mode is not Mode.OFFBOARD:
@@ -102,41 +105,38 @@ class Search:
             self._obeyed(self._vehicle.set_mode(now_s, Mode.OFFBOARD))
             self.state = SEARCHING
 
-    def led(self, mode: str, given_back: bool, by: str = "") -> None:
-        """A real autopilot's mode was changed by a pilot, or by itself: give way, or lead again where it is given back."""
-        if not self.under_way:
-            return
-        by = by or "the autopilot or its pilot"
-        if not given_back and self.leads:
-            self.give_way(f"{mode} by {by}")
-        elif given_back and not self.found:
-            self._obeyed(self._resume(f": {mode} by {by}"))
+    def led(self, mode: str, by: str) -> None:
+        """A real autopilot's mode or target was changed by a pilot, or by itself; `by`: the client who asked for it, if one has."""
+        if self.under_way and self._vehicle.armed:
+            self.give_way(mode, by)
 
-    def give_way(self, how: str) -> None:
-        """Someone else leads from now on."""
+    def give_way(self, mode: str, by: str = "") -> None:
+        """Someone else leads from now on; `by`: who, if that is known."""
         gives_way, self.leads = "Search gives way: " * self.leads, False
-        self._say(mavlink.MAV_SEVERITY_WARNING, f"{gives_way}{how}")
+        self._pilot = "" if by == BY_LAUNCHER else f"{mode} by {by or 'a radio or a ground station'}"
+        self._say(mavlink.MAV_SEVERITY_WARNING, f"{gives_way}{mode} by {by or 'the autopilot or its pilot'}")
 
     def give_back(self, by: str) -> Result:
-        """Lead again where the search left off, as someone wants it."""
-        if self.found:
-            return not_now("Resume refused: the source is found")
-        return self._resume(f" by {by}")
-
-    def _resume(self, how: str) -> Result:
-        """Lead again where the search left off."""
-        now_s = self._vehicle.now_s
-        self._obeyed(self._vehicle.setpoint(now_s, self.waypoint))
-        result = self._vehicle.set_mode(now_s, Mode.OFFBOARD)
-        self.leads = result.accepted
+        """Lead a real vehicle again where the search left off, as someone wants it: no change of mode gives it back."""
+        if self.found or self._vehicle.failure:
+            return not_now(f"Resume refused: {self._vehicle.failure or 'the source is found'}")
+        if not self.under_way:
+            return not_now("Resume refused: the search flies nothing")
         if self.leads:
-            self.resumed(how)
+            return ACCEPTED
+        now_s = self._vehicle.now_s
+        result = self._vehicle.setpoint(now_s, self.waypoint)
+        if result.accepted:
+            result = self._vehicle.set_mode(now_s, Mode.OFFBOARD)
+        if result.accepted:
+            self.leads = True
+            self.resumed(by)
         return result
 
-    def resumed(self, how: str) -> None:
+    def resumed(self, by: str) -> None:
         """The vehicle has been given back to the search."""
-        self.state = SEARCHING
-        self._say(mavlink.MAV_SEVERITY_INFO, f"Search resumed{how}")
+        self.state, self._pilot = SEARCHING, ""
+        self._say(mavlink.MAV_SEVERITY_INFO, f"Search resumed by {by}")
 
     def _begin(self, now_s: float) -> None:
         """Arm and take off, unless someone flies the vehicle already."""
@@ -202,5 +202,5 @@ class Search:
             return self.give_back(by)
         result = self._vehicle.set_mode(t_s, WANTED[word])
         if result.accepted:
-            self.give_way(f"{self._vehicle.mode.name} by {by}")
+            self.give_way(self._vehicle.mode.name, by)
         return result

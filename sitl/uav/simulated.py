@@ -231,7 +231,7 @@ class Asked:
         answers = self._protocol.receive(message, t_s, streams)
         if self._search.under_way and self._flown() != before:
             how = self._vehicle.mode.name if self._vehicle.armed else "disarmed"
-            self._search.give_way(f"{how} by {who}")
+            self._search.give_way(how, who)
         return answers
 
     def _give_back(self, message: Message, who: str, t_s: float, streams: Telemetry | None) -> list[Message]:
@@ -241,7 +241,7 @@ class Asked:
         answers = self._protocol.receive(message, t_s, streams)
         self._search.leads = self._vehicle.mode is Mode.OFFBOARD
         if self._search.leads:
-            self._search.resumed(f" by {who}")
+            self._search.resumed(who)
         return answers
 
     def _flown(self) -> tuple[Mode, bool]:

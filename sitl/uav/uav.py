@@ -169,7 +169,7 @@ class Uav:
             elif isinstance(event, Reached):
                 self._clients.send(mavlink.MAVLink_mission_item_reached_message(event.seq))
             elif isinstance(event, Led):
-                self._search.led(event.mode, event.given_back, event.by)
+                self._search.led(event.mode, event.by)
             elif event.heard:
                 self._log_text(event.severity, event.text)
             else:

@@ -46,6 +46,8 @@ class ArduCopter(Autopilot):
         self.led_by_pilot = False
         self.bad_ekf_s = 0.0
         self.origin_told = self.breached = self.station_lost = False
+        self.breaches = 0
+        self.last_place: Vector = (0.0, 0.0, 0.0)
         self._stop()
 
     def _stop(self) -> None:
@@ -88,7 +90,7 @@ class ArduCopter(Autopilot):
             return None
         if self.aim == "velocity":
             return 0x0C07, STILL, self.velocity, 0.0
-        return 0x0DF8, self.place, STILL, 0.0
+        return 0x0DF8, self.last_place, STILL, 0.0  # a take-off has no target of its own: what is read back is older
 
     def landing(self) -> bool:
         """In LAND, or at the end of RTL."""
@@ -204,7 +206,16 @@ class ArduCopter(Autopilot):
             return
         if self.aim != "position" or place != self.place:
             self.targets += 1
-        self.aim, self.place, self.velocity, self.aimed_s = "position", place, STILL, self.now_s
+        self._aim_at(place)
+
+    def _aim_at(self, place: Vector) -> None:
+        self.aim, self.place, self.velocity, self.aimed_s, self.last_place = "position", place, STILL, self.now_s, place
+
+    def go_to(self, place: Vector) -> None:
+        """MAV_CMD_DO_REPOSITION of a ground station, with the flag that changes the mode."""
+        self._by_command("GUIDED")
+        if not self._outside(place):
+            self._aim_at(place)
 
     def _turned(self, vector: Vector) -> Vector:
         cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
@@ -277,7 +288,7 @@ class ArduCopter(Autopilot):
             self.disarm()
 
     def _breach(self, name: str) -> None:
-        self.breached = True
+        self.breached, self.breaches = True, self.breaches + 1
         self.text(NOTICE, f"{name} breached")
         mode = FENCE_ACTIONS.get(int(self.parameters["FENCE_ACTION"]))
         if self.armed and not self.landed and mode and not self.change(mode):

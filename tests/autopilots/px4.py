@@ -200,6 +200,11 @@ class Px4(Autopilot):
 
     # ---- targets
 
+    def go_to(self, place: Vector) -> None:
+        """MAV_CMD_DO_REPOSITION of a ground station: HOLD elsewhere."""
+        self.change("HOLD")
+        self.trip.place = place
+
     def hear_heartbeat(self, message: Any) -> None:
         """Ground stations count, companions do not."""
         if message.type == mavlink.MAV_TYPE_GCS:

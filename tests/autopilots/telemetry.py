@@ -123,6 +123,12 @@ def wind(ap: "Autopilot") -> Message:
     return mavlink.MAVLink_wind_message(*ap.settings.wind, 0.0)
 
 
+def fence_status(ap: "Autopilot") -> Message:
+    """FENCE_STATUS (162), ArduPilot's."""
+    breached, count = getattr(ap, "breached", False), getattr(ap, "breaches", 0)
+    return mavlink.MAVLink_fence_status_message(int(breached), count, mavlink.FENCE_BREACH_BOUNDARY if breached else 0, 0)
+
+
 def ekf_status(ap: "Autopilot") -> Message:
     """EKF_STATUS_REPORT (193), ArduPilot's."""
     ratios = (1.8, 1.4, 0.3, 0.9) if ap.faults.on("ekf") else ap.gps.ratios()
@@ -162,5 +168,5 @@ COMMON = {
     0: heartbeat, 1: sys_status, 24: gps_raw, 30: attitude, 32: local_position, 33: global_position, 49: origin, 74: vfr_hud, 85: target,
     147: battery, 148: version, 242: home, 245: extended,
 }  # fmt: skip
-ARDUPILOT = {**COMMON, 168: wind, 193: ekf_status}
+ARDUPILOT = {**COMMON, 162: fence_status, 168: wind, 193: ekf_status}
 PX4 = {**COMMON, 230: estimator_status, 231: wind_cov}

@@ -79,4 +79,4 @@ def test_a_mission_that_a_pilot_ends_is_over(fly: Callable, pilot: Pilot, when: 
     pilot.until("LOCAL_POSITION_NED", lambda at: at.z < -0.5)  # type: ignore[attr-defined]
     assert (pilot.change(how) if how else pilot.command(ARM, 0, 21196)) == 0
     assert mission.ended() == 1
-    assert "error: the uav landed before the search was over" in mission.err[-1]
+    assert f"error: ended by the pilot: {how.name if how else 'disarmed'} by 255/190 at " in mission.err[-1]

@@ -30,3 +30,11 @@ def test_a_launcher_that_is_killed_leaves_no_vehicle_in_the_air(start: type[Part
         flight.process.send_signal(signal.SIGKILL)
         wait_until(lambda: not double.wire.autopilot.armed, 60.0)
         assert double.wire.autopilot.mode == "RTL"
+
+
+@pytest.mark.full
+def test_a_mission_that_a_pilot_ends_fails_with_who_and_how(start: type[Part], tmp_path: Path) -> None:
+    with Double("ardupilot", settings=Settings(ready_s=5.0, radio=True, faults=("pilot@#3:RTL",)), speedup=SPEEDUP) as double:
+        flight = start("sitl", "fly", "--vehicle", double.url, *WORDS, cwd=tmp_path)
+        assert flight.ended() == 1
+    assert flight.err[-1].rstrip().endswith("error: ended by the pilot: RTL by a radio or a ground station")

@@ -110,3 +110,11 @@ def test_a_vehicle_whose_budget_is_spent_is_sent_home_by_its_own_id_and_a_real_o
         watch(bus, monkeypatch, Launch(script, patience_s=PATIENCE_S, vehicle=url)).until_the_end()
         orders = {(it.target_system, it.target_component, it.command) for _, payload, _ in bus.published for it in unpack(payload)}
         assert orders == {(*told, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)}
+
+
+def test_a_mission_that_a_pilot_has_ended_says_who_and_how(monkeypatch: pytest.MonkeyPatch) -> None:
+    how = "ended by the pilot: RTL by a radio or a ground station"
+    landed = Health("uav", "landed", 0, 0.0, 0.0, {}, (how,))
+    bus = FallsSilent(Arrival(BELIEF, msgspec.json.encode(belief(0)), b""), Arrival(HEALTH, msgspec.json.encode(landed), b"", name="uav"))
+    with pytest.raises(MissionFailed, match=f"^{how}$"):
+        watch(bus, monkeypatch).until_the_end()

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from copy import copy
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -51,6 +52,11 @@ class Radio:
         """All frames that came from the double since it was found."""
         self.forwarded: list[bytes] = []
         """What was handed on to it."""
+        self.late: dict[str, float] = {}
+        """How long, in s, something is on its way: a message type, or `mode` and `status` of HEARTBEATs."""
+        self._now_s = 0.0
+        self._way: list[tuple[float, Message]] = []
+        self._beats: list[tuple[float, Message]] = []
 
     def send(self, message: Message) -> None:
         self.sent.append(message)
@@ -74,11 +80,29 @@ class Radio:
         return heard
 
     def advance(self) -> None:
+        self._now_s += STEPS * DT_S
         for frame in self.wire.advance(STEPS):
             if self._system:
                 self._frames.append(frame)
                 self.said.append(frame)
-            self._heard += [Heard(message, self._link) for message in self._parser.parse_buffer(frame) or ()]
+            self._way += [(self._now_s, message) for message in self._parser.parse_buffer(frame) or ()]
+        due = [one for one in self._way if one[0] + self.late.get(one[1].get_type(), 0.0) <= self._now_s]
+        self._way = [one for one in self._way if one not in due]
+        self._heard += [Heard(self._mixed(message), self._link) for _, message in due]
+
+    def hear(self, message: Message, sender: tuple[int, int] = (1, 1)) -> None:
+        """Something else comes over the link."""
+        (heard,) = self._parser.parse_buffer(Codec(*sender).pack(message))
+        self._heard.append(Heard(heard, self._link))
+
+    def _mixed(self, message: Message) -> Message:
+        """A HEARTBEAT as it is heard if its mode or its status came later than the rest."""
+        if message.get_type() == "HEARTBEAT" and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
+            self._beats.append((self._now_s, copy(message)))
+            for name, field in (("mode", "custom_mode"), ("status", "system_status")):
+                then = [beat for at_s, beat in self._beats if at_s <= self._now_s - self.late.get(name, 0.0)] or [message]
+                setattr(message, field, getattr(then[-1], field))
+        return message
 
 
 class OneEnd(Bus):
@@ -131,7 +155,8 @@ class Cockpit:
         settings = {"ready_s": 6.0, **settings}
         self.wire = Wire(kind, Settings(faults=faults, parameters=tuple((parameters or {}).items()), **settings))
         self.radio = Radio(self.wire)
-        self.vehicle = RemoteVehicle(VehicleConfig(), Commander(self.radio))
+        self.log = Log("uav", "test", Tally(), "warning")
+        self.vehicle = RemoteVehicle(VehicleConfig(), Commander(self.radio, handling=Handling(self.log).of))
         self.search = Search(self.vehicle, START, after_stop, lambda _, text: self.said.append(text))
         self.bus = OneEnd(Log("uav", "test", Tally(), "error"))
         self.clients = RealClients(self.vehicle, self.search, self.bus, outs, Told(self), Handling(self.bus.log), None)
@@ -155,7 +180,7 @@ class Cockpit:
             if isinstance(event, Said):
                 self.said.append(event.text)
             elif isinstance(event, Led):
-                self.search.led(event.mode, event.given_back, event.by)
+                self.search.led(event.mode, event.by)
             elif isinstance(event, Arrived) and self.search.measures:
                 self.readings.append((self.now_s, event.position))
                 self.truths.append(tuple(at - home for at, home in zip(self.ap.body.position, self.ap.home, strict=True)))

@@ -8,7 +8,7 @@ from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.state import Mode, VehicleFailed
 from sitl.remote.commander import Commander
 from sitl.remote.vehicle import RemoteVehicle
-from sitl.uav.search import LANDED, PAUSED, RETURNING, SEARCHING, Search
+from sitl.uav.search import LANDED, PAUSED, RETURNING, Search
 from tests.sitl.remote.cockpit import Cockpit
 
 KINDS = ("ardupilot", "px4")
@@ -211,40 +211,6 @@ def forgetful(take: Any) -> Any:
         take(message, now_s)
 
     return taken
-
-
-# ---- the pilot ----
-
-
-@pytest.mark.parametrize(("kind", "mode", "back"), [("ardupilot", "LOITER", "GUIDED"), ("px4", "POSCTL", "OFFBOARD")])
-def test_a_pilot_takes_over_at_once_and_gives_the_search_back(kind: str, mode: str, back: str) -> None:
-    cockpit = searching(kind, "pilot@#3", radio=True)
-    cockpit.until(lambda: cockpit.search.state == PAUSED)
-    assert cockpit.heard("Search gives way: " + {"POSCTL": "POSITION"}.get(mode, mode))
-    count = len(cockpit.readings)
-    cockpit.run(20.0)
-    assert cockpit.ap.mode == mode
-    assert len(cockpit.readings) == count
-    cockpit.ap.change(back)
-    cockpit.reads(count + 2)
-    assert cockpit.search.state == SEARCHING
-    assert cockpit.heard("Search resumed: ")
-
-
-@both
-def test_a_pilot_who_stops_the_take_off_keeps_the_vehicle(kind: str) -> None:
-    cockpit = Cockpit(kind, f"pilot@+1:{'LOITER' if kind == 'ardupilot' else 'POSCTL'}", radio=True)
-    cockpit.until(lambda: cockpit.search.state == PAUSED)
-    cockpit.run(20.0)
-    assert cockpit.ap.mode in ("LOITER", "POSCTL")
-    assert not cockpit.readings
-
-
-@both
-def test_a_pilot_who_returns_or_lands_is_left_alone(kind: str) -> None:
-    cockpit = searching(kind, "pilot@#3:RTL", radio=True)
-    cockpit.until(lambda: cockpit.search.state == LANDED)
-    assert not cockpit.vehicle.failure
 
 
 # ---- the link ----

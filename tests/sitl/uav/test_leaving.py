@@ -2,7 +2,7 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
 import pytest
@@ -14,6 +14,8 @@ from link.interrupts import on_end
 from plume.scenario import draw
 from plume.sensor import Gaussian
 from plume.world import World
+from sitl.autopilot.state import VehicleFailed
+from sitl.remote.connection import Heard
 from sitl.remote.vehicle import RemoteVehicle
 from sitl.uav import passing, real
 from sitl.uav.clock import Clock
@@ -109,4 +111,58 @@ def test_a_vehicle_is_told_to_return_until_it_obeys(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(cockpit.radio, "send", losing)
     fly_until_struck(cockpit)
     assert len(lost) == 2
+    assert cockpit.ap.mode == "RTL"
+
+
+def leave_when(cockpit: Cockpit, monkeypatch: pytest.MonkeyPatch, happens: Callable[[], None]) -> None:
+    """End the service; while it leaves the vehicle something happens at each look."""
+    monkeypatch.setattr(real, "time", SimpleNamespace(monotonic=lambda: cockpit.now_s, sleep=lambda _: happens()))
+    leave = passing.leave
+
+    def troubled(*args) -> None:
+        happens()
+        leave(*args)
+
+    monkeypatch.setattr(passing, "leave", troubled)
+    fly_until_struck(cockpit)
+
+
+@pytest.mark.parametrize("kind", ["ardupilot", "px4"])
+def test_an_unfit_heartbeat_while_the_vehicle_is_left_does_not_keep_it_from_being_sent_home(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cockpit = Cockpit(kind)
+    cockpit.reads(1)
+    gimbal = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_AUTOPILOT_GENERIC, 0, 0, 4, 3)
+    leave_when(cockpit, monkeypatch, lambda: cockpit.radio.hear(gimbal))
+    assert cockpit.ap.mode == "RTL"
+
+
+@pytest.mark.parametrize(
+    "failure", [VehicleFailed("it is gone"), KeyError("a fault"), OSError("no link")], ids=lambda it: type(it).__name__
+)
+@pytest.mark.parametrize("kind", ["ardupilot", "px4"])
+def test_a_vehicle_whose_words_cannot_be_read_is_sent_home_all_the_same(
+    kind: str, failure: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And again and again: the first command is lost."""
+    cockpit = Cockpit(kind)
+    cockpit.reads(1)
+    send, lost = cockpit.radio.send, []
+
+    def losing(message: Message) -> None:
+        if getattr(message, "command", None) == mavlink.MAV_CMD_DO_SET_MODE and not lost:
+            lost.append(message)
+        else:
+            send(message)
+
+    def unread(wait_s: float = 0.0) -> list[Heard]:
+        raise failure
+
+    def happens() -> None:
+        monkeypatch.setattr(cockpit.radio, "send", losing)
+        monkeypatch.setattr(cockpit.radio, "poll", unread)
+
+    leave_when(cockpit, monkeypatch, happens)
+    assert lost
     assert cockpit.ap.mode == "RTL"

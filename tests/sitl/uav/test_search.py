@@ -10,6 +10,7 @@ from link.bus.mavlink import POSITION_ONLY, Message, waypoint_message
 from link.bus.messages import Stop
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence
+from sitl.autopilot.operator import LAUNCHER
 from sitl.autopilot.plan import Item, step
 from sitl.autopilot.state import Arrived, Mode
 from sitl.autopilot.vehicle import Vehicle
@@ -506,3 +507,18 @@ def test_a_breach_of_the_fence_in_mid_search_pauses_it(flight: Flight) -> None:
     assert flight.texts == ["Search gives way: HOLD by the autopilot"]
     assert flight.search.state == "paused"
     assert flight.mode is Mode.HOLD
+
+
+def test_a_search_that_a_pilot_ends_says_who_and_how_when_it_has_landed(flight: Flight) -> None:
+    flight.until("searching")
+    flight.command(mavlink.MAV_CMD_NAV_LAND)
+    flight.until("landed")
+    assert flight.texts[-1] == flight.search.waits_for == "ended by the pilot: LAND by 255/190 on the bus"
+
+
+def test_the_launchers_return_is_the_launchers_and_no_pilot_has_ended_the_search(flight: Flight) -> None:
+    flight.until("searching")
+    flight.command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, sender=LAUNCHER)
+    flight.until("landed")
+    assert flight.texts == ["Search gives way: RETURN by the launcher"]
+    assert flight.search.waits_for == ""
