@@ -108,7 +108,10 @@ class Search:
     def led(self, mode: str, by: str) -> None:
         """A real autopilot's mode or target was changed by a pilot, or by itself; `by`: the client who asked for it, if one has."""
         if self.under_way and self._vehicle.armed:
+            pilot, returned = self._pilot, self.state == RETURNING
             self.give_way(mode, by)
+            if returned and not by and self._vehicle.mode is Mode.LAND:
+                self._pilot = pilot  # some autopilots change to LAND at the end of a return
 
     def give_way(self, mode: str, by: str = "") -> None:
         """Someone else leads from now on; `by`: who, if that is known."""

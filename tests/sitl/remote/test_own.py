@@ -7,7 +7,7 @@ import pytest
 from sitl.autopilot.state import Mode
 from sitl.uav.search import LANDED
 from tests.autopilots.own import WIND
-from tests.sitl.remote import test_flight, test_reactions
+from tests.sitl.remote import test_flight, test_pilot, test_reactions
 from tests.sitl.remote.cockpit import Cockpit
 
 ALIKE = (
@@ -18,7 +18,7 @@ ALIKE = (
     test_flight.test_it_is_a_companion_with_a_heartbeat_once_a_second,
     test_flight.test_someone_on_the_bus_may_pause_and_resume,
     test_reactions.test_an_agent_that_does_not_answer_for_30_s_brings_it_home,
-    test_reactions.test_a_pilot_who_returns_or_lands_is_left_alone,
+    test_pilot.test_a_search_that_a_pilot_ends_says_by_whom_and_how,
     test_reactions.test_a_short_silence_is_told_and_the_search_goes_on,
     test_reactions.test_a_link_that_stays_lost_ends_the_mission_after_a_minute,
     test_reactions.test_an_autopilot_that_starts_again_in_flight_ends_the_mission,

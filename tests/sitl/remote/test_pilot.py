@@ -300,7 +300,7 @@ def test_a_search_that_a_pilot_ends_says_by_whom_and_how(kind: str) -> None:
     cockpit = searching(kind, "pilot@#3:RTL")
     cockpit.until(lambda: cockpit.search.state == LANDED)
     assert not cockpit.vehicle.failure
-    assert cockpit.said[-1] == cockpit.search.waits_for == f"ended by the pilot: {'RETURN' if kind == 'px4' else 'RTL'} by {A_RADIO}"
+    assert cockpit.said[-1] == cockpit.search.waits_for == f"ended by the pilot: {'RTL' if kind == 'ardupilot' else 'RETURN'} by {A_RADIO}"
 
 
 @both
@@ -309,7 +309,7 @@ def test_a_search_that_a_client_ends_through_us_names_the_client(kind: str) -> N
     cockpit.vehicle.flight.asked_by(STATION)
     cockpit.ap.change("RTL")
     cockpit.until(lambda: cockpit.search.state == LANDED)
-    assert cockpit.said[-1] == f"ended by the pilot: {'RETURN' if kind == 'px4' else 'RTL'} by {STATION}"
+    assert cockpit.said[-1] == f"ended by the pilot: {'RTL' if kind == 'ardupilot' else 'RETURN'} by {STATION}"
 
 
 @both
