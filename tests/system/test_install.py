@@ -22,7 +22,7 @@ from agent.trials.rollout import rollout
 from plume import __version__
 from plume.outcome import outcome_json
 
-pytestmark = pytest.mark.timeout(600)  # environments are created and filled, and kernels compiled in them
+pytestmark = pytest.mark.timeout(2000)  # environments are created and filled, and kernels compiled in them
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent", "plumeward")
@@ -217,7 +217,8 @@ def test_the_wheel_flies_a_shipped_policy_in_a_fresh_environment(
     install: Callable[[str], Installed], in_process: dict, tmp_path: Path, version: str
 ) -> None:
     installed = install(version)
-    flown = outcome(installed(tmp_path, "plumeward", "fly", "--policy", "ppo", "--seed", "7", "--speedup", "0", "--json", "--trace"))
+    fly = "plumeward fly --policy ppo --seed 7 --speedup 0 --patience 1500 --json --trace"  # kernels compile on a busy machine
+    flown = outcome(installed(tmp_path, *fly.split()))
     assert (flown["steps"], flown["ceased"], flown["located"]) == (in_process["steps"], True, True)
     assert flown["estimate"] == pytest.approx(in_process["estimate"], abs=1e-4)
     assert flown["distance_m"] == pytest.approx(in_process["distance_m"])
