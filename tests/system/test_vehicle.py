@@ -23,6 +23,8 @@ from tests.system.wires import SerialWire
 
 FAST, STEADY = 10.0, 5.0
 """Speed-ups. PX4 wants setpoints all the time: its companion must not be late by a second of simulation time on a busy machine."""
+DRAG = (("EK3_DRAG_MCOEF", 0.1),)
+"""With a model of its drag an ArduCopter estimates the wind."""
 SEED = 7
 SHORT = ("--seed", str(SEED), "--particles", "100", "--budget", "2", "--json", "--trace")
 
@@ -30,7 +32,7 @@ SHORT = ("--seed", str(SEED), "--particles", "100", "--budget", "2", "--json", "
 @pytest.fixture
 def ardupilot() -> Iterator[Double]:
     """An ArduCopter over TCP, system 32, ready to fly 12 s after its boot, that says it feels a wind of 2 m/s from the east."""
-    with Double("ardupilot", settings=Settings(instance=31, ready_s=12.0, wind=(90.0, 2.0)), speedup=FAST) as double:
+    with Double("ardupilot", settings=Settings(instance=31, ready_s=12.0, wind=(90.0, 2.0), parameters=DRAG), speedup=FAST) as double:
         yield double
 
 
