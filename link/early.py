@@ -1,10 +1,14 @@
 """The first thing that a command loads: until it is under way, a signal ends it at once and without a word."""
 
 import _signal as signal  # type: ignore[import-not-found]  # `signal` loads more: until it has, a signal would print a traceback
+import contextlib
+import faulthandler
 import os
 
 INTERRUPTED = 130
 """Exit status of a command that was interrupted."""
+STACKS = signal.SIGUSR1
+"""The signal on which a process writes to stderr where each of its threads is, also if it hangs. One that is stopped does so later."""
 
 
 def end_at_once() -> None:
@@ -12,3 +16,16 @@ def end_at_once() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, lambda *_: os._exit(INTERRUPTED))
+
+
+def tell_stacks() -> None:
+    """Let this process write its stacks on `STACKS`, whatever it does then."""
+    faulthandler.register(STACKS, file=2, all_threads=True, chain=False)
+
+
+def ask_for_stacks(pid: int) -> None:
+    """Ask a process for its stacks, if it is one that tells them: the signal would end any other."""
+    with contextlib.suppress(OSError, StopIteration), open(f"/proc/{pid}/status") as status:  # Linux's
+        caught = int(next(line for line in status if line.startswith("SigCgt:")).split()[1], 16)
+        if caught >> STACKS - 1 & 1:
+            os.kill(pid, STACKS)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NoReturn
 
-from link.early import INTERRUPTED
+from link.early import INTERRUPTED, tell_stacks
 
 STREAMS = (1, 2)
 """File descriptors of stdout and stderr."""
@@ -73,12 +73,13 @@ def discard(streams: Iterable[int]) -> None:
 def interrupt() -> None:
     """Let a signal raise KeyboardInterrupt in the main thread, again if Python has lost it.
 
-    Let this process also end with its launcher, and when one of its threads dies.
+    Let this process also end with its launcher, and when one of its threads dies, and tell its stacks if it hangs.
 
     An exception in a handler can be lost: where Python calls it within a destructor or another callback, it says so to
     `sys.unraisablehook`; while a module is loaded or compiled, C code may swallow it or make another of it. The signal is then sent again.
     """
     on_end(_interrupt)
+    tell_stacks()
     sys.unraisablehook, sys.excepthook, threading.excepthook = _ignored_exception, _uncaught, _end_without_thread
     threading.Thread(target=_send_again, name="signals", daemon=True).start()
     launcher = os.environ.pop(LAUNCHER, None)  # the launcher is not the parent of what this process starts

@@ -3,14 +3,17 @@
 import json
 import logging
 import re
+import select
 import sys
 from collections.abc import MutableMapping
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, TextIO
 
 from link.bus.tally import Tally
 
 LEVELS = ("debug", "info", "warning", "error")
+PIECE = select.PIPE_BUF // 4
+"""Characters that a pipe which takes more takes at once."""
 LINE = re.compile(rf'time=\S+ level=({"|".join(LEVELS)}) service=(\S+) mission=\S+ step=-?\d+ event=(".*")')
 
 
@@ -23,6 +26,7 @@ class Log(logging.LoggerAdapter[logging.Logger]):
         self._service = service
         self._mission = mission
         self.tally = tally
+        self.least = least
         self._least = logging.getLevelNamesMapping()[least.upper()]
 
     def isEnabledFor(self, level: int) -> bool:
@@ -57,13 +61,39 @@ class Logfmt(logging.Formatter):
 
 
 class _Stderr(logging.Handler):
-    """Writes to the current `sys.stderr`, looked up at each record."""
+    """Writes to the current `sys.stderr`, looked up at each record. It never waits: what nobody reads is left out, and counted."""
+
+    _missing = 0
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
-            print(self.format(record), file=sys.stderr, flush=True)
+            if self._missing and _takes_more(sys.stderr):
+                words, self._missing = f"{self._missing} lines are missing here: nobody has read them", 0
+                self._write(
+                    logging.makeLogRecord({**record.__dict__, "levelno": logging.WARNING, "msg": words, "args": (), "exc_info": None})
+                )
+            self._write(record)
         except Exception:
             self.handleError(record)
+
+    def _write(self, record: logging.LogRecord) -> None:
+        line = self.format(record) + "\n"
+        for at in range(0, len(line), PIECE):
+            if not _takes_more(sys.stderr):
+                self._missing += 1
+                return
+            print(line[at : at + PIECE], end="", file=sys.stderr, flush=True)
+
+
+def _takes_more(stream: TextIO) -> bool:
+    """Whether a stream takes a `PIECE` without a wait: a pipe may be full, and a terminal stand still."""
+    try:
+        descriptor = stream.fileno()
+    except (AttributeError, OSError, ValueError):  # it is none of the system's
+        return True
+    poll = select.poll()
+    poll.register(descriptor, select.POLLOUT)
+    return bool(poll.poll(0))
 
 
 LOGGER = logging.getLogger("plumeward")

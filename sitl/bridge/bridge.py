@@ -11,16 +11,10 @@ from link.bus.session import Bus
 from link.signing.signer import Signing
 from sitl.bridge.address import Address
 from sitl.bridge.bus_link import BRIDGED, BusChannel
-from sitl.bridge.links import Channel, Endpoint
+from sitl.bridge.endpoints import ENDPOINTS, TICK_S
+from sitl.bridge.links import Channel
 from sitl.bridge.routing import BUS, ELSEWHERE, Routes
-from sitl.bridge.serial_line import SerialLine
 from sitl.bridge.stream import Letter
-from sitl.bridge.tcp import TcpIn, TcpOut
-from sitl.bridge.udp import UdpIn, UdpOut
-
-ENDPOINTS: dict[str, type[Endpoint]] = {"udpin": UdpIn, "udpout": UdpOut, "tcp": TcpOut, "tcpin": TcpIn, "serial": SerialLine}
-"""What opens each kind of URL."""
-TICK_S = 0.2
 
 
 class Bridge:

@@ -99,7 +99,7 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
         for relay in relays.values():
             stack.callback(relay.close)
         parts = [ROUTER, "uav", *SEARCHERS, *[PAYLOAD] * bool(mission.vehicle), *[RECORDER] * bool(mission.record)]
-        watchdog = Watchdog(parts, mission.patience_s, time.monotonic(), progress.say)
+        watchdog = Watchdog(parts, mission.patience_s, time.monotonic(), progress.say, processes.tell_stacks)
         events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
         disturbances = Disturbances(events, processes, relays, watchdog, progress.say)
         return MissionWatch(mission, bus, progress, watchdog, disturbances, endpoint, files).until_the_end()

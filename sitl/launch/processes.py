@@ -4,6 +4,7 @@ import contextlib
 import math
 import os
 import queue
+import re
 import selectors
 import signal
 import subprocess
@@ -17,7 +18,7 @@ from link.bus import log
 from link.bus.inbox import Inbox
 from link.bus.session import SIGNAL_POLL_S
 from link.cli import BAD_INPUT, FAILED
-from link.early import INTERRUPTED
+from link.early import INTERRUPTED, ask_for_stacks
 from link.interrupts import LAUNCHER, uninterrupted
 from sitl.launch.output import Lines
 
@@ -35,6 +36,10 @@ START_WARN_S, START_LIMIT_S = 15.0, 300.0
 LEFT_OPEN_S = 0.5
 """How long to read on after a part has ended: its own children may hold its stdout and stderr open."""
 CHUNK = 1 << 16
+STACK = re.compile(r'((Current t|T)hread 0x[0-9a-f]+ |File ".*", line \d+ in )')
+"""How a line of the stacks begins that a part tells when it hangs."""
+STACKS_S = 0.5
+"""How long a part that is about to be killed may take to write its stacks."""
 
 
 class Ended(NamedTuple):
@@ -125,6 +130,10 @@ class Child:
         """Send it a signal."""
         self._process.send_signal(number)  # does nothing if it has ended
 
+    def tell_stacks(self) -> None:
+        """Ask it, which hangs, to write where its threads are. They are shown at once; of one that is stopped once it continues."""
+        ask_for_stacks(self._process.pid)
+
     def kill(self) -> None:
         """Kill it and its children."""
         with contextlib.suppress(OSError):  # already gone
@@ -171,6 +180,9 @@ class Child:
             self._awaited = False
             self._answer.put(line)
             return
+        if STACK.match(line):  # at once: it is about to be killed, and then nobody reads the inbox
+            print(f"{self.part}: {line}", file=sys.stderr)
+            return
         level, text = ("info", f"{self.part}: {line}") if on_stdout else log.parse(line)
         if not on_stdout:
             self._last_words = text
@@ -215,6 +227,11 @@ class Processes:
     def release(self, part: str) -> None:
         """Let a part outlast the others: its end is the caller's business."""
         self._all.remove(self._children.pop(part))
+
+    def tell_stacks(self, part: str) -> None:
+        """Let a part of ours that hangs tell where its threads are."""
+        if child := self._children.get(part):
+            child.tell_stacks()
 
     def kill(self, part: str) -> None:
         """Kill a part on purpose: its end is not reported."""
@@ -273,7 +290,7 @@ class Processes:
         for child in children:
             ended = child.wait(max(deadline - time.monotonic(), 0.0))
             if not ended and child.flies:
-                ended = _await_end(child, FLYING_STOP_TIMEOUT_S, "send the vehicle home", "the vehicle may still fly")
+                ended = _await_end(child, FLYING_STOP_TIMEOUT_S, "send the vehicle home", "its keeper has the vehicle")
             elif not ended and child.part == "recorder":
                 ended = _await_end(child, RECORDER_STOP_TIMEOUT_S, "write the end of the record", "the record may lack its end")
             if not ended:
@@ -288,4 +305,5 @@ def _await_end(child: Child, timeout_s: float, what: str, or_else: str) -> bool:
     if child.wait(timeout_s):
         return True
     print(f"warning: the {child.part} hangs and is killed: {or_else}", file=sys.stderr)
-    return False
+    child.tell_stacks()
+    return child.wait(STACKS_S)

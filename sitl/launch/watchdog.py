@@ -29,12 +29,15 @@ class _Watched:
 class Watchdog:
     """When each part was last heard, and what its silence means."""
 
-    def __init__(self, parts: Iterable[str], patience_s: float, now_s: float, say: Callable[[str], None]) -> None:
-        """Take parts that have just been started, how long one may be silent, and how to tell people."""
+    def __init__(
+        self, parts: Iterable[str], patience_s: float, now_s: float, say: Callable[[str], None],
+        hangs: Callable[[str], None] = lambda _: None,
+    ) -> None:  # fmt: skip
+        """Take parts that have just been started, how long one may be silent, how to tell people, and what to do with one that hangs."""
         self._parts = {part: _Watched(now_s) for part in parts}
         self._patience_s = patience_s
         self._looked_s = now_s
-        self._say = say
+        self._say, self._hangs = say, hangs
 
     def heard(self, part: str, now_s: float) -> None:
         """Note that a part was heard."""
@@ -77,6 +80,7 @@ class Watchdog:
             silent_s = now_s - known.since_s
             warn_s, limit_s = (WARN_S, self._patience_s) if known.spoken else (START_WARN_S, max(START_LIMIT_S, self._patience_s))
             if silent_s >= limit_s and part != RECORDER:
+                self._hangs(part)
                 since = "" if known.spoken else " since it was started"
                 return f"the {part} has said nothing for {limit_s:g} s{since} (--patience S waits longer)"
             if silent_s >= warn_s and not known.told:

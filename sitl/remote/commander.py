@@ -57,6 +57,10 @@ class Radio(Protocol):
     def state(self) -> str:
         """How the connection is doing."""
 
+    @property
+    def sent_home(self) -> str:
+        """Why the vehicle was sent home by another process in our place; empty if it was not."""
+
 
 def _is_ours(ack: Message, system: int) -> bool:
     """Whether an acknowledgement is for us: clients' commands are handed on to the same autopilot."""

@@ -13,9 +13,10 @@ from link.bus.log import Log
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Message
 from link.signing.signer import Signing
 from sitl.bridge.address import Address
-from sitl.bridge.bridge import ENDPOINTS, TICK_S
-from sitl.bridge.links import Channel
+from sitl.bridge.endpoints import ENDPOINTS, TICK_S
+from sitl.bridge.links import Channel, Endpoint
 from sitl.bridge.stream import Letter
+from sitl.remote.kept import Kept
 
 HEARD = frozenset(
     {
@@ -56,7 +57,7 @@ class Endpoints:
         self.links: list[Channel] = []
         self._came: list[Came] = []
         self._tick_at_s = 0.0
-        self._endpoints = [ENDPOINTS[address.kind](address, self) for address in addresses]
+        self._endpoints = [self._endpoint(address) for address in addresses]
         for endpoint in self._endpoints:
             endpoint.traffic.signer = signing.link(endpoint.address.text) if signing else None
             try:
@@ -64,6 +65,9 @@ class Endpoints:
             except ValueError:
                 self.close()
                 raise
+
+    def _endpoint(self, address: Address) -> Endpoint:
+        return ENDPOINTS[address.kind](address, self)
 
     # ---- what an endpoint calls ----
 
@@ -112,7 +116,7 @@ class Endpoints:
 
 
 class Connection(Endpoints):
-    """The endpoint of an autopilot. Behind it may be several links (`udpin`, `tcpin`); `use` says which one leads to the vehicle."""
+    """The endpoint of an autopilot, which its keeper has: behind it may be several links (`udpin`, `tcpin`), and the keeper knows the right one."""
 
     def __init__(self, address: Address, log: Log) -> None:
         """Open the endpoint; raises ValueError if it cannot be used on this machine."""
@@ -123,6 +127,15 @@ class Connection(Endpoints):
         self._parser = mavlink.MAVLink(None)
         self._frames: deque[bytes] = deque(maxlen=MOST_FRAMES)
         super().__init__([address], log)
+
+    def _endpoint(self, address: Address) -> Endpoint:
+        self._kept = Kept(address, self)
+        return self._kept
+
+    @property
+    def sent_home(self) -> str:
+        """Why the keeper has sent the vehicle home, once it has: nothing goes out any more."""
+        return self._kept.sent_home
 
     def leave(self, link: Channel) -> None:
         """A link has gone."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import all as mavlink
 
 from link.modes import MEANINGS, mode_name
-from sitl.autopilot.state import Mode
+from sitl.autopilot.mode import Mode
 
 ESTIMATES = mavlink.ESTIMATOR_POS_HORIZ_ABS
 """Flag of EKF_STATUS_REPORT (193) and ESTIMATOR_STATUS (230): the absolute horizontal position is good."""

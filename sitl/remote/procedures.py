@@ -64,7 +64,7 @@ class Procedures:
         self._mode: int | None = None
         self._boots = 0
         self._flew = False  # when it was last armed
-        self._told = ""
+        self._told = self._sent_home = ""
 
     @property
     def now_s(self) -> float:
@@ -116,6 +116,11 @@ class Procedures:
             name, mode = self.firmware.name, self.firmware.mode_name(self.known.custom_mode)
             self.say(mavlink.MAV_SEVERITY_INFO, f"{name} found: system {self.commander.system}, {mode}")
             self._reading = self._read_failsafes()
+        if (reason := self.commander.radio.sent_home) and reason != self._sent_home:
+            self._sent_home, self._asked = reason, {self.firmware.modes[mode] for mode in (Mode.RETURN, Mode.LAND)}
+            self.failure = self.failure or reason
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, reason)
+            self._stop()
         if self.commander.system:
             self._watch_mode()
             self._watch_target()

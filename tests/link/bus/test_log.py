@@ -2,9 +2,11 @@
 
 import io
 import logging
+import os
 import re
 import sys
 import threading
+from collections.abc import Callable
 
 import pytest
 
@@ -152,3 +154,29 @@ def test_each_line_is_flushed(monkeypatch: pytest.MonkeyPatch) -> None:
     for count in (1, 2):
         log.info("Landed")
         assert pipe.flushed.count("Landed") == count
+
+
+def test_a_log_that_nobody_reads_never_waits_and_says_later_what_is_missing(
+    monkeypatch: pytest.MonkeyPatch, wait_until: Callable[..., None]
+) -> None:
+    """A launcher that is stopped, or a terminal: the loop of a vehicle in the air must go on."""
+    read_end, write_end = os.pipe()
+    with open(read_end) as reader, open(write_end, "w") as stderr:
+        monkeypatch.setattr(sys, "stderr", stderr)
+        log = Log("uav", "uav/1", Tally())
+
+        def write() -> None:
+            for number in range(500):
+                log.info(f"{number} {'x' * 5000}")  # more than a pipe's 64 kB in all, and each more than it takes at once
+
+        writer = threading.Thread(target=write, daemon=True)
+        writer.start()
+        wait_until(lambda: not writer.is_alive(), 60.0)
+        os.set_blocking(read_end, False)
+        read = reader.read()
+        assert 'event="0 xxx' in read
+        log.info("on")
+        *_, missing, last = [parse(line) for line in reader.read().splitlines()]
+        assert last == ("info", "uav: on")
+        assert missing[0] == "warning"
+        assert int(missing[1].split()[2]) + len([line for line in read.splitlines() if line.endswith('"')]) == 500

@@ -185,7 +185,7 @@ def test_a_part_that_flies_a_real_vehicle_and_hangs_is_killed_in_the_end_and_peo
     wait_until(launched.lines)
     launched.processes.stop()
     assert child.wait(0.0)
-    assert "warning: the uav hangs and is killed: the vehicle may still fly" in capsys.readouterr().err
+    assert "warning: the uav hangs and is killed: its keeper has the vehicle" in capsys.readouterr().err
 
 
 DEAF = """
@@ -240,3 +240,51 @@ def test_why_the_recording_stopped_is_told_also_at_the_missions_end(capsys: pyte
     launched.inbox.put(Ended("recorder", 1, "recorder: warning: record stopped: No space left on device"))
     launched.processes.stop()
     assert capsys.readouterr().err == "warning: the recording stopped: recorder: warning: record stopped: No space left on device\n"
+
+
+HANGS = """
+import os, sys, threading
+from link import cli
+def in_circles():
+    print("going", flush=True)
+    while True:
+        pass
+def command():
+    threading.Thread(target=threading.Event().wait, name="waits", daemon=True).start()
+    in_circles()
+cli.run(command)
+"""
+
+
+@pytest.mark.parametrize("stopped", [False, True], ids=["busy", "stopped"])
+def test_before_a_part_that_hangs_is_killed_it_tells_where_its_threads_are(
+    launched: Launched, wait_until: Callable, capsys: pytest.CaptureFixture[str], stopped: bool
+) -> None:
+    child = launched.processes.start("agent", TOLD, "import os; print(os.getpid(), flush=True)" + HANGS)
+    wait_until(lambda: "agent: going" in launched.lines())
+    if stopped:
+        child.signal(signal.SIGSTOP)
+    launched.processes.tell_stacks("agent")
+    launched.processes.tell_stacks("of nobody")
+    if not stopped:
+        shown = ""
+
+        def told() -> bool:
+            nonlocal shown
+            shown += capsys.readouterr().err
+            return "in_circles" in shown
+
+        wait_until(told)
+    launched.processes.stop()  # which lets a stopped one continue
+    shown = capsys.readouterr().err if stopped else shown
+    assert "agent: Current thread 0x" in shown
+    assert " in in_circles" in shown
+    assert " in wait" in shown
+    assert not any("in_circles" in line for line in launched.lines())
+
+
+def test_a_part_that_would_not_survive_the_question_is_not_asked_for_its_stacks(launched: Launched, wait_until: Callable) -> None:
+    child = launched.processes.start("agent", TOLD, "import time; print('there', flush=True); time.sleep(600)")
+    wait_until(launched.lines)
+    launched.processes.tell_stacks("agent")
+    assert not child.wait(0.2)

@@ -36,7 +36,7 @@ START = (4.0, 2.0)
 class Radio:
     """A connection without a socket: frames go straight to the double."""
 
-    state = ""
+    state = sent_home = ""
 
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
