@@ -96,7 +96,10 @@ class Commander:
         self._wanted = system
         self.speedup = speedup
         self._running: CommandRun | None = None
+        self.in_charge = False
+        """Whether the vehicle is in our charge, which our HEARTBEAT says: ACTIVE, else STANDBY. The keeper goes by it."""
         self._beat_s = self._streams_s = -math.inf
+        self._state = mavlink.MAV_STATE_UNINIT
 
     def patient(self, seconds: float) -> float:
         """Return a time for an answer: at least `SHORTEST_S` of real time."""
@@ -107,10 +110,12 @@ class Commander:
     def poll(self, now_s: float) -> None:
         """Take what has come, and send what is due. Raises VehicleFailed if this is no vehicle for a search."""
         self.now_s = now_s
-        if now_s - self._beat_s >= min(BEAT_S, self.speedup):  # the autopilot's failsafes count by its time, people by real time
-            self._beat_s = now_s
+        state = mavlink.MAV_STATE_ACTIVE if self.in_charge else mavlink.MAV_STATE_STANDBY
+        due = now_s - self._beat_s >= min(BEAT_S, self.speedup)  # the autopilot's failsafes count by its time, people by real time
+        if due or state != self._state:
+            self._beat_s, self._state = now_s, state
             kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
-            self.radio.send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
+            self.radio.send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, state, 3))
         for message, link in self.radio.poll():
             with self._handling(message):
                 self._take(message, link)

@@ -33,7 +33,7 @@ SILENT_S = 3.0
 HELD_UP_S = 1.0
 """Two looks so far apart mean that the keeper itself was held up: that time does not count as silence."""
 ARMED_S = 5.0
-"""A vehicle that is armed so soon after the uav has told it to is the uav's."""
+"""A vehicle that is armed later than this after the uav's last HEARTBEAT has been armed by someone else."""
 AGAIN_S = 1.0
 """How often a vehicle that does not obey is told again, and the uav what has happened."""
 GIVEN_UP_S = 60.0
@@ -67,44 +67,39 @@ class Keeper:
         self._status = mavlink.MAV_STATE_UNINIT
         self._landed = mavlink.MAV_LANDED_STATE_UNDEFINED
         self._armed = False
-        self._ours = self._theirs = False  # whether the uav has begun this flight; whether someone else has changed its mode
+        self._ours = self._theirs = False  # whether the uav says that it is in charge; whether someone else has changed the mode since
         self._asked: frozenset[int] = frozenset()
         self._gone = self._told = False
-        self._arm_s = self._sent_s = -math.inf
+        self._sent_s = -math.inf
         self._beat_s = self._looked_s = self._heard_s = math.inf
 
     # ---- the uav's side ----
 
     def passes(self, letter: Letter, now_s: float) -> bool:
-        """Take a frame of the uav; returns whether it is to be handed on. The uav's own are well-formed."""
+        """Take a frame of the uav; returns whether it is to be handed on."""
         if letter.component == COMPANION and not self.acted:  # what it hands on of others has other ids
-            number = letter.message_id
-            if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            if letter.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
                 self._beat_s, self.system = now_s, letter.system or self.system
-            elif number == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-                self._commanded(self._message(letter), now_s)
-            elif number == mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED and self._flies_setpoints:
-                self._leads(self._guided)
+                ours = self._message(letter).system_status == mavlink.MAV_STATE_ACTIVE
+                self._theirs = self._theirs and ours == self._ours  # it knows best, once it knows
+                self._ours = ours
+            elif letter.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+                self._commanded(self._message(letter))
         return not self.acted
 
     def gone(self) -> None:
         """Note that the uav has ended, or has let go of us."""
         self._gone = True
 
-    def _commanded(self, message: mavlink.MAVLink_command_long_message, now_s: float) -> None:
+    def _commanded(self, message: mavlink.MAVLink_command_long_message) -> None:
+        """Remember which modes come of what the uav commands."""
         modes = self._firmware.modes
-        if message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
-            self._arm_s = now_s if message.param1 == 1.0 else -math.inf
-        elif message.command == mavlink.MAV_CMD_NAV_TAKEOFF:
-            self._leads(*[self._guided] if self._firmware.is_ardupilot else [modes[Mode.TAKEOFF], modes[Mode.HOLD]])
+        if message.command == mavlink.MAV_CMD_NAV_TAKEOFF:
+            climbs = (Mode.OFFBOARD,) if self._firmware.is_ardupilot else (Mode.TAKEOFF, Mode.HOLD)
+            self._asked, self._theirs = frozenset(modes[mode] for mode in climbs), False
         elif message.command == mavlink.MAV_CMD_DO_SET_MODE:
             main, sub = int(message.param2), int(message.param3)
-            self._leads(main if self._firmware.is_ardupilot else main << 16 | sub << 24)
-
-    def _leads(self, *modes: int) -> None:
-        """The uav has asked for these modes: the flight is its own from now on."""
-        self._asked, self._theirs = frozenset(modes), False
-        self._ours = self._ours or self._armed
+            self._asked, self._theirs = frozenset({main if self._firmware.is_ardupilot else main << 16 | sub << 24}), False
 
     # ---- the autopilot's side ----
 
@@ -134,7 +129,7 @@ class Keeper:
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         if armed != self._armed:
             self._armed, self._theirs = armed, False
-            self._ours = armed and now_s - self._arm_s <= ARMED_S
+            self._ours = self._ours and now_s - self._beat_s <= ARMED_S
         mode, before = message.custom_mode, self._mode
         failed = message.system_status >= mavlink.MAV_STATE_CRITICAL > self._status
         if before is not None and mode != before and mode not in self._asked:
@@ -164,7 +159,7 @@ class Keeper:
             if self.acted and not self._told:
                 self._told = True
                 self._say(WARNING, f"The vehicle is left in {self._mode_name}" if self._armed else "The motors have stopped")
-            self.over = self._gone and (self._armed or now_s - self._arm_s > ARMED_S)
+            self.over = self._gone and (self._armed or not self._ours or now_s - self._beat_s > ARMED_S)
 
     def _act(self, now_s: float) -> None:
         if now_s - self._sent_s < AGAIN_S:
@@ -203,15 +198,6 @@ class Keeper:
         if self._landed != mavlink.MAV_LANDED_STATE_UNDEFINED:
             return bool(self._landed == mavlink.MAV_LANDED_STATE_ON_GROUND)
         return self._status in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_UNINIT)
-
-    @property
-    def _flies_setpoints(self) -> bool:
-        """Whether a setpoint of the uav means that it leads. PX4 is sent them also while a pilot flies: it wants them before OFFBOARD."""
-        return self._firmware.is_ardupilot and self._mode == self._guided
-
-    @property
-    def _guided(self) -> int:
-        return self._firmware.modes[Mode.OFFBOARD]
 
     @property
     def _mode_name(self) -> str:

@@ -77,8 +77,9 @@ class Kept(Reopened):
     def tick(self, now_s: float) -> None:
         """Start a new keeper if the last has died or hangs."""
         if self._process and self._pipe and now_s - self._said_s > SILENT_S:
-            self._process.kill()
-            self._fail("its keeper hangs")
+            self.log.warning(f"{self.address.text}: its keeper hangs and is killed")
+            self._said_s = math.inf
+            self._process.kill()  # which closes the link
         if now_s - self._looked_s > keeper.HELD_UP_S:  # not the keeper's fault
             self._said_s += now_s - self._looked_s
         self._looked_s = now_s
@@ -96,6 +97,9 @@ class Kept(Reopened):
         self._socket, self._said_s = ours, math.inf
         self._begin(ours.fileno(), MOST_BYTES, now_s)
         return self._process
+
+    def _fail(self, reason: str) -> None:
+        super()._fail("its keeper has ended")
 
     def state(self) -> str:
         """How the keeper's own endpoint does."""

@@ -108,6 +108,7 @@ class Procedures:
     def _hear(self, now_s: float) -> None:
         found = self.commander.system
         self.commander.quiet = self.begun and self.theirs
+        self.commander.in_charge = self.in_charge
         self.commander.poll(now_s)
         for text in self.commander.ignored:
             self.say(mavlink.MAV_SEVERITY_WARNING, text)

@@ -101,20 +101,22 @@ def test_a_uav_that_runs_in_circles_tells_where_and_its_vehicle_is_sent_home(
 @pytest.mark.full
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_keeper_that_dies_or_hangs_is_replaced_and_the_search_goes_on(
-    start: type[Part], family: Callable, double: Double, tmp_path: Path, wait_until: Callable[..., None], number: signal.Signals
+    start: type[Part], family: Callable, tmp_path: Path, wait_until: Callable[..., None], number: signal.Signals
 ) -> None:
-    mission = start("sitl", "fly", "--vehicle", double.url, *WORDS, cwd=tmp_path)
-    wait_until(lambda: mission.says("step   0/300"), 120.0)
-    uav = family(mission.process.pid)["uav"]
-    keeper = keeper_of(uav)
-    os.kill(keeper, number)
-    wait_until(lambda: keeper_of(uav) not in (0, keeper), 60.0)
-    assert mission.says("it is tried again")
-    targets = double.wire.autopilot.targets
-    wait_until(lambda: double.wire.autopilot.targets > targets + 2, 60.0)
-    assert double.wire.autopilot.mode == "GUIDED"
-    keeper = keeper_of(uav)
-    mission.process.send_signal(signal.SIGINT)
-    assert mission.ended() == 130
-    assert double.wire.autopilot.mode == "RTL"
-    assert not Path(f"/proc/{keeper}").exists()
+    slow = "2"  # times count by the clock of the vehicle
+    with Double("ardupilot", settings=Settings(ready_s=5.0), speedup=float(slow)) as double:
+        mission = start("sitl", "fly", "--vehicle", double.url, *WORDS, "--speedup", slow, "--patience", "60", cwd=tmp_path)
+        wait_until(lambda: mission.says("step   0/300"), 120.0)
+        uav = family(mission.process.pid)["uav"]
+        keeper = keeper_of(uav)
+        os.kill(keeper, number)
+        wait_until(lambda: keeper_of(uav) not in (0, keeper), 60.0)
+        assert mission.says("its keeper has ended; it is tried again")
+        targets = double.wire.autopilot.targets
+        wait_until(lambda: double.wire.autopilot.targets > targets + 2, 60.0)
+        assert double.wire.autopilot.mode == "GUIDED"
+        keeper = keeper_of(uav)
+        mission.process.send_signal(signal.SIGINT)
+        assert mission.ended() == 130
+        assert double.wire.autopilot.mode == "RTL"
+        wait_until(lambda: not Path(f"/proc/{keeper}").exists(), 60.0)

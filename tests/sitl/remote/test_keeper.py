@@ -205,6 +205,27 @@ def test_a_pilot_who_flies_it_when_the_uav_hangs_is_left_alone(kind: str) -> Non
     kept.hangs_until(lambda: kept.keeper.over, 1.0)
 
 
+def test_a_uav_that_has_given_way_in_guided_leaves_the_vehicle_to_its_pilot_also_when_it_hangs() -> None:
+    kept = Kept("ardupilot")
+    on_the_way(kept)
+    kept.vehicle.flight.theirs = True  # a ground station has sent another target: no mode has changed
+    kept.run(0.2)
+    kept.hangs(30.0)
+    assert kept.ap.mode == "GUIDED"
+    assert not kept.radio.commands
+
+
+def test_a_vehicle_that_a_pilot_arms_after_the_uav_has_hung_on_the_ground_is_the_pilots() -> None:
+    kept = Kept("ardupilot", "arm:40")
+    kept.until(lambda: kept.heard("Arming refused"))
+    kept.hangs(40.0)
+    arm = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1.0, *[0.0] * 6)
+    kept.wire.hear(Codec(255, 190).pack(arm))
+    kept.hangs(5.0)
+    assert kept.ap.armed
+    assert not kept.radio.commands
+
+
 def test_a_pilot_may_take_over_from_the_keeper() -> None:
     kept = Kept("ardupilot")
     on_the_way(kept)
