@@ -116,7 +116,7 @@ class Endpoints:
 
 
 class Connection(Endpoints):
-    """The endpoint of an autopilot, which its keeper has: behind it may be several links (`udpin`, `tcpin`), and the keeper knows the right one."""
+    """The endpoint of an autopilot, which its keeper has. The keeper knows which of several links (`udpin`, `tcpin`) is the vehicle's."""
 
     def __init__(self, address: Address, log: Log) -> None:
         """Open the endpoint; raises ValueError if it cannot be used on this machine."""
