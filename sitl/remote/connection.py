@@ -134,7 +134,7 @@ class Connection(Endpoints):
 
     @property
     def sent_home(self) -> str:
-        """Why the keeper has sent the vehicle home, once it has: nothing goes out any more."""
+        """Why the keeper has sent the vehicle home, once it has: nothing of ours goes out any more."""
         return self._kept.sent_home
 
     def leave(self, link: Channel) -> None:

@@ -57,7 +57,7 @@ class Keeper:
         self.system = 0
         """The vehicle's system id: that of its companion, the uav. 0 until the uav has found it."""
         self.acted = ""
-        """Why it has acted, once it has: from then on nothing of the uav is handed on."""
+        """Why it has acted, once it has: from then on nothing of the uav's own is handed on."""
         self.over = False
         """Whether there is nothing left to do."""
         self._send, self._say, self._hangs = send, say, hangs
@@ -76,16 +76,19 @@ class Keeper:
     # ---- the uav's side ----
 
     def passes(self, letter: Letter, now_s: float) -> bool:
-        """Take a frame of the uav; returns whether it is to be handed on."""
-        if letter.component == COMPANION and not self.acted:  # what it hands on of others has other ids
-            if letter.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                self._beat_s, self.system = now_s, letter.system or self.system
-                ours = self._message(letter).system_status == mavlink.MAV_STATE_ACTIVE
-                self._theirs = self._theirs and ours == self._ours  # it knows best, once it knows
-                self._ours = ours
-            elif letter.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-                self._commanded(self._message(letter))
-        return not self.acted
+        """Take a frame of the uav; returns whether it is to be handed on: what it hands on of others, which has other ids, always."""
+        if letter.component != COMPANION:
+            return True
+        if self.acted:
+            return False
+        if letter.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            self._beat_s, self.system = now_s, letter.system or self.system
+            ours = self._message(letter).system_status == mavlink.MAV_STATE_ACTIVE
+            self._theirs = self._theirs and ours == self._ours  # it knows best, once it knows
+            self._ours = ours
+        elif letter.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+            self._commanded(self._message(letter))
+        return True
 
     def gone(self) -> None:
         """Note that the uav has ended, or has let go of us."""

@@ -38,7 +38,7 @@ class Kept(Reopened):
         self._said = ""
         self._said_s = self._looked_s = math.inf
         self.sent_home = ""
-        """Why the keeper has sent the vehicle home, once it has: nothing goes out any more."""
+        """Why the keeper has sent the vehicle home, once it has: nothing of ours goes out any more."""
 
     # ---- between the hub and the link ----
 

@@ -25,8 +25,8 @@ class KeptRadio(Radio):
 
     def __init__(self, wire: Wire) -> None:
         super().__init__(wire)
-        self.keeper = Keeper(self._of_the_keeper, lambda _, text: self.said.append(text))
-        self.said: list[str] = []
+        self.keeper = Keeper(self._of_the_keeper, lambda _, text: self.told.append(text))
+        self.told: list[str] = []
         self.commands: list[int] = []
         """What the keeper has commanded."""
         self.now_s = 0.0
@@ -39,7 +39,10 @@ class KeptRadio(Radio):
 
     def send(self, message: Message) -> None:
         self.sent.append(message)
-        for letter in self._from_uav.take(self._codec.pack(message)):
+        self.forward(self._codec.pack(message))
+
+    def forward(self, frame: bytes) -> None:
+        for letter in self._from_uav.take(frame):
             if self.keeper.passes(letter, self.now_s):
                 self.wire.hear(letter.data)
 
@@ -80,7 +83,7 @@ class Kept(Cockpit):
         """The uav does nothing until something holds."""
         until_s = self.now_s + most_s
         while not holds():
-            assert self.now_s < until_s, f"not true within {most_s:g} s; the keeper said: {self.radio.said}"
+            assert self.now_s < until_s, f"not true within {most_s:g} s; the keeper said: {self.radio.told}"
             self.hangs(STEPS * DT_S)
 
     @property
@@ -128,10 +131,10 @@ def test_a_vehicle_whose_uav_hangs_in_flight_is_sent_home(kind: str, phase: Call
     kept.hangs(SILENT_S - 1.0)
     assert not kept.radio.commands
     kept.hangs_until(lambda: kept.ap.mode == "RTL", 5.0)
-    assert kept.radio.said == ["The keeper sends the vehicle home: the uav was silent for 3 s"]
+    assert kept.radio.told == ["The keeper sends the vehicle home: the uav was silent for 3 s"]
     kept.hangs_until(lambda: not kept.ap.armed)
     assert kept.from_home_m < 0.5
-    assert kept.radio.said[1] == f"The vehicle is left in {'RTL' if kind == 'ardupilot' else 'RETURN'}"
+    assert kept.radio.told[1] == f"The vehicle is left in {'RTL' if kind == 'ardupilot' else 'RETURN'}"
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -142,7 +145,7 @@ def test_a_vehicle_whose_uav_is_killed_in_flight_is_sent_home_at_once(kind: str,
     kept.keeper.gone()
     kept.hangs_until(lambda: kept.ap.mode == "RTL", 2.0)
     kept.hangs_until(lambda: kept.keeper.over, 2.0)
-    assert kept.radio.said[0] == "The keeper sends the vehicle home: the uav has ended"
+    assert kept.radio.told[0] == "The keeper sends the vehicle home: the uav has ended"
     kept.hangs_until(lambda: not kept.ap.armed)
     assert kept.from_home_m < 0.5
 
@@ -157,7 +160,7 @@ def test_a_vehicle_whose_uav_stops_while_it_arms_is_disarmed_on_the_ground(kind:
     kept.hangs_until(lambda: not kept.ap.armed, SILENT_S + 3.0)  # both autopilots do it themselves after 10 s
     assert mavlink.MAV_CMD_DO_SET_MODE not in kept.radio.commands
     assert kept.ap.landed
-    assert kept.radio.said[0].startswith("The keeper stops the motors: the uav ")
+    assert kept.radio.told[0].startswith("The keeper stops the motors: the uav ")
 
 
 def test_a_uav_that_is_killed_just_as_it_arms_leaves_no_motors_running() -> None:
@@ -173,7 +176,7 @@ def test_a_keeper_has_nothing_to_do_before_arming_and_ends_with_the_uav(kind: st
     kept = Kept(kind, "arm")
     before_arming(kept)
     kept.hangs(60.0)
-    assert (kept.radio.commands, kept.radio.said, kept.keeper.over) == ([], [], False)
+    assert (kept.radio.commands, kept.radio.told, kept.keeper.over) == ([], [], False)
     kept.run(5.0)
     assert not kept.radio.sent_home
     kept.keeper.gone()
@@ -226,12 +229,14 @@ def test_a_vehicle_that_a_pilot_arms_after_the_uav_has_hung_on_the_ground_is_the
     assert not kept.radio.commands
 
 
-def test_a_pilot_may_take_over_from_the_keeper() -> None:
+def test_a_pilot_may_take_over_from_the_keeper_also_through_a_uav_that_has_come_back() -> None:
     kept = Kept("ardupilot")
     on_the_way(kept)
     kept.hangs_until(lambda: kept.ap.mode == "RTL")
-    kept.ap.mode = "LOITER"
-    kept.hangs(30.0)
+    kept.run(1.5)
+    loiter = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, 1.0, 5.0, *[0.0] * 5)
+    kept.radio.forward(Codec(255, 190).pack(loiter))
+    kept.run(30.0)
     assert kept.ap.mode == "LOITER"
 
 
@@ -318,4 +323,4 @@ def test_an_autopilot_that_is_not_heard_any_more_is_given_up() -> None:
     kept.hangs(GIVEN_UP_S - 5.0)
     assert not kept.keeper.over
     kept.hangs_until(lambda: kept.keeper.over, 10.0)
-    assert kept.radio.said[-1] == "The autopilot is not heard for 60 s: its own failsafe is in charge"
+    assert kept.radio.told[-1] == "The autopilot is not heard for 60 s: its own failsafe is in charge"
