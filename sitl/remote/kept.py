@@ -76,13 +76,13 @@ class Kept(Reopened):
 
     def tick(self, now_s: float) -> None:
         """Start a new keeper if the last has died or hangs."""
+        if now_s - self._looked_s > keeper.HELD_UP_S:  # we ourselves were: what it has said meanwhile is not read yet
+            self._said_s += now_s - self._looked_s
+        self._looked_s = now_s
         if self._process and self._pipe and now_s - self._said_s > SILENT_S:
             self.log.warning(f"{self.address.text}: its keeper hangs and is killed")
             self._said_s = math.inf
             self._process.kill()  # which closes the link
-        if now_s - self._looked_s > keeper.HELD_UP_S:  # not the keeper's fault
-            self._said_s += now_s - self._looked_s
-        self._looked_s = now_s
         if self._pipe is None and self._retry.due(now_s):
             self._start(subprocess.DEVNULL, now_s)
 
