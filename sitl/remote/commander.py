@@ -109,6 +109,8 @@ class Commander:
 
     def poll(self, now_s: float) -> None:
         """Take what has come, and send what is due. Raises VehicleFailed if this is no vehicle for a search."""
+        if now_s - self.now_s > SLOWEST_S * self.speedup:  # we were held up: what has come meanwhile is not read yet
+            self.known.heard_s += now_s - self.now_s
         self.now_s = now_s
         state = mavlink.MAV_STATE_ACTIVE if self.in_charge else mavlink.MAV_STATE_STANDBY
         due = now_s - self._beat_s >= min(BEAT_S, self.speedup)  # the autopilot's failsafes count by its time, people by real time

@@ -119,7 +119,7 @@ class Procedures:
             self._reading = self._read_failsafes()
         if (reason := self.commander.radio.sent_home) and reason != self._sent_home:
             self._sent_home, self._asked = reason, {self.firmware.modes[mode] for mode in (Mode.RETURN, Mode.LAND)}
-            self.failure = self.failure or reason
+            self.failure = reason  # what else has failed since it hung comes of that
             self.say(mavlink.MAV_SEVERITY_CRITICAL, reason)
             self._stop()
         if self.commander.system:
