@@ -166,7 +166,7 @@ class MissionWatch:
         self._bus = bus
         self._progress = progress
         self._watchdog = watchdog
-        self._look_at = 0.0
+        self._look_at, self._began_at = 0.0, time.monotonic()
         self._disturbances = disturbances
         self._endpoint = endpoint
         self._files = files
@@ -190,7 +190,7 @@ class MissionWatch:
         while not self._over and time.monotonic() < lost_at:
             self._listen(self._disturbances.wait_s())
             if self._last:
-                self._disturbances.reached(self._last.step, self._trace.time_s(self._last.step))
+                self._disturbances.reached(self._last.step, self._time_s(self._last.step))
             if self._landed and not self._stopped and time.monotonic() >= self._landed_since + LATE_STOP_S:
                 break
             if not (self._stopped or self._ceased) or self._disturbances.wait_s() is not None:
@@ -206,6 +206,11 @@ class MissionWatch:
         self._await_record(self._last.step)
         self._await_trace()
         return self._flown(self._last)
+
+    def _time_s(self, step: int) -> float:
+        """Return the time that a script's events count by, s: a reading's own, but a real vehicle's clock began before the mission."""
+        since_s = (time.monotonic() - self._began_at) * self._script.speedup
+        return since_s if self._mission.vehicle else self._trace.time_s(step)
 
     @property
     def _over(self) -> bool:

@@ -1,6 +1,7 @@
 """Protects the launcher's watch over a mission from waiting for ever for what is lost."""
 
 import math
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,6 +19,7 @@ from sitl.launch.launcher import MissionWatch
 from sitl.launch.mission import Launch
 from sitl.launch.processes import MissionFailed
 from sitl.launch.watchdog import Watchdog
+from sitl.script.events import Kill
 from sitl.script.script import Script
 from tests.fuzz.services import QuietBus
 from tests.sitl.launch.test_trace import belief
@@ -46,13 +48,14 @@ class FallsSilent(QuietBus):
         return None
 
 
-def watch(bus: FallsSilent, monkeypatch: pytest.MonkeyPatch, mission: Launch | None = None) -> MissionWatch:
+def watch(
+    bus: FallsSilent, monkeypatch: pytest.MonkeyPatch, mission: Launch | None = None, events: Sequence[Kill] = (), processes: Any = None
+) -> MissionWatch:
     """The watch over a mission of one move, in the bus's time."""
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: bus.now_s))
     progress: Any = SimpleNamespace(wait=lambda _: None, say=lambda _: None, show=lambda *_: None)
     watchdog = Watchdog([], PATIENCE_S, 0.0, progress.say)
-    processes: Any = None
-    disturbances = Disturbances([], processes, {}, watchdog, progress.say)
+    disturbances = Disturbances(events, processes, {}, watchdog, progress.say)
     held = Script(seed=7).changed({"agent.budget": 1, "vehicle.after_stop": "hold"})
     mission = mission or Launch(held, patience_s=PATIENCE_S)
     return MissionWatch(mission, bus, progress, watchdog, disturbances, "tcp/127.0.0.1:1", None)
@@ -118,3 +121,17 @@ def test_a_mission_that_a_pilot_has_ended_says_who_and_how(monkeypatch: pytest.M
     bus = FallsSilent(Arrival(BELIEF, msgspec.json.encode(belief(0)), b""), Arrival(HEALTH, msgspec.json.encode(landed), b"", name="uav"))
     with pytest.raises(MissionFailed, match=f"^{how}$"):
         watch(bus, monkeypatch).until_the_end()
+
+
+def test_the_times_of_a_script_count_from_the_start_however_long_a_real_autopilot_has_been_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the mission's ten-fold speed 30 s are 3 s of real time."""
+    first = msgspec.structs.replace(belief(0), time_boot_ms=7_200_000)
+    bus = FallsSilent(Arrival(BELIEF, msgspec.json.encode(first), b""))
+
+    def kill(part: str) -> None:
+        raise MissionFailed(f"{part} killed")
+
+    mission, event = Launch(Script(seed=7), vehicle="tcp:127.0.0.1:5760"), Kill(part="agent", time_s=30.0)
+    with pytest.raises(MissionFailed, match="agent killed"):
+        watch(bus, monkeypatch, mission, [event], SimpleNamespace(kill=kill)).until_the_end()
+    assert 3.0 <= bus.now_s <= 3.0 + 2.0
