@@ -85,6 +85,9 @@ class Clients(Protocol):
     A simulated vehicle is its own autopilot. A real one has its own, beside which the search is another component.
     """
 
+    component: int
+    """The component id of what the search says."""
+
     @property
     def system(self) -> int:
         """The vehicle's MAVLink system id; 0 until it is known."""

@@ -1,5 +1,6 @@
 """A real vehicle's clients: what its autopilot says is passed on to them, what they say to it. The search is a component beside it."""
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 
@@ -43,6 +44,8 @@ POSED, KEYS = "in the vehicle's name", "with a key"
 
 class RealClients:
     """The clients of a real vehicle. Each gets every frame of the autopilot, and every word of the search, which is component 191."""
+
+    component = SEARCH
 
     def __init__(
         self, vehicle: RemoteVehicle, search: Search, bus: Bus, outs: Sequence[str], clock: Clock, handling: Handling,
@@ -125,7 +128,8 @@ class RealClients:
             tally.refuse(KEYS)
         elif letter.target_system and letter.target_component == SEARCH:
             if letter.message_id in COMMANDS:
-                self._obey(mavlink.MAVLink(None).decode(bytearray(letter.data)), whence)
+                with contextlib.suppress(mavlink.MAVError):
+                    self._obey(mavlink.MAVLink(None).decode(bytearray(letter.data)), whence)
         elif letter.message_id in SETPOINTS and self._search.leads:
             self.refuse(denied("Setpoint refused: the search leads, HOLD stops it", "not leading"), self._clock.now_s())
             tally.refuse("waypoint")

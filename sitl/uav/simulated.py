@@ -72,6 +72,8 @@ class FromUdp(NamedTuple):
 class SimulatedClients:
     """The clients of a simulated vehicle, each link with telemetry of its own."""
 
+    component = COMPONENT
+
     def __init__(
         self, vehicle: Vehicle, search: Search, bus: Bus | None, outs: Sequence[str], inbox: Inbox, clock: Clock,
         handling: Handling, wind: Callable[[], tuple[float, float]], signing: Signing | None,

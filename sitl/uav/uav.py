@@ -21,7 +21,6 @@ from sitl.autopilot.operator import CommandName
 from sitl.autopilot.state import Arrived, Led, Reached, VehicleFailed
 from sitl.autopilot.vehicle import Vehicle
 from sitl.payload.asking import Asking, Sample
-from sitl.protocol.protocol import COMPONENT
 from sitl.remote.winds import Winds
 from sitl.script.events import Delay, Dropout, Duplicate, Hold, Land, Lose, OnBoard, Resume, Return, Spike, Stuck, Wind
 from sitl.script.script import AfterStop
@@ -82,7 +81,7 @@ class Uav:
         self._last_time_boot_ms = -1
         self._readings = 0
         self._tried = -1  # number of the newest reading that was tried
-        self._codec = Codec(0, COMPONENT)
+        self._codec = Codec(0, 0)
         self._resend_s, self._resend_at = RESEND_FIRST_S, time.monotonic()
         self._asking: Asking | None = None
         self._asked: Arrived | None = None
@@ -108,7 +107,7 @@ class Uav:
         """Speak with the vehicle's system id, once that is known."""
         system = self._clients.system
         if system != self._tally.system:
-            self._tally.system, self._codec = system, Codec(system, COMPONENT)
+            self._tally.system, self._codec = system, Codec(system, self._clients.component)
             if self._asking:
                 self._asking.codec = self._codec
 

@@ -20,6 +20,7 @@ DECODERS = {
     "stop": Decoder(services.stop_seeds, services.stop),
     "waypoint": Decoder(services.mavlink_in_seeds, services.waypoint),
     "mavlink-in": Decoder(services.mavlink_in_seeds, services.mavlink_in),
+    "clients": Decoder(services.clients_seeds, services.clients),
     "frames": Decoder(services.frames_seeds, services.frames),
     "health": Decoder(watchers.health_seeds, watchers.heard),
     "messages": Decoder(watchers.messages_seeds, watchers.messages),

@@ -7,6 +7,7 @@ import queue
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -28,7 +29,7 @@ from plume.scenario import AREA_M, draw
 from plume.sensor import GAUSSIAN
 from plume.world import World
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.operator import OPERATOR, change_mode, command
+from sitl.autopilot.operator import OPERATOR, SEARCH, WANTED, change_mode, command, order
 from sitl.autopilot.state import Mode
 from sitl.autopilot.vehicle import Vehicle
 from sitl.bridge.routing import Routes
@@ -295,6 +296,34 @@ def mavlink_in(data: bytes) -> None:
     flight.goes_on(Arrival(MAVLINK_IN, payload, b""), *(FromUdp(0, message, "127.0.0.1:14550") for message in udp.decode(payload).messages))
     assert FAULT not in flight.bus.tally.refused
     _lives_on(flight)
+
+
+def clients_seeds() -> list[bytes]:
+    said = Codec(*OPERATOR).pack
+    to_search = [said(order(name, 1, SEARCH)) for name in WANTED]
+    return [*to_search, said(mavlink.MAVLink_command_int_message(1, SEARCH, 0, 21, 0, 0, 0, 0, 0, 0, 0, 0, 0)), *mavlink_in_seeds()]
+
+
+@cache
+def _beside_an_autopilot() -> Any:
+    from tests.sitl.remote.cockpit import Cockpit
+
+    cockpit = Cockpit("ardupilot")
+    cockpit.until(lambda: cockpit.clients.system)
+    cockpit.radio.wire = SimpleNamespace(hear=lambda _: None)  # the double need not bear anything
+    return cockpit
+
+
+def clients(data: bytes) -> None:
+    """Clients of a real vehicle may say anything: nothing is handed on in the vehicle's own name, and the search goes on answering."""
+    cockpit = _beside_an_autopilot()
+    cockpit.hear(as_sent(data))
+    assert FAULT not in cockpit.bus.tally.refused
+    senders = {(frame.system, frame.component) for one in cockpit.radio.forwarded for frame in split(one)}
+    assert not senders & {(1, 1), (1, SEARCH)}
+    assert [said.result for said in cockpit.tell(order("hold", 1, SEARCH)) if said.get_type() == "COMMAND_ACK"] == [1]
+    cockpit.radio.forwarded.clear()
+    cockpit.bus.published.clear()
 
 
 def waypoint(data: bytes) -> None:

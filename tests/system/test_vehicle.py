@@ -96,7 +96,7 @@ def shows_the_autopilot_as_it_was(entries: list[Entry], double: Double) -> None:
     readings = {entry.payload: entry for entry in entries if entry.key == "reading"}
     for entry in readings.values():
         place, _, _ = unpack(entry.payload)
-        assert place.get_srcSystem() == 32
+        assert (place.get_srcSystem(), place.get_srcComponent()) == (32, 191), "the autopilot did not say it: it is in another frame"
         there = (at + home for at, home in zip((place.x, place.y, place.z), double.wire.autopilot.settings.home, strict=True))
         assert math.dist(there, places[place.time_boot_ms]) < 0.02, "home is told in 1e-7 degrees, which are 0.01 m"
         assert entry.simulation_s == place.time_boot_ms / 1000
