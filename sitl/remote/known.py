@@ -22,9 +22,8 @@ NEW_BOOT_MS = 2000
 """A clock that goes back by more than this has begun anew."""
 BREACH = re.compile("breach|geofence|fence violation", re.IGNORECASE)
 """What an autopilot's text on a geofence says."""
-FAILSAFE = re.compile("failsafe", re.IGNORECASE)
 OVER = re.compile("clear|recover|deactivated", re.IGNORECASE)
-"""What a text on a fence or a failsafe says that is over."""
+"""What a text on a breach that is over says."""
 INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT8, mavlink.MAV_PARAM_TYPE_UINT16, mavlink.MAV_PARAM_TYPE_INT16,
     mavlink.MAV_PARAM_TYPE_UINT32, mavlink.MAV_PARAM_TYPE_INT32,
@@ -74,8 +73,8 @@ class Known:
     """When it last said that the geofence is breached."""
     critical_s: float = -math.inf
     """When its status last rose to critical, or above."""
-    struck_s: float = -math.inf
-    """When a failsafe's last sign came that was new: the status rose, a breach began, a text said so."""
+    breached_s: float = -math.inf
+    """When a breach last began, or a text last said so."""
     texts: list[tuple[int, str]] = field(default_factory=list)
     """STATUSTEXTs since they were last taken: severity and text."""
     warnings: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=20))
@@ -97,7 +96,7 @@ class Known:
             case "HEARTBEAT":
                 self.firmware = FIRMWARES[message.autopilot]
                 if message.system_status > self.status and message.system_status >= mavlink.MAV_STATE_CRITICAL:
-                    self.critical_s = self.struck_s = now_s
+                    self.critical_s = now_s
                 self.custom_mode, self.status = message.custom_mode, message.system_status
                 self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                 self.heard_s = now_s
@@ -136,7 +135,7 @@ class Known:
                 before, self._breach = self._breach, (message.breach_status, message.breach_count)
                 if message.breach_status:
                     self.breach_s = now_s
-                    self.struck_s = self.struck_s if self._breach == before else now_s
+                    self.breached_s = self.breached_s if self._breach == before else now_s
             case "PARAM_VALUE":
                 self.parameters[message.param_id.rstrip("\0")] = self._value(message)
             case "STATUSTEXT":
@@ -173,8 +172,7 @@ class Known:
                 return
         self.glitches.hear(text, now_s)
         if not OVER.search(text):
-            self.breach_s = now_s if BREACH.search(text) else self.breach_s
-            self.struck_s = now_s if BREACH.search(text) or FAILSAFE.search(text) else self.struck_s
+            self.breach_s, self.breached_s = (now_s, now_s) if BREACH.search(text) else (self.breach_s, self.breached_s)
         if message.severity <= mavlink.MAV_SEVERITY_NOTICE:
             self.warnings.append((now_s, text))
         self.texts.append((message.severity, text))

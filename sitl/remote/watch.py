@@ -61,14 +61,16 @@ class Watch:
     def _mode(self, now_s: float) -> None:
         """A failsafe that only hovers leaves nobody in charge: then it is flown home. A pilot is left alone.
 
-        A failsafe's sign is new when it changes the mode: one that was there before has not done it. It explains one change; the next is
-        a pilot's, who has seen it.
+        The HEARTBEAT in which a failsafe's mode is new is the first, or soon after the first, with a critical status; a breach of the fence
+        may have its text alone, before or after. A status that rises later has changed no mode. A sign explains one change: the next is a
+        pilot's, who has seen it.
         """
         flight, changed_s = self._flight, self._flight.taken_s
         if not flight.begun or not flight.theirs or changed_s == self._judged_s:
             return
         by_hand = flight.taken_by_client or changed_s - self._explained_s <= SAME_TIME_S
-        if not by_hand and abs(self._known.struck_s - changed_s) <= SAME_TIME_S:
+        struck = 0.0 <= changed_s - self._known.critical_s <= SAME_TIME_S or abs(self._known.breached_s - changed_s) <= SAME_TIME_S
+        if not by_hand and struck:
             self._judged_s = self._explained_s = changed_s
             mode = self._known.custom_mode
             said = self._known.warned(changed_s - SAME_TIME_S)

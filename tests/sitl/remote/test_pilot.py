@@ -86,6 +86,18 @@ def test_a_flag_that_a_pilot_knows_of_when_he_gives_the_search_back_neither_ends
     assert not cockpit.vehicle.failure
 
 
+def test_a_pilot_who_stops_a_vehicle_just_before_a_flag_rises_is_left_alone() -> None:
+    """A failsafe's own change of mode has its status in the same HEARTBEAT: a status that rises later has not changed the mode."""
+    cockpit = searching("ardupilot", "low@900", parameters=ONLY_WARNS)
+    cockpit.ap.change("BRAKE")
+    cockpit.until(lambda: cockpit.search.state == PAUSED)
+    strike(cockpit, "low")
+    cockpit.until(lambda: cockpit.heard("Battery Failsafe"), 3.0)
+    cockpit.run(20.0)
+    assert cockpit.ap.mode == "BRAKE"
+    assert cockpit.vehicle.left
+
+
 ORDERS = [
     pytest.param(late, marks=[pytest.mark.full] * (sum(late) > 1.0), id=f"{late}") for late in itertools.product((0.0, 1.0), repeat=3)
 ]
