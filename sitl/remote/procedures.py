@@ -44,7 +44,10 @@ class Procedures:
         self.arming = False
         self.targets = Targets()
         self.theirs = False
-        """True since someone else has changed the mode or the target: a pilot, or the autopilot by itself."""
+        """True since someone else has changed the mode or the target: a pilot, or the autopilot by itself.
+
+        A flight of theirs that ends in RTL, LAND or BRAKE leaves a free vehicle.
+        """
         self.taken_s = -math.inf
         """When someone else last changed it so."""
         self.taken_from_us = self.taken_by_client = False
@@ -64,6 +67,7 @@ class Procedures:
         self._mode: int | None = None
         self._boots = 0
         self._flew = False  # when it was last armed
+        self._was_armed = False
         self._told = self._sent_home = ""
 
     @property
@@ -155,6 +159,7 @@ class Procedures:
     def _watch_mode(self) -> None:
         """See who has changed the mode."""
         mode, before = self.known.custom_mode, self._mode
+        landed, self._was_armed = self._was_armed and not self.known.armed, self.known.armed
         if self.known.boots != self._boots:
             self._boots, self.theirs = self.known.boots, False
             self._stop()
@@ -164,11 +169,12 @@ class Procedures:
         if self.known.armed:
             self._flew = self.flying
         self._mode = mode
-        if before is None or mode == before:
-            return
-        self.targets.begin()
-        if self.theirs or mode not in self._asked:
-            self._taken(self.firmware.mode_name(mode))
+        if before is not None and mode != before:
+            self.targets.begin()
+            if self.theirs or mode not in self._asked:
+                self._taken(self.firmware.mode_name(mode))
+        if landed and not self.begun and mode in self.firmware.reports:  # what a flight left behind, not a pilot's choice
+            self.theirs = False
 
     def _watch_target(self) -> None:
         """See whether the autopilot flies to someone else's target: in GUIDED a ground station's go-to changes no mode.

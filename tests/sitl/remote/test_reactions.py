@@ -326,6 +326,53 @@ def test_a_flight_that_was_under_way_before_the_program_is_someone_elses(kind: s
     assert cockpit.vehicle.left
 
 
+def another_program(cockpit: Cockpit) -> None:
+    """A second search, on the link of the first."""
+    cockpit.answer_at = None
+    cockpit.readings.clear()
+    cockpit.vehicle = RemoteVehicle(VehicleConfig(), Commander(cockpit.radio))
+    cockpit.search = Search(cockpit.vehicle, (1.0, 1.0), "return", lambda _, text: cockpit.said.append(text))
+
+
+@pytest.mark.parametrize("mode", ["RTL", "LAND"])
+@both
+def test_a_vehicle_that_stands_disarmed_in_what_a_flight_left_behind_is_free(kind: str, mode: str) -> None:
+    """The next program is there before the vehicle has begun to come home, and sees its mode change."""
+    cockpit = searching(kind)
+    another_program(cockpit)
+    cockpit.until(lambda: cockpit.heard("Search waits: a pilot flies the vehicle"))
+    cockpit.ap.change(mode)
+    cockpit.until(lambda: not cockpit.ap.armed)
+    assert kind == "px4" or cockpit.ap.mode == mode
+    cockpit.reads(1)
+
+
+@pytest.mark.parametrize(("kind", "mode"), [("ardupilot", "RTL"), ("px4", "POSCTL")])
+def test_a_pilot_who_has_just_chosen_a_mode_on_the_ground_is_waited_for(kind: str, mode: str) -> None:
+    cockpit = Cockpit(kind, radio=True)
+    cockpit.run(4.0)
+    cockpit.ap.change(mode)
+    cockpit.run(30.0)
+    assert cockpit.heard("a pilot")
+    assert not cockpit.ap.armed
+    cockpit.ap.change("GUIDED" if kind == "ardupilot" else "HOLD")
+    cockpit.reads(1)
+
+
+def test_a_pilot_who_lands_by_hand_keeps_the_vehicle() -> None:
+    cockpit = searching("ardupilot", radio=True)
+    another_program(cockpit)
+    cockpit.run(2.0)
+    cockpit.ap.change("LAND")
+    cockpit.run(2.0)
+    cockpit.ap.change("LOITER")
+    cockpit.until(lambda: cockpit.search.waits_for)
+    cockpit.ap.disarm()
+    cockpit.run(30.0)
+    assert not cockpit.ap.armed
+    assert "a pilot" in cockpit.search.waits_for
+
+
 def test_a_program_that_ends_on_the_ground_stops_the_motors() -> None:
     cockpit = Cockpit("ardupilot", "stuck")
     cockpit.until(lambda: cockpit.ap.armed)
