@@ -24,7 +24,6 @@ from sitl.tlog.samples import Air, LoggedGas, Pair, parse_gas, read_gas, read_wi
 from sitl.tlog.sender import AUTOPILOT, Autopilot, FlightError, FlightLog, counted, few
 from sitl.tlog.track import Anchor, FlownPath, Place
 
-NOT_A_TLOG = {b"ULog": "is a PX4 ULog", b"\xa3\x95": "is an ArduPilot dataflash log", b"\x89MCAP": "is an MCAP file"}
 MARGIN_M = 2.0
 """Between the path and the edge of a search area that is fitted to it."""
 STRONGEST_MPS = 100.0
@@ -134,8 +133,7 @@ def open_log(path: Path) -> tuple[FlightLog, list[str]]:
         raise FlightError(f"{path} cannot be read: {error.strerror}") from None
     log = FlightLog(data)
     if not len(log):
-        what = next((what for magic, what in NOT_A_TLOG.items() if data.startswith(magic)), "contains no MAVLink 1 or 2 frame")
-        raise FlightError(f"{path} {what}; wanted a telemetry log (.tlog), as ground stations write it")
+        raise FlightError(f"{path} contains no MAVLink 1 or 2 frame; wanted a telemetry log (.tlog), as ground stations write it")
     return log, _notes_on_file(path.name, log)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from link.bus.mavlink import Codec, gas_message
 from plume import __version__
 from plume.sensor import KINDS, Sensor, parse
 from plume.worlds import WORLDS
@@ -233,3 +234,17 @@ def test_a_plug_in_may_make_our_environments_also_in_the_workers_of_a_sweep(tmp_
     ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=110)
     assert ran.returncode == 0, ran.stderr
     assert json.loads(ran.stdout)["theirs"]["missions"] == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["log", "replay", "draw", "view"])
+def test_each_command_that_takes_a_log_calls_an_autopilots_own_what_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    """Also one that holds whole MAVLink frames by chance, as a long one does."""
+    log = tmp_path / "00000042.BIN"
+    log.write_bytes(b"\xa3\x95\x80\x80" + Codec(1, 1).pack(gas_message(2000, 0.5)))
+    status, out, err = said(capsys, monkeypatch, command, str(log))
+    assert (status, out) == (2, "")
+    assert err.startswith(f"error: {log} is an ArduPilot dataflash log, ")
+    assert err.count("\n") == 1

@@ -645,19 +645,11 @@ def test_what_is_damaged_is_told(tmp_path: Path) -> None:
     assert "frames with a missing or impossible time: 1; each takes the time of the frame before it" in notes
 
 
-@pytest.mark.parametrize(
-    ("data", "what"),
-    [
-        (b"", "contains no MAVLink 1 or 2 frame"),
-        (b"plain text\n" * 50, "contains no MAVLink 1 or 2 frame"),
-        (b"ULog\x01\x12\x35\x01" + bytes(50), "is a PX4 ULog"),
-        (b"\xa3\x95\x80\x80" + bytes(50), "is an ArduPilot dataflash log"),
-    ],
-)
-def test_another_kind_of_file_is_refused(tmp_path: Path, data: bytes, what: str) -> None:
+@pytest.mark.parametrize("data", [b"", b"plain text\n" * 50])
+def test_another_kind_of_file_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "some.log"
     path.write_bytes(data)
-    with pytest.raises(FlightError, match=rf"{what}; wanted a telemetry log \(\.tlog\)"):
+    with pytest.raises(FlightError, match=r"contains no MAVLink 1 or 2 frame; wanted a telemetry log \(\.tlog\)"):
         read(path)
 
 
