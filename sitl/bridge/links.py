@@ -42,6 +42,7 @@ class Traffic:
     def __init__(self, url: str, log: Log) -> None:
         """Take the URL, and the log whose tally counts what is dropped, too."""
         self.url = url
+        self.is_serial = url.startswith("serial:")
         self.log = log
         self.received = 0
         self.sent = 0
@@ -54,7 +55,8 @@ class Traffic:
         if not count:
             return
         if reason not in self.dropped and reason not in USUAL:
-            self.log.warning(f"{self.url}: drops {reason}")
+            hint = "; no frame has come: is this its baud rate?" if self.is_serial and reason == GARBAGE and not self.received else ""
+            self.log.warning(f"{self.url}: drops {reason}{hint}")
         self.dropped[reason] += count
         kind = f"{reason} ({self.url})"
         if reason in USUAL:
@@ -88,6 +90,10 @@ class Channel:
         self.who = who
         """Who the other side is, for people."""
 
+    @property
+    def _garbage(self) -> int:
+        return self.stream.garbage - (self.stream.opening if self.traffic.is_serial else 0)
+
     def send(self, frame: bytes) -> None:
         """Send a frame, signed if the link signs."""
         if self.traffic.signer and not (frame := self.traffic.signer.sign(frame)):
@@ -96,13 +102,16 @@ class Channel:
             self._send(frame)
 
     def take(self, data: bytes, *, datagram: bool = False) -> list[Letter]:
-        """Return the frames that are now complete, but none without a valid signature where the link signs; count them, and garbage."""
-        before = self.stream.garbage
+        """Return the frames that are now complete, but none without a valid signature where the link signs; count them, and garbage.
+
+        A serial line may be a console before it carries frames: its opening is no garbage.
+        """
+        before = self._garbage
         letters = self.stream.take(data, datagram=datagram)
-        self.traffic.drop(GARBAGE, self.stream.garbage - before)
         if signer := self.traffic.signer:
             letters = [letter._replace(data=unsigned(letter.data)) for letter in letters if signer.admits(letter.data, self.who)]
         self.traffic.received += len(letters)
+        self.traffic.drop(GARBAGE, self._garbage - before)
         return letters
 
 

@@ -13,6 +13,9 @@ MARKER = re.compile(rb"[\xfd\xfe]")
 MARKERS = frozenset(b"\xfd\xfe")
 MOST_FALSE_STARTS = 500
 """Bytes in a delivery that look like the start of a frame and are none. Of noise one byte in 128 does; only a flood comes this far."""
+TEXT = bytes({*range(0x20, 0x7F), *b"\0\a\b\t\n\r\x1b"})
+"""What a console prints, its escape sequences included."""
+LONGEST_FRAME = 280
 SIZES = {"char": 1, "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4, "float": 4} | dict.fromkeys(
     ("int64_t", "uint64_t", "double"), 8
 )
@@ -88,6 +91,10 @@ class FrameStream:
         """Start at the beginning of a connection."""
         self.garbage = 0
         """Bytes so far that belong to no frame."""
+        self.opening = 0
+        """How many of them came before the first frame and are text, or noise that is no longer than a frame."""
+        self._noise_left = LONGEST_FRAME
+        self._heard = False
         self.rest = b""
         """What came last and is no whole frame yet."""
         self._in_step = True
@@ -102,12 +109,13 @@ class FrameStream:
         data = self.rest + data
         letters: list[Letter] = []
         end = rest_at = len(data)
-        at, used, false_starts, in_step, rest_in_step = 0, 0, 0, self._in_step, False
+        at, used, first, false_starts, in_step, rest_in_step = 0, 0, 0, 0, self._in_step, False
         while (found := MARKER.search(data, at)) and false_starts < MOST_FALSE_STARTS:
             start = found.start()
             due = (in_step and start == at) or start == boundary
             frame = frame_at(data, start)
             if frame and _is_good(data, frame, due):
+                first = first if letters else start
                 letters.append(_letter(data, frame))
                 at, in_step = frame.end, True
                 used, rest_at = used + frame.end - start, end
@@ -121,7 +129,17 @@ class FrameStream:
         self._in_step = rest_in_step if rest_at < end else in_step and at == end
         self.rest = data[rest_at:]
         self.garbage += end - used - len(self.rest)
+        if not self._heard:
+            self._open(data[: first if letters else rest_at])
+            self._heard = bool(letters)
         return letters
+
+    def _open(self, data: bytes) -> None:
+        """Take what came before the first frame: a console's text, and the frame in whose middle the line was opened."""
+        noise = len(data.translate(None, TEXT))
+        excused = min(noise, self._noise_left)
+        self._noise_left -= excused
+        self.opening += len(data) - noise + excused
 
 
 def _may_begin(head: bytes, left: int) -> bool:
