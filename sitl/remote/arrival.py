@@ -31,11 +31,14 @@ class Approach:
         self._arrival = arrival
         self._near_since_s = math.inf
 
-    def arrived(self, now_s: float, position: Ned, velocity: Ned, known: bool) -> bool:
-        """Take where the vehicle is now; returns whether it has arrived; while the position is not `known`, it has not."""
+    def arrived(self, at_s: float, position: Ned, velocity: Ned, known: bool) -> bool:
+        """Take where the vehicle is, at a time of its own clock; returns whether it has arrived; with a position not `known`, it has not.
+
+        By the vehicle's clock, what a slow or halting link takes is no time at rest.
+        """
         near = math.dist(position, self.target) <= self._arrival.radius_m and math.hypot(*velocity) <= self._arrival.speed_mps
-        self._near_since_s = min(self._near_since_s, now_s) if near and known else math.inf
-        return now_s - self._near_since_s >= self._arrival.settle_s
+        self._near_since_s = min(self._near_since_s, at_s) if near and known else math.inf
+        return at_s - self._near_since_s >= self._arrival.settle_s
 
 
 SAME_M = 0.1

@@ -319,7 +319,7 @@ class RemoteVehicle:
         (north, east, _), away_m = leg.target, math.dist(self.position, leg.target)
         if self._known.lost(self._now) or self._known.glitches.lasts(self._now):  # nothing can be said about it meanwhile
             leg.deadline_s = max(leg.deadline_s, self._arrival.deadline_s(self._now, self.position, leg.target))
-        if leg.arrived(self._now, self.position, self._known.velocity, self._known.trusts_place(self._now)):
+        if leg.arrived(self._known.position_ms / 1000.0, self.position, self._known.velocity, self._known.trusts_place(self._now)):
             self._leg, self._heard_s = None, self._now
             self._known.glitches.read_s = self._now
             events.append(Arrived(self._now, self.position, self._known.position_ms))

@@ -69,6 +69,28 @@ def test_readings_are_taken_at_rest(kind: str) -> None:
         assert math.hypot(*cockpit.ap.body.velocity) < 0.3
 
 
+@both
+def test_time_in_which_the_link_carries_nothing_is_no_time_at_rest(kind: str) -> None:
+    """A relay holds everything back for 0.8 s, just when the vehicle was first heard to be near its waypoint and slow."""
+    cockpit = searching(kind)
+    cockpit.reads(2)
+    target = cockpit.readings[-1][1]
+
+    def is_near() -> bool:
+        at, known = cockpit.vehicle.position, cockpit.vehicle.flight.known
+        return away_m(at, (target[0], target[1] + 1.0, -5.0)) < 0.3 and math.hypot(*known.velocity) < 0.25
+
+    cockpit.until(is_near)
+    count, poll, kept = len(cockpit.readings), cockpit.radio.poll, []
+    cockpit.radio.poll = lambda wait_s=0.0: kept.extend(poll()) or []  # type: ignore[method-assign]
+    cockpit.run(0.8)
+    assert len(cockpit.readings) == count
+    cockpit.radio.poll = lambda wait_s=0.0: [*kept, *poll()]  # type: ignore[method-assign]
+    cockpit.step()
+    cockpit.radio.poll = poll  # type: ignore[method-assign]
+    assert len(cockpit.readings) == count + 1, "the vehicle has stood there all the time"
+
+
 def test_it_says_what_it_waits_for_once_and_arms_only_when_it_can_fly() -> None:
     """ArduCopter would take arming, and an empty promise, from a quarter of the time on."""
     cockpit = Cockpit("ardupilot", ready_s=20.0)
