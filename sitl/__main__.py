@@ -189,7 +189,7 @@ def _words(given: argparse.Namespace, *names: str) -> list[str]:
 
 def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]:
     """Return the words of the command line that the uav has to know, too."""
-    words, changed = _words(given, "seed", "sensor", "world", "silence", "after_stop", "sysid", "sign", "wind"), vars(given)
+    words, changed = _words(given, "seed", "sensor", "world", "silence", "after_stop", "sysid", "sign", "wind", "wait"), vars(given)
     if "strict" in changed:
         words.append("--strict")
     if args.home:
@@ -225,7 +225,7 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     plume = _words(given, "seed", "sensor", "world") if args.payload == SIMULATED else []
     launch = Launch(
         script, args.instance, args.listen, _handed_on(args, given), None, args.connect, args.log_level, args.patience, args.sysid,
-        args.vehicle, args.payload, plume, args.secure,
+        args.vehicle, args.payload, plume, args.secure, args.wait if args.vehicle else math.inf,
     )  # fmt: skip
     page = viewing.page_of(args)
     try:

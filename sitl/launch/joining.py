@@ -1,5 +1,6 @@
 """Missions whose router, estimator and agent run elsewhere: which scripts allow it, and waiting for the services."""
 
+import time
 from collections.abc import Callable, Collection
 
 from link.bus.keys import HEALTH, SEARCHERS
@@ -28,18 +29,21 @@ def refusal(script: Script, given: Collection[str]) -> str | None:
     return None
 
 
-def await_services(bus: Bus, namespace: str, say: Callable[[str], None]) -> str:
+def await_services(bus: Bus, namespace: str, say: Callable[[str], None], wait_s: float) -> str:
     """Wait until estimator and agent are there; returns the agent's policy.
 
-    `bus` has subscribed to HEALTH. Raises MissionFailed if one of them has already flown a mission, or another vehicle is there.
+    `bus` has subscribed to HEALTH. Raises MissionFailed if one of them has already flown a mission or is not there after wait_s, or if
+    another vehicle is there.
     """
     if "uav" in bus.services():
         raise MissionFailed(f"another uav is already on {namespace}")
     bus.watch_services()
     alive: set[str] = set()
     health: dict[str, Health] = {}
-    told = False
+    told, until_s = False, time.monotonic() + wait_s
     while missing := SEARCHERS - (alive & set(health)):
+        if time.monotonic() >= until_s:
+            raise MissionFailed(f"no {' and '.join(sorted(missing))} on {namespace} in {wait_s:g} s (--wait)")
         item = bus.receive(SAY_AFTER_S)
         match item:
             case None if not told:

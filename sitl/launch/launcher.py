@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import re
 import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -41,6 +42,8 @@ CALL_EVERY_S = 1.0
 AT_HOME_M, ON_GROUND_M = 0.5, 0.1
 LATE_STOP_S = 2.0
 """A stop may reach us so much later than the vehicle, which lands because of it."""
+SHOWN = re.compile("Script: |Check: ")
+"""Lines that are shown whatever their level."""
 LAG_S = 5.0
 """Real time that record and trace may lag behind the mission's end: who was cut off first receives what was missed."""
 
@@ -90,7 +93,7 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
 
         if mission.connect:
             bus = join(mission.connect)
-            policy = await_services(bus, mission.namespace, progress.say)
+            policy = await_services(bus, mission.namespace, progress.say, mission.wait_s)
             mission = mission._replace(script=mission.script.changed({"agent.policy": policy}))
             endpoint = start()
         else:
@@ -260,7 +263,7 @@ class MissionWatch:
             case LogLine(part, line, level):
                 self._last_words[part] = line
                 self._compiling = self._compiling or line == COMPILING
-                if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or "Script: " in line:
+                if LEVELS.index(level) >= LEVELS.index(self._mission.log_level) or SHOWN.search(line):
                     self._progress.say(line)
             case LivelinessChange(service, alive) if self._mission.connect and service in SEARCHERS:
                 if not alive:

@@ -1,6 +1,7 @@
 """What a launcher is to fly, and the command lines of the services that fly it."""
 
 import itertools
+import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,6 +42,8 @@ class Launch(NamedTuple):
     """The arguments that say which plume a simulated one reads."""
     secure: Path | None = None
     """The folder of certificates; None: nothing is secured."""
+    wait_s: float = math.inf
+    """Real time in which services that run elsewhere have to be there."""
 
     @property
     def system(self) -> int | None:

@@ -93,7 +93,8 @@ class Commander:
         self.radio = radio
         self._handling = handling
         self._unfit: set[str] = set()
-        self._wanted = system
+        self.wanted = system
+        """The only system id that is taken; None: the first heard."""
         self.speedup = speedup
         self._running: CommandRun | None = None
         self.in_charge = False
@@ -127,7 +128,7 @@ class Commander:
 
     def _take(self, message: Message, link: Channel) -> None:
         system = message.get_srcSystem()
-        if message.get_srcComponent() != AUTOPILOT or system != (self.system or self._wanted or system):
+        if message.get_srcComponent() != AUTOPILOT or system != (self.system or self.wanted or system):
             return
         if message.get_type() == "HEARTBEAT":
             if message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
@@ -156,6 +157,8 @@ class Commander:
         for wanted, rate_hz in self.known.firmware.streams.items():
             if self.now_s - self.known.came_s.get(wanted, -math.inf) > self.patient(max(STREAMS_S, 3.0 / rate_hz)):
                 self.send(number, float(wanted), 1e6 / rate_hz)
+                if wanted not in self.known.came_s:  # some autopilots stream no GPS_GLOBAL_ORIGIN, but say it when asked
+                    self.send(mavlink.MAV_CMD_REQUEST_MESSAGE, float(wanted))
 
     def send(self, number: int, *params: float) -> None:
         """Send MAV_CMD `number` once; parameters not given are 0."""

@@ -137,6 +137,12 @@ class Connection(Endpoints):
         """Why the keeper has sent the vehicle home, once it has: nothing of ours goes out any more."""
         return self._kept.sent_home
 
+    @property
+    def state(self) -> str:
+        """Where it is expected, how that is doing, and what the other side needs."""
+        doing = super().state.strip("()")
+        return f"at {self.address.text}{f' ({doing})' if doing else ''}: is it running? {self.address.other_side}"
+
     def leave(self, link: Channel) -> None:
         """A link has gone."""
         super().leave(link)

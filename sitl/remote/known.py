@@ -200,15 +200,26 @@ class Known:
 
     def missing(self, now_s: float) -> str:
         """Return what is still missing to fly by setpoints; empty if nothing is. Arming may be accepted long before that."""
+        return self.unplaced(now_s) or self.unready
+
+    def unplaced(self, now_s: float) -> str:
+        """Return what is missing to know where it and the area are, and how to get it; empty if nothing is."""
         if self.lost(now_s):
             return "no HEARTBEAT"
         if not self.trusts_place(now_s):
-            return "no position yet: its EKF has not settled"
-        if self.origin is None or self.home is None:
-            return f"no {'GPS_GLOBAL_ORIGIN' if self.origin is None else 'HOME_POSITION'} yet"
-        if not self.firmware.is_ardupilot and not self.healthy:  # ArduPilot's check depends on the mode, and says why when it is armed
-            return "a check before arming fails"
+            return "no position yet: its EKF has not settled, which takes ArduCopter 41 s; is GPS outside, with a fix?"
+        if self.origin is None:
+            return "no GPS_GLOBAL_ORIGIN, though it is asked for (MAV_CMD_REQUEST_MESSAGE): without it the area has no place"
+        if self.home is None:
+            return "no HOME_POSITION, though it is asked for (MAV_CMD_REQUEST_MESSAGE): set home from a ground station"
         return ""
+
+    @property
+    def unready(self) -> str:
+        """Why it would not arm; empty if it would. ArduPilot's check depends on the mode, and says why when it is armed."""
+        if self.firmware.is_ardupilot or self.healthy:
+            return ""
+        return "a check before arming fails: the autopilot's texts, or a ground station, say which"
 
     def to_home(self) -> Ned:
         """Return where home is in the EKF's frame. Raises ValueError before both are known."""

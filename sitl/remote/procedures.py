@@ -10,7 +10,6 @@ from sitl.remote.arrival import Targets
 from sitl.remote.commander import Commander, Steps
 from sitl.remote.firmware import Firmware
 from sitl.remote.known import Known
-from sitl.remote.safety import ASKED, advice
 
 ARMING_S, ARM_AGAIN_S = 60.0, 3.0
 """A refused arming is tried again for so long, so often."""
@@ -61,7 +60,6 @@ class Procedures:
         """Why the mission has failed, once it has."""
         self.procedure: Steps[None] | None = None
         """What is being done, until it ends."""
-        self._reading: Steps[None] | None = None
         self._client, self._client_s = "", -math.inf
         self._asked: set[int] = set()
         self._mode: int | None = None
@@ -106,21 +104,14 @@ class Procedures:
             self._hear(now_s)
         finally:  # whatever we are told, a vehicle is not left half-way
             self.go_on()
-        if _ended(self._reading):
-            self._reading = None
 
     def _hear(self, now_s: float) -> None:
-        found = self.commander.system
         self.commander.quiet = self.begun and self.theirs
         self.commander.in_charge = self.in_charge
         self.commander.poll(now_s)
         for text in self.commander.ignored:
             self.say(mavlink.MAV_SEVERITY_WARNING, text)
         self.commander.ignored.clear()
-        if not found and self.commander.system:
-            name, mode = self.firmware.name, self.firmware.mode_name(self.known.custom_mode)
-            self.say(mavlink.MAV_SEVERITY_INFO, f"{name} found: system {self.commander.system}, {mode}")
-            self._reading = self._read_failsafes()
         if (reason := self.commander.radio.sent_home) and reason != self._sent_home:
             self._sent_home, self._asked = reason, {self.firmware.modes[mode] for mode in (Mode.RETURN, Mode.LAND)}
             self.failure = reason  # what else has failed since it hung comes of that
@@ -138,11 +129,6 @@ class Procedures:
             self._stop()
         self.begun = self.begun and (self.known.armed or self.procedure is not None)
         self.streams = self.streams and self.begun
-
-    @property
-    def has_read(self) -> bool:
-        """Whether the vehicle has been found and its parameters have been read."""
-        return bool(self.commander.system) and self._reading is None
 
     def say(self, severity: int, text: str) -> None:
         """Tell people."""
@@ -330,11 +316,6 @@ class Procedures:
 
     def _wait(self, seconds: float) -> Steps[None]:
         yield from self.commander.until(lambda: False, seconds)
-
-    def _read_failsafes(self) -> Steps[None]:
-        yield from self.commander.read_parameters(ASKED[self.firmware.name])
-        for line in advice(self.firmware, self.known.parameters, self.commander.system):
-            self.say(mavlink.MAV_SEVERITY_WARNING if line.warns else mavlink.MAV_SEVERITY_INFO, line.text)
 
 
 def _ended(steps: Steps[None] | None) -> bool:

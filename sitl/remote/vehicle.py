@@ -13,6 +13,7 @@ from sitl.autopilot.state import ACCEPTED, Arrived, Mode, Result, Said, VehicleE
 from sitl.remote.arrival import Approach, ArrivalRule
 from sitl.remote.commander import AUTOPILOT, Commander
 from sitl.remote.known import Known
+from sitl.remote.preflight import WAITING, Preflight
 from sitl.remote.procedures import Procedures
 from sitl.remote.watch import COMING_DOWN, Watch
 
@@ -42,12 +43,24 @@ class RemoteVehicle:
     hangs, the autopilot's failsafe sees that they have stopped.
     """
 
-    def __init__(self, config: VehicleConfig, commander: Commander, arrival: ArrivalRule = ARRIVAL) -> None:
-        """Take the conversation with a vehicle, which need not be there yet; `config` says how high and how far it may fly."""
+    def __init__(
+        self,
+        config: VehicleConfig,
+        commander: Commander,
+        arrival: ArrivalRule = ARRIVAL,
+        wait_s: float = math.inf,
+        *,
+        launched: bool = False,
+    ) -> None:
+        """Take the conversation with a vehicle, which need not be there yet; `config` says how high and how far it may fly.
+
+        wait_s, launched: how long the search's begin is waited for, as `Preflight` says.
+        """
         self.config = config
         self.is_searched = False
         """True while its search leads it."""
         self.flight = Procedures(commander)
+        self.preflight = Preflight(self.flight, config, wait_s, launched=launched)
         self._guard = Watch(self.flight)
         self._commander, self._arrival = commander, arrival
         self._inset_m = arrival.radius_m + INSIDE_M
@@ -74,6 +87,7 @@ class RemoteVehicle:
         self._now = t_s
         self.flight.poll(self._now)
         self._place_area()
+        self.preflight.look()
         self._guard.look(self._now)
         self._stream()
 
@@ -159,12 +173,8 @@ class RemoteVehicle:
         """Arm, once the vehicle can really fly; refused with what is being waited for until it is armed."""
         if self._known.armed:
             return ACCEPTED
-        if not self._commander.system:
-            return going_on(f"Waiting for the HEARTBEAT of an autopilot {self._commander.radio.state}".rstrip())
-        if missing := self._known.missing(self._now):
-            return going_on(f"Waiting for the autopilot: {missing}")
-        if self.flight.theirs and self._known.custom_mode != self.flight.start:
-            return going_on(f"Waiting for a pilot, who has chosen {self._mode_name}")
+        if missing := self.preflight.ask():
+            return going_on(f"{WAITING}{missing}")
         if not self.flight.arming:
             self.flight.arm()
         return going_on("Arming")
@@ -303,16 +313,9 @@ class RemoteVehicle:
             return
         corner = known.to_home()
         if self._corner is None or math.dist(corner, self._corner) > 0.0:
-            first, self._corner = self._corner is None, corner
+            self._corner = corner
             lat, lon, alt = known.home
             self.config = replace(self.config, home_lat_deg=lat, home_lon_deg=lon, home_alt_m=alt)
-            if first:
-                side, (north, east, _) = f"{self.config.area_m:g}", corner
-                self.flight.say(
-                    mavlink.MAV_SEVERITY_INFO,
-                    f"The area of {side} m x {side} m lies north and east of home, {lat:.7f}, {lon:.7f}; "
-                    f"home is ({north:.2f}, {east:.2f}) m north, east of the EKF's origin",
-                )
 
     def _go_on_with(self, leg: Approach, events: list[VehicleEvent]) -> None:
         """Judge the way to the setpoint by what the vehicle says."""

@@ -5,12 +5,11 @@ from collections.abc import Mapping
 from enum import Enum
 
 from plume.world import float32
+from sitl.remote.safety import ESTIMATES, Check, Verdict
 
 Wind = tuple[float, float]
 """(u cos φ, u sin φ) m/s: points to where the wind comes from."""
 WANTED = "SPEED,FROM: m/s from 0 to 100, and the direction that it comes from in degrees within ±360, clockwise from north"
-ESTIMATES = {"ArduCopter": ("EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y", "EK3_DRAG_MCOEF"), "PX4": ("EKF2_DRAG_CTRL",)}
-"""The parameters by which a multirotor's EKF estimates the wind in flight, from its drag; it does if any of them is set."""
 
 
 class WindSource(Enum):
@@ -60,19 +59,19 @@ class Winds:
         """Return the wind that the payload is told, with the autopilot's estimate."""
         return self._given or estimated
 
-    def before(self, measured: Wind | None, estimated: Wind | None, parameters: Mapping[str, float], firmware: str) -> str:
-        """Decide before arming, by what the payload says on the ground; returns why there is no flight, empty if there is one."""
+    def before(self, measured: Wind | None, estimated: Wind | None, parameters: Mapping[str, float], firmware: str) -> Check:
+        """Decide before arming, by what the payload says on the ground; returns a line of the list. Without any wind there is no flight."""
         source, wind = self._of(measured, estimated)
         if source is WindSource.NONE and will_estimate(parameters, firmware):
             source = WindSource.AUTOPILOT
         if source is WindSource.NONE:
-            return (
+            return Check(
+                "wind", Verdict.FORBIDS,
                 f"no wind for the readings: neither the payload nor {firmware} tells one; set {', '.join(ESTIMATES[firmware])}, "
-                "use a payload that measures it, or give it with --wind SPEED,FROM"
-            )
+                "use a payload that measures it, or give it with --wind SPEED,FROM",
+            )  # fmt: skip
         self.source = source
-        self.news.append(f"Wind of the readings: {source.value}, {in_words(wind) if wind else 'once it flies'}")
-        return ""
+        return Check("wind", Verdict.OK, f"{source.value}, {in_words(wind) if wind else 'once it flies'}")
 
     def of(self, measured: Wind | None, estimated: Wind | None) -> Wind | None:
         """Return the wind of a reading: what the payload measured with it, else the autopilot's; None if there is none now."""

@@ -50,18 +50,21 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
             bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox, args.log_level, secure=args.secure, sole=True))
             log = bus.log
             needed = "payload, estimator and agent" if args.vehicle else "estimator and agent"
-            log.info(f"on the bus at {endpoint} as {namespace}; takes off when {needed} are there")
+            ends = f"; gives up after {args.wait:g} s (--wait)" if args.vehicle else ""
+            log.info(f"on the bus at {endpoint} as {namespace}; takes off when {needed} are there{ends}")
             joining = f"--connect {endpoint} --namespace {namespace}" + (f" --secure {args.secure}" if args.secure else "")
             chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
             chosen += "" if script.estimator.assume == "field" else f" --assume {script.estimator.assume}"
             who = "" if args.vehicle and not args.sysid else f" --sysid {config.sysid}"
             log.info(f"its estimator: plumeward estimator {joining} --rate {release.q!r} --diffusivity {release.d!r}{chosen}{who}")
             log.info(f"its agent: plumeward agent {joining}{who}")
+            if args.vehicle:
+                log.info(f"its payload: plumeward payload {joining}")
         events = [event for event in script.events if isinstance(event, OnBoard)]
         vehicle: Vehicle | RemoteVehicle = Vehicle(config)
         if args.vehicle:
             try:
-                vehicle, connection = real_vehicle(args.vehicle, config, script.speedup, args.sysid, log)
+                vehicle, connection = real_vehicle(args.vehicle, config, script.speedup, args.sysid, args.wait, log)
             except ValueError as error:
                 print(f"error: --vehicle: {error}", file=sys.stderr)
                 return cli.BAD_INPUT

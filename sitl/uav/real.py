@@ -2,12 +2,15 @@
 
 import argparse
 import contextlib
+import math
+import os
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from link import cli
 from link.bus.log import Log
+from link.interrupts import LAUNCHER
 from sitl.autopilot.config import VehicleConfig
 from sitl.bridge.address import ALLOWED, parse_address
 from sitl.remote.winds import parse_wind
@@ -34,7 +37,7 @@ TAKEN = ("takeoff_altitude_m", "silence_s", "after_stop")
 
 
 def add_vehicle_url(parser: argparse.ArgumentParser) -> None:
-    """Add `--vehicle` and `--wind`."""
+    """Add `--vehicle`, `--wind` and `--wait`."""
     parser.add_argument(
         "--vehicle", type=cli.checked(parse_address), metavar="URL",
         help=f"fly a real autopilot, ArduCopter or PX4, or its own simulator: {ALLOWED}; --speedup is then that of its simulator "
@@ -44,6 +47,11 @@ def add_vehicle_url(parser: argparse.ArgumentParser) -> None:
         "--wind", type=cli.checked(parse_wind), metavar="SPEED,FROM",
         help="with --vehicle, the wind of all readings, m/s and the direction it comes from in degrees, instead of what payload and "
         "autopilot say",
+    )  # fmt: skip
+    parser.add_argument(
+        "--wait", type=cli.number(0, math.inf, above=True), default=120.0, metavar="S",
+        help="with --vehicle, give up if the search has not begun S real seconds after the start, for want of the vehicle, its position, a "
+        "pilot or a service; inf waits for ever (default: %(default)g)",
     )  # fmt: skip
 
 
@@ -55,6 +63,8 @@ def real_script(script: Script, given: argparse.Namespace) -> Script:
     if not getattr(given, "vehicle", None):
         if "wind" in given:
             raise ValueError("--wind: only with --vehicle; the simulated vehicle's wind is the mission's")
+        if "wait" in given:
+            raise ValueError("--wait: only with --vehicle; the simulated vehicle is there at once")
         return script
     for flag, reason in SIMULATED_ONLY.items():
         if flag in given:
@@ -71,7 +81,9 @@ def real_script(script: Script, given: argparse.Namespace) -> Script:
     return script.changed({"speedup": speedup})
 
 
-def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | None, log: Log) -> "tuple[RemoteVehicle, Connection]":
+def real_vehicle(
+    url: str, config: VehicleConfig, speedup: float, sysid: int | None, wait_s: float, log: Log
+) -> "tuple[RemoteVehicle, Connection]":
     """Return the vehicle at a URL, and the connection to close in the end. Raises ValueError if the URL cannot be used."""
     from sitl.remote.commander import Commander  # all of pymavlink's dialects: only a real vehicle takes the time to load them
     from sitl.remote.connection import Connection
@@ -82,7 +94,8 @@ def real_vehicle(url: str, config: VehicleConfig, speedup: float, sysid: int | N
     log.info(f"vehicle at {address.text}; the other side: {address.other_side}")
     if address.open:
         log.warning(f"{address.text} is open to other machines: whoever reaches port {address.port} can speak as the vehicle")
-    return RemoteVehicle(config, Commander(connection, speedup, sysid, Handling(log).of)), connection
+    commander = Commander(connection, speedup, sysid, Handling(log).of)
+    return RemoteVehicle(config, commander, wait_s=wait_s, launched=LAUNCHER in os.environ), connection
 
 
 def leave(vehicle: "RemoteVehicle", clock: Clock, tell: Callable[[int, str], None]) -> None:

@@ -28,7 +28,7 @@ from sitl.uav.aircraft import Aircraft, Clients
 from sitl.uav.clock import Clock
 from sitl.uav.faults import FaultyRadio, FaultySensor
 from sitl.uav.handling import Handling
-from sitl.uav.search import PAUSED, SEARCHING, Search
+from sitl.uav.search import PAUSED, SEARCHING, STANDBY, Search
 from sitl.uav.simulated import FromUdp, SimulatedClients
 from sitl.uav.timeline import Timeline
 
@@ -227,6 +227,8 @@ class Uav:
 
     def _go_on_with_the_search(self) -> None:
         self._search.go_on(self._may_begin)
+        if self._remote and self._search.state == STANDBY:
+            self._remote.preflight.bound(self._search.waits_for, SENSING - self._searchers)
         self._tally.warnings = tuple(filter(None, (self._search.waits_for, self._vehicle.caveat)))
         if self._tally.state != self._search.state:
             self._tally.state = self._search.state
@@ -241,7 +243,7 @@ class Uav:
             return self._searchers >= SEARCHERS
         if not self._searchers >= SENSING:
             return False
-        if self._winds.source is None and self._remote.flight.has_read and not self._asking.waiting:
+        if self._winds.source is None and self._remote.preflight.has_read and not self._asking.waiting:
             remote = self._remote
             self._asking.ask(round(remote.now_s * 1000), 0, remote.position, self._winds.asked(remote.wind))
         return self._winds.source is not None
@@ -276,12 +278,11 @@ class Uav:
         self._read(arrived, math.nan if silent else self._world.gas((east, north), self._readings), self._world.wind)
 
     def _measured(self, remote: "RemoteVehicle", sample: Sample) -> None:
-        """Take the payload's answer, unless the vehicle has been led away. Raises VehicleFailed if there is no wind to fly with."""
+        """Take the payload's answer, unless the vehicle has been led away; the first, on the ground, says where the wind comes from."""
         arrived, self._asked = self._asked, None
         if self._winds.source is None:
             known = remote.flight.known
-            if reason := self._winds.before(sample.wind, remote.wind, known.parameters, known.firmware.name):
-                raise VehicleFailed(reason)
+            remote.preflight.take_wind(self._winds.before(sample.wind, remote.wind, known.parameters, known.firmware.name))
         elif arrived and self._measures and remote.doubtful:
             remote.arrive_again()
         elif arrived and self._measures:
@@ -290,7 +291,7 @@ class Uav:
             else:
                 self._timeline.schedule(remote.now_s + TRY_AGAIN_S, arrived)
         for text in self._winds.news:
-            self._tell(mavlink.MAV_SEVERITY_WARNING if arrived else mavlink.MAV_SEVERITY_INFO, text)
+            self._tell(mavlink.MAV_SEVERITY_WARNING, text)
         self._winds.news.clear()
 
     def _read(self, arrived: Arrived, measured: float, wind: tuple[float, float]) -> None:

@@ -157,6 +157,16 @@ def test_ctrl_c_in_mid_air_sends_the_vehicle_home_before_the_parts_end(
     assert flight.says("interrupted")
 
 
+@pytest.mark.slow
+def test_without_a_simulator_it_ends_when_the_wait_is_over_and_says_what_was_missing(start: type[Part], tmp_path: Path) -> None:
+    words = ("--particles", "100", "--no-record", "--wait", "1")
+    flight = start("sitl", "fly", "--vehicle", "tcp:127.0.0.1:1", *words, cwd=tmp_path)
+    assert flight.ended() == 1
+    assert "the search has not begun in 1 s (--wait): no HEARTBEAT at tcp:127.0.0.1:1 (Connection refused" in flight.err[-1]
+    assert flight.says("Check: vehicle: not ok, no HEARTBEAT")
+    assert not [*tmp_path.iterdir()]
+
+
 @pytest.mark.full
 def test_a_vehicle_that_is_not_ready_keeps_the_mission_waiting_and_the_reason_is_shown(
     start: type[Part], tmp_path: Path, wait_until: Callable[..., None]
@@ -181,6 +191,9 @@ REFUSED = {
     ("--vehicle", "tcp:127.0.0.1:9", "--home", "1,2,3,4"): "--home: not with --vehicle: ",
     ("--vehicle", "tcp:127.0.0.1:9", "--strict"): "--strict: not with --vehicle: ",
     ("--wind", "3,270"): "--wind: only with --vehicle; the simulated vehicle's wind is the mission's",
+    ("--wait", "5"): "--wait: only with --vehicle; the simulated vehicle is there at once",
+    ("--vehicle", "tcp:127.0.0.1:9", "--wait", "0"): "--wait: '0' is not allowed; wanted a number above 0 up to inf",
+    ("--vehicle", "tcp:127.0.0.1:9", "--wait", "soon"): "--wait: 'soon' is not allowed; wanted a number above 0 up to inf",
     ("--vehicle", "tcp:127.0.0.1:9", "--wind", "fast"): "--wind: 'fast' is not allowed; wanted SPEED,FROM: m/s from 0 to 100, and ",
     ("wind-shift", "--vehicle", "tcp:127.0.0.1:9"): "MISSION: a wind event is not allowed with --vehicle: ",
     ("flat-battery", "--vehicle", "tcp:127.0.0.1:9"): "MISSION: vehicle.endurance_s is not allowed with --vehicle: ",

@@ -19,11 +19,12 @@ from sitl.autopilot.state import Arrived, Led, Mode, Said, VehicleFailed
 from sitl.bridge.links import Channel, Traffic
 from sitl.remote.commander import Commander
 from sitl.remote.connection import Heard
+from sitl.remote.safety import Check, Verdict
 from sitl.remote.vehicle import RemoteVehicle
 from sitl.uav.clock import Clock
 from sitl.uav.handling import Handling
 from sitl.uav.passing import RealClients
-from sitl.uav.search import Search
+from sitl.uav.search import STANDBY, Search
 from tests.autopilots.body import DT_S
 from tests.autopilots.settings import Settings
 from tests.autopilots.wire import Wire
@@ -150,17 +151,21 @@ class Cockpit:
 
     def __init__(
         self, kind: str, *faults: str, after_stop: Any = "return", parameters: dict[str, float] | None = None, outs: tuple[str, ...] = (),
-        **settings: Any,
+        wait_s: float = math.inf, launched: bool = False, **settings: Any,
     ) -> None:  # fmt: skip
         settings = {"ready_s": 6.0, **settings}
         self.wire = Wire(kind, Settings(faults=faults, parameters=tuple((parameters or {}).items()), **settings))
         self.radio = Radio(self.wire)
         self.log = Log("uav", "test", Tally(), "warning")
-        self.vehicle = RemoteVehicle(VehicleConfig(), Commander(self.radio, handling=Handling(self.log).of))
+        commander = Commander(self.radio, handling=Handling(self.log).of)
+        self.vehicle = RemoteVehicle(VehicleConfig(), commander, wait_s=wait_s, launched=launched)
+        self.vehicle.preflight.take_wind(Check("wind", Verdict.OK, "given by --wind"))
         self.search = Search(self.vehicle, START, after_stop, lambda _, text: self.said.append(text))
         self.bus = OneEnd(Log("uav", "test", Tally(), "error"))
         self.clients = RealClients(self.vehicle, self.search, self.bus, outs, Told(self), Handling(self.bus.log), None)
         self.said: list[str] = []
+        self.absent: set[str] = set()
+        """Services that are not there."""
         self.readings: list[tuple[float, tuple[float, float, float]]] = []
         """Time and reported place, north, east, down from the area's corner."""
         self.truths: list[tuple[float, float, float]] = []
@@ -186,7 +191,9 @@ class Cockpit:
                 self.truths.append(tuple(at - home for at, home in zip(self.ap.body.position, self.ap.home, strict=True)))
                 self.search.answers.sampled(round(self.now_s * 1000))
                 self.answer_at = self.now_s + self.thinks_s
-        self.search.go_on(searchers=True)
+        self.search.go_on(searchers=not self.absent)
+        if self.search.state == STANDBY:
+            self.vehicle.preflight.bound(self.search.waits_for, self.absent)
         self.clients.serve()
         if self.answer_at is not None and self.now_s >= self.answer_at:
             self.answer_at = None
@@ -252,6 +259,11 @@ class Cockpit:
     def mode(self) -> Mode:
         """As the vehicle reports it on the bus."""
         return self.vehicle.mode
+
+    @property
+    def checks(self) -> list[str]:
+        """The lines of the list before arming."""
+        return [said.removeprefix("Check: ") for said in self.said if said.startswith("Check: ")]
 
     def heard(self, text: str) -> bool:
         """Whether people were told this."""

@@ -127,3 +127,19 @@ def test_an_autopilot_of_another_kind_fails_in_one_line() -> None:
         with pytest.raises(VehicleFailed, match=r"^system 1: autopilot GENERIC \(0\) is not supported; wanted an ArduCopter or a PX4"):
             flown.until(lambda: False)
         flown.connection.close()
+
+
+@pytest.mark.parametrize(
+    ("url", "state"),
+    [
+        ("tcp:127.0.0.1:1", "at tcp:127.0.0.1:1 (Connection refused; it is tried again): is it running? it is a server: ArduPilot's SITL"),
+        ("udpout:127.0.0.1:14999", "at udpout:127.0.0.1:14999: is it running? MAVSDK: udpin://0.0.0.0:14999, pymavlink"),
+    ],
+)
+def test_what_cannot_be_heard_is_told_with_the_url_that_the_other_side_needs(url: str, state: str) -> None:
+    connection = Connection(parse_address(url), Log("uav", "test", Tally(), "error"))
+    connection.poll()
+    while "not yet" in connection.state:
+        connection.poll(0.05)
+    assert connection.state.startswith(state)
+    connection.close()

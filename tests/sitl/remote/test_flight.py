@@ -101,14 +101,6 @@ def test_it_says_what_it_waits_for_once_and_arms_only_when_it_can_fly() -> None:
 
 
 @both
-def test_where_the_area_lies_is_told_first(kind: str) -> None:
-    cockpit = searching(kind)
-    (area,) = [said for said in cockpit.said if "area of 30 m" in said]
-    assert "(1.20, -0.70) m north, east of the EKF's origin" in area
-    assert cockpit.said.index(area) < cockpit.said.index("Arming")
-
-
-@both
 def test_no_message_to_the_autopilot_holds_a_nan_that_arducopter_would_die_of(kind: str) -> None:
     cockpit = searching(kind)
     for message in cockpit.radio.sent:

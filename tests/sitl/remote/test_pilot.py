@@ -403,7 +403,7 @@ def test_a_fault_that_the_autopilots_message_meets_drops_the_message_and_is_told
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_parameter_that_is_no_number_is_dropped(value: float) -> None:
     cockpit = Cockpit("px4")
-    cockpit.until(lambda: cockpit.heard("PX4 found"))
+    cockpit.until(lambda: cockpit.vehicle.system)
     cockpit.radio.hear(mavlink.MAVLink_param_value_message(b"COM_OF_LOSS_T", value, mavlink.MAV_PARAM_TYPE_REAL32, 1, 0))
     cockpit.radio.hear(mavlink.MAVLink_param_value_message(b"COM_OBL_RC_ACT", value, mavlink.MAV_PARAM_TYPE_REAL32, 1, 0))
     cockpit.reads(1)

@@ -34,7 +34,8 @@ def read(number: int):
 
 
 def told(caplog: pytest.LogCaptureFixture) -> list[str]:
-    return [record.getMessage() for record in caplog.records if "Wind of the readings" in record.getMessage()]
+    lines = [record.getMessage() for record in caplog.records]
+    return [line for line in lines if line.startswith(("Check: wind: ", "Wind of the readings: "))]
 
 
 @both
@@ -52,7 +53,7 @@ def test_without_any_wind_it_does_not_arm_and_says_what_to_set(kind: str) -> Non
 def test_a_wind_that_is_given_is_that_of_all_readings_whatever_others_say(kind: str, caplog: pytest.LogCaptureFixture) -> None:
     cockpit = Cockpit(kind, wind=EASTERLY, parameters=drag(kind))
     assert winds(fly(cockpit, read(2), wind=lambda _: None, given=(0.0, -3.0))) == [(0.0, -3.0)] * 2
-    assert told(caplog) == ["Wind of the readings: given by --wind, 3.0 m/s from 180°"]
+    assert told(caplog) == ["Check: wind: ok, given by --wind, 3.0 m/s from 180°"]
 
 
 @both
