@@ -24,7 +24,7 @@ DEFAULTS = {
     "SYSID_MYGCS": 255.0, "FS_GCS_ENABLE": 0.0, "FS_GCS_TIMEOUT": 5.0, "RTL_ALT": 1500.0, "GUID_TIMEOUT": 3.0,
     "BATT_FS_LOW_ACT": 2.0, "BATT_FS_CRT_ACT": 1.0,  # the real ones are 0 until someone sets them
     "EK3_DRAG_BCOEF_X": 0.0, "EK3_DRAG_BCOEF_Y": 0.0, "EK3_DRAG_MCOEF": 0.0,
-    "FENCE_ENABLE": 0.0, "FENCE_ACTION": 1.0, "FENCE_RADIUS": 300.0, "FENCE_ALT_MAX": 100.0,
+    "FENCE_ENABLE": 0.0, "FENCE_TYPE": 7.0, "FENCE_ACTION": 1.0, "FENCE_RADIUS": 300.0, "FENCE_ALT_MAX": 100.0,
 }  # fmt: skip
 
 
@@ -178,7 +178,8 @@ class ArduCopter(Autopilot):
 
     def hear_heartbeat(self, message: Any) -> None:
         """The station that FS_GCS watches."""
-        if message.get_srcSystem() == int(self.parameters["SYSID_MYGCS"]):
+        station = self.parameters.get("MAV_GCS_SYSID", self.parameters.get("SYSID_MYGCS"))  # as 4.7 and 4.6 call it
+        if message.get_srcSystem() == station:
             self.station_seen_s = self.now_s
 
     def hear_set_position_target_local_ned(self, message: Any) -> None:

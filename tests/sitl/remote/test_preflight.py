@@ -61,6 +61,13 @@ def test_one_list_is_told_once_and_before_arming(kind: str, vehicle: str, lost: 
     assert cockpit.said.index("Check: " + lines[-1]) < cockpit.said.index("Arming")
 
 
+def test_the_names_of_arducopter_4_7_are_asked_for_too() -> None:
+    cockpit = Cockpit("ardupilot", parameters={"FS_GCS_ENABLE": 1, "MAV_GCS_SYSID": 1, "MAV_GCS_SYSID_HI": 0})
+    del cockpit.ap.parameters["SYSID_MYGCS"]
+    cockpit.reads(1)
+    assert "if this program is killed: ok, FS_GCS acts after 5 s (FS_GCS_ENABLE 1)" in cockpit.checks
+
+
 @both
 def test_a_battery_below_the_limit_is_not_flown_until_it_is_charged(kind: str) -> None:
     cockpit = Cockpit(kind)
