@@ -158,7 +158,7 @@ def test_ctrl_c_in_mid_air_sends_the_vehicle_home_before_the_parts_end(
     assert flight.says("Check: battery: ok, 100%"), "shown whatever the level of the log"
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_without_a_simulator_it_ends_when_the_wait_is_over_and_says_what_was_missing(start: type[Part], tmp_path: Path) -> None:
     words = ("--particles", "100", "--no-record", "--wait", "1")
     flight = start("sitl", "fly", "--vehicle", "tcp:127.0.0.1:1", *words, cwd=tmp_path)
