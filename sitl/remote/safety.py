@@ -64,7 +64,7 @@ def checks(firmware: Firmware, parameters: Mapping[str, float], system: int, sid
 
 
 def _if_killed_arducopter(parameters: Mapping[str, float], system: int) -> list[Check]:
-    about = "if this program is killed"
+    about = "if this computer fails"
     enabled = parameters.get("FS_GCS_ENABLE")
     station = parameters.get("SYSID_MYGCS", parameters.get("MAV_GCS_SYSID", 255.0))
     if enabled is None:
@@ -80,7 +80,7 @@ def _if_killed_arducopter(parameters: Mapping[str, float], system: int) -> list[
 
 
 def _if_killed_px4(parameters: Mapping[str, float]) -> list[Check]:
-    about = "if this program is killed"
+    about = "if this computer fails"
     action, after_s = parameters.get("COM_OBL_RC_ACT"), parameters.get("COM_OF_LOSS_T", math.nan)
     if action is None:
         said = [Check(about, Verdict.WARNS, "not known: COM_OBL_RC_ACT could not be read")]

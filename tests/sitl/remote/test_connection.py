@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable
+from contextlib import closing
 
 import pytest
 
@@ -136,10 +137,11 @@ def test_an_autopilot_of_another_kind_fails_in_one_line() -> None:
         ("udpout:127.0.0.1:14999", "at udpout:127.0.0.1:14999: is it running? MAVSDK: udpin://0.0.0.0:14999, pymavlink"),
     ],
 )
-def test_what_cannot_be_heard_is_told_with_the_url_that_the_other_side_needs(url: str, state: str) -> None:
-    connection = Connection(parse_address(url), Log("uav", "test", Tally(), "error"))
-    connection.poll()
-    while "not yet" in connection.state:
-        connection.poll(0.05)
-    assert connection.state.startswith(state)
-    connection.close()
+def test_what_cannot_be_heard_is_told_with_the_url_that_the_other_side_needs(url: str, state: str, wait_until: Callable[..., None]) -> None:
+    with closing(Connection(parse_address(url), Log("uav", "test", Tally(), "error"))) as connection:
+
+        def told() -> bool:
+            connection.poll(0.05)
+            return connection.state.startswith(state)
+
+        wait_until(told)  # its keeper tells each second

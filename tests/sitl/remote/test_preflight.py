@@ -48,7 +48,7 @@ def test_one_list_is_told_once_and_before_arming(kind: str, vehicle: str, lost: 
     cockpit.reads(2)
     lines = cockpit.checks
     assert [line.split(":")[0] for line in lines] == [
-        "vehicle", "position and home", "battery", "wind", "if this program is killed", "on low battery",
+        "vehicle", "position and home", "battery", "wind", "if this computer fails", "on low battery",
     ]  # fmt: skip
     assert all(": ok, " in line for line in lines)
     assert lines[0] == f"vehicle: ok, {vehicle}"
@@ -65,7 +65,7 @@ def test_the_names_of_arducopter_4_7_are_asked_for_too() -> None:
     cockpit = Cockpit("ardupilot", parameters={"FS_GCS_ENABLE": 1, "MAV_GCS_SYSID": 1, "MAV_GCS_SYSID_HI": 0})
     del cockpit.ap.parameters["SYSID_MYGCS"]
     cockpit.reads(1)
-    assert "if this program is killed: ok, FS_GCS acts after 5 s (FS_GCS_ENABLE 1)" in cockpit.checks
+    assert "if this computer fails: ok, FS_GCS acts after 5 s (FS_GCS_ENABLE 1)" in cockpit.checks
 
 
 @both

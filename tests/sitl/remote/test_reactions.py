@@ -243,7 +243,7 @@ def test_arducopter_whose_failsafe_watches_the_companion_returns_when_it_is_kill
     """FS_GCS_TIMEOUT is 5 s."""
     cockpit = searching("ardupilot", readings=4, parameters={"FS_GCS_ENABLE": 1, "SYSID_MYGCS": 1})
     assert not cockpit.heard("GCS Failsafe")
-    assert cockpit.heard("if this program is killed: ok, FS_GCS acts after 5 s")
+    assert cockpit.heard("if this computer fails: ok, FS_GCS acts after 5 s")
     for _ in range(100):  # 8 s in which the program does nothing
         cockpit.radio.advance()
     assert cockpit.ap.mode == "RTL"

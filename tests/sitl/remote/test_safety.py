@@ -14,7 +14,7 @@ def said(firmware, parameters: dict[str, float], system: int = 1) -> dict[str, C
 
 
 def if_killed(firmware, parameters: dict[str, float], system: int = 1) -> Check:
-    return said(firmware, parameters, system)["if this program is killed"]
+    return said(firmware, parameters, system)["if this computer fails"]
 
 
 def test_an_arducopter_that_would_hover_for_ever_gets_a_warning() -> None:
@@ -56,7 +56,7 @@ def test_px4_acts_when_the_setpoints_stop() -> None:
 
 def test_px4_that_will_not_arm_without_a_ground_station_gets_a_warning() -> None:
     lines = said(PX4, {**RETURNS, "COM_OBL_RC_ACT": 0.0, "NAV_DLL_ACT": 2.0})
-    assert "without a pilot to RETURN" in lines["if this program is killed"].text
+    assert "without a pilot to RETURN" in lines["if this computer fails"].text
     assert lines["ground station"].verdict is Verdict.WARNS
     assert "NAV_DLL_ACT" in lines["ground station"].text
 
