@@ -19,6 +19,7 @@ SYS_STATUS = mavlink.MAVLINK_MSG_ID_SYS_STATUS
 
 REFUSED_S = 10.0
 """A refusal to arm comes with warnings, which are told for so long."""
+UNANSWERED = "the payload has not answered yet whether it measures the wind"
 READING = "its parameters are being read"
 WAITING = "Waiting for the autopilot: "
 
@@ -67,17 +68,19 @@ class Preflight:
             self._known_all = next(self._steps, ENDED) is ENDED
 
     def take_wind(self, check: Check) -> None:
-        """Take where the wind of the readings comes from; without any there is no flight."""
+        """Take where the wind of the readings comes from; before that, and without any, there is no flight."""
         self._wind = check
         if check.verdict is Verdict.FORBIDS:
             self._tell()
 
     def ask(self) -> str:
-        """Return what is missing before arming, as `missing` does; once all of the list is known, it is told first."""
+        """Return what is missing before arming, `missing` or the wind; once all of the list is known, it is told first."""
         if not self._known_all or self._told:
-            return self.missing
-        self._tell()
-        return READING
+            return self.missing or ("" if self._wind else UNANSWERED)
+        if self._wind:
+            self._tell()
+            return READING
+        return UNANSWERED
 
     def _read(self) -> Steps[None]:
         commander, known = self._flight.commander, self._known
@@ -135,7 +138,7 @@ class Preflight:
         return [
             Check("vehicle", Verdict.OK, f"{flight.firmware.name}, system {system}, in {mode}"), place, self._battery,
             *[Check(about, Verdict.FORBIDS, why) for about, why in (("arming", known.unready), ("pilot", self._pilot)) if why],
-            self._wind or Check("wind", Verdict.FORBIDS, "not known until the payload answers"),
+            self._wind or Check("wind", Verdict.FORBIDS, UNANSWERED),
             *checks(flight.firmware, known.parameters, system, config.area_m, config.takeoff_altitude_m),
         ]  # fmt: skip
 

@@ -226,7 +226,8 @@ class Uav:
     # ---- the search ----
 
     def _go_on_with_the_search(self) -> None:
-        self._search.go_on(self._may_begin)
+        self._search.go_on(self._searchers >= (SENSING if self._asking else SEARCHERS))
+        self._ask_for_the_wind()
         if self._remote and self._search.state == STANDBY:
             self._remote.preflight.bound(self._search.waits_for, SENSING - self._searchers)
         self._tally.warnings = tuple(filter(None, (self._search.waits_for, self._vehicle.caveat)))
@@ -236,17 +237,13 @@ class Uav:
             if self._bus:
                 self._bus.publish_health()
 
-    @property
-    def _may_begin(self) -> bool:
-        """Whether all is there that a search needs. A real vehicle's payload is asked for the wind first, on the ground."""
-        if not self._remote or not self._asking:
-            return self._searchers >= SEARCHERS
-        if not self._searchers >= SENSING:
-            return False
-        if self._winds.source is None and self._remote.preflight.has_read and not self._asking.waiting:
-            remote = self._remote
-            self._asking.ask(round(remote.now_s * 1000), 0, remote.position, self._winds.asked(remote.wind))
-        return self._winds.source is not None
+    def _ask_for_the_wind(self) -> None:
+        """Ask a real vehicle's payload on the ground whether it measures the wind: before that is known there is no flight."""
+        remote, asking = self._remote, self._asking
+        if not (remote and asking) or self._winds.source is not None:
+            return
+        if self._searchers >= SENSING and remote.preflight.has_read and not asking.waiting:
+            asking.ask(round(remote.now_s * 1000), 0, remote.position, self._winds.asked(remote.wind))
 
     def _tell(self, severity: int, text: str) -> None:
         """Tell people: in the log and as STATUSTEXT (253)."""

@@ -159,11 +159,12 @@ class Cockpit:
         self.log = Log("uav", "test", Tally(), "warning")
         commander = Commander(self.radio, handling=Handling(self.log).of)
         self.vehicle = RemoteVehicle(VehicleConfig(), commander, wait_s=wait_s, launched=launched)
-        self.vehicle.preflight.take_wind(Check("wind", Verdict.OK, "given by --wind"))
         self.search = Search(self.vehicle, START, after_stop, lambda _, text: self.said.append(text))
         self.bus = OneEnd(Log("uav", "test", Tally(), "error"))
         self.clients = RealClients(self.vehicle, self.search, self.bus, outs, Told(self), Handling(self.bus.log), None)
         self.said: list[str] = []
+        self.wind = Check("wind", Verdict.OK, "given by --wind")
+        """What the payload's first answer leads to."""
         self.absent: set[str] = set()
         """Services that are not there."""
         self.readings: list[tuple[float, tuple[float, float, float]]] = []
@@ -179,6 +180,7 @@ class Cockpit:
 
     def step(self) -> None:
         """One look."""
+        self.vehicle.preflight.take_wind(self.wind)
         self.radio.advance()
         self.now_s += STEPS * DT_S
         for event in self.vehicle.advance(self.now_s):

@@ -14,6 +14,7 @@ from sitl.autopilot.state import Arrived, Mode, Said
 from sitl.bridge.address import parse_address
 from sitl.remote.commander import Commander, VehicleFailed
 from sitl.remote.connection import Connection
+from sitl.remote.safety import Check, Verdict
 from sitl.remote.vehicle import RemoteVehicle
 from tests.autopilots.settings import Settings
 from tests.autopilots.wire import Double
@@ -29,6 +30,7 @@ class Flown:
     def __init__(self, double: Double, sysid: int | None = None) -> None:
         self.connection = Connection(parse_address(double.url), Log("uav", "test", Tally(), "error"))
         self.vehicle = RemoteVehicle(VehicleConfig(), Commander(self.connection, SPEEDUP, sysid))
+        self.vehicle.preflight.take_wind(Check("wind", Verdict.OK, "given by --wind"))
         self.arrived: list[tuple[float, float, float]] = []
         self.said: list[str] = []
         self._began = time.monotonic()

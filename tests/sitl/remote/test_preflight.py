@@ -92,7 +92,7 @@ def test_an_unknown_battery_is_said_and_flown(kind: str) -> None:
 def test_without_any_wind_there_is_no_flight_and_the_list_says_so() -> None:
     cockpit = Cockpit("ardupilot", ready_s=20.0)
     cockpit.run(10.0)
-    cockpit.vehicle.preflight.take_wind(Check("wind", Verdict.FORBIDS, "no wind for the readings"))
+    cockpit.wind = Check("wind", Verdict.FORBIDS, "no wind for the readings")
     assert gives_up(cockpit) == "no wind for the readings"
     assert "wind: not ok, no wind for the readings" in cockpit.checks
 

@@ -39,7 +39,7 @@ def told(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 
 @both
-def test_without_any_wind_it_does_not_arm_and_says_what_to_set(kind: str) -> None:
+def test_without_any_wind_it_does_not_arm_and_says_what_to_set(kind: str, caplog: pytest.LogCaptureFixture) -> None:
     cockpit = Cockpit(kind)
     armed = []
     with pytest.raises(
@@ -47,6 +47,8 @@ def test_without_any_wind_it_does_not_arm_and_says_what_to_set(kind: str) -> Non
     ):
         fly(cockpit, lambda _: armed.append(cockpit.ap.armed), wind=lambda _: None)
     assert not any(armed)
+    (line,) = told(caplog)
+    assert line.startswith("Check: wind: not ok, no wind for the readings: ")
 
 
 @both
