@@ -61,7 +61,7 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
         "--area", type=cli.number(0, 100_000, above=True), default=AREA_M, metavar="M",
         help="side of the square search area, m; the estimator needs the same (default: %(default)g)",
     )  # fmt: skip
-    parser.add_argument("--sysid", type=cli.whole(1, 255), metavar="N", help="the vehicle's system id (default: as its health says)")
+    parser.add_argument("--sysid", type=cli.whole(1, 255), metavar="N", help="the vehicle's system id (default: its health's, else 1)")
     commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="rollout | evaluate | train | report")
     rollout = commands.add_parser("rollout", help="fly one mission in-process, without Zenoh")
     if "rollout" in arguments:

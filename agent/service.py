@@ -44,13 +44,14 @@ def run(
 ) -> None:
     """Serve until interrupted: answer each belief, unless the search has ceased or the budget is spent.
 
-    system: the vehicle's MAVLink system id; None: the one that its health tells, before which nothing is answered.
+    system: the vehicle's MAVLink system id; None: the one that its health tells, and 1 until then.
     scripted: waypoints that replace the policy's, by the step of the belief they answer.
     """
     find_policy(policy)  # loads or compiles the policy before the first belief arrives
-    codec = Codec(system or 0, ONBOARD_COMPUTER)
     bus.subscribe(BELIEF, newest=True)
     bus.subscribe(STOP, *[HEALTH] * (system is None))
+    system = system or 1
+    codec = Codec(system, ONBOARD_COMPUTER)
     bus.tally.about = policy
     bus.publish_health()
     bus.log.info(f"ready: {policy}")
@@ -63,7 +64,7 @@ def run(
             if health and health.system not in (0, system):
                 system, codec = health.system, Codec(health.system, ONBOARD_COMPUTER)
         received = _belief(bus, arrival, reach.area_m)
-        if received is None or system is None:  # an unanswered belief comes again
+        if received is None:
             continue
         belief, particles = received
         later = 1 if answered is None else elapsed_ms(answered, belief.time_boot_ms)

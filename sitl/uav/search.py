@@ -90,9 +90,11 @@ class Search:
             elif searchers:
                 self._begin(now_s)
         elif not self._vehicle.armed and not self._vehicle.moving:
+            stopped = "ended by a pilot or the autopilot: the motors have stopped in flight" if self.leads else ""
+            ended = f"ended by the pilot: {self._pilot}" if self._pilot else stopped
             self._said, self.leads, self.state = "", False, LANDED
-            if self._pilot and not self.found and not self._vehicle.failure:
-                self._say_once(f"ended by the pilot: {self._pilot}")
+            if ended and not self.found and not self._vehicle.failure:
+                self._say_once(ended)
         elif mode in (Mode.RETURN, Mode.LAND):
             self.leads, self.state = False, RETURNING  # by a pilot, a failsafe, or since the source is found
         elif self.leads and self.state == SEARCHING and mode is not Mode.OFFBOARD:

@@ -58,7 +58,7 @@ def test_beliefs_across_the_wrap_of_the_vehicles_time_are_answered_in_order_and_
     assert told == [2**32 - 1200, 2**32 - 100, 1000, 2100]
 
 
-def test_an_agent_that_was_told_no_system_id_answers_once_the_vehicles_health_tells_it() -> None:
+def test_an_agent_that_was_told_no_system_id_takes_the_one_of_the_vehicles_health_and_1_until_then() -> None:
     payload, _, particles = said().partition(BETWEEN)
     one = Arrival(BELIEF, payload, particles)
 
@@ -68,5 +68,5 @@ def test_an_agent_that_was_told_no_system_id_answers_once_the_vehicles_health_te
 
     bus = QuietBus(one, health("uav", 0), health("recorder", 9), one, health("uav", 32), one)
     until_all_are_taken(lambda: service.run(bus, "homing", 3, 300, None, reach("homing")))
-    (waypoint,) = [message for _, answer, _ in bus.published for message in unpack(answer)]
-    assert (waypoint.get_srcSystem(), waypoint.target_system) == (32, 32)
+    waypoints = [message for _, answer, _ in bus.published for message in unpack(answer)]
+    assert [(waypoint.get_srcSystem(), waypoint.target_system) for waypoint in waypoints] == [(1, 1), (1, 1), (32, 32)]

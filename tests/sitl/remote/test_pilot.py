@@ -316,6 +316,18 @@ def test_a_search_that_a_pilot_ends_says_by_whom_and_how(kind: str) -> None:
 
 
 @both
+def test_a_search_whose_motors_are_stopped_in_flight_says_so(kind: str) -> None:
+    """Or, where ArduCopter forgets its target before its HEARTBEAT tells of the motors, that it is a pilot's."""
+    cockpit = searching(kind)
+    cockpit.ap.disarm()
+    cockpit.until(lambda: cockpit.search.state == LANDED)
+    assert cockpit.said[-1] == cockpit.search.waits_for
+    assert cockpit.said[-1].startswith(
+        ("ended by a pilot or the autopilot: the motors have stopped in flight", "ended by the pilot: GUIDED")
+    )
+
+
+@both
 def test_a_search_that_a_client_ends_through_us_names_the_client(kind: str) -> None:
     cockpit = searching(kind)
     cockpit.vehicle.flight.asked_by(STATION)
