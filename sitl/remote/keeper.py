@@ -53,7 +53,7 @@ class Keeper:
     def __init__(
         self, send: Callable[[mavlink.MAVLink_message], None], say: Callable[[int, str], None], hangs: Callable[[], None] = lambda: None
     ) -> None:
-        """Take how a message goes to the autopilot, how people are told, and what to do first with a uav that is silent."""
+        """Take how a message goes to the autopilot, how people are told, and what to do with a uav that is silent."""
         self.system = 0
         """The vehicle's system id: that of its companion, the uav. 0 until the uav has found it."""
         self.acted = ""
@@ -169,10 +169,10 @@ class Keeper:
             return
         self._sent_s, self._told = now_s, False
         if not self.acted:
-            self._hangs()
             self.acted = "the uav has ended" if self._gone else f"the uav was silent for {SILENT_S:g} s"
             what = "stops the motors" if self._on_ground else "sends the vehicle home"
             self._say(CRITICAL, f"The keeper {what}: {self.acted}")
+            self._hangs()  # after our own line: its stacks are written piece by piece, on the same stderr
         if self._on_ground:  # which is refused in flight
             self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
         else:

@@ -3,6 +3,7 @@
 import contextlib
 import math
 import os
+import select
 import socket
 import subprocess
 import sys
@@ -18,6 +19,8 @@ MOST_BYTES = 65536
 """Most bytes that wait for a keeper that does not read."""
 SILENT_S = 5.0
 """A keeper, which says each second how it does, is replaced once it is silent for so long."""
+START_S = 60.0
+"""Longest time in which a keeper starts, on a busy machine."""
 END_S = 1.0
 """How long a keeper may take to end after the uav; one that sends the vehicle home takes longer, and is left."""
 
@@ -69,7 +72,7 @@ class Kept(Reopened):
         stdout = self._start(subprocess.PIPE, -math.inf).stdout
         assert stdout
         with stdout:
-            line = stdout.readline()
+            line = stdout.readline() if select.select([stdout], [], [], START_S)[0] else b""
         if line != b"\n":
             self.close()
             raise ValueError(line.decode().strip() or f"{self.address.text}: its keeper does not start")
