@@ -115,4 +115,4 @@ def leave(vehicle: "RemoteVehicle", clock: Clock, tell: Callable[[int, str], Non
             break
         time.sleep(LEAVE_POLL_S)
     if not vehicle.left:
-        tell(CRITICAL, "The vehicle has not answered: its own failsafe is in charge")
+        tell(CRITICAL, "The vehicle has not answered: its keeper goes on")
