@@ -11,7 +11,7 @@ LEARNED := infotaxis,ppo,dqn,ddpg
 FLAGS ?=
 
 # Tests that start no processes and take no seconds; what is slow among them is marked so.
-UNIT := tests/plume tests/link tests/scene tests/sitl tests/estimator tests/agent tests/plumeward tests/test_house.py tests/test_limits.py
+UNIT := tests/plume tests/link tests/estimator tests/aircraft tests/sitl tests/scene tests/agent tests/ground tests/plumeward tests/test_house.py tests/test_limits.py
 
 .PHONY: setup hashes chromium clients mission quick test test-all fuzz lint docs site bench bench-filter bench-planners bench-env bench-page train results report mismatch chaos golden clean
 

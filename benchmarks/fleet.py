@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.operator import OPERATOR, command
 from link import cli
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, READING, WAYPOINT
 from link.bus.mavlink import BadFrame, Codec, unpack, unpack_reading
 from link.bus.session import Arrival, Bus
-from sitl.autopilot.operator import OPERATOR, command
 from sitl.autopilot.telemetry import STREAMS
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
 from sitl.launch.processes import Processes

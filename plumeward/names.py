@@ -4,7 +4,7 @@ import sys
 from importlib.util import find_spec
 from os import path  # `pathlib` takes longer to load than all the rest
 
-PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent")
+PACKAGES = ("plume", "link", "estimator", "aircraft", "sitl", "scene", "agent", "ground")
 """The packages beside `plumeward` itself."""
 ROOT = path.dirname(path.dirname(path.realpath(__file__)))
 

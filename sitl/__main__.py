@@ -15,16 +15,16 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, TextIO
 
+from aircraft.payload.options import SIMULATED, add_payload_argument
+from aircraft.remote.real import add_vehicle_url
 from link import cli
 from link.bus.opening import DEFAULT_ROUTER
 from plume.scenario import BUDGET_STEPS
 from sitl.launch import viewing
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
-from sitl.payload.options import SIMULATED, add_payload_argument
 from sitl.script.script import AgentPart, Script, find, load, shipped
 from sitl.script.typed_yaml import Document, FileError
 from sitl.uav.options import add_vehicle_arguments
-from sitl.uav.real import add_vehicle_url
 
 if TYPE_CHECKING:
     from sitl.launch.recording import RecordFiles
@@ -43,14 +43,14 @@ def _policy_or_none(check: "CheckPolicy | None") -> "CheckPolicy":
 
 SCRIPTS = (".yaml", ".yml")
 OTHERS = {
-    "replay": ("sitl.replay.command", "feed a log to the estimator and agent again"),
-    "log": ("sitl.desk.summary", "summarise a log, or print one of its keys as CSV"),
-    "draw": ("sitl.desk.draw", "draw a log as a picture or an animation"),
-    "status": ("sitl.desk.status", "show how the parts of a running mission are doing; exit status 1 if something is wrong"),
-    "view": ("sitl.view.command", "show missions on a page, live or recorded, and command the vehicle"),
-    "bridge": ("sitl.bridge.command", "join the bus with ground stations and autopilots over UDP, TCP and serial lines"),
-    "payload": ("sitl.payload.command", "the gas sensor of a real autopilot: simulated, on a serial line, or a plug-in"),
-    "record": ("sitl.desk.recorder", "record everything on a bus until interrupted"),
+    "replay": ("ground.replay.command", "feed a log to the estimator and agent again"),
+    "log": ("ground.desk.summary", "summarise a log, or print one of its keys as CSV"),
+    "draw": ("ground.desk.draw", "draw a log as a picture or an animation"),
+    "status": ("ground.desk.status", "show how the parts of a running mission are doing; exit status 1 if something is wrong"),
+    "view": ("ground.view.command", "show missions on a page, live or recorded, and command the vehicle"),
+    "bridge": ("aircraft.bridge.command", "join the bus with ground stations and autopilots over UDP, TCP and serial lines"),
+    "payload": ("aircraft.payload.command", "the gas sensor of a real autopilot: simulated, on a serial line, or a plug-in"),
+    "record": ("ground.desk.recorder", "record everything on a bus until interrupted"),
 }
 """Commands with a module of their own. It is imported only for its command: a part starts fast."""
 FIELDS = {
@@ -200,13 +200,13 @@ def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]
 
 
 def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
+    from aircraft.remote.real import real_script
     from plume.outcome import outcome_text
     from sitl.launch.launcher import fly
     from sitl.launch.mission import Launch, unfit_for_payload
     from sitl.launch.processes import MissionFailed
     from sitl.launch.recording import RecordFiles
     from sitl.launch.summary import run_name, write_summary
-    from sitl.uav.real import real_script
 
     script = _script(args, given)
     reason = _unfit_for_connect(script, given) if args.connect else None

@@ -19,7 +19,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent", "plumeward")
+PACKAGES = ("plume", "link", "estimator", "aircraft", "sitl", "scene", "agent", "ground", "plumeward")
 DEVELOPMENT = ("tests", "benchmarks")
 EXTRAS = {
     "train": ("agent/learn/", "plumeward/environments.py"),
@@ -116,7 +116,7 @@ def test_an_exception_is_one() -> None:
 
 
 def test_a_new_release_of_what_we_extend_or_serve_with_is_not_installed_untried() -> None:
-    ours = {"numba": "plume/compiled.py", "uvicorn": "sitl/view/command.py", "starlette": "sitl/view/server.py"}
+    ours = {"numba": "plume/compiled.py", "uvicorn": "ground/view/command.py", "starlette": "ground/view/server.py"}
     bounds = {Requirement(each).name: Requirement(each).specifier for each in PROJECT["dependencies"]}
     for name, file in ours.items():
         assert file in imported(*PACKAGES)[name]

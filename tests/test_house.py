@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent", "plumeward")
+PACKAGES = ("plume", "link", "estimator", "aircraft", "sitl", "scene", "agent", "ground", "plumeward")
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 TRUTH = {"draw", "Scenario", "World"}
@@ -105,7 +105,9 @@ def test_the_architecture_page_lists_the_rooms_from_the_ground_up() -> None:
 
 @pytest.mark.parametrize("page", sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]), ids=name_of)
 def test_a_file_that_a_page_names_is_there(page: Path) -> None:
-    named = re.findall(r"`((?:plume|link|scene|sitl|estimator|agent|tests|benchmarks|docs|missions)/[\w./-]*)`", page.read_text())
+    named = re.findall(
+        r"`((?:plume|link|scene|sitl|aircraft|ground|estimator|agent|tests|benchmarks|docs|missions)/[\w./-]*)`", page.read_text()
+    )
     assert [name for name in named if "NAME" not in name and not (ROOT / name).exists()] == []
 
 

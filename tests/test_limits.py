@@ -3,15 +3,15 @@
 from pathlib import Path
 
 from agent import bundle, graphs
+from aircraft.bridge import bus_link, links, tcp
+from aircraft.search import udp
+from ground.view import connections, live, server, word
 from link.access import crowds
 from link.bus import inbox, opening
 from link.bus.keys import BELIEF, KEYS, READING
 from link.record import reader
 from link.signing import timestamps
-from sitl.bridge import bus_link, links, tcp
 from sitl.script import typed_yaml
-from sitl.uav import udp
-from sitl.view import connections, live, server, word
 
 PAGE = Path(__file__).parents[1] / "docs" / "security.md"
 MIB, GIB = 2**20, 2**30

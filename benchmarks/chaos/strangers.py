@@ -8,11 +8,11 @@ from collections.abc import Callable
 import zenoh
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.search.udp import UdpLink
 from link import cli
 from link.bus.keys import KEYS, READING
 from link.bus.session import Arrival, Bus
 from plume.randomness import keyed
-from sitl.uav.udp import UdpLink
 
 MOST_COPIES, LATEST_S = 3, 3.0
 BEAT_S = 0.5

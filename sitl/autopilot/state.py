@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode as Mode
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.mode import Mode as Mode
 from sitl.autopilot.motion import Ned
 from sitl.autopilot.plan import MissionProgress
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from aircraft.operator import AUTOPILOT, LAUNCHER, SEARCH, CommandName, order
 from link.bus.frames import Frame
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, HEALTH, MAVLINK_IN, MAVLINK_OUT, READING, SEARCHERS, STOP
@@ -22,7 +23,6 @@ from plume.outcome import Outcome, TracePoint, outcome, outcome_json
 from plume.worlds import AS_MODELLED
 from scene.follow.area import PLACING, AreaFrame
 from scene.follow.telemetry import LOCAL, frames
-from sitl.autopilot.operator import AUTOPILOT, LAUNCHER, SEARCH, CommandName, order
 from sitl.launch.disturbances import Disturbances
 from sitl.launch.joining import await_services
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments

@@ -6,11 +6,11 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from aircraft.payload.options import SIMULATED
 from plume.randomness import derived_seed
 from plume.scenario import Scenario
 from plume.worlds import AS_MODELLED
 from sitl.launch.watchdog import PATIENCE_S
-from sitl.payload.options import SIMULATED
 from sitl.script.script import Expectation, Script
 
 TRUTH_NEEDED: frozenset[Expectation] = frozenset({"located", "not located", "false stop"})

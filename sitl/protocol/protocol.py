@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.words import Words
 from link.bus.mavlink import Message
 from link.bus.px4 import AvailableModes, ProtocolVersion
 from plume.geodesy import to_local
@@ -19,7 +20,6 @@ from sitl.protocol.missions import PlanService
 from sitl.protocol.modes import available_modes
 from sitl.protocol.parameters import Parameters
 from sitl.protocol.service import Microservice
-from sitl.protocol.words import Words
 
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FORCE = 21196.0

@@ -5,6 +5,11 @@ import contextlib
 import sys
 from typing import TYPE_CHECKING
 
+from aircraft.remote.real import real_script, real_vehicle
+from aircraft.remote.winds import parse_wind
+from aircraft.search.clock import Clock
+from aircraft.search.uav import Uav
+from aircraft.search.udp import parse_url
 from link import cli
 from link.bus.inbox import Inbox
 from link.bus.log import Log
@@ -14,17 +19,12 @@ from link.bus.tally import Tally
 from link.signing.signer import Signing
 from sitl.autopilot.state import VehicleFailed
 from sitl.autopilot.vehicle import Vehicle
-from sitl.remote.winds import parse_wind
 from sitl.script.events import OnBoard
 from sitl.script.script import Script
-from sitl.uav.clock import Clock
 from sitl.uav.options import at_own_home
-from sitl.uav.real import real_script, real_vehicle
-from sitl.uav.uav import Uav
-from sitl.uav.udp import parse_url
 
 if TYPE_CHECKING:
-    from sitl.remote.vehicle import RemoteVehicle
+    from aircraft.remote.vehicle import RemoteVehicle
 
 
 def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> int:

@@ -74,7 +74,7 @@ def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:
 
 
 def _udp_url(text: str) -> str:
-    from sitl.uav.udp import parse_url
+    from aircraft.search.udp import parse_url
 
     try:
         parse_url(text)

@@ -7,23 +7,23 @@ from typing import NamedTuple, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.bridge.bus_link import BRIDGED
+from aircraft.operator import OPERATOR, CommandName, named, order
+from aircraft.search.clock import Clock
+from aircraft.search.handling import Handling
+from aircraft.search.search import Search
+from aircraft.search.udp import UdpLink
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
 from link.bus.mavlink import BadFrame, Codec, Message, unpack
 from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival, Bus
 from link.signing.signer import Signing
-from sitl.autopilot.operator import OPERATOR, CommandName, named, order
 from sitl.autopilot.state import Mode, Result, Snapshot, denied, not_now
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
-from sitl.bridge.bus_link import BRIDGED
 from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
 from sitl.protocol.setpoints import GLOBAL, LOCAL
-from sitl.uav.clock import Clock
-from sitl.uav.handling import Handling
-from sitl.uav.search import Search
-from sitl.uav.udp import UdpLink
 
 STREAM_S = 1.0
 """Real time after which a client's stream of setpoints has ended: PX4's COM_OF_LOSS_T."""

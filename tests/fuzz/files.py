@@ -22,16 +22,16 @@ from agent.observation import SCHEMAS
 from agent.planning.moves import Headings
 from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow
+from ground.tlog.flight import FlightError
+from ground.tlog.flight import read as read_flight
+from ground.tlog.frames import STAMP
+from ground.view.wire import Cursor, packed
 from link.record.reader import RecordError
 from link.record.reader import read as read_record
 from scene.follow.recorded import history_of
 from scene.scene import Scene
 from sitl.script.script import load, shipped
 from sitl.script.typed_yaml import FileError
-from sitl.tlog.flight import FlightError
-from sitl.tlog.flight import read as read_flight
-from sitl.tlog.frames import STAMP
-from sitl.view.wire import Cursor, packed
 from tests.fuzz.mutants import as_sent
 from tests.fuzz.services import BETWEEN, recorded
 

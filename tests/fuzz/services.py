@@ -15,6 +15,12 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from agent import service as agent
 from agent.policies import OURS, reach
+from aircraft.bridge.routing import Routes
+from aircraft.bridge.stream import FrameStream
+from aircraft.operator import OPERATOR, SEARCH, WANTED, change_mode, command, order
+from aircraft.search.clock import Clock
+from aircraft.search.search import RETURNING, SEARCHING
+from aircraft.search.uav import Uav
 from estimator import service as estimator
 from estimator.filter import Config
 from link.bus.inbox import Inbox
@@ -29,19 +35,13 @@ from plume.scenario import AREA_M, draw
 from plume.sensor import GAUSSIAN
 from plume.world import World
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.operator import OPERATOR, SEARCH, WANTED, change_mode, command, order
 from sitl.autopilot.state import Mode
 from sitl.autopilot.vehicle import Vehicle
-from sitl.bridge.routing import Routes
-from sitl.bridge.stream import FrameStream
-from sitl.uav import udp
-from sitl.uav.clock import Clock
-from sitl.uav.search import RETURNING, SEARCHING
+from aircraft.search import udp
 from sitl.uav.simulated import FromUdp
-from sitl.uav.uav import Uav
 from tests.fuzz.mutants import as_sent
 
-QUIET = (LOGGER, logging.getLogger("sitl.uav.udp"))
+QUIET = (LOGGER, logging.getLogger("aircraft.search.udp"))
 """What would write a line for most inputs."""
 GOLDEN = Path(__file__).parents[1] / "golden"
 BETWEEN = b"\xff\xff\xff"
@@ -306,7 +306,7 @@ def clients_seeds() -> list[bytes]:
 
 @cache
 def _beside_an_autopilot() -> Any:
-    from tests.sitl.remote.cockpit import Cockpit
+    from tests.aircraft.remote.cockpit import Cockpit
 
     cockpit = Cockpit("ardupilot")
     cockpit.until(lambda: cockpit.clients.system)

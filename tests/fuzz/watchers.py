@@ -12,18 +12,18 @@ from typing import Any
 
 import msgspec
 
+from ground.desk.scenes import RecordedScene
+from ground.desk.status import Board
+from ground.view.foxglove import request_of
+from ground.view.guard import AccessRules, Asgi
+from ground.view.records import RecordedVehicle
+from ground.view.server import PageServer, message_of
 from link.bus.messages import Health
 from link.record.reader import read
 from link.record.record import Entry, SimulationClock
 from link.record.writer import Writer
 from scene.follow.history import History
 from scene.scene import Backdrop
-from sitl.desk.scenes import RecordedScene
-from sitl.desk.status import Board
-from sitl.view.foxglove import request_of
-from sitl.view.guard import AccessRules, Asgi
-from sitl.view.records import RecordedVehicle
-from sitl.view.server import PageServer, message_of
 from tests.fuzz.files import FOLDER, record_seeds, shows
 from tests.fuzz.mutants import as_sent
 from tests.fuzz.services import BETWEEN, health, recorded

@@ -13,7 +13,7 @@ from typing import Any
 
 from agent.policies import OURS
 from link.record.reader import Recording, read
-from sitl.replay import verify
+from ground.replay import verify
 
 FOLDER = Path(__file__).parent
 SENSORS = ("gaussian", "threshold", "hits")

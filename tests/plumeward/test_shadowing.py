@@ -10,7 +10,7 @@ import pytest
 
 pytestmark = pytest.mark.slow
 
-PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent", "plumeward")
+PACKAGES = ("plume", "link", "estimator", "aircraft", "sitl", "scene", "agent", "ground", "plumeward")
 COMMAND = str(Path(sys.executable).parent / "plumeward")
 BRIEF = ("--budget", "2", "--speedup", "0", "--json")
 PLAIN = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}

@@ -25,6 +25,7 @@ from estimator.belief import belief, stop
 from estimator.criterion import parse as criterion
 from estimator.filter import Config, Posterior, assimilate, prior
 from estimator.options import add_sensor_argument, criteria, knowledge
+from ground.replay import verify
 from link import cli
 from link.bus.keys import BELIEF, READING, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Reading, unpack_reading, waypoint_message
@@ -35,7 +36,6 @@ from plume.scenario import draw
 from plume.sensor import parse
 from plume.world import World, gas_of
 from plume.worlds import WORLDS
-from sitl.replay import verify
 from tests.golden.__main__ import GOLDEN, SENSORS, path
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from agent.policies import OURS
+from ground.replay import verify
 from link.record.reader import read
 from link.record.writer import Writer
-from sitl.replay import verify
 from tests.golden.__main__ import FIELD, FOLDER, GOLDEN, PAPER, SENSORS, changes, path, renew
 from tests.system.live import Services, run_sitl
 

@@ -31,7 +31,7 @@ def double() -> Iterator[Double]:
 def keeper_of(uav: int) -> int:
     """The process id of a uav's keeper; 0 while it has none."""
     for child in Path(f"/proc/{uav}/task/{uav}/children").read_text().split():
-        if "sitl.remote.keeper" in Path(f"/proc/{child}/cmdline").read_text():
+        if "aircraft.keeper.keeper" in Path(f"/proc/{child}/cmdline").read_text():
             return int(child)
     return 0
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from agent.trials.rollout import rollout
+from ground.desk.recorder import BATCH_S, FLUSH_S
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING
 from link.bus.mavlink import Codec, Reading, pack_reading, unpack
 from link.bus.session import Bus
 from link.record.reader import Recording, read
-from sitl.desk.recorder import BATCH_S, FLUSH_S
 
 
 def mission_record(folder: Path) -> Recording:

@@ -14,11 +14,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from ground.tlog import flight
 from link.bus.mavlink import split, unpack_reading
 from link.record.reader import read
 from link.record.record import Entry
 from link.record.writer import Writer
-from sitl.tlog import flight
 from tests.golden.__main__ import path as golden
 from tests.system.live import Services, run_sitl
 from tests.system.stranger import Stranger
@@ -240,7 +240,7 @@ class TestVerify:
     def test_an_answer_that_does_not_come_any_more_is_a_difference(
         self, verify: Verify, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("sitl.replay.player.ANSWER_TIMEOUT_S", 1.0)
+        monkeypatch.setattr("ground.replay.player.ANSWER_TIMEOUT_S", 1.0)
         changed = rewritten(log, tmp_path / "changed.mcap", about=with_flag(log, "agent", "--budget", str(STEP)))
         text, found = verify.fails(changed)
         assert found["time_s"] == said(log, "belief")[STEP]["time_boot_ms"] / 1000
@@ -369,7 +369,7 @@ class TestOnAnotherBus:
         with Services(monkeypatch, router) as services:
             services.start(read(log).about["parts"])
             assert run_sitl(monkeypatch, capsys, *replay)[0] == 0
-            monkeypatch.setattr("sitl.replay.player.ANSWER_TIMEOUT_S", 1.0)  # no answer will come
+            monkeypatch.setattr("ground.replay.player.ANSWER_TIMEOUT_S", 1.0)  # no answer will come
             status, out, err = run_sitl(monkeypatch, capsys, *replay)
         assert status == 1
         assert any("restart it" in line for line in err)

@@ -16,7 +16,7 @@ PARTS = {
 from types import SimpleNamespace
 from link.bus.log import Log
 from link.bus.tally import Tally
-from sitl.bridge.bus_link import BusChannel
+from aircraft.bridge.bus_link import BusChannel
 
 def publish(*_):
     raise RuntimeError("a fault")
@@ -55,8 +55,8 @@ def command():
 """,
     "sensor": """
 from link.bus.inbox import Inbox
-from sitl.payload.messages import Question
-from sitl.payload.service import Measuring
+from aircraft.payload.messages import Question
+from aircraft.payload.service import Measuring
 
 def measure(question):
     raise RuntimeError("a fault")
@@ -67,7 +67,7 @@ def command():
 """,
     "bus": """
 from sitl.__main__ import main
-from sitl.view.roster import Roster
+from ground.view.roster import Roster
 
 def changes(_):
     raise RuntimeError("a fault")

@@ -9,12 +9,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from aircraft.remote.winds import parse_wind
+from ground.tlog import flight as tlog
 from link.bus.mavlink import split, unpack, unpack_reading
 from link.record.reader import read
 from link.record.record import Entry
 from plume.scenario import draw
-from sitl.remote.winds import parse_wind
-from sitl.tlog import flight as tlog
 from tests.autopilots.settings import Settings
 from tests.autopilots.wire import Double
 from tests.system.conftest import Part

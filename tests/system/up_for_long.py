@@ -1,9 +1,9 @@
 """`python -m tests.system.up_for_long uav …`: a simulated vehicle that has been up for 49.7 days less 20 s, at speed-up 0."""
 
+from aircraft.search.clock import Clock
 from link import cli
 from sitl.__main__ import main
 from sitl.uav import command
-from sitl.uav.clock import Clock
 
 BEGAN_S = 4_294_947.296
 """20 s before time_boot_ms wraps."""

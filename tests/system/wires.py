@@ -11,9 +11,9 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.bridge.stream import FrameStream, Letter
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, Key
 from link.bus.session import Bus
-from sitl.bridge.stream import FrameStream, Letter
 
 
 def free_port(kind: socket.SocketKind) -> int:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import uvicorn
 
+from ground.view.guard import AccessRules
+from ground.view.server import Fleet, PageServer
 from scene.scene import Backdrop, Craft, Floats, Happening, Measurement, Release, Scatter, Scene, Service
-from sitl.view.guard import AccessRules
-from sitl.view.server import Fleet, PageServer
 
 RELEASE = Release(source=(24.0, 6.0), wind=(-3.0, -4.0), q=10.0, d=1.0, tau=10.0)
 """Its wind of 5 m/s comes from the south-west: from 216.87°."""

@@ -6,10 +6,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from ground.view.records import RecordedFleet
 from link.bus.keys import BELIEF
 from link.bus.messages import Belief
 from link.record.reader import read
-from sitl.view.records import RecordedFleet
 from tests.view.conftest import PHONE, Window
 from tests.view.stage import Served
 

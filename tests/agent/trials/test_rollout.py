@@ -124,7 +124,14 @@ def test_infotaxis_finds_the_source_and_its_stop_can_be_believed() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "module",
-    ["agent.trials.rollout", "agent.service", "estimator.service", "sitl.uav.uav", "sitl.launch.launcher", "agent.planners.infotaxis"],
+    [
+        "agent.trials.rollout",
+        "agent.service",
+        "estimator.service",
+        "aircraft.search.uav",
+        "sitl.launch.launcher",
+        "agent.planners.infotaxis",
+    ],
 )
 def test_flying_needs_no_torch(module: str) -> None:
     code = f"import sys; sys.modules['torch'] = None; import {module}; assert 'gymnasium' not in sys.modules"

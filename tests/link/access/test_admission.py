@@ -17,13 +17,13 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from ground.view.roster import Roster
 from link.access.authority import make
 from link.access.crowds import MOST_FOR_ALL, MOST_OF_A_PART, Crowds
 from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, READING, STOP, Key
 from link.bus.opening import NoRouter, open_router
 from link.bus.session import Arrival, Bus
 from link.bus.tap import Tap
-from sitl.view.roster import Roster
 from tests.link.access.certificates import REFUSED_MS, endpoint_of, rogue, session
 
 pytestmark = pytest.mark.slow

@@ -2,10 +2,10 @@
 
 import pytest
 
+from aircraft.bridge.address import parse_address
+from aircraft.search.udp import parse_url
+from ground.view.guard import AccessRules
 from link.access.reach import endpoint_is_open, is_open
-from sitl.bridge.address import parse_address
-from sitl.uav.udp import parse_url
-from sitl.view.guard import AccessRules
 
 OPEN = {
     "127.0.0.1": False,

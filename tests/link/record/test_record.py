@@ -20,7 +20,7 @@ from link.bus.messages import Health, Stop, pack_particles
 from link.record.reader import RecordError, read
 from link.record.record import Entry
 from link.record.writer import Writer
-from tests.sitl.desk.test_summary import belief
+from tests.ground.desk.test_summary import belief
 
 BEGAN = 1_700_000_000_000_000_000
 ABOUT = {"seed": 3, "policy": "homing", "mission": {"about": "a test", "events": []}, "text": "3"}

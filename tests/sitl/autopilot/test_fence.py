@@ -12,7 +12,7 @@ from sitl.autopilot.fence import Circle, Fence, Polygon, Rally
 from sitl.autopilot.motion import Limits, Trajectory
 from sitl.autopilot.state import Mode, Said
 from sitl.autopilot.vehicle import Vehicle
-from tests.sitl.tlog.flights import ACCEPTED, DENIED, hovering, offboard, on_the_ground, texts
+from tests.ground.tlog.flights import ACCEPTED, DENIED, hovering, offboard, on_the_ground, texts
 
 SQUARE = Polygon(True, ((0.0, 0.0), (0.0, 20.0), (20.0, 20.0), (20.0, 0.0)))
 """(north, east): 20 x 20 m from home."""

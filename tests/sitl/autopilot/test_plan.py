@@ -15,7 +15,7 @@ from sitl.autopilot.plan import BadItem, Item, step
 from sitl.autopilot.state import Mode, Reached, Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
-from tests.sitl.tlog.flights import CLIMB_S, CONFIG, GROUND, LANDING, NAN, REJECTED, TAKING_OFF, hovering, on_the_ground, texts
+from tests.ground.tlog.flights import CLIMB_S, CONFIG, GROUND, LANDING, NAN, REJECTED, TAKING_OFF, hovering, on_the_ground, texts
 
 TAKEOFF, WAYPOINT, LOITER, LOITER_TIME, RETURN, LAND, DELAY, JUMP, SPEED = 22, 16, 17, 19, 20, 21, 93, 177, 178
 RELATIVE, NO_FRAME = 6, 2

@@ -11,7 +11,7 @@ from sitl.autopilot.estimates import position_target_local_ned
 from sitl.autopilot.setpoint import Answers, Setpoint
 from sitl.autopilot.state import Arrived, Mode, Said, Snapshot
 from sitl.autopilot.vehicle import Vehicle
-from tests.sitl.tlog.flights import (
+from tests.ground.tlog.flights import (
     ACCEPTED,
     CONFIG,
     DENIED,

@@ -13,7 +13,7 @@ from sitl.autopilot.motion import GRAVITY_MPS2
 from sitl.autopilot.setpoint import Setpoint
 from sitl.autopilot.state import Arrived, Mode, Said
 from sitl.autopilot.vehicle import Vehicle
-from tests.sitl.tlog.flights import (
+from tests.ground.tlog.flights import (
     ACCEPTED,
     CLIMB_S,
     DENIED,

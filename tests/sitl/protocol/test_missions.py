@@ -13,7 +13,7 @@ from plume.geodesy import to_global
 from sitl.autopilot.state import Mode, Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.protocol.protocol import MavlinkProtocol
-from tests.sitl.tlog.flights import ACCEPTED, CONFIG, DENIED, NAN, REJECTED, hovering, on_the_ground
+from tests.ground.tlog.flights import ACCEPTED, CONFIG, DENIED, NAN, REJECTED, hovering, on_the_ground
 
 STATION, OTHER = (255, 190), (245, 190)
 # MAV_MISSION_RESULT

@@ -12,7 +12,7 @@ from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.state import Mode
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
-from tests.sitl.tlog.flights import hovering, offboard, on_the_ground
+from tests.ground.tlog.flights import hovering, offboard, on_the_ground
 
 STATION = (255, 190)
 REAL32, INT32, UINT32 = 9, 6, 5  # MAV_PARAM_TYPE

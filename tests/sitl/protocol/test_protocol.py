@@ -13,7 +13,7 @@ from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.state import Mode, Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.protocol.protocol import MavlinkProtocol
-from tests.sitl.tlog.flights import (
+from tests.ground.tlog.flights import (
     ACCEPTED,
     CONFIG,
     DENIED,

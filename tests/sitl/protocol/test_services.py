@@ -9,7 +9,7 @@ from sitl.autopilot.state import Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.protocol.protocol import COMMANDS, MavlinkProtocol
 from sitl.protocol.refused import REASONS
-from tests.sitl.tlog.flights import ACCEPTED, DENIED, UNSUPPORTED, hovering
+from tests.ground.tlog.flights import ACCEPTED, DENIED, UNSUPPORTED, hovering
 
 STATION = (255, 190)
 

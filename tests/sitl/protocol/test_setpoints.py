@@ -10,7 +10,7 @@ from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.setpoint import Setpoint
 from sitl.protocol.protocol import MavlinkProtocol
 from sitl.protocol.setpoints import read
-from tests.sitl.tlog.flights import CONFIG, NAN, hovering, offboard, places
+from tests.ground.tlog.flights import CONFIG, NAN, hovering, offboard, places
 
 NORTH, EAST = 0.0, math.pi / 2
 LOCAL_NED, BODY_NED = 1, 8

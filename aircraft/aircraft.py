@@ -1,0 +1,123 @@
+"""What the search needs of a vehicle: arm, take off, mode, setpoint, events and time; and what it needs of the vehicle's clients."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+from aircraft.operator import CommandName
+from link.bus.mavlink import Message
+from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.motion import Ned
+from sitl.autopilot.setpoint import Setpoint
+from sitl.autopilot.state import Arrived, Mode, Result, VehicleEvent
+
+
+class Aircraft(Protocol):
+    """A vehicle as its search knows it: the simulated `Vehicle`, or a `RemoteVehicle`. Times in s, positions NED, in m from home."""
+
+    config: VehicleConfig
+    is_searched: bool
+    """True while its search leads it."""
+
+    @property
+    def now_s(self) -> float:
+        """The time of the last call."""
+
+    @property
+    def mode(self) -> Mode:
+        """The flight mode."""
+
+    @property
+    def armed(self) -> bool:
+        """True while its motors may turn."""
+
+    @property
+    def moving(self) -> bool:
+        """True while it flies somewhere."""
+
+    @property
+    def busy(self) -> bool:
+        """True while it waits for nobody."""
+
+    @property
+    def free(self) -> bool:
+        """True while it stands on the ground and nobody flies it."""
+
+    @property
+    def failure(self) -> str:
+        """Why it has given the search up; empty if it has not."""
+
+    @property
+    def caveat(self) -> str:
+        """What its readings have to be read with; empty if nothing is wrong with them."""
+
+    @property
+    def waypoint(self) -> Ned | None:
+        """The last accepted position."""
+
+    def catch_up(self, t_s: float) -> None:
+        """Advance to a time; the next `advance` returns the events."""
+
+    def advance(self, t_s: float) -> list[VehicleEvent]:
+        """Advance to a time; return the events."""
+
+    def next_event_s(self) -> float | None:
+        """Return when to call `advance` again if no message comes."""
+
+    def still(self, arrived: Arrived) -> Arrived:
+        """Return an arrival as it is now, for another measurement there."""
+
+    def arm(self, t_s: float) -> Result:
+        """Start the motors."""
+
+    def take_off(self, t_s: float) -> Result:
+        """Climb to the take-off altitude."""
+
+    def set_mode(self, t_s: float, mode: Mode) -> Result:
+        """Change the flight mode."""
+
+    def setpoint(self, t_s: float, wanted: Ned | Setpoint, *, answers: bool = False) -> Result:
+        """Take a waypoint; `answers`: it answers a reading."""
+
+
+class Clients(Protocol):
+    """The vehicle's clients on the bus and over --out: where their telemetry comes from, and what becomes of what they say.
+
+    A simulated vehicle is its own autopilot. A real one has its own, beside which the search is another component.
+    """
+
+    component: int
+    """The component id of what the search says."""
+
+    @property
+    def system(self) -> int:
+        """The vehicle's MAVLink system id; 0 until it is known."""
+
+    def serve(self) -> None:
+        """Tell them what is due."""
+
+    def wait_s(self) -> float:
+        """Return the real time until something is due."""
+
+    def changed(self) -> None:
+        """Tell at once what the search does now."""
+
+    def tell(self, severity: int, text: str) -> None:
+        """Tell a text of a MAV_SEVERITY."""
+
+    def send(self, *messages: Message) -> None:
+        """Send messages on all links."""
+
+    def measured(self, time_boot_ms: int, gas: float) -> None:
+        """Tell a reading."""
+
+    def take(self, item: object) -> None:
+        """Take what came from them through the inbox."""
+
+    def refuse(self, result: Result, t_s: float) -> None:
+        """Tell on the bus why a waypoint is refused."""
+
+    def operate(self, name: CommandName) -> None:
+        """Do what the script's operator wants."""
+
+    def end(self, say: Callable[[int, str], None]) -> None:
+        """Leave the vehicle to someone, and close the links."""

@@ -1,0 +1,139 @@
+"""Routing: on which links a frame goes on. Pure: no sockets, no clock.
+
+The rules are those of https://mavlink.io/en/guide/routing.html, read strictly as mavlink-router does: a message without a target goes to
+all other links, one with a target to the links on which that system and component have been heard, and none back to its link.
+"""
+
+from typing import NamedTuple
+
+from aircraft.bridge.stream import Letter
+
+BUS = 0
+"""The link to the bus; the endpoints' links count from 1."""
+BROUGHT = -1
+"""Where frames come from that another bridge has put on the bus."""
+DUPLICATE_S = 0.5
+"""A frame that came on another link less than this ago came around a loop."""
+MOST_REMEMBERED = 8192
+"""Most frames that are remembered to find duplicates: those of 0.5 s at 16,000 a second."""
+HOME_S = 3.0
+"""A vehicle that is silent for this long on its link may turn up on another: three heartbeats."""
+MOST_HEARD = 1024
+"""Most senders remembered for each link, the latest heard. It is bounded because ids are easily forged."""
+SETUP_SIGNING = 256
+AUTOPILOT = 1
+"""The component id of autopilots."""
+
+DUPLICATE, ELSEWHERE, UNHEARD = "duplicate", "of a vehicle of another link", "for a target that nobody has heard"
+KEYS = "with a key (SETUP_SIGNING)"
+"""Why a frame is dropped."""
+
+Sender = tuple[int, int]
+"""System and component id."""
+
+
+class Route(NamedTuple):
+    """Where a frame goes."""
+
+    links: tuple[int, ...] = ()
+    vehicle: bool = False
+    """Whether a vehicle has sent it: on the bus it belongs on mavlink/out, else on mavlink/in."""
+    dropped: str = ""
+    """Why it goes nowhere, if it should have gone somewhere."""
+
+
+class Routes:
+    """What has been heard on each link.
+
+    A system is a vehicle on the link on which its autopilot's HEARTBEAT has come, or if the bus has
+    frames of an autopilot on mavlink/out. Each sender of a
+    vehicle has one link, on which it was heard first. Frames with its ids from other links are dropped: they came around a loop that is
+    slower than DUPLICATE_S, or two vehicles have the same id. Once it is silent for HOME_S, it may move. A vehicle that is itself on the
+    bus is at home there, wherever it was heard first: two bridges would otherwise hand its frames around for ever, each taking the
+    other's side for its home. Ground stations may share an id.
+    """
+
+    def __init__(self) -> None:
+        """Start with the bus alone."""
+        self.heard: dict[int, dict[Sender, None]] = {BUS: {}}
+        """Senders heard on each link, the latest last."""
+        self._systems: dict[int, set[int]] = {BUS: set()}
+        """Systems heard on each link."""
+        self._vehicles: set[tuple[int, int]] = set()
+        """Links and systems: whose autopilot has been heard there."""
+        self._homes: dict[Sender, tuple[int, float]] = {}
+        """The link of each sender of a vehicle, and when it was last heard there."""
+        self.remembered: dict[bytes, tuple[float, frozenset[int]]] = {}
+        """When each frame came first, and on which links it has come since; the oldest first."""
+
+    def join(self, link: int) -> None:
+        """Add a link."""
+        self.heard[link] = {}
+        self._systems[link] = set()
+
+    def leave(self, link: int) -> None:
+        """Remove a link, and all that was heard on it."""
+        del self.heard[link], self._systems[link]
+        self._vehicles = {(at, system) for at, system in self._vehicles if at != link}
+        self._homes = {sender: home for sender, home in self._homes.items() if home[0] != link}
+
+    def route(self, letter: Letter, link: int, now_s: float, *, out: bool = False, brought: bool = False) -> Route:
+        """Return where a frame goes that came on `link`; `out`: the bus had it on mavlink/out; `brought`: by another bridge."""
+        if letter.message_id == SETUP_SIGNING:  # a key that came over a safe link must not leave by another one
+            return Route(dropped=KEYS)
+        sender = (letter.system, letter.component)
+        came_from = BROUGHT if brought else link
+        if out and came_from == BUS:
+            self._homes[sender] = (BUS, now_s)
+        home, heard_s = self._homes.get(sender, (came_from, now_s))
+        away = home != came_from and now_s - heard_s < HOME_S
+        if self._came_elsewhere(letter.data, came_from, now_s, remember=not away):
+            return Route(dropped=DUPLICATE)
+        if away:
+            return Route(dropped=ELSEWHERE)
+        vehicle = self._is_vehicle(letter, link, out=out)
+        if vehicle:
+            self._homes[sender] = (came_from, now_s)
+        self._hear(sender, link)
+        if not letter.target_system:
+            return Route(tuple(other for other in self.heard if other != link), out or vehicle)
+        there = [other for other in self.heard if self._has(other, letter.target_system, letter.target_component)]
+        links = {other for other in there if other != link}
+        if vehicle and link != BUS:
+            links.add(BUS)  # mavlink/out holds all that a vehicle says, for records and viewers
+        return Route(tuple(sorted(links)), out or vehicle, "" if there or links else UNHEARD)
+
+    def _came_elsewhere(self, data: bytes, link: int, now_s: float, *, remember: bool) -> bool:
+        """Return whether a frame came on another link lately. A sender may repeat itself on its own link.
+
+        A vehicle's frame that comes from afar is not remembered: it may have overtaken the one from the vehicle's own link.
+        """
+        remembered = self.remembered
+        while remembered:
+            oldest = next(iter(remembered))
+            if now_s - remembered[oldest][0] < DUPLICATE_S and len(remembered) < MOST_REMEMBERED:
+                break
+            del remembered[oldest]
+        came_s, links = remembered.get(data, (now_s, frozenset()))
+        if remember:
+            remembered[data] = (came_s, links | {link})
+        return bool(links - {link})
+
+    def _is_vehicle(self, letter: Letter, link: int, *, out: bool) -> bool:
+        """Whether a frame's system is a vehicle on its link; a HEARTBEAT may tell just now."""
+        said = letter.autopilot or letter.component == AUTOPILOT if link == BUS and out else letter.autopilot and link != BUS
+        if said:
+            self._vehicles.add((link, letter.system))
+        return (link, letter.system) in self._vehicles and (out or link != BUS)
+
+    def _hear(self, sender: Sender, link: int) -> None:
+        heard = self.heard[link]
+        heard.pop(sender, None)
+        heard[sender] = None
+        self._systems[link].add(sender[0])
+        if len(heard) > MOST_HEARD:
+            del heard[next(iter(heard))]
+            self._systems[link] = {system for system, _ in heard}
+
+    def _has(self, link: int, system: int, component: int) -> bool:
+        return (system, component) in self.heard[link] if component else system in self._systems[link]

@@ -1,0 +1,314 @@
+"""The keeper: a small process that owns the link to an autopilot, and sends the vehicle home if the uav falls silent in flight.
+
+It hands frames on, both ways, and knows from them whose flight it is. It goes on when the uav hangs, is stopped or is killed, and ends
+when the uav has ended and nobody needs it: the vehicle stands, comes down, or is a pilot's.
+"""
+
+import contextlib
+import math
+import os
+import selectors
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from aircraft.bridge.address import parse_address
+from aircraft.bridge.endpoints import ENDPOINTS, TICK_S
+from aircraft.bridge.links import Channel, Pipe, Traffic
+from aircraft.bridge.stream import Letter
+from aircraft.mode import Mode
+from aircraft.remote.firmware import ARDUCOPTER, FIRMWARES, unfit
+from link.bus.log import Log
+from link.bus.tally import Tally
+from link.early import ask_for_stacks
+
+SILENT_S = 3.0
+"""Real time without a HEARTBEAT of the uav after which it counts as silent, whatever the speed-up: its loop sends one each second."""
+HELD_UP_S = 1.0
+"""Two looks so far apart mean that the keeper itself was held up: that time does not count as silence."""
+ARMED_S = 5.0
+"""A vehicle that is armed later than this after the uav's last HEARTBEAT has been armed by someone else."""
+AGAIN_S = 1.0
+"""How often a vehicle that does not obey is told again, and the uav what has happened."""
+GIVEN_UP_S = 60.0
+"""Without the uav, an autopilot that is not heard for so long is given up."""
+WAITING_BYTES = 16384
+"""Most bytes that wait for a uav that does not read, twice: a few seconds of telemetry, the newest."""
+OWN = 0
+"""System id of the keeper's own words to the uav. No vehicle has it, and a frame with it from outside is not handed on."""
+AUTOPILOT, COMPANION = mavlink.MAV_COMP_ID_AUTOPILOT1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
+COMING_DOWN = (Mode.RETURN, Mode.LAND)
+WARNING, CRITICAL, INFO = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
+
+
+class Keeper:
+    """Judges by the frames of both sides, and acts. It has no clock and no link: times are the caller's, s of real time."""
+
+    def __init__(
+        self, send: Callable[[mavlink.MAVLink_message], None], say: Callable[[int, str], None], hangs: Callable[[], None] = lambda: None
+    ) -> None:
+        """Take how a message goes to the autopilot, how people are told, and what to do with a uav that is silent."""
+        self.system = 0
+        """The vehicle's system id: that of its companion, the uav. 0 until the uav has found it."""
+        self.acted = ""
+        """Why it has acted, once it has: from then on nothing of the uav's own is handed on."""
+        self.over = False
+        """Whether there is nothing left to do."""
+        self._send, self._say, self._hangs = send, say, hangs
+        self._parser = mavlink.MAVLink(None)
+        self._firmware = ARDUCOPTER
+        self._mode: int | None = None
+        self._status = mavlink.MAV_STATE_UNINIT
+        self._landed = mavlink.MAV_LANDED_STATE_UNDEFINED
+        self._armed = False
+        self._ours = self._theirs = False  # whether the uav says that it is in charge; whether someone else has changed the mode since
+        self._asked: frozenset[int] = frozenset()
+        self._gone = self._told = False
+        self._sent_s = -math.inf
+        self._beat_s = self._looked_s = self._heard_s = math.inf
+
+    # ---- the uav's side ----
+
+    def passes(self, letter: Letter, now_s: float) -> bool:
+        """Take a frame of the uav; returns whether it is to be handed on: what it hands on of others, which has other ids, always."""
+        if letter.component != COMPANION:
+            return True
+        if self.acted:
+            return False
+        if letter.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            self._beat_s, self.system = now_s, letter.system or self.system
+            ours = self._message(letter).system_status == mavlink.MAV_STATE_ACTIVE
+            self._theirs = self._theirs and ours == self._ours  # it knows best, once it knows
+            self._ours = ours
+        elif letter.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+            self._commanded(self._message(letter))
+        return True
+
+    def gone(self) -> None:
+        """Note that the uav has ended, or has let go of us."""
+        self._gone = True
+
+    def _commanded(self, message: mavlink.MAVLink_command_long_message) -> None:
+        """Remember which modes come of what the uav commands."""
+        modes = self._firmware.modes
+        if message.command == mavlink.MAV_CMD_NAV_TAKEOFF:
+            climbs = (Mode.OFFBOARD,) if self._firmware.is_ardupilot else (Mode.TAKEOFF, Mode.HOLD)
+            self._asked, self._theirs = frozenset(modes[mode] for mode in climbs), False
+        elif message.command == mavlink.MAV_CMD_DO_SET_MODE:
+            main, sub = int(message.param2), int(message.param3)
+            self._asked, self._theirs = frozenset({main if self._firmware.is_ardupilot else main << 16 | sub << 24}), False
+
+    # ---- the autopilot's side ----
+
+    def hear(self, letter: Letter, now_s: float) -> bool:
+        """Take a frame of the autopilot's link; returns whether it is the vehicle's HEARTBEAT. Raises MAVError if it is malformed."""
+        if (letter.system, letter.component) != (self.system, AUTOPILOT):
+            return False
+        number = letter.message_id
+        if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            message = self._message(letter)
+            if unfit(message):
+                return False
+            self._heard_s = now_s
+            self._beats(message, now_s)
+            return True
+        if number == mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
+            self._landed = self._message(letter).landed_state
+        elif number == mavlink.MAVLINK_MSG_ID_COMMAND_ACK and self._is_in_charge and self.acted:
+            message = self._message(letter)
+            done = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
+            if message.command == mavlink.MAV_CMD_DO_SET_MODE and not done and self._asked != {self._firmware.modes[Mode.LAND]}:
+                self._ask_for(Mode.LAND)
+        return False
+
+    def _beats(self, message: mavlink.MAVLink_heartbeat_message, now_s: float) -> None:
+        self._firmware = FIRMWARES[message.autopilot]
+        armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if armed != self._armed:
+            self._armed, self._theirs = armed, False
+            self._ours = self._ours and now_s - self._beat_s <= ARMED_S
+        mode, before = message.custom_mode, self._mode
+        failed = message.system_status >= mavlink.MAV_STATE_CRITICAL > self._status
+        if before is not None and mode != before and mode not in self._asked:
+            self._theirs = not (failed and mode in self._firmware.hovers)  # a failsafe that only hovers has taken nothing over
+        self._mode, self._status = mode, message.system_status
+
+    def _message(self, letter: Letter) -> Any:
+        return self._parser.decode(bytearray(letter.data))
+
+    # ---- what is to be done ----
+
+    def look(self, now_s: float) -> None:
+        """Look, and act; call it several times a second."""
+        if now_s - self._looked_s > HELD_UP_S:
+            self._beat_s += now_s - self._looked_s
+        self._looked_s = now_s
+        if not (self.acted or self._gone or now_s - self._beat_s > SILENT_S):
+            self._told = False
+            return
+        if self._gone and self._heard_s < now_s - GIVEN_UP_S:
+            if self._is_in_charge:
+                self._say(CRITICAL, f"The autopilot is not heard for {GIVEN_UP_S:g} s: its own failsafe is in charge")
+            self.over = True
+        elif self._is_in_charge and not self._comes_down:
+            self._act(now_s)
+        else:
+            if self.acted and not self._told:
+                self._told = True
+                self._say(WARNING, f"The vehicle is left in {self._mode_name}" if self._armed else "The motors have stopped")
+            self.over = self._gone and (self._armed or not self._ours or now_s - self._beat_s > ARMED_S)
+
+    def _act(self, now_s: float) -> None:
+        if now_s - self._sent_s < AGAIN_S:
+            return
+        self._sent_s, self._told = now_s, False
+        if not self.acted:
+            self.acted = "the uav has ended" if self._gone else f"the uav was silent for {SILENT_S:g} s"
+            what = "stops the motors" if self._on_ground else "sends the vehicle home"
+            self._say(CRITICAL, f"The keeper {what}: {self.acted}")
+            self._hangs()  # after our own line: its stacks are written piece by piece, on the same stderr
+        if self._on_ground:  # which is refused in flight
+            self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+        else:
+            self._ask_for(Mode.RETURN)
+
+    def _ask_for(self, mode: Mode) -> None:
+        number = self._firmware.modes[mode]
+        self._asked = frozenset({number})
+        self._command(mavlink.MAV_CMD_DO_SET_MODE, *self._firmware.params(number))
+
+    def _command(self, number: int, *params: float) -> None:
+        rest = [0.0] * (7 - len(params))
+        self._send(mavlink.MAVLink_command_long_message(self.system, AUTOPILOT, number, 0, *params, *rest))
+
+    @property
+    def _is_in_charge(self) -> bool:
+        """Whether nobody else is in charge of a vehicle whose motors turn."""
+        return self._armed and self._ours and not self._theirs
+
+    @property
+    def _comes_down(self) -> bool:
+        return self._mode is not None and self._firmware.reports.get(self._mode) in COMING_DOWN
+
+    @property
+    def _on_ground(self) -> bool:
+        if self._landed != mavlink.MAV_LANDED_STATE_UNDEFINED:
+            return bool(self._landed == mavlink.MAV_LANDED_STATE_ON_GROUND)
+        return self._status in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_UNINIT)
+
+    @property
+    def _mode_name(self) -> str:
+        return self._firmware.mode_name(self._mode or 0)
+
+
+class Switch:
+    """Hands frames on between the uav and the autopilot's endpoint."""
+
+    def __init__(self, url: str, uav: socket.socket, log: Log) -> None:
+        """Open the endpoint; raises ValueError if it cannot be used on this machine."""
+        self.selector: selectors.BaseSelector = selectors.DefaultSelector()
+        self.log = log
+        self.keeper = Keeper(self._send, self._say, partial(ask_for_stacks, os.getppid()))
+        self._codec = mavlink.MAVLink(None)
+        self._links: list[Channel] = []
+        self._used: Channel | None = None
+        self._tell_s = -math.inf
+        address = parse_address(url)
+        self._endpoint = ENDPOINTS[address.kind](address, self)
+        self._endpoint.open()
+        uav.setblocking(False)
+        uav.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING_BYTES)
+        self._uav: Channel | None = None
+        self._pipe = Pipe(uav.fileno(), self, Traffic("uav", log), "uav", WAITING_BYTES, lambda _: self.keeper.gone())
+        self._uav = self._links.pop()
+
+    def join(self, link: Channel) -> None:
+        """A link is there."""
+        self._links.append(link)
+
+    def leave(self, link: Channel) -> None:
+        """A link has gone."""
+        if link is self._uav:
+            return
+        self._links.remove(link)
+        if link is self._used:
+            self._used = None
+
+    def route(self, link: Channel, letters: list[Letter]) -> None:
+        """Hand frames on."""
+        now_s = time.monotonic()
+        if link is self._uav:
+            for letter in letters:
+                if self.keeper.passes(letter, now_s):
+                    self._out(letter.data)
+            return
+        for letter in letters:
+            if letter.system == OWN:
+                continue
+            with contextlib.suppress(mavlink.MAVError):
+                if self.keeper.hear(letter, now_s):
+                    self._used = link  # a vehicle may come back on another link
+            self._pipe.send(letter.data)
+
+    def run(self) -> None:
+        """Hand on until nobody needs it."""
+        while not self.keeper.over:
+            now_s = time.monotonic()
+            self._endpoint.tick(now_s)
+            self.keeper.look(now_s)
+            self._tell_the_uav(now_s)
+            until_s = now_s + TICK_S
+            while (left_s := until_s - time.monotonic()) > 0.0 and not self.keeper.over:
+                for key, events in self.selector.select(left_s):
+                    key.data(events)
+        self._endpoint.close()
+
+    def _out(self, frame: bytes) -> None:
+        for link in [self._used] if self._used else [*self._links]:
+            link.send(frame)
+
+    def _send(self, message: mavlink.MAVLink_message) -> None:
+        self._out(self._packed(message, self.keeper.system))
+
+    def _say(self, severity: int, text: str) -> None:
+        self.log.warning(text)
+        self._send(mavlink.MAVLink_statustext_message(severity, text[:50].encode()))
+
+    def _tell_the_uav(self, now_s: float) -> None:
+        """Say each second why the keeper has acted, or else how the endpoint does: a uav that does not read may miss a word."""
+        if now_s - self._tell_s < AGAIN_S:
+            return
+        self._tell_s = now_s
+        text = self.keeper.acted or self._endpoint.trouble() or self._endpoint.state()
+        severity = CRITICAL if self.keeper.acted else INFO
+        self._pipe.send(self._packed(mavlink.MAVLink_statustext_message(severity, text[:50].encode()), OWN))
+
+    def _packed(self, message: mavlink.MAVLink_message, system: int) -> bytes:
+        self._codec.srcSystem, self._codec.srcComponent = system, COMPANION
+        self._codec.seq = (self._codec.seq + 1) % 256
+        return bytes(message.pack(self._codec))
+
+
+def main() -> None:
+    """Keep the vehicle at a URL for the uav on stdin; the line on stdout is empty if the URL can be used, else it says why not."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # it ends when the uav has ended and the vehicle is cared for
+    url, level = sys.argv[1:]
+    with socket.socket(fileno=0) as uav:
+        try:
+            switch = Switch(url, uav, Log("keeper", "-", Tally(), level))
+        except ValueError as error:
+            print(error, flush=True)
+            return
+        print(flush=True)
+        switch.run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,54 @@
+"""`plumeward payload`: the gas sensor of a real autopilot."""
+
+import argparse
+import contextlib
+import sys
+
+from aircraft.payload import service
+from aircraft.payload.drivers import Driven, Measure, make, said
+from aircraft.payload.options import SIMULATED, add_payload_argument
+from aircraft.payload.simulated import Simulated
+from link import cli
+from link.bus.inbox import Inbox
+from link.bus.session import Bus
+from sitl.script.options import add_mission_argument, add_seed_argument, add_world_arguments
+from sitl.script.script import Script
+
+OF_THE_PLUME = ("mission", "seed", "sensor", "world")
+"""Arguments of the simulated payload alone."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+    add_payload_argument(parser)
+    add_mission_argument(parser)
+    add_seed_argument(parser)
+    add_world_arguments(parser)
+    cli.add_bus_arguments(parser)
+
+
+def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> int:
+    """Answer the vehicle's questions until interrupted. given: the arguments on the command line; script: the mission to simulate."""
+    if args.payload != SIMULATED and (idle := [name for name in OF_THE_PLUME if getattr(given, name, None) is not None]):
+        flag = "MISSION" if idle[0] == "mission" else f"--{idle[0]}"
+        print(f"error: {flag}: only with --payload {SIMULATED}; {args.payload} measures what there is", file=sys.stderr)
+        return cli.BAD_INPUT
+    inbox = Inbox()
+    with contextlib.ExitStack() as stack:
+        bus = stack.enter_context(Bus("payload", args.connect, args.namespace, inbox, args.log_level, secure=args.secure))
+        bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
+        bus.tally.about = args.payload
+        measure: Measure
+        if args.payload == SIMULATED:
+            measure = Simulated(script.simulated())
+        else:
+            try:
+                driver = make(args.payload, bus.log)
+                driver.open()
+            except Exception as error:  # a plug-in may be anybody's code
+                print(f"error: --payload: {error if isinstance(error, ValueError) else f'{args.payload}: {said(error)}'}", file=sys.stderr)
+                return cli.BAD_INPUT
+            stack.callback(driver.close)
+            measure = Driven(driver, bus.log)
+        service.run(bus, service.Measuring(measure, inbox))
+    return 0

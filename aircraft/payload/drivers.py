@@ -1,0 +1,115 @@
+"""Drivers of real gas sensors: what one has to do, those that ship, and what other packages plug in."""
+
+import math
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from typing import Protocol
+
+from aircraft.payload.messages import Question, Sample
+from aircraft.payload.options import SERIAL, SIMULATED, WANTED_SERIAL
+from link import cli
+from link.bus.log import Log
+
+PLUGINS = "plumeward.payloads"
+"""Entry points of this group are drivers of other packages: docs/payload.md."""
+TIMEOUT_S = 5.0
+"""Real time that a sensor may take for a value; after that it has none (NaN), and the vehicle asks again."""
+LARGEST = 3.4028234e38
+"""Largest float32: the wire carries no larger value."""
+NO_NUMBER, SENSOR_ERROR = "not a number", "sensor error"
+"""What a payload counts in its health, beside malformed questions."""
+Measure = Callable[[Question], Sample]
+"""Measures once; may take TIMEOUT_S."""
+
+
+class Driver(Protocol):
+    """A gas sensor. It is made with the text behind the colon in `--payload NAME:TEXT`, empty if there is none.
+
+    All methods are called in one thread, except `close`. What they raise is counted and logged, and costs no more than the value.
+    """
+
+    def open(self) -> None:
+        """Begin; called once. What this raises ends the payload with status 2: raise only what waiting cannot mend."""
+
+    def read(self, timeout_s: float) -> float:
+        """Return the first value that the sensor gives from now on, in its unit; NaN if it gives none within timeout_s."""
+        ...
+
+    def close(self) -> None:
+        """End; called once, perhaps while `read` waits."""
+
+
+def kinds() -> tuple[str, ...]:
+    """Return the names of all payloads: what --payload takes, without the text behind the colon."""
+    return (SIMULATED, SERIAL, *(plugin.name for plugin in entry_points(group=PLUGINS)))
+
+
+def check(text: str) -> None:
+    """Raise ValueError, with what is allowed, unless it is a payload. A plug-in is not loaded."""
+    name, colon, _ = text.partition(":")
+    if name == SERIAL:
+        from aircraft.bridge.address import parse_address
+
+        try:
+            parse_address(text)
+        except ValueError as error:
+            raise ValueError(str(error) if "baud" in str(error) else f"{text!r} is not allowed; wanted {WANTED_SERIAL}") from None
+    elif name not in kinds():
+        plugged_in = [*kinds()[2:]]
+        raise ValueError(cli.not_allowed(text, kinds(), cli.listing([SIMULATED, WANTED_SERIAL, *plugged_in])))
+    elif name == SIMULATED and colon:
+        raise ValueError(f"{text!r} is not allowed; wanted {SIMULATED} alone")
+
+
+def make(text: str, log: Log) -> Driver:
+    """Return the driver that a text names. Raises ValueError, with what is wrong, if a plug-in cannot be used."""
+    name, _, rest = text.partition(":")
+    if name == SERIAL:
+        from aircraft.bridge.address import parse_address
+        from aircraft.payload.serial_numbers import SerialNumbers
+
+        return SerialNumbers(parse_address(text), log)
+    plugins = tuple(entry_points(group=PLUGINS, name=name))
+    if len(plugins) > 1:
+        raise ValueError(f"{name} is plugged in more than once, by {' and '.join(each.value for each in plugins)}; wanted one")
+    try:
+        driver: Driver = plugins[0].load()(rest)
+    except Exception as error:  # it may be anybody's code
+        raise ValueError(f"{text}: {plugins[0].value} cannot be used: {said(error)}") from error
+    if missing := [method for method in ("open", "read", "close") if not callable(getattr(driver, method, None))]:
+        raise ValueError(f"{text}: {plugins[0].value} has no {cli.listing(missing)}; wanted open(), read(timeout_s) and close()")
+    return driver
+
+
+def said(error: Exception) -> str:
+    """Return an exception in one short line."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text[:200]}".removesuffix(": ")
+
+
+class Driven:
+    """Measures with a driver. Whatever it does, the answer is a value that the wire carries, or NaN."""
+
+    def __init__(self, driver: Driver, log: Log) -> None:
+        """Take an open driver, and the log whose tally counts what goes wrong."""
+        self._driver = driver
+        self._log = log
+        self._told = ""
+
+    def __call__(self, question: Question) -> Sample:
+        """Measure once; a driver does not know the wind."""
+        return Sample(question.time_boot_ms, self._value(), None)
+
+    def _value(self) -> float:
+        try:
+            value = float(self._driver.read(TIMEOUT_S))
+        except Exception as error:  # it may be anybody's code
+            return self._without_value(said(error))
+        return self._without_value(f"{value} is no value; wanted a finite number, or NaN for none") if abs(value) > LARGEST else value
+
+    def _without_value(self, reason: str) -> float:
+        self._log.tally.refuse(SENSOR_ERROR)
+        if reason != self._told:
+            self._told = reason
+            self._log.warning(f"the sensor's driver: {reason}")
+        return math.nan

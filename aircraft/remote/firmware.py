@@ -1,0 +1,96 @@
+"""What differs between ArduCopter and PX4 for a companion computer: modes by number, streams, take-off altitudes, when it can fly."""
+
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from aircraft.mode import Mode
+from link.modes import MEANINGS, mode_name
+
+ESTIMATES = mavlink.ESTIMATOR_POS_HORIZ_ABS
+"""Flag of EKF_STATUS_REPORT (193) and ESTIMATOR_STATUS (230): the absolute horizontal position is good."""
+
+
+class Firmware(NamedTuple):
+    """One autopilot firmware."""
+
+    name: str
+    autopilot: int
+    """HEARTBEAT's autopilot."""
+    modes: dict[Mode, int]
+    """The HEARTBEAT's custom_mode to ask for, for each mode of the search."""
+    reports: dict[int, Mode]
+    """The mode of the search that a custom_mode is; one that is not here only pilots fly."""
+    hovers: frozenset[int]
+    """Custom modes in which it stays in the air for as long as nobody asks for another."""
+    streams: dict[int, float]
+    """Messages to ask for, and their rates in Hz."""
+    is_ardupilot: bool
+
+    def params(self, custom_mode: int) -> tuple[float, float, float]:
+        """Return params 1 to 3 of MAV_CMD_DO_SET_MODE (176)."""
+        custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+        if self.is_ardupilot:
+            return custom, float(custom_mode), 0.0
+        return custom, float(custom_mode >> 16 & 0xFF), float(custom_mode >> 24)
+
+    def mode_name(self, custom_mode: int) -> str:
+        """Return a mode's name for people."""
+        return mode_name(self.autopilot, custom_mode)
+
+
+def _rates(*more: int) -> dict[int, float]:
+    usual = {
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20.0, mavlink.MAVLINK_MSG_ID_ATTITUDE: 10.0, mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0, mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
+        mavlink.MAVLINK_MSG_ID_HOME_POSITION: 1.0, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 2.0, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,  # for people
+    }  # fmt: skip
+    return usual | dict.fromkeys(more, 5.0)
+
+
+def _reports(autopilot: int) -> dict[int, Mode]:
+    return {number: Mode[name] for number, name in MEANINGS[autopilot].items()}
+
+
+ARDUCOPTER = Firmware(
+    "ArduCopter",
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+    {Mode.OFFBOARD: 4, Mode.HOLD: 17, Mode.RETURN: 6, Mode.LAND: 9},
+    _reports(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA),
+    frozenset({4, 17}),
+    _rates(mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT, mavlink.MAVLINK_MSG_ID_WIND, mavlink.MAVLINK_MSG_ID_FENCE_STATUS),
+    is_ardupilot=True,
+)
+PX4 = Firmware(
+    "PX4",
+    mavlink.MAV_AUTOPILOT_PX4,
+    {mode: mode.custom_mode for mode in (Mode.TAKEOFF, Mode.HOLD, Mode.RETURN, Mode.LAND, Mode.OFFBOARD)},
+    _reports(mavlink.MAV_AUTOPILOT_PX4),
+    frozenset({Mode.HOLD.custom_mode, Mode.OFFBOARD.custom_mode}),
+    _rates(mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS, mavlink.MAVLINK_MSG_ID_WIND_COV),
+    is_ardupilot=False,
+)
+FIRMWARES = {firmware.autopilot: firmware for firmware in (ARDUCOPTER, PX4)}
+"""By HEARTBEAT's autopilot."""
+COPTERS = {
+    mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_COAXIAL, mavlink.MAV_TYPE_HELICOPTER, mavlink.MAV_TYPE_HEXAROTOR,
+    mavlink.MAV_TYPE_OCTOROTOR,
+    mavlink.MAV_TYPE_TRICOPTER, mavlink.MAV_TYPE_DODECAROTOR, mavlink.MAV_TYPE_DECAROTOR,
+}  # fmt: skip
+"""HEARTBEAT's types that can hover."""
+
+
+def unfit(heartbeat: mavlink.MAVLink_heartbeat_message) -> str:
+    """Return why the search cannot fly what sent this HEARTBEAT; empty if it can."""
+    wanted = "; wanted an ArduCopter or a PX4 multirotor"
+    if heartbeat.autopilot not in FIRMWARES:
+        return f"autopilot {_name('MAV_AUTOPILOT', heartbeat.autopilot)} is not supported{wanted}"
+    if heartbeat.type not in COPTERS:
+        return f"vehicle type {_name('MAV_TYPE', heartbeat.type)} cannot hover{wanted}"
+    return ""
+
+
+def _name(enum: str, number: int) -> str:
+    entry = mavlink.enums[enum].get(number)
+    return f"{entry.name.removeprefix(enum + '_')} ({number})" if entry else str(number)

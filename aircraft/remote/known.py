@@ -1,0 +1,240 @@
+"""What is known of a real vehicle: the newest of what it has said, and whether that is enough to fly."""
+
+import math
+import re
+import struct
+from collections import deque
+from dataclasses import dataclass, field
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from aircraft.remote.firmware import ARDUCOPTER, ESTIMATES, FIRMWARES, Firmware
+from aircraft.remote.glitches import Fix, Glitches
+from link.bus.mavlink import Message
+from plume.geodesy import home_from
+from sitl.autopilot.motion import ZERO, Ned
+
+LOST_S = 3.0
+"""Time without a HEARTBEAT after which the link counts as lost; it comes once a second."""
+STALE_S = 1.0
+"""Time after which a position is too old to act on."""
+NEW_BOOT_MS = 2000
+"""A clock that goes back by more than this has begun anew."""
+BREACH = re.compile("breach|geofence|fence violation", re.IGNORECASE)
+"""What an autopilot's text on a geofence says."""
+OVER = re.compile("clear|recover|deactivated", re.IGNORECASE)
+"""What a text on a breach that is over says."""
+INTEGERS = {
+    mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT8, mavlink.MAV_PARAM_TYPE_UINT16, mavlink.MAV_PARAM_TYPE_INT16,
+    mavlink.MAV_PARAM_TYPE_UINT32, mavlink.MAV_PARAM_TYPE_INT32,
+}  # fmt: skip
+Global = tuple[float, float, float]
+"""Latitude and longitude in degrees, altitude above sea in m."""
+
+
+@dataclass
+class Known:
+    """The newest of what one vehicle has said. Times are the caller's, s; positions NED, m from the EKF's origin.
+
+    `slowest_s`: shortest time after which anything may count as missing; a vehicle whose simulator runs fast needs it.
+    """
+
+    slowest_s: float = 0.0
+    firmware: Firmware = ARDUCOPTER
+    custom_mode: int = 0
+    armed: bool = False
+    status: int = mavlink.MAV_STATE_UNINIT
+    heard_s: float = -math.inf
+    """When the last HEARTBEAT came."""
+    position: Ned = ZERO
+    velocity: Ned = ZERO
+    position_s: float = -math.inf
+    position_ms: int = 0
+    """The autopilot's clock at the position."""
+    glitches: Glitches = field(default_factory=Glitches)
+    """Whether that position can be trusted."""
+    origin: Global | None = None
+    home: Global | None = None
+    home_s: float = -math.inf
+    flags: int = 0
+    """ESTIMATOR_STATUS_FLAGS, or EKF_STATUS_FLAGS, whose first bits mean the same."""
+    healthy: bool = True
+    """False while SYS_STATUS says that a check before arming fails."""
+    battery: float = math.nan
+    """0 to 1; NaN where the autopilot does not know."""
+    landed: int = mavlink.MAV_LANDED_STATE_UNDEFINED
+    wind: tuple[float, float] | None = None
+    """(u cos φ, u sin φ) m/s, x east, y north, to where the wind comes from; None where the autopilot does not tell."""
+    wind_s: float = -math.inf
+    """When it last told of a wind, or that it does not know it."""
+    target: Ned | None = None
+    """The position that it says it flies to."""
+    breach_s: float = -math.inf
+    """When it last said that the geofence is breached."""
+    critical_s: float = -math.inf
+    """When its status last rose to critical, or above."""
+    breached_s: float = -math.inf
+    """When a breach last began, or a text last said so."""
+    texts: list[tuple[int, str]] = field(default_factory=list)
+    """STATUSTEXTs since they were last taken: severity and text."""
+    warnings: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=20))
+    """The latest texts that warn, with their times."""
+    parameters: dict[str, float] = field(default_factory=dict)
+    boot_ms: int = 0
+    """The autopilot's clock when it last told its position or attitude."""
+    boots: int = 0
+    """How often that clock has begun anew."""
+    came_s: dict[int, float] = field(default_factory=dict)
+    """When each message type last came, by its number."""
+    _chunks: dict[int, str] = field(default_factory=dict)
+    _breach: tuple[int, int] = (0, 0)  # whether the fence is breached, and how often it was
+
+    def take(self, message: Message, now_s: float) -> None:
+        """Take a message of this vehicle's autopilot."""
+        self.came_s[message.get_msgId()] = now_s
+        match message.get_type():
+            case "HEARTBEAT":
+                self.firmware = FIRMWARES[message.autopilot]
+                if message.system_status > self.status and message.system_status >= mavlink.MAV_STATE_CRITICAL:
+                    self.critical_s = now_s
+                self.custom_mode, self.status = message.custom_mode, message.system_status
+                self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                self.heard_s = now_s
+            case "LOCAL_POSITION_NED":
+                self._tick(message.time_boot_ms)
+                position, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
+                finite = all(map(math.isfinite, (*position, *velocity)))  # an EKF that has lost itself sends NaN
+                self.glitches.flies(self.armed and not self.on_ground)
+                if finite and self.glitches.moved(Fix(message.time_boot_ms, position, velocity), now_s):
+                    self.position, self.velocity, self.position_s = position, velocity, now_s
+                    self.position_ms = message.time_boot_ms
+            case "ATTITUDE":
+                self._tick(message.time_boot_ms)
+            case "GPS_GLOBAL_ORIGIN":
+                self.origin = message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
+            case "HOME_POSITION":
+                self.home, self.home_s = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0), now_s
+            case "EKF_STATUS_REPORT" | "ESTIMATOR_STATUS":
+                self.flags = message.flags
+                self.glitches.judge(message, self.firmware.is_ardupilot, now_s)
+            case "SYS_STATUS":
+                self.battery = message.battery_remaining / 100.0 if 0 <= message.battery_remaining <= 100 else math.nan
+                check = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+                self.healthy = not message.onboard_control_sensors_present & check or bool(message.onboard_control_sensors_health & check)
+            case "EXTENDED_SYS_STATE":
+                self.landed = message.landed_state
+            case "WIND_COV":
+                self._blows(message.wind_x, message.wind_y, now_s)
+            case "WIND":  # ArduPilot's: from where it comes, degrees clockwise from north
+                angle = math.radians(message.direction)
+                self._blows(-message.speed * math.cos(angle), -message.speed * math.sin(angle), now_s)
+            case "POSITION_TARGET_LOCAL_NED":
+                place = message.x, message.y, message.z
+                self.target = None if message.type_mask & 7 or not all(map(math.isfinite, place)) else place
+            case "FENCE_STATUS":
+                before, self._breach = self._breach, (message.breach_status, message.breach_count)
+                if message.breach_status:
+                    self.breach_s = now_s
+                    self.breached_s = self.breached_s if self._breach == before else now_s
+            case "PARAM_VALUE":
+                self.parameters[message.param_id.rstrip("\0")] = self._value(message)
+            case "STATUSTEXT":
+                self._hear(message, now_s)
+
+    def _tick(self, boot_ms: int) -> None:
+        if boot_ms < self.boot_ms - NEW_BOOT_MS:  # it has started again, and knows nothing of what it knew
+            self.boot_ms = 0
+            self.boots += 1
+            self.origin = self.home = None
+            self.flags = 0
+            self.glitches.starts_again()
+        self.boot_ms = max(self.boot_ms, boot_ms)
+
+    def _value(self, message: Message) -> float:
+        """The value of a PARAM_VALUE: PX4 sends the bytes of an integer where ArduPilot sends its value."""
+        if self.firmware.is_ardupilot or message.param_type not in INTEGERS:
+            if not math.isfinite(message.param_value):
+                raise ValueError(f"{message.param_id} is {message.param_value}")
+            return float(message.param_value)
+        return float(struct.unpack("<i", struct.pack("<f", message.param_value))[0])
+
+    def _blows(self, north: float, east: float, now_s: float) -> None:
+        """Take the velocity of the air. A wind of exactly zero is one that the autopilot has not estimated."""
+        known = math.isfinite(north) and math.isfinite(east) and (north or east)
+        self.wind, self.wind_s = (-east, -north) if known else None, now_s
+
+    def _hear(self, message: Message, now_s: float) -> None:
+        text, number = message.text.rstrip("\0"), getattr(message, "id", 0)
+        if number:
+            text = self._chunks.pop(number, "") + text
+            if len(message.text) == 50 and len(text) < 1000:
+                self._chunks = {number: text}
+                return
+        self.glitches.hear(text, now_s)
+        if not OVER.search(text):
+            self.breach_s, self.breached_s = (now_s, now_s) if BREACH.search(text) else (self.breach_s, self.breached_s)
+        if message.severity <= mavlink.MAV_SEVERITY_NOTICE:
+            self.warnings.append((now_s, text))
+        self.texts.append((message.severity, text))
+
+    def warned(self, since_s: float) -> str:
+        """Return the warnings since a time, each once."""
+        return "; ".join(dict.fromkeys(text for at_s, text in self.warnings if at_s >= since_s))
+
+    def lost(self, now_s: float) -> bool:
+        """True if the vehicle has not been heard for `LOST_S`."""
+        return now_s - self.heard_s > max(LOST_S, self.slowest_s)
+
+    @property
+    def stale_s(self) -> float:
+        """Time after which what comes several times a second is too old to act on."""
+        return max(STALE_S, self.slowest_s)
+
+    def knows_place(self, now_s: float) -> bool:
+        """True if the position is fresh and the EKF stands by it: after a loss of GPS positions keep coming, but the flag goes."""
+        return now_s - self.position_s <= self.stale_s and bool(self.flags & ESTIMATES)
+
+    def trusts_place(self, now_s: float) -> bool:
+        """True if the position is known and nothing speaks against it: a reading may be taken."""
+        return self.knows_place(now_s) and not self.glitches.lasts(now_s)
+
+    def missing(self, now_s: float) -> str:
+        """Return what is still missing to fly by setpoints; empty if nothing is. Arming may be accepted long before that."""
+        return self.unplaced(now_s) or self.unready
+
+    def unplaced(self, now_s: float) -> str:
+        """Return what is missing to know where it and the area are, and how to get it; empty if nothing is."""
+        if self.lost(now_s):
+            return "no HEARTBEAT"
+        if not self.trusts_place(now_s):
+            return "no position yet: its EKF has not settled, which takes ArduCopter 41 s; is GPS outside, with a fix?"
+        if self.origin is None:
+            return "no GPS_GLOBAL_ORIGIN, though it is asked for (MAV_CMD_REQUEST_MESSAGE): without it the area has no place"
+        if self.home is None:
+            return "no HOME_POSITION, though it is asked for (MAV_CMD_REQUEST_MESSAGE): set home from a ground station"
+        return ""
+
+    @property
+    def unready(self) -> str:
+        """Why it would not arm; empty if it would. ArduPilot's check depends on the mode, and says why when it is armed."""
+        if self.firmware.is_ardupilot or self.healthy:
+            return ""
+        return "a check before arming fails: the autopilot's texts, or a ground station, say which"
+
+    def to_home(self) -> Ned:
+        """Return where home is in the EKF's frame. Raises ValueError before both are known."""
+        if self.origin is None or self.home is None:
+            raise ValueError("origin and home are not known yet")
+        return home_from(self.origin, self.home)
+
+    @property
+    def on_ground(self) -> bool:
+        """Whether it stands on the ground, as far as it says."""
+        if self.landed != mavlink.MAV_LANDED_STATE_UNDEFINED:
+            return bool(self.landed == mavlink.MAV_LANDED_STATE_ON_GROUND)
+        return self.status in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_UNINIT)
+
+    @property
+    def failsafe(self) -> bool:
+        """Whether a failsafe of its own has struck."""
+        return self.armed and self.status >= mavlink.MAV_STATE_CRITICAL

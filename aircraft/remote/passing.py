@@ -1,0 +1,170 @@
+"""A real vehicle's clients: what its autopilot says is passed on to them, what they say to it. The search is a component beside it."""
+
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from aircraft.bridge.address import parse_address
+from aircraft.bridge.bus_link import BRIDGED
+from aircraft.bridge.routing import SETUP_SIGNING
+from aircraft.bridge.stream import FrameStream, Letter
+from aircraft.keeper.connection import Endpoints
+from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, named, word_of
+from aircraft.remote.real import leave
+from aircraft.remote.vehicle import RemoteVehicle
+from aircraft.search.clock import Clock
+from aircraft.search.handling import Handling
+from aircraft.search.search import Search
+from aircraft.words import Words
+from link.bus.frames import LAYOUTS, fields_of, frame_at
+from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
+from link.bus.mavlink import Codec, Message, gas_message
+from link.bus.session import Arrival, Bus
+from link.signing.signer import Signing
+from sitl.autopilot.state import UNSUPPORTED, Result, denied
+
+BEAT_S = 1.0
+"""Real time between two HEARTBEATs of the search."""
+COMMANDS = {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
+SETPOINTS = {
+    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED, mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+    mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET,
+}  # fmt: skip
+CHANGES = {
+    mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, mavlink.MAV_CMD_NAV_LAND, mavlink.MAV_CMD_NAV_TAKEOFF,
+    mavlink.MAV_CMD_DO_REPOSITION, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, mavlink.MAV_CMD_MISSION_START,
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+}  # fmt: skip
+"""Commands of which a change of the flight mode may come."""
+POSED, KEYS = "in the vehicle's name", "with a key"
+"""Kinds of clients' frames that are dropped."""
+
+
+class RealClients:
+    """The clients of a real vehicle. Each gets every frame of the autopilot, and every word of the search, which is component 191."""
+
+    component = SEARCH
+
+    def __init__(
+        self, vehicle: RemoteVehicle, search: Search, bus: Bus, outs: Sequence[str], clock: Clock, handling: Handling,
+        signing: Signing | None,
+    ) -> None:  # fmt: skip
+        """Open the links; raises ValueError for a URL that cannot be used."""
+        self._vehicle, self._search, self._bus, self._clock = vehicle, search, bus, clock
+        self._handling = handling
+        self._words = Words()
+        self._codec = Codec(0, SEARCH)
+        self._beat_at_s = 0.0
+        self._spoke_as = 0
+        self._outs = Endpoints([parse_address(url) for url in outs], handling.log, signing)
+
+    @property
+    def system(self) -> int:
+        """The autopilot's system id; 0 until one is found."""
+        return self._vehicle.system
+
+    # ---- what they are told ----
+
+    def serve(self) -> None:
+        """Pass on what has come from the autopilot since the last call, and from the clients of --out; send a HEARTBEAT if it is due."""
+        if frames := self._vehicle.frames():
+            self._pass_on(frames)
+        for link, letter in self._outs.take():
+            self._hear(letter, f"at {link.who}")
+        if self.system and time.monotonic() >= self._beat_at_s:
+            self.changed()
+
+    def wait_s(self) -> float:
+        """Return the real time until something is due."""
+        return max(self._beat_at_s - time.monotonic(), 0.0) if self.system else BEAT_S
+
+    def changed(self) -> None:
+        """Tell that the search is there."""
+        self._beat_at_s = time.monotonic() + BEAT_S
+        kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
+        self.send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
+
+    def tell(self, severity: int, text: str) -> None:
+        """Tell a text."""
+        self.send(*self._words.statustext(severity, text))
+
+    def measured(self, time_boot_ms: int, gas: float) -> None:
+        """Tell a reading, once."""
+        self.send(gas_message(time_boot_ms, gas))
+
+    def send(self, *messages: Message) -> None:
+        """Say something as the search; nothing before the autopilot is known, whose system id it has."""
+        if not self.system or not messages:
+            return
+        if self._spoke_as != self.system:
+            self._spoke_as, self._codec = self.system, Codec(self.system, SEARCH)
+        self._pass_on([self._codec.pack(message) for message in messages])
+
+    def _pass_on(self, frames: Sequence[bytes]) -> None:
+        self._bus.publish(MAVLINK_OUT, b"".join(frames))
+        self._outs.send_all(frames)
+
+    # ---- what they ask ----
+
+    def take(self, item: object) -> None:
+        """Take a payload of `mavlink/in`."""
+        assert isinstance(item, Arrival)
+        letters = FrameStream().take(item.payload, datagram=True)
+        if sum(len(letter.data) for letter in letters) < len(item.payload):
+            self._bus.refuse(MAVLINK_IN, "the payload is not made of whole MAVLink frames", "malformed")
+        for letter in letters:
+            self._hear(letter, "through a bridge" if item.attachment == BRIDGED else "on the bus")
+
+    def _hear(self, letter: Letter, whence: str) -> None:
+        """Hand a client's frame on to the autopilot, if it is for that; the search's own commands are obeyed here."""
+        system, tally = self.system, self._handling.log.tally
+        if not system or letter.target_system not in (0, system):
+            return
+        if letter.system == system and letter.component in (AUTOPILOT, SEARCH):
+            tally.refuse(POSED)
+        elif letter.message_id == SETUP_SIGNING:  # a key that came over a safe link must not leave by another one
+            tally.refuse(KEYS)
+        elif letter.target_system and letter.target_component == SEARCH:
+            if letter.message_id in COMMANDS:
+                with contextlib.suppress(mavlink.MAVError):
+                    self._obey(mavlink.MAVLink(None).decode(bytearray(letter.data)), whence)
+        elif letter.message_id in SETPOINTS and self._search.leads:
+            self.refuse(denied("Setpoint refused: the search leads, HOLD stops it", "not leading"), self._clock.now_s())
+            tally.refuse("waypoint")
+        else:
+            self._vehicle.forward(letter.data, named((letter.system, letter.component), whence) if _changes(letter) else "")
+
+    def _obey(self, message: Message, whence: str) -> None:
+        with self._handling.of(message):
+            word = word_of(message.command, message.param1)
+            who = named((message.get_srcSystem(), message.get_srcComponent()), whence)
+            result = self._search.obey(word, self._clock.now_s(), who) if word else UNSUPPORTED
+            self._say(self._words.answer(message, message.command, result))
+
+    def refuse(self, result: Result, t_s: float) -> None:
+        """Tell why a setpoint or a waypoint is refused."""
+        self._say(self._words.refuse_setpoint(result, t_s))
+
+    def operate(self, name: CommandName) -> None:
+        """Obey a word of the script's operator."""
+        self._say(self._words.reason(self._search.obey(name, self._vehicle.now_s, named(OPERATOR, "in the script"))))
+
+    def _say(self, answers: Sequence[Message]) -> None:
+        if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
+            self._handling.log.warning("".join(texts))
+        self.send(*answers)
+
+    def end(self, say: Callable[[int, str], None]) -> None:
+        """Leave the vehicle to someone, and close the links."""
+        leave(self._vehicle, self._clock, say)
+        self._outs.close()
+
+
+def _changes(letter: Letter) -> bool:
+    """Whether a change of the flight mode may come of a frame."""
+    if letter.message_id not in COMMANDS:
+        return bool(letter.message_id == mavlink.MAVLINK_MSG_ID_SET_MODE)
+    frame = frame_at(letter.data, 0)
+    return frame is not None and fields_of(letter.data, frame, LAYOUTS[frame.message_id])["command"] in CHANGES

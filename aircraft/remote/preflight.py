@@ -1,0 +1,161 @@
+"""What is done before a real vehicle is armed: one list is told, once; and what is missing is waited for, but not for ever."""
+
+import math
+from collections.abc import Collection
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from aircraft.remote.commander import Steps
+from aircraft.remote.known import Known
+from aircraft.remote.procedures import ENDED, Procedures
+from aircraft.remote.safety import ASKED, Check, Verdict, checks
+from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.state import LOW_BATTERY, VehicleFailed
+
+READY_S = 3.0
+"""The battery, and whether it would arm, are waited for so long once its place is known."""
+SYS_STATUS = mavlink.MAVLINK_MSG_ID_SYS_STATUS
+
+
+REFUSED_S = 10.0
+"""A refusal to arm comes with warnings, which are told for so long."""
+UNANSWERED = "the payload has not answered yet whether it measures the wind"
+READING = "its parameters are being read"
+WAITING = "Waiting for the autopilot: "
+
+
+class Preflight:
+    """The list before arming, and the wait for its start. Times in s of the vehicle's clock."""
+
+    def __init__(self, flight: Procedures, config: VehicleConfig, wait_s: float = math.inf, *, launched: bool = False) -> None:
+        """Take the vehicle and what is flown.
+
+        wait_s: real time in which the search has to begin; launched: whether a launcher starts the services, and waits for them itself.
+        """
+        self.has_read = False
+        """Whether the vehicle has been found and its parameters have been read."""
+        self._flight, self._config = flight, config
+        self._wait_s, self._launched = wait_s, launched
+        self._since_s = 0.0
+        self._steps: Steps[None] | None = None
+        self._wind: Check | None = None
+        self._known_all = self._told = False
+
+    @property
+    def _known(self) -> Known:
+        return self._flight.known
+
+    @property
+    def missing(self) -> str:
+        """What the vehicle needs before it can be armed, and how to get it; empty if nothing."""
+        flight, known = self._flight, self._known
+        commander = flight.commander
+        if not commander.system or known.lost(flight.now_s):
+            wanted = f" of system {commander.wanted}" if commander.wanted else ""
+            return f"no HEARTBEAT{wanted} {commander.radio.state}".rstrip()
+        if missing := known.missing(flight.now_s):
+            return missing
+        if not self._known_all:
+            return READING
+        if (battery := self._battery).verdict is Verdict.FORBIDS:
+            return f"battery: {battery.text}"
+        return self._pilot
+
+    def look(self) -> None:
+        """Go on reading what the list needs."""
+        if self._flight.commander.system and not self._known_all:
+            self._steps = self._steps or self._read()
+            self._known_all = next(self._steps, ENDED) is ENDED
+
+    def take_wind(self, check: Check) -> None:
+        """Take where the wind of the readings comes from; before that, and without any, there is no flight."""
+        self._wind = check
+        if check.verdict is Verdict.FORBIDS:
+            self._tell()
+
+    def ask(self) -> str:
+        """Return what is missing before arming, `missing` or the wind; once all of the list is known, it is told first."""
+        if not self._known_all or self._told:
+            return self.missing or ("" if self._wind else UNANSWERED)
+        if self._wind:
+            self._tell()
+            return READING
+        return UNANSWERED
+
+    def _read(self) -> Steps[None]:
+        commander, known = self._flight.commander, self._known
+        yield from commander.read_parameters(ASKED[self._flight.firmware.name])
+        self.has_read = True
+        yield from commander.until(lambda: not known.unplaced(commander.now_s), math.inf)
+        yield from commander.until(lambda: SYS_STATUS in known.came_s and not known.unready, commander.patient(READY_S))
+
+    def bound(self, waits_for: str, absent: Collection[str]) -> None:
+        """Call it while the search has not begun. waits_for: why not, if all services are there; absent: the services that are not.
+
+        Raises VehicleFailed once that has taken too long, and without any wind; the list comes before it.
+        """
+        if self._wind and self._wind.verdict is Verdict.FORBIDS:
+            raise VehicleFailed(self._wind.text)
+        why = [waits_for.removeprefix(WAITING)]
+        if self._flight.arming:
+            why.append(self._known.warned(self._flight.now_s - REFUSED_S))
+        elif self._known.armed:
+            why.append("the search begins when the vehicle stands disarmed")
+        if absent:
+            why = [
+                self.missing,
+                "" if self._launched else f"no {', '.join(sorted(absent))}: the first lines of this log say how to start it",
+            ]
+        if not any(why):
+            self._since_s = self._flight.now_s
+        elif self._flight.now_s - self._since_s >= self._wait_s * self._flight.commander.speedup:
+            if self._told:
+                raise VehicleFailed(f"the search has not begun in {self._wait_s:g} s (--wait): {'; '.join(filter(None, why))}")
+            self._tell()
+
+    # ---- the list ----
+
+    def _tell(self) -> None:
+        checks, self._told = [] if self._told else self._checks(), True
+        for check in checks:
+            severity = mavlink.MAV_SEVERITY_INFO if check.verdict is Verdict.OK else mavlink.MAV_SEVERITY_WARNING
+            self._flight.say(severity, str(check))
+
+    def _checks(self) -> list[Check]:
+        flight, known, config = self._flight, self._known, self._config
+        system, missing = flight.commander.system, known.unplaced(flight.now_s)
+        if not system:
+            return [Check("vehicle", Verdict.FORBIDS, self.missing)]
+        side, mode = f"{config.area_m:g}", flight.firmware.mode_name(known.custom_mode)
+        place = Check("position and home", Verdict.FORBIDS, missing)
+        if known.home and not missing:
+            (north, east, _), (lat, lon, _) = known.to_home(), known.home
+            where = (
+                f"the area of {side} m x {side} m lies north and east of home, {lat:.7f}, {lon:.7f}; "
+                f"home is ({north:.2f}, {east:.2f}) m north, east of the EKF's origin"
+            )
+            place = Check("position and home", Verdict.OK, where)
+        return [
+            Check("vehicle", Verdict.OK, f"{flight.firmware.name}, system {system}, in {mode}"), place, self._battery,
+            *[Check(about, Verdict.FORBIDS, why) for about, why in (("arming", known.unready), ("pilot", self._pilot)) if why],
+            self._wind or Check("wind", Verdict.FORBIDS, UNANSWERED),
+            *checks(flight.firmware, known.parameters, system, config.area_m, config.takeoff_altitude_m),
+        ]  # fmt: skip
+
+    @property
+    def _pilot(self) -> str:
+        """Whose choice of mode on the ground is waited for; empty if nobody's."""
+        flight, mode = self._flight, self._known.custom_mode
+        if not flight.theirs or mode == flight.start:
+            return ""
+        name = flight.firmware.mode_name
+        return f"a pilot has chosen {name(mode)}; {name(flight.start)} gives the vehicle to the search"
+
+    @property
+    def _battery(self) -> Check:
+        left = self._known.battery
+        if math.isnan(left):
+            return Check("battery", Verdict.WARNS, "not known: the autopilot does not say how much is left")
+        if left < LOW_BATTERY:
+            return Check("battery", Verdict.FORBIDS, f"{left:.0%} is below {LOW_BATTERY:.0%}: charge or change it")
+        return Check("battery", Verdict.OK, f"{left:.0%}")

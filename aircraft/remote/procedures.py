@@ -1,0 +1,323 @@
+"""What a real vehicle is told to do over several seconds: one procedure at a time, resumed at each poll; and who else leads it."""
+
+import math
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from aircraft.operator import NO_ANSWER
+from aircraft.remote.arrival import Targets
+from aircraft.remote.commander import Commander, Steps
+from aircraft.remote.firmware import Firmware
+from aircraft.remote.known import Known
+from sitl.autopilot.state import ACCEPTED, Led, Mode, Result, Said
+
+ARMING_S, ARM_AGAIN_S = 60.0, 3.0
+"""A refused arming is tried again for so long, so often."""
+HOME_S = 3.0
+"""Longest wait for the home that arming sets."""
+LIFT_OFF_S = 12.0
+"""A vehicle that has not left the ground by then has disarmed itself."""
+SLOWEST_CLIMB_MPS, CLIMB_GRACE_S = 0.5, 20.0
+NEAR_TAKEOFF_M = 0.5
+"""A take-off has ended this near to its altitude."""
+WARM_UP_S = 1.5
+"""Setpoints stream for so long before OFFBOARD is asked for; PX4 wants a second."""
+MODE_TRIES = 5
+AGAIN_S = 1.0
+ASKED_S = 3.0
+"""A change so soon after a client has asked for one is the client's: a HEARTBEAT comes once a second."""
+ENDED = object()
+
+
+class Procedures:
+    """The procedures of one vehicle. Times in s of its clock, heights in m above home."""
+
+    def __init__(self, commander: Commander) -> None:
+        """Begin with nothing to do."""
+        self.commander = commander
+        self.known: Known = commander.known
+        self.events: list[Said | Led] = []
+        """What people are told."""
+        self.doing: Mode | None = None
+        """The mode of the search that a procedure is about to reach; None if none runs."""
+        self.arming = False
+        self.targets = Targets()
+        self.theirs = False
+        """True since someone else has changed the mode or the target: a pilot, or the autopilot by itself.
+
+        A flight of theirs that ends in RTL, LAND or BRAKE leaves a free vehicle.
+        """
+        self.taken_s = -math.inf
+        """When someone else last changed it so."""
+        self.taken_from_us = self.taken_by_client = False
+        """Whether it was ours before that, and whether a client of ours had asked for it."""
+        self.begun = False
+        """Whether we have begun this flight: one that was under way before us, or begins after ours, is someone else's."""
+        self.armed_by_us = False
+        self.streams = False
+        """Whether setpoints are to go out."""
+        self.failure = ""
+        """Why the mission has failed, once it has."""
+        self.procedure: Steps[None] | None = None
+        """What is being done, until it ends."""
+        self._client, self._client_s = "", -math.inf
+        self._asked: set[int] = set()
+        self._mode: int | None = None
+        self._boots = 0
+        self._flew = False  # when it was last armed
+        self._was_armed = False
+        self._told = self._sent_home = ""
+
+    @property
+    def now_s(self) -> float:
+        """The time of the last poll."""
+        return self.commander.now_s
+
+    @property
+    def firmware(self) -> Firmware:
+        """Which autopilot it is."""
+        return self.known.firmware
+
+    @property
+    def flying(self) -> bool:
+        """Whether it is armed and in the air."""
+        return self.known.armed and not self.known.on_ground
+
+    @property
+    def in_charge(self) -> bool:
+        """Whether the flight is ours, and nobody has taken it over."""
+        return self.begun and not self.theirs
+
+    @property
+    def start(self) -> int:
+        """The custom mode in which it is armed."""
+        return self.firmware.modes[Mode.OFFBOARD if self.firmware.is_ardupilot else Mode.HOLD]
+
+    @property
+    def guided(self) -> int:
+        """The custom mode in which it follows a companion."""
+        return self.firmware.modes[Mode.OFFBOARD]
+
+    def poll(self, now_s: float) -> None:
+        """Take what the vehicle has said, and go on with what it is told. Raises VehicleFailed if it is no vehicle for a search."""
+        try:
+            self._hear(now_s)
+        finally:  # whatever we are told, a vehicle is not left half-way
+            self.go_on()
+
+    def _hear(self, now_s: float) -> None:
+        self.commander.quiet = self.begun and self.theirs
+        self.commander.in_charge = self.in_charge
+        self.commander.poll(now_s)
+        for text in self.commander.ignored:
+            self.say(mavlink.MAV_SEVERITY_WARNING, text)
+        self.commander.ignored.clear()
+        if (reason := self.commander.radio.sent_home) and reason != self._sent_home:
+            self._sent_home, self._asked = reason, {self.firmware.modes[mode] for mode in (Mode.RETURN, Mode.LAND)}
+            self.failure = reason  # what else has failed since it hung comes of that
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, reason)
+            self._stop()
+        if self.commander.system:
+            self._watch_mode()
+            self._watch_target()
+            self.armed_by_us = self.known.armed and (self.armed_by_us or self.arming)
+
+    def go_on(self) -> None:
+        """Go on with what is being done."""
+        steps = self.procedure
+        if _ended(steps) and self.procedure is steps:  # it may have begun another
+            self._stop()
+        self.begun = self.begun and (self.known.armed or self.procedure is not None)
+        self.streams = self.streams and self.begun
+
+    def say(self, severity: int, text: str) -> None:
+        """Tell people."""
+        self.events.append(Said(self.now_s, severity, text))
+
+    def say_once(self, severity: int, text: str) -> None:
+        """Tell people, unless it was the last thing told so."""
+        if text != self._told:
+            self._told = text
+            self.say(severity, text)
+
+    # ---- who leads ----
+
+    def _watch_mode(self) -> None:
+        """See who has changed the mode."""
+        mode, before = self.known.custom_mode, self._mode
+        landed, self._was_armed = self._was_armed and not self.known.armed, self.known.armed
+        if self.known.boots != self._boots:
+            self._boots, self.theirs = self.known.boots, False
+            self._stop()
+            where = " in flight" if self._flew else ""
+            self.say(mavlink.MAV_SEVERITY_WARNING, f"{self.firmware.name} has started again{where}")
+            self.failure = self.failure or (where and f"{self.firmware.name} has started again{where}")
+        if self.known.armed:
+            self._flew = self.flying
+        self._mode = mode
+        if before is not None and mode != before:
+            self.targets.begin()
+            if self.theirs or mode not in self._asked:
+                self._taken(self.firmware.mode_name(mode))
+        if landed and not self.begun and mode in self.firmware.reports:  # what a flight left behind, not a pilot's choice
+            self.theirs = False
+
+    def _watch_target(self) -> None:
+        """See whether the autopilot flies to someone else's target: in GUIDED a ground station's go-to changes no mode.
+
+        PX4 changes its mode for a go-to. What streams setpoints beside us is not told apart there.
+        """
+        if self.known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED) != self.now_s or not self.firmware.is_ardupilot:
+            return
+        if not self.flying:
+            self.targets.begin()
+        ours = self.targets.takes(self.known.target)
+        follows = self.known.custom_mode == self.guided and self.doing in (None, Mode.TAKEOFF, Mode.OFFBOARD)
+        if not ours and follows and self.in_charge:
+            self._taken(f"{self.firmware.mode_name(self.guided)} to another target")
+
+    def _taken(self, how: str) -> None:
+        """Give way: from now on nothing of ours goes out."""
+        asked = self.now_s - self._client_s <= ASKED_S
+        self.taken_from_us, self.taken_by_client = self.in_charge, asked
+        self.theirs, self.taken_s, self.streams = True, self.now_s, False
+        self._stop()
+        self.events.append(Led(self.now_s, how, self._client if asked else ""))
+
+    def asked_by(self, client: str) -> None:
+        """Note that a client's command goes to the autopilot through us: what changes soon after it, the client has changed."""
+        self._client, self._client_s = client, self.now_s
+
+    def _stop(self) -> None:
+        self.procedure, self.doing, self.arming = None, None, False
+
+    def begin(self, procedure: Steps[None], doing: Mode | None, *asked: int) -> None:
+        """Do something instead of what was being done; `asked`: the custom modes that come of it."""
+        self.procedure, self.doing, self.arming = procedure, doing, False
+        self.theirs, self.begun, self.streams = False, True, False
+        self._asked = {*asked}
+
+    def fail(self, reason: str) -> None:
+        """Give the mission up: a vehicle in the air flies home."""
+        self.failure = self.failure or reason
+        self.say(mavlink.MAV_SEVERITY_CRITICAL, reason)
+        self._stop()
+        if self.flying and self.in_charge:
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, "Returning home")
+            self.go_home()
+        elif self.known.armed and not self.flying:
+            self.commander.send(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+
+    # ---- procedures ----
+
+    def arm(self) -> None:
+        """Arm, in the mode from which it takes off."""
+        self.begin(self._arm(), None, self.start)
+        self.arming = True
+
+    def _arm(self) -> Steps[None]:
+        began_s = self.now_s
+        while True:
+            result = yield from self._change(self.start)
+            if result.accepted:
+                result = yield from self.commander.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, seen=lambda: self.known.armed)
+            if result.accepted or self.known.armed:
+                return
+            reason = f"Arming refused: {result.reason}"
+            if self.now_s - began_s >= ARMING_S:
+                self.fail(reason)
+                return
+            self.say_once(mavlink.MAV_SEVERITY_WARNING, f"{reason}; tried again")
+            yield from self._wait(ARM_AGAIN_S)
+
+    def take_off(self, altitude_m: float) -> None:
+        """Climb straight up to an altitude above home."""
+        modes = self.firmware.modes
+        asked = {modes[Mode.OFFBOARD]} if self.firmware.is_ardupilot else {modes[Mode.TAKEOFF], modes[Mode.HOLD]}
+        self.begin(self._take_off(altitude_m), Mode.TAKEOFF, *asked)
+
+    def _take_off(self, altitude_m: float) -> Steps[None]:
+        """ArduPilot takes an altitude above home, and a NaN ends it; PX4 one above sea, and NaN for what it shall not change."""
+        armed_s = self.now_s
+        self.commander.send(mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HOME_POSITION))
+        yield from self.commander.until(lambda: self.known.home_s > armed_s, self.commander.patient(HOME_S))  # arming sets home anew
+        home = self.known.to_home()[2]
+        unset = 0.0 if self.firmware.is_ardupilot else math.nan
+        assert self.known.home
+        above = altitude_m + (0.0 if self.firmware.is_ardupilot else self.known.home[2])
+        climb = (mavlink.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, unset, unset, unset, above)
+        result = yield from self.commander.command(*climb, seen=lambda: self.flying, within_s=LIFT_OFF_S)
+        if not result.accepted:
+            self.fail(f"Take-off refused: {result.reason}" if self.known.armed else "Take-off failed: the motors have stopped")
+            return
+
+        def height_m() -> float:
+            return home - self.known.position[2]
+
+        most_s = altitude_m / SLOWEST_CLIMB_MPS + CLIMB_GRACE_S
+        there = yield from self.commander.until(lambda: height_m() >= altitude_m - NEAR_TAKEOFF_M or not self.known.armed, most_s)
+        if not there or not self.known.armed:
+            self.fail(f"Take-off failed: {height_m():.1f} m reached of {altitude_m:g} m")
+
+    def fly(self) -> None:
+        """Follow the setpoints, which stream from now on."""
+        self.begin(self._fly(), Mode.OFFBOARD, self.guided)
+        self.streams = True
+
+    def _fly(self) -> Steps[None]:
+        if not self.firmware.is_ardupilot:
+            yield from self._wait(self.commander.patient(WARM_UP_S))
+        result = yield from self._insist(self.guided)
+        if not result.accepted:
+            self.fail(f"{self.firmware.mode_name(self.guided)} refused: {result.reason}")
+
+    def hold(self) -> None:
+        """Stop and stay."""
+        self.begin(self._hold(self.firmware.modes[Mode.HOLD]), Mode.HOLD, self.firmware.modes[Mode.HOLD])
+
+    def _hold(self, mode: int) -> Steps[None]:
+        result = yield from self._insist(mode)
+        if not result.accepted:
+            self.say(mavlink.MAV_SEVERITY_WARNING, f"{self.firmware.mode_name(mode)} refused: {result.reason}")
+
+    def go_home(self) -> None:
+        """Return and land."""
+        self._come_down(Mode.RETURN)
+
+    def land(self) -> None:
+        """Land on the spot."""
+        self._come_down(Mode.LAND)
+
+    def _come_down(self, mode: Mode) -> None:
+        self.begin(self._until_down(mode), mode, self.firmware.modes[Mode.RETURN], self.firmware.modes[Mode.LAND])
+
+    def _until_down(self, mode: Mode) -> Steps[None]:
+        """Insist for ever: nobody else is in charge. A return that is refused becomes a landing."""
+        while True:
+            result = yield from self._change(self.firmware.modes[mode])
+            if not result.accepted and mode is Mode.RETURN and result.reason != NO_ANSWER:
+                self.say_once(mavlink.MAV_SEVERITY_CRITICAL, f"Return refused: {result.reason}; landing")
+                result = yield from self._change(self.firmware.modes[Mode.LAND])
+            if result.accepted or not self.known.armed:
+                return
+            yield from self._wait(AGAIN_S)
+
+    def _insist(self, mode: int) -> Steps[Result]:
+        for _ in range(MODE_TRIES):
+            result = yield from self._change(mode)
+            if result.accepted:
+                return ACCEPTED
+            yield from self._wait(AGAIN_S)
+        return result
+
+    def _change(self, mode: int) -> Steps[Result]:
+        number = mavlink.MAV_CMD_DO_SET_MODE
+        return (yield from self.commander.command(number, *self.firmware.params(mode), seen=lambda: self.known.custom_mode == mode))
+
+    def _wait(self, seconds: float) -> Steps[None]:
+        yield from self.commander.until(lambda: False, seconds)
+
+
+def _ended(steps: Steps[None] | None) -> bool:
+    """Resume a procedure; returns whether there is nothing left to do."""
+    return steps is None or next(steps, ENDED) is ENDED

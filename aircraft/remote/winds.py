@@ -1,0 +1,90 @@
+"""Where the wind of a real vehicle's readings comes from: given, measured by the payload or estimated by the autopilot, never drawn."""
+
+import math
+from collections.abc import Mapping
+from enum import Enum
+
+from aircraft.remote.safety import ESTIMATES, Check, Verdict
+from plume.world import float32
+
+Wind = tuple[float, float]
+"""(u cos φ, u sin φ) m/s: points to where the wind comes from."""
+WANTED = "SPEED,FROM: m/s from 0 to 100, and the direction that it comes from in degrees within ±360, clockwise from north"
+
+
+class WindSource(Enum):
+    """Where a wind comes from, in words."""
+
+    GIVEN = "given by --wind"
+    PAYLOAD = "measured by the payload"
+    AUTOPILOT = "estimated by the autopilot"
+    SCENARIO = "the mission's, as the payload is simulated"
+    NONE = "none"
+
+
+def parse_wind(text: str) -> Wind:
+    """Return the wind that `SPEED,FROM` says, as float32. Raises ValueError with what is wanted."""
+    try:
+        speed, from_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        speed = from_deg = math.nan
+    if not (0.0 <= speed <= 100.0 and abs(from_deg) <= 360.0):
+        raise ValueError(f"{text!r} is not allowed; wanted {WANTED}")
+    angle = math.radians(from_deg)
+    return float32(speed * math.sin(angle)), float32(speed * math.cos(angle))
+
+
+def in_words(wind: Wind) -> str:
+    """Return a wind for people."""
+    return f"{math.hypot(*wind):.1f} m/s from {math.degrees(math.atan2(*wind)) % 360.0:.0f}°"
+
+
+def will_estimate(parameters: Mapping[str, float], firmware: str) -> bool:
+    """Return whether an autopilot with these parameters estimates the wind once it flies: on the ground it never does."""
+    return any(parameters.get(name, 0.0) > 0.0 for name in ESTIMATES[firmware])
+
+
+class Winds:
+    """The wind of each reading. A source that goes quiet is replaced by another one, which is told, or by none: never by a drawn wind."""
+
+    def __init__(self, given: Wind | None, scenario: Wind) -> None:
+        """given: the wind of all readings, whatever payload and autopilot say. scenario: what only a simulated payload knows."""
+        self.source: WindSource | None = None
+        """Of the last reading, before the first that of the flight; None until it is decided."""
+        self.news: list[str] = []
+        """What people are to be told; whoever tells them takes it away."""
+        self._given, self._scenario = given, scenario
+
+    def asked(self, estimated: Wind | None) -> Wind | None:
+        """Return the wind that the payload is told, with the autopilot's estimate."""
+        return self._given or estimated
+
+    def before(self, measured: Wind | None, estimated: Wind | None, parameters: Mapping[str, float], firmware: str) -> Check:
+        """Decide before arming, by what the payload says on the ground; returns a line of the list. Without any wind there is no flight."""
+        source, wind = self._of(measured, estimated)
+        if source is WindSource.NONE and will_estimate(parameters, firmware):
+            source = WindSource.AUTOPILOT
+        if source is WindSource.NONE:
+            return Check(
+                "wind", Verdict.FORBIDS,
+                f"no wind for the readings: neither the payload nor {firmware} tells one; set {', '.join(ESTIMATES[firmware])}, "
+                "use a payload that measures it, or give it with --wind SPEED,FROM",
+            )  # fmt: skip
+        self.source = source
+        return Check("wind", Verdict.OK, f"{source.value}, {in_words(wind) if wind else 'once it flies'}")
+
+    def of(self, measured: Wind | None, estimated: Wind | None) -> Wind | None:
+        """Return the wind of a reading: what the payload measured with it, else the autopilot's; None if there is none now."""
+        source, wind = self._of(measured, estimated)
+        if source is not self.source:
+            self.source = source
+            quiet = "neither payload nor autopilot tells one; no readings until one does"
+            self.news.append(f"Wind of the readings: {f'now {source.value}, {in_words(wind)}' if wind else quiet}")
+        return wind
+
+    def _of(self, measured: Wind | None, estimated: Wind | None) -> tuple[WindSource, Wind | None]:
+        if self._given:
+            return WindSource.GIVEN, self._given
+        if measured and measured != estimated:  # a simulated payload repeats an estimate
+            return WindSource.SCENARIO if measured == self._scenario else WindSource.PAYLOAD, measured
+        return WindSource.AUTOPILOT if estimated else WindSource.NONE, estimated

@@ -1,0 +1,211 @@
+"""The search's side of the vehicle: when it begins and ends, and who leads, the search or a pilot. The pilot always wins.
+
+One rule: the search leads only while it holds control. Anyone else's change of mode takes control at once; the search then leads again
+only when it is given back: a simulated vehicle by OFFBOARD, a real one by a command to its search. Setpoints are the leader's alone.
+"""
+
+from collections.abc import Callable
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from aircraft.aircraft import Aircraft
+from aircraft.operator import BY_LAUNCHER, WANTED, CommandName
+from link.bus.mavlink import Message
+from link.bus.messages import Stop
+from sitl.autopilot.motion import Ned
+from sitl.autopilot.setpoint import Answers
+from sitl.autopilot.state import ACCEPTED, Mode, Result, not_now
+from sitl.protocol.setpoints import read
+from sitl.script.script import AfterStop
+
+AFTER_STOP: dict[AfterStop, Mode] = {"return": Mode.RETURN, "land": Mode.LAND, "hold": Mode.HOLD}
+STANDBY, TAKING_OFF, SEARCHING, PAUSED = "standby", "taking off", "searching", "paused"
+RETURNING, HOLDING, LANDED = "returning", "holding", "landed"
+
+
+class Search:
+    """One search by one vehicle: arm, take off, fly to the start, follow the agent's waypoints, come home; or let a pilot lead."""
+
+    def __init__(
+        self,
+        vehicle: Aircraft,
+        start: tuple[float, float],
+        after_stop: AfterStop,
+        say: Callable[[int, str], None],
+    ) -> None:
+        """Take the start, (x, y) m, and what tells people a text of a MAV_SEVERITY."""
+        self.state = STANDBY
+        """What the uav's health says."""
+        self.found = False
+        """True once the stop has been declared."""
+        self.answers = Answers()
+        """The readings, and whether the newest is answered: the agent's first waypoint with its time answers it."""
+        self._vehicle, self._say = vehicle, say
+        self._after_stop = after_stop
+        self.waypoint: Ned = (start[1], start[0], -vehicle.config.takeoff_altitude_m)
+        """The search's own setpoint: the start, then what the agent last answered."""
+        self._begun = False
+        self._said = ""
+        self._pilot = ""  # how, and by whom, the vehicle was last taken from the search
+
+    @property
+    def leads(self) -> bool:
+        """True while the search holds control. It is then the vehicle's companion."""
+        return self._vehicle.is_searched
+
+    @leads.setter
+    def leads(self, leads: bool) -> None:
+        self._vehicle.is_searched = leads
+
+    @property
+    def under_way(self) -> bool:
+        """True from its take-off to its landing, whoever leads."""
+        return self._begun and self.state != LANDED
+
+    @property
+    def waits_for(self) -> str:
+        """Why it has not begun, or how a pilot has ended it, in words; empty if it goes on, or if only the services are missing."""
+        return self._said if not self._begun or self.state == LANDED else ""
+
+    @property
+    def measures(self) -> bool:
+        """True if the vehicle's arrival is one at a waypoint of the search: only there readings are taken, one at each."""
+        return self.leads and self.state == SEARCHING and not self.answers.awaited
+
+    @property
+    def wants_answers(self) -> bool:
+        """True while the search waits for the answer to its newest reading; a paused one keeps the answer for later."""
+        return self.state in (SEARCHING, PAUSED) and self.answers.awaited and not self.found
+
+    # ---- how it goes on ----
+
+    def go_on(self, searchers: bool) -> None:
+        """Take the next step of the search where it is due; `searchers` says whether estimator and agent are there."""
+        if self.state == LANDED:
+            return
+        now_s, mode = self._vehicle.now_s, self._vehicle.mode
+        if not self._begun:
+            if searchers and self.found:
+                self._say_once("Search not begun: its estimator has stopped already; start it anew")
+            elif searchers:
+                self._begin(now_s)
+        elif not self._vehicle.armed and not self._vehicle.moving:
+            stopped = "ended by a pilot or the autopilot: the motors have stopped in flight" if self.leads else ""
+            ended = f"ended by the pilot: {self._pilot}" if self._pilot else stopped
+            self._said, self.leads, self.state = "", False, LANDED
+            if ended and not self.found and not self._vehicle.failure:
+                self._say_once(ended)
+        elif mode in (Mode.RETURN, Mode.LAND):
+            self.leads, self.state = False, RETURNING  # by a pilot, a failsafe, or since the source is found
+        elif self.leads and self.state == SEARCHING and mode is not Mode.OFFBOARD:
+            self.leads = False
+            self._say(mavlink.MAV_SEVERITY_WARNING, f"Search gives way: {mode.name} by the autopilot")
+        elif not self.leads:
+            self.state = HOLDING if self.found else PAUSED
+        elif self.state == TAKING_OFF and mode is Mode.HOLD:
+            self._obeyed(self._vehicle.setpoint(now_s, self.waypoint))
+            self._obeyed(self._vehicle.set_mode(now_s, Mode.OFFBOARD))
+            self.state = SEARCHING
+
+    def led(self, mode: str, by: str) -> None:
+        """A real autopilot's mode or target was changed by a pilot, or by itself; `by`: the client who asked for it, if one has."""
+        if self.under_way and self._vehicle.armed:
+            pilot, returned = self._pilot, self.state == RETURNING
+            self.give_way(mode, by)
+            if returned and not by and self._vehicle.mode is Mode.LAND:
+                self._pilot = pilot  # some autopilots change to LAND at the end of a return
+
+    def give_way(self, mode: str, by: str = "") -> None:
+        """Someone else leads from now on; `by`: who, if that is known."""
+        gives_way, self.leads = "Search gives way: " * self.leads, False
+        self._pilot = "" if by == BY_LAUNCHER else f"{mode} by {by or 'a radio or a ground station'}"
+        self._say(mavlink.MAV_SEVERITY_WARNING, f"{gives_way}{mode} by {by or 'the autopilot or its pilot'}")
+
+    def give_back(self, by: str) -> Result:
+        """Lead a real vehicle again where the search left off, as someone wants it: no change of mode gives it back."""
+        if self.found or self._vehicle.failure:
+            return not_now(f"Resume refused: {self._vehicle.failure or 'the source is found'}")
+        if not self.under_way:
+            return not_now("Resume refused: the search flies nothing")
+        if self.leads:
+            return ACCEPTED
+        now_s = self._vehicle.now_s
+        result = self._vehicle.setpoint(now_s, self.waypoint)
+        if result.accepted:
+            result = self._vehicle.set_mode(now_s, Mode.OFFBOARD)
+        if result.accepted:
+            self.leads = True
+            self.resumed(by)
+        return result
+
+    def resumed(self, by: str) -> None:
+        """The vehicle has been given back to the search."""
+        self.state, self._pilot = SEARCHING, ""
+        self._say(mavlink.MAV_SEVERITY_INFO, f"Search resumed by {by}")
+
+    def _begin(self, now_s: float) -> None:
+        """Arm and take off, unless someone flies the vehicle already."""
+        if not self._vehicle.free:
+            self._say_once("Search waits: a pilot flies the vehicle")
+            return
+        north, east, _ = self.waypoint
+        self.waypoint = north, east, -self._vehicle.config.takeoff_altitude_m  # a client may have changed it
+        if (self._vehicle.armed or self._obeyed(self._vehicle.arm(now_s))) and self._obeyed(self._vehicle.take_off(now_s)):
+            self.leads = self._begun = True
+            self.state = TAKING_OFF
+
+    def declare(self, stop: Stop) -> None:
+        """Take the stop: tell where the source is, and, if the search leads, do what comes after it."""
+        if self.found:
+            return  # repeated
+        self.found = True
+        if not self.under_way:
+            return
+        (x, y), mode = stop.estimate, AFTER_STOP[self._after_stop]
+        self._say(mavlink.MAV_SEVERITY_NOTICE, f"Source found at ({x:.2f}, {y:.2f}) m, spread {stop.spread:.2f} m")
+        if caveat := self._vehicle.caveat:
+            self._say(mavlink.MAV_SEVERITY_WARNING, f"The source may be elsewhere: {caveat}")
+        if self.leads:
+            self.leads = False
+            self._obeyed(self._vehicle.set_mode(self._vehicle.now_s, mode))
+
+    def _obeyed(self, result: Result) -> bool:
+        if not result.accepted:
+            going_on = result.code == mavlink.MAV_RESULT_IN_PROGRESS
+            self._say_once(result.reason, mavlink.MAV_SEVERITY_INFO if going_on else mavlink.MAV_SEVERITY_WARNING)
+        return result.accepted
+
+    def _say_once(self, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING) -> None:
+        if text != self._said:
+            self._said = text
+            self._say(severity, text)
+
+    # ---- what others ask ----
+
+    def answer(self, waypoint: Message, t_s: float) -> Result:
+        """Take the agent's SET_POSITION_TARGET_LOCAL_NED, which answers the reading of its time."""
+        self._vehicle.catch_up(t_s)
+        if not self.leads and self._vehicle.mode is Mode.OFFBOARD:
+            return not_now("Waypoint ignored: another client leads")  # the agent is asked again when the search is given back
+        setpoint = read(waypoint, self._vehicle.config, 0.0)  # the answer is a position, which no yaw turns
+        if isinstance(setpoint, Result):
+            return setpoint
+        refusal = self.answers.refusal(waypoint.time_boot_ms, setpoint)
+        result = refusal or self._vehicle.setpoint(t_s, setpoint, answers=True)
+        if result.accepted:
+            self.answers.awaited = False
+            self.waypoint = self._vehicle.waypoint or self.waypoint
+        return result
+
+    def obey(self, word: CommandName, t_s: float, by: str) -> Result:
+        """Do what an operator tells the search of a real vehicle: give way to a mode, or lead again."""
+        self._vehicle.catch_up(t_s)
+        name = word.capitalize()
+        if not self.under_way:
+            return not_now(f"{name} refused: the search flies nothing")
+        if word == "resume":
+            return self.give_back(by)
+        result = self._vehicle.set_mode(t_s, WANTED[word])
+        if result.accepted:
+            self.give_way(self._vehicle.mode.name, by)
+        return result

@@ -1,0 +1,185 @@
+"""`plumeward record`: records all messages on a bus."""
+
+import argparse
+import functools
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from ground.desk.scenes import RecordedScene
+from link import cli
+from link.bus.keys import KEYS, STOP
+from link.bus.opening import CONNECT_TIMEOUT_S
+from link.bus.tap import Tap
+from link.interrupts import on_end
+from link.record.record import Entry, SimulationClock
+from link.record.writer import Writer
+from plume import __version__
+from scene.foxglove import schema_of
+
+BATCH_S = 0.2
+"""Interval of batches of messages, s: waking up for each message would cost more than writing it."""
+FLUSH_S = 0.35
+"""Interval of flushes, s, every second batch: a killed recorder loses 0.4 s."""
+SIGNAL_POLL_S = 0.05
+LAST_WORDS_S = 0.5
+"""Longest wait at the end for messages still in transit, s."""
+FEW_THREADS = "(rx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1), tx: (worker_threads: 1))"
+"""Zenoh's threads, read by the first session of a process: by default each message passes through four thread pools. Sending keeps its
+own thread: a receiver may wait for something to be sent first, which would block the router and with it the mission."""
+NICENESS = 5
+"""The flight has priority over its record. With 19 it would cost no less, and beside other work the record would lose its end."""
+PACKAGES = ("eclipse-zenoh", "numpy", "pymavlink", "numba", "mcap")
+ROOT = Path(__file__).parents[2]
+
+
+def _file(text: str) -> Path:
+    if not text.endswith(".mcap"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a name that ends in .mcap")
+    return Path(text)
+
+
+def _about(text: str) -> dict[str, Any]:
+    try:
+        about = json.loads(text)
+    except ValueError:
+        about = None
+    if not isinstance(about, dict):
+        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a JSON object")
+    return about
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+    parser.add_argument("file", type=_file, metavar="FILE.mcap", help="the record to write; a .tlog of all MAVLink is written beside it")
+    cli.add_output_guard(parser)
+    cli.add_bus_arguments(parser)
+    parser.add_argument("--about", type=_about, default={}, metavar="JSON", help="a description of the run, stored in the record")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record until interrupted; a line on stdout says when it has begun."""
+    os.environ.setdefault("ZENOH_RUNTIME", FEW_THREADS)
+    if reason := cli.existing("FILE.mcap", _files(args.file), args.force):
+        print(f"error: {reason}", file=sys.stderr)
+        return cli.BAD_INPUT
+    with Tap("recorder", args.connect, args.namespace, args.log_level, secure=args.secure) as bus:
+        try:
+            writer = begin(args.file, args.force, {**args.about, **surroundings(args.namespace)})
+        except OSError as error:
+            culprit = "" if error.filename in (None, str(args.file)) else f": {error.filename}"
+            cannot = f"FILE.mcap: cannot write {str(args.file)!r}: {error.strerror}{culprit}"
+            print(f"error: {cli.existing('FILE.mcap', _files(args.file), args.force) or cannot}", file=sys.stderr)
+            return cli.BAD_INPUT
+        bus.subscribe(*KEYS)
+        bus.settle(CONNECT_TIMEOUT_S)
+        ends: list[int] = []
+        on_end(ends.append)  # no KeyboardInterrupt, which could strike within a message
+        bus.tally.state = "recording"
+        bus.publish_health()
+        print(f"recording to {args.file}", flush=True)
+        _give_way()
+        try:
+            record(bus, writer, ends, RecordedScene(args.about, args.namespace))
+        except OSError as error:
+            words = f"record stopped: {error.strerror} ({args.file})"
+            bus.log.warning(words)
+            bus.tally.state, bus.tally.warnings = "stopped", (words,)
+            bus.publish_health()
+            return cli.FAILED
+    return 0
+
+
+def _files(path: Path) -> tuple[Path, Path]:
+    return path, path.with_suffix(".tlog")
+
+
+def begin(path: Path, force: bool, about: dict[str, Any]) -> Writer:
+    """Create the files. Raises OSError, and leaves none, if that fails or if one exists without `force`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    made: list[Path] = []
+    try:
+        for file in _files(path) if not force else ():
+            file.open("xb").close()  # exclusive: of two recorders that start at once, one is refused
+            made.append(file)
+        return Writer(path, about)
+    except OSError:
+        for file in made:
+            file.unlink(missing_ok=True)
+        raise
+
+
+def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> None:
+    """Write what comes, in batches, until there is an end. Raises OSError if it cannot be written."""
+    clock = SimulationClock()
+    flush_at = 0.0
+    ended = False
+    while not ended:
+        _await_batch(ends)
+        ended = bool(ends)  # read before the messages, so that those that came before the end are still written
+        if ended:
+            bus.settle(LAST_WORDS_S)
+        messages = bus.take()
+        for message in messages:
+            if message.key is STOP:
+                bus.take_stop(message)
+            simulation_s = clock.time_s(message.name, message.payload, message.published_ns)
+            entry = Entry(message.name, message.published_ns, simulation_s, message.payload, message.attachment)
+            writer.write(entry, message.received_ns)
+            for topic, kind, data in scene.take(entry, message.received_ns):
+                writer.write_for_viewers(topic, functools.partial(schema_of, kind), data, message.received_ns)
+        if scene.failure and not bus.tally.warnings:
+            bus.log.warning(scene.failure)
+            bus.tally.warnings = (scene.failure,)
+        stepped = clock.step != bus.tally.step
+        if messages:
+            bus.tally.did(clock.step, len(messages))
+            bus.tally.latency_s = max(time.time_ns() - messages[0].received_ns, 0) / 1e9
+        if stepped:
+            bus.publish_health()
+        if time.monotonic() >= flush_at:
+            writer.flush()
+            flush_at = time.monotonic() + FLUSH_S
+    writer.close()
+
+
+def _await_batch(ends: list[int]) -> None:
+    until = time.monotonic() + BATCH_S
+    while not ends and (left_s := until - time.monotonic()) > 0.0:
+        time.sleep(min(left_s, SIGNAL_POLL_S))
+
+
+def _give_way() -> None:
+    """Lower the priority of this thread. Zenoh's threads, already running, keep theirs: the router waits for them."""
+    if sys.platform == "linux":  # elsewhere it would affect the whole process
+        os.nice(NICENESS)
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def surroundings(namespace: str) -> dict[str, Any]:
+    """Return the versions, git revision and host of a run."""
+    return {
+        "namespace": namespace,
+        "began": datetime.now(UTC).isoformat(timespec="milliseconds"),
+        "versions": {"plumeward": __version__, "python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+        "git": git_revision(),
+        "host": {"platform": platform.platform(), "machine": platform.machine(), "cpus": os.cpu_count()},
+    }
+
+
+def git_revision() -> str:
+    """Return the commit of this code, with "-dirty" if it has been changed since; empty if unknown."""
+    if not (ROOT / ".git").exists():  # an installed package may lie within another repository
+        return ""
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=2.0, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""

@@ -1,0 +1,318 @@
+"""`plumeward log`: a summary of a log, or one of its keys as CSV."""
+
+import argparse
+import csv
+import json
+import math
+import statistics
+import sys
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
+
+from link import cli
+from link.terminal import Column, printable, table, tell, width_of
+
+if TYPE_CHECKING:
+    from ground.desk.survey import KeyTable, Survey
+    from ground.tlog.sender import FlightLog
+    from link.record.reader import LogFile
+    from link.record.record import Entry
+
+SHORTEST_KEY = 12
+"""Characters of a key that a narrow terminal shows at least."""
+
+
+class Row(NamedTuple):
+    """One message of a table: publication time, simulation time and fields."""
+
+    published_s: float
+    simulation_s: float
+    fields: dict[str, Any]
+
+    def cells(self) -> dict[str, Any]:
+        """Return its cells by the names of their columns."""
+        return {"published_s": repr(self.published_s), "simulation_s": _cell(self.simulation_s), **dict(_flattened("", self.fields))}
+
+
+class Summary(NamedTuple):
+    """The summary of a log."""
+
+    head: list[str]
+    tables: "list[KeyTable]"
+    tail: list[str]
+    fields: dict[str, Any]
+    """The same as JSON fields."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add its flags."""
+    parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap written by a mission or `record`, or any autopilot's .tlog")
+    output = parser.add_mutually_exclusive_group()
+    output.add_argument(
+        "--csv", metavar="KEY", help="print one key as CSV: belief, reading, health/uav, mavlink/out/ATTITUDE; for a .tlog ATTITUDE"
+    )
+    output.add_argument("--json", action="store_true", help="print the summary as one JSON object on the last line of stdout")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the summary or the CSV; returns the exit status: 1 if pieces of the log are missing."""
+    from ground.desk.survey import Survey
+    from ground.replay.source import BadSource, is_recording
+    from ground.tlog.flight import open_log
+    from ground.tlog.sender import FlightError
+    from link.record.reader import LogFile, RecordError
+
+    missing = ""
+    try:
+        if is_recording(args.log):
+            log = LogFile(args.log)
+            if args.csv:
+                names, rows = _columns(log, args.csv), _rows(LogFile(args.log), args.csv)
+            else:
+                summary = _summary(args.log, log, Survey(log))
+            missing = f"{args.log} {log.shortcoming}" if log.damage else ""
+        else:
+            flown, notes = open_log(args.log)
+            if args.csv:
+                names, rows = _columns_of_tlog(flown, args.csv), _rows_of_tlog(flown, args.csv)
+            else:
+                summary = _summary_of_tlog(args.log, flown, notes)
+    except (RecordError, FlightError, BadSource, _NoSuchKey) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return cli.BAD_INPUT
+    status = cli.FAILED if missing else 0
+    if args.csv:
+        if missing:
+            print(f"warning: {missing}", file=sys.stderr)
+        _print_csv(names, rows)
+        return status
+    _print(summary, sys.stderr if args.json else sys.stdout)
+    if args.json:
+        print(json.dumps(summary.fields))
+    return status
+
+
+class _NoSuchKey(ValueError):
+    """The log lacks the key asked for; the message is one line."""
+
+
+# ---- records of the bus ----
+
+
+def _summary(path: Path, log: "LogFile", survey: "Survey") -> Summary:
+    tables = survey.tables
+    outcome, lines = _outcome(log.about, survey)
+    if survey.last is None and "belief" in survey.published_s:
+        lines = ["no readable belief: the outcome of the search is unknown"]
+    gaps = survey.gaps() + survey.unreadable
+    began = log.about.get("began", "unknown")
+    policy, seed = log.about.get("policy"), log.about.get("seed")
+    mission = f"{policy}, seed {seed}" if policy is not None else "mission unknown"
+    title, versions = _object(log.about, "mission").get("about"), _object(log.about, "versions")
+    commit, _, dirty = str(log.about.get("git") or "").partition("-")
+    revision = commit[:12] + (f", {dirty}" if dirty else "")
+    stopped = log.about.get("stopped")
+    count = sum(len(table.published_s) for table in tables)
+    wall_s, simulation_s = _span([table.published_s for table in tables]), _span([table.simulation_s for table in tables])
+    whole = "complete" if log.complete else "DAMAGED" if log.damage else f"CUT OFF{f': {stopped}' if stopped else ''}"
+    flown_with = f"plumeward {versions.get('plumeward', 'unknown')}{f' ({revision})' if revision else ''}"
+    head = [
+        str(path),
+        f"{f'{title}, ' if title else ''}{mission}, begun {began}",
+        f"{count:,} messages in {wall_s:.1f} s, {simulation_s:.1f} s of simulation; {whole}",
+        flown_with,
+        *([f"it {log.shortcoming}"] if log.damage else []),
+    ]
+    fields = {
+        "log": str(path), "complete": log.complete, "damage": [place._asdict() for place in log.damage],
+        "messages": count, "duration_s": wall_s, "simulation_s": simulation_s,
+        "keys": {table.name: {"messages": len(table.published_s), "repeats": table.repeats} for table in tables},
+        "beliefs": len(survey.trace), "gaps": gaps, **outcome,
+    }  # fmt: skip
+    return Summary([printable(line) for line in head], tables, [*(gaps or ["gaps: none"]), *lines], fields)
+
+
+def _span(times: Iterable[Sequence[float]]) -> float:
+    """Return the time between the first and the last of all."""
+    some = [each for each in times if each]
+    return max(map(max, some)) - min(map(min, some)) if some else 0.0
+
+
+def _object(about: dict[str, Any], name: str) -> dict[str, Any]:
+    """The object under a name in the log's own description; empty if there is none."""
+    value = about.get(name)
+    return value if isinstance(value, dict) else {}
+
+
+def _outcome(about: dict[str, Any], survey: "Survey") -> tuple[dict[str, Any], list[str]]:
+    """Return the outcome as fields and lines; compared with the true source if the log has it."""
+    import msgspec
+
+    from plume.outcome import assumed_text, outcome, outcome_text
+    from plume.scenario import Scenario
+    from plume.worlds import AS_MODELLED
+
+    last = survey.last
+    if last is None:
+        return {"ceased": None}, ["no belief: there was no search"]
+    estimate = f"estimate ({last.mean[0]:.2f}, {last.mean[1]:.2f}) ± {last.spread:.2f} m"
+    world = _object(about, "mission").get("world")
+    world = world if isinstance(world, str) else AS_MODELLED  # records of other versions may lack it
+    plain = {
+        "ceased": last.ceased, "estimate": last.mean, "spread_m": last.spread, "steps": last.step, "assume": last.assume, "stop": last.stop,
+        "world": world,
+    }  # fmt: skip
+    try:
+        scenario = msgspec.convert(about["scenario"], Scenario)
+    except (KeyError, msgspec.ValidationError):
+        verdict = f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps"
+        return plain, [verdict, estimate, assumed_text(last.assume, last.stop, world)]
+    trace = [point for _, point in sorted(survey.trace.items())]
+    result = outcome(0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world)  # no seed, policy, search time
+    told = {**plain, "located": result.located, "error_m": result.error_m, "distance_m": result.distance_m, "source": result.source}
+    return told, outcome_text(result).splitlines()
+
+
+def _columns(entries: "Iterable[Entry]", name: str) -> list[str]:
+    """Return the columns of a key's table; raises _NoSuchKey that lists the keys."""
+    columns: dict[str, None] = {}
+    keys: dict[str, None] = {}
+    for entry in entries:
+        for key, fields in _decoded(entry):
+            keys[key] = None
+            if key == name:
+                columns.update(dict.fromkeys(_row(entry, fields).cells()))
+    if name not in keys:
+        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {', '.join(sorted(keys)) or 'nothing: the log is empty'}")
+    return list(columns)
+
+
+def _rows(entries: "Iterable[Entry]", name: str) -> Iterator[Row]:
+    """Yield a key's messages with their fields."""
+    return (_row(entry, fields) for entry in entries if name.startswith(entry.key) for key, fields in _decoded(entry) if key == name)
+
+
+def _row(entry: "Entry", fields: dict[str, Any]) -> Row:
+    return Row(entry.published_ns / 1e9, entry.simulation_s, fields)
+
+
+def _decoded(entry: "Entry") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield (export name, fields) of a message; nothing for a message that breaks the bus contract."""
+    from link.bus.mavlink import BadFrame, flat_reading
+    from link.record.decoded import decode
+    from link.record.record import FRAME_KEYS
+
+    if entry.key in FRAME_KEYS:
+        try:
+            messages = decode(entry.payload)
+        except BadFrame:
+            return
+        if entry.key == "reading":
+            fields = {message.kind: json.loads(message.fields) for message in messages}
+            yield "reading", flat_reading(fields)
+        else:
+            yield from ((f"{entry.key}/{message.kind}", json.loads(message.fields)) for message in messages)
+        return
+    try:
+        fields = json.loads(entry.payload)
+    except (ValueError, RecursionError):
+        return
+    if isinstance(fields, dict):
+        yield entry.key, fields
+
+
+# ---- logs of autopilots ----
+
+
+def _summary_of_tlog(path: Path, log: "FlightLog", notes: list[str]) -> Summary:
+    """Return a summary of a .tlog by message type."""
+    from ground.desk.survey import KeyTable
+
+    kinds = _kinds()
+    seconds: dict[str, list[float]] = defaultdict(list)
+    for index, message_id in enumerate(log.records.message_ids.tolist()):
+        seconds[kinds.get(message_id, f"unknown {message_id}")].append(log.seconds(index))
+    tables = [KeyTable(kind, times, [], None) for kind, times in sorted(seconds.items())]
+    span_s = _span(seconds.values())
+    senders = ", ".join(f"{system}/{component}" for system, component in sorted(log.senders()))
+    head = [f"{path}: MAVLink of system/component {senders}", f"{len(log):,} messages in {span_s:.1f} s"]
+    counts = {table.name: {"messages": len(table.published_s)} for table in tables}
+    return Summary(head, tables, notes, {"log": str(path), "messages": len(log), "duration_s": span_s, "keys": counts, "notes": notes})
+
+
+def _kinds() -> dict[int, str]:
+    """Return the names of all message types, by number."""
+    from pymavlink.dialects.v20 import all as mavlink
+
+    return {message_id: message.msgname for message_id, message in mavlink.mavlink_map.items()}
+
+
+def _columns_of_tlog(log: "FlightLog", name: str) -> list[str]:
+    """Return the columns of a message type's table; raises _NoSuchKey that lists the types."""
+    kinds = _kinds()
+    known = {kinds[message_id] for message_id in set(log.records.message_ids.tolist()) if message_id in kinds}
+    if name not in known:
+        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {', '.join(sorted(known))}")
+    return list(dict.fromkeys(column for row in _rows_of_tlog(log, name) for column in row.cells()))
+
+
+def _rows_of_tlog(log: "FlightLog", name: str) -> Iterator[Row]:
+    """Yield the messages of a type."""
+    for index, message in log.messages(log.select(None, [message_id for message_id, kind in _kinds().items() if kind == name])):
+        fields = message.to_dict()
+        del fields["mavpackettype"]
+        yield Row(float(log.times_us[index]) / 1e6, math.nan, {**fields, "system": message.get_srcSystem()})
+
+
+# ---- printing ----
+
+
+def _print(summary: Summary, stream: TextIO) -> None:
+    tables = summary.tables
+    pauses = [[after - before for before, after in pairwise(sorted(it.published_s))] for it in tables]
+    columns = [
+        Column("key", [it.name for it in tables], left=True, least=SHORTEST_KEY, keeps_end=True),
+        Column("messages", [f"{len(it.published_s):,}" for it in tables]),
+        Column("per s", [_rate(it.published_s) for it in tables], rank=2),
+        Column("per simulated s", [_rate(it.simulation_s) for it in tables], rank=3),
+        Column("repeats", ["" if it.repeats is None else str(it.repeats) for it in tables], rank=4),
+        Column("longest pause, s", [f"{max(each):.2f}" if each else "" for each in pauses], rank=1),
+    ]
+    told = [column for column in columns if any(column.cells) or column.rank < 3]
+    for line in summary.head:
+        tell(line, stream)
+    tell(table(told, width_of(stream), "--json", below=summary.tail), stream)
+
+
+def _rate(times: Sequence[float]) -> str:
+    """Messages per second: one over the mean time between two."""
+    steps = [after - before for before, after in pairwise(sorted(times))]
+    mean_s = statistics.fmean(steps) if steps else 0.0
+    return f"{1 / mean_s:,.2f}" if mean_s > 0 else ""
+
+
+def _print_csv(names: Sequence[str], rows: Iterable[Row]) -> None:
+    writer = csv.DictWriter(sys.stdout, names, restval="", extrasaction="ignore", lineterminator="\n")  # the log may still be written
+    writer.writeheader()
+    writer.writerows(row.cells() for row in rows)
+
+
+def _flattened(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the values within lists and objects with their names: mean[0], refused.late."""
+    if isinstance(value, dict):
+        for field, inner in value.items():
+            yield from _flattened(f"{name}.{field}" if name else field, inner)
+    elif isinstance(value, list | tuple):
+        for number, inner in enumerate(value):
+            yield from _flattened(f"{name}[{number}]", inner)
+    else:
+        yield name, _cell(value)
+
+
+def _cell(value: Any) -> Any:
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    return repr(value) if isinstance(value, float) else value

@@ -1,0 +1,232 @@
+"""The player of a replay: publishes the vehicle's recorded messages, and waits for the services' answers in between."""
+
+import contextlib
+import math
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ground.replay import verify
+from ground.replay.source import SERVICES, VEHICLE_KEYS, Source, reading_time
+from ground.replay.verify import Answer, Difference, Rules
+from link.bus.inbox import Inbox
+from link.bus.keys import BELIEF, HEALTH, READING, RESEND_FIRST_S, RESEND_LAST_S, STOP, WAYPOINT
+from link.bus.messages import Belief, Health
+from link.bus.session import Arrival, Bus, LivelinessChange
+from link.record.record import Entry
+from sitl.launch.processes import Ended, LogLine, Processes, raise_for, secure_words
+from sitl.launch.progress import Progress, pace
+
+ANSWER_TIMEOUT_S = 10.0
+"""Longest wait for an answer, s of real time, or three times the longest recorded one."""
+SETTLE_S = 0.3
+"""Wait for unexpected answers at the end, s of real time, or twice the longest answer time."""
+
+
+class Replayed(NamedTuple):
+    """The result of one replay."""
+
+    counts: dict[str, int]
+    """Number of different messages received, by kind."""
+    last: Belief | None
+    ceased_at: int | None
+    """The step at which the search ceased."""
+    difference: Difference | None
+
+
+def replay(source: Source, rules: Rules | None, speedup: float, connect: str | None, secure: Path | None = None) -> Replayed:
+    """Replay once. Every process started for it has ended when this returns or raises. Raises MissionFailed."""
+    inbox = Inbox()
+    with contextlib.ExitStack() as stack:
+        readings = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
+        started = ", ".join(["router", *source.parts]) if connect is None else "replay"
+        progress = stack.enter_context(Progress(max(len(readings) - 1, 0), started))
+        endpoint = connect or _start(stack.enter_context(Processes(inbox)), source, secure)
+        bus = stack.enter_context(Bus("uav", endpoint, source.namespace, inbox, secure=secure))
+        bus.subscribe(BELIEF, STOP, WAYPOINT, HEALTH)
+        bus.watch_services()
+        progress.say(f"replay: {source.path} as {source.namespace}, {pace(speedup)}, router at {endpoint}")
+        player = Player(bus, source, progress, rules, own=connect is None)
+        player.wait_for_services()
+        player.play(speedup)
+        return player.result()
+
+
+def _start(processes: Processes, source: Source, secure: Path | None) -> str:
+    """Start a router and the services; returns the router's endpoint."""
+    endpoint = processes.start_router("tcp/127.0.0.1:0", secure)
+    for part, words in source.parts.items():
+        processes.start(part, part, "--connect", endpoint, "--namespace", source.namespace, *secure_words(secure), *words)
+    return endpoint
+
+
+class Player:
+    """Publishes the vehicle's recorded messages, and waits for the services' answers in between."""
+
+    def __init__(self, bus: Bus, source: Source, progress: Progress, rules: Rules | None, own: bool) -> None:
+        """Take the bus, joined as the uav. `own`: the services were started for this replay."""
+        self._bus = bus
+        self._source = source
+        self._progress = progress
+        self._rules = rules
+        self._own = own
+        ignored = rules.ignored if rules else frozenset()
+        available = {kind for kind, service in SERVICES.items() if not own or service in source.parts} - ignored
+        self._awaited = deque(key for key in source.then if key[1] in available)
+        self._services = {SERVICES[kind] for _, kind in self._awaited} if source.recorded else {"estimator"}
+        self._present: set[str] = set()
+        self._due: set[tuple[int, str]] = set()
+        """Answers still missing for what has been published."""
+        self._given_up: set[str] = set()
+        self._patience_s = max(ANSWER_TIMEOUT_S, 3 * source.slowest_s)
+        self._slowest_s = 0.0
+        self._heard: set[tuple[int, str]] = set()
+        self._reading: Entry | None = None
+        self._first_ms, self._latest_ms, self._shown_ms = -1, -1, -1
+        self._published_at = 0.0
+        self._resend_at, self._resend_s = math.inf, RESEND_FIRST_S
+        self._last: Belief | None = None
+        self._ceased_at: int | None = None
+        self._flown_m = 0.0
+        self._difference: Difference | None = None
+
+    def wait_for_services(self) -> None:
+        """Wait, like the vehicle, until the services that answered in the recording are present."""
+        told = False
+        while missing := sorted(self._services - self._present):
+            item = self._bus.receive(timeout_s=1.0)
+            if item is None and not told and not self._own:
+                self._progress.say(f"waiting for {' and '.join(missing)} on {self._source.namespace}")
+                told = True
+            self._take(item)
+
+    def play(self, speedup: float) -> None:
+        """Publish all messages at their pace, up to the first difference."""
+        began, first_ns = time.monotonic(), self._source.entries[0].published_ns
+        for entry in self._source.entries:
+            if speedup:
+                self._listen(began + (entry.published_ns - first_ns) / 1e9 / speedup)
+            if entry.key == READING.name and (time_ms := reading_time(entry)) is not None and time_ms > self._latest_ms:
+                began += self._wait_for_answers()
+                if not self._difference:
+                    self._begin(entry, time_ms)
+            if self._difference:
+                return
+            self._bus.publish(VEHICLE_KEYS[entry.key], entry.payload, entry.attachment or None)
+        self._wait_for_answers()
+        if self._rules and any(self._must_be_silent((self._latest_ms, kind)) for kind in SERVICES):
+            self._listen(time.monotonic() + max(SETTLE_S, 2 * self._slowest_s))
+
+    def result(self) -> Replayed:
+        """Return the result."""
+        counts = {kind: sum(heard == kind for _, heard in self._heard) for kind in SERVICES}
+        return Replayed(counts, self._last, self._ceased_at, self._difference)
+
+    # ---- waiting ----
+
+    def _begin(self, reading: Entry, time_ms: int) -> None:
+        """Expect the answers to a new reading."""
+        self._reading, self._latest_ms = reading, time_ms
+        if self._first_ms < 0:
+            self._first_ms = time_ms
+        if self._source.recorded:
+            while self._awaited and self._awaited[0][0] <= time_ms:
+                self._due.add(self._awaited.popleft())  # also answers whose reading the log lacks
+        else:
+            self._due.add((time_ms, "belief"))
+        self._due = {(time, kind) for time, kind in self._due if time >= self._first_ms and kind not in self._given_up}
+        self._published_at = time.monotonic()
+        self._resend_s = RESEND_FIRST_S
+        self._resend_at = self._published_at + self._resend_s
+
+    def _wait_for_answers(self) -> float:
+        """Wait for all answers due; returns the time it took, s. A missing answer is a difference or a warning."""
+        began = time.monotonic()
+        self._listen(began + self._patience_s, for_answers=True)
+        if self._due and not self._difference:
+            self._miss(min(self._due, key=verify.place))
+        return time.monotonic() - began
+
+    def _miss(self, key: tuple[int, str]) -> None:
+        time_ms, kind = key
+        service = SERVICES[kind]
+        gone = "" if service in self._present else f": the {service} is gone"
+        again = " (it refuses readings that it has seen before: restart it)" if not (self._own or self._heard or gone) else ""
+        self._progress.say(
+            f"warning: no {kind} received for the reading at {time_ms / 1000:.2f} s within {self._patience_s:g} s{gone}{again}"
+        )
+        self._compare(key, None)
+        self._given_up |= {kind for _, kind in self._due}  # not waited for again until one arrives
+        self._due.clear()
+
+    def _listen(self, until: float, for_answers: bool = False) -> None:
+        """Receive until a time, or until nothing is due; meanwhile repeat an unanswered reading, as the vehicle does."""
+        while not self._difference and (self._due or not for_answers) and (now := time.monotonic()) < until:
+            if self._due and now >= self._resend_at:
+                assert self._reading is not None
+                self._bus.publish(READING, self._reading.payload)
+                self._resend_s = min(2 * self._resend_s, RESEND_LAST_S)
+                self._resend_at = now + self._resend_s
+            self._take(self._bus.receive(min(until, self._resend_at if self._due else math.inf) - now))
+
+    # ---- what arrives ----
+
+    def _take(self, item: Any) -> None:
+        match item:
+            case Ended():
+                raise_for(item)
+            case LogLine(part, line, level):
+                if level == "warning":
+                    self._progress.say(line)
+                if part == "estimator" and "warning: refused reading" in line and not self._source.recorded:
+                    self._due.clear()
+            case LivelinessChange(service, alive):
+                if not alive:
+                    self._present.discard(service)
+                elif not self._own:
+                    self._present.add(service)
+            case Arrival(key) if key is HEALTH:
+                # A service started just now is present once it reports its health: it may compile kernels first.
+                if (health := self._bus.decode(item, Health)) is not None:
+                    self._present.add(health.service)
+            case Arrival(key, payload, attachment):
+                for said in verify.answers(key.name, payload, attachment):
+                    self._answered(answer := said.near(self._latest_ms))
+                    if answer.kind == "belief" and self._shown_ms < answer.time_ms <= self._latest_ms:
+                        self._shown_ms = answer.time_ms
+                        self._show(self._bus.decode(item, Belief))
+
+    def _answered(self, answer: Answer) -> None:
+        if answer.time_ms > self._latest_ms:
+            return  # from an earlier flight, kept for late joiners
+        key = answer.time_ms, answer.kind
+        self._due.discard(key)
+        self._given_up.discard(answer.kind)
+        if key not in self._heard and answer.time_ms == self._latest_ms:
+            self._slowest_s = max(self._slowest_s, time.monotonic() - self._published_at)
+        self._heard.add(key)
+        self._compare(key, answer)
+
+    def _compare(self, key: tuple[int, str], now: Answer | None) -> None:
+        """Compare an answer with the recorded one; `now` is None if none came in time."""
+        then = self._source.then
+        if self._rules is None or self._difference or not (key in then or self._must_be_silent(key)):
+            return
+        belief = then.get((key[0], "belief"))
+        self._difference = verify.difference(then.get(key), now, self._rules, belief.fields.get("step") if belief else None)
+
+    def _must_be_silent(self, key: tuple[int, str]) -> bool:
+        """Whether the log proves that there was no such answer."""
+        source = self._source
+        return key not in source.then and key[0] <= source.sure_ms and verify.must_be_silent(source.then, *key, source.budget)
+
+    def _show(self, belief: Belief | None) -> None:
+        if belief is None:
+            return
+        if self._last:
+            self._flown_m += math.dist(self._last.position, belief.position)
+        if belief.ceased and self._ceased_at is None:
+            self._ceased_at = belief.step
+        self._last = belief
+        self._progress.show(belief, self._flown_m)

@@ -1,0 +1,259 @@
+"""The source of a replay: a recording of the bus with the recorded answers, or an autopilot's log."""
+
+import argparse
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
+
+import msgspec
+
+from ground.replay import settings, verify
+from ground.replay.verify import Answer, Rules
+from ground.tlog import flight
+from ground.tlog.sender import FlightError
+from link.bus.keys import HEALTH, MAVLINK_OUT, READING
+from link.bus.mavlink import BadFrame, nearest, unpack_reading
+from link.record.reader import RecordError, is_record, read
+from link.record.record import Entry
+from plume import sensor
+from plume.worlds import AS_MODELLED
+from sitl.script import script
+from sitl.script.typed_yaml import FileError
+
+VEHICLE_KEYS = {READING.name: READING, MAVLINK_OUT.name: MAVLINK_OUT, HEALTH.name.replace("<service>", "uav"): HEALTH}
+"""The keys that a vehicle publishes on, by their names in a log."""
+SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
+"""The service that sends each kind of answer."""
+
+OURS = "uav/1"
+"""The namespace of the first vehicle."""
+OVERTAKE_NS = 500_000_000
+"""Largest time by which messages overtake each other on their way into a log, ns."""
+
+
+class BadSource(ValueError):
+    """The log cannot be replayed as asked for; the message is one line."""
+
+
+class Source(NamedTuple):
+    """What is replayed, and the services to start."""
+
+    path: Path
+    entries: list[Entry]
+    """The vehicle's messages in the order of publication."""
+    then: Mapping[tuple[int, str], Answer]
+    """The recorded answers of the services; empty for an autopilot's log."""
+    parts: Mapping[str, list[str]]
+    """The services to start, with their command lines."""
+    namespace: str
+    recorded: bool
+    """True: a recording of the bus. False: an autopilot's log."""
+    unfit: Mapping[str, str] = MappingProxyType({})
+    """Why a service cannot be started as the record says, one line each."""
+    sure_ms: float = math.inf
+    """The log has all answers to readings up to this time; if it was cut off or damaged, later ones may lack some."""
+    sure_ns: float = math.inf
+    """Up to this time of publication it lacks nothing."""
+    damaged: bool = False
+    """Whether pieces of it are missing."""
+    slowest_s: float = 0.0
+    """The longest recorded answer time."""
+    budget: float = math.inf
+    """The agent's step budget."""
+    truth: tuple[float, float] | None = None
+    """True location of the source, m; None if unknown."""
+    world: str = AS_MODELLED
+    """How the truth differs from what the estimator was told; as modelled if unknown."""
+    notes: tuple[str, ...] = ()
+    """Remarks on the log, one line each."""
+
+
+class _Release(msgspec.Struct, frozen=True):
+    source: tuple[float, float] | None = None
+
+
+class _Mission(msgspec.Struct, frozen=True):
+    world: str = AS_MODELLED
+
+
+class _About(msgspec.Struct, frozen=True):
+    """The fields used of a recording's own description."""
+
+    parts: dict[str, list[str]] = {}
+    namespace: Annotated[str, msgspec.Meta(pattern=r"\A[\w.-]+(/[\w.-]+)*\Z", max_length=200)] = OURS
+    budget: int | None = None
+    scenario: _Release = _Release()
+    mission: _Mission = _Mission()
+
+
+def recording(path: Path, bundle: str | None = None) -> Source:
+    """Read a recording of the bus; raises BadSource. `bundle`: the file of its policy."""
+    try:
+        log = read(path)
+        told = msgspec.convert(log.about, _About)
+    except RecordError as error:
+        raise BadSource(str(error)) from None
+    except msgspec.ValidationError as error:
+        raise BadSource(f"{path}: its description cannot be used: {error}") from None
+    if bundle and not settings.flew_a_bundle(told.parts.get("agent", [])):
+        raise BadSource(f"--policy: {bundle!r} is not allowed with {path}: its agent flew no bundle")
+    parts, unfit = {}, {}
+    for service, words in told.parts.items():
+        if service in SERVICES.values():
+            try:
+                parts[service] = settings.with_bundle(words, bundle) if bundle and service == "agent" else settings.words(service, words)
+            except ValueError as error:
+                hint = "; name the bundle with --policy" if service == "agent" and settings.flew_a_bundle(words) else ""
+                unfit[service] = f"{path} starts its {service} with {error}, which a record may not do{hint}"
+    notes: tuple[str, ...] = ()
+    sure_ms = sure_ns = math.inf
+    sound = log.entries[: log.damage[0].before] if log.damage else log.entries
+    if not log.complete:
+        end_s = max((entry.simulation_s for entry in sound), default=0.0)
+        notes = (f"{path} is cut off: replayed up to its end at {end_s:.2f} s",)
+        if log.damage:
+            notes = (f"warning: {path} {log.shortcoming}; --verify compares up to {end_s:.2f} s",)
+        sure_ns = max((entry.published_ns for entry in sound), default=0)
+        early = [entry for entry in sound if entry.key == READING.name and entry.published_ns <= sure_ns - OVERTAKE_NS]
+        sure_ms = max((time for time in map(reading_time, early) if time is not None), default=-1)
+    return Source(
+        path,
+        sorted((entry for entry in log.entries if entry.key in VEHICLE_KEYS), key=lambda entry: entry.published_ns),
+        verify.said(sound),
+        parts,
+        told.namespace,
+        recorded=True,
+        unfit=unfit,
+        sure_ms=sure_ms,
+        sure_ns=sure_ns,
+        damaged=bool(log.damage),
+        slowest_s=_slowest_s(log.entries),
+        budget=math.inf if told.budget is None else told.budget,
+        truth=told.scenario.source,
+        world=told.mission.world,
+        notes=notes,
+    )
+
+
+def _slowest_s(entries: list[Entry]) -> float:
+    asked: dict[int | None, int] = {}
+    answered: dict[tuple[int, str], int] = {}
+    for entry in entries:
+        if entry.key == READING.name:
+            asked.setdefault(reading_time(entry), entry.published_ns)
+        for answer in verify.recorded(entry):
+            answered.setdefault((answer.time_ms, answer.kind), entry.published_ns)
+    return max((ns - asked[time] for (time, _), ns in answered.items() if time in asked), default=0) / 1e9
+
+
+def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
+    """Read an autopilot's log as the flags `chosen` say, for an estimator with the flags `filtering`; raises BadSource."""
+    try:
+        world = script.load(chosen["plume"]).simulated() if "plume" in chosen else None
+        flown = flight.read(
+            path, system=chosen.get("sysid"), gas=chosen.get("gas", "gas"), wind=chosen.get("wind"), every_s=chosen.get("every"),
+            origin=chosen.get("origin"), area_m=chosen.get("area"), plume=world,
+        )  # fmt: skip
+    except (FlightError, FileError) as error:
+        raise BadSource(str(error)) from None
+    known: dict[str, Any] = {}
+    if world:
+        told = world.scenario
+        known = {"rate": told.q, "diffusivity": told.d, "lifetime": told.tau, "sensor": sensor.text(world.sensor)}
+    estimator = settings.as_words({**known, **filtering, "sysid": flown.system, "area": flown.area_m})
+    truth = world.truth.source if world else None
+    return Source(
+        path, flown.entries, {}, {"estimator": estimator}, f"uav/{flown.system}", False, truth=truth,
+        world=world.name if world else AS_MODELLED, notes=tuple(flown.notes),
+    )  # fmt: skip
+
+
+def find(args: argparse.Namespace, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> tuple[Source, Rules | None]:
+    """Return the source that a command line asks for, and the rules of --verify; raises BadSource.
+
+    `chosen` and `filtering` are the flags given for reading an autopilot's log and for its estimator.
+    """
+    recorded = is_recording(args.log)
+    _refuse(args, recorded, chosen, filtering)
+    source = recording(args.log, args.policy) if recorded else autopilot_log(args.log, chosen, filtering)
+    if not source.entries:
+        raise BadSource(f"{args.log}: it has no messages of a vehicle")
+    namespace = args.namespace or (
+        OURS if args.connect else source.namespace
+    )  # a record does not choose among the vehicles of a user's bus
+    source = source._replace(namespace=namespace, entries=_cut(source.entries, args))
+    if args.verify:  # what follows a gap depends on what is missing
+        source = source._replace(entries=[entry for entry in source.entries if entry.published_ns <= source.sure_ns])
+    rules = _rules(args, source) if args.verify else None
+    return (source if args.connect else _with_services(source, rules)), rules
+
+
+def reading_time(entry: Entry) -> int | None:
+    """The time of a reading, ms, which goes on where time_boot_ms wraps; None if no estimator accepts it."""
+    try:
+        return nearest(round(1000 * entry.simulation_s), unpack_reading(entry.payload).time_boot_ms)
+    except BadFrame:
+        return None
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a log is a recording of the bus; raises BadSource if it cannot be read."""
+    try:
+        return is_record(path)
+    except RecordError as error:
+        raise BadSource(str(error)) from None
+
+
+def _refuse(args: argparse.Namespace, recorded: bool, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> None:
+    """Raise BadSource on a flag that would have no effect here."""
+    for name in (*chosen, *filtering) if recorded else ():
+        raise BadSource(f"--{name.replace('_', '-')}: not allowed with {args.log}: a recording has its own settings")
+    for name in filtering if args.connect else ():
+        raise BadSource(f"--{name.replace('_', '-')}: not allowed with --connect: the estimator there has its own settings")
+    if args.policy and (args.connect or not recorded):
+        raise BadSource("--policy: only allowed where the agent of a recording is started")
+    for name, value in () if args.verify else (("ignore", args.ignore), ("tolerance", args.tolerance)):
+        if value:
+            raise BadSource(f"--{name}: only allowed with --verify")
+    if args.loop and args.connect:
+        raise BadSource("--loop: not allowed with --connect: an estimator accepts the same readings only once")
+    if args.verify and not recorded:
+        raise BadSource(f"--verify: not allowed with {args.log}: an autopilot's log holds no answers to compare with")
+    if args.verify and args.from_s:
+        raise BadSource(f"--from: {args.from_s:g} is not allowed with --verify; wanted 0: a belief depends on all readings before it")
+    if args.from_s > args.to_s:
+        raise BadSource(f"--to: {args.to_s:g} is not allowed; wanted at least --from, {args.from_s:g}")
+
+
+def _cut(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
+    first_s = entries[0].simulation_s
+    within = [entry for entry in entries if args.from_s <= entry.simulation_s - first_s <= args.to_s]
+    if not within:
+        long_s = max(entry.simulation_s for entry in entries) - first_s
+        raise BadSource(f"--from: no message of {args.log} is between {args.from_s:g} and {args.to_s:g} s; it is {long_s:.1f} s long")
+    return within
+
+
+def _rules(args: argparse.Namespace, source: Source) -> Rules:
+    try:
+        rules = Rules(verify.ignored(args.ignore, source.then.values()), args.tolerance)
+    except ValueError as error:
+        raise BadSource(str(error)) from None
+    published = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
+    if not any(time in published and kind not in rules.ignored for time, kind in source.then):
+        raise BadSource(f"--verify: no belief, stop or waypoint in {args.log} answers a replayed reading: nothing to compare")
+    return rules
+
+
+def _with_services(source: Source, rules: Rules | None) -> Source:
+    """Add a note for each recorded service that cannot be started; raises BadSource if its answers are to be compared."""
+    notes = list(source.notes)
+    for service in sorted(({SERVICES[kind] for _, kind in source.then} | set(source.unfit)) - set(source.parts)):
+        text = source.unfit.get(service, f"{source.path} does not say how its {service} was started")
+        kinds = [kind for kind in SERVICES if SERVICES[kind] == service]
+        if rules and not rules.ignored.issuperset(kinds):
+            raise BadSource(f"{text}; start one and give --connect, or give {' '.join(f'--ignore {kind}' for kind in kinds)}")
+        notes.append(f"warning: {text}: replayed without it")
+    return source._replace(notes=tuple(notes))

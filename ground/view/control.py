@@ -1,0 +1,119 @@
+"""Commands of an operator to a vehicle on the bus, as any ground station sends them, and the vehicle's answers."""
+
+import asyncio
+import time
+from contextlib import suppress
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from aircraft.operator import AUTOPILOT, NO_ANSWER, OPERATOR, SEARCH, TRIES, WANTED, CommandName, CommandRun, order
+from ground.view.live import LiveVehicle
+from link.bus.frames import Frame
+from link.bus.mavlink import BadFrame, Codec, Message
+from link.modes import meaning
+from scene.follow.area import HEARTBEAT
+from scene.follow.telemetry import TEXT, Texts, frames
+from sitl.autopilot.state import Mode
+
+URGENT: tuple[CommandName, ...] = ("return", "land")
+"""Commands that wait for nothing: they replace one that is not answered yet."""
+AGAIN_S = 0.4
+"""Time after which a command that nobody has acknowledged is sent again."""
+ANSWER_S = TRIES * AGAIN_S
+"""Longest time without an acknowledgement."""
+LOOK_S = 0.05
+"""Longest time between two looks at a command that is not over."""
+ACK = mavlink.MAVLINK_MSG_ID_COMMAND_ACK
+
+
+class CommandAnswer(NamedTuple):
+    """What became of a command."""
+
+    accepted: bool
+    reason: str = ""
+
+
+class Awaited:
+    """One command and what its vehicle says meanwhile. Its times are of one clock, s."""
+
+    def __init__(self, name: CommandName, system: int, component: int = AUTOPILOT) -> None:
+        """Begin with a command to a component of the vehicle: its simulated autopilot, or the search that flies a real one."""
+        self._name, self._system, self._component = name, system, component
+        self._run = CommandRun(order(name, system, component), self._seen, lambda: self._reason, AGAIN_S)
+        self._texts = Texts()
+        self._reason = ""
+        self._refused = False
+        self._mode, self._armed = "", True
+
+    def send(self, now_s: float) -> Message | None:
+        """Return the copy of the command that is due."""
+        return self._run.send(now_s)
+
+    def hears(self, payload: bytes, now_s: float) -> None:
+        """Take a payload of telemetry. The reason of a refusal is the text that follows it."""
+        with suppress(BadFrame):
+            for frame, fields in frames(payload, {ACK, HEARTBEAT, TEXT}, self._counts):
+                if frame.message_id == HEARTBEAT:
+                    self._mode = meaning(fields["autopilot"], fields["custom_mode"])
+                    self._armed = bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+                elif frame.message_id == TEXT:
+                    said = self._texts.said(fields)
+                    self._reason = said[1] if said and self._refused else self._reason
+                elif _to_us(fields["target_system"], fields["target_component"]):
+                    self._run.acknowledged(fields["command"], fields["result"], now_s)
+                    self._refused = self._run.refused
+
+    def over(self, now_s: float) -> CommandAnswer | None:
+        """Return the answer once it is known."""
+        if (result := self._run.over(now_s)) is None:
+            return None
+        reason = f"{NO_ANSWER} within {ANSWER_S:g} s" if result.reason == NO_ANSWER else result.reason
+        return CommandAnswer(result.accepted, reason)
+
+    def _counts(self, frame: Frame) -> bool:
+        """Whether a frame is the autopilot's HEARTBEAT, or what the commanded component says."""
+        return frame.system == self._system and frame.component == (AUTOPILOT if frame.message_id == HEARTBEAT else self._component)
+
+    def _seen(self) -> bool:
+        """Whether the vehicle does it; once it has accepted, also whether it is through with it: a return ends as a landing, motors off."""
+        if self._mode == WANTED[self._name].name and (self._run.accepted or not self._gives_back):
+            return True
+        return self._run.accepted and (not self._armed or (self._name == "return" and self._mode == Mode.LAND.name))
+
+    @property
+    def _gives_back(self) -> bool:
+        """Whether a real vehicle is given back: a pilot may fly it in the very mode in which the search does."""
+        return self._name == "resume" and self._component == SEARCH
+
+
+def _to_us(system: int, component: int) -> bool:
+    return system in (0, OPERATOR[0]) and component in (0, OPERATOR[1])
+
+
+async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
+    """Send a command to a vehicle until it is done, and return its answer. Once this is cancelled, nothing more is sent."""
+    if not vehicle.here:
+        return CommandAnswer(False, f"{vehicle.name} is not there")
+    until_s = time.monotonic() + ANSWER_S
+    while not vehicle.system:  # it is told as soon as the bus is joined
+        if time.monotonic() >= until_s:
+            return CommandAnswer(False, f"{vehicle.name} has not said which system it is")
+        await asyncio.sleep(LOOK_S)
+    loop, heard = asyncio.get_running_loop(), asyncio.Queue[bytes]()
+
+    def listener(payload: bytes) -> None:
+        loop.call_soon_threadsafe(heard.put_nowait, payload)
+
+    awaited, codec = Awaited(name, vehicle.system, vehicle.commanded), Codec(*OPERATOR)
+    vehicle.listeners.add(listener)
+    try:
+        while (answer := awaited.over(time.monotonic())) is None:
+            if copy := awaited.send(time.monotonic()):
+                vehicle.send(codec.pack(copy))
+            with suppress(TimeoutError):
+                async with asyncio.timeout(LOOK_S):
+                    awaited.hears(await heard.get(), time.monotonic())
+        return answer
+    finally:
+        vehicle.listeners.discard(listener)

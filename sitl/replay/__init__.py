@@ -1,4 +1,0 @@
-"""Replay: a log takes the place of the vehicle, and the services' answers are compared with the recorded ones.
-
-Imports: plume, link, link.bus, link.record, sitl.script, sitl.launch, sitl.tlog.
-"""

@@ -1,0 +1,149 @@
+"""Protects the connection to an autopilot: TCP and UDP, both autopilots, in real time, and an endpoint that goes and comes."""
+
+import math
+import time
+from collections.abc import Callable
+from contextlib import closing
+
+import pytest
+
+from aircraft.bridge.address import parse_address
+from aircraft.keeper.connection import Connection
+from aircraft.remote.commander import Commander, VehicleFailed
+from aircraft.remote.safety import Check, Verdict
+from aircraft.remote.vehicle import RemoteVehicle
+from link.bus.log import Log
+from link.bus.tally import Tally
+from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.state import Arrived, Mode, Said
+from tests.autopilots.settings import Settings
+from tests.autopilots.wire import Double
+
+SPEEDUP = 5.0
+STRETCHED = (("COM_OF_LOSS_T", 1.0 * SPEEDUP),)
+"""PX4's own simulation stretches this time, too."""
+
+
+class Flown:
+    """A vehicle behind a connection, in real time."""
+
+    def __init__(self, double: Double, sysid: int | None = None) -> None:
+        self.connection = Connection(parse_address(double.url), Log("uav", "test", Tally(), "error"))
+        self.vehicle = RemoteVehicle(VehicleConfig(), Commander(self.connection, SPEEDUP, sysid))
+        self.vehicle.preflight.take_wind(Check("wind", Verdict.OK, "given by --wind"))
+        self.arrived: list[tuple[float, float, float]] = []
+        self.said: list[str] = []
+        self._began = time.monotonic()
+
+    @property
+    def now_s(self) -> float:
+        return (time.monotonic() - self._began) * SPEEDUP
+
+    def look(self) -> None:
+        """One look, when something has come."""
+        self.connection.selector.select(0.01)
+        for event in self.vehicle.advance(self.now_s):
+            if isinstance(event, Arrived):
+                self.arrived.append(event.position)
+            elif isinstance(event, Said):
+                self.said.append(event.text)
+
+    def until(self, holds: Callable[[], object], timeout_s: float = 100.0) -> None:
+        """Look until something holds."""
+        deadline = time.monotonic() + timeout_s
+        while not holds():
+            assert time.monotonic() < deadline, f"not true within {timeout_s:g} s; said: {self.said}"
+            self.look()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "listen"),
+    [
+        ("ardupilot", "tcp:127.0.0.1:0"),
+        ("px4", "udpin:127.0.0.1:0"),
+        pytest.param("ardupilot", "udpin:127.0.0.1:0", marks=pytest.mark.full),
+        pytest.param("px4", "tcp:127.0.0.1:0", marks=pytest.mark.full),
+    ],
+)
+def test_a_vehicle_flies_over_tcp_and_udp(kind: str, listen: str) -> None:
+    with Double(kind, listen, Settings(ready_s=5.0, parameters=STRETCHED if kind == "px4" else ()), SPEEDUP) as double:
+        flown = Flown(double)
+        vehicle = flown.vehicle
+        flown.until(lambda: vehicle.arm(flown.now_s).accepted)
+        assert vehicle.take_off(flown.now_s).accepted
+        flown.until(lambda: vehicle.mode is Mode.HOLD)
+        assert vehicle.setpoint(flown.now_s, (3.0, 2.0, -5.0)).accepted
+        assert vehicle.set_mode(flown.now_s, Mode.OFFBOARD).accepted
+        flown.until(lambda: flown.arrived)
+        assert math.dist(flown.arrived[0], (3.0, 2.0, -5.0)) < 0.3 + 0.01
+        assert vehicle.set_mode(flown.now_s, Mode.LAND).accepted
+        flown.until(lambda: not vehicle.armed)
+        flown.connection.close()
+
+
+def test_px4s_own_ports_are_udpin_here() -> None:
+    with Double("px4", "udp", Settings(instance=41, ready_s=5.0), SPEEDUP) as double:
+        flown = Flown(double)
+        flown.until(lambda: flown.vehicle.arm(flown.now_s).accepted)
+        assert flown.vehicle.flight.commander.system == 42
+        flown.connection.close()
+
+
+def test_a_connection_that_is_lost_comes_back() -> None:
+    with Double("ardupilot", settings=Settings(ready_s=5.0), speedup=SPEEDUP) as double:
+        flown = Flown(double)
+        flown.until(lambda: flown.vehicle.flight.commander.system)
+        client = double.wire.autopilot
+        double.hang_up()
+        heard_s = flown.vehicle.flight.known.heard_s
+        flown.until(lambda: flown.vehicle.flight.known.heard_s > heard_s + 10.0)
+        assert client is double.wire.autopilot
+        flown.connection.close()
+
+
+def test_heartbeats_come_once_a_second_of_the_vehicles_time() -> None:
+    """Its failsafes count by that: once a second of real time would be every 5 s, and the timeout of FS_GCS is 5 s."""
+    settings = Settings(ready_s=5.0, parameters=(("FS_GCS_ENABLE", 1.0), ("SYSID_MYGCS", 1.0)))
+    with Double("ardupilot", settings=settings, speedup=SPEEDUP) as double:
+        flown = Flown(double)
+        flown.until(lambda: double.wire.autopilot.station_seen_s)
+        began_s = double.wire.autopilot.now_s
+        flown.until(lambda: double.wire.autopilot.now_s > began_s + 12.0)
+        assert not double.wire.autopilot.station_lost
+        flown.connection.close()
+
+
+def test_another_system_than_the_one_that_is_wanted_is_not_flown() -> None:
+    with Double("ardupilot", settings=Settings(ready_s=5.0), speedup=SPEEDUP) as double:
+        flown = Flown(double, sysid=7)
+        began_s = double.wire.autopilot.now_s
+        flown.until(lambda: double.wire.autopilot.now_s > began_s + 5.0)  # it has had five heartbeats to find
+        assert not flown.vehicle.flight.commander.system
+        flown.connection.close()
+
+
+def test_an_autopilot_of_another_kind_fails_in_one_line() -> None:
+    with Double("ardupilot", speedup=SPEEDUP) as double:
+        double.wire.autopilot.autopilot = 0
+        flown = Flown(double)
+        with pytest.raises(VehicleFailed, match=r"^system 1: autopilot GENERIC \(0\) is not supported; wanted an ArduCopter or a PX4"):
+            flown.until(lambda: False)
+        flown.connection.close()
+
+
+@pytest.mark.parametrize(
+    ("url", "state"),
+    [
+        ("tcp:127.0.0.1:1", "at tcp:127.0.0.1:1 (Connection refused; it is tried again): is it running? it is a server: ArduPilot's SITL"),
+        ("udpout:127.0.0.1:14999", "at udpout:127.0.0.1:14999: is it running? MAVSDK: udpin://0.0.0.0:14999, pymavlink"),
+    ],
+)
+def test_what_cannot_be_heard_is_told_with_the_url_that_the_other_side_needs(url: str, state: str, wait_until: Callable[..., None]) -> None:
+    with closing(Connection(parse_address(url), Log("uav", "test", Tally(), "error"))) as connection:
+
+        def told() -> bool:
+            connection.poll(0.05)
+            return connection.state.startswith(state)
+
+        wait_until(told)  # its keeper tells each second
