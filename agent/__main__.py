@@ -22,14 +22,21 @@ from plume.scenario import AREA_M, BUDGET_STEPS
 OTHERS = {
     "evaluate": ("agent.trials.evaluate", "fly many missions in-process and print the policies' figures"),
     "train": ("agent.learn.train.command", "train a policy and write it to a bundle that the agent flies"),
-    "report": ("agent.trials.report.command", "draw tables, figures and a page from the missions of `evaluate`"),
+    "report": (
+        "agent.trials.report.command",
+        "draw tables, figures and a page from the missions of `evaluate`",
+    ),
 }
-"""Commands with a module of their own. It is imported only for its command: a service starts fast and knows nothing of trials."""
+"""Commands with a module of their own. It is imported only for its command: a service starts fast and
+knows nothing of trials.
+"""
 
 
 def _add_policy_arguments(parser: argparse.ArgumentParser, of: str) -> None:
     add_policy_argument(parser)
-    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help=f"seed of the {of} (default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=cli.whole(0, MAX_SEED), default=0, help=f"seed of the {of} (default: %(default)s)"
+    )
     cli.add_reach_arguments(parser, BUDGET_STEPS)
 
 
@@ -54,15 +61,29 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
     cli.add_bus_arguments(parser)
     _add_policy_arguments(parser, "policy's random draws")
     parser.add_argument(
-        "--waypoints", action="append", default=[], metavar="STEP:X,Y;X,Y;...",
-        help="fly these waypoints instead of the policy's, starting with the answer to the belief of this step",
-    )  # fmt: skip
+        "--waypoints",
+        action="append",
+        default=[],
+        metavar="STEP:X,Y;X,Y;...",
+        help="fly these waypoints instead of the policy's, starting with the answer to the belief of this "
+        "step",
+    )
     parser.add_argument(
-        "--area", type=cli.number(0, 100_000, above=True), default=AREA_M, metavar="M",
+        "--area",
+        type=cli.number(0, 100_000, above=True),
+        default=AREA_M,
+        metavar="M",
         help="side of the square search area, m; the estimator needs the same (default: %(default)g)",
-    )  # fmt: skip
-    parser.add_argument("--sysid", type=cli.whole(1, 255), metavar="N", help="the vehicle's system id (default: its health's, else 1)")
-    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, metavar="rollout | evaluate | train | report")
+    )
+    parser.add_argument(
+        "--sysid",
+        type=cli.whole(1, 255),
+        metavar="N",
+        help="the vehicle's system id (default: its health's, else 1)",
+    )
+    commands = parser.add_subparsers(
+        dest="command", parser_class=cli.Parser, metavar="rollout | evaluate | train | report"
+    )
     rollout = commands.add_parser("rollout", help="fly one mission in-process, without Zenoh")
     if "rollout" in arguments:
         _add_rollout_arguments(rollout)
@@ -79,7 +100,9 @@ def parse(prog: str, arguments: list[str]) -> argparse.Namespace:
             args.knowledge, args.stops = knowledge(args), criteria(args)
         if args.command is None:
             args.reach = reach(args.policy, cli.reach_given(args), args.area)
-            args.scripted = {step: point for text in args.waypoints for step, point in waypoints(text, args.reach).items()}
+            args.scripted = {
+                step: point for text in args.waypoints for step, point in waypoints(text, args.reach).items()
+            }
         elif args.command == "rollout":
             reach(args.policy, cli.reach_given(args))
     except ValueError as error:
@@ -94,9 +117,15 @@ def _rollout(args: argparse.Namespace) -> None:
 
     (stop,) = args.stops
     result, trace = rollout(
-        args.seed, args.policy, args.particles, budget=args.budget, moves=cli.reach_given(args), world=args.world, stop=stop.text,
+        args.seed,
+        args.policy,
+        args.particles,
+        budget=args.budget,
+        moves=cli.reach_given(args),
+        world=args.world,
+        stop=stop.text,
         **args.knowledge,
-    )  # fmt: skip
+    )
     tell(outcome_text(result), sys.stderr if args.json else sys.stdout)
     if args.json:
         print(outcome_json(result, trace if args.trace else None))
@@ -105,7 +134,9 @@ def _rollout(args: argparse.Namespace) -> None:
 def _serve(args: argparse.Namespace) -> None:
     from agent.service import run
 
-    with Bus("agent", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True) as bus:
+    with Bus(
+        "agent", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True
+    ) as bus:
         run(bus, args.policy, args.seed, args.budget, args.sysid, args.reach, args.scripted)
 
 

@@ -1,4 +1,5 @@
-"""A learned policy as data: a zip file of an ONNX graph and a JSON page that describes its observation, its moves and its training.
+"""A learned policy as data: a zip file of an ONNX graph and a JSON page that describes its observation,
+its moves and its training.
 
 Flying a bundle needs neither torch nor pickle: a file from a stranger can only steer, not run code.
 """
@@ -66,7 +67,9 @@ class Bundle:
     """A learned policy, ready to fly."""
 
     def __init__(self, page: Page, data: bytes) -> None:
-        """Open the graph. Raises BundleError if it does not match its page, or this version of the project."""
+        """Open the graph. Raises BundleError if it does not match its page, or this version of the
+        project.
+        """
         from agent import graphs  # compiles, as the schema does
 
         self.page = page
@@ -78,10 +81,14 @@ class Bundle:
             raise BundleError(f"{GRAPH} {error}") from error
         gives = self.said(np.zeros(page.observation, np.float32)).shape
         if gives != (1, page.move.outputs):
-            raise BundleError(f"{GRAPH} gives arrays of {[list(gives)]}; wanted one, of [1, {page.move.outputs}]")
+            raise BundleError(
+                f"{GRAPH} gives arrays of {[list(gives)]}; wanted one, of [1, {page.move.outputs}]"
+            )
 
     def said(self, observation: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return the network's output for an observation (F,): (1, A). Raises BundleError on NaN: argmax would silently pick one."""
+        """Return the network's output for an observation (F,): (1, A). Raises BundleError on NaN: argmax
+        would silently pick one.
+        """
         from agent.network import said  # compiled when it is imported
 
         output = said(self._layers, observation).astype(np.float64)
@@ -89,8 +96,12 @@ class Bundle:
             raise BundleError(f"{GRAPH} gives NaN; wanted numbers")
         return output[None]
 
-    def waypoint(self, belief: Belief, particles: Particles, reach: Reach, _rng: np.random.Generator) -> tuple[float, float]:
-        """Return the next waypoint (x, y) m. A learned policy always takes its best action and draws no random numbers."""
+    def waypoint(
+        self, belief: Belief, particles: Particles, reach: Reach, _rng: np.random.Generator
+    ) -> tuple[float, float]:
+        """Return the next waypoint (x, y) m. A learned policy always takes its best action and draws no
+        random numbers.
+        """
         observation, frame = self._schema.see(belief, particles)
         move = self.page.move
         action = move.action(self.said(observation))
@@ -135,7 +146,9 @@ def read(path: Path) -> tuple[Page, bytes]:
     except Exception as error:  # the exceptions of zipfile and zlib on a broken file have no common base
         raise BundleError(f"not a bundle: {_line(error)}; wanted a zip file of {PAGE} and {GRAPH}") from error
     try:
-        version = msgspec.json.decode(page, type=_Format).format  # checked first: another format may explain why the rest does not fit
+        version = msgspec.json.decode(
+            page, type=_Format
+        ).format  # checked first: another format may explain why the rest does not fit
         if version != FORMAT:
             raise BundleError(f"bundle format {version}; wanted {FORMAT}")
         return msgspec.json.decode(page, type=Page), graph
@@ -153,7 +166,9 @@ def _member(file: zipfile.ZipFile, name: str) -> bytes:
     if info.file_size > most:
         raise BundleError(f"{name} is larger than {most >> 20} MiB")
     with file.open(info) as member:
-        return member.read(info.file_size)  # without a size, a member that is larger than it claims would be unpacked in full
+        return member.read(
+            info.file_size
+        )  # without a size, a member that is larger than it claims would be unpacked in full
 
 
 def load(path: Path) -> Bundle:

@@ -1,4 +1,6 @@
-"""The graphs that a bundle may hold, read from ONNX: what `train` exports and no more, so that a decision takes bounded time and memory."""
+"""The graphs that a bundle may hold, read from ONNX: what `train` exports and no more, so that a decision
+takes bounded time and memory.
+"""
 
 import math
 from collections.abc import Iterator
@@ -15,24 +17,30 @@ Array = NDArray[np.float32]
 OPERATORS = ("Gemm", "Relu", "Tanh")
 MOST_NODES = 100
 MOST_WORK = 2**24
-"""Most multiplications of one decision; those of the shipped policies need 120,000. A weight counts each time that it is used."""
+"""Most multiplications of one decision; those of the shipped policies need 120,000. A weight counts each
+time that it is used.
+"""
 
 _INT, _STRING, _BYTES, _MESSAGE, _FLOAT = 3, 9, 12, 11, 2
 _FIELDS = {
-    "Model": "ir_version:1:i producer_name:2:s graph:7:Graph opset_import:8:b* training_info:20:b* functions:25:b*",
-    "Graph": "node:1:Node* name:2:s initializer:5:Tensor* input:11:Port* output:12:Port* sparse_initializer:15:b*",
+    "Model": "ir_version:1:i producer_name:2:s graph:7:Graph opset_import:8:b* training_info:20:b* "
+    "functions:25:b*",
+    "Graph": "node:1:Node* name:2:s initializer:5:Tensor* input:11:Port* output:12:Port* "
+    "sparse_initializer:15:b*",
     "Port": "name:1:s type:2:Type",
     "Type": "tensor_type:1:Array",
     "Array": "shape:2:Shape",
     "Shape": "dim:1:Dimension*",
     "Dimension": "dim_value:1:i dim_param:2:s",
     "Node": "input:1:s* output:2:s* name:3:s op_type:4:s attribute:5:Attribute* domain:7:s",
-    "Attribute": "name:1:s f:2:f i:3:i t:5:b g:6:b floats:7:f* ints:8:i* tensors:10:b* graphs:11:b* type:20:i ref_attr_name:21:s "
+    "Attribute": "name:1:s f:2:f i:3:i t:5:b g:6:b floats:7:f* ints:8:i* tensors:10:b* graphs:11:b* "
+    "type:20:i ref_attr_name:21:s "
     "sparse_tensor:22:b sparse_tensors:23:b*",
-    "Tensor": "dims:1:i* data_type:2:i float_data:4:f* name:8:s raw_data:9:b external_data:13:b* data_location:14:i",
+    "Tensor": "dims:1:i* data_type:2:i float_data:4:f* name:8:s raw_data:9:b external_data:13:b* "
+    "data_location:14:i",
 }
-"""The part of ONNX's format (onnx.proto) that is read: name, number and type of each field; * is repeated. Parts that are not looked into
-are bytes, and all other fields are dropped."""
+"""The part of ONNX's format (onnx.proto) that is read: name, number and type of each field; * is repeated.
+Parts that are not looked into are bytes, and all other fields are dropped."""
 
 
 class GraphError(ValueError):
@@ -63,7 +71,8 @@ _Model = _model()
 def read(data: bytes, size: int) -> list[Layer]:
     """Read a graph of a row of `size` numbers. Raises GraphError if it is not one that a bundle may hold.
 
-    Allowed is a chain of OPERATORS of ONNX itself on float32, without subgraphs and functions, with all weights in the graph.
+    Allowed is a chain of OPERATORS of ONNX itself on float32, without subgraphs and functions, with all
+    weights in the graph.
     """
     model = _Model()
     try:
@@ -87,22 +96,34 @@ def read(data: bytes, size: int) -> list[Layer]:
     weights = {tensor.name: _array(tensor) for tensor in graph.initializer}
     ports = [port for port in graph.input if port.name not in weights]
     takes = [[dim.dim_param or dim.dim_value for dim in port.type.tensor_type.shape.dim] for port in ports]
-    if len(takes) != 1 or len(takes[0]) != 2 or takes[0][1] != size or not (takes[0][0] == 1 or isinstance(takes[0][0], str)):
+    if (
+        len(takes) != 1
+        or len(takes[0]) != 2
+        or takes[0][1] != size
+        or not (takes[0][0] == 1 or isinstance(takes[0][0], str))
+    ):
         raise GraphError(f"takes arrays of {str(takes)[:100]}; wanted one, of [1, {size}]")
     # Before any layer is made: each has a copy of its weights.
-    work = sum(weights[node.input[1]].size for node in graph.node if len(node.input) > 1 and node.input[1] in weights)
+    work = sum(
+        weights[node.input[1]].size for node in graph.node if len(node.input) > 1 and node.input[1] in weights
+    )
     if work > MOST_WORK:
         raise GraphError(f"needs {work:,} multiplications for a decision; wanted {MOST_WORK:,} at most")
     return list(_layers(graph, ports[0].name, size, weights))
 
 
 def _layers(graph: Any, flowing: str, size: int, weights: dict[str, Array]) -> Iterator[Layer]:
-    """Yield the layer of each node. `flowing` is the name of what the first one takes, `size` how many numbers that are."""
+    """Yield the layer of each node. `flowing` is the name of what the first one takes, `size` how many
+    numbers that are.
+    """
     for node in graph.node:
         name, *constants = node.input or [""]
         needed = [*constants[:1], *filter(None, constants[1:])]  # an empty name is no bias
         if name != flowing or name in weights or not all(constant in weights for constant in needed):
-            raise GraphError(f"has a {node.op_type} of other things than the layer before it, with weights and biases of the graph")
+            raise GraphError(
+                f"has a {node.op_type} of other things than the layer before it, with weights and biases of "
+                "the graph"
+            )
         given = [weights[constant] for constant in needed]
         if len(node.output) != 1 or not (1 <= len(given) <= 2 if node.op_type == "Gemm" else not given):
             raise GraphError(f"has a {node.op_type} with {len(given)} weights and {len(node.output)} outputs")
@@ -115,7 +136,9 @@ def _layers(graph: Any, flowing: str, size: int, weights: dict[str, Array]) -> I
             size = gives
         yield layer
     if (names := [port.name for port in graph.output]) != [flowing]:
-        raise GraphError(f"gives {_shown(', '.join(names))}; wanted what its last node makes, {_shown(flowing)}")
+        raise GraphError(
+            f"gives {_shown(', '.join(names))}; wanted what its last node makes, {_shown(flowing)}"
+        )
 
 
 def _product(node: Any, weights: Array, biases: Array | None = None) -> Layer:
@@ -137,13 +160,23 @@ def _product(node: Any, weights: Array, biases: Array | None = None) -> Layer:
 def _array(tensor: Any) -> Array:
     """Return the array of a weight."""
     if tensor.data_location or tensor.external_data:
-        raise GraphError(f"weights {_shown(tensor.name)} lie in another file; wanted all of them in the graph")
+        raise GraphError(
+            f"weights {_shown(tensor.name)} lie in another file; wanted all of them in the graph"
+        )
     if len(tensor.dims) > 2:
-        raise GraphError(f"weights {_shown(tensor.name)} have {len(tensor.dims):,} dimensions; wanted 2 at most")
+        raise GraphError(
+            f"weights {_shown(tensor.name)} have {len(tensor.dims):,} dimensions; wanted 2 at most"
+        )
     count = math.prod(tensor.dims)
-    if tensor.data_type != 1 or min(tensor.dims, default=1) < 0 or count not in (len(tensor.float_data), len(tensor.raw_data) / 4):
+    if (
+        tensor.data_type != 1
+        or min(tensor.dims, default=1) < 0
+        or count not in (len(tensor.float_data), len(tensor.raw_data) / 4)
+    ):
         raise GraphError(f"weights {_shown(tensor.name)} are not the float32 array that they claim to be")
-    numbers = np.frombuffer(tensor.raw_data, "<f4") if tensor.raw_data else np.array(tensor.float_data, np.float32)
+    numbers = (
+        np.frombuffer(tensor.raw_data, "<f4") if tensor.raw_data else np.array(tensor.float_data, np.float32)
+    )
     return numbers.astype(np.float32).reshape(tensor.dims)
 
 
@@ -154,7 +187,9 @@ def _check(node: Any) -> None:
         raise GraphError(f"uses the operator {_shown(operator)}; allowed are {', '.join(OPERATORS)}")
     for attribute in node.attribute:
         if attribute.g or attribute.graphs or attribute.name not in ("transB", "alpha", "beta"):
-            raise GraphError(f"has {_shown(attribute.name)} at a {node.op_type}; allowed are transB, alpha and beta")
+            raise GraphError(
+                f"has {_shown(attribute.name)} at a {node.op_type}; allowed are transB, alpha and beta"
+            )
 
 
 def _shown(text: str) -> str:

@@ -1,16 +1,22 @@
-"""The observations of learned policies, by schema: the same functions serve the env, many missions at once, and the flight.
+"""The observations of learned policies, by schema: the same functions serve the env, many missions at
+once, and the flight.
 
-`paper` (version 1, 5 numbers, in the world's frame): position (x, y), reading and estimate (x, y), as in the paper.
+`paper` (version 1, 5 numbers, in the world's frame): position (x, y), reading and estimate (x, y), as in
+the paper.
 
-`polar` (version 1): the belief as seen from the vehicle. The x axis of its frame points to the estimate. The frame is mirrored if the
-wind would otherwise come from the right. Beliefs that differ only by a rotation or a mirror thus look alike. The numbers are, in order:
+`polar` (version 1): the belief as seen from the vehicle. The x axis of its frame points to the estimate.
+The frame is mirrored if the wind would otherwise come from the right. Beliefs that differ only by a
+rotation or a mirror thus look alike. The numbers are, in order:
 - the belief's mass in 16 sectors of 8 rings, as 2 √mass;
-- the information gain of a reading 2 and 5 m ahead in each of 16 headings, ½ log(1 + Var g(m)). g(m) = asinh(α m/β)/α transforms
+- the information gain of a reading 2 and 5 m ahead in each of 16 headings, ½ log(1 + Var g(m)). g(m) =
+  asinh(α m/β)/α transforms
   the concentrations expected there by the particles into values with noise of standard deviation 1;
-- distance of the estimate, spread and covariance; wind and plume; place in the area, and direction of the frame.
+- distance of the estimate, spread and covariance; wind and plume; place in the area, and direction of the
+  frame.
 
-The policy has its own prior. In training, sources are drawn from the square of Table 1, so particles outside it get a twentieth of
-their weight. The observation also contains the estimator's own spread, since that decides the stop.
+The policy has its own prior. In training, sources are drawn from the square of Table 1, so particles
+outside it get a twentieth of their weight. The observation also contains the estimator's own spread, since
+that decides the stop.
 """
 
 import math
@@ -33,10 +39,27 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Observation = NDArray[np.float32]
 Frame = Array
-"""(3,): direction (cos, sin) of the observation's x axis in the world; 1, or −1 if its y axis is mirrored."""
+"""(3,): direction (cos, sin) of the observation's x axis in the world; 1, or −1 if its y axis is mirrored.
+"""
 
-FACTS = ("x", "y", "gas", "mean_x", "mean_y", "xx", "xy", "yy", "wind_x", "wind_y", "rate", "diffusivity", "lifetime")
-"""The fields of a belief (`link.bus.messages.Belief`) that are used beside its particles; columns of arrays (B, 13)."""
+FACTS = (
+    "x",
+    "y",
+    "gas",
+    "mean_x",
+    "mean_y",
+    "xx",
+    "xy",
+    "yy",
+    "wind_x",
+    "wind_y",
+    "rate",
+    "diffusivity",
+    "lifetime",
+)
+"""The fields of a belief (`link.bus.messages.Belief`) that are used beside its particles; columns of
+arrays (B, 13).
+"""
 X, Y, GAS, MEAN_X, MEAN_Y, XX, _, YY, WIND_X, WIND_Y, RATE, DIFFUSIVITY, LIFETIME = range(len(FACTS))
 
 SECTORS = 16
@@ -64,10 +87,18 @@ COSINES, SINES = elementary.direction(np.arange(HEADINGS) / HEADINGS)
 
 @numba.njit(error_model="numpy")
 def _paper(_x: Array, _y: Array, _weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `frame` and `result` (PAPER,): lengths as shares of the area's side, and the reading z as sign(z) log(1 + |z|)."""
+    """Fill `frame` and `result` (PAPER,): lengths as shares of the area's side, and the reading z as
+    sign(z) log(1 + |z|).
+    """
     frame[0], frame[1], frame[2] = 1.0, 0.0, 1.0
     gas = facts[GAS]
-    numbers = facts[X] / AREA_M, facts[Y] / AREA_M, math.copysign(log1p(abs(gas)), gas), facts[MEAN_X] / AREA_M, facts[MEAN_Y] / AREA_M
+    numbers = (
+        facts[X] / AREA_M,
+        facts[Y] / AREA_M,
+        math.copysign(log1p(abs(gas)), gas),
+        facts[MEAN_X] / AREA_M,
+        facts[MEAN_Y] / AREA_M,
+    )
     for k in range(PAPER):
         result[k] = min(max(numbers[k], -BOUND), BOUND)
 
@@ -83,29 +114,54 @@ def _polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, resul
     speed = math.sqrt(facts[WIND_X] * facts[WIND_X] + facts[WIND_Y] * facts[WIND_Y])
     diffusivity = facts[DIFFUSIVITY]
     wind_x, wind_y = c * facts[WIND_X] + s * facts[WIND_Y], mirror * (c * facts[WIND_Y] - s * facts[WIND_X])
-    length = 1 / math.sqrt(1 / (diffusivity * facts[LIFETIME]) + speed * speed / (4 * diffusivity * diffusivity))
+    length = 1 / math.sqrt(
+        1 / (diffusivity * facts[LIFETIME]) + speed * speed / (4 * diffusivity * diffusivity)
+    )
     said = math.sqrt(facts[XX] + facts[YY])
     middle = 0.5 * (SOURCE_LOW_M + SOURCE_HIGH_M)
     to_x, to_y = middle - px, middle - py
-    # Mirroring at the diagonal maps the area onto itself, so a mirrored frame becomes a plain one if x and y are swapped.
+    # Mirroring at the diagonal maps the area onto itself, so a mirrored frame becomes a plain one if x and y
+    # are swapped.
     plain = mirror > 0
     numbers = (
-        off / 15, log(off + 0.1) / 3, log(said + 0.05) / 3, said / 8, log(spread + 0.05) / 3, spread / 8, 2 * xx - 1, 2 * xy,
-        wind_x / 4, wind_y / 4, wind_x / max(speed, 1e-9), wind_y / max(speed, 1e-9), speed / (2 * diffusivity), log(diffusivity) / 2,
-        length / 10, log(length), log(facts[RATE] / (4 * math.pi * diffusivity)) / 3,
-        (c * to_x + s * to_y) / 15, mirror * (c * to_y - s * to_x) / 15,
-        c if plain else s, s if plain else c, (px if plain else py) / AREA_M, (py if plain else px) / AREA_M, log(inside + 1e-3) / 3,
-    )  # fmt: skip
+        off / 15,
+        log(off + 0.1) / 3,
+        log(said + 0.05) / 3,
+        said / 8,
+        log(spread + 0.05) / 3,
+        spread / 8,
+        2 * xx - 1,
+        2 * xy,
+        wind_x / 4,
+        wind_y / 4,
+        wind_x / max(speed, 1e-9),
+        wind_y / max(speed, 1e-9),
+        speed / (2 * diffusivity),
+        log(diffusivity) / 2,
+        length / 10,
+        log(length),
+        log(facts[RATE] / (4 * math.pi * diffusivity)) / 3,
+        (c * to_x + s * to_y) / 15,
+        mirror * (c * to_y - s * to_x) / 15,
+        c if plain else s,
+        s if plain else c,
+        (px if plain else py) / AREA_M,
+        (py if plain else px) / AREA_M,
+        log(inside + 1e-3) / 3,
+    )
     for k in range(NUMBERS):
         result[POLAR - NUMBERS + k] = min(max(numbers[k], -BOUND), BOUND)
 
 
 @numba.njit(error_model="numpy")
-def _frame(x: Array, y: Array, weights: Array, facts: Array, frame: Frame) -> tuple[float, float, float, float, float]:
+def _frame(
+    x: Array, y: Array, weights: Array, facts: Array, frame: Frame
+) -> tuple[float, float, float, float, float]:
     """Multiply the weights by the policy's prior, normalise them, and fill `frame`.
 
-    Returns the mass inside the square in which sources are drawn (before the prior), the estimate's distance, the spread, and the
-    elements xx and xy of the covariance in the frame as shares of the squared spread.
+    Returns the mass inside the square in which sources are drawn (before the prior), the estimate's
+    distance, the spread, and the elements xx and xy of the covariance in the frame as shares of the
+    squared spread.
     """
     inside, total, mean_x, mean_y = 0.0, 0.0, 0.0, 0.0
     for i in range(len(x)):
@@ -138,7 +194,9 @@ def _frame(x: Array, y: Array, weights: Array, facts: Array, frame: Frame) -> tu
 
 @numba.njit(error_model="numpy")
 def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `result` (CELLS,) with 2 √mass of each sector, ring after ring; the first sector is centred on the frame's x axis."""
+    """Fill `result` (CELLS,) with 2 √mass of each sector, ring after ring; the first sector is centred on
+    the frame's x axis.
+    """
     c, s, mirror = frame
     squares = RINGS_M * RINGS_M
     mass = np.zeros(CELLS)
@@ -163,7 +221,9 @@ def _fill_cells(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
 
 @numba.njit(error_model="numpy")
 def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, result: Observation) -> None:
-    """Fill `result` with the approximate information gain of a reading in each heading, nats, first for AHEAD_M[0], then AHEAD_M[1]."""
+    """Fill `result` with the approximate information gain of a reading in each heading, nats, first for
+    AHEAD_M[0], then AHEAD_M[1].
+    """
     few_x, few_y = np.empty(FEW), np.empty(FEW)
     last, mass = 0, weights[0]
     for k in range(FEW):
@@ -173,7 +233,10 @@ def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
         few_x[k], few_y[k] = x[last], y[last]
     c, s, mirror = frame
     diffusivity, wind_x, wind_y = facts[DIFFUSIVITY], facts[WIND_X], facts[WIND_Y]
-    decay = math.sqrt(1 / (diffusivity * facts[LIFETIME]) + (wind_x * wind_x + wind_y * wind_y) / (4 * diffusivity * diffusivity))
+    decay = math.sqrt(
+        1 / (diffusivity * facts[LIFETIME])
+        + (wind_x * wind_x + wind_y * wind_y) / (4 * diffusivity * diffusivity)
+    )
     scale = STEEPNESS * facts[RATE] / (4 * math.pi * diffusivity)
     drift_x, drift_y = wind_x / (2 * diffusivity), wind_y / (2 * diffusivity)
     steady = np.empty(FEW)
@@ -195,7 +258,10 @@ def _fill_gains(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, 
 
 
 SEE_ALONE = "void(float64[::1], float64[::1], float64[::1], float64[::1], float64[::1], float32[::1])"
-SEE_MISSIONS = "void(float64[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], int64[::1], float64[:, ::1], float32[:, ::1])"
+SEE_MISSIONS = (
+    "void(float64[:, :, ::1], float64[:, ::1], float64[::1], float64[:, ::1], int64[::1], "
+    "float64[:, ::1], float32[:, ::1])"
+)
 
 
 @kernel(SEE_ALONE)
@@ -210,14 +276,26 @@ def _see_polar(x: Array, y: Array, weights: Array, facts: Array, frame: Frame, r
 
 @numba.njit(error_model="numpy")
 def _as_sent(particles: Array, weights: Array, total: float, x: Array, y: Array, sent: Array) -> None:
-    """Fill x, y and `sent` with particles (2, N) and normalised weights as they cross the wire: float32 values."""
+    """Fill x, y and `sent` with particles (2, N) and normalised weights as they cross the wire: float32
+    values.
+    """
     for i in range(len(x)):
-        x[i], y[i], sent[i] = np.float32(particles[0, i]), np.float32(particles[1, i]), np.float32(weights[i] / total)
+        x[i], y[i], sent[i] = (
+            np.float32(particles[0, i]),
+            np.float32(particles[1, i]),
+            np.float32(weights[i] / total),
+        )
 
 
 @kernel(SEE_MISSIONS, nogil=True)
 def _paper_of_missions(
-    _particles: Array, _weights: Array, _totals: Array, facts: Array, missions: Indices, frames: Array, results: NDArray[np.float32]
+    _particles: Array,
+    _weights: Array,
+    _totals: Array,
+    facts: Array,
+    missions: Indices,
+    frames: Array,
+    results: NDArray[np.float32],
 ) -> None:
     nothing = np.empty(0)
     for b in missions:
@@ -226,7 +304,13 @@ def _paper_of_missions(
 
 @kernel(SEE_MISSIONS, nogil=True)
 def _polar_of_missions(
-    particles: Array, weights: Array, totals: Array, facts: Array, missions: Indices, frames: Array, results: NDArray[np.float32]
+    particles: Array,
+    weights: Array,
+    totals: Array,
+    facts: Array,
+    missions: Indices,
+    frames: Array,
+    results: NDArray[np.float32],
 ) -> None:
     x, y, sent = np.empty((3, particles.shape[2]))
     for b in missions:
@@ -243,14 +327,17 @@ class Schema:
     """Numbers in an observation."""
     _see: Callable[[Array, Array, Array, Array, Frame, Observation], None]
     see_missions: Callable[[Array, Array, Array, Array, Indices, Array, NDArray[np.float32]], None]
-    """Fills the last two arguments for the given missions: (particles (B, 2, N), weights (B, N), their sums (B,), facts (B, 13),
-    missions (M,), frames (B, 3), observations (B, size))."""
+    """Fills the last two arguments for the given missions: (particles (B, 2, N), weights (B, N), their
+    sums (B,), facts (B, 13), missions (M,), frames (B, 3), observations (B, size))."""
 
     def see(self, belief: Belief, particles: Particles) -> tuple[Observation, Frame]:
         """Return the observation of a belief, (size,), and its frame, in which actions are meant too."""
         rows = np.array(particles.T, np.float64, order="C")
         columns, weights = dict(zip(belief.unknowns, rows, strict=False)), rows[-1]
-        x, y = (columns.get(name, np.full(len(weights), known)) for name, known in zip("xy", belief.mean, strict=True))
+        x, y = (
+            columns.get(name, np.full(len(weights), known))
+            for name, known in zip("xy", belief.mean, strict=True)
+        )
         facts = (
             *belief.position,
             belief.gas,

@@ -52,9 +52,9 @@ def named() -> tuple[str, ...]:
 def policies() -> dict[str, str]:
     """Return the policies that can be flown, and one line about each.
 
-    The keys are the names that `rollout`, `evaluate` and the flag `--policy` take: the planners, the learned policies that ship,
-    and the policies that installed packages plug in (entry points of the group `plumeward.policies`). A bundle in a file is a
-    policy too, by its path.
+    The keys are the names that `rollout`, `evaluate` and the flag `--policy` take: the planners, the
+    learned policies that ship, and the policies that installed packages plug in (entry points of the group
+    `plumeward.policies`). A bundle in a file is a policy too, by its path.
 
     Example: `"homing" in plumeward.policies()` is True.
     """
@@ -67,7 +67,9 @@ def _first_line(module: str) -> str:
     spec = find_spec(module)
     assert spec is not None
     assert spec.origin is not None
-    return (ast.get_docstring(ast.parse(Path(spec.origin).read_text(encoding="utf-8"))) or "").partition("\n")[0]
+    return (ast.get_docstring(ast.parse(Path(spec.origin).read_text(encoding="utf-8"))) or "").partition(
+        "\n"
+    )[0]
 
 
 def _about(plugin: EntryPoint) -> str:
@@ -79,7 +81,9 @@ def _about(plugin: EntryPoint) -> str:
 
 
 def check(name: str) -> None:
-    """Raise ValueError if no policy has this name, or the file is not a bundle. The policy is not loaded, which may take seconds."""
+    """Raise ValueError if no policy has this name, or the file is not a bundle. The policy is not loaded,
+    which may take seconds.
+    """
     if name in PLANNERS:
         return
     if path := bundle_path(name):
@@ -90,7 +94,9 @@ def check(name: str) -> None:
         except BundleError as error:
             raise ValueError(f"{path}: {error}") from error
     elif not entry_points(group=PLUGINS, name=name):
-        raise ValueError(cli.not_allowed(name, named(), f"{', '.join(named())}, or the path of a bundle, FILE.zip"))
+        raise ValueError(
+            cli.not_allowed(name, named(), f"{', '.join(named())}, or the path of a bundle, FILE.zip")
+        )
 
 
 @cache
@@ -138,20 +144,30 @@ def add_policy_argument(parser: argparse.ArgumentParser, *, several: bool = Fals
 def _plugged_in(name: str, plugins: Sequence[EntryPoint]) -> Policy:
     plugin = plugins[0]
     if len(plugins) > 1:
-        raise ValueError(f"{name} is plugged in more than once, by {' and '.join(each.value for each in plugins)}; wanted one")
+        raise ValueError(
+            f"{name} is plugged in more than once, by {' and '.join(each.value for each in plugins)}; wanted "
+            "one"
+        )
     try:
         found: Policy = plugin.load()
     except Exception as error:  # it may be anybody's code
-        raise ValueError(f"{name} of {plugin.value} does not load: {type(error).__name__}: {_short(str(error))}") from error
+        raise ValueError(
+            f"{name} of {plugin.value} does not load: {type(error).__name__}: {_short(str(error))}"
+        ) from error
     if not callable(found):
-        raise ValueError(f"{name} is {plugin.value}, which cannot be called; wanted a function (belief, particles, reach, rng) -> (x, y)")
+        raise ValueError(
+            f"{name} is {plugin.value}, which cannot be called; wanted a function (belief, particles, reach, "
+            "rng) -> (x, y)"
+        )
     return found
 
 
 def _planned(name: str) -> Policy:
     plan = planners.planner(name)
 
-    def waypoint(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Sequence[float]:
+    def waypoint(
+        belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator
+    ) -> Sequence[float]:
         chosen: Sequence[float] = reach.moves(belief.position)[plan(belief, particles, reach, rng)].tolist()
         return chosen
 
@@ -159,7 +175,9 @@ def _planned(name: str) -> Policy:
 
 
 def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: float = AREA_M) -> Reach:
-    """Return what a policy may choose from: the planner's own `Reach`, with the area and the given fields. Raises ValueError."""
+    """Return what a policy may choose from: the planner's own `Reach`, with the area and the given fields.
+    Raises ValueError.
+    """
     if name in PLANNERS:
         return planners.reach(name, {**given, "area_m": area_m})
     if bundle_path(name):
@@ -168,25 +186,30 @@ def reach(name: str, given: Mapping[str, float] = MappingProxyType({}), area_m: 
             raise ValueError(f"{flags} is for planners; {name} moves as it was trained to")
         if area_m != AREA_M:
             raise ValueError(
-                f"--area: {area_m:g} is not allowed with {name}; learned policies see the area that they were trained in, {AREA_M:g} m"
+                f"--area: {area_m:g} is not allowed with {name}; learned policies see the area that they "
+                f"were trained in, {AREA_M:g} m"
             )
     return Reach(**given, area_m=area_m)  # type: ignore[arg-type]
 
 
 def choose(name: str, belief: Belief, particles: Particles, seed: int, within: Reach) -> tuple[float, float]:
-    """Return the next waypoint (x, y) m in the area, a float32 pair: a function of the belief and the seed alone.
+    """Return the next waypoint (x, y) m in the area, a float32 pair: a function of the belief and the seed
+    alone.
 
     Raises PolicyError where the policy fails, or returns something that is not a waypoint.
     """
     decide = policy(name)
-    seen = np.asfortranarray(particles).view()  # one order of numbers in memory, on the bus and off it: sums depend on it
+    seen = np.asfortranarray(
+        particles
+    ).view()  # one order of numbers in memory, on the bus and off it: sums depend on it
     seen.flags.writeable = False
     try:
         said = decide(belief, seen, within, keyed(seed, name, belief.step))
     except Exception as error:  # it may be anybody's code
         where = traceback.extract_tb(error.__traceback__)[-1]
         raise PolicyError(
-            f"policy {name} failed: {type(error).__name__}: {_short(str(error))} ({Path(where.filename).name}, line {where.lineno})"
+            f"policy {name} failed: {type(error).__name__}: {_short(str(error))} "
+            f"({Path(where.filename).name}, line {where.lineno})"
         ) from error
     try:
         place = np.asarray(said, np.float64)

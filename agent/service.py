@@ -23,16 +23,24 @@ NONE: Mapping[int, tuple[float, float]] = MappingProxyType({})
 
 
 def waypoints(text: str, within: Reach) -> dict[int, tuple[float, float]]:
-    """Read STEP:X,Y;X,Y;... as waypoints (x, y) m by the step of the belief they answer, float32 as on the wire. Raises ValueError."""
+    """Read STEP:X,Y;X,Y;... as waypoints (x, y) m by the step of the belief they answer, float32 as on the
+    wire. Raises ValueError.
+    """
     first, _, rest = text.partition(":")
     try:
         points = [tuple(map(float, point.split(","))) for point in rest.split(";")]
-        path = {int(first) + number: (_carried(x, within), _carried(y, within)) for number, (x, y) in enumerate(points)}
+        path = {
+            int(first) + number: (_carried(x, within), _carried(y, within))
+            for number, (x, y) in enumerate(points)
+        }
         if min(path) >= 0 and all(0.0 <= value <= within.area_m for point in points for value in point):
             return path
     except ValueError:
         pass
-    raise ValueError(f"--waypoints: {text!r} is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to {within.area_m:g} m")
+    raise ValueError(
+        f"--waypoints: {text!r} is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to "
+        f"{within.area_m:g} m"
+    )
 
 
 def _carried(coordinate: float, within: Reach) -> float:
@@ -40,7 +48,13 @@ def _carried(coordinate: float, within: Reach) -> float:
 
 
 def run(
-    bus: Bus, policy: str, seed: int, budget: int, system: int | None, reach: Reach, scripted: Mapping[int, tuple[float, float]] = NONE
+    bus: Bus,
+    policy: str,
+    seed: int,
+    budget: int,
+    system: int | None,
+    reach: Reach,
+    scripted: Mapping[int, tuple[float, float]] = NONE,
 ) -> None:
     """Serve until interrupted: answer each belief, unless the search has ceased or the budget is spent.
 
@@ -72,17 +86,25 @@ def run(
             continue
         if later:
             began = time.perf_counter()
-            waypoint = scripted[belief.step] if belief.step in scripted else choose(policy, belief, particles, seed, reach)
+            waypoint = (
+                scripted[belief.step]
+                if belief.step in scripted
+                else choose(policy, belief, particles, seed, reach)
+            )
             bus.tally.compute_s += time.perf_counter() - began
             bus.tally.did(belief.step)
             answered = belief.time_boot_ms
         # A repeated belief means that our waypoint did not arrive: send the same one again.
-        bus.publish(WAYPOINT, codec.pack(waypoint_message(system, belief.time_boot_ms, waypoint, belief.altitude_m)))
+        bus.publish(
+            WAYPOINT, codec.pack(waypoint_message(system, belief.time_boot_ms, waypoint, belief.altitude_m))
+        )
         bus.answered()
 
 
 def _belief(bus: Bus, arrival: Arrival, area_m: float) -> tuple[Belief, Particles] | None:
-    """Return the belief of a message. An invalid one, which no policy could answer, is refused and gives None; so does all else."""
+    """Return the belief of a message. An invalid one, which no policy could answer, is refused and gives
+    None; so does all else.
+    """
     if arrival.key is STOP:
         bus.take_stop(arrival)
     if arrival.key is not BELIEF:
@@ -109,7 +131,9 @@ def check(belief: Belief, area_m: float) -> None:
     if not len(names) == len(belief.means) == len(belief.stds):
         raise ValueError(f"{len(belief.means)} means and {len(belief.stds)} stds of {len(names)} unknowns")
     if not all(0.0 <= value <= area_m for value in belief.position):
-        raise ValueError(f"position {belief.position} is outside the area [0, {area_m:g}] x [0, {area_m:g}] m")
+        raise ValueError(
+            f"position {belief.position} is outside the area [0, {area_m:g}] x [0, {area_m:g}] m"
+        )
     positive = belief.rate, belief.diffusivity, belief.lifetime
     others = (
         *astuple(parse(belief.sensor)),
@@ -122,7 +146,10 @@ def check(belief: Belief, area_m: float) -> None:
         belief.spread,
     )
     if max(map(abs, (*positive, *others))) > MOST or min(positive) < 1 / MOST:
-        raise ValueError(f"the belief holds a number beyond ±{MOST:g}, or one within {1 / MOST:g} of 0 that must be above 0")
+        raise ValueError(
+            f"the belief holds a number beyond ±{MOST:g}, "
+            f"or one within {1 / MOST:g} of 0 that must be above 0"
+        )
     xx, xy, yy = belief.covariance
     if min(xx, yy) < 0 or abs(xy) > 1.001 * math.sqrt(xx * yy) + 1e-9:
         raise ValueError(f"{belief.covariance} is not a covariance (xx, xy, yy)")

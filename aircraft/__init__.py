@@ -1,4 +1,5 @@
-"""What flies, as the search sees it: flight modes, the words of an operator, and the interface of a vehicle.
+"""What flies, as the search sees it: flight modes, the words of an operator, and the interface of a
+vehicle.
 
 Imports: link.bus, sitl.autopilot.
 """

@@ -1,4 +1,6 @@
-"""What the search needs of a vehicle: arm, take off, mode, setpoint, events and time; and what it needs of the vehicle's clients."""
+"""What the search needs of a vehicle: arm, take off, mode, setpoint, events and time; and what it needs of
+the vehicle's clients.
+"""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -12,7 +14,9 @@ from sitl.autopilot.state import Arrived, Mode, Result, VehicleEvent
 
 
 class Aircraft(Protocol):
-    """A vehicle as its search knows it: the simulated `Vehicle`, or a `RemoteVehicle`. Times in s, positions NED, in m from home."""
+    """A vehicle as its search knows it: the simulated `Vehicle`, or a `RemoteVehicle`. Times in s,
+    positions NED, in m from home.
+    """
 
     config: VehicleConfig
     is_searched: bool
@@ -80,9 +84,11 @@ class Aircraft(Protocol):
 
 
 class Clients(Protocol):
-    """The vehicle's clients on the bus and over --out: where their telemetry comes from, and what becomes of what they say.
+    """The vehicle's clients on the bus and over --out: where their telemetry comes from, and what becomes
+    of what they say.
 
-    A simulated vehicle is its own autopilot. A real one has its own, beside which the search is another component.
+    A simulated vehicle is its own autopilot. A real one has its own, beside which the search is another
+    component.
     """
 
     component: int

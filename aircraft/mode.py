@@ -23,7 +23,9 @@ class Mode(Enum):
 
     @property
     def standard(self) -> int:
-        """MAV_STANDARD_MODE, for stations that do not know PX4's numbers; 0 if no standard mode is like this one."""
+        """MAV_STANDARD_MODE, for stations that do not know PX4's numbers; 0 if no standard mode is like
+        this one.
+        """
         return STANDARD_MODES.get(self, int(mavlink.MAV_STANDARD_MODE_NON_STANDARD))
 
 

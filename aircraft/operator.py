@@ -1,4 +1,5 @@
-"""MAVLink commands of an operator or a companion computer, and the protocol by which one is sent until it is done.
+"""MAVLink commands of an operator or a companion computer, and the protocol by which one is sent until it
+is done.
 
 A mission script's operator events, the page and the companion of a real autopilot send them.
 """
@@ -14,20 +15,29 @@ from sitl.autopilot.state import ACCEPTED, Mode, Result, not_now
 
 CommandName = Literal["hold", "resume", "return", "land"]
 """What an operator wants: the words of the page and of mission scripts."""
-WANTED: dict[CommandName, Mode] = {"hold": Mode.HOLD, "resume": Mode.OFFBOARD, "return": Mode.RETURN, "land": Mode.LAND}
+WANTED: dict[CommandName, Mode] = {
+    "hold": Mode.HOLD,
+    "resume": Mode.OFFBOARD,
+    "return": Mode.RETURN,
+    "land": Mode.LAND,
+}
 """The flight mode that each leads to."""
 OPERATOR = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
 """System id and component id of a ground station."""
 AUTOPILOT, SEARCH = int(mavlink.MAV_COMP_ID_AUTOPILOT1), ONBOARD_COMPUTER
 """Component ids of a vehicle's autopilot, and of the search that flies a real one."""
 LAUNCHER, BY_LAUNCHER = (OPERATOR[0], mavlink.MAV_COMP_ID_PATHPLANNER), "the launcher"
-"""System id and component id of the launcher, which ends a search whose budget is spent, and what people are told of it."""
+"""System id and component id of the launcher, which ends a search whose budget is spent, and what people
+are told of it.
+"""
 TRIES = 5
 """So often a command is sent that nobody acknowledges."""
 IN_PROGRESS_S = 10.0
 """Longest time for a command that the autopilot says is in progress."""
 DONE_S = 3.0
-"""Longest time until telemetry shows what an acknowledged command has changed: a HEARTBEAT comes once a second."""
+"""Longest time until telemetry shows what an acknowledged command has changed: a HEARTBEAT comes once a
+second.
+"""
 REASON_S = 0.3
 """Time in which the text with the reason follows a refusal."""
 NO_ANSWER = "no answer"
@@ -43,18 +53,24 @@ UNSAID = {
 
 def command(system: int, number: int, *params: float, component: int = AUTOPILOT) -> Message:
     """COMMAND_LONG (76) to a component of a system; parameters not given are 0."""
-    return mavlink.MAVLink_command_long_message(system, component, number, 0, *params, *[0.0] * (7 - len(params)))
+    return mavlink.MAVLink_command_long_message(
+        system, component, number, 0, *params, *[0.0] * (7 - len(params))
+    )
 
 
 def change_mode(system: int, mode: Mode) -> Message:
     """COMMAND_LONG (76) with MAV_CMD_DO_SET_MODE (176) and PX4's mode numbers."""
-    return command(system, mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *mode.value)
+    return command(
+        system, mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, *mode.value
+    )
 
 
 def order(name: CommandName, system: int, component: int = AUTOPILOT) -> Message:
-    """Return the command of a word to a system: to the simulated autopilot, or to the `SEARCH` that flies a real one.
+    """Return the command of a word to a system: to the simulated autopilot, or to the `SEARCH` that flies
+    a real one.
 
-    hold: stay where it is. resume: give the vehicle back to its search. return: fly home and land. land: land here.
+    hold: stay where it is. resume: give the vehicle back to its search. return: fly home and land. land:
+    land here.
     """
     match name:
         case "return":
@@ -62,12 +78,16 @@ def order(name: CommandName, system: int, component: int = AUTOPILOT) -> Message
         case "land":
             return command(system, mavlink.MAV_CMD_NAV_LAND, component=component)
     if component == SEARCH:
-        return command(system, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, float(name == "resume"), component=component)
+        return command(
+            system, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, float(name == "resume"), component=component
+        )
     return change_mode(system, WANTED[name])
 
 
 def word_of(number: int, param1: float) -> CommandName | None:
-    """Return the word that a command to the `SEARCH` is: a MAV_CMD and its param 1; None if it is none of the four."""
+    """Return the word that a command to the `SEARCH` is: a MAV_CMD and its param 1; None if it is none of
+    the four.
+    """
     match number:
         case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
             return "return"
@@ -79,15 +99,20 @@ def word_of(number: int, param1: float) -> CommandName | None:
 
 
 def named(sender: tuple[int, int], whence: str) -> str:
-    """Return who a sender is, in words, from system id and component id and how its message came; anybody can write any ids."""
+    """Return who a sender is, in words, from system id and component id and how its message came; anybody
+    can write any ids.
+    """
     return BY_LAUNCHER if sender == LAUNCHER else f"{sender[0]}/{sender[1]} {whence}"
 
 
 class CommandRun:
-    """One command by MAVLink's protocol: sent again until it is acknowledged, and done when telemetry shows it.
+    """One command by MAVLink's protocol: sent again until it is acknowledged, and done when telemetry
+    shows it.
 
-    It holds no link and no clock: its owner sends what is due, and tells what comes. An acknowledgement may be lost: each copy gets one.
-    Telemetry counts more than they do: the acknowledgement of a command that was obeyed may be lost, and that of its copy be a refusal.
+    It holds no link and no clock: its owner sends what is due, and tells what comes. An acknowledgement
+    may be lost: each copy gets one.
+    Telemetry counts more than they do: the acknowledgement of a command that was obeyed may be lost, and
+    that of its copy be a refusal.
 
     Example:
         while (result := run.over(now_s)) is None:
@@ -106,7 +131,8 @@ class CommandRun:
     ) -> None:
         """Begin with a COMMAND_LONG. Times are of the caller's clock, s.
 
-        seen: whether telemetry shows that it is done; reason: the text, if any, that came with a refusal; every_s: time between copies;
+        seen: whether telemetry shows that it is done; reason: the text, if any, that came with a refusal;
+        every_s: time between copies;
         done_s, reason_s: longest time until telemetry shows it, and until the reason of a refusal comes.
         """
         self._message, self._seen, self._reason = message, seen, reason
@@ -136,7 +162,9 @@ class CommandRun:
         return again
 
     def acknowledged(self, number: int, result: int, now_s: float) -> None:
-        """Take a COMMAND_ACK: the MAV_CMD and its MAV_RESULT. The first result counts, unless it says that more will follow."""
+        """Take a COMMAND_ACK: the MAV_CMD and its MAV_RESULT. The first result counts, unless it says that
+        more will follow.
+        """
         if number == self._message.command and self._result in (None, mavlink.MAV_RESULT_IN_PROGRESS):
             self._result, self._answered_s = result, now_s
 
@@ -154,4 +182,7 @@ class CommandRun:
             reason, longest_s = self._reason(), self._reason_s
         if not reason and waited_s < longest_s:
             return None
-        return Result(self._result, reason or UNSAID.get(self._result, f"the vehicle answered with result {self._result}"))
+        return Result(
+            self._result,
+            reason or UNSAID.get(self._result, f"the vehicle answered with result {self._result}"),
+        )

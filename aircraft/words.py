@@ -25,13 +25,18 @@ class Words:
         self._chunked_texts = 0
 
     def statustext(self, severity: int, text: str) -> list[Message]:
-        """Return a text as STATUSTEXT (253). A long text is split into chunks of one id; the first chunk that is not full ends it."""
+        """Return a text as STATUSTEXT (253). A long text is split into chunks of one id; the first chunk
+        that is not full ends it.
+        """
         raw = text.encode("ascii", "replace")
         if len(raw) <= TEXT_LENGTH:
             return [mavlink.MAVLink_statustext_message(severity, raw)]
         self._chunked_texts = self._chunked_texts % 0xFFFF + 1
         chunks = [raw[at : at + TEXT_LENGTH] for at in range(0, len(raw) + 1, TEXT_LENGTH)]
-        return [mavlink.MAVLink_statustext_message(severity, chunk, self._chunked_texts, n) for n, chunk in enumerate(chunks)]
+        return [
+            mavlink.MAVLink_statustext_message(severity, chunk, self._chunked_texts, n)
+            for n, chunk in enumerate(chunks)
+        ]
 
     def refuse(self, message: Message, result: Result) -> list[Message]:
         """Return the answer to a command or a change of mode that is refused."""
@@ -41,11 +46,15 @@ class Words:
     def answer(self, message: Message, command: int, result: Result) -> list[Message]:
         """Return the acknowledgement of a command, and the reason if it is refused."""
         to = message.get_srcSystem(), message.get_srcComponent()
-        ack = mavlink.MAVLink_command_ack_message(command, result.code, target_system=to[0], target_component=to[1])
+        ack = mavlink.MAVLink_command_ack_message(
+            command, result.code, target_system=to[0], target_component=to[1]
+        )
         return [ack, *self.reason(result)]
 
     def refuse_setpoint(self, result: Result, t_s: float) -> list[Message]:
-        """Count a setpoint that is denied; returns the reason as STATUSTEXT, unless the same kind was told within a second."""
+        """Count a setpoint that is denied; returns the reason as STATUSTEXT, unless the same kind was told
+        within a second.
+        """
         if result.code != mavlink.MAV_RESULT_DENIED:
             return []
         self.refused[result.kind] += 1

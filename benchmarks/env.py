@@ -1,9 +1,10 @@
-"""Env steps per second of single and batched missions, compared with gymnasium's vector environments; the time of each part of a step.
+"""Env steps per second of single and batched missions, compared with gymnasium's vector environments; the
+time of each part of a step.
 
     NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.env
 
-Each flight makes 40 moves towards the estimate. A mission that stops earlier is followed by another one, as in training. The reset
-before a flight is not timed; resets during a flight are.
+Each flight makes 40 moves towards the estimate. A mission that stops earlier is followed by another one,
+as in training. The reset before a flight is not timed; resets during a flight are.
 """
 
 import statistics
@@ -68,7 +69,9 @@ def side_by_side(env: Any, missions: int = MISSIONS) -> tuple[float, int]:
 
 
 def speeds(flights: dict[str, Flight]) -> dict[str, float]:
-    """Steps per second, median over the repeats. Each repeat runs all flights in turn, so that other load slows them alike."""
+    """Steps per second, median over the repeats. Each repeat runs all flights in turn, so that other load
+    slows them alike.
+    """
     said: dict[str, list[float]] = {}
     began = time.perf_counter()
     for _ in range(REPEATS):
@@ -85,7 +88,9 @@ def by_size(particles: int) -> dict[str, float]:
     flights: dict[str, Flight] = {"single env": partial(alone, particles)}
     result = speeds(flights)
     for count in BATCHES:
-        result |= speeds({f"{count:,} side by side": partial(side_by_side, SourceSearchVector(count, particles=particles))})
+        result |= speeds(
+            {f"{count:,} side by side": partial(side_by_side, SourceSearchVector(count, particles=particles))}
+        )
     return result
 
 
@@ -98,8 +103,14 @@ def beside_peers() -> dict[str, tuple[int, float]]:
     ways: dict[str, tuple[int, Flight]] = {
         f"ours, {PEERS_BATCH} missions": (1, partial(side_by_side, native(PEERS_BATCH), PEERS_BATCH)),
         f"ours, {THREADS_BATCH} missions": (1, partial(side_by_side, native(THREADS_BATCH), THREADS_BATCH)),
-        f"ours, {THREADS_BATCH} missions, 2 threads": (2, partial(side_by_side, native(THREADS_BATCH, threads=2), THREADS_BATCH)),
-        f"gymnasium's SyncVectorEnv, {PEERS_BATCH} missions": (1, partial(side_by_side, in_turn, PEERS_BATCH)),
+        f"ours, {THREADS_BATCH} missions, 2 threads": (
+            2,
+            partial(side_by_side, native(THREADS_BATCH, threads=2), THREADS_BATCH),
+        ),
+        f"gymnasium's SyncVectorEnv, {PEERS_BATCH} missions": (
+            1,
+            partial(side_by_side, in_turn, PEERS_BATCH),
+        ),
         "gymnasium's AsyncVectorEnv, 2 processes of a mission each": (2, partial(side_by_side, processes)),
     }
     said = speeds({name: flight for name, (_, flight) in ways.items()})
@@ -151,7 +162,9 @@ def parts(count: int) -> dict[str, float]:
         (missions._batch, "may_claim", "whether a stop may be claimed"),
     ):
         setattr(owner, name, watch.timed(part, getattr(owner, name)))
-    missions._schema = replace(missions._schema, see_missions=watch.timed("observation", missions._schema.see_missions))
+    missions._schema = replace(
+        missions._schema, see_missions=watch.timed("observation", missions._schema.see_missions)
+    )
     said = []
     for _ in range(REPEATS):
         env.reset(seed=0)
@@ -177,18 +190,28 @@ def main() -> None:
         split = parts(PEERS_BATCH)
         progress.advance(task)
 
-    table = Table("missions", *(f"N = {particles:,}" for particles in PARTICLES), title="env steps a second, polar observation, one thread")
+    table = Table(
+        "missions",
+        *(f"N = {particles:,}" for particles in PARTICLES),
+        title="env steps a second, polar observation, one thread",
+    )
     for row in columns[USUAL]:
         table.add_row(row, *(f"{said[row]:,.0f}" for said in columns.values()))
     console.print(table)
 
     ours = next(iter(peers.values()))[1]
-    table = Table("", "cores", "steps/s", "per core", "ours is faster per core", title=f"beside others, N = {USUAL}")
+    table = Table(
+        "", "cores", "steps/s", "per core", "ours is faster per core", title=f"beside others, N = {USUAL}"
+    )
     for name, (cores, speed) in peers.items():
-        table.add_row(name, str(cores), f"{speed:,.0f}", f"{speed / cores:,.0f}", f"{ours * cores / speed:.2f}x")
+        table.add_row(
+            name, str(cores), f"{speed:,.0f}", f"{speed / cores:,.0f}", f"{ours * cores / speed:.2f}x"
+        )
     console.print(table)
 
-    table = Table("part", "µs", "share", title=f"one step of a mission, {PEERS_BATCH} side by side, N = {USUAL}")
+    table = Table(
+        "part", "µs", "share", title=f"one step of a mission, {PEERS_BATCH} side by side, N = {USUAL}"
+    )
     whole = sum(split.values())
     for part, seconds in sorted(split.items(), key=lambda item: -item[1]):
         table.add_row(part, f"{1e6 * seconds:.1f}", f"{seconds / whole:.0%}")
@@ -196,7 +219,8 @@ def main() -> None:
 
     row, best = max(columns[USUAL].items(), key=lambda item: item[1])
     console.print(
-        f"wanted {WANTED:,} steps/s per core at N = {USUAL}: measured {best:,.0f} ({row}), {ours:,.0f} at {PEERS_BATCH} side by side"
+        f"wanted {WANTED:,} steps/s per core at N = {USUAL}: measured {best:,.0f} ({row}), {ours:,.0f} at "
+        f"{PEERS_BATCH} side by side"
     )
 
 

@@ -86,19 +86,38 @@ def main() -> None:
     for kind in peers.values():
         peer_times(kind, 1_000_000, 1000, flights[1_000_000], moves=True)  # compiles the kernels
     print("µs an update: median without resampling; mean over whole missions, resample-and-move included\n")
-    print("| N | filter | without resampling | ours is faster | whole mission, mean | ours is faster |\n|---|---|---|---|---|---|")
+    print(
+        "| N | filter | without resampling | ours is faster | whole mission, mean | ours is faster "
+        "|\n|---|---|---|---|---|---|"
+    )
     for count in SIZES:
         runs = [ours(seed, count, flights[seed]) for seed in seeds]
-        plain = float(np.median([t for times, moved in runs for t, m in zip(times, moved, strict=True) if not m]))
+        plain = float(
+            np.median([t for times, moved in runs for t, m in zip(times, moved, strict=True) if not m])
+        )
         mean = float(np.mean([t for times, _ in runs for t in times]))
         alone = float(np.median([limit(seed, count, flights[seed]) for seed in seeds]))
         print(f"| {count} | likelihoods alone, the limit | {1e6 * alone:.1f} | {alone / plain:.2f}x | | |")
         print(f"| {count} | ours | {1e6 * plain:.1f} | | {1e6 * mean:.0f} | |")
         for name, kind in peers.items():
-            reweighing = float(np.median([t for seed in seeds for t in peer_times(kind, seed, count, flights[seed], moves=False)]))
-            moving = float(np.mean([t for seed in seeds for t in peer_times(kind, seed, count, flights[seed], moves=True)]))
-            print(f"| {count} | {name} | {1e6 * reweighing:.0f} | {reweighing / plain:.1f}x | {1e6 * moving:.0f} | {moving / mean:.1f}x |")
-    print("\n| missions in a batch, N 1,000 | threads | µs a mission and update, whole missions |\n|---|---|---|")
+            reweighing = float(
+                np.median(
+                    [t for seed in seeds for t in peer_times(kind, seed, count, flights[seed], moves=False)]
+                )
+            )
+            moving = float(
+                np.mean(
+                    [t for seed in seeds for t in peer_times(kind, seed, count, flights[seed], moves=True)]
+                )
+            )
+            print(
+                f"| {count} | {name} | {1e6 * reweighing:.0f} | {reweighing / plain:.1f}x | "
+                f"{1e6 * moving:.0f} | {moving / mean:.1f}x |"
+            )
+    print(
+        "\n| missions in a batch, N 1,000 | threads | µs a mission and update, whole missions "
+        "|\n|---|---|---|"
+    )
     for size in BATCHES:
         for threads in (1, 2):
             batch = Batch([config_of(1_000_000 + i, 1000) for i in range(size)], threads)

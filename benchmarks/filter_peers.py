@@ -1,6 +1,7 @@
 """Three peer filters for the benchmark: Stone Soup's, IBIS of the package `particles`, and plain NumPy.
 
-Each has the same knowledge as our filter (wind with each reading; q, d, τ beforehand), as many particles and the same uniform prior.
+Each has the same knowledge as our filter (wind with each reading; q, d, τ beforehand), as many particles
+and the same uniform prior.
 The libraries are imported when a peer is created: importing this module needs neither.
 """
 
@@ -47,7 +48,9 @@ class Peer(ABC):
         """Assimilate one reading (x, y, wind_x, wind_y, gas): m, m, m/s, m/s, g/m³."""
 
     def log_likelihood(self, x: Array, y: Array, row: Array) -> Array:
-        """Log-density of one reading for sources at (x, y): the plume model of `plume/dispersion.py` and the Gaussian sensor."""
+        """Log-density of one reading for sources at (x, y): the plume model of `plume/dispersion.py` and
+        the Gaussian sensor.
+        """
         sensor_x, sensor_y, wind_x, wind_y, gas = row
         d, tau = self.diffusivity, self.lifetime
         decay_length = math.sqrt(d * tau / (1 + (wind_x**2 + wind_y**2) * tau / (4 * d)))
@@ -62,17 +65,23 @@ class Peer(ABC):
 
 @dataclass
 class StoneSoup(Peer):
-    """Stone Soup's `ParticleUpdater`, gas model, `ESSResampler` and `MCMCRegulariser`, combined as in its own gas example.
+    """Stone Soup's `ParticleUpdater`, gas model, `ESSResampler` and `MCMCRegulariser`, combined as in its
+    own gas example.
 
     Differences from our filter:
-    - σ is α m + β: the noises are added, not combined in quadrature. This σ is up to 1.4 times ours. The sensing threshold is set below
+    - σ is α m + β: the noises are added, not combined in quadrature. This σ is up to 1.4 times ours. The
+      sensing threshold is set below
       all readings.
-    - The regulariser makes one sweep. Its target is the newest reading's likelihood times a Gaussian around the particle's previous
+    - The regulariser makes one sweep. Its target is the newest reading's likelihood times a Gaussian
+      around
+      the particle's previous
       position, not the posterior given all readings. The result is close to that posterior, but not equal.
-    - Likelihoods are exponentiated before the log is taken: if every particle is 38 σ or more from the reading, all weights become NaN.
+    - Likelihoods are exponentiated before the log is taken: if every particle is 38 σ or more from the
+      reading, all weights become NaN.
 
-    The state is (x, y). With the model's own eight dimensions, six of them known, reweighting takes equally long, and the regulariser
-    raises, because it needs a regular covariance. The example's predictor is omitted: it does not change a source that stays.
+    The state is (x, y). With the model's own eight dimensions, six of them known, reweighting takes
+    equally long, and the regulariser raises, because it needs a regular covariance. The example's
+    predictor is omitted: it does not change a source that stays.
     """
 
     def __post_init__(self) -> None:
@@ -90,30 +99,50 @@ class StoneSoup(Peer):
         class PlumeOfKnownRelease(IsotropicPlume):  # type: ignore[misc]
             """Stone Soup's plume for a state in which only x and y are unknown."""
 
-            known: Any = Property(doc="The other six of its eight dimensions, (6, 1): z, Q, u, φ, ζ₁ (d), ζ₂ (τ)")
+            known: Any = Property(
+                doc="The other six of its eight dimensions, (6, 1): z, Q, u, φ, ζ₁ (d), ζ₂ (τ)"
+            )
 
             def function(self, state: Any, noise: Any = False, **kwargs: Any) -> Any:
                 known = np.broadcast_to(self.known, (6, state.state_vector.shape[1]))
-                return super().function(State(StateVectors(np.vstack([state.state_vector, known]))), noise, **kwargs)
+                return super().function(
+                    State(StateVectors(np.vstack([state.state_vector, known]))), noise, **kwargs
+                )
 
         def hypothesis(state: Any, row: Array) -> Any:
             x, y, wind_x, wind_y, gas = row
             model = PlumeOfKnownRelease(
-                known=np.array([[0, self.rate, math.hypot(wind_x, wind_y), math.atan2(wind_y, wind_x), self.diffusivity, self.lifetime]]).T,
+                known=np.array(
+                    [
+                        [
+                            0,
+                            self.rate,
+                            math.hypot(wind_x, wind_y),
+                            math.atan2(wind_y, wind_x),
+                            self.diffusivity,
+                            self.lifetime,
+                        ]
+                    ]
+                ).T,
                 translation_offset=StateVector([x, y, 0]),
                 standard_deviation_percentage=SENSOR_NOISE,
                 min_noise=ENVIRONMENT_NOISE,
                 sensing_threshold=-np.inf,
                 missed_detection_probability=0,
             )
-            return SingleHypothesis(Prediction.from_state(state, parent=state), Detection(StateVector([gas]), measurement_model=model))
+            return SingleHypothesis(
+                Prediction.from_state(state, parent=state),
+                Detection(StateVector([gas]), measurement_model=model),
+            )
 
         def outside(state: Any) -> Any:
             return ((state.state_vector < 0) | (state.state_vector > self.area_m)).any(axis=0)
 
         np.random.seed(self.seed)  # noqa: NPY002  Stone Soup draws from NumPy's global state
         particles = np.random.default_rng(self.seed).uniform(0, self.area_m, (2, self.count))
-        self._state: Any = ParticleState(StateVectors(particles), log_weight=np.full(self.count, -math.log(self.count)))
+        self._state: Any = ParticleState(
+            StateVectors(particles), log_weight=np.full(self.count, -math.log(self.count))
+        )
         resampling = {"resampler": ESSResampler(), "regulariser": MCMCRegulariser(constraint_func=outside)}
         self._updater = ParticleUpdater(None, **resampling if self.moves else {})
         self._hypothesis = hypothesis
@@ -125,14 +154,18 @@ class StoneSoup(Peer):
 
 @dataclass
 class Particles(Peer):
-    """IBIS (Chopin 2002) of the package `particles`, its method for a static parameter: one reading per step, random-walk Metropolis.
+    """IBIS (Chopin 2002) of the package `particles`, its method for a static parameter: one reading per
+    step, random-walk Metropolis.
 
-    The model is ours. Differences: it resamples and moves at the start of the step after the weights degenerated; it has no tempering;
-    if a reading leaves one particle with all the weight, it raises (the proposal's covariance is singular).
+    The model is ours. Differences: it resamples and moves at the start of the step after the weights
+    degenerated; it has no tempering; if a reading leaves one particle with all the weight, it raises (the
+    proposal's covariance is singular).
     """
 
     waste_free: bool = False
-    """The library's default is True (Dau & Chopin 2022): move count/(1 + SWEEPS) particles, keep every state of their chains."""
+    """The library's default is True (Dau & Chopin 2022): move count/(1 + SWEEPS) particles, keep every
+    state of their chains.
+    """
 
     def __post_init__(self) -> None:
         """Set up the sampler."""
@@ -167,7 +200,9 @@ class Particles(Peer):
 
 @dataclass
 class PlainNumpy(Peer):
-    """Vectorised NumPy: our filter without compiled loops, tempering or early rejection, with a Gaussian random-walk proposal."""
+    """Vectorised NumPy: our filter without compiled loops, tempering or early rejection, with a Gaussian
+    random-walk proposal.
+    """
 
     def __post_init__(self) -> None:
         """Draw the prior."""
@@ -205,8 +240,12 @@ class PlainNumpy(Peer):
         scale = 2.38 / math.sqrt(2) * np.linalg.cholesky(covariance + 1e-9 * np.eye(2))
         for _ in range(SWEEPS):
             proposals = self._particles + scale @ self._rng.standard_normal((2, self.count))
-            log_posterior = np.sum([self.log_likelihood(proposals[0], proposals[1], row) for row in self._readings], axis=0)
+            log_posterior = np.sum(
+                [self.log_likelihood(proposals[0], proposals[1], row) for row in self._readings], axis=0
+            )
             inside = ((proposals >= 0) & (proposals <= self.area_m)).all(axis=0)
-            accepted = inside & (log_posterior - self._log_posterior > -self._rng.standard_exponential(self.count))
+            accepted = inside & (
+                log_posterior - self._log_posterior > -self._rng.standard_exponential(self.count)
+            )
             self._particles = np.where(accepted, proposals, self._particles)
             self._log_posterior = np.where(accepted, log_posterior, self._log_posterior)

@@ -1,10 +1,11 @@
-"""How many vehicles one machine carries: full stacks in real time, 10 Hz telemetry and about one reading a second each.
+"""How many vehicles one machine carries: full stacks in real time, 10 Hz telemetry and about one reading a
+second each.
 
-    python -m benchmarks.fleet                          # 1, 2, 4, 8, ... vehicles, until the p99 latency of a step has doubled
-    python -m benchmarks.fleet --vehicles 6 --seconds 60
+    python -m benchmarks.fleet                          # 1, 2, 4, 8, ... vehicles, until the p99 latency
+    of a step has doubled python -m benchmarks.fleet --vehicles 6 --seconds 60
 
-One router; a vehicle, an estimator and an agent for each instance. The latency of a step is from the reading to its waypoint, as an
-observer on the bus sees them.
+One router; a vehicle, an estimator and an agent for each instance. The latency of a step is from the
+reading to its waypoint, as an observer on the bus sees them.
 """
 
 import argparse
@@ -42,7 +43,8 @@ MB = 1e6
 
 
 class Load(NamedTuple):
-    """What a fleet did: latencies in ms, readings a second and vehicle, and by part CPU seconds a second and memory in MB.
+    """What a fleet did: latencies in ms, readings a second and vehicle, and by part CPU seconds a second
+    and memory in MB.
 
     Memory is the proportional set size: what processes share is divided among them.
     """
@@ -55,7 +57,9 @@ class Load(NamedTuple):
 
 def measure(vehicles: int, seconds: float) -> Load:
     """Fly a fleet."""
-    script = Script().changed({"agent.policy": "random", "agent.budget": 100_000, "estimator.threshold_m": 1e-9})
+    script = Script().changed(
+        {"agent.policy": "random", "agent.budget": 100_000, "estimator.threshold_m": 1e-9}
+    )
     fleets: list[Processes] = []
     buses: list[Bus] = []
     latencies: list[float] = []
@@ -78,9 +82,17 @@ def measure(vehicles: int, seconds: float) -> Load:
             wait_until(functools.partial(there, bus), f"the parts of vehicle {instance + 1} are there")
             for stream in STREAMS:
                 if stream.rate_hz > TELEMETRY_HZ:
-                    order = command(instance + 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, stream.message_id, 1e6 / TELEMETRY_HZ)
+                    order = command(
+                        instance + 1,
+                        mavlink.MAV_CMD_SET_MESSAGE_INTERVAL,
+                        stream.message_id,
+                        1e6 / TELEMETRY_HZ,
+                    )
                     bus.publish(MAVLINK_IN, Codec(*OPERATOR).pack(order))
-        wait_until(lambda: len({instance for instance, _ in list(asked)}) == vehicles, "each vehicle has taken a reading")
+        wait_until(
+            lambda: len({instance for instance, _ in list(asked)}) == vehicles,
+            "each vehicle has taken a reading",
+        )
         time.sleep(2.0)
         latencies.clear()
         before, began = spent(), time.monotonic()
@@ -123,14 +135,18 @@ def asked_at(instance: int, asked: dict[tuple[int, int], float], item: Any) -> N
     asked.setdefault((instance, unpack_reading(arrival.payload).time_boot_ms), arrival.at)
 
 
-def answered_at(instance: int, asked: dict[tuple[int, int], float], latencies: list[float], item: Arrival) -> None:
+def answered_at(
+    instance: int, asked: dict[tuple[int, int], float], latencies: list[float], item: Arrival
+) -> None:
     """Take the time of a reading's first waypoint."""
     try:
         messages = unpack(item.payload)
     except BadFrame:
         return
     for message in messages:
-        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED" and (at := asked.get((instance, message.time_boot_ms))):
+        if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED" and (
+            at := asked.get((instance, message.time_boot_ms))
+        ):
             asked[instance, message.time_boot_ms] = 0.0
             latencies.append(1000 * (item.at - at))
 
@@ -164,22 +180,39 @@ def held() -> dict[str, float]:
 def row(vehicles: int, load: Load) -> str:
     """One line of the table."""
     p50, p99 = np.percentile(load.latencies, [50, 99])
-    shares = " | ".join(f"{1000 * load.cpu[part] / vehicles:.1f}, {load.memory[part] / vehicles:.0f}" for part in PARTS)
-    return f"| {vehicles} | {len(load.latencies)} | {load.readings_hz:.2f} | {p50:.2f} | {p99:.2f} | {shares} |"
+    shares = " | ".join(
+        f"{1000 * load.cpu[part] / vehicles:.1f}, {load.memory[part] / vehicles:.0f}" for part in PARTS
+    )
+    return (
+        f"| {vehicles} | {len(load.latencies)} | {load.readings_hz:.2f} | {p50:.2f} | {p99:.2f} | {shares} |"
+    )
 
 
 def main() -> None:
     """Fly fleets of growing size, and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument(
-        "--vehicles", type=cli.listed(cli.whole(1, 100)), metavar="N,N", help="sizes of the fleet (default: until p99 doubles)"
+        "--vehicles",
+        type=cli.listed(cli.whole(1, 100)),
+        metavar="N,N",
+        help="sizes of the fleet (default: until p99 doubles)",
     )
     parser.add_argument(
-        "--seconds", type=cli.number(0.0, 3600.0, above=True), default=60.0, metavar="S", help="time measured, s (default: %(default)s)"
+        "--seconds",
+        type=cli.number(0.0, 3600.0, above=True),
+        default=60.0,
+        metavar="S",
+        help="time measured, s (default: %(default)s)",
     )
     args = parser.parse_args()
     print("By part: ms of processor time a second and MB of memory, for each vehicle.\n")
-    print("| vehicles | steps | readings, Hz | p50, ms | p99, ms | " + " | ".join(PARTS) + " |\n" + "|---" * (5 + len(PARTS)) + "|")
+    print(
+        "| vehicles | steps | readings, Hz | p50, ms | p99, ms | "
+        + " | ".join(PARTS)
+        + " |\n"
+        + "|---" * (5 + len(PARTS))
+        + "|"
+    )
     sizes = list(args.vehicles or [1])
     base = None
     while sizes:

@@ -1,7 +1,8 @@
 """Loop speed: ms per step of whole missions at --speedup 0, split into sitl, link, estimator and agent.
 
-The same run also measures the same missions in-process, and a bare Zenoh ring (three clients, one router, messages of the same size,
-no computation). The ring is the lower limit of the link's time. With --secure the ring and each mission are also measured over mutual TLS.
+The same run also measures the same missions in-process, and a bare Zenoh ring (three clients, one router,
+messages of the same size, no computation). The ring is the lower limit of the link's time. With --secure
+the ring and each mission are also measured over mutual TLS.
 """
 
 import argparse
@@ -31,16 +32,25 @@ RING_ROUNDS = 2000
 def fly(seed: int, policy: str, particles: int, secure: Path | None = None) -> list[dict[str, float]]:
     """Fly one mission; returns the milliseconds of each step, by part."""
     processes = Processes(Inbox())
-    script = Script().changed({"seed": seed, "agent.policy": policy, "estimator.particles": particles, "estimator.assume": "paper"})
+    script = Script().changed(
+        {"seed": seed, "agent.policy": policy, "estimator.particles": particles, "estimator.assume": "paper"}
+    )
     read_at: list[tuple[int, float]] = []
     compute: dict[str, dict[int, float]] = defaultdict(dict)
     try:
-        endpoint = start_parts(processes, Launch(script, uav_arguments=("--seed", str(seed), "--speedup", "0"), secure=secure), {})
+        endpoint = start_parts(
+            processes,
+            Launch(script, uav_arguments=("--seed", str(seed), "--speedup", "0"), secure=secure),
+            {},
+        )
         with Bus("bench", endpoint, announced=False, secure=secure) as bus:
             bus.subscribe(READING, BELIEF, HEALTH)
             last: int | None = None
             while last is None or not (
-                last < len(read_at) and last in compute["estimator"] and last - 1 in compute["agent"] and last in compute["uav"]
+                last < len(read_at)
+                and last in compute["estimator"]
+                and last - 1 in compute["agent"]
+                and last in compute["uav"]
             ):  # readings may come late: a missing one is asked for again
                 item = bus.receive()
                 now = time.perf_counter()
@@ -60,9 +70,13 @@ def fly(seed: int, policy: str, particles: int, secure: Path | None = None) -> l
     finally:
         processes.stop()
     steps = []
-    for step in range(1, last):  # from one reading to the next: the estimator and the agent answer reading `step`
+    for step in range(
+        1, last
+    ):  # from one reading to the next: the estimator and the agent answer reading `step`
         known = step in compute["uav"] and step + 1 in compute["uav"]
-        if not (known and all({step - 1, step} <= compute[service].keys() for service in ("estimator", "agent"))):
+        if not (
+            known and all({step - 1, step} <= compute[service].keys() for service in ("estimator", "agent"))
+        ):
             continue  # health messages may be dropped: such a step is not measured
         total = read_at[step + 1][1] - read_at[step][1]
         parts = {
@@ -70,13 +84,19 @@ def fly(seed: int, policy: str, particles: int, secure: Path | None = None) -> l
             "estimator": compute["estimator"][step] - compute["estimator"][step - 1],
             "agent": compute["agent"][step] - compute["agent"][step - 1],
         }
-        parts |= {"total": total, "link": total - sum(parts.values()), "beyond the planner": total - parts["agent"]}
+        parts |= {
+            "total": total,
+            "link": total - sum(parts.values()),
+            "beyond the planner": total - parts["agent"],
+        }
         steps.append({name: 1000 * seconds for name, seconds in parts.items()})
     return steps
 
 
 def ring(particles: int, secure: Path | None = None) -> list[float]:
-    """Milliseconds of each round of the bare ring: messages of a reading's, belief's and waypoint's size through a router process."""
+    """Milliseconds of each round of the bare ring: messages of a reading's, belief's and waypoint's size
+    through a router process.
+    """
     processes = Processes(Inbox())
     try:
         endpoint = processes.start_router("tcp/127.0.0.1:0", secure)
@@ -142,7 +162,9 @@ def main() -> None:
         seeds = range(args.first_seed, args.first_seed + args.missions)
         steps = []
         in_process = []
-        rollout(args.first_seed, policy, args.particles, assume="paper")  # the first mission of a process loads the kernels
+        rollout(
+            args.first_seed, policy, args.particles, assume="paper"
+        )  # the first mission of a process loads the kernels
         for seed in seeds:
             steps += fly(seed, policy, args.particles)
             began = time.perf_counter()

@@ -1,8 +1,9 @@
-"""How old a scene is when the page has drawn it, and how long a record takes to open, in headless Chromium: `python -m benchmarks.page`.
+"""How old a scene is when the page has drawn it, and how long a record takes to open, in headless
+Chromium: `python -m benchmarks.page`.
 
-A mission's scenes change many times a second, each with new particles; the server sends them as it does live. The age is the time from
-publication until the frame with the scene was drawn, by one clock. A record is opened as from a shell: from the start of
-`plumeward view LOG` until its last scene is drawn.
+A mission's scenes change many times a second, each with new particles; the server sends them as it does
+live. The age is the time from publication until the frame with the scene was drawn, by one clock. A record
+is opened as from a shell: from the start of `plumeward view LOG` until its last scene is drawn.
 """
 
 import argparse
@@ -29,7 +30,9 @@ TIMES = 5
 """How often the record is opened."""
 
 
-def measure(particles: int, rate_hz: float, duration_s: float, scheme: str, size: tuple[int, int]) -> dict[str, float]:
+def measure(
+    particles: int, rate_hz: float, duration_s: float, scheme: str, size: tuple[int, int]
+) -> dict[str, float]:
     """Return the figures of one window."""
     stage = Stage()
     stage.open()
@@ -59,22 +62,40 @@ def measure(particles: int, rate_hz: float, duration_s: float, scheme: str, size
         stage.close()
     middle, late, latest = np.percentile(ages_ms, (50, 95, 100))
     return {
-        "median_ms": float(middle), "p95_ms": float(late), "most_ms": float(latest),
-        "sent_per_s": sent / (WARM_UP_S + duration_s), "drawn_per_s": drawn / duration_s,
-    }  # fmt: skip
+        "median_ms": float(middle),
+        "p95_ms": float(late),
+        "most_ms": float(latest),
+        "sent_per_s": sent / (WARM_UP_S + duration_s),
+        "drawn_per_s": drawn / duration_s,
+    }
 
 
 def opening() -> list[float]:
-    """Fly a mission of RECORD_STEPS steps that does not cease, and return how long its record took to open each time, s."""
+    """Fly a mission of RECORD_STEPS steps that does not cease, and return how long its record took to open
+    each time, s.
+    """
     plumeward = [sys.executable, "-m", "sitl"]
     with tempfile.TemporaryDirectory() as folder, launched() as browser:
         log = str(Path(folder) / "log.mcap")
-        flown = ["--policy", "random", "--threshold", "0.0001", "--budget", str(RECORD_STEPS), "--speedup", "0", "--record", log]
+        flown = [
+            "--policy",
+            "random",
+            "--threshold",
+            "0.0001",
+            "--budget",
+            str(RECORD_STEPS),
+            "--speedup",
+            "0",
+            "--record",
+            log,
+        ]
         subprocess.run([*plumeward, "fly", *flown], check=True, capture_output=True, cwd=folder)
         found = []
         for _ in range(TIMES):
             began = time.perf_counter()
-            server = subprocess.Popen([*plumeward, "view", log, "--port", "0"], stdout=subprocess.PIPE, text=True)
+            server = subprocess.Popen(
+                [*plumeward, "view", log, "--port", "0"], stdout=subprocess.PIPE, text=True
+            )
             assert server.stdout
             with browser.new_context() as context:
                 page = context.new_page()
@@ -82,7 +103,10 @@ def opening() -> list[float]:
                 while not page.evaluate("window.plumeward?.drawn"):
                     page.wait_for_timeout(5)
                 found.append(time.perf_counter() - began)
-                assert page.evaluate("Object.values(plumeward.state.models)[0].measurements.length") == RECORD_STEPS + 1
+                assert (
+                    page.evaluate("Object.values(plumeward.state.models)[0].measurements.length")
+                    == RECORD_STEPS + 1
+                )
             server.send_signal(signal.SIGINT)
             server.wait()
     return found
@@ -97,17 +121,32 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     found = {}
-    for name, scheme, size in (("desk", "light", (1280, 800)), ("large, dark", "dark", (1920, 1080)), ("phone", "light", (360, 640))):
+    for name, scheme, size in (
+        ("desk", "light", (1280, 800)),
+        ("large, dark", "dark", (1920, 1080)),
+        ("phone", "light", (360, 640)),
+    ):
         found[name] = figures = measure(args.particles, args.rate, args.duration, scheme, size)
-        ages = f"median {figures['median_ms']:5.1f} ms, 95% {figures['p95_ms']:5.1f} ms, most {figures['most_ms']:6.1f} ms"
+        ages = (
+            f"median {figures['median_ms']:5.1f} ms, 95% {figures['p95_ms']:5.1f} ms, most "
+            f"{figures['most_ms']:6.1f} ms"
+        )
         print(
-            f"{name:12} age when drawn: {ages}; {figures['sent_per_s']:.1f} updates a second, {figures['drawn_per_s']:.1f} drawn",
+            f"{name:12} age when drawn: {ages}; {figures['sent_per_s']:.1f} updates a second, "
+            f"{figures['drawn_per_s']:.1f} drawn",
             flush=True,
         )
     opened_s = opening()
-    print(f"a record of {RECORD_STEPS} steps opens in {statistics.median(opened_s):.2f} s, at most {max(opened_s):.2f} s, of {TIMES} times")
+    print(
+        f"a record of {RECORD_STEPS} steps opens in {statistics.median(opened_s):.2f} s, at most "
+        f"{max(opened_s):.2f} s, of {TIMES} times"
+    )
     if args.json:
-        print(json.dumps({"particles": args.particles, "rate_hz": args.rate, "windows": found, "opened_s": opened_s}))
+        print(
+            json.dumps(
+                {"particles": args.particles, "rate_hz": args.rate, "windows": found, "opened_s": opened_s}
+            )
+        )
 
 
 if __name__ == "__main__":

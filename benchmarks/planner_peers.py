@@ -1,7 +1,9 @@
-"""Two peer planners for the benchmark: plain vectorised NumPy, and Stone Soup's expected Kullback-Leibler divergence.
+"""Two peer planners for the benchmark: plain vectorised NumPy, and Stone Soup's expected Kullback-Leibler
+divergence.
 
-Both have the same knowledge as our planners. Beliefs are over x and y, with the source at the height of the flight (the default). Stone
-Soup is imported when its peer is created: importing this module does not need it.
+Both have the same knowledge as our planners. Beliefs are over x and y, with the source at the height of
+the flight (the default). Stone Soup is imported when its peer is created: importing this module does not
+need it.
 """
 
 import math
@@ -21,7 +23,9 @@ from plume.sensor import Gaussian, parse
 
 Array = NDArray[np.float64]
 Scores = Callable[[Belief, Particles, Reach, np.random.Generator], Array]
-"""(belief, particles, reach, keyed randomness) -> scores of the moves (A,); the move with the greatest score is chosen."""
+"""(belief, particles, reach, keyed randomness) -> scores of the moves (A,); the move with the greatest
+score is chosen.
+"""
 
 
 @dataclass(frozen=True)
@@ -44,8 +48,12 @@ class Imagined:
     """(K,): predictive density of each reading under the belief."""
 
 
-def imagine(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Iterator[Imagined]:
-    """Draw readings at each reachable place from the predictive density there, the same draws as `agent.planning.predict.imagine`."""
+def imagine(
+    belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator
+) -> Iterator[Imagined]:
+    """Draw readings at each reachable place from the predictive density there, the same draws as
+    `agent.planning.predict.imagine`.
+    """
     sensor = parse(belief.sensor)
     sources, weights = particles[:, :2].astype(np.float64), particles[:, 2].astype(np.float64)
     weights = weights / weights.sum()
@@ -54,7 +62,14 @@ def imagine(belief: Belief, particles: Particles, reach: Reach, rng: np.random.G
     drawn = np.minimum(np.searchsorted(cumulative, strata, side="right"), len(cumulative) - 1)
     seed = int(rng.integers(2**63))
     for place in reach.moves(belief.position):
-        means = concentration(place, sources, belief.wind, rate=belief.rate, diffusivity=belief.diffusivity, lifetime=belief.lifetime)
+        means = concentration(
+            place,
+            sources,
+            belief.wind,
+            rate=belief.rate,
+            diffusivity=belief.diffusivity,
+            lifetime=belief.lifetime,
+        )
         readings = sensor.measure(means[drawn], np.random.Generator(np.random.Philox(seed)))
         log_likelihoods = sensor.log_likelihood(readings[:, None], means)
         likelihoods = np.exp(log_likelihoods)
@@ -75,7 +90,12 @@ def infotaxis(belief: Belief, particles: Particles, reach: Reach, rng: np.random
 def entrotaxis(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Array:
     """Entropy of the reading, nats: its information about the source plus the entropy of the noise."""
     sensor = parse(belief.sensor)
-    return np.array([information(there) + there.weights @ sensor.entropy(there.means) for there in imagine(belief, particles, reach, rng)])
+    return np.array(
+        [
+            information(there) + there.weights @ sensor.entropy(there.means)
+            for there in imagine(belief, particles, reach, rng)
+        ]
+    )
 
 
 def dcee(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> Array:
@@ -89,7 +109,9 @@ def dcee(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
 
 
 NUMPY: dict[str, Scores] = {"infotaxis": infotaxis, "entrotaxis": entrotaxis, "dcee": dcee}
-"""By our planners' names: the same means over the same draws, computed uncompiled from the definitions of sensor and plume."""
+"""By our planners' names: the same means over the same draws, computed uncompiled from the definitions of
+sensor and plume.
+"""
 
 
 def choose(policy: str, belief: Belief, particles: Particles, seed: int, reach: Reach) -> tuple[float, float]:
@@ -100,27 +122,40 @@ def choose(policy: str, belief: Belief, particles: Particles, seed: int, reach: 
 
 
 class StoneSoup:
-    """Stone Soup's sensor management by expected Kullback–Leibler divergence, combined as in its own gas example.
+    """Stone Soup's sensor management by expected Kullback–Leibler divergence, combined as in its own gas
+    example.
 
-    As in the example: a `GasIntensitySensor` on a `FixedPlatform` whose controller offers the moves; a `ParticleUpdater` without
-    resampling and regularisation; no predictor (it does not change a source that stays); a deep copy of the platform for each move, which
-    is part of the method's cost. The state has the model's own eight dimensions; the six known ones are equal in all particles.
+    As in the example: a `GasIntensitySensor` on a `FixedPlatform` whose controller offers the moves; a
+    `ParticleUpdater` without resampling and regularisation; no predictor (it does not change a source that
+    stays); a deep copy of the platform for each move, which is part of the method's cost. The state has
+    the model's own eight dimensions; the six known ones are equal in all particles.
 
     Differences from our planners, and from infotaxis:
-    - With one measurement per move, `ExpectedKLDivergence`: the noise-free reading from a source at the belief's mean. With more, the
-      example's `MultiUpdateExpectedKLDivergence`: particles are resampled for each move from NumPy's global random state, their noise
-      lacks the environment's part, and the reward is the sum over measurements, not the mean.
-    - The divergence is Σ w log(w/w') between the previous weights w and the updated weights w', in nats; infotaxis uses Σ w' log(w'/w).
-      Particles with zero likelihood in double precision are left out of the sum; they should make it infinite.
-    - σ is α m + β: the noises are added, not combined in quadrature. The sensing threshold is set below all readings; none is missed.
-    - The controller is the library's `MaxSpeedActionableMovable`, with four or eight headings; the example's grid has four. The option
+    - With one measurement per move, `ExpectedKLDivergence`: the noise-free reading from a source at the
+      belief's mean. With more, the
+      example's `MultiUpdateExpectedKLDivergence`: particles are resampled for each move from NumPy's
+      global random state, their noise lacks the environment's part, and the reward is the sum over
+      measurements, not the mean.
+    - The divergence is Σ w log(w/w') between the previous weights w and the updated weights w', in nats;
+      infotaxis uses Σ w' log(w'/w).
+      Particles with zero likelihood in double precision are left out of the sum; they should make it
+      infinite.
+    - σ is α m + β: the noises are added, not combined in quadrature. The sensing threshold is set below
+      all
+      readings; none is missed.
+    - The controller is the library's `MaxSpeedActionableMovable`, with four or eight headings; the
+      example's
+      grid has four. The option
       to stay, which both offer, is skipped.
 
-    The particle state and the platform are created here, not in `choose`, because a user of the library already holds them.
+    The particle state and the platform are created here, not in `choose`, because a user of the library
+    already holds them.
     """
 
     def __init__(self, belief: Belief, particles: Particles, reach: Reach, measurements: int = 1) -> None:
-        """Set up the platform at the belief's position, the track that ends in the belief's particles, and the reward."""
+        """Set up the platform at the belief's position, the track that ends in the belief's particles, and
+        the reward.
+        """
         from stonesoup.movable.max_speed import MaxSpeedActionableMovable
         from stonesoup.platform import FixedPlatform
         from stonesoup.sensor.gas import GasIntensitySensor
@@ -151,10 +186,19 @@ class StoneSoup:
         self._platform: Any = FixedPlatform(movement_controller=controller, sensors=[sensor])
         x, y, weights = particles.T.astype(np.float64)
         wind_x, wind_y = belief.wind
-        known = belief.z, belief.rate, math.hypot(wind_x, wind_y), math.atan2(wind_y, wind_x), belief.diffusivity, belief.lifetime
+        known = (
+            belief.z,
+            belief.rate,
+            math.hypot(wind_x, wind_y),
+            math.atan2(wind_y, wind_x),
+            belief.diffusivity,
+            belief.lifetime,
+        )
         state = StateVectors(np.vstack([x, y, *(np.full(len(x), value) for value in known)]))
         with np.errstate(divide="ignore"):
-            self._track: Any = Track([ParticleState(state, log_weight=np.log(weights / weights.sum()), timestamp=now)])
+            self._track: Any = Track(
+                [ParticleState(state, log_weight=np.log(weights / weights.sum()), timestamp=now)]
+            )
         updater = ParticleUpdater(measurement_model=None)
         if measurements == 1:
             self._reward: Any = ExpectedKLDivergence(updater=updater)

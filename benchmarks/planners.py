@@ -1,8 +1,11 @@
-"""The time of one decision, compared with two peers on the same beliefs and with the lower limit: the likelihoods alone.
+"""The time of one decision, compared with two peers on the same beliefs and with the lower limit: the
+likelihoods alone.
 
-    NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.planners     # needs Stone Soup
+    NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.planners     # needs
+    Stone Soup
 
-A decision starts from the belief and its float32 particles, as received from the bus, and ends with the waypoint.
+A decision starts from the belief and its float32 particles, as received from the bus, and ends with the
+waypoint.
 """
 # mypy: allow-untyped-decorators
 
@@ -53,23 +56,36 @@ def beliefs(seed: int, count: int, kept: int = KEPT) -> list[Case]:
 
 @numba.njit(error_model="numpy")
 def likelihoods(coefficients: Array, readings: Array, result: Array) -> None:
-    """Likelihoods (N,), one reading after the other: exp of a quadratic in the reading with coefficients (A, 3, N)."""
+    """Likelihoods (N,), one reading after the other: exp of a quadratic in the reading with coefficients
+    (A, 3, N).
+    """
     for a in range(len(coefficients)):
         for z in readings:
             for i in range(len(result)):
-                result[i] = exp(fma(fma(coefficients[a, 0, i], z, coefficients[a, 1, i]), z, coefficients[a, 2, i]))
+                result[i] = exp(
+                    fma(fma(coefficients[a, 0, i], z, coefficients[a, 1, i]), z, coefficients[a, 2, i])
+                )
 
 
 def decisions(case: Case, reach: Reach) -> dict[str, Callable[[], object]]:
     """The decision functions to time, by their row in the table."""
     said, particles = case
     noise = np.random.default_rng(0)
-    coefficients, readings = noise.uniform(-1, 0, (len(reach.moves(said.position)), 3, len(particles))), noise.uniform(0, 5, MEASUREMENTS)
+    coefficients, readings = (
+        noise.uniform(-1, 0, (len(reach.moves(said.position)), 3, len(particles))),
+        noise.uniform(0, 5, MEASUREMENTS),
+    )
     result = np.empty(len(particles))
     one, many = StoneSoup(said, particles, reach), StoneSoup(said, particles, reach, reach.measurements)
     return {
-        **{name: partial(choose, name, said, particles, 0, own(name, {"headings": reach.headings})) for name in PLANNERS},
-        **{f"{name}, plain NumPy": partial(planner_peers.choose, name, said, particles, 0, reach) for name in planner_peers.NUMPY},
+        **{
+            name: partial(choose, name, said, particles, 0, own(name, {"headings": reach.headings}))
+            for name in PLANNERS
+        },
+        **{
+            f"{name}, plain NumPy": partial(planner_peers.choose, name, said, particles, 0, reach)
+            for name in planner_peers.NUMPY
+        },
         "infotaxis, Stone Soup, 1 measurement": one.choose,
         f"infotaxis, Stone Soup, {MEASUREMENTS} measurements": many.choose,
         "infotaxis, likelihoods alone, the limit": partial(likelihoods, coefficients, readings, result),
@@ -77,7 +93,9 @@ def decisions(case: Case, reach: Reach) -> dict[str, Callable[[], object]]:
 
 
 def medians(cases: list[Case], reach: Reach) -> dict[str, float]:
-    """Median time of a decision over the beliefs, s. All planners decide from a belief before the next, so that load slows them alike."""
+    """Median time of a decision over the beliefs, s. All planners decide from a belief before the next, so
+    that load slows them alike.
+    """
     times: dict[str, list[float]] = {}
     for case in cases:
         for name, decide in decisions(case, reach).items():
@@ -95,8 +113,12 @@ def main() -> None:
     for count in SIZES:
         cases = [case for i in range(MISSIONS) for case in beliefs(FIRST_SEED + i, count)]
         for headings in HEADINGS:
-            columns[f"N {count:,}, {headings} headings"] = medians(cases, Reach(headings=headings, measurements=MEASUREMENTS))
-    others = ", ".join(f"{own(name).measurements} of {name}" for name in PLANNERS if own(name).measurements != MEASUREMENTS)
+            columns[f"N {count:,}, {headings} headings"] = medians(
+                cases, Reach(headings=headings, measurements=MEASUREMENTS)
+            )
+    others = ", ".join(
+        f"{own(name).measurements} of {name}" for name in PLANNERS if own(name).measurements != MEASUREMENTS
+    )
     print(
         f"ms per decision, {MEASUREMENTS} hypothetical readings per move ({others}): "
         f"median over {MISSIONS * KEPT} beliefs of {MISSIONS} missions."
@@ -107,7 +129,10 @@ def main() -> None:
         ours = name.split(",")[0]
         cells = [f"{1e3 * taken[name]:.3g}" for taken in columns.values()]
         if name != ours:
-            cells = [f"{cell} ({taken[name] / taken[ours]:.3g}x)" for cell, taken in zip(cells, columns.values(), strict=True)]
+            cells = [
+                f"{cell} ({taken[name] / taken[ours]:.3g}x)"
+                for cell, taken in zip(cells, columns.values(), strict=True)
+            ]
         print(f"| {name} | {' | '.join(cells)} |")
 
 

@@ -1,7 +1,9 @@
-"""The cost of recording: how much slower the loop at --speedup 0 is with a recorder than without, on the same missions.
+"""The cost of recording: how much slower the loop at --speedup 0 is with a recorder than without, on the
+same missions.
 
-A recorder repeatedly joins and leaves a running mission. The steps while it records are compared with equally long stretches before it
-joins and after it leaves. All three lie within a second or two, so that other load on the machine slows them alike.
+A recorder repeatedly joins and leaves a running mission. The steps while it records are compared with
+equally long stretches before it joins and after it leaves. All three lie within a second or two, so that
+other load on the machine slows them alike.
 """
 
 import argparse
@@ -28,7 +30,9 @@ from sitl.script.script import load
 SETTLE_STEPS = 40
 """Steps that are not counted after a recorder has joined or left."""
 MISSION_STEPS = 700
-"""After this many steps a new mission starts: a recorder that joins receives all readings so far, and their number must stay small."""
+"""After this many steps a new mission starts: a recorder that joins receives all readings so far, and
+their number must stay small.
+"""
 MISSION = """\
 seed: {seed}
 speedup: 0
@@ -120,7 +124,8 @@ def main() -> None:
             ratios = [with_it / without for without, with_it in pairs]
             low, high = interval(ratios)
             print(
-                f"| {policy} | {len(pairs)} | {alone:.3f} | {recorded:.3f} | {np.median(ratios):.3f} | {low:.3f} to {high:.3f} |",
+                f"| {policy} | {len(pairs)} | {alone:.3f} | {recorded:.3f} | {np.median(ratios):.3f} | "
+                f"{low:.3f} to {high:.3f} |",
                 flush=True,
             )
 

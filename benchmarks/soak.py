@@ -1,16 +1,19 @@
-"""Endurance: one long mission through the real processes, and what grows: memory, handles, threads, latency.
+"""Endurance: one long mission through the real processes, and what grows: memory, handles, threads,
+latency.
 
     python -m benchmarks.soak                     # 100,000 steps
     python -m benchmarks.soak --steps 10000
 
-Router, vehicle, estimator and agent live for all steps. The run after its first tenth is cut into 20 blocks. The slope of a quantity is the
-mean change from one block's mean to the next; its interval is Student's t on these 19 changes. That holds for a random walk: a memory that
-the allocator once took stays taken. It is cautious for noise around a line. All intervals hold together at 95% (Bonferroni). A quantity has
-grown if its interval lies above zero.
+Router, vehicle, estimator and agent live for all steps. The run after its first tenth is cut into 20
+blocks. The slope of a quantity is the mean change from one block's mean to the next; its interval is
+Student's t on these 19 changes. That holds for a random walk: a memory that the allocator once took stays
+taken. It is cautious for noise around a line. All intervals hold together at 95% (Bonferroni). A quantity
+has grown if its interval lies above zero.
 
-A mission keeps its readings by design: the vehicle for who joins late, and their times to know late answers by; the estimator in its
-posterior. Control processes keep the same and do nothing else: a bare publisher, and the filter without a bus. Their slope is subtracted.
-The estimator's own compute time grows with the readings, too, so latency is that of a step without it.
+A mission keeps its readings by design: the vehicle for who joins late, and their times to know late
+answers by; the estimator in its posterior. Control processes keep the same and do nothing else: a bare
+publisher, and the filter without a bus. Their slope is subtracted. The estimator's own compute time grows
+with the readings, too, so latency is that of a step without it.
 """
 
 import argparse
@@ -45,7 +48,9 @@ QUANTITIES = ("memory, kB", "handles", "threads")
 BLOCKS, WARM_UP, SAMPLES = 20, 0.1, 1000
 CONFIDENCE = 0.95
 WALK = math.sqrt(1.5)
-"""Neighbouring changes between a random walk's block means correlate by 1/4: their mean varies so much more than if they did not."""
+"""Neighbouring changes between a random walk's block means correlate by 1/4: their mean varies so much
+more than if they did not.
+"""
 PAGE_KB = os.sysconf("SC_PAGE_SIZE") / 1024
 LATENCY = "latency, ms"
 QUIET_S = 60.0
@@ -69,12 +74,16 @@ class Slope(NamedTuple):
         """Return the difference of two independent slopes (Welch)."""
         variances = self.error**2, other.error**2
         total = sum(variances)
-        spent = sum(variance**2 / slope.freedom for variance, slope in zip(variances, (self, other), strict=True))
+        spent = sum(
+            variance**2 / slope.freedom for variance, slope in zip(variances, (self, other), strict=True)
+        )
         return Slope(self.value - other.value, math.sqrt(total), total**2 / spent if spent else self.freedom)
 
 
 def slope(samples: Sequence[tuple[float, float]]) -> Slope:
-    """Return the slope of (step, value) samples, by the changes between the means of BLOCKS blocks after the warm-up."""
+    """Return the slope of (step, value) samples, by the changes between the means of BLOCKS blocks after
+    the warm-up.
+    """
     first, last = samples[0][0], samples[-1][0]
     begin = first + WARM_UP * (last - first)
     width = (last - begin) / BLOCKS
@@ -84,7 +93,11 @@ def slope(samples: Sequence[tuple[float, float]]) -> Slope:
             blocks[min(int((step - begin) / width), BLOCKS - 1)].append(value)
     means = [statistics.fmean(block) for block in blocks]
     changes = [1000 * (after - before) / width for before, after in itertools.pairwise(means)]
-    return Slope(statistics.fmean(changes), WALK * statistics.stdev(changes) / math.sqrt(len(changes)), len(changes) - 1)
+    return Slope(
+        statistics.fmean(changes),
+        WALK * statistics.stdev(changes) / math.sqrt(len(changes)),
+        len(changes) - 1,
+    )
 
 
 def look(pid: int) -> tuple[float, float, float]:
@@ -107,9 +120,16 @@ def children() -> dict[str, int]:
 def fly(steps: int, folder: Path) -> dict[tuple[str, str], list[tuple[float, float]]]:
     """Fly one mission of so many steps; returns (step, value) samples by part and quantity."""
     every = max(steps // SAMPLES, 1)
-    changes = {"agent.policy": "random", "agent.budget": steps, "estimator.assume": "paper", "estimator.threshold_m": 1e-9}
+    changes = {
+        "agent.policy": "random",
+        "agent.budget": steps,
+        "estimator.assume": "paper",
+        "estimator.threshold_m": 1e-9,
+    }
     processes = Processes(Inbox())
-    samples: dict[tuple[str, str], list[tuple[float, float]]] = {(part, name): [] for part in PARTS for name in QUANTITIES}
+    samples: dict[tuple[str, str], list[tuple[float, float]]] = {
+        (part, name): [] for part in PARTS for name in QUANTITIES
+    }
     samples["loop", LATENCY] = []
     try:
         endless = folder / "soak.yaml"  # a battery lasts for half an hour
@@ -192,7 +212,13 @@ def control(part: str, steps: int) -> Slope:
 def main() -> int:
     """Fly, compare, and print the table; returns 1 if something grows."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--steps", type=cli.whole(1000, 1_000_000), default=100_000, metavar="N", help="(default: %(default)s)")
+    parser.add_argument(
+        "--steps",
+        type=cli.whole(1000, 1_000_000),
+        default=100_000,
+        metavar="N",
+        help="(default: %(default)s)",
+    )
     args = parser.parse_args()
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
@@ -200,7 +226,10 @@ def main() -> int:
     print(f"{args.steps} steps in {time.monotonic() - began:.0f} s", file=sys.stderr)
     slopes = {(part, name): slope(values) for (part, name), values in samples.items()}
     controls = {part: control(part, args.steps) for part in ("uav", "estimator")}
-    print(f"{args.steps} steps, changes per 1,000 steps\n\n| part | quantity | at the end | slope | kept by design | left, interval | |")
+    print(
+        f"{args.steps} steps, changes per 1,000 steps\n\n| part | quantity | at the end | slope | kept by "
+        "design | left, interval | |"
+    )
     print("|---|---|---|---|---|---|---|")
     grown = 0
     for (part, name), found in slopes.items():
@@ -210,7 +239,10 @@ def main() -> int:
         grown += low > 0
         design = f"{kept.value:.3f}" if kept else ""
         says = "grows" if low > 0 else ""
-        print(f"| {part} | {name} | {samples[part, name][-1][1]:.2f} | {found.value:.3f} | {design} | {low:.3f} to {high:.3f} | {says} |")
+        print(
+            f"| {part} | {name} | {samples[part, name][-1][1]:.2f} | {found.value:.3f} | {design} | "
+            f"{low:.3f} to {high:.3f} | {says} |"
+        )
     return cli.FAILED if grown else 0
 
 

@@ -1,10 +1,12 @@
-"""How fast the stop arrives while all else is flooded: 50 kB beliefs at 200 Hz, and a subscriber that never reads.
+"""How fast the stop arrives while all else is flooded: 50 kB beliefs at 200 Hz, and a subscriber that
+never reads.
 
     python -m benchmarks.stop                    # 1,000 stops, in quiet and in the flood
     python -m benchmarks.stop --trials 100
 
-The publisher of the beliefs also publishes the stops, as the estimator does. Other processes flood the other keys. Vehicle and agent are
-the services themselves; they tell when they have taken each stop, by the machine's monotonic clock.
+The publisher of the beliefs also publishes the stops, as the estimator does. Other processes flood the
+other keys. Vehicle and agent are the services themselves; they tell when they have taken each stop, by the
+machine's monotonic clock.
 """
 
 import argparse
@@ -34,20 +36,41 @@ PARTICLES = 4167
 BELIEF_HZ, FLOOD_HZ = 200.0, 500.0
 FLOODS = {key.name: key for key in (MAVLINK_IN, MAVLINK_OUT, WAYPOINT, READING, HEALTH)}
 GIVE_UP_S, EVERY = 10.0, 50
-"""Longest wait for a stop, and the number of stops after which another subscriber joins that never reads, and one that does."""
+"""Longest wait for a stop, and the number of stops after which another subscriber joins that never reads,
+and one that does.
+"""
 WITNESSES = {"uav": ("sitl", "uav", "--seed", "1", "--speedup", "1"), "agent": ("agent",)}
 CLAIM = Stop(0, 0, (23.5, 24.3), (0.1, 0.0, 0.1), 0.45, 0.5, "spread:0.5")
 START_S = 60.0
 """Longest wait for vehicle and agent."""
 SAID = Belief(
-    time_boot_ms=0, step=0, position=(10.0, 12.0), altitude_m=5.0, gas=0.5, wind=(2.0, 1.0), sensor="gaussian", rate=300.0, diffusivity=4.5,
-    lifetime=10.0, z=5.0, unknowns=("x", "y"), means=(15.0, 15.0), stds=(2.0, 2.0), mean=(15.0, 15.0), covariance=(4.0, 0.0, 4.0),
-    spread=2.8, effective_sample_size=3.0, p_value=0.5, ceased=False,
-)  # fmt: skip
+    time_boot_ms=0,
+    step=0,
+    position=(10.0, 12.0),
+    altitude_m=5.0,
+    gas=0.5,
+    wind=(2.0, 1.0),
+    sensor="gaussian",
+    rate=300.0,
+    diffusivity=4.5,
+    lifetime=10.0,
+    z=5.0,
+    unknowns=("x", "y"),
+    means=(15.0, 15.0),
+    stds=(2.0, 2.0),
+    mean=(15.0, 15.0),
+    covariance=(4.0, 0.0, 4.0),
+    spread=2.8,
+    effective_sample_size=3.0,
+    p_value=0.5,
+    ceased=False,
+)
 
 
 class Trials(NamedTuple):
-    """What was measured: ms from each stop's publishing to its taking, by part, and of those who joined later to their first."""
+    """What was measured: ms from each stop's publishing to its taking, by part, and of those who joined
+    later to their first.
+    """
 
     taken: dict[str, list[float]]
     joined: list[float]
@@ -68,14 +91,22 @@ def witness(module: str, *arguments: str) -> None:
 
 
 def flood(name: str, endpoint: str) -> None:
-    """Publish messages of a key at FLOOD_HZ: those of the vehicle's peers are valid, none answers a reading."""
+    """Publish messages of a key at FLOOD_HZ: those of the vehicle's peers are valid, none answers a
+    reading.
+    """
     key, codec = FLOODS[name], Codec(1, 191)
-    beat = codec.pack(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3))
+    beat = codec.pack(
+        mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3)
+    )
     said = {WAYPOINT: codec.pack(waypoint_message(1, 0, (10.0, 12.0), 5.0))}
     with Bus(f"flood-{name.partition('/')[2] or name}", endpoint, announced=False) as bus:
         said[HEALTH] = msgspec.json.encode(Health(bus.service, "flooding", 0, 0.0, 0.0, {}))
         for number in _paced(FLOOD_HZ):
-            reading = pack_reading(codec, Reading(number, (10.0, 12.0), 5.0, (2.0, 1.0), 0.5)) if key is READING else b""
+            reading = (
+                pack_reading(codec, Reading(number, (10.0, 12.0), 5.0, (2.0, 1.0), 0.5))
+                if key is READING
+                else b""
+            )
             bus.publish(key, reading or said.get(key, beat))
 
 
@@ -89,14 +120,18 @@ def _paced(rate_hz: float, until: Callable[[], bool] = lambda: False) -> Iterato
 
 
 class Stage:
-    """Router, vehicle and agent as processes; with `flooded` also those that flood, and one that never reads."""
+    """Router, vehicle and agent as processes; with `flooded` also those that flood, and one that never
+    reads.
+    """
 
     def __init__(self, flooded: bool, stack: contextlib.ExitStack) -> None:
         """Start them, and wait until they are there. They end with `stack`."""
         self.taken: dict[str, dict[int, int]] = {part: {} for part in WITNESSES}
         self.arrived: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._stack = stack
-        self.endpoint = self._start("-m", "sitl", "router", "--listen", "tcp/127.0.0.1:0").stdout.readline().strip()
+        self.endpoint = (
+            self._start("-m", "sitl", "router", "--listen", "tcp/127.0.0.1:0").stdout.readline().strip()
+        )
         self.bus = stack.enter_context(Bus("estimator", self.endpoint, announced=False))
         for part, words in WITNESSES.items():
             process = self._start("-m", "benchmarks.stop", "--witness", *words, "--connect", self.endpoint)
@@ -118,7 +153,9 @@ class Stage:
             beliefs.start()
 
     def another_deaf(self) -> None:
-        """Let another subscriber that never reads take the place of the one before: the router cuts it off once it is full."""
+        """Let another subscriber that never reads take the place of the one before: the router cuts it off
+        once it is full.
+        """
         for process in self._deaf:
             process.kill()
         self._deaf = [self._start("-m", "benchmarks.chaos.strangers", "deaf", self.endpoint, "0")]
@@ -145,9 +182,13 @@ class Stage:
     def _believe(self) -> None:
         rng = keyed(0, "stop benchmark")
         weights = np.full((PARTICLES, 1), 1 / PARTICLES)
-        array = pack_particles(np.hstack([rng.uniform(0.0, 30.0, (PARTICLES, 2)), weights]).astype(np.float32))
+        array = pack_particles(
+            np.hstack([rng.uniform(0.0, 30.0, (PARTICLES, 2)), weights]).astype(np.float32)
+        )
         for number in _paced(BELIEF_HZ, self._over.is_set):
-            self.bus.publish(BELIEF, msgspec.structs.replace(SAID, time_boot_ms=number, step=min(number, 250)), array)
+            self.bus.publish(
+                BELIEF, msgspec.structs.replace(SAID, time_boot_ms=number, step=min(number, 250)), array
+            )
 
 
 def measure(trials: int, *, flooded: bool, every: int = EVERY, settle_s: float = 3.0) -> Trials:
@@ -198,7 +239,13 @@ def row(name: str, times: list[float]) -> str:
 def main() -> None:
     """Measure and print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--trials", type=cli.whole(1, 1_000_000), default=1000, metavar="N", help="stops (default: %(default)s)")
+    parser.add_argument(
+        "--trials",
+        type=cli.whole(1, 1_000_000),
+        default=1000,
+        metavar="N",
+        help="stops (default: %(default)s)",
+    )
     args = parser.parse_args()
     print("| ms | stops | p50 | p99 | max |\n|---|---|---|---|---|")
     for name, flooded in (("quiet", False), ("flooded", True)):

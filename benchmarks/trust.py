@@ -1,13 +1,15 @@
 """What the stop is worth: missions in all worlds under both assumptions, and the tables of docs/trust.md.
 
-    python -m benchmarks.trust                                        # every world, assumption and policy, on all cores
-    python -m benchmarks.trust --resume                               # the missing missions only; if none is missing, only the tables
-    python -m benchmarks.trust --world wind-30 --policy homing        # these again; all other results stay
+    python -m benchmarks.trust                                        # every world, assumption and policy,
+    on all cores python -m benchmarks.trust --resume                               # the missing missions
+    only; if none is missing, only the tables python -m benchmarks.trust --world wind-30 --policy homing
+    # these again; all other results stay
 
-Missions are flown as `plumeward evaluate` flies them, from the test seeds (1,000,000 and up); one flight serves all stop criteria.
-results/trust/ASSUME-POLICY.csv.gz holds one row per mission, stop criterion and world, results/trust/figures.csv the figures of each
-assumption, policy, world and stop criterion. The rows of a world are written when all its missions are complete. They have a folder of
-their own, because `plumeward report` takes all rows of its folder to be of one kind. docs/trust.md keeps its prose.
+Missions are flown as `plumeward evaluate` flies them, from the test seeds (1,000,000 and up); one flight
+serves all stop criteria. results/trust/ASSUME-POLICY.csv.gz holds one row per mission, stop criterion and
+world, results/trust/figures.csv the figures of each assumption, policy, world and stop criterion. The rows
+of a world are written when all its missions are complete. They have a folder of their own, because
+`plumeward report` takes all rows of its folder to be of one kind. docs/trust.md keeps its prose.
 """
 
 import csv
@@ -41,7 +43,9 @@ BUDGET = 600
 """Twice the usual: under `field` a search takes longer."""
 STOPS = (Criterion(0.5), Criterion(within=(1.0, 0.95)), Criterion(within=(1.0, 0.99)))
 PROMISED = {"spread:0.5": "about 98", "within:1,0.95": "94.5", "within:1,0.99": "98.5"}
-"""Least share of stops within 1 m, %, by criterion: for `within:1,P` half a point below P, as a belief has finitely many particles."""
+"""Least share of stops within 1 m, %, by criterion: for `within:1,P` half a point below P, as a belief has
+finitely many particles.
+"""
 SHOWN = "spread:0.5"
 """The stop of the table of worlds: the default one."""
 DEFAULT, LEARNED = "homing", "ppo"
@@ -51,7 +55,16 @@ HOLDS = {
     "field": tuple(name for name in WORLDS if name not in ("cv-1-correlated", "stuck", "stuck-noisy")),
 }
 """The worlds whose truth lies in an assumption, by its name."""
-LONG = ("ceased", "located", "false_stop", "false_stop_warned", "mtd_m", "nees_mean", "update_ms", "decision_ms")
+LONG = (
+    "ceased",
+    "located",
+    "false_stop",
+    "false_stop_warned",
+    "mtd_m",
+    "nees_mean",
+    "update_ms",
+    "decision_ms",
+)
 """Figures of figures.csv, each with its interval."""
 
 Cell = tuple[str, str, str]
@@ -63,13 +76,17 @@ Said = Mapping[tuple[str, str, str, str], dict[str, Any]]
 
 
 def fly(flown: Cell, seeds: range, workers: int) -> tuple[list[MissionRow], Path]:
-    """Fly the missions of a cell as `evaluate` does; returns their rows, and the journal that an interrupted call leaves."""
+    """Fly the missions of a cell as `evaluate` does; returns their rows, and the journal that an
+    interrupted call leaves.
+    """
     assume, name, world = flown
     sweep = Sweep((name,), seeds, (PARTICLES,), STOPS, BUDGET, knowledge={"assume": assume}, worlds=(world,))
     journal = journal_of(sweep, KEPT_IN)
     rows: list[MissionRow] = []
     what = f"missions of {', '.join(flown)}"
-    with closing(with_bar(fly_all(sweep, journal, on_cores(workers)), sweep.count, what, "starting")) as flights:
+    with closing(
+        with_bar(fly_all(sweep, journal, on_cores(workers)), sweep.count, what, "starting")
+    ) as flights:
         for each in flights:
             rows += each
     return ordered(rows, sweep), journal
@@ -101,21 +118,33 @@ def is_there(rows: Rows, flown: Cell, seeds: range) -> bool:
 
 
 def write_figures(said: Said, path: Path) -> None:
-    """Write the long table: a line for each assumption, policy, world and stop criterion, shares from 0 to 1."""
+    """Write the long table: a line for each assumption, policy, world and stop criterion, shares from 0 to
+    1.
+    """
     heads = [head for key in LONG for head in (key, f"{key}_low", f"{key}_high")]
     with whole(path) as partial, partial.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["assume", "policy", "world", "stop", "missions", *heads])
         for key, row in said.items():
-            values = [value for name in LONG for value in (row[name], *(row[f"{name}_interval"] or (None, None)))]
-            writer.writerow([*key, row["missions"], *("" if value is None else f"{value:.6g}" for value in values)])
+            values = [
+                value for name in LONG for value in (row[name], *(row[f"{name}_interval"] or (None, None)))
+            ]
+            writer.writerow(
+                [*key, row["missions"], *("" if value is None else f"{value:.6g}" for value in values)]
+            )
 
 
 def promise(rows: Rows) -> str:
-    """Return the first table: each criterion under each assumption, over the worlds whose truth lies in the assumption."""
+    """Return the first table: each criterion under each assumption, over the worlds whose truth lies in
+    the assumption.
+    """
     lines = []
     for assume, stop in product(HOLDS, STOPS):
-        flown = {world: rows[assume, DEFAULT, world][stop.text] for world in HOLDS[assume] if (assume, DEFAULT, world) in rows}
+        flown = {
+            world: rows[assume, DEFAULT, world][stop.text]
+            for world in HOLDS[assume]
+            if (assume, DEFAULT, world) in rows
+        }
         ceased = {world: [row for row in of if row.ceased] for world, of in flown.items()}
         stops = [row for of in ceased.values() for row in of]
         if not stops:
@@ -136,7 +165,17 @@ def promise(rows: Rows) -> str:
                 f"{np.mean([row.nees for row in stops]):.2f}",
             ]
         )
-    heads = ["assume", "stop", "worlds", "ceased, %", "promised, %", "kept, %", "worst world", "error p50 / p95, m", "NEES"]
+    heads = [
+        "assume",
+        "stop",
+        "worlds",
+        "ceased, %",
+        "promised, %",
+        "kept, %",
+        "worst world",
+        "error p50 / p95, m",
+        "NEES",
+    ]
     return table(heads, lines)
 
 
@@ -146,7 +185,9 @@ def worlds(said: Said) -> str:
     def figure(world: str, assume: str, name: str, *keys: str) -> str:
         row = said.get((assume, name, world, SHOWN))
         values = [None if row is None else row[key] for key in keys]
-        return " / ".join(UNKNOWN if value is None else form(key, value) for key, value in zip(keys, values, strict=True))
+        return " / ".join(
+            UNKNOWN if value is None else form(key, value) for key, value in zip(keys, values, strict=True)
+        )
 
     def form(key: str, value: float) -> str:
         _, scale, digits = COLUMNS.get(key, ("", 100.0, 0))
@@ -172,20 +213,37 @@ def worlds(said: Said) -> str:
         for world in WORLDS
         if world in flown
     ]
-    heads = ["world", "paper: false, %", "field: false, %", "warned", "ceased / located", "MTD p / f, m", "NEES", "ppo: false, %", "MTD, m"]
+    heads = [
+        "world",
+        "paper: false, %",
+        "field: false, %",
+        "warned",
+        "ceased / located",
+        "MTD p / f, m",
+        "NEES",
+        "ppo: false, %",
+        "MTD, m",
+    ]
     return table(heads, lines)
 
 
 def planners(rows: Rows) -> str:
-    """Return the third table: what each policy flies under `field` in each world, over the missions that all of them have flown."""
-    names = sorted({name for assume, name, _ in rows if assume == "field"}, key=lambda name: (name != DEFAULT, name == LEARNED, name))
+    """Return the third table: what each policy flies under `field` in each world, over the missions that
+    all of them have flown.
+    """
+    names = sorted(
+        {name for assume, name, _ in rows if assume == "field"},
+        key=lambda name: (name != DEFAULT, name == LEARNED, name),
+    )
     lines = []
     for world in WORLDS:
         flown = {name: rows[cell][SHOWN] for name in names if (cell := ("field", name, world)) in rows}
         if not flown or len(flown) < len(names):
             continue
         seeds = set.intersection(*({row.seed for row in of} for of in flown.values()))
-        lines.append([world, *(_travelled([row for row in of if row.seed in seeds]) for of in flown.values())])
+        lines.append(
+            [world, *(_travelled([row for row in of if row.seed in seeds]) for of in flown.values())]
+        )
     return table(["world", *(f"{name}, m" for name in names)], lines)
 
 
@@ -193,7 +251,9 @@ def _travelled(rows: Sequence[MissionRow]) -> str:
     """Return the mean distance to a stop, and the share of missions located, %, where it is below 99."""
     stops_m = [row.distance_m for row in rows if row.ceased]
     located = 100 * float(np.mean([row.located for row in rows]))
-    return (f"{np.mean(stops_m):.1f}" if stops_m else UNKNOWN) + (f" ({located:.0f}%)" if located < 99 else "")
+    return (f"{np.mean(stops_m):.1f}" if stops_m else UNKNOWN) + (
+        f" ({located:.0f}%)" if located < 99 else ""
+    )
 
 
 def table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
@@ -202,24 +262,42 @@ def table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
 
 
 def page(text: str, rows: Rows, said: Said) -> str:
-    """Return the page with its tables made anew from all rows; its prose stays. Raises ValueError if it has no place for a table."""
+    """Return the page with its tables made anew from all rows; its prose stays. Raises ValueError if it
+    has no place for a table.
+    """
     counts = sorted({len(of) for stops in rows.values() for of in stops.values()}) or [0]
     many = " to ".join(f"{count:,}" for count in dict.fromkeys((counts[0], counts[-1])))
-    made = f"\nN = {PARTICLES:,}, at most {BUDGET} steps, {many} missions for each assumption, policy and world.\n"
-    for name, new in (("promise", promise(rows) + made), ("worlds", worlds(said)), ("planners", planners(rows))):
+    made = (
+        f"\nN = {PARTICLES:,}, at most {BUDGET} steps, {many} missions for each assumption, policy and "
+        "world.\n"
+    )
+    for name, new in (
+        ("promise", promise(rows) + made),
+        ("worlds", worlds(said)),
+        ("planners", planners(rows)),
+    ):
         before, begin, rest = text.partition(f"<!-- {name} -->\n")
         _, end, after = rest.partition("<!-- end -->")
         if not begin or not end:
-            raise ValueError(f"the page has no lines <!-- {name} --> and <!-- end --> to put the table between")
+            raise ValueError(
+                f"the page has no lines <!-- {name} --> and <!-- end --> to put the table between"
+            )
         text = f"{before}{begin}\n{new}\n{end}{after}"
     return text
 
 
 def main() -> int:
     """Fly the chosen missions, write their rows, and write figures and tables from all rows."""
-    parser = cli.Parser(prog="python -m benchmarks.trust", description="Fly policies in all worlds and write the tables of docs/trust.md.")
+    parser = cli.Parser(
+        prog="python -m benchmarks.trust",
+        description="Fly policies in all worlds and write the tables of docs/trust.md.",
+    )
     parser.add_argument(
-        "--missions", type=cli.whole(1, 1_000_000), default=1000, metavar="N", help="missions in each world (default: %(default)s)"
+        "--missions",
+        type=cli.whole(1, 1_000_000),
+        default=1000,
+        metavar="N",
+        help="missions in each world (default: %(default)s)",
     )
     several = (
         ("--assume", cli.checked(_is_assumption), HOLDS),
@@ -227,12 +305,32 @@ def main() -> int:
         ("--policy", cli.checked(policy), (DEFAULT, LEARNED)),
     )
     for flag, kind, usual in several:
-        parser.add_argument(flag, type=cli.listed(kind), default=list(usual), metavar="NAME,NAME", help=f"(default: {', '.join(usual)})")
+        parser.add_argument(
+            flag,
+            type=cli.listed(kind),
+            default=list(usual),
+            metavar="NAME,NAME",
+            help=f"(default: {', '.join(usual)})",
+        )
     parser.add_argument("--resume", action="store_true", help="fly only what is missing")
     cores = os.cpu_count() or 1
-    parser.add_argument("--workers", type=cli.whole(1, 4096), default=cores, metavar="W", help="worker processes (default: all cores)")
-    parser.add_argument("--results", type=Path, default=RESULTS, metavar="DIR", help="folder of the rows (default: %(default)s)")
-    parser.add_argument("--page", type=Path, default=PAGE, metavar="FILE.md", help="page of the tables (default: %(default)s)")
+    parser.add_argument(
+        "--workers",
+        type=cli.whole(1, 4096),
+        default=cores,
+        metavar="W",
+        help="worker processes (default: all cores)",
+    )
+    parser.add_argument(
+        "--results",
+        type=Path,
+        default=RESULTS,
+        metavar="DIR",
+        help="folder of the rows (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--page", type=Path, default=PAGE, metavar="FILE.md", help="page of the tables (default: %(default)s)"
+    )
     args = parser.parse_args()
     seeds = range(FIRST_TEST_SEED, FIRST_TEST_SEED + args.missions)
     there = read(args.results) if args.resume else {}
@@ -249,7 +347,11 @@ def main() -> int:
         return cli.FAILED
     finally:
         if done < len(cells):
-            print(f"{done} of {len(cells)} worlds were flown; run the command again with --resume to fly the others", file=sys.stderr)
+            print(
+                f"{done} of {len(cells)} worlds were flown; run the command again with --resume to fly the "
+                "others",
+                file=sys.stderr,
+            )
         write(args.results, args.page)
     print(args.page)
     return 0

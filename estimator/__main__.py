@@ -15,20 +15,49 @@ from plume.scenario import AREA_M
 
 def main(prog: str = "python -m estimator", arguments: list[str] | None = None) -> None:
     """Parse the command line and serve."""
-    parser = cli.Parser(prog=prog, description="The estimator service alone: readings in, beliefs and the stop (AGDC) out.")
+    parser = cli.Parser(
+        prog=prog, description="The estimator service alone: readings in, beliefs and the stop (AGDC) out."
+    )
     cli.add_bus_arguments(parser)
     cli.add_filter_arguments(parser)
     add_sensor_argument(parser)
     rate, diffusivity, lifetime = (cli.number(*LIMITS[name]) for name in ("q", "d", "tau"))
-    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="seed of the filter's random draws (default: %(default)s)")
-    parser.add_argument("--rate", type=rate, default=300.0, metavar="Q", help="release rate q, g/s (default: %(default)g)")
-    parser.add_argument("--diffusivity", type=diffusivity, default=4.5, metavar="D", help="diffusivity d, m²/s (default: %(default)g)")
-    parser.add_argument("--lifetime", type=lifetime, default=10.0, metavar="TAU", help="lifetime τ of the gas, s (default: %(default)g)")
     parser.add_argument(
-        "--area", type=cli.number(0, 100_000, above=True), default=AREA_M, metavar="M",
+        "--seed",
+        type=cli.whole(0, MAX_SEED),
+        default=0,
+        help="seed of the filter's random draws (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--rate", type=rate, default=300.0, metavar="Q", help="release rate q, g/s (default: %(default)g)"
+    )
+    parser.add_argument(
+        "--diffusivity",
+        type=diffusivity,
+        default=4.5,
+        metavar="D",
+        help="diffusivity d, m²/s (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--lifetime",
+        type=lifetime,
+        default=10.0,
+        metavar="TAU",
+        help="lifetime τ of the gas, s (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--area",
+        type=cli.number(0, 100_000, above=True),
+        default=AREA_M,
+        metavar="M",
         help="side of the square search area, m; its south-west corner is home (default: %(default)g)",
-    )  # fmt: skip
-    parser.add_argument("--sysid", type=cli.whole(1, 255), metavar="N", help="the vehicle's system id (default: the first reading's)")
+    )
+    parser.add_argument(
+        "--sysid",
+        type=cli.whole(1, 255),
+        metavar="N",
+        help="the vehicle's system id (default: the first reading's)",
+    )
     args = parser.parse_args(arguments)
     try:
         known, (stop,) = knowledge(args, args.area), criteria(args)
@@ -40,7 +69,9 @@ def main(prog: str = "python -m estimator", arguments: list[str] | None = None) 
 
     told = (args.seed, args.rate, args.diffusivity, args.lifetime, args.area)
     config = Config(args.particles, stop.threshold_m, *told, within=stop.within, **known)
-    with Bus("estimator", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True) as bus:
+    with Bus(
+        "estimator", args.connect, args.namespace, log_level=args.log_level, secure=args.secure, sole=True
+    ) as bus:
         run(bus, config, args.sysid)
 
 

@@ -18,7 +18,9 @@ HIGHEST_M = 10_000.0
 
 
 def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[str, str] | None:
-    """Return kind and text of the reason to refuse a reading; None if it is admitted. `latest` is the last reading admitted."""
+    """Return kind and text of the reason to refuse a reading; None if it is admitted. `latest` is the last
+    reading admitted.
+    """
     if not all(0.0 <= value <= config.area_m for value in reading.position):
         area = f"[0, {config.area_m:g}] x [0, {config.area_m:g}] m"
         return "outside", f"position {reading.position} is outside the area {area}"
@@ -26,7 +28,10 @@ def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[s
     if east * east + north * north > STRONGEST_WIND_MPS * STRONGEST_WIND_MPS:
         return "absurd", f"wind {reading.wind} is absurd; allowed is up to {STRONGEST_WIND_MPS:g} m/s"
     if abs(reading.altitude_m) > HIGHEST_M:
-        return "absurd", f"altitude {reading.altitude_m:g} m is absurd; allowed is from {-HIGHEST_M:g} to {HIGHEST_M:g} m"
+        return (
+            "absurd",
+            f"altitude {reading.altitude_m:g} m is absurd; allowed is from {-HIGHEST_M:g} to {HIGHEST_M:g} m",
+        )
     absurd = _noisiest(config).refusal(reading.gas, greatest_concentration(config))
     if absurd:
         return "absurd", absurd
@@ -40,7 +45,8 @@ def refusal(reading: Reading, latest: Reading | None, config: Config) -> tuple[s
 
 
 def greatest_concentration(config: Config) -> float:
-    """Return the greatest concentration that the sensor may report, g/m³: at the surface of the strongest source that the priors allow.
+    """Return the greatest concentration that the sensor may report, g/m³: at the surface of the strongest
+    source that the priors allow.
 
     It grows with the sensor's gain, and with intermittency, whose gusts exceed the plume's mean.
     """
@@ -49,11 +55,15 @@ def greatest_concentration(config: Config) -> float:
 
 
 def _noisiest(config: Config) -> Sensor:
-    """Return the sensor with the greatest noise that the prior of its factor allows. That of hits is Poisson's and has no factor."""
+    """Return the sensor with the greatest noise that the prior of its factor allows. That of hits is
+    Poisson's and has no factor.
+    """
     if isinstance(config.sensor, Hits):
         return config.sensor
     factor, sensor = _likely(config, "noise")[1], config.sensor
-    return replace(sensor, sensor_noise=factor * sensor.sensor_noise, environment_noise=factor * sensor.environment_noise)
+    return replace(
+        sensor, sensor_noise=factor * sensor.sensor_noise, environment_noise=factor * sensor.environment_noise
+    )
 
 
 def _likely(config: Config, name: str) -> tuple[float, float]:
@@ -63,7 +73,9 @@ def _likely(config: Config, name: str) -> tuple[float, float]:
 
 
 def _greatest_gust(cv: float) -> float:
-    """Return an upper end of gamma-distributed gas with mean 1 and this coefficient of variation: it stays below with 1 − 10⁻⁶."""
+    """Return an upper end of gamma-distributed gas with mean 1 and this coefficient of variation: it stays
+    below with 1 − 10⁻⁶.
+    """
     return _likely_range(Gamma(1 / (cv * cv), cv * cv))[1] if cv > 0 else 1.0
 
 

@@ -1,4 +1,6 @@
-"""Named assumptions: what the estimator takes to be known of a release and of what measures it, and the priors of the rest."""
+"""Named assumptions: what the estimator takes to be known of a release and of what measures it, and the
+priors of the rest.
+"""
 
 from collections.abc import Mapping
 
@@ -8,40 +10,49 @@ from plume.sensor import Gaussian, Hits, Sensor
 
 ASSUMPTIONS: Mapping[str, str] = {
     "paper": "all but the source's position x, y is known",
-    "field": "wind, release rate, lifetime, noise and the gas's intermittency are known roughly; each has a prior",
+    "field": "wind, release rate, lifetime, noise and the gas's intermittency are known roughly; each has a "
+    "prior",
 }
 """The assumptions, and one line about each."""
 
 WIND_DIRECTION_STD_DEG = 20.0
-"""A compass and an anemometer on a drone are each wrong by several degrees, and the wind that carries the gas differs from that at the
-drone. Two thirds of missions within 20° covers that."""
+"""A compass and an anemometer on a drone are each wrong by several degrees, and the wind that carries the
+gas differs from that at the drone. Two thirds of missions within 20° covers that."""
 WIND_SPEED_SIGMA = 0.5
-"""Two thirds of missions within a factor of 1.65. Rotors disturb an anemometer on board, and a station is at another height: 0.3. Only
-speed by diffusivity shapes the plume, so the factor stands for a wrong diffusivity, too: 0.4. Both add in quadrature."""
+"""Two thirds of missions within a factor of 1.65. Rotors disturb an anemometer on board, and a station is
+at another height: 0.3. Only speed by diffusivity shapes the plume, so the factor stands for a wrong
+diffusivity, too: 0.4. Both add in quadrature."""
 RATE_SIGMA = 0.7
-"""Two thirds within a factor of 2: leak rates are estimated by their order of magnitude, from a hole and a pressure. A wrong gain of the
-sensor is the same as a wrong rate, so this covers it."""
+"""Two thirds within a factor of 2: leak rates are estimated by their order of magnitude, from a hole and a
+pressure. A wrong gain of the sensor is the same as a wrong rate, so this covers it."""
 LIFETIME_SIGMA = 0.7
-"""Two thirds within a factor of 2: how fast gas rises, deposits or reacts is tabulated for other weather."""
+"""Two thirds within a factor of 2: how fast gas rises, deposits or reacts is tabulated for other weather.
+"""
 NOISE_SIGMA = 0.5
 """Two thirds within a factor of 1.65: sensors age, and data sheets quote noise in still, dry air."""
 CV_STD = 1.2
-"""Half-normal: open plumes have been measured with fluctuations of half to twice their mean, less where a sensor averages; steady gas stays
-the most likely value."""
+"""Half-normal: open plumes have been measured with fluctuations of half to twice their mean, less where a
+sensor averages; steady gas stays the most likely value."""
 
 REPLACED = {"u": "wind-speed", "phi": "wind-direction"}
-"""Absolute priors of the wind: the measured value is then ignored, so an error of its measurement means nothing."""
+"""Absolute priors of the wind: the measured value is then ignored, so an error of its measurement means
+nothing.
+"""
 
 
-def effective_priors(assume: str, given: Mapping[str, Prior], rate: float, lifetime: float, sensor: Sensor) -> dict[str, Prior]:
-    """Return the priors of an assumption, each replaced by the one given under its name, by name of `PARAMETERS`.
+def effective_priors(
+    assume: str, given: Mapping[str, Prior], rate: float, lifetime: float, sensor: Sensor
+) -> dict[str, Prior]:
+    """Return the priors of an assumption, each replaced by the one given under its name, by name of
+    `PARAMETERS`.
 
-    `rate` (g/s) and `lifetime` (s) are what the estimator is told. A given prior of u or phi also removes the assumption's prior of the
-    measured wind speed or direction. Intermittency is modelled for the Gaussian sensor only, and noise has a factor for all but hits,
-    whose noise is Poisson's.
+    `rate` (g/s) and `lifetime` (s) are what the estimator is told. A given prior of u or phi also removes
+    the assumption's prior of the measured wind speed or direction. Intermittency is modelled for the
+    Gaussian sensor only, and noise has a factor for all but hits, whose noise is Poisson's.
 
     Raises:
-        ValueError: There is no such assumption or parameter, or two given priors exclude each other, or one means nothing for the sensor.
+        ValueError: There is no such assumption or parameter, or two given priors exclude each other, or
+        one means nothing for the sensor.
     """
     if assume not in ASSUMPTIONS:
         raise ValueError(f"assume {assume!r} is not allowed; wanted {' or '.join(ASSUMPTIONS)}")
@@ -71,14 +82,27 @@ def _check(given: Mapping[str, Prior], sensor: Sensor) -> None:
     for absolute, relative in REPLACED.items():
         if absolute in given and relative in given:
             raise ValueError(
-                f"a prior of {relative} is not allowed with one of {absolute}, which ignores the measured value; wanted one of them"
+                f"a prior of {relative} is not allowed with one of {absolute}, which ignores the measured "
+                "value; wanted one of them"
             )
     if "noise" in given and isinstance(sensor, Hits):
-        raise ValueError("a prior of noise is not allowed with the hits sensor, whose noise is Poisson's; wanted gaussian or threshold")
+        raise ValueError(
+            "a prior of noise is not allowed with the hits sensor, whose noise is Poisson's; wanted gaussian "
+            "or threshold"
+        )
     if "cv" in given and not isinstance(sensor, Gaussian):
-        raise ValueError("a prior of cv is not allowed with this sensor, for which intermittency is not modelled; wanted gaussian")
+        raise ValueError(
+            "a prior of cv is not allowed with this sensor, for which intermittency is not modelled; wanted "
+            "gaussian"
+        )
 
 
 def unknowns(priors: Mapping[str, Prior]) -> tuple[str, ...]:
-    """Return the names of the unknowns under these priors, in the order of `PARAMETERS`: x, y and all with a prior that is not fixed."""
-    return tuple(name for name in PARAMETERS if not isinstance(priors.get(name), Fixed) and (name in ("x", "y") or name in priors))
+    """Return the names of the unknowns under these priors, in the order of `PARAMETERS`: x, y and all with
+    a prior that is not fixed.
+    """
+    return tuple(
+        name
+        for name in PARAMETERS
+        if not isinstance(priors.get(name), Fixed) and (name in ("x", "y") or name in priors)
+    )

@@ -1,4 +1,6 @@
-"""Posteriors of many missions at once, by the same kernel as for one: mission i is bit-identical to mission i run alone."""
+"""Posteriors of many missions at once, by the same kernel as for one: mission i is bit-identical to
+mission i run alone.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,14 +18,20 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 MISSIONS_PER_TASK = 8
-"""Most missions that a thread takes at once; small portions balance the load, since missions differ much in cost."""
+"""Most missions that a thread takes at once; small portions balance the load, since missions differ much
+in cost.
+"""
 
 
 class Batch:
-    """Missions side by side, each at its own step; changed in place. All have the same number of particles and the same unknowns."""
+    """Missions side by side, each at its own step; changed in place. All have the same number of particles
+    and the same unknowns.
+    """
 
     def __init__(self, configs: Sequence[Config], threads: int = 1) -> None:
-        """Begin with the priors. Raises ValueError if missions differ in their number of particles or their unknowns."""
+        """Begin with the priors. Raises ValueError if missions differ in their number of particles or
+        their unknowns.
+        """
         first, count = configs[0], len(configs)
         rows, particles = len(first.unknown_indices), first.particles
         self.particles = np.empty((count, rows, particles))
@@ -49,10 +57,14 @@ class Batch:
             self.begin(mission, config)
 
     def begin(self, mission: int, config: Config) -> None:
-        """Replace a mission by a new one. Raises ValueError if its number of particles or its unknowns differ."""
+        """Replace a mission by a new one. Raises ValueError if its number of particles or its unknowns
+        differ.
+        """
         first = self._configs[0]
         if (config.particles, config.unknowns) != (first.particles, first.unknowns):
-            raise ValueError("all missions of a batch must have the same number of particles and the same unknowns")
+            raise ValueError(
+                "all missions of a batch must have the same number of particles and the same unknowns"
+            )
         posterior = prior(config)
         self.particles[mission] = posterior.particles
         self.weights[mission] = posterior.weights
@@ -65,7 +77,9 @@ class Batch:
         self._configs[mission] = config
 
     def assimilate(self, readings: Array, missions: Indices | None = None) -> None:
-        """Assimilate one reading for each of these missions (M,), by default all. readings: (M, 7), rows as of `Config.row`."""
+        """Assimilate one reading for each of these missions (M,), by default all. readings: (M, 7), rows
+        as of `Config.row`.
+        """
         missions = np.arange(len(self.counts)) if missions is None else missions
         if self.counts[missions].max() == self._readings.shape[1]:
             self._readings = np.concatenate([self._readings, np.empty_like(self._readings)], axis=1)
@@ -75,9 +89,20 @@ class Batch:
 
         def update(portion: Indices) -> None:
             update_missions(
-                self.particles, self._log_weights, self.weights, self._log_targets, self._readings, self._ranks, self.counts,
-                self._unknowns, self._priors, self._sensors, self._seeds, self._sweeps, portion,
-            )  # fmt: skip
+                self.particles,
+                self._log_weights,
+                self.weights,
+                self._log_targets,
+                self._readings,
+                self._ranks,
+                self.counts,
+                self._unknowns,
+                self._priors,
+                self._sensors,
+                self._seeds,
+                self._sweeps,
+                portion,
+            )
             moments_of_missions(self.particles, self.weights, portion, self.means, self.covariances)
 
         self.share_out(update, missions)
@@ -100,7 +125,9 @@ class Batch:
         count, config = self.counts[mission], self._configs[mission]
         readings = self._readings[mission, :count]
         p_value = fit(readings, self._ranks[mission, :count], config)
-        better = evidence(self.particles[mission], self.weights[mission], self._log_targets[mission], readings, config)
+        better = evidence(
+            self.particles[mission], self.weights[mission], self._log_targets[mission], readings, config
+        )
         return may_claim(p_value, better, int(count))
 
     def has_ceased(self, mission: int) -> bool:
@@ -108,8 +135,14 @@ class Batch:
         config, covariance = self._configs[mission], self.covariances[mission]
         (xx, _), (_, yy) = covariance[:2, :2].tolist()
         spread, ranks = math.sqrt(xx + yy), self._ranks[mission, : self.counts[mission]]
-        located = locates(spread, self.particles[mission], self.weights[mission], self.means[mission], ranks, config)
-        stds = dict(zip(config.unknowns, np.sqrt(covariance.diagonal()).tolist(), strict=True)) if config.stop_limits else {}
+        located = locates(
+            spread, self.particles[mission], self.weights[mission], self.means[mission], ranks, config
+        )
+        stds = (
+            dict(zip(config.unknowns, np.sqrt(covariance.diagonal()).tolist(), strict=True))
+            if config.stop_limits
+            else {}
+        )
         return sure_enough(located, stds, config) and self.may_claim(mission)
 
     def posterior(self, mission: int) -> Posterior:

@@ -22,21 +22,29 @@ FEWEST = 8
 INCOMPATIBLE = 1e-4
 """Below this p-value the readings do not fit the model: there is no stop."""
 CLEAR = 5.0
-"""A stop is declared only if the plume explains the readings by so many nats better than a sensor that shows one value plus noise."""
+"""A stop is declared only if the plume explains the readings by so many nats better than a sensor that
+shows one value plus noise.
+"""
 RUN = 20
-"""Number of recent readings in which `stretch` looks for neighbours that are alike: a search has few more in the gas."""
+"""Number of recent readings in which `stretch` looks for neighbours that are alike: a search has few more
+in the gas.
+"""
 STUCK = 3
-"""This many bit-identical readings in a row mean that a noisy sensor is stuck. There is no stop before this many readings."""
+"""This many bit-identical readings in a row mean that a noisy sensor is stuck. There is no stop before
+this many readings.
+"""
 
 
 def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Belief, Particles]:
-    """Return the belief message after `reading`, including whether the search has ceased, and the particle array (N, D + 1).
+    """Return the belief message after `reading`, including whether the search has ceased, and the particle
+    array (N, D + 1).
 
-    A row of the array, float32, is a particle: its D unknowns in the order of `Belief.unknowns`, then its weight; the weights sum to 1.
+    A row of the array, float32, is a particle: its D unknowns in the order of `Belief.unknowns`, then its
+    weight; the weights sum to 1.
 
     Example:
-        `said, particles = belief(posterior, reading, config)`; then `said.mean` is the estimate of the source (m), `said.spread` its
-        standard deviation (m) and `said.ceased` whether the search may stop.
+        `said, particles = belief(posterior, reading, config)`; then `said.mean` is the estimate of the
+        source (m), `said.spread` its standard deviation (m) and `said.ceased` whether the search may stop.
     """
     unknown_means, unknown_covariance = moments(posterior.particles, posterior.weights)
     means = config.prior_rows[:, 1].copy()  # known values; the unknowns' means follow
@@ -51,7 +59,9 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
     spread = math.sqrt(xx + yy)
     located = locates(spread, posterior.particles, posterior.weights, unknown_means, posterior.ranks, config)
     p_value = fit(posterior.readings, posterior.ranks, config)
-    better = evidence(posterior.particles, posterior.weights, posterior.log_targets, posterior.readings, config)
+    better = evidence(
+        posterior.particles, posterior.weights, posterior.log_targets, posterior.readings, config
+    )
     summary = Belief(
         time_boot_ms=reading.time_boot_ms,
         step=len(posterior.readings) - 1,
@@ -84,7 +94,8 @@ def belief(posterior: Posterior, reading: Reading, config: Config) -> tuple[Beli
 
 
 def fit(readings: Array, ranks: Array, config: Config) -> float:
-    """Return the p-value of the recent readings: a test that their ranks in their predictive distributions are uniform.
+    """Return the p-value of the recent readings: a test that their ranks in their predictive distributions
+    are uniform.
 
     It is 0 if the sensor is stuck.  readings: (T, 7), ranks: (T,), as in `Posterior`.
     """
@@ -95,30 +106,40 @@ def fit(readings: Array, ranks: Array, config: Config) -> float:
 
 
 def evidence(particles: Array, weights: Array, log_targets: Array, readings: Array, config: Config) -> float:
-    """Return by how many nats the belief explains the readings better than a sensor that shows one value plus noise.
+    """Return by how many nats the belief explains the readings better than a sensor that shows one value
+    plus noise.
 
-    The mean log-likelihood of all readings under the belief, less the greatest that any such sensor gives them. A sensor that hums at one
-    value fits a distant source with a wide plume, so the model check is silent; but then this is near 0 or below.
-    Arguments as in `Posterior`.
+    The mean log-likelihood of all readings under the belief, less the greatest that any such sensor gives
+    them. A sensor that hums at one value fits a distant source with a wide plume, so the model check is
+    silent; but then this is near 0 or below. Arguments as in `Posterior`.
     """
     log_likelihoods = log_targets - log_priors(particles, config.unknown_indices, config.prior_rows)
-    return float(weighted_mean(weights, log_likelihoods) - log_likelihood_of_one_value(readings, config.sensor_row))
+    return float(
+        weighted_mean(weights, log_likelihoods) - log_likelihood_of_one_value(readings, config.sensor_row)
+    )
 
 
 def may_claim(p_value: float, better: float, readings: int) -> bool:
-    """True if a find may be claimed: there are enough readings, they fit the model (`fit`), and they need a plume (`evidence`)."""
+    """True if a find may be claimed: there are enough readings, they fit the model (`fit`), and they need
+    a plume (`evidence`).
+    """
     return readings >= STUCK and p_value >= INCOMPATIBLE and better >= CLEAR
 
 
 def met(posterior: Posterior, said: Belief, config: Config) -> bool:
-    """True if the belief `said` of this posterior ceases with the criterion of `config`, whichever one `said` was made with."""
-    located = locates(said.spread, posterior.particles, posterior.weights, np.array(said.means), posterior.ranks, config)
+    """True if the belief `said` of this posterior ceases with the criterion of `config`, whichever one
+    `said` was made with.
+    """
+    located = locates(
+        said.spread, posterior.particles, posterior.weights, np.array(said.means), posterior.ranks, config
+    )
     stds = dict(zip(said.unknowns, said.stds, strict=True))
     return may_claim(said.p_value, said.evidence, said.step + 1) and sure_enough(located, stds, config)
 
 
 def warning(said: Belief, config: Config) -> tuple[str, str] | None:
-    """Return why a stop would not be honest now, and the question that it raises; None if there is no warning.
+    """Return why a stop would not be honest now, and the question that it raises; None if there is no
+    warning.
 
     A belief that is not narrow yet gives no warning for want of evidence: most searches begin so.
     """
@@ -131,10 +152,14 @@ def warning(said: Belief, config: Config) -> tuple[str, str] | None:
     return None
 
 
-def locates(spread: float, particles: Array, weights: Array, means: Array, ranks: Array, config: Config) -> bool:
-    """True if the stop criterion's claim of the location is met, also when neighbouring readings are alike (`stretch`).
+def locates(
+    spread: float, particles: Array, weights: Array, means: Array, ranks: Array, config: Config
+) -> bool:
+    """True if the stop criterion's claim of the location is met, also when neighbouring readings are alike
+    (`stretch`).
 
-    particles: (D, N), weights: (N,), which need not be normalised, means: (D,), ranks: (T,), as in `Posterior`.
+    particles: (D, N), weights: (N,), which need not be normalised, means: (D,), ranks: (T,), as in
+    `Posterior`.
     """
     if config.within is None:
         return spread < config.threshold_m and spread * stretch(ranks, config) < config.threshold_m
@@ -146,11 +171,13 @@ def locates(spread: float, particles: Array, weights: Array, means: Array, ranks
 
 
 def stretch(ranks: Array, config: Config) -> float:
-    """Return how many times wider than the belief its errors may be, since neighbouring readings are alike.
+    """Return how many times wider than the belief its errors may be, since neighbouring readings are
+    alike.
 
-    Gas that comes in gusts can stay above or below its mean for several readings. The filter takes them for independent. Then T readings
-    are worth T (1 − ρ) / (1 + ρ), where ρ is the correlation of neighbours (Bayley and Hammersley 1946), and the errors grow by the root
-    of its inverse. ρ is that of the last `RUN` ranks about ½; a negative one counts as 0. It is 1 for gas that is taken to be steady.
+    Gas that comes in gusts can stay above or below its mean for several readings. The filter takes them
+    for independent. Then T readings are worth T (1 − ρ) / (1 + ρ), where ρ is the correlation of
+    neighbours (Bayley and Hammersley 1946), and the errors grow by the root of its inverse. ρ is that of
+    the last `RUN` ranks about ½; a negative one counts as 0. It is 1 for gas that is taken to be steady.
     """
     recent = ranks[-RUN:] - 0.5
     power = float(np.sum(recent * recent))
@@ -161,7 +188,8 @@ def stretch(ranks: Array, config: Config) -> float:
 
 
 def share_within(radius_m: float, particles: Array, weights: Array, means: Array, config: Config) -> float:
-    """Return the share of the belief's weight within a radius of the estimate; a known x or y is the estimate's own.
+    """Return the share of the belief's weight within a radius of the estimate; a known x or y is the
+    estimate's own.
 
     Arguments as in `locates`.
     """
@@ -173,12 +201,17 @@ def share_within(radius_m: float, particles: Array, weights: Array, means: Array
 
 
 def sure_enough(located: bool, stds: Mapping[str, float], config: Config) -> bool:
-    """True if the stop criterion is met: the location is known (`locates`), if required, and standard deviations are below their limits."""
-    return (located or not config.stop_on_location) and all(stds[name] < limit for name, limit in config.stop_limits.items())
+    """True if the stop criterion is met: the location is known (`locates`), if required, and standard
+    deviations are below their limits.
+    """
+    return (located or not config.stop_on_location) and all(
+        stds[name] < limit for name, limit in config.stop_limits.items()
+    )
 
 
 def _wind(mean: dict[str, float], reading: Reading, config: Config) -> tuple[float, float]:
-    """Return the assumed wind, (u cos φ, u sin φ) m/s: speed and direction of the reading, or their means if they have a prior.
+    """Return the assumed wind, (u cos φ, u sin φ) m/s: speed and direction of the reading, or their means
+    if they have a prior.
 
     Known errors of the measurement are corrected. Unknown ones are not: each particle has its own.
     """

@@ -13,12 +13,18 @@ class Criterion(NamedTuple):
     threshold_m: float = USUAL_THRESHOLD_M
     """ζ: the spread of the belief is below it."""
     within: tuple[float, float] | None = None
-    """(R, P): at least the share P of the belief's weight lies within R metres of the estimate. None: the spread decides."""
+    """(R, P): at least the share P of the belief's weight lies within R metres of the estimate. None: the
+    spread decides.
+    """
 
     @property
     def text(self) -> str:
         """The text that `parse` reads back."""
-        return f"within:{','.join(map(_short, self.within))}" if self.within else f"spread:{_short(self.threshold_m)}"
+        return (
+            f"within:{','.join(map(_short, self.within))}"
+            if self.within
+            else f"spread:{_short(self.threshold_m)}"
+        )
 
 
 def parse(text: str) -> Criterion:
@@ -41,7 +47,8 @@ def parse(text: str) -> Criterion:
 
 
 def chosen(threshold_m: float, stop: str | None) -> Criterion:
-    """Return the criterion of two arguments of which one may be given: `threshold_m` is the short form of `stop="spread:…"`.
+    """Return the criterion of two arguments of which one may be given: `threshold_m` is the short form of
+    `stop="spread:…"`.
 
     Raises ValueError if both are given, or if `stop` is not allowed.
     """

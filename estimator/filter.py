@@ -1,4 +1,6 @@
-"""The particle filter: the posterior over the unknowns of the source, one reading at a time (reweight, resample, move)."""
+"""The particle filter: the posterior over the unknowns of the source, one reading at a time (reweight,
+resample, move).
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,11 +28,12 @@ Array = NDArray[np.float64]
 class Config:
     """What the estimator knows beforehand, and its stop criterion.
 
-    Raises ValueError if they are inconsistent, TypeError if the sensor or a prior is something else, such as its text.
+    Raises ValueError if they are inconsistent, TypeError if the sensor or a prior is something else, such
+    as its text.
 
     Example:
-        `Config(particles=4000, rate=250.0, diffusivity=3.0)` knows the release rate (g/s) and the diffusivity (m²/s), and takes the
-        source to be anywhere in the area.
+        `Config(particles=4000, rate=250.0, diffusivity=3.0)` knows the release rate (g/s) and the
+        diffusivity (m²/s), and takes the source to be anywhere in the area.
     """
 
     particles: int = 1000
@@ -46,9 +49,9 @@ class Config:
     area_m: float = AREA_M
     """Side of the square search area, m."""
     priors: Mapping[str, Prior] = field(default_factory=dict)
-    """Priors by name of `PARAMETERS`, which replace those of `assume` one by one. x and y are uniform over the area by default. Without a
-    prior, the source's height z is the flight height, and wind speed u and direction φ are those measured. With a prior, the measured
-    value is ignored."""
+    """Priors by name of `PARAMETERS`, which replace those of `assume` one by one. x and y are uniform over
+    the area by default. Without a prior, the source's height z is the flight height, and wind speed u and
+    direction φ are those measured. With a prior, the measured value is ignored."""
     sensor: Sensor = GAUSSIAN
     stop_on_location: bool = True
     """True if a stop requires the location to be known: the spread below ζ, or `within`."""
@@ -57,26 +60,39 @@ class Config:
     assume: str = "paper"
     """What is taken to be known: a name of `estimator.assumptions.ASSUMPTIONS`."""
     within: tuple[float, float] | None = None
-    """(R, P): the search stops when at least the share P of the belief lies within R metres of the estimate, whatever ζ."""
+    """(R, P): the search stops when at least the share P of the belief lies within R metres of the
+    estimate, whatever ζ.
+    """
 
     def __post_init__(self) -> None:
         """Refuse bad assumptions, sensors, priors and limits."""
         if not isinstance(self.sensor, Sensor):
-            raise TypeError(f"sensor {self.sensor!r} is not allowed; wanted a sensor, such as plume.sensor.parse('hits:3,0.1')")
+            raise TypeError(
+                f"sensor {self.sensor!r} is not allowed; wanted a sensor, such as "
+                "plume.sensor.parse('hits:3,0.1')"
+            )
         for name, given in self.priors.items():
             if not isinstance(given, Prior):
-                raise TypeError(f"the prior {given!r} of {name} is not allowed; wanted one such as estimator.priors.Gamma(2, 150)")
+                raise TypeError(
+                    f"the prior {given!r} of {name} is not allowed; wanted one such as "
+                    "estimator.priors.Gamma(2, 150)"
+                )
         if not len(self.unknown_indices):
             raise ValueError("nothing is unknown: at least one parameter needs a prior that is not fixed")
         for name in self.stop_limits:
             if name not in self.unknowns:
-                raise ValueError(f"a stop cannot wait for {name}: it is not unknown; unknown are {', '.join(self.unknowns)}")
+                raise ValueError(
+                    f"a stop cannot wait for {name}: it is not unknown; unknown are "
+                    f"{', '.join(self.unknowns)}"
+                )
         if not (self.stop_on_location or self.stop_limits):
             raise ValueError("a stop needs a criterion: the location or a limit")
 
     @cached_property
     def effective_priors(self) -> Mapping[str, Prior]:
-        """Priors by name: those of the assumption, each replaced by the one in `priors`. Uniform ones of x and y are not among them."""
+        """Priors by name: those of the assumption, each replaced by the one in `priors`. Uniform ones of x
+        and y are not among them.
+        """
         return effective_priors(self.assume, self.priors, self.rate, self.lifetime, self.sensor)
 
     @property
@@ -114,17 +130,23 @@ class Config:
 
     @property
     def intermittent(self) -> bool:
-        """True if the gas is not taken to be steady, as `estimator.kernels.densities.is_intermittent`, without compiling it."""
+        """True if the gas is not taken to be steady, as `estimator.kernels.densities.is_intermittent`,
+        without compiling it.
+        """
         kind, value = self.prior_rows[CV, :2].tolist()
         return bool(kind != KNOWN or value != 0)
 
     @property
     def sweeps(self) -> int:
-        """Most Metropolis sweeps after each resampling. More unknowns need more, since fewer proposals are accepted."""
+        """Most Metropolis sweeps after each resampling. More unknowns need more, since fewer proposals are
+        accepted.
+        """
         return 3 * max(len(self.unknown_indices) - 1, 1)
 
     def row(self, reading: Reading) -> Array:
-        """Return a reading as the kernels take it, (7,). The last number, the exponent of its likelihood, is 1; `update` may lower it."""
+        """Return a reading as the kernels take it, (7,). The last number, the exponent of its likelihood,
+        is 1; `update` may lower it.
+        """
         height = reading.altitude_m if "z" in self.priors else 0.0
         return np.array([*reading.position, height, *reading.wind, reading.gas, 1.0])
 
@@ -142,17 +164,20 @@ class Posterior:
     log_targets: Array
     """(N,) log posterior density given all readings so far, up to a constant, at each particle."""
     readings: Array
-    """(T, 7): x, y, height, wind_x, wind_y, gas, share. The share is the exponent of the reading's likelihood. It is below 1 if the
-    reading was too improbable to be assimilated in full."""
+    """(T, 7): x, y, height, wind_x, wind_y, gas, share. The share is the exponent of the reading's
+    likelihood. It is below 1 if the reading was too improbable to be assimilated in full."""
     ranks: Array
-    """(T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right."""
+    """(T,) rank of each reading in its predictive distribution: uniform in (0, 1) if the model is right.
+    """
 
 
 def prior(config: Config) -> Posterior:
-    """Return the belief before any reading: N particles of equal weight, drawn from the priors of `config`.
+    """Return the belief before any reading: N particles of equal weight, drawn from the priors of
+    `config`.
 
     Example:
-        `prior(Config(particles=500)).particles.shape` is (2, 500): a row for each unknown, x and y in metres.
+        `prior(Config(particles=500)).particles.shape` is (2, 500): a row for each unknown, x and y in
+        metres.
     """
     count = config.particles
     particles = priors.draw(config.prior_rows, config.unknown_indices, count, keyed(config.seed, "prior"))
@@ -161,9 +186,11 @@ def prior(config: Config) -> Posterior:
 
 
 def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Posterior:
-    """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move (`estimator.kernels.update`).
+    """Return the posterior after one more reading: reweight; if the weights degenerate, resample and move
+    (`estimator.kernels.update`).
 
-    A function of its arguments alone: the same readings in the same order give the same particles. `posterior` is not changed.
+    A function of its arguments alone: the same readings in the same order give the same particles.
+    `posterior` is not changed.
 
     Example:
         ```python
@@ -179,11 +206,20 @@ def assimilate(posterior: Posterior, reading: Reading, config: Config) -> Poster
         ```
     """
     particles, log_weights, weights, log_targets = (
-        array.copy() for array in (posterior.particles, posterior.log_weights, posterior.weights, posterior.log_targets)
+        array.copy()
+        for array in (posterior.particles, posterior.log_weights, posterior.weights, posterior.log_targets)
     )
     readings = np.vstack([posterior.readings, config.row(reading)])
     rank = update(
-        particles, log_weights, weights, log_targets, readings, config.unknown_indices, config.prior_rows, config.sensor_row,
-        config.seed, config.sweeps,
-    )  # fmt: skip
+        particles,
+        log_weights,
+        weights,
+        log_targets,
+        readings,
+        config.unknown_indices,
+        config.prior_rows,
+        config.sensor_row,
+        config.seed,
+        config.sweeps,
+    )
     return Posterior(particles, log_weights, weights, log_targets, readings, np.append(posterior.ranks, rank))

@@ -23,24 +23,38 @@ TRIED = 1000
 def add_sensor_argument(parser: argparse.ArgumentParser) -> None:
     """Add the flag that chooses the sensor that the estimator assumes."""
     kind = parser.add_argument(
-        "--sensor", type=cli.checked(sensor.parse, sensor.KINDS), default="gaussian", metavar="KIND[:NUMBERS]",
-        help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: threshold:0.5,0.3 (default: %(default)s)",
-    )  # fmt: skip
+        "--sensor",
+        type=cli.checked(sensor.parse, sensor.KINDS),
+        default="gaussian",
+        metavar="KIND[:NUMBERS]",
+        help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: "
+        "threshold:0.5,0.3 (default: %(default)s)",
+    )
     cli.completed(kind, lambda: sensor.KINDS)
 
 
 def criteria(args: argparse.Namespace) -> list[Criterion]:
-    """Return the stop criteria of --threshold or --stop, several where a command takes several. Raises ValueError with what is allowed."""
+    """Return the stop criteria of --threshold or --stop, several where a command takes several. Raises
+    ValueError with what is allowed.
+    """
     if args.stop is None:
-        return [Criterion(threshold_m) for threshold_m in (args.threshold if isinstance(args.threshold, list) else [args.threshold])]
+        return [
+            Criterion(threshold_m)
+            for threshold_m in (args.threshold if isinstance(args.threshold, list) else [args.threshold])
+        ]
     try:
-        return list(dict.fromkeys(criterion.parse(text) for text in ([args.stop] if isinstance(args.stop, str) else args.stop)))
+        return list(
+            dict.fromkeys(
+                criterion.parse(text) for text in ([args.stop] if isinstance(args.stop, str) else args.stop)
+            )
+        )
     except ValueError as error:
         raise ValueError(f"--stop: {error}") from None
 
 
 def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any]:
-    """Return the fields of `Config` that --assume, --prior, --stop-on and --sensor set, for an area of side `area_m`.
+    """Return the fields of `Config` that --assume, --prior, --stop-on and --sensor set, for an area of
+    side `area_m`.
 
     Raises ValueError with what is allowed.
     """
@@ -50,7 +64,12 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
         try:
             name, prior = parse(text)
             if not isinstance(prior, Fixed):
-                draw(table({name: prior}, {}, area_m), np.array([PARAMETERS.index(name)]), TRIED, keyed(0, "trial"))
+                draw(
+                    table({name: prior}, {}, area_m),
+                    np.array([PARAMETERS.index(name)]),
+                    TRIED,
+                    keyed(0, "trial"),
+                )
         except ValueError as error:
             raise ValueError(f"--prior: {error}") from None
         priors[name] = prior
@@ -59,7 +78,9 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
     except ValueError as error:
         raise ValueError(f"--prior: {error}") from None
     if not unknown:
-        raise ValueError("--prior: nothing is unknown; at least one parameter needs a prior that is not fixed")
+        raise ValueError(
+            "--prior: nothing is unknown; at least one parameter needs a prior that is not fixed"
+        )
     limits: dict[str, float] = {}
     for item in args.stop_on.split(","):
         name, _, limit = item.partition("=")
@@ -72,7 +93,14 @@ def knowledge(args: argparse.Namespace, area_m: float = AREA_M) -> dict[str, Any
         if name not in unknown or not 0 < limits[name] < math.inf:
             wanted = ", ".join(unknown)
             raise ValueError(
-                f"--stop-on: {args.stop_on!r} is not allowed; wanted `location` and NAME=STD above 0, between commas; unknown are {wanted}"
+                f"--stop-on: {args.stop_on!r} is not allowed; wanted `location` and NAME=STD above 0, "
+                f"between commas; unknown are {wanted}"
             )
     location = "location" in args.stop_on.split(",")
-    return {"priors": priors, "stop_limits": limits, "stop_on_location": location, "sensor": assumed, "assume": args.assume}
+    return {
+        "priors": priors,
+        "stop_limits": limits,
+        "stop_on_location": location,
+        "sensor": assumed,
+        "assume": args.assume,
+    }

@@ -47,7 +47,9 @@ class Gamma:
 
 @dataclass(frozen=True)
 class LogNormal:
-    """Log-normal with a median; the logarithm's standard deviation is sigma, so two thirds lie within a factor of exp(sigma)."""
+    """Log-normal with a median; the logarithm's standard deviation is sigma, so two thirds lie within a
+    factor of exp(sigma).
+    """
 
     median: float
     sigma: float
@@ -99,7 +101,10 @@ def parse(text: str) -> tuple[str, Prior]:
             sound = median > 0 and sigma > 0 and name in NOT_NEGATIVE
             rule = f"MEDIAN and SIGMA above 0, and NAME of {', '.join(NOT_NEGATIVE)}"
         case Fixed(value):
-            sound, rule = value >= SMALLEST or name not in POSITIVE, f"VALUE from {SMALLEST:g} for {', '.join(POSITIVE)}"
+            sound, rule = (
+                value >= SMALLEST or name not in POSITIVE,
+                f"VALUE from {SMALLEST:g} for {', '.join(POSITIVE)}",
+            )
             if name == "cv":
                 sound, rule = 0 <= value <= GREATEST_CV, f"VALUE from 0 to {GREATEST_CV:g} for cv"
     if not (sound and all(abs(value) <= MOST for value in values)):
@@ -108,7 +113,9 @@ def parse(text: str) -> tuple[str, Prior]:
 
 
 def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
-    """Return the ends of a parameter's range under its prior; raises ValueError if the prior excludes every possible value."""
+    """Return the ends of a parameter's range under its prior; raises ValueError if the prior excludes
+    every possible value.
+    """
     low = SMALLEST if name in POSITIVE else 0.0 if name in ("x", "y", "u", "cv") else -MOST
     high = area_m if name in ("x", "y") else GREATEST_CV if name == "cv" else MOST
     match prior:
@@ -126,7 +133,8 @@ def support(name: str, prior: Prior, area_m: float) -> tuple[float, float]:
 
 
 def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float) -> Array:
-    """Return the priors as the kernels take them, (13, 5): kind, two numbers (of LOGNORMAL log median and sigma), ends of the support.
+    """Return the priors as the kernels take them, (13, 5): kind, two numbers (of LOGNORMAL log median and
+    sigma), ends of the support.
 
     A parameter in neither `priors` nor `known` (u, φ) is measured.
     """
@@ -152,8 +160,9 @@ def table(priors: Mapping[str, Prior], known: Mapping[str, float], area_m: float
 def draw(rows: Array, unknowns: NDArray[np.int64], count: int, rng: np.random.Generator) -> Array:
     """Draw particles (D, count) from the priors.
 
-    Uniform priors use a low-discrepancy lattice with a random shift (the R sequence, Roberts 2018): each draw is uniform, and
-    together they leave no gaps. Raises ValueError if a prior hardly ever gives a value that its parameter can have.
+    Uniform priors use a low-discrepancy lattice with a random shift (the R sequence, Roberts 2018): each
+    draw is uniform, and together they leave no gaps. Raises ValueError if a prior hardly ever gives a
+    value that its parameter can have.
     """
     power, ratio = len(unknowns) + 1, 1.5
     for _ in range(20):  # the positive root of x^(D+1) = x + 1 (Newton)
@@ -164,11 +173,17 @@ def draw(rows: Array, unknowns: NDArray[np.int64], count: int, rng: np.random.Ge
     for row, index in enumerate(unknowns):
         kind, a, b, low, high = rows[index]
         if kind == UNIFORM:
-            result[row] = low + (np.arange(count) / math.prod([ratio] * (row + 1)) + shift[row]) % 1.0 * (high - low)
+            result[row] = low + (np.arange(count) / math.prod([ratio] * (row + 1)) + shift[row]) % 1.0 * (
+                high - low
+            )
             continue
         missing = np.arange(count)
         for _ in range(MOST_DRAWS):  # redraw values outside the support
-            drawn = b * standard_gamma(rng, a, len(missing)) if kind == GAMMA else a + b * standard_normal(rng, len(missing))
+            drawn = (
+                b * standard_gamma(rng, a, len(missing))
+                if kind == GAMMA
+                else a + b * standard_normal(rng, len(missing))
+            )
             result[row, missing] = exp(drawn) if kind == LOGNORMAL else drawn
             missing = missing[(result[row, missing] < low) | (result[row, missing] > high)]
             if not len(missing):

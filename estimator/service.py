@@ -14,7 +14,8 @@ from plume.sensor import text
 
 
 def run(bus: Bus, config: Config, system: int | None) -> None:
-    """Serve until interrupted. The first readings are those published before it joined: this alone recovers a restarted estimator.
+    """Serve until interrupted. The first readings are those published before it joined: this alone
+    recovers a restarted estimator.
 
     system: the vehicle's MAVLink system id; None: that of the first reading that is admitted.
     """
@@ -46,16 +47,22 @@ def run(bus: Bus, config: Config, system: int | None) -> None:
             _judge(bus, summary, config)
             if summary.ceased and not stopped:
                 bus.publish(STOP, stop(summary, config))
-                bus.log.info(f"ceased at step {summary.step}: ({summary.mean[0]:.2f}, {summary.mean[1]:.2f}) ± {summary.spread:.2f} m")
+                bus.log.info(
+                    f"ceased at step {summary.step}: ({summary.mean[0]:.2f}, {summary.mean[1]:.2f}) ± "
+                    f"{summary.spread:.2f} m"
+                )
                 stopped = bus.tally.ceased = True
-        # A repeated reading means that no answer arrived. Publishing the same belief again recovers from any lost message.
+        # A repeated reading means that no answer arrived. Publishing the same belief again recovers from any
+        # lost message.
         assert summary is not None
         bus.publish(BELIEF, summary, particles)
         bus.answered()
 
 
 def _judge(bus: Bus, said: Belief, config: Config) -> None:
-    """Warn while no stop would be honest: once for each reason in the log, and in health as long as it lasts."""
+    """Warn while no stop would be honest: once for each reason in the log, and in health as long as it
+    lasts.
+    """
     found = warning(said, config)
     if found is None:
         bus.tally.warnings = ()
@@ -75,5 +82,6 @@ def _begin(bus: Bus, config: Config) -> None:
     bus.log.info(
         f"ready: {bus.tally.about}; unknown {' '.join(config.unknowns)}; "
         f"told q {config.rate:g} g/s, d {config.diffusivity:g} m²/s, tau {config.lifetime:g} s; "
-        f"sensor {text(config.sensor)}{', for which intermittency of the gas is not modelled' if steady else ''}"
+        "sensor "
+        f"{text(config.sensor)}{', for which intermittency of the gas is not modelled' if steady else ''}"
     )

@@ -1,1 +1,3 @@
-"""What commands share: flags, tables, files written whole, certificates, modes; and the page of the bus. Imports: link.access, link.bus."""
+"""What commands share: flags, tables, files written whole, certificates, modes; and the page of the bus.
+Imports: link.access, link.bus.
+"""

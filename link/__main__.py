@@ -1,4 +1,6 @@
-"""`python -m link`: prints docs/bus.md, the bus contract, from the table of keys and the message types. `certs` makes certificates."""
+"""`python -m link`: prints docs/bus.md, the bus contract, from the table of keys and the message types.
+`certs` makes certificates.
+"""
 
 if __name__ == "__main__":  # here, because the modules below take long to load
     from link.early import end_at_once
@@ -128,16 +130,29 @@ def _yes(value: bool) -> str:
 
 
 def _payload(key: Key) -> str:
-    return key.payload if isinstance(key.payload, str) else f"JSON [{key.payload.__name__}](#{key.payload.__name__.lower()})"
+    return (
+        key.payload
+        if isinstance(key.payload, str)
+        else f"JSON [{key.payload.__name__}](#{key.payload.__name__.lower()})"
+    )
 
 
 def _key_tables() -> str:
     lines = ["| key | payload | from → to | rate |", "|---|---|---|---|"]
-    lines += [f"| `{key.name}` | {_payload(key)} | {key.source} → {key.target} | {key.rate} |" for key in KEYS]
-    lines += ["", "| key | reliable | under congestion | priority | express | kept | at most |", "|---|---|---|---|---|---|---|"]
+    lines += [
+        f"| `{key.name}` | {_payload(key)} | {key.source} → {key.target} | {key.rate} |" for key in KEYS
+    ]
+    lines += [
+        "",
+        "| key | reliable | under congestion | priority | express | kept | at most |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for key in KEYS:
         how = key.delivery
-        waits, priority = "publisher waits" if how.blocking else "dropped", "real time" if how.realtime else "data"
+        waits, priority = (
+            "publisher waits" if how.blocking else "dropped",
+            "real time" if how.realtime else "data",
+        )
         cells = _yes(how.reliable), waits, priority, _yes(how.express), how.kept or "", f"{key.most_mib} MiB"
         lines.append(f"| `{key.name}` | {' | '.join(map(str, cells))} |")
     lines += ["", *(f"- `{key.name}`: {key.meaning}" for key in KEYS)]
@@ -161,7 +176,9 @@ def _access_tables() -> str:
         if "<service>" in key.name:
             lines.append(f"| `{key.name}` | each role its own services | all |")
         else:
-            lines.append(f"| `{key.name}` | {', '.join(key.writers)} | {', '.join((*key.readers, *OF_ALL_VEHICLES))} |")
+            lines.append(
+                f"| `{key.name}` | {', '.join(key.writers)} | {', '.join((*key.readers, *OF_ALL_VEHICLES))} |"
+            )
     return "\n".join(lines)
 
 
@@ -173,15 +190,27 @@ def _type(schema: dict[str, Any]) -> str:
     if schema.get("items"):
         return f"array of {_type(schema['items'])}"
     limits = [
-        f"{sign} {schema[name]:g}" for name, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤")) if name in schema
+        f"{sign} {schema[name]:g}"
+        for name, sign in (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"))
+        if name in schema
     ]
     return " ".join([schema["type"], *limits])
 
 
 def _message(kind: type) -> str:
     schema = msgspec.json.schema_components([kind])[1][kind.__name__]
-    lines = [f"### {kind.__name__}", "", schema["description"], "", "| field | type | meaning |", "|---|---|---|"]
-    lines += [f"| `{name}` | {_type(field)} | {field.get('description', '')} |" for name, field in schema["properties"].items()]
+    lines = [
+        f"### {kind.__name__}",
+        "",
+        schema["description"],
+        "",
+        "| field | type | meaning |",
+        "|---|---|---|",
+    ]
+    lines += [
+        f"| `{name}` | {_type(field)} | {field.get('description', '')} |"
+        for name, field in schema["properties"].items()
+    ]
     return "\n".join(lines)
 
 

@@ -13,17 +13,32 @@ from link.access.roles import MOST_VEHICLES
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
-    parser.add_argument("folder", type=Path, metavar="DIR", help="where they are kept; what is there already stays, the CA above all")
     parser.add_argument(
-        "--vehicles", type=cli.listed(cli.whole(1, MOST_VEHICLES)), default=[1], metavar="N,N",
+        "folder",
+        type=Path,
+        metavar="DIR",
+        help="where they are kept; what is there already stays, the CA above all",
+    )
+    parser.add_argument(
+        "--vehicles",
+        type=cli.listed(cli.whole(1, MOST_VEHICLES)),
+        default=[1],
+        metavar="N,N",
         help="the vehicles, by the number in uav/N (default: 1)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--router", type=cli.listed(cli.checked(host)), default=list(ROUTER_NAMES), metavar="HOST,HOST",
+        "--router",
+        type=cli.listed(cli.checked(host)),
+        default=list(ROUTER_NAMES),
+        metavar="HOST,HOST",
         help=f"names and addresses at which clients reach the router (default: {','.join(ROUTER_NAMES)})",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--days", type=cli.whole(1, CA_DAYS), default=365, metavar="N", help="how long the certificates hold (default: %(default)s)"
+        "--days",
+        type=cli.whole(1, CA_DAYS),
+        default=365,
+        metavar="N",
+        help="how long the certificates hold (default: %(default)s)",
     )
     parser.add_argument("--force", action="store_true", help="make all but the CA anew")
 
@@ -33,7 +48,11 @@ def run(args: argparse.Namespace) -> int:
     try:
         made = make(args.folder, args.vehicles, args.router, args.days, force=args.force)
     except (CertificateError, OSError) as error:
-        told = f"cannot write {error.filename or args.folder}: {error.strerror}" if isinstance(error, OSError) else error
+        told = (
+            f"cannot write {error.filename or args.folder}: {error.strerror}"
+            if isinstance(error, OSError)
+            else error
+        )
         print(f"error: DIR: {told}", file=sys.stderr)
         return cli.BAD_INPUT
     for risk in risks(args.folder):
@@ -43,7 +62,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _summary(folder: Path, made: Iterable[Made]) -> Iterable[str]:
-    for (space, until, new), those in groupby(made, lambda one: (one.name.rpartition("/")[0], f"{one.until:%Y-%m-%d}", one.new)):
+    for (space, until, new), those in groupby(
+        made, lambda one: (one.name.rpartition("/")[0], f"{one.until:%Y-%m-%d}", one.new)
+    ):
         names = ", ".join(one.name.rpartition("/")[2] for one in those)
         yield f"{'made' if new else 'kept'}  until {until}  {folder / space}: {names}"
-    yield f"Give --secure {folder} to each command. To other machines copy {CA}.pem and what they run as, never {CA}.key."
+    yield (
+        f"Give --secure {folder} to each command. "
+        f"To other machines copy {CA}.pem and what they run as, never {CA}.key."
+    )

@@ -17,7 +17,9 @@ from link.early import INTERRUPTED, end_at_once
 from link.interrupts import STREAMS, discard, interrupt, leave, lost_thread, polled, unanswered
 
 UNREAD = 141
-"""Exit status if the reader of stdout has gone, as in `plumeward evaluate | head -1`: that of a program killed by SIGPIPE."""
+"""Exit status if the reader of stdout has gone, as in `plumeward evaluate | head -1`: that of a program
+killed by SIGPIPE.
+"""
 BAD_INPUT = 2
 FAILED = 1
 ASSUMPTIONS = ("field", "paper")
@@ -27,7 +29,9 @@ COMPLETING = "_ARGCOMPLETE"
 
 
 class Parser(argparse.ArgumentParser):
-    """An argparse parser that answers bad input with one line, which suggests the nearest name where there is one."""
+    """An argparse parser that answers bad input with one line, which suggests the nearest name where there
+    is one.
+    """
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong in one line and exit with status 2."""
@@ -54,17 +58,23 @@ class Parser(argparse.ArgumentParser):
         return parsed, unknown
 
     def _refuse_unknown_flags(self, words: Iterable[str]) -> None:
-        """Refuse a wrong flag before its value is taken for something else. Words behind a command are the command's."""
+        """Refuse a wrong flag before its value is taken for something else. Words behind a command are the
+        command's.
+        """
         flags = self._option_string_actions
         for word in words:
             if word == "--" or word in self._commands():
                 return
             flag = word.partition("=")[0]
             if flag.startswith("--") and not any(known.startswith(flag) for known in flags):
-                self.error(f"no flag {flag!r}{did_you_mean(flag, flags) or f'; {self.prog} --help lists them'}")
+                self.error(
+                    f"no flag {flag!r}{did_you_mean(flag, flags) or f'; {self.prog} --help lists them'}"
+                )
 
     def _commands(self) -> Collection[str]:
-        return next((action.choices for action in self._actions if isinstance(action, argparse._SubParsersAction)), ())
+        return next(
+            (action.choices for action in self._actions if isinstance(action, argparse._SubParsersAction)), ()
+        )
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Refuse a value that is not among an argument's choices."""
@@ -72,7 +82,9 @@ class Parser(argparse.ArgumentParser):
             return
         names = [str(choice) for choice in action.choices]
         if isinstance(action, argparse._SubParsersAction):
-            raise argparse.ArgumentError(None, f"no command {value!r}{did_you_mean(value, names) or f'; wanted {listing(names)}'}")
+            raise argparse.ArgumentError(
+                None, f"no command {value!r}{did_you_mean(value, names) or f'; wanted {listing(names)}'}"
+            )
         raise argparse.ArgumentError(action, not_allowed(value, names, listing(names)))
 
 
@@ -92,11 +104,17 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 def not_allowed(value: object, known: Iterable[str], wanted: str) -> str:
     """Say that a value is not allowed, which name is nearest to it, and what is wanted."""
     near = did_you_mean(str(value), known)
-    return f"{value!r} is not allowed{near} Wanted {wanted}" if near else f"{value!r} is not allowed; wanted {wanted}"
+    return (
+        f"{value!r} is not allowed{near} Wanted {wanted}"
+        if near
+        else f"{value!r} is not allowed; wanted {wanted}"
+    )
 
 
 def completed(action: argparse.Action, names: Callable[[], Iterable[str]], *endings: str) -> argparse.Action:
-    """Let a shell complete an argument by names and by files with these endings; in a list with commas, the last item."""
+    """Let a shell complete an argument by names and by files with these endings; in a list with commas,
+    the last item.
+    """
 
     def complete(prefix: str, **_: Any) -> list[str]:
         from argcomplete.completers import FilesCompleter
@@ -118,7 +136,9 @@ def whole(low: int, high: int) -> Callable[[str], int]:
         except ValueError:
             value = low - 1
         if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a whole number from {low} to {high}")
+            raise argparse.ArgumentTypeError(
+                f"{text!r} is not allowed; wanted a whole number from {low} to {high}"
+            )
         return value
 
     return parse
@@ -134,7 +154,8 @@ def number(low: float, high: float, *, above: bool = False) -> Callable[[str], f
             value = math.nan
         if not low <= value <= high or (above and value == low):
             raise argparse.ArgumentTypeError(
-                f"{text!r} is not allowed; wanted a number {'above' if above else 'from'} {low:g} up to {high:g}"
+                f"{text!r} is not allowed; wanted a number {'above' if above else 'from'} {low:g} up to "
+                f"{high:g}"
             )
         return value
 
@@ -151,9 +172,15 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     from link.bus.opening import DEFAULT_ROUTER  # loads Zenoh
 
     parser.add_argument(
-        "-e", "--connect", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="the Zenoh router to join (default: %(default)s)"
+        "-e",
+        "--connect",
+        metavar="ENDPOINT",
+        default=DEFAULT_ROUTER,
+        help="the Zenoh router to join (default: %(default)s)",
     )
-    parser.add_argument("--namespace", metavar="NAME", default="uav/1", help="the vehicle's key prefix (default: %(default)s)")
+    parser.add_argument(
+        "--namespace", metavar="NAME", default="uav/1", help="the vehicle's key prefix (default: %(default)s)"
+    )
     add_secure_argument(parser)
     add_log_argument(parser)
 
@@ -161,7 +188,10 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
 def add_secure_argument(parser: argparse.ArgumentParser) -> None:
     """Add the flag that secures the bus."""
     parser.add_argument(
-        "--secure", type=Path, metavar="DIR", help="mutual TLS, with the certificates that `plumeward certs DIR` made; tcp/ then means tls/"
+        "--secure",
+        type=Path,
+        metavar="DIR",
+        help="mutual TLS, with the certificates that `plumeward certs DIR` made; tcp/ then means tls/",
     )
 
 
@@ -170,7 +200,10 @@ def add_log_argument(parser: argparse.ArgumentParser, default: str = "info") -> 
     from link.bus.log import LEVELS
 
     parser.add_argument(
-        "--log-level", choices=LEVELS, default=default, help="the lowest level that is logged; debug logs every step (default: %(default)s)"
+        "--log-level",
+        choices=LEVELS,
+        default=default,
+        help="the lowest level that is logged; debug logs every step (default: %(default)s)",
     )
 
 
@@ -188,51 +221,75 @@ def add_filter_arguments(parser: argparse.ArgumentParser, *, several: bool = Fal
     add_assume_argument(parser, "field")
     stop = parser.add_mutually_exclusive_group()
     stop.add_argument(
-        "--threshold", type=listed(threshold) if several else threshold, default="0.5", metavar="M",
-        help=f"stop when the spread of the belief is below M metres, the short form of --stop spread:M{more} (default: %(default)s)",
-    )  # fmt: skip
+        "--threshold",
+        type=listed(threshold) if several else threshold,
+        default="0.5",
+        metavar="M",
+        help=f"stop when the spread of the belief is below M metres, the short form of --stop spread:M{more} "
+        "(default: %(default)s)",
+    )
     add_stop_argument(stop, several=several)
     parser.add_argument(
         "--prior",
         action="append",
         default=[],
         metavar="NAME=KIND:NUMBERS",
-        help="prior of one of x y z q u phi d tau wind-direction wind-speed gain noise cv, instead of the assumption's, such as "
+        help="prior of one of x y z q u phi d tau wind-direction wind-speed gain noise cv, instead of the "
+        "assumption's, such as "
         "q=gamma:2,150 u=normal:2.5,0.5 tau=uniform:5,15 z=fixed:1.5; may be repeated",
     )
     parser.add_argument(
-        "--stop-on", default="location", metavar="WHAT",
-        help="what must be known to stop: location (--stop), or also standard deviations, as in location,q=50 (default: %(default)s)",
-    )  # fmt: skip
+        "--stop-on",
+        default="location",
+        metavar="WHAT",
+        help="what must be known to stop: location (--stop), or also standard deviations, as in "
+        "location,q=50 (default: %(default)s)",
+    )
 
 
 def add_assume_argument(parser: argparse.ArgumentParser, default: str) -> None:
     """Add the flag that chooses what the estimator takes to be known."""
     parser.add_argument(
-        "--assume", choices=ASSUMPTIONS, default=default,
-        help="what the estimator takes to be known. paper: all but the position x, y; field: wind, release rate, lifetime, noise and "
+        "--assume",
+        choices=ASSUMPTIONS,
+        default=default,
+        help="what the estimator takes to be known. paper: all but the position x, y; field: wind, release "
+        "rate, lifetime, noise and "
         "intermittency only roughly (default: %(default)s)",
-    )  # fmt: skip
+    )
 
 
 def add_stop_argument(parser: argparse._ActionsContainer, *, several: bool = False) -> None:
     """Add the flag that chooses the stop criterion, or with `several` a list of them; None without it."""
     parser.add_argument(
-        "--stop", metavar="CRITERION", action="append" if several else "store",
-        help="spread:Z stops when the spread of the belief is below Z metres, within:R,P when at least the share P of the belief is within "
-        f"R metres of the estimate, as in within:1,0.99{'; may be repeated' if several else ''} (default: spread:0.5)",
-    )  # fmt: skip
+        "--stop",
+        metavar="CRITERION",
+        action="append" if several else "store",
+        help="spread:Z stops when the spread of the belief is below Z metres, within:R,P when at least the "
+        "share P of the belief is within "
+        f"R metres of the estimate, as in within:1,0.99{'; may be repeated' if several else ''} (default: "
+        "spread:0.5)",
+    )
 
 
 def add_reach_arguments(parser: argparse.ArgumentParser, budget: int) -> None:
     """Add the flags that set how often and how a planner may move, and how many readings it samples."""
     parser.add_argument(
-        "--budget", type=whole(1, 1_000_000), default=budget, metavar="STEPS", help="give up after so many moves (default: %(default)s)"
+        "--budget",
+        type=whole(1, 1_000_000),
+        default=budget,
+        metavar="STEPS",
+        help="give up after so many moves (default: %(default)s)",
     )
     parser.add_argument(
-        "--headings", type=int, choices=(4, 8), help="directions that the planner chooses from (default: the planner's own)"
+        "--headings",
+        type=int,
+        choices=(4, 8),
+        help="directions that the planner chooses from (default: the planner's own)",
     )
-    parser.add_argument("--step", type=number(0, 10, above=True), metavar="M", help="length of a move, m (default: 1)")
+    parser.add_argument(
+        "--step", type=number(0, 10, above=True), metavar="M", help="length of a move, m (default: 1)"
+    )
     parser.add_argument(
         "--measurements",
         type=whole(1, 10_000),
@@ -248,7 +305,9 @@ def reach_given(args: argparse.Namespace) -> dict[str, float]:
 
 
 def checked(parse: Callable[[str], object], known: Collection[str] = ()) -> Callable[[str], str]:
-    """Argument type: text that `parse` accepts; its ValueError says what is allowed. A name before a colon may be near a known one."""
+    """Argument type: text that `parse` accepts; its ValueError says what is allowed. A name before a colon
+    may be near a known one.
+    """
 
     def check(text: str) -> str:
         try:
@@ -256,7 +315,9 @@ def checked(parse: Callable[[str], object], known: Collection[str] = ()) -> Call
         except ValueError as error:
             name, said = text.partition(":")[0], str(error)
             near = "" if name in known else did_you_mean(name, known)
-            raise argparse.ArgumentTypeError(said.replace("; wanted", f"{near} Wanted", 1) if near else said) from None
+            raise argparse.ArgumentTypeError(
+                said.replace("; wanted", f"{near} Wanted", 1) if near else said
+            ) from None
         return text
 
     return check
@@ -265,7 +326,11 @@ def checked(parse: Callable[[str], object], known: Collection[str] = ()) -> Call
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags that choose what a mission prints."""
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object on stdout")
-    parser.add_argument("--trace", action="store_true", help="with --json: add the position, reading, mean and spread of every step")
+    parser.add_argument(
+        "--trace",
+        action="store_true",
+        help="with --json: add the position, reading, mean and spread of every step",
+    )
 
 
 def add_output_guard(parser: argparse.ArgumentParser) -> None:
@@ -274,13 +339,16 @@ def add_output_guard(parser: argparse.ArgumentParser) -> None:
 
 
 def existing(flag: str, paths: Iterable[Path], force: bool) -> str | None:
-    """Return one line that refuses to overwrite the first of these files that exists; None if none exists, or with `force`."""
+    """Return one line that refuses to overwrite the first of these files that exists; None if none exists,
+    or with `force`.
+    """
     there = next((path for path in paths if not force and os.path.lexists(path)), None)
     return None if there is None else f"{flag}: {str(there)!r} exists; wanted another name, or --force"
 
 
 def unwritable(flag: str, paths: Iterable[Path], force: bool) -> str | None:
-    """Return one line that refuses to write the first of these files that exists or cannot be written; None if all can be.
+    """Return one line that refuses to write the first of these files that exists or cannot be written;
+    None if all can be.
 
     A pipe or a device has no content to protect.
     """
@@ -295,11 +363,15 @@ def unwritable(flag: str, paths: Iterable[Path], force: bool) -> str | None:
 
 
 def run(command: Callable[[], int | None]) -> NoReturn:
-    """Run a command and exit with its status: 0 done, 1 failed, 2 bad input, 130 interrupted, 141 if the reader of its output has gone."""
+    """Run a command and exit with its status: 0 done, 1 failed, 2 bad input, 130 interrupted, 141 if the
+    reader of its output has gone.
+    """
     gc.set_threshold(100_000)  # Python's own 700 costs a tenth of the start-up time
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # None where the caller closed it
-            stream.reconfigure(errors="backslashreplace")  # where ASCII alone is printed, and for names of files that are not text
+            stream.reconfigure(
+                errors="backslashreplace"
+            )  # where ASCII alone is printed, and for names of files that are not text
     try:
         interrupt()
         status = _status(command)
@@ -317,7 +389,9 @@ def _status(command: Callable[[], int | None]) -> int:
     try:
         try:
             status = command() or 0
-        except SystemExit as end:  # of --help, whose output has to be flushed too; of bad input; of rich on a closed pipe
+        except (
+            SystemExit
+        ) as end:  # of --help, whose output has to be flushed too; of bad input; of rich on a closed pipe
             status = end.code if isinstance(end.code, int) else FAILED if end.code else 0
             if status == FAILED and any(map(_unread, STREAMS)):
                 raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from None
@@ -333,7 +407,8 @@ def _status(command: Callable[[], int | None]) -> int:
         if error.errno == errno.EMFILE:
             most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
             print(
-                f"error: {error.strerror}: wanted more than the {most} that may be open at a time (set it with: ulimit -n 1024)",
+                f"error: {error.strerror}: wanted more than the {most} that may be open at a time (set it "
+                "with: ulimit -n 1024)",
                 file=sys.stderr,
             )
             return FAILED
@@ -341,9 +416,15 @@ def _status(command: Callable[[], int | None]) -> int:
 
 
 def _refusals() -> tuple[type[Exception], ...]:
-    """Return the errors of one line. Their modules take long to load: one that has not been loaded has raised none."""
+    """Return the errors of one line. Their modules take long to load: one that has not been loaded has
+    raised none.
+    """
     names = {"link.access.identity": "AccessError", "link.bus.opening": "BusError"}
-    return tuple(getattr(sys.modules[module], name) for module, name in names.items() if hasattr(sys.modules.get(module), name))
+    return tuple(
+        getattr(sys.modules[module], name)
+        for module, name in names.items()
+        if hasattr(sys.modules.get(module), name)
+    )
 
 
 def _lost_output(error: OSError) -> int:

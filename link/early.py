@@ -1,4 +1,6 @@
-"""The first thing that a command loads: until it is under way, a signal ends it at once and without a word."""
+"""The first thing that a command loads: until it is under way, a signal ends it at once and without a
+word.
+"""
 
 import _signal as signal  # type: ignore[import-not-found]  # `signal` loads more: until it has, a signal would print a traceback
 import contextlib
@@ -8,7 +10,9 @@ import os
 INTERRUPTED = 130
 """Exit status of a command that was interrupted."""
 STACKS = signal.SIGUSR1
-"""The signal on which a process writes to stderr where each of its threads is, also if it hangs. One that is stopped does so later."""
+"""The signal on which a process writes to stderr where each of its threads is, also if it hangs. One that
+is stopped does so later.
+"""
 
 
 def end_at_once() -> None:

@@ -1,4 +1,6 @@
-"""Ctrl-C, SIGTERM, SIGHUP and the death of a thread: each ends a command that is under way, at any moment and at the first one."""
+"""Ctrl-C, SIGTERM, SIGHUP and the death of a thread: each ends a command that is under way, at any moment
+and at the first one.
+"""
 
 import contextlib
 import os
@@ -16,12 +18,16 @@ from link.early import INTERRUPTED, tell_stacks
 STREAMS = (1, 2)
 """File descriptors of stdout and stderr."""
 LAUNCHER = "PLUMEWARD_LAUNCHER"
-"""The environment variable by which a launcher tells its parts its process id: they end with it, however it ends."""
+"""The environment variable by which a launcher tells its parts its process id: they end with it, however
+it ends.
+"""
 LOOK_S, AGAIN_S, AGAIN_TIMES = 0.2, 1.0, 30
-"""How often a part looks for its launcher, where it must; and once that has gone, how often and how many times it is told to end, before
-it is made to."""
+"""How often a part looks for its launcher, where it must; and once that has gone, how often and how many
+times it is told to end, before it is made to."""
 SOON_S, LOADING_S = 0.05, 1.0
-"""After how long a signal that could not be answered is sent again, and how long loading and compiling may delay the answer."""
+"""After how long a signal that could not be answered is sent again, and how long loading and compiling may
+delay the answer.
+"""
 NUMBA = f"{os.sep}numba{os.sep}"
 """In the path of each file of numba. An exception there comes out of its C code as a SystemError."""
 _lost: queue.SimpleQueue[int] = queue.SimpleQueue()
@@ -30,9 +36,15 @@ _lost_thread = False
 
 
 def ends() -> list[signal.Signals]:
-    """Return the signals that end this process. SIGHUP, which says that its terminal is closed, is not one if `nohup` has it ignored."""
+    """Return the signals that end this process. SIGHUP, which says that its terminal is closed, is not one
+    if `nohup` has it ignored.
+    """
     # A shell starts background jobs with SIGINT ignored; a service must end on it all the same.
-    return [number for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if number != signal.SIGHUP or not _ignored(number)]
+    return [
+        number
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        if number != signal.SIGHUP or not _ignored(number)
+    ]
 
 
 def _ignored(number: int) -> bool:
@@ -50,14 +62,18 @@ def on_end(handler: Callable[[int], object]) -> dict[int, Any]:
 
 
 def let_go_of_the_terminal() -> None:
-    """Point stdout and stderr at nothing if their terminal has been closed: whoever writes a last line there would fail."""
+    """Point stdout and stderr at nothing if their terminal has been closed: whoever writes a last line
+    there would fail.
+    """
     closed = [stream for stream in STREAMS if polled(stream) & select.POLLHUP]
     if closed:
         discard(closed)
 
 
 def polled(stream: int) -> int:
-    """Return what `poll` says of a file descriptor: POLLHUP for a closed terminal, POLLERR for a pipe whose reader has gone."""
+    """Return what `poll` says of a file descriptor: POLLHUP for a closed terminal, POLLERR for a pipe
+    whose reader has gone.
+    """
     poll = select.poll()
     poll.register(stream, 0)
     return sum(events for _, events in poll.poll(0))
@@ -73,23 +89,33 @@ def discard(streams: Iterable[int]) -> None:
 def interrupt() -> None:
     """Let a signal raise KeyboardInterrupt in the main thread, again if Python has lost it.
 
-    Let this process also end with its launcher, and when one of its threads dies, and tell its stacks if it hangs.
+    Let this process also end with its launcher, and when one of its threads dies, and tell its stacks if
+    it hangs.
 
-    An exception in a handler can be lost: where Python calls it within a destructor or another callback, it says so to
-    `sys.unraisablehook`; while a module is loaded or compiled, C code may swallow it or make another of it. The signal is then sent again.
+    An exception in a handler can be lost: where Python calls it within a destructor or another callback,
+    it says so to `sys.unraisablehook`; while a module is loaded or compiled, C code may swallow it or make
+    another of it. The signal is then sent again.
     """
     on_end(_interrupt)
     tell_stacks()
-    sys.unraisablehook, sys.excepthook, threading.excepthook = _ignored_exception, _uncaught, _end_without_thread
+    sys.unraisablehook, sys.excepthook, threading.excepthook = (
+        _ignored_exception,
+        _uncaught,
+        _end_without_thread,
+    )
     threading.Thread(target=_send_again, name="signals", daemon=True).start()
     launcher = os.environ.pop(LAUNCHER, None)  # the launcher is not the parent of what this process starts
     if launcher is not None:
-        threading.Thread(target=_end_with_the_launcher, args=(int(launcher),), name="launcher", daemon=True).start()
+        threading.Thread(
+            target=_end_with_the_launcher, args=(int(launcher),), name="launcher", daemon=True
+        ).start()
 
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[list[int]]:
-    """Hold the signals back: the end of the block raises KeyboardInterrupt instead. Yields the signals that have come."""
+    """Hold the signals back: the end of the block raises KeyboardInterrupt instead. Yields the signals
+    that have come.
+    """
     held: list[int] = []
     before = on_end(held.append)
     try:
@@ -102,7 +128,9 @@ def uninterrupted() -> Iterator[list[int]]:
 
 
 def leave() -> NoReturn:
-    """Exit at once. An interrupt may strike while a session opens or closes; its threads would then keep the process for ever."""
+    """Exit at once. An interrupt may strike while a session opens or closes; its threads would then keep
+    the process for ever.
+    """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it, or it is closed
             stream.flush()
@@ -133,7 +161,9 @@ def _interrupt(number: int) -> None:
 
 
 def _would_be_lost() -> bool:
-    """Whether the main thread, which calls this in a handler, loads a module or compiles one of its functions."""
+    """Whether the main thread, which calls this in a handler, loads a module or compiles one of its
+    functions.
+    """
     frame = sys._getframe()
     while frame := frame.f_back:  # type: ignore[assignment]
         file = frame.f_code.co_filename
@@ -156,7 +186,8 @@ def _uncaught(kind: type[BaseException], error: BaseException, trace: Any) -> No
 
 
 def _end_without_thread(died: threading.ExceptHookArgs) -> None:
-    """Say in one line which thread has died and why, and end this process: others would wait for that thread for ever.
+    """Say in one line which thread has died and why, and end this process: others would wait for that
+    thread for ever.
 
     It ends as by SIGTERM, so that a real vehicle is sent home and a record gets its end.
     """
@@ -171,7 +202,11 @@ def _end_without_thread(died: threading.ExceptHookArgs) -> None:
 
         place = traceback.extract_tb(died.exc_traceback)[-1]
         why = printable(f"{died.exc_type.__name__}: {died.exc_value} ({place.filename}:{place.lineno})")
-        print(f"error: thread {died.thread.name if died.thread else ''!r} has died: {why}", file=sys.stderr, flush=True)
+        print(
+            f"error: thread {died.thread.name if died.thread else ''!r} has died: {why}",
+            file=sys.stderr,
+            flush=True,
+        )
     finally:
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
 
@@ -186,7 +221,8 @@ def _send_again() -> None:
 def _end_with_the_launcher(launcher: int) -> None:
     """End this process when the launcher that started it has gone, in whatever way it went.
 
-    Linux could send one signal by itself (PR_SET_PDEATHSIG), but sends several at once for a launcher with threads.
+    Linux could send one signal by itself (PR_SET_PDEATHSIG), but sends several at once for a launcher with
+    threads.
     """
     with contextlib.suppress(AttributeError, OSError):  # only Linux can wait for a process that is no child
         select.select([os.pidfd_open(launcher)], [], [])

@@ -1,4 +1,6 @@
-"""Text for people: tables that fit the terminal and lines broken at its width. A file or a pipe gets all of it."""
+"""Text for people: tables that fit the terminal and lines broken at its width. A file or a pipe gets all
+of it.
+"""
 
 import sys
 import textwrap
@@ -41,7 +43,9 @@ class Column:
     @property
     def width(self) -> int:
         """Characters of the longest line in it."""
-        return max((len(line) for text in (self.heading, *self.cells) for line in text.split("\n")), default=0)
+        return max(
+            (len(line) for text in (self.heading, *self.cells) for line in text.split("\n")), default=0
+        )
 
 
 def width_of(stream: TextIO) -> int | None:
@@ -52,7 +56,9 @@ def width_of(stream: TextIO) -> int | None:
 
 
 def fitted(columns: Sequence[Column], width: int | None) -> tuple[list[Column], list[str]]:
-    """Return the columns that fit a width, and the names of those left out. Cells are stacked, then cut, before a column goes."""
+    """Return the columns that fit a width, and the names of those left out. Cells are stacked, then cut,
+    before a column goes.
+    """
     if width is None or _total(columns) <= width:
         return list(columns), []
     kept = [_stacked(column) for column in columns]
@@ -95,20 +101,34 @@ def _cut(column: Column, width: int) -> Column:
 
 
 def table(
-    columns: Sequence[Column], width: int | None, elsewhere: str = "", above: Sequence[str] = (), below: Sequence[str] = ()
+    columns: Sequence[Column],
+    width: int | None,
+    elsewhere: str = "",
+    above: Sequence[str] = (),
+    below: Sequence[str] = (),
 ) -> "Group":
-    """Return a table for rich, with lines above and below it. The last line names what is left out and says how to see it."""
+    """Return a table for rich, with lines above and below it. The last line names what is left out and
+    says how to see it.
+    """
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
 
-    shown, left_out = fitted([replace(column, cells=[printable(cell) for cell in column.cells]) for column in columns], width)
+    shown, left_out = fitted(
+        [replace(column, cells=[printable(cell) for cell in column.cells]) for column in columns], width
+    )
     grid = Table(box=None, header_style="bold", pad_edge=False, padding=(0, GAP, 0, 0), collapse_padding=True)
     for column in shown:
         grid.add_column(Text(column.heading), justify="left" if column.left else "right", no_wrap=True)
     for row in range(max((len(column.cells) for column in shown), default=0)):
-        grid.add_row(*(Text(column.cells[row], column.styles[row] if column.styles else "") for column in shown))
-    note = [f"left out: {', '.join(left_out)} (a wider terminal{f', or {elsewhere}' * bool(elsewhere)})"] if left_out else []
+        grid.add_row(
+            *(Text(column.cells[row], column.styles[row] if column.styles else "") for column in shown)
+        )
+    note = (
+        [f"left out: {', '.join(left_out)} (a wider terminal{f', or {elsewhere}' * bool(elsewhere)})"]
+        if left_out
+        else []
+    )
     return Group(
         *(Text(broken(printable(line), width), "bold") for line in above),
         grid,
@@ -117,16 +137,28 @@ def table(
 
 
 def printable(text: str) -> str:
-    """Return text that may be a stranger's as one line: escape sequences, line breaks and all else that is no letter show as in Python."""
-    return text if text.isprintable() else "".join(it if it.isprintable() else it.encode("unicode_escape").decode() for it in text)
+    """Return text that may be a stranger's as one line: escape sequences, line breaks and all else that is
+    no letter show as in Python.
+    """
+    return (
+        text
+        if text.isprintable()
+        else "".join(it if it.isprintable() else it.encode("unicode_escape").decode() for it in text)
+    )
 
 
 def broken(text: str, width: int | None) -> str:
-    """Break each line of a text at spaces to fit a width; continuation lines are indented. All of it is made printable."""
+    """Break each line of a text at spaces to fit a width; continuation lines are indented. All of it is
+    made printable.
+    """
     lines = [printable(line) for line in text.split("\n")]
     if width is None:
         return "\n".join(lines)
-    return "\n".join(part for line in lines for part in textwrap.wrap(line, width, subsequent_indent="  ", break_on_hyphens=False) or [""])
+    return "\n".join(
+        part
+        for line in lines
+        for part in textwrap.wrap(line, width, subsequent_indent="  ", break_on_hyphens=False) or [""]
+    )
 
 
 def tell(said: "str | Group", stream: TextIO | None = None) -> None:

@@ -1,4 +1,6 @@
-"""The physics that all parts share: dispersion, sensors, scenarios, the world that one mission flies in. Imports: nothing of ours."""
+"""The physics that all parts share: dispersion, sensors, scenarios, the world that one mission flies in.
+Imports: nothing of ours.
+"""
 
 __version__ = "0.1.0"
 COMPILING = "compiling kernels, once, about 15 s"

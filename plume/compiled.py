@@ -1,7 +1,8 @@
 """Compiled kernels: numba's `njit`, with a cache on disk that depends on everything a kernel is made of.
 
-Numba's own cache identifies a kernel by its file: if a called function in another file or a constant changes, it still runs the old
-machine code. Here a kernel is identified by its own bytecode and by that of every function and constant that it uses.
+Numba's own cache identifies a kernel by its file: if a called function in another file or a constant
+changes, it still runs the old machine code. Here a kernel is identified by its own bytecode and by that of
+every function and constant that it uses.
 """
 
 import contextlib
@@ -26,19 +27,27 @@ from plume import COMPILING
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-LIBRARIES = {"numba": numba.__version__, "llvmlite": llvmlite.__version__, "numpy": np.__version__, "python": sys.version}
+LIBRARIES = {
+    "numba": numba.__version__,
+    "llvmlite": llvmlite.__version__,
+    "numpy": np.__version__,
+    "python": sys.version,
+}
 """What these libraries define is identified by its name and their versions."""
 
 
 def kernel(signature: str, **options: Any) -> Callable[[F], F]:
-    """Compile a function for one signature, as `numba.njit` does, or load it from the cache. `options` are njit's.
+    """Compile a function for one signature, as `numba.njit` does, or load it from the cache. `options` are
+    njit's.
 
     Raises TypeError if the function uses something that has no digest.
     """
 
     def compiled(function: F) -> F:
         dispatcher: Any = njit(**options)(function)
-        known_by = fingerprint(dispatcher.py_func, signature, options, dispatcher.targetctx.codegen().magic_tuple())
+        known_by = fingerprint(
+            dispatcher.py_func, signature, options, dispatcher.targetctx.codegen().magic_tuple()
+        )
         try:
             dispatcher._cache = _KernelCache(dispatcher.py_func, known_by)
         except RuntimeError:  # no folder can be written to: it is compiled at every start
@@ -59,7 +68,8 @@ def _tell() -> None:
 
 
 def fingerprint(function: FunctionType, *more: Any) -> str:
-    """Digest of a function and of everything that it uses: functions and constants, recursively; and of `more`.
+    """Digest of a function and of everything that it uses: functions and constants, recursively; and of
+    `more`.
 
     Equal in all processes. Raises TypeError if something that it uses has no digest.
     """
@@ -80,7 +90,9 @@ def _function(function: FunctionType, seen: dict[Any, int]) -> Iterator[bytes]:
     for code in codes:
         constants = tuple(constant for constant in code.co_consts if not isinstance(constant, CodeType))
         variables = (code.co_varnames, code.co_cellvars, code.co_freevars, code.co_argcount, code.co_flags)
-        yield from _value((code.co_code, code.co_exceptiontable, code.co_names, variables, constants), names, seen)
+        yield from _value(
+            (code.co_code, code.co_exceptiontable, code.co_names, variables, constants), names, seen
+        )
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     used = {name: function.__globals__[name] for name in names if name in function.__globals__}
     used |= {f"of the closure: {name}": cell.cell_contents for name, cell in cells}
@@ -94,7 +106,9 @@ def _function(function: FunctionType, seen: dict[Any, int]) -> Iterator[bytes]:
 
 
 def _value(value: Any, names: list[str], seen: dict[Any, int]) -> Iterator[bytes]:
-    """Yield what identifies a value that a function uses. names: the names in the function, attributes of modules among them."""
+    """Yield what identifies a value that a function uses. names: the names in the function, attributes of
+    modules among them.
+    """
     match value:
         case Dispatcher():
             compiled: Any = value
@@ -146,7 +160,9 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 
 class _KernelCache(FunctionCache):
-    """Numba's cache, in the folders that it chooses. The fingerprint is part of a file's name: each kernel has its own."""
+    """Numba's cache, in the folders that it chooses. The fingerprint is part of a file's name: each kernel
+    has its own.
+    """
 
     def __init__(self, function: FunctionType, known_by: str) -> None:
         """Raises RuntimeError if no folder can be written to."""
@@ -160,7 +176,8 @@ class _KernelCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the kept machine code; None if there is none or a crash has damaged it."""
         try:
-            # Numba's own method first imports all that it needs to compile, which takes longer than to load all our kernels.
+            # Numba's own method first imports all that it needs to compile, which takes longer than to load
+            # all our kernels.
             rtsys.initialize(target_context)
             kept = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         except Exception:  # a damaged pickle can raise anything

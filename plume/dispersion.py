@@ -10,13 +10,21 @@ SOURCE_RADIUS_M = 0.1
 
 
 def concentration(
-    position: ArrayLike, source: ArrayLike, wind: ArrayLike, *, rate: ArrayLike, diffusivity: ArrayLike, lifetime: ArrayLike
+    position: ArrayLike,
+    source: ArrayLike,
+    wind: ArrayLike,
+    *,
+    rate: ArrayLike,
+    diffusivity: ArrayLike,
+    lifetime: ArrayLike,
 ) -> NDArray[np.float64]:
-    """Mean concentration m = q/(4π d r) · exp(−r/λ + ψ), Vergassola et al. 2007 eq. (S5), the paper's section 2.
+    """Mean concentration m = q/(4π d r) · exp(−r/λ + ψ), Vergassola et al. 2007 eq. (S5), the paper's
+    section 2.
 
     position, source: (..., 2) or (..., 3) m, x east, y north, z up; without z both lie in one plane.
     wind: (..., 2) = (u cos φ, u sin φ) m/s, φ the direction it comes FROM.
-    rate q in g/s, diffusivity d in m²/s, lifetime τ in s, (...) each.  Shapes broadcast; returns (...) in g/m³.  Gas lies towards −wind.
+    rate q in g/s, diffusivity d in m²/s, lifetime τ in s, (...) each.  Shapes broadcast; returns (...) in
+    g/m³.  Gas lies towards −wind.
     """
     offset = np.asarray(position, np.float64) - np.asarray(source, np.float64)
     wind = np.asarray(wind, np.float64)
@@ -26,5 +34,7 @@ def concentration(
     decay_length = np.sqrt(diffusivity * lifetime / (1 + speed_squared * lifetime / (4 * diffusivity)))  # λ
     drift = -(offset[..., :2] * wind).sum(axis=-1) / (2 * diffusivity)  # ψ
     # λ ≤ 2d/u keeps the exponent at or below zero: the exponential cannot overflow, however strong the wind.
-    result: NDArray[np.float64] = rate / (4 * np.pi * diffusivity * distance) * exp(-distance / decay_length + drift)
+    result: NDArray[np.float64] = (
+        rate / (4 * np.pi * diffusivity * distance) * exp(-distance / decay_length + drift)
+    )
     return result

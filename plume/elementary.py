@@ -1,7 +1,8 @@
-"""exp, log, cos and sin of numbers and arrays by NumPy's own additions and multiplications: bit-identical on every machine.
+"""exp, log, cos and sin of numbers and arrays by NumPy's own additions and multiplications: bit-identical
+on every machine.
 
-NumPy's `exp` and the C library's differ in their last bits between processors. These need no compiler, so that a vehicle starts quickly;
-code that is compiled has quicker ones in `plume/numerics.py`.
+NumPy's `exp` and the C library's differ in their last bits between processors. These need no compiler, so
+that a vehicle starts quickly; code that is compiled has quicker ones in `plume/numerics.py`.
 """
 
 import numpy as np
@@ -29,11 +30,15 @@ def exp(x: ArrayLike) -> Array:
     whole = np.rint(x * LOG2_E)
     r = (x - whole * LN2_HIGH) - whole * LN2_LOW
     factorials = (479001600, 39916800, 3628800, 362880, 40320, 5040, 720, 120, 24, 6, 2, 1, 1)
-    return np.asarray(np.ldexp(_polynomial(r, *(1 / n for n in factorials)), np.nan_to_num(whole).astype(np.int32)))
+    return np.asarray(
+        np.ldexp(_polynomial(r, *(1 / n for n in factorials)), np.nan_to_num(whole).astype(np.int32))
+    )
 
 
 def log(x: ArrayLike) -> Array:
-    """ln x to the last bit or two, for normal x > 0: the exponent is split off, the rest is a series of artanh."""
+    """ln x to the last bit or two, for normal x > 0: the exponent is split off, the rest is a series of
+    artanh.
+    """
     part, exponent = np.frexp(np.asarray(x, np.float64))
     small = part < SQRT_HALF
     f, exponent = np.where(small, 2 * part, part) - 1.0, exponent - small
@@ -49,8 +54,21 @@ def direction(turns: ArrayLike) -> tuple[Array, Array]:
     quarters = np.floor(4 * turns + 0.5)
     x = (4 * turns - quarters) * (np.pi / 2)
     z = x * x
-    c = _polynomial(z, 1 / 20922789888000, -1 / 87178291200, 1 / 479001600, -1 / 3628800, 1 / 40320, -1 / 720, 1 / 24, -1 / 2, 1)
-    s = x * _polynomial(z, -1 / 1307674368000, 1 / 6227020800, -1 / 39916800, 1 / 362880, -1 / 5040, 1 / 120, -1 / 6, 1)
+    c = _polynomial(
+        z,
+        1 / 20922789888000,
+        -1 / 87178291200,
+        1 / 479001600,
+        -1 / 3628800,
+        1 / 40320,
+        -1 / 720,
+        1 / 24,
+        -1 / 2,
+        1,
+    )
+    s = x * _polynomial(
+        z, -1 / 1307674368000, 1 / 6227020800, -1 / 39916800, 1 / 362880, -1 / 5040, 1 / 120, -1 / 6, 1
+    )
     quarter = quarters % 4
     cosine = np.select([quarter == 0, quarter == 1, quarter == 2], [c, -s, -c], s)
     sine = np.select([quarter == 0, quarter == 1, quarter == 2], [s, c, -s], -c)

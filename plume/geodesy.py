@@ -1,4 +1,6 @@
-"""Local metres to latitude and longitude and back: PX4's spherical azimuthal equidistant projection about home (Snyder 1987, p. 195)."""
+"""Local metres to latitude and longitude and back: PX4's spherical azimuthal equidistant projection about
+home (Snyder 1987, p. 195).
+"""
 
 import math
 
@@ -6,7 +8,9 @@ EARTH_RADIUS_M = 6_371_000.0
 
 
 def to_global(home_lat_deg: float, home_lon_deg: float, north_m: float, east_m: float) -> tuple[float, float]:
-    """Return (latitude, longitude) in degrees of the point that lies `north_m` north and `east_m` east of home."""
+    """Return (latitude, longitude) in degrees of the point that lies `north_m` north and `east_m` east of
+    home.
+    """
     arc = math.hypot(north_m, east_m) / EARTH_RADIUS_M
     if arc == 0.0:
         return home_lat_deg, home_lon_deg
@@ -24,15 +28,20 @@ def to_local(home_lat_deg: float, home_lon_deg: float, lat_deg: float, lon_deg: 
     lat0, lat, turn = math.radians(home_lat_deg), math.radians(lat_deg), math.radians(lon_deg - home_lon_deg)
     north = math.cos(lat0) * math.sin(lat) - math.sin(lat0) * math.cos(lat) * math.cos(turn)
     east = math.cos(lat) * math.sin(turn)
-    # (north, east) has length sin(arc); the projection scales it to length arc. atan2 is precise at small arcs, acos is not.
+    # (north, east) has length sin(arc); the projection scales it to length arc. atan2 is precise at small
+    # arcs, acos is not.
     sine = math.hypot(north, east)
     cosine = math.sin(lat0) * math.sin(lat) + math.cos(lat0) * math.cos(lat) * math.cos(turn)
     scale = EARTH_RADIUS_M * (math.atan2(sine, cosine) / sine if sine > 0.0 else 1.0)
     return north * scale, east * scale
 
 
-def home_from(origin: tuple[float, float, float], home: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return (north, east, down) m of home from a local frame's origin; both as latitude and longitude, degrees, and altitude, m."""
+def home_from(
+    origin: tuple[float, float, float], home: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """Return (north, east, down) m of home from a local frame's origin; both as latitude and longitude,
+    degrees, and altitude, m.
+    """
     north, east = to_local(origin[0], origin[1], home[0], home[1])
     return north, east, origin[2] - home[2]
 

@@ -1,9 +1,11 @@
-"""Intermittent gas as compiled loops: the density and the distribution of a reading c + v, gas c gamma-distributed, noise v normal.
+"""Intermittent gas as compiled loops: the density and the distribution of a reading c + v, gas c
+gamma-distributed, noise v normal.
 
-With t = z/σ, μ = m/σ, shape k = 1/cv² the density of z is φ(t) (k/μ)^k / Γ(k) · ∫ c^(k−1) exp(−w c − c²/2) dc / σ, w = k/μ − t.
-Laplace's method, with the integral taken over log c, gives it up to a factor that hardly varies. That factor depends on k and w alone.
-Its logarithm is kept in a table over cv and v = c*²/(1 + k + c*²), c* the integrand's mode: the log-density is right to 0.005,
-and to 0.0003 up to a cv of 1.2.
+With t = z/σ, μ = m/σ, shape k = 1/cv² the density of z is φ(t) (k/μ)^k / Γ(k) · ∫ c^(k−1) exp(−w c − c²/2)
+dc / σ, w = k/μ − t. Laplace's method, with the integral taken over log c, gives it up to a factor that
+hardly varies. That factor depends on k and w alone. Its logarithm is kept in a table over cv and v =
+c*²/(1 + k + c*²), c* the integrand's mode: the log-density is right to 0.005, and to 0.0003 up to a cv of
+1.2.
 """
 
 import math
@@ -27,7 +29,9 @@ SMALLEST_MEAN = 1e-6
 NODES = 600
 """Nodes of the integrals behind the table."""
 BODY, TAIL = 18, 12
-"""The distribution function sums over concentrations: of BODY shares of 5% each, and of TAIL shares, each half of what is left."""
+"""The distribution function sums over concentrations: of BODY shares of 5% each, and of TAIL shares, each
+half of what is left.
+"""
 
 
 @numba.njit(error_model="numpy")
@@ -48,7 +52,9 @@ def _log_moment(power: float, w: float) -> float:
 
 @kernel("float64[:, ::1]()")
 def _corrections() -> Array:
-    """The table (CVS + 1, MODES + 1): logarithm of what Laplace's method leaves out, less its value at v = 0."""
+    """The table (CVS + 1, MODES + 1): logarithm of what Laplace's method leaves out, less its value at v =
+    0.
+    """
     result = np.zeros((CVS + 1, MODES + 1))
     for row in range(1, CVS + 1):
         k = (CVS / (GREATEST_CV * row)) ** 2
@@ -71,7 +77,9 @@ def _corrections() -> Array:
 
 @kernel("float64[:, ::1]()")
 def _concentrations() -> Array:
-    """Concentrations (CVS + 1, BODY + TAIL) that stand for shares of the gas, in units of the mean: medians of the shares."""
+    """Concentrations (CVS + 1, BODY + TAIL) that stand for shares of the gas, in units of the mean:
+    medians of the shares.
+    """
     result = np.ones((CVS + 1, BODY + TAIL))
     nodes = 20 * NODES
     cumulative = np.empty(nodes + 1)
@@ -124,15 +132,23 @@ def log_density(gas: float, mean: float, variance: float, cv: float) -> float:
     column = min(int(y), MODES - 1)
     y -= column
     low = CORRECTIONS[row, column] + y * (CORRECTIONS[row, column + 1] - CORRECTIONS[row, column])
-    high = CORRECTIONS[row + 1, column] + y * (CORRECTIONS[row + 1, column + 1] - CORRECTIONS[row + 1, column])
+    high = CORRECTIONS[row + 1, column] + y * (
+        CORRECTIONS[row + 1, column + 1] - CORRECTIONS[row + 1, column]
+    )
     correction = low + x * (high - low)
-    result: float = k * log(ratio) + 0.5 * (square - t * t + log(k * inverse * inverse / total)) + correction - HALF_LOG_2PI
+    result: float = (
+        k * log(ratio)
+        + 0.5 * (square - t * t + log(k * inverse * inverse / total))
+        + correction
+        - HALF_LOG_2PI
+    )
     return result
 
 
 @numba.njit(error_model="numpy")
 def distribution(gas: float, mean: float, variance: float, cv: float, tails: Array) -> float:
-    """P(Z ≤ gas) of a reading: gas of this mean and coefficient of variation plus noise N(0, variance); right to about 0.01.
+    """P(Z ≤ gas) of a reading: gas of this mean and coefficient of variation plus noise N(0, variance);
+    right to about 0.01.
 
     tails: (BODY + TAIL,) to compute in.
     """

@@ -1,6 +1,7 @@
 """The plume as compiled loops over source hypotheses; tests hold them equal to `concentration`.
 
-Plain IEEE arithmetic in a fixed order, exp included: results are bit-identical alone, in a batch and on any number of threads.
+Plain IEEE arithmetic in a fixed order, exp included: results are bit-identical alone, in a batch and on
+any number of threads.
 
 particles: (D, N), one row per unknown.  unknowns: (D,) indices into `PARAMETERS`.
 priors: (13, 2 or more), one row per parameter: its kind and, if that is KNOWN, its value.
@@ -16,7 +17,23 @@ from numpy.typing import NDArray
 from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.numerics import cosine_and_sine, exp
-from plume.parameters import CV, GAIN, KNOWN, MEASURED, NOISE, PHI, TAU, WIND_DIRECTION, WIND_SPEED, D, Q, U, X, Y, Z
+from plume.parameters import (
+    CV,
+    GAIN,
+    KNOWN,
+    MEASURED,
+    NOISE,
+    PHI,
+    TAU,
+    WIND_DIRECTION,
+    WIND_SPEED,
+    D,
+    Q,
+    U,
+    X,
+    Y,
+    Z,
+)
 
 Array = NDArray[np.float64]
 
@@ -24,7 +41,8 @@ NOISES, CVS = 9, 10
 """Rows of `derive` for the noise: the square of its factor, and the gas's intermittency."""
 RADIANS = math.pi / 180
 DERIVED = 11
-"""Number of rows that `derive` fills: x, y, z, gain q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ, noise², cv.
+"""Number of rows that `derive` fills: x, y, z, gain q/(4π d), 1/(2d), 1/(d τ), u, cos φ, sin φ, noise²,
+cv.
 
 If the wind is measured, u is the factor on its speed and φ the offset of its direction.
 """
@@ -32,26 +50,36 @@ If the wind is measured, u is the factor on its speed and φ the offset of its d
 
 @numba.njit(error_model="numpy")
 def is_location_only(unknowns: NDArray[np.int64], priors: Array) -> bool:
-    """True if only x and y are unknown and the wind is measured: the paper's case, which has a faster loop."""
+    """True if only x and y are unknown and the wind is measured: the paper's case, which has a faster
+    loop.
+    """
     exact = priors[WIND_DIRECTION, 1] == 0 and priors[WIND_SPEED, 1] == 1 and priors[GAIN, 1] == 1
     place = len(unknowns) == 2 and unknowns[0] == X and unknowns[1] == Y
-    only: bool = place and exact and is_plain(priors) and priors[U, 0] == MEASURED and priors[PHI, 0] == MEASURED
+    only: bool = (
+        place and exact and is_plain(priors) and priors[U, 0] == MEASURED and priors[PHI, 0] == MEASURED
+    )
     return only
 
 
 @numba.njit(error_model="numpy")
 def is_plain(priors: Array) -> bool:
     """True if the sensor's noise is known and the gas is steady."""
-    plain: bool = priors[NOISE, 0] == KNOWN and priors[NOISE, 1] == 1 and priors[CV, 0] == KNOWN and priors[CV, 1] == 0
+    plain: bool = (
+        priors[NOISE, 0] == KNOWN and priors[NOISE, 1] == 1 and priors[CV, 0] == KNOWN and priors[CV, 1] == 0
+    )
     return plain
 
 
 @numba.njit(error_model="numpy")
 def location_means(particles: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
-    """Fill `means` (count,) with the concentration at the reading's place, g/m³, for sources at particles (2, count); all else is known."""
+    """Fill `means` (count,) with the concentration at the reading's place, g/m³, for sources at particles
+    (2, count); all else is known.
+    """
     diffusivity, lifetime = priors[D, 1], priors[TAU, 1]
     wind_x, wind_y = reading[3], reading[4]
-    inverse_length = math.sqrt(1 / (diffusivity * lifetime) + (wind_x * wind_x + wind_y * wind_y) / (4 * diffusivity * diffusivity))
+    inverse_length = math.sqrt(
+        1 / (diffusivity * lifetime) + (wind_x * wind_x + wind_y * wind_y) / (4 * diffusivity * diffusivity)
+    )
     scale = priors[Q, 1] / (4 * math.pi * diffusivity)
     drift_x, drift_y = wind_x / (2 * diffusivity), wind_y / (2 * diffusivity)
     x, y = reading[0], reading[1]
@@ -89,7 +117,8 @@ def derive(particles: Array, count: int, unknowns: NDArray[np.int64], priors: Ar
 
 @numba.njit(error_model="numpy")
 def derived_means(derived: Array, count: int, reading: Array, priors: Array, means: Array) -> None:
-    """Fill `means` (count,) with the concentration at the reading's place, times the gain, g/m³, for each column of `derived`.
+    """Fill `means` (count,) with the concentration at the reading's place, times the gain, g/m³, for each
+    column of `derived`.
 
     A measured wind is taken from the reading, with each column's error.
     """
@@ -114,7 +143,9 @@ def derived_means(derived: Array, count: int, reading: Array, priors: Array, mea
 
 
 @kernel("float64[:, ::1](float64[:, ::1], int64[::1], float64[:, ::1], float64[:, ::1])", nogil=True)
-def mean_concentrations(particles: Array, unknowns: NDArray[np.int64], priors: Array, readings: Array) -> Array:
+def mean_concentrations(
+    particles: Array, unknowns: NDArray[np.int64], priors: Array, readings: Array
+) -> Array:
     """Concentration at the place of each reading (A, 5 or more) under each particle, g/m³: (A, N)."""
     count = particles.shape[1]
     result = np.empty((len(readings), count))

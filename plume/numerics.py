@@ -1,4 +1,6 @@
-"""exp, log, cos and sin, erfc, log-gamma, sums as compiled loops use them: plain IEEE arithmetic, bit-identical on every machine."""
+"""exp, log, cos and sin, erfc, log-gamma, sums as compiled loops use them: plain IEEE arithmetic,
+bit-identical on every machine.
+"""
 
 import math
 from collections.abc import Callable
@@ -33,7 +35,9 @@ def _to_float(_context: Any, _value: Any) -> Any:
 
 
 def _to_fused(_context: Any, _a: Any, _b: Any, _c: Any) -> Any:
-    return numba.float64(numba.float64, numba.float64, numba.float64), lambda _x, builder, _s, args: builder.fma(*args)
+    return numba.float64(
+        numba.float64, numba.float64, numba.float64
+    ), lambda _x, builder, _s, args: builder.fma(*args)
 
 
 fma: Any = intrinsic(_to_fused)
@@ -69,7 +73,9 @@ def exp(x: float) -> float:
 
 @numba.njit(error_model="numpy")
 def log(x: float) -> float:
-    """ln x to the last bit or two, for normal x > 0: the exponent is split off, the rest is a series of artanh."""
+    """ln x to the last bit or two, for normal x > 0: the exponent is split off, the rest is a series of
+    artanh.
+    """
     bits: int = bits_of(x)
     exponent = (bits - SQRT_HALF_BITS) >> 52
     f: float = float_of(bits - (exponent << 52)) - 1.0
@@ -95,11 +101,15 @@ def log1p(x: float) -> float:
     return result
 
 
-@numba.njit(error_model="numpy", forceinline=True)  # LLVM finds it too long to inline, and then cannot vectorise
+@numba.njit(
+    error_model="numpy", forceinline=True
+)  # LLVM finds it too long to inline, and then cannot vectorise
 def erfc(x: float) -> float:
-    """The complementary error function, with a relative error of at most 4e-16 (1 + x²); 0 where it is below 1e-307.
+    """The complementary error function, with a relative error of at most 4e-16 (1 + x²); 0 where it is
+    below 1e-307.
 
-    erfc(x) exp(x²) (1 + x/2) is a polynomial of degree 27 in (1 − x/2)/(1 + x/2) for x ≥ 0, from its Chebyshev series.
+    erfc(x) exp(x²) (1 + x/2) is a polynomial of degree 27 in (1 − x/2)/(1 + x/2) for x ≥ 0, from its
+    Chebyshev series.
     """
     size = abs(x)
     t = 1 / (1 + 0.5 * size)
@@ -138,13 +148,18 @@ def erfc(x: float) -> float:
 
 @numba.njit(error_model="numpy")
 def log_gamma(x: float) -> float:
-    """ln Γ(x) for x ≥ 1, by Stirling's series from 10 on, with an error of at most 5e-15 times the greater of 1 and the result."""
+    """ln Γ(x) for x ≥ 1, by Stirling's series from 10 on, with an error of at most 5e-15 times the greater
+    of 1 and the result.
+    """
     product = 1.0
     while x < 10.0:
         product *= x
         x += 1.0
     y = 1 / (x * x)
-    series = (1 / 12 - y * (1 / 360 - y * (1 / 1260 - y * (1 / 1680 - y * (1 / 1188 - y * (691 / 360360 - y / 156)))))) / x
+    series = (
+        1 / 12
+        - y * (1 / 360 - y * (1 / 1260 - y * (1 / 1680 - y * (1 / 1188 - y * (691 / 360360 - y / 156)))))
+    ) / x
     result: float = (x - 0.5) * log(x) - x + HALF_LOG_2PI + series - log(product)
     return result
 
@@ -159,7 +174,9 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
 
 @numba.njit(error_model="numpy")
 def angle_of(x: float, y: float) -> float:
-    """The angle of (x, y) in radians, within ±π, to 2e-15: a rational guess, corrected by the angle between it and (x, y)."""
+    """The angle of (x, y) in radians, within ±π, to 2e-15: a rational guess, corrected by the angle
+    between it and (x, y).
+    """
     larger = max(abs(x), abs(y))
     if larger == 0.0:
         return 0.0
@@ -178,7 +195,9 @@ def angle_of(x: float, y: float) -> float:
 
 @numba.njit(error_model="numpy")
 def direction(turns: float) -> tuple[float, float]:
-    """(cos, sin) of 2π · turns, turns in [0, 1): the quarter is split off, the rest is a series within ±π/4."""
+    """(cos, sin) of 2π · turns, turns in [0, 1): the quarter is split off, the rest is a series within
+    ±π/4.
+    """
     quarter = float(int(4 * turns))
     x = (4 * turns - quarter - 0.5) * (np.pi / 2)
     z = x * x
@@ -204,7 +223,9 @@ def direction(turns: float) -> tuple[float, float]:
 
 @numba.njit(error_model="numpy")
 def total_of(values: Array) -> float:
-    """Sum with eight interleaved accumulators: additions need not wait for each other, and their order never changes."""
+    """Sum with eight interleaved accumulators: additions need not wait for each other, and their order
+    never changes.
+    """
     a, b, c, d, e, f, g, h = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     whole = len(values) - len(values) % 8
     for i in range(0, whole, 8):

@@ -31,7 +31,9 @@ class Outcome(msgspec.Struct, frozen=True):
     ceased: bool
     """AGDC declared a stop within the step budget."""
     located: bool | None
-    """Ceased, and the estimate is within the success radius of the source; None, as the next ones, if nobody knows where that is."""
+    """Ceased, and the estimate is within the success radius of the source; None, as the next ones, if
+    nobody knows where that is.
+    """
     estimate: tuple[float, float]
     source: tuple[float, float] | None
     scenario: Scenario | None
@@ -50,10 +52,19 @@ class Outcome(msgspec.Struct, frozen=True):
 
 
 def outcome(
-    seed: int, policy: str, scenario: Scenario | None, trace: Sequence[TracePoint], ceased: bool, search_time_s: float, assume: str,
-    stop: str, world: str = AS_MODELLED,
-) -> Outcome:  # fmt: skip
-    """Judge a mission by its true scenario, None if it is not known, and its trace, whose first point is the reading before any move."""
+    seed: int,
+    policy: str,
+    scenario: Scenario | None,
+    trace: Sequence[TracePoint],
+    ceased: bool,
+    search_time_s: float,
+    assume: str,
+    stop: str,
+    world: str = AS_MODELLED,
+) -> Outcome:
+    """Judge a mission by its true scenario, None if it is not known, and its trace, whose first point is
+    the reading before any move.
+    """
     last = trace[-1]
     error_m = math.dist(last.mean, scenario.source) if scenario else None
     return Outcome(
@@ -67,7 +78,9 @@ def outcome(
         error_m=error_m,
         spread_m=last.spread,
         steps=len(trace) - 1,
-        distance_m=reduce(add, (math.dist(a.position, b.position) for a, b in pairwise(trace)), 0.0),  # `sum` differs between Pythons
+        distance_m=reduce(
+            add, (math.dist(a.position, b.position) for a, b in pairwise(trace)), 0.0
+        ),  # `sum` differs between Pythons
         search_time_s=search_time_s,
         assume=assume,
         stop=stop,
@@ -75,7 +88,9 @@ def outcome(
     )
 
 
-def outcome_json(result: Outcome, trace: Sequence[TracePoint] | None, more: Mapping[str, Any] = MappingProxyType({})) -> str:
+def outcome_json(
+    result: Outcome, trace: Sequence[TracePoint] | None, more: Mapping[str, Any] = MappingProxyType({})
+) -> str:
     """One line of JSON, with the trace if given, and `more` fields."""
     fields = {**msgspec.to_builtins(result), **more}
     if result.scenario:
@@ -87,7 +102,11 @@ def outcome_json(result: Outcome, trace: Sequence[TracePoint] | None, more: Mapp
 
 def outcome_text(result: Outcome) -> str:
     """Four lines for people, each within 60 characters; three if the source is not known."""
-    verdict = "not ceased" if not result.ceased else {True: "located", False: "FALSE STOP", None: "ceased"}[result.located]
+    verdict = (
+        "not ceased"
+        if not result.ceased
+        else {True: "located", False: "FALSE STOP", None: "ceased"}[result.located]
+    )
     x, y = result.estimate
     source = ""
     if result.source is not None:
@@ -100,5 +119,7 @@ def outcome_text(result: Outcome) -> str:
 
 
 def assumed_text(assume: str, stop: str, world: str) -> str:
-    """One line for people: what the estimator took to be known, when it stops, and the world if that is not the one it was told of."""
+    """One line for people: what the estimator took to be known, when it stops, and the world if that is
+    not the one it was told of.
+    """
     return f"assumed  {assume}, stop {stop}" + ("" if world == AS_MODELLED else f", world {world}")

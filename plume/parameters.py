@@ -1,20 +1,50 @@
-"""The parameters of a release and of what measures it: their order in arrays, and the kinds of prior knowledge about each."""
+"""The parameters of a release and of what measures it: their order in arrays, and the kinds of prior
+knowledge about each.
+"""
 
-PARAMETERS = ("x", "y", "z", "q", "u", "phi", "d", "tau", "wind-direction", "wind-speed", "gain", "noise", "cv")
-"""Of the release: position m (z above home), release rate g/s, wind m/s and rad, diffusivity m²/s, lifetime s.
+PARAMETERS = (
+    "x",
+    "y",
+    "z",
+    "q",
+    "u",
+    "phi",
+    "d",
+    "tau",
+    "wind-direction",
+    "wind-speed",
+    "gain",
+    "noise",
+    "cv",
+)
+"""Of the release: position m (z above home), release rate g/s, wind m/s and rad, diffusivity m²/s,
+lifetime s.
 
-Of what measures it: `wind-direction` is what has to be added to the measured direction, degrees counter-clockwise; `wind-speed` and `gain`
-are factors, true speed by measured speed and reading by concentration; `noise` is a factor on the sensor's noise; `cv` is the gas's
-intermittency, the coefficient of variation of the concentration around the plume's mean.
+Of what measures it: `wind-direction` is what has to be added to the measured direction, degrees
+counter-clockwise; `wind-speed` and `gain` are factors, true speed by measured speed and reading by
+concentration; `noise` is a factor on the sensor's noise; `cv` is the gas's intermittency, the coefficient
+of variation of the concentration around the plume's mean.
 """
 X, Y, Z, Q, U, PHI, D, TAU, WIND_DIRECTION, WIND_SPEED, GAIN, NOISE, CV = range(13)
 NEUTRAL = {"wind-direction": 0.0, "wind-speed": 1.0, "gain": 1.0, "noise": 1.0}
 """Values of a faultless anemometer and sensor."""
 KNOWN, UNIFORM, NORMAL, GAMMA, MEASURED, LOGNORMAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
-"""Kinds of knowledge about a parameter: known value, family of its prior, or measured with each reading (wind)."""
+"""Kinds of knowledge about a parameter: known value, family of its prior, or measured with each reading
+(wind).
+"""
 GREATEST_CV = 3.0
 """The strongest intermittency that the sensor model covers."""
-LIMITS = {"q": (0.001, 1e6), "u": (0.0, 120.0), "d": (0.001, 1e4), "tau": (0.001, 1e6), "z": (-1000.0, 1000.0)}
-"""Least and greatest value of a release's parameters that may be given: far beyond any leak, and no arithmetic overflows between them."""
+LIMITS = {
+    "q": (0.001, 1e6),
+    "u": (0.0, 120.0),
+    "d": (0.001, 1e4),
+    "tau": (0.001, 1e6),
+    "z": (-1000.0, 1000.0),
+}
+"""Least and greatest value of a release's parameters that may be given: far beyond any leak, and no
+arithmetic overflows between them.
+"""
 MOST = 1e12
-"""Greatest number of a sensor, a prior or a belief that is taken, in its own unit; squares and products of such numbers are finite."""
+"""Greatest number of a sensor, a prior or a belief that is taken, in its own unit; squares and products of
+such numbers are finite.
+"""

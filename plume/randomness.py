@@ -1,4 +1,6 @@
-"""Keyed randomness: every draw is a function of (seed, stream, step), never of clock, process, batch or thread."""
+"""Keyed randomness: every draw is a function of (seed, stream, step), never of clock, process, batch or
+thread.
+"""
 
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -19,12 +21,18 @@ def _word(text: str) -> int:
 
 
 def keyed(seed: int, stream: str, step: int = 0) -> np.random.Generator:
-    """Return the generator of one (seed, stream, step); counter-based Philox makes different ones independent."""
-    return np.random.Generator(np.random.Philox(key=np.array([seed, _word(stream)], np.uint64), counter=[0, 0, step, 0]))
+    """Return the generator of one (seed, stream, step); counter-based Philox makes different ones
+    independent.
+    """
+    return np.random.Generator(
+        np.random.Philox(key=np.array([seed, _word(stream)], np.uint64), counter=[0, 0, step, 0])
+    )
 
 
 class Keyed:
-    """One generator that can be set to any (seed, stream, step): gives the draws of `keyed` in a fifth of the time."""
+    """One generator that can be set to any (seed, stream, step): gives the draws of `keyed` in a fifth of
+    the time.
+    """
 
     def __init__(self) -> None:
         """Create a generator; `at` sets its key."""
@@ -33,26 +41,38 @@ class Keyed:
         self._state = self._bits.state
 
     def at(self, seed: int, stream: str, step: int = 0) -> np.random.Generator:
-        """Return the generator, at the beginning of this (seed, stream, step). It is valid until the next call."""
+        """Return the generator, at the beginning of this (seed, stream, step). It is valid until the next
+        call.
+        """
         self._state["state"]["key"][:] = seed, _word(stream)
         self._state["state"]["counter"][:] = 0, 0, step, 0
         self._bits.state = self._state
         return self._generator
 
 
-def uniform(rng: np.random.Generator, low: NDArray[np.float64], high: NDArray[np.float64] | float) -> NDArray[np.float64]:
-    """Draw uniformly between `low`, an array, and `high`: as the generator's own method, whose rounding depends on the processor."""
+def uniform(
+    rng: np.random.Generator, low: NDArray[np.float64], high: NDArray[np.float64] | float
+) -> NDArray[np.float64]:
+    """Draw uniformly between `low`, an array, and `high`: as the generator's own method, whose rounding
+    depends on the processor.
+    """
     return low + (high - low) * rng.random(low.shape)
 
 
 def standard_normal(rng: np.random.Generator, size: int) -> NDArray[np.float64]:
-    """Draw N(0, 1), the 0.03% beyond ±TAIL to 9 digits: NumPy takes these from a logarithm of the C library."""
+    """Draw N(0, 1), the 0.03% beyond ±TAIL to 9 digits: NumPy takes these from a logarithm of the C
+    library.
+    """
     drawn = rng.standard_normal(size)
     return np.where(np.abs(drawn) > TAIL, np.rint(drawn * 2.0**30) / 2.0**30, drawn)
 
 
-def standard_gamma(rng: np.random.Generator, shape: NDArray[np.float64] | float, size: int) -> NDArray[np.float64]:
-    """Draw gamma variables of scale 1, float32 values: how NumPy rounds them depends on the compiler that built it."""
+def standard_gamma(
+    rng: np.random.Generator, shape: NDArray[np.float64] | float, size: int
+) -> NDArray[np.float64]:
+    """Draw gamma variables of scale 1, float32 values: how NumPy rounds them depends on the compiler that
+    built it.
+    """
     return rng.standard_gamma(shape, size).astype(np.float32).astype(np.float64)
 
 
@@ -73,16 +93,22 @@ class Draws(Protocol):
 
 
 class Abreast:
-    """Several keyed generators side by side: each element of an array comes from its own, bit-identical to drawing it alone."""
+    """Several keyed generators side by side: each element of an array comes from its own, bit-identical to
+    drawing it alone.
+    """
 
     def __init__(self, keyed: Keyed, keys: Sequence[tuple[int, str, int]]) -> None:
-        """Take a (seed, stream, step) for each element of the arrays (M,) to draw; `keyed` is set to one after the other."""
+        """Take a (seed, stream, step) for each element of the arrays (M,) to draw; `keyed` is set to one
+        after the other.
+        """
         self._keyed = keyed
         self._keys = keys
         self._draws: list[Callable[[np.random.Generator, int], float]] = []
 
     def _drawn(self, draw: Callable[[np.random.Generator, int], float]) -> list[float]:
-        """Draw once more from each key. Its earlier draws are repeated first, to bring the shared generator to the right state."""
+        """Draw once more from each key. Its earlier draws are repeated first, to bring the shared
+        generator to the right state.
+        """
         *before, last = self._draws = [*self._draws, draw]
         numbers = []
         for number, key in enumerate(self._keys):
@@ -110,5 +136,7 @@ class Abreast:
 
 
 def derived_seed(seed: int, purpose: str) -> int:
-    """Return a service's seed, a one-way hash: it does not reveal the mission's seed, from which the source could be drawn."""
+    """Return a service's seed, a one-way hash: it does not reveal the mission's seed, from which the
+    source could be drawn.
+    """
     return _word(f"{seed}/{purpose}") & MAX_SEED

@@ -17,7 +17,9 @@ STEP_M = 1.0
 BUDGET_STEPS = 300
 """Most moves of a mission; the paper states no budget."""
 SUCCESS_RADIUS_M = 1.0
-"""A stop counts as located if the estimate is within this distance of the source, m; the paper states none."""
+"""A stop counts as located if the estimate is within this distance of the source, m; the paper states
+none.
+"""
 LIFETIME_S = 10.0
 """τ, s. Table 1 states none; the paper's illustration has 10 s."""
 
@@ -53,7 +55,8 @@ def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:
     """Draw a scenario of the paper's training and test distribution (Table 1).
 
     Args:
-        seed: A whole number from 0. The same seed gives the same scenario; test scenarios are the seeds from 1,000,000 on.
+        seed: A whole number from 0. The same seed gives the same scenario; test scenarios are the seeds
+        from 1,000,000 on.
         lifetime_s: Lifetime τ of the gas, s.
 
     Returns:

@@ -1,4 +1,6 @@
-"""The world that one mission flies in: it knows the source and returns the readings that a sensor would take."""
+"""The world that one mission flies in: it knows the source and returns the readings that a sensor would
+take.
+"""
 
 import math
 from collections.abc import Sequence
@@ -17,14 +19,18 @@ from plume.worlds import AS_MODELLED, errors
 
 
 def float32(value: float) -> float:
-    """Round to the nearest float32, as the wire rounds positions, wind and gas. In-process missions round the same way."""
+    """Round to the nearest float32, as the wire rounds positions, wind and gas. In-process missions round
+    the same way.
+    """
     return float(np.float32(value))
 
 
 class World:
-    """A scenario, the noise of its sensor, and how the truth differs from both. It answers with what an instrument would read.
+    """A scenario, the noise of its sensor, and how the truth differs from both. It answers with what an
+    instrument would read.
 
-    `wind` is (u cos φ, u sin φ) in m/s and points to where the wind comes from; `start` is where the search begins, (x, y) in metres.
+    `wind` is (u cos φ, u sin φ) in m/s and points to where the wind comes from; `start` is where the
+    search begins, (x, y) in metres.
 
     Example:
         ```python
@@ -33,10 +39,14 @@ class World:
         ```
     """
 
-    def __init__(self, scenario: Scenario, seed: int, sensor: Sensor = GAUSSIAN, name: str = AS_MODELLED) -> None:
-        """Take the mission's seed: the noise of reading k is keyed by (seed, k). Raises ValueError on an unknown name.
+    def __init__(
+        self, scenario: Scenario, seed: int, sensor: Sensor = GAUSSIAN, name: str = AS_MODELLED
+    ) -> None:
+        """Take the mission's seed: the noise of reading k is keyed by (seed, k). Raises ValueError on an
+        unknown name.
 
-        scenario, sensor: what the estimator is told. name: of a world in `plume.worlds`, which says how the truth differs.
+        scenario, sensor: what the estimator is told. name: of a world in `plume.worlds`, which says how
+        the truth differs.
         """
         self.scenario = scenario
         self.seed = seed
@@ -44,36 +54,55 @@ class World:
         self.name = name
         self.errors = wrong = errors(name, seed)
         self.truth = msgspec.structs.replace(
-            scenario, source=wrong.source or scenario.source, q=wrong.q * scenario.q, u=wrong.speed * scenario.u,
-            phi=scenario.phi + math.radians(wrong.direction_deg), d=wrong.d * scenario.d, tau=wrong.tau * scenario.tau,
-        )  # fmt: skip
+            scenario,
+            source=wrong.source or scenario.source,
+            q=wrong.q * scenario.q,
+            u=wrong.speed * scenario.u,
+            phi=scenario.phi + math.radians(wrong.direction_deg),
+            d=wrong.d * scenario.d,
+            tau=wrong.tau * scenario.tau,
+        )
         """The scenario as it truly is, by which missions are judged."""
         self.wind = (float32(scenario.wind[0]), float32(scenario.wind[1]))
-        """(u cos φ, u sin φ) m/s as the anemometer reports it, float32 values: points to where the wind comes from."""
+        """(u cos φ, u sin φ) m/s as the anemometer reports it, float32 values: points to where the wind
+        comes from.
+        """
         self.start = (float32(scenario.start[0]), float32(scenario.start[1]))
         truth = self.truth
         self._release = (*truth.source, truth.height, *truth.wind, truth.q, truth.d, truth.tau)
         self._instrument = sensor, wrong.cv is None
         if wrong.noise != 1 and not isinstance(sensor, Hits):
             noisy = replace(
-                sensor, sensor_noise=wrong.noise * sensor.sensor_noise, environment_noise=wrong.noise * sensor.environment_noise
+                sensor,
+                sensor_noise=wrong.noise * sensor.sensor_noise,
+                environment_noise=wrong.noise * sensor.environment_noise,
             )
             self._instrument = noisy, wrong.cv is None
         self._strengths: list[float] = []
 
     def gas(self, position: tuple[float, float], step: int) -> float:
-        """Take gas reading number `step` (0 at the start) at a position (x, y) m; returns a float32 value in the sensor's unit."""
+        """Take gas reading number `step` (0 at the start) at a position (x, y) m; returns a float32 value
+        in the sensor's unit.
+        """
         return float(gas_of([self], np.array([position]), [step], self._noise)[0])
 
     def loses(self, step: int) -> bool:
-        """Whether reading number `step` has no value at first. The one then taken in its place is that of `gas`."""
-        return step > 0 and self.errors.lost > 0 and bool(self._noise.at(self.seed, "lost reading", step).random() < self.errors.lost)
+        """Whether reading number `step` has no value at first. The one then taken in its place is that of
+        `gas`.
+        """
+        return (
+            step > 0
+            and self.errors.lost > 0
+            and bool(self._noise.at(self.seed, "lost reading", step).random() < self.errors.lost)
+        )
 
     def _strength(self, step: int, noise: Keyed) -> float:
-        """The gas that reading `step` meets, by the plume's mean: gamma-distributed with mean 1 and standard deviation cv.
+        """The gas that reading `step` meets, by the plume's mean: gamma-distributed with mean 1 and
+        standard deviation cv.
 
-        Correlated gas follows the beta-gamma autoregressive process of Lewis, McKenzie and Hugus (1989), whose marginals are gamma, too:
-        X_n = B_n X_(n−1) + G_n with B ~ Beta(k ρ, k (1 − ρ)), G ~ Gamma(k (1 − ρ)) and k = 1/cv² has the autocorrelation ρ^lag.
+        Correlated gas follows the beta-gamma autoregressive process of Lewis, McKenzie and Hugus (1989),
+        whose marginals are gamma, too: X_n = B_n X_(n−1) + G_n with B ~ Beta(k ρ, k (1 − ρ)), G ~ Gamma(k
+        (1 − ρ)) and k = 1/cv² has the autocorrelation ρ^lag.
         """
         cv, correlation = self.errors.cv, self.errors.correlation
         if not cv:
@@ -83,12 +112,20 @@ class World:
             return noise.at(self.seed, "gas", step).standard_gamma(shape) / shape
         while (number := len(self._strengths)) <= step:
             rng = noise.at(self.seed, "gas", number)
-            kept = rng.beta(shape * correlation, shape * (1 - correlation)) * self._strengths[-1] if number else 0.0
-            self._strengths.append(kept + rng.standard_gamma(shape * (1 - correlation) if number else shape) / shape)
+            kept = (
+                rng.beta(shape * correlation, shape * (1 - correlation)) * self._strengths[-1]
+                if number
+                else 0.0
+            )
+            self._strengths.append(
+                kept + rng.standard_gamma(shape * (1 - correlation) if number else shape) / shape
+            )
         return self._strengths[step]
 
     def _stuck(self, step: int, noise: Keyed) -> float:
-        """The reading of a stuck sensor, one that it could give: a count is whole, and below its threshold a sensor reads 0."""
+        """The reading of a stuck sensor, one that it could give: a count is whole, and below its threshold
+        a sensor reads 0.
+        """
         wrong = self.errors
         value = wrong.stuck_at + wrong.stuck_std * noise.at(self.seed, "stuck", step).standard_normal()
         match self.sensor:
@@ -103,13 +140,19 @@ class World:
         return Keyed()
 
 
-def gas_of(worlds: Sequence[World], positions: NDArray[np.float64], steps: Sequence[int], noise: Keyed) -> NDArray[np.float64]:
-    """Take one reading in each of M worlds at positions (M, 2) m: (M,) float32 values. `noise` is the generator to draw with."""
+def gas_of(
+    worlds: Sequence[World], positions: NDArray[np.float64], steps: Sequence[int], noise: Keyed
+) -> NDArray[np.float64]:
+    """Take one reading in each of M worlds at positions (M, 2) m: (M,) float32 values. `noise` is the
+    generator to draw with.
+    """
     places = np.zeros((len(worlds), 3))
     places[:, :2] = positions
     releases = np.array([world._release for world in worlds])
     rate, diffusivity, lifetime = releases[:, 5:].T
-    means = concentration(places, releases[:, :3], releases[:, 3:5], rate=rate, diffusivity=diffusivity, lifetime=lifetime)
+    means = concentration(
+        places, releases[:, :3], releases[:, 3:5], rate=rate, diffusivity=diffusivity, lifetime=lifetime
+    )
     means = means * [world.errors.gain for world in worlds]
     readings = np.empty(len(worlds))
     alike: dict[tuple[Sensor, bool], list[int]] = {}

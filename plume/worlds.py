@@ -1,4 +1,6 @@
-"""Worlds by name: how the truth of a mission differs from what its estimator is told. The one table that all commands share."""
+"""Worlds by name: how the truth of a mission differs from what its estimator is told. The one table that
+all commands share.
+"""
 
 import math
 from collections.abc import Callable
@@ -15,7 +17,9 @@ AS_MODELLED = "as-modelled"
 
 
 class Errors(NamedTuple):
-    """The truth of one mission against what its estimator is told. A factor is the true value by the told one."""
+    """The truth of one mission against what its estimator is told. A factor is the true value by the told
+    one.
+    """
 
     direction_deg: float = 0.0
     """What has to be added to the measured wind direction, degrees counter-clockwise."""
@@ -34,13 +38,18 @@ class Errors(NamedTuple):
     noise: float = 1.0
     """Factor on α and β of the sensor. A count of hits has neither, so it stays as it is."""
     cv: float | None = None
-    """Coefficient of variation of the gas, which is gamma-distributed around the plume's mean; None is that of the sensor as told."""
+    """Coefficient of variation of the gas, which is gamma-distributed around the plume's mean; None is
+    that of the sensor as told.
+    """
     correlation: float = 0.0
     """Correlation of the gas between one reading and the next."""
     lost: float = 0.0
-    """Probability of a reading, never the first, to have no value at first; the sensor is then read again."""
+    """Probability of a reading, never the first, to have no value at first; the sensor is then read again.
+    """
     stuck_from: float = math.inf
-    """Number of the first reading that has nothing to do with the gas: it is `stuck_at` + N(0, `stuck_std`²) instead."""
+    """Number of the first reading that has nothing to do with the gas: it is `stuck_at` + N(0,
+    `stuck_std`²) instead.
+    """
     stuck_at: float = 0.0
     """g/m³."""
     stuck_std: float = 0.0
@@ -86,12 +95,22 @@ def stuck(seed: int) -> Errors:
 
 WORLDS: dict[str, Named] = {
     AS_MODELLED: Named("as the estimator is told", lambda _: Errors()),
-    "wind-10": Named("true wind direction 10° off the measured one, left or right", lambda seed: Errors(direction_deg=10.0 * side(seed))),
-    "wind-30": Named("true wind direction 30° off the measured one, left or right", lambda seed: Errors(direction_deg=30.0 * side(seed))),
+    "wind-10": Named(
+        "true wind direction 10° off the measured one, left or right",
+        lambda seed: Errors(direction_deg=10.0 * side(seed)),
+    ),
+    "wind-30": Named(
+        "true wind direction 30° off the measured one, left or right",
+        lambda seed: Errors(direction_deg=30.0 * side(seed)),
+    ),
     "speed-low": Named("true wind speed 0.7 times the measured one", lambda _: Errors(speed=0.7)),
     "speed-high": Named("true wind speed 1.4 times the measured one", lambda _: Errors(speed=1.4)),
-    "noise-doubled": Named("twice the sensor noise, α and β; a count of hits has none", lambda _: Errors(noise=2.0)),
-    "noise-halved": Named("half the sensor noise, α and β; a count of hits has none", lambda _: Errors(noise=0.5)),
+    "noise-doubled": Named(
+        "twice the sensor noise, α and β; a count of hits has none", lambda _: Errors(noise=2.0)
+    ),
+    "noise-halved": Named(
+        "half the sensor noise, α and β; a count of hits has none", lambda _: Errors(noise=0.5)
+    ),
     "gain-halved": Named("the sensor meets half the gas", lambda _: Errors(gain=0.5)),
     "gain-doubled": Named("the sensor meets twice the gas", lambda _: Errors(gain=2.0)),
     "rate-halved": Named("half the release rate", lambda _: Errors(q=0.5)),
@@ -100,17 +119,29 @@ WORLDS: dict[str, Named] = {
     "tau-doubled": Named("twice the lifetime of the gas", lambda _: Errors(tau=2.0)),
     "d-halved": Named("half the diffusivity", lambda _: Errors(d=0.5)),
     "d-doubled": Named("twice the diffusivity", lambda _: Errors(d=2.0)),
-    "cv-0.6": Named("intermittent gas: its standard deviation is 0.6 times its mean", lambda _: Errors(cv=0.6)),
+    "cv-0.6": Named(
+        "intermittent gas: its standard deviation is 0.6 times its mean", lambda _: Errors(cv=0.6)
+    ),
     "cv-1": Named("intermittent gas: its standard deviation equals its mean", lambda _: Errors(cv=1.0)),
     "cv-2": Named("intermittent gas: its standard deviation is twice its mean", lambda _: Errors(cv=2.0)),
     "cv-1-correlated": Named(
-        "as cv-1, with a correlation of 0.7 between one reading and the next", lambda _: Errors(cv=1.0, correlation=0.7)
+        "as cv-1, with a correlation of 0.7 between one reading and the next",
+        lambda _: Errors(cv=1.0, correlation=0.7),
     ),
-    "all-at-once": Named("wind, noise, gain, rate, lifetime, diffusivity and intermittency all drawn at random", all_at_once),
-    "readings-lost": Named("20% of the readings have no value until they are taken again", lambda _: Errors(lost=0.2)),
-    "source-outside": Named("the source is outside the square [10, 25]²", lambda seed: Errors(source=outside(seed))),
+    "all-at-once": Named(
+        "wind, noise, gain, rate, lifetime, diffusivity and intermittency all drawn at random", all_at_once
+    ),
+    "readings-lost": Named(
+        "20% of the readings have no value until they are taken again", lambda _: Errors(lost=0.2)
+    ),
+    "source-outside": Named(
+        "the source is outside the square [10, 25]²", lambda seed: Errors(source=outside(seed))
+    ),
     "stuck": Named("the sensor repeats one value, from 0 to 3 g/m³, from reading 10 on", stuck),
-    "stuck-noisy": Named("the sensor reads 1 ± 0.2 g/m³ everywhere", lambda _: Errors(stuck_from=0, stuck_at=1.0, stuck_std=0.2)),
+    "stuck-noisy": Named(
+        "the sensor reads 1 ± 0.2 g/m³ everywhere",
+        lambda _: Errors(stuck_from=0, stuck_at=1.0, stuck_std=0.2),
+    ),
 }
 """The worlds, by the names that --world takes."""
 

@@ -1,10 +1,11 @@
-"""Plumeward: simulate a gas leak, search for it with a drone, and measure how far the search can be trusted.
+"""Plumeward: simulate a gas leak, search for it with a drone, and measure how far the search can be
+trusted.
 
 Imports: plume, link, link.bus, link.record, sitl.script, estimator, agent, agent.trials, agent.learn.
 
-`import plumeward` registers the gymnasium environments `plumeward/SourceSearch-v0` and `plumeward/SourceSearchContinuous-v0`. It does not
-load gymnasium, but waits until somebody does. The other names are loaded when they are first used. The command `plumeward` is in
-`plumeward.__main__`.
+`import plumeward` registers the gymnasium environments `plumeward/SourceSearch-v0` and
+`plumeward/SourceSearchContinuous-v0`. It does not load gymnasium, but waits until somebody does. The other
+names are loaded when they are first used. The command `plumeward` is in `plumeward.__main__`.
 
     import plumeward
 

@@ -1,4 +1,6 @@
-"""`plumeward list`: the missions, policies, sensors, assumptions and worlds to choose from, with one line about each."""
+"""`plumeward list`: the missions, policies, sensors, assumptions and worlds to choose from, with one line
+about each.
+"""
 
 import dataclasses
 import textwrap
@@ -37,7 +39,10 @@ def sensors() -> Iterator[Line]:
     for name, kind in KINDS.items():
         fields = dataclasses.fields(kind)
         numbers = ",".join(f"{field.default:g}" for field in fields)
-        yield f"{name}:{numbers}", f"{SENSORS[name]}; its numbers: {', '.join(field.name for field in fields)}"
+        yield (
+            f"{name}:{numbers}",
+            f"{SENSORS[name]}; its numbers: {', '.join(field.name for field in fields)}",
+        )
 
 
 def assumptions() -> Iterator[Line]:
@@ -67,7 +72,10 @@ LISTS: dict[str, tuple[str, Callable[[], Iterator[Line]]]] = {
 
 def main(arguments: list[str]) -> int:
     """Print one list, or all of them."""
-    parser = cli.Parser(prog="plumeward list", description="List the missions, policies, sensors, assumptions and worlds to choose from.")
+    parser = cli.Parser(
+        prog="plumeward list",
+        description="List the missions, policies, sensors, assumptions and worlds to choose from.",
+    )
     parser.add_argument("what", nargs="?", choices=tuple(LISTS), help="list only these (default: all)")
     what = parser.parse_args(arguments).what
     for number, name in enumerate([what] if what else LISTS):
@@ -76,5 +84,9 @@ def main(arguments: list[str]) -> int:
         shown = list(lines())
         width = max(len(key) for key, _ in shown) + 4
         for key, about in shown:
-            print(textwrap.fill(about, 80, initial_indent=f"  {key}".ljust(width), subsequent_indent=" " * width))
+            print(
+                textwrap.fill(
+                    about, 80, initial_indent=f"  {key}".ljust(width), subsequent_indent=" " * width
+                )
+            )
     return 0

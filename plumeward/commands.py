@@ -1,4 +1,6 @@
-"""The commands of `plumeward`: `plumeward fly`, `plumeward evaluate` and the others run the command lines of the packages."""
+"""The commands of `plumeward`: `plumeward fly`, `plumeward evaluate` and the others run the command lines
+of the packages.
+"""
 
 import argparse
 import os
@@ -131,7 +133,9 @@ def _policies() -> dict[str, Any]:
 
 
 def _words_to_complete() -> list[str]:
-    """Return the command whose arguments the shell completes. While the command itself is typed, offer commands and exit."""
+    """Return the command whose arguments the shell completes. While the command itself is typed, offer
+    commands and exit.
+    """
     line = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))]
     complete = f"{line}|".split()[:-1]  # without the word that the cursor is in
     start = int(os.environ[cli.COMPLETING])  # the words that `plumeward` itself takes in the line

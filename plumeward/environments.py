@@ -10,7 +10,9 @@ ENVIRONMENTS = {"plumeward/SourceSearch-v0": False, "plumeward/SourceSearchConti
 
 
 def register() -> None:
-    """Register the environments, once: now if gymnasium has been loaded, else as soon as it is. It takes long to load."""
+    """Register the environments, once: now if gymnasium has been loaded, else as soon as it is. It takes
+    long to load.
+    """
     if "gymnasium" in sys.modules:
         _register()
     else:
@@ -31,10 +33,16 @@ def _register() -> None:
 
 
 class _WhenImported:
-    """Finds gymnasium where Python would, and registers the environments once it is loaded; then it goes out of the way."""
+    """Finds gymnasium where Python would, and registers the environments once it is loaded; then it goes
+    out of the way.
+    """
 
-    def find_spec(self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
-        """Return how gymnasium is loaded, for whoever imports it or only looks for it; None for any other module."""
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return how gymnasium is loaded, for whoever imports it or only looks for it; None for any other
+        module.
+        """
         if name != "gymnasium":
             return None
         others = [finder for finder in sys.meta_path if finder is not self]

@@ -36,21 +36,26 @@ def evaluate(
         particles: Particles of the filter.
         threshold_m: The search stops when the spread of the belief is below it, m.
         budget: Moves after which a mission is given up.
-        workers: Processes that fly. A script that asks for more than one needs `if __name__ == "__main__":`.
+        workers: Processes that fly. A script that asks for more than one needs `if __name__ ==
+        "__main__":`.
         world: One name that `plumeward list worlds` shows, or several of them.
-        assume: What the estimator takes to be known: `field` or `paper`, where all but the position is known.
-        stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop when at least 99% of the belief is
+        assume: What the estimator takes to be known: `field` or `paper`, where all but the position is
+        known.
+        stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
+        when at least 99% of the belief is
             within 1 m of the estimate.
         knowledge: Further fields of `plumeward.Config`, as `plumeward.rollout` takes them.
 
     Returns:
-        A dict with an entry for each policy, as `plumeward evaluate --json` prints it; of several worlds each has its own, such as
-        `"homing world=wind-30"`. `ceased`, `located` and `false_stop` are shares from 0 to 1, `mtd_m` is the mean distance travelled (m),
-        `search_time_s` the processor time of a search (s), `nees_mean` is 2 for an honest posterior. `located_interval` and the like are
-        their 95% intervals, `[low, high]`.
+        A dict with an entry for each policy, as `plumeward evaluate --json` prints it; of several worlds
+        each has its own, such as `"homing world=wind-30"`. `ceased`, `located` and `false_stop` are shares
+        from 0 to 1, `mtd_m` is the mean distance travelled (m), `search_time_s` the processor time of a
+        search (s), `nees_mean` is 2 for an honest posterior. `located_interval` and the like are their 95%
+        intervals, `[low, high]`.
 
     Raises:
-        ValueError: A policy or a world is not known, a number is out of range, or the assumption or the criterion is not allowed.
+        ValueError: A policy or a world is not known, a number is out of range, or the assumption or the
+        criterion is not allowed.
         TypeError: There is no such argument, or the sensor or a prior is something else, such as its text.
 
     Example:
@@ -67,7 +72,13 @@ def evaluate(
     check_knowledge(assume, knowledge)
     knowledge["assume"] = assume
     seeds = range(first_seed, first_seed + scenarios)
-    sweep = Sweep(names, seeds, (particles,), (chosen(threshold_m, stop),), budget, knowledge=knowledge, worlds=worlds)
+    sweep = Sweep(
+        names, seeds, (particles,), (chosen(threshold_m, stop),), budget, knowledge=knowledge, worlds=worlds
+    )
     by_seed = (list(flights) for _, flights in groupby(sweep.flights, key=lambda flight: flight[2]))
-    flown = (rows for flights in by_seed for rows in fly(sweep, flights)) if workers == 1 else on_cores(workers)(sweep, by_seed)
+    flown = (
+        (rows for flights in by_seed for rows in fly(sweep, flights))
+        if workers == 1
+        else on_cores(workers)(sweep, by_seed)
+    )
     return named(ordered((row for rows in flown for row in rows), sweep))

@@ -10,7 +10,9 @@ ROOT = path.dirname(path.dirname(path.realpath(__file__)))
 
 
 def leave_out_the_current_folder() -> None:
-    """Under `python -m plumeward`, remove the current folder from the module search path, unless it holds our packages."""
+    """Under `python -m plumeward`, remove the current folder from the module search path, unless it holds
+    our packages.
+    """
     if sys.flags.safe_path or sys.argv[:1] != ["-m"]:  # "-m" stands there until Python has found the module
         return
     at = sys.orig_argv.index("-m") if "-m" in sys.orig_argv else -1
@@ -24,6 +26,10 @@ def check() -> None:
         spec = getattr(sys.modules.get(package), "__spec__", None) or find_spec(package)
         found = path.realpath(spec.origin) if spec and spec.origin else None
         if found is None:
-            raise ImportError(f"plumeward is not installed completely: there is no package {package!r} in {ROOT}")
+            raise ImportError(
+                f"plumeward is not installed completely: there is no package {package!r} in {ROOT}"
+            )
         if found != path.join(ROOT, package, "__init__.py"):
-            raise ImportError(f"{found} hides plumeward's own package {package!r}: rename this file or folder")
+            raise ImportError(
+                f"{found} hides plumeward's own package {package!r}: rename this file or folder"
+            )

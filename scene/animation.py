@@ -18,7 +18,9 @@ Frame = NDArray[np.uint8]
 
 
 def write_gif(frames: Iterable[Frame], path: Path) -> None:
-    """Write frames as a GIF that repeats for ever. They must differ, each from the one before it. Raises ValueError without any."""
+    """Write frames as a GIF that repeats for ever. They must differ, each from the one before it. Raises
+    ValueError without any.
+    """
     from PIL import Image
 
     images: list[Image.Image] = []
@@ -31,20 +33,50 @@ def write_gif(frames: Iterable[Frame], path: Path) -> None:
         raise ValueError("no frames")
     last = len(images) - 1
     lasting_ms = [1000 // FRAMES_PER_S] * last + [round(LAST_S * 1000)]
-    images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=lasting_ms if last else lasting_ms[0], loop=0)
+    images[0].save(
+        path,
+        "GIF",
+        save_all=True,
+        append_images=images[1:],
+        duration=lasting_ms if last else lasting_ms[0],
+        loop=0,
+    )
 
 
 def write_mp4(frames: Iterable[Frame], path: Path) -> None:
-    """Write frames as an MP4, by the program ffmpeg. Raises ValueError without any frames, OSError if ffmpeg is missing or fails."""
+    """Write frames as an MP4, by the program ffmpeg. Raises ValueError without any frames, OSError if
+    ffmpeg is missing or fails.
+    """
     feed = _held(frames)
     first = next(feed, None)
     if first is None:
         raise ValueError("no frames")
     height, width, _ = first.shape
-    form = ["-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", f"{width}x{height}", "-framerate", str(FRAMES_PER_S)]
-    to = ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-fflags", "+bitexact", "-f", "mp4", str(path)]  # what all players show
+    form = [
+        "-f",
+        "rawvideo",
+        "-pixel_format",
+        "rgb24",
+        "-video_size",
+        f"{width}x{height}",
+        "-framerate",
+        str(FRAMES_PER_S),
+    ]
+    to = [
+        "-pix_fmt",
+        "yuv420p",
+        "-movflags",
+        "+faststart",
+        "-fflags",
+        "+bitexact",
+        "-f",
+        "mp4",
+        str(path),
+    ]  # what all players show
     with TemporaryFile() as said:
-        encoder = subprocess.Popen(["ffmpeg", "-y", "-loglevel", "error", *form, "-i", "-", *to], stdin=subprocess.PIPE, stderr=said)
+        encoder = subprocess.Popen(
+            ["ffmpeg", "-y", "-loglevel", "error", *form, "-i", "-", *to], stdin=subprocess.PIPE, stderr=said
+        )
         assert encoder.stdin
         try:
             encoder.stdin.write(first.tobytes())

@@ -1,6 +1,8 @@
-"""The drawing of scenes: one figure with the map of the search and, beside it, the curves of spread and gas.
+"""The drawing of scenes: one figure with the map of the search and, beside it, the curves of spread and
+gas.
 
-A figure for print shows a whole mission and the beliefs at chosen steps; the same figure, shown scene by scene, is an animation.
+A figure for print shows a whole mission and the beliefs at chosen steps; the same figure, shown scene by
+scene, is an animation.
 """
 
 import math
@@ -57,15 +59,50 @@ CELLS = 120
 """Cells along a side of the area, for the plume."""
 GAS = (0.1, 100.0)
 """Range of concentrations shown, g/m³; it begins at half the noise in clean air."""
-PLUME = LinearSegmentedColormap.from_list("plume", ["#ffffff", "#fde3b8", "#fac06c", "#ee8f33", "#b9500f"]).with_extremes(bad="#ffffff")
+PLUME = LinearSegmentedColormap.from_list(
+    "plume", ["#ffffff", "#fde3b8", "#fac06c", "#ee8f33", "#b9500f"]
+).with_extremes(bad="#ffffff")
 INK = "#222222"
 BELIEFS = ("#56b4e9", "#009e73", "#0072b2", "#cc79a7", "#882255")
 """Colours of the beliefs shown, of Okabe and Ito's palette but for the last."""
-START: dict[str, Any] = {"marker": "o", "markersize": 7, "markerfacecolor": "white", "linestyle": "none", "clip_on": False, "zorder": 5}
-SOURCE: dict[str, Any] = {"marker": "*", "markersize": 14, "color": "black", "markeredgecolor": "white", "linestyle": "none", "zorder": 4}
-ESTIMATE: dict[str, Any] = {"marker": "X", "markersize": 8, "color": "white", "markeredgecolor": INK, "linestyle": "none", "zorder": 5}
-VEHICLE: dict[str, Any] = {"marker": "^", "color": "#d55e00", "markeredgecolor": "white", "markersize": 12, "linestyle": "none"}
-READINGS: dict[str, Any] = {"s": 16, "cmap": PLUME, "norm": LogNorm(*GAS, clip=True), "edgecolors": INK, "linewidths": 0.7}
+START: dict[str, Any] = {
+    "marker": "o",
+    "markersize": 7,
+    "markerfacecolor": "white",
+    "linestyle": "none",
+    "clip_on": False,
+    "zorder": 5,
+}
+SOURCE: dict[str, Any] = {
+    "marker": "*",
+    "markersize": 14,
+    "color": "black",
+    "markeredgecolor": "white",
+    "linestyle": "none",
+    "zorder": 4,
+}
+ESTIMATE: dict[str, Any] = {
+    "marker": "X",
+    "markersize": 8,
+    "color": "white",
+    "markeredgecolor": INK,
+    "linestyle": "none",
+    "zorder": 5,
+}
+VEHICLE: dict[str, Any] = {
+    "marker": "^",
+    "color": "#d55e00",
+    "markeredgecolor": "white",
+    "markersize": 12,
+    "linestyle": "none",
+}
+READINGS: dict[str, Any] = {
+    "s": 16,
+    "cmap": PLUME,
+    "norm": LogNorm(*GAS, clip=True),
+    "edgecolors": INK,
+    "linewidths": 0.7,
+}
 
 
 def ticks(axis: Axis, values: Iterable[float], form: str = "{:g}") -> None:
@@ -79,7 +116,14 @@ def plume(ax: Axes, release: Release, area_m: float) -> AxesImage:
     """Shade the mean gas of a plume on a log scale."""
     gas = release.gas(area_m, CELLS)
     extent = (0, area_m, 0, area_m)
-    return ax.imshow(np.maximum(gas, GAS[0]), norm=LogNorm(*GAS), cmap=PLUME, origin="lower", extent=extent, interpolation="bilinear")
+    return ax.imshow(
+        np.maximum(gas, GAS[0]),
+        norm=LogNorm(*GAS),
+        cmap=PLUME,
+        origin="lower",
+        extent=extent,
+        interpolation="bilinear",
+    )
 
 
 def where(scene: Scene) -> NDArray[np.float64]:
@@ -93,14 +137,36 @@ class _Cloud:
     def __init__(self, drawing: "Drawing", colour: str) -> None:
         self.colour = colour
         # Rasterized: a thousand dots as vectors would be most of an SVG.
-        self.dots = drawing.map.scatter([], [], s=[], color=colour, alpha=0.55, linewidths=0, zorder=2, rasterized=True, animated=True)
-        self.ring = Ellipse((0, 0), 1, 1, fill=False, edgecolor=colour, linewidth=1.8, zorder=3.5, visible=False, animated=True)
+        self.dots = drawing.map.scatter(
+            [], [], s=[], color=colour, alpha=0.55, linewidths=0, zorder=2, rasterized=True, animated=True
+        )
+        self.ring = Ellipse(
+            (0, 0),
+            1,
+            1,
+            fill=False,
+            edgecolor=colour,
+            linewidth=1.8,
+            zorder=3.5,
+            visible=False,
+            animated=True,
+        )
         drawing.map.add_patch(self.ring)
-        style: dict[str, Any] = {"color": colour, "marker": "o", "markersize": 7, "linestyle": "none", "zorder": 4, "animated": True}
+        style: dict[str, Any] = {
+            "color": colour,
+            "marker": "o",
+            "markersize": 7,
+            "linestyle": "none",
+            "zorder": 4,
+            "animated": True,
+        }
         (self.spread,), (self.gas,) = (chart.plot([], [], **style) for chart in (drawing.spread, drawing.gas))
         self.parts = [
-            (drawing.map, self.dots), (drawing.map, self.ring), (drawing.spread, self.spread), (drawing.gas, self.gas),
-        ]  # fmt: skip
+            (drawing.map, self.dots),
+            (drawing.map, self.ring),
+            (drawing.spread, self.spread),
+            (drawing.gas, self.gas),
+        ]
 
     def show(self, scene: Scene | None) -> None:
         """Show the newest belief of a scene, or none."""
@@ -108,22 +174,30 @@ class _Cloud:
         places, sizes = np.empty((0, 2), np.float32), np.empty(0, np.float32)
         if scene and scene.scatter is not None:
             places, weights = scene.scatter.places, scene.scatter.weights
-            sizes = np.minimum(DOT * min(len(weights), MANY) * weights, 20 * DOT)  # a dot's area is its weight
+            sizes = np.minimum(
+                DOT * min(len(weights), MANY) * weights, 20 * DOT
+            )  # a dot's area is its weight
         self.dots.set_offsets(places)
         self.dots.set_sizes(sizes)
         self.ring.set_visible(last is not None)
         if last:
             longer, shorter, angle = ellipse(last.covariance)
-            self.ring.set(center=last.estimate, width=2 * longer, height=2 * shorter, angle=math.degrees(angle))
+            self.ring.set(
+                center=last.estimate, width=2 * longer, height=2 * shorter, angle=math.degrees(angle)
+            )
         self.spread.set_data(*([last.step], [last.spread_m]) if last else ([], []))
         self.gas.set_data(*([last.step], [last.gas]) if last else ([], []))
 
 
 class Drawing:
-    """One figure that shows scenes of one mission, one after the other. What does not change is drawn once."""
+    """One figure that shows scenes of one mission, one after the other. What does not change is drawn
+    once.
+    """
 
     def __init__(self, scene: Scene, beliefs: int = 1, steps: int = 20) -> None:
-        """Draw what does not change. So many beliefs can be shown at once, 1 to 5; the charts begin with room for `steps`."""
+        """Draw what does not change. So many beliefs can be shown at once, 1 to 5; the charts begin with
+        room for `steps`.
+        """
         self._backdrop = scene.backdrop
         self._steps, self._least_gas, self._most_gas = max(steps, 1), -0.5, 10.0
         self._still: Any = None
@@ -142,7 +216,9 @@ class Drawing:
             self._begin(beliefs)
 
     def show(self, scene: Scene, beliefs: Sequence[Scene] | None = None) -> "Drawing":
-        """Show a scene: with vehicle and belief or, for print, with the newest belief of each of `beliefs`. Returns itself."""
+        """Show a scene: with vehicle and belief or, for print, with the newest belief of each of
+        `beliefs`. Returns itself.
+        """
         vehicle = beliefs is None
         beliefs = [scene] if beliefs is None else beliefs
         with matplotlib.rc_context(STYLE):
@@ -153,7 +229,9 @@ class Drawing:
                 cloud.show(believed)
             said = [it.measurements[-1].step for it in beliefs if it.measurements]
             self._lay_legend([""] if vehicle else [f" at step {step}" for step in said], vehicle)
-            title = ": ".join(filter(None, (self._backdrop.title, scene.ending.verdict if scene.ending else "")))
+            title = ": ".join(
+                filter(None, (self._backdrop.title, scene.ending.verdict if scene.ending else ""))
+            )
             self._title.set_text(title)
             self._text.set_text(_state(scene))
         return self
@@ -215,7 +293,11 @@ class Drawing:
     def _make_room(self, scene: Scene) -> None:
         """Widen the charts if a scene has more steps or more gas than fits."""
         gas = [it.gas for it in scene.measurements if math.isfinite(it.gas)]
-        step, least, most = max((it.step for it in scene.measurements), default=0), min(gas, default=0.0), max(gas, default=0.0)
+        step, least, most = (
+            max((it.step for it in scene.measurements), default=0),
+            min(gas, default=0.0),
+            max(gas, default=0.0),
+        )
         if step > self._steps or least < self._least_gas or most > self._most_gas:
             self._steps = self._steps if step <= self._steps else max(step, 2 * self._steps)
             self._least_gas = self._least_gas if least >= self._least_gas else 2 * least
@@ -229,8 +311,18 @@ class Drawing:
         self._named = list(beliefs)
         if self.figure.legends:
             self.figure.legends[0].remove()
-        path = {"color": INK, "linewidth": 1.2, "marker": "o", "markersize": 4.5, "markerfacecolor": PLUME(0.4)}
-        styles: dict[str, Any] = {"path and readings": path, "start": START | {"color": INK}, "estimate": ESTIMATE}
+        path = {
+            "color": INK,
+            "linewidth": 1.2,
+            "marker": "o",
+            "markersize": 4.5,
+            "markerfacecolor": PLUME(0.4),
+        }
+        styles: dict[str, Any] = {
+            "path and readings": path,
+            "start": START | {"color": INK},
+            "estimate": ESTIMATE,
+        }
         if self._backdrop.release:
             styles["true source"] = SOURCE
         if vehicle:
@@ -239,22 +331,30 @@ class Drawing:
             mark = {"color": cloud.colour, "marker": "o", "markersize": 6, "linewidth": 1.8}
             styles[f"belief{words}: particles, 2 σ"] = mark
         entries = [Line2D([], [], **{"label": label} | style) for label, style in styles.items()]
-        self.figure.legend(handles=entries, loc="lower center", ncols=6 if vehicle else 4, fontsize=9, columnspacing=1.6)
+        self.figure.legend(
+            handles=entries, loc="lower center", ncols=6 if vehicle else 4, fontsize=9, columnspacing=1.6
+        )
         self._still = None
 
     # ---- what changes ----
 
     def _begin(self, beliefs: int) -> None:
         """Make the artists that scenes change."""
-        self._clouds = [_Cloud(self, colour) for colour in BELIEFS[max(3 - beliefs, 0) :][:beliefs]]  # of up to three, the last is dark
+        self._clouds = [
+            _Cloud(self, colour) for colour in BELIEFS[max(3 - beliefs, 0) :][:beliefs]
+        ]  # of up to three, the last is dark
         line: dict[str, Any] = {"color": INK, "linewidth": 1.2, "animated": True}
         (self.path,) = self.map.plot([], [], zorder=2.5, label="path", **line)
         self.readings = self.map.scatter([], [], c=[], zorder=3, animated=True, **READINGS)
         (self._start,) = self.map.plot([], [], color=INK, animated=True, **START)
         (self._estimate,) = self.map.plot([], [], animated=True, **ESTIMATE)
         (self._craft,) = self.map.plot([], [], zorder=6, animated=True, **VEHICLE)
-        (self.spreads,), (self.gases,) = (chart.plot([], [], marker=".", markersize=4, **line) for chart in (self.spread, self.gas))
-        self._arrow = FancyArrowPatch((0, 0), (1, 0), color=INK, linewidth=1.6, arrowstyle="-|>", mutation_scale=13, animated=True)
+        (self.spreads,), (self.gases,) = (
+            chart.plot([], [], marker=".", markersize=4, **line) for chart in (self.spread, self.gas)
+        )
+        self._arrow = FancyArrowPatch(
+            (0, 0), (1, 0), color=INK, linewidth=1.6, arrowstyle="-|>", mutation_scale=13, animated=True
+        )
         self._compass.add_patch(self._arrow)
         self._wind = self._compass.text(0.95, 0, "", va="center", size=9, animated=True)
         above: dict[str, Any] = {"transform": self.map.transAxes, "animated": True}
@@ -264,9 +364,13 @@ class Drawing:
         self._moving: list[tuple[Axes, Artist]] = [
             *(part for cloud in self._clouds for part in cloud.parts),
             *((self.map, artist) for artist in on_map),
-            (self.spread, self.spreads), (self.gas, self.gases),
-            (self._compass, self._arrow), (self._compass, self._wind), (self.map, self._title), (self.map, self._text),
-        ]  # fmt: skip
+            (self.spread, self.spreads),
+            (self.gas, self.gases),
+            (self._compass, self._arrow),
+            (self._compass, self._wind),
+            (self.map, self._title),
+            (self.map, self._text),
+        ]
         self._moving.sort(key=lambda part: part[1].get_zorder())
 
     def _show_path(self, scene: Scene, vehicle: bool) -> None:
@@ -308,4 +412,6 @@ def _state(scene: Scene) -> str:
     if not scene.measurements:
         return "no reading yet"
     last = scene.measurements[-1]
-    return f"step {last.step}: estimate ({last.estimate[0]:.2f}, {last.estimate[1]:.2f}) ± {last.spread_m:.2f} m"
+    return (
+        f"step {last.step}: estimate ({last.estimate[0]:.2f}, {last.estimate[1]:.2f}) ± {last.spread_m:.2f} m"
+    )

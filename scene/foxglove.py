@@ -1,16 +1,18 @@
-"""Scenes as messages of Foxglove's schemas, in protobuf, for records and viewers: Foxglove, Lichtblick, Rerun.
+"""Scenes as messages of Foxglove's schemas, in protobuf, for records and viewers: Foxglove, Lichtblick,
+Rerun.
 
-The frame `map` has its origin at home, x east, y north, z up; `vehicle` is the vehicle's own, its nose along x. Metres, and degrees where a
-schema wants them. What the scene knows only in the plane lies at z = 0.
+The frame `map` has its origin at home, x east, y north, z up; `vehicle` is the vehicle's own, its nose
+along x. Metres, and degrees where a schema wants them. What the scene knows only in the plane lies at z =
+0.
 
 | topic | schema | holds | at |
 |---|---|---|---|
-| `scene/transforms` | FrameTransforms | the vehicle's place and heading: `map` to `vehicle` | 10 times a simulated second at most |
+| `scene/transforms` | FrameTransforms | the vehicle's place and heading | at most 10 a simulated second |
 | `scene/vehicle` | SceneUpdate | the vehicle, an arrow in its own frame | once |
 | `scene/area` | SceneUpdate | the search area | once |
 | `scene/path` | PosesInFrame | where readings were taken | each reading |
 | `scene/particles` | PointCloud | the belief's particles: x, y, z, weight | each belief |
-| `scene/estimate` | SceneUpdate | the estimate, and its covariance as an ellipse of 2 standard deviations | each belief |
+| `scene/estimate` | SceneUpdate | the estimate, and its 2σ ellipse | each belief |
 | `scene/waypoint` | SceneUpdate | the next waypoint | each waypoint |
 | `scene/fix/vehicle` | LocationFix | the vehicle's fix, as it reports it | as `scene/transforms` |
 | `scene/fix/estimate` | LocationFix | latitude, longitude and covariance of the estimate | each belief |
@@ -51,8 +53,16 @@ POSES_PER_S = 10
 LONGEST_PATH = 1000
 """Most readings of the path: the newest ones."""
 PLUME_CELLS = 60
-ORANGE, BLUE, GREEN, VERMILION, GREY = (0.90, 0.62, 0.0), (0.34, 0.71, 0.91), (0.0, 0.62, 0.45), (0.84, 0.37, 0.0), (0.6, 0.6, 0.6)
-"""Colours of Okabe and Ito, which colour-blind people tell apart: vehicle, estimate, waypoint, source; and the area."""
+ORANGE, BLUE, GREEN, VERMILION, GREY = (
+    (0.90, 0.62, 0.0),
+    (0.34, 0.71, 0.91),
+    (0.0, 0.62, 0.45),
+    (0.84, 0.37, 0.0),
+    (0.6, 0.6, 0.6),
+)
+"""Colours of Okabe and Ito, which colour-blind people tell apart: vehicle, estimate, waypoint, source; and
+the area.
+"""
 ON_GROUND_M = 0.1
 DISC_M = 0.02
 """Thickness of the ellipse."""
@@ -71,7 +81,9 @@ class Encoded(NamedTuple):
 
 
 def schema_of(kind: Any) -> tuple[str, bytes]:
-    """Return the name of a protobuf class and its schema: an encoded FileDescriptorSet, each file after those that it needs."""
+    """Return the name of a protobuf class and its schema: an encoded FileDescriptorSet, each file after
+    those that it needs.
+    """
     files: dict[str, FileDescriptor] = {}
 
     def visit(file: FileDescriptor) -> None:
@@ -109,7 +121,9 @@ class SceneEncoder:
         self._happening: Happening | None = None
 
     def encode(self, scene: Scene, stamp_ns: int) -> list[Encoded]:
-        """Return what changed. `stamp_ns` is the messages' timestamp, ns since the Unix epoch: viewers compare it with their clock."""
+        """Return what changed. `stamp_ns` is the messages' timestamp, ns since the Unix epoch: viewers
+        compare it with their clock.
+        """
         return [
             *self._once(scene, stamp_ns),
             *self.encode_pose(scene.craft, stamp_ns),
@@ -121,17 +135,25 @@ class SceneEncoder:
 
     def encode_pose(self, craft: Craft | None, stamp_ns: int) -> Iterator[Encoded]:
         """Yield where the vehicle is, unless that was said of this slot of time."""
-        if craft is None or (slot := pose_slot(craft.time_s)) == self._slot or not all(map(math.isfinite, craft.position)):
+        if (
+            craft is None
+            or (slot := pose_slot(craft.time_s)) == self._slot
+            or not all(map(math.isfinite, craft.position))
+        ):
             return
         self._slot = slot
         message = FrameTransforms()
-        transform = message.transforms.add(parent_frame_id=self._prefix + MAP, child_frame_id=self._prefix + VEHICLE)
+        transform = message.transforms.add(
+            parent_frame_id=self._prefix + MAP, child_frame_id=self._prefix + VEHICLE
+        )
         transform.translation.x, transform.translation.y = craft.position
         transform.translation.z = craft.altitude_m
         _turn(transform.rotation, craft.heading if math.isfinite(craft.heading) else 0.0)
         yield from self._say("transforms", message, stamp_ns)
         if craft.fix is not None:
-            if self._origin is None or craft.altitude_m < ON_GROUND_M:  # until the take-off home may be set anew
+            if (
+                self._origin is None or craft.altitude_m < ON_GROUND_M
+            ):  # until the take-off home may be set anew
                 self._origin = _origin(craft, craft.fix)
             fix = LocationFix(frame_id=self._prefix + VEHICLE, position_covariance=[0.0] * 9)
             fix.latitude, fix.longitude, fix.altitude = craft.fix
@@ -149,7 +171,9 @@ class SceneEncoder:
             yield from self._marks("vehicle", [_arrow()], stamp_ns, VEHICLE)
         if release != self._release:
             self._release = release
-            yield from self._marks("source", [_ball("source", release.source, 0.6, VERMILION)] if release else [], stamp_ns)
+            yield from self._marks(
+                "source", [_ball("source", release.source, 0.6, VERMILION)] if release else [], stamp_ns
+            )
             yield from self._say("plume", self._grid(release, scene.backdrop.area_m), stamp_ns)
 
     def _readings(self, measurements: Sequence[Measurement], stamp_ns: int) -> Iterator[Encoded]:
@@ -166,7 +190,9 @@ class SceneEncoder:
             position = pose.poses.add(orientation={"w": 1.0}).position
             position.x, position.y = measurement.position
             self._path.append(pose.SerializeToString())
-        yield from self._say("path", PosesInFrame(frame_id=self._prefix + MAP), stamp_ns, b"".join(self._path))
+        yield from self._say(
+            "path", PosesInFrame(frame_id=self._prefix + MAP), stamp_ns, b"".join(self._path)
+        )
         marks = [_ball("estimate", last.estimate, 0.3, BLUE), _ellipse(last)] if last else []
         yield from self._marks("estimate", marks, stamp_ns)
         if last and self._origin:
@@ -220,7 +246,9 @@ class SceneEncoder:
         yield from self._say(topic, message, stamp_ns)
 
     def _say(self, topic: str, message: Any, stamp_ns: int, more: bytes = b"") -> Iterator[Encoded]:
-        """Yield a message with its timestamp, unless it is what was said last. `more` is an encoded rest of the message."""
+        """Yield a message with its timestamp, unless it is what was said last. `more` is an encoded rest
+        of the message.
+        """
         body = message.SerializeToString() + more
         if body == self._said.get(topic):
             return
@@ -244,7 +272,9 @@ def _after(values: Sequence[T], last: T | None) -> Sequence[T] | None:
 
 
 def _origin(craft: Craft, fix: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return latitude, longitude and altitude of home, from a vehicle that knows both its place and its fix."""
+    """Return latitude, longitude and altitude of home, from a vehicle that knows both its place and its
+    fix.
+    """
     east, north = craft.position
     return *to_global(fix[0], fix[1], -north, -east), fix[2] - craft.altitude_m
 
@@ -277,7 +307,9 @@ def _ball(name: str, place: Place, diameter_m: float, rgb: tuple[float, float, f
 
 
 def _ellipse(measurement: Measurement) -> Any:
-    """Return the covariance of an estimate as a flat disc; its axes are twice the half axes of 2 standard deviations."""
+    """Return the covariance of an estimate as a flat disc; its axes are twice the half axes of 2 standard
+    deviations.
+    """
     longer, shorter, angle = ellipse(measurement.covariance)
     entity = SceneEntity(id="covariance")
     disc = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)

@@ -1,4 +1,6 @@
-"""The scene: what there is to see of one mission at one moment. Metres, seconds; x east, y north, from home; angles in rad."""
+"""The scene: what there is to see of one mission at one moment. Metres, seconds; x east, y north, from
+home; angles in rad.
+"""
 
 import math
 from collections.abc import Sequence
@@ -36,11 +38,15 @@ class Release:
         return cls(scenario.source, scenario.wind, scenario.q, scenario.d, scenario.tau, scenario.height)
 
     def gas(self, area_m: float, cells: int) -> Floats:
-        """Return the mean gas in the search plane, g/m³: (cells, cells), row 0 in the south, at the cells' centres."""
+        """Return the mean gas in the search plane, g/m³: (cells, cells), row 0 in the south, at the cells'
+        centres.
+        """
         axis = (np.arange(cells) + 0.5) * (area_m / cells)
         x, y = np.meshgrid(axis, axis)
         places = np.stack([x, y, np.zeros_like(x)], axis=-1)
-        gas = concentration(places, (*self.source, self.height), self.wind, rate=self.q, diffusivity=self.d, lifetime=self.tau)
+        gas = concentration(
+            places, (*self.source, self.height), self.wind, rate=self.q, diffusivity=self.d, lifetime=self.tau
+        )
         with np.errstate(over="ignore"):  # a record may say absurd things of its source
             return gas.astype(np.float32)
 
@@ -175,7 +181,9 @@ class Scene:
     scatter: Scatter | None = None
     waypoint: Place | None = None
     wind: tuple[float, float] | None = None
-    """As measured, before that as the vehicle estimates it, (u cos φ, u sin φ) m/s: points to where it comes from."""
+    """As measured, before that as the vehicle estimates it, (u cos φ, u sin φ) m/s: points to where it
+    comes from.
+    """
     stop: str = ""
     """The stop criterion, in the form of --stop."""
     assume: str = ""
@@ -194,18 +202,24 @@ class Scene:
 
 
 def judged(step: int, estimate: Place, spread_m: float, release: Release | None) -> Ending:
-    """Return how a search that was stopped has ended. Only a simulation can tell whether the stop is right."""
+    """Return how a search that was stopped has ended. Only a simulation can tell whether the stop is
+    right.
+    """
     words = f"source found at ({estimate[0]:.2f}, {estimate[1]:.2f}) ± {spread_m:.2f} m after {step} steps"
     if release is None:
         return Ending("ceased", words)
     error_m = math.dist(estimate, release.source)
-    return Ending("located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP", f"{words}; error {error_m:.2f} m")
+    return Ending(
+        "located" if error_m <= SUCCESS_RADIUS_M else "FALSE STOP", f"{words}; error {error_m:.2f} m"
+    )
 
 
 def ellipse(covariance: tuple[float, float, float], deviations: float = 2.0) -> tuple[float, float, float]:
-    """Return the ellipse of a covariance (xx, xy, yy) m²: half axes, m, longer first, and the longer one's angle, ccw from +x.
+    """Return the ellipse of a covariance (xx, xy, yy) m²: half axes, m, longer first, and the longer one's
+    angle, ccw from +x.
 
-    `deviations` standard deviations: with 2, a Gaussian in the plane lies within it with a probability of 86.5%.
+    `deviations` standard deviations: with 2, a Gaussian in the plane lies within it with a probability of
+    86.5%.
     """
     xx, xy, yy = covariance
     middle, half = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)

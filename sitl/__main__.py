@@ -46,20 +46,42 @@ OTHERS = {
     "replay": ("ground.replay.command", "feed a log to the estimator and agent again"),
     "log": ("ground.desk.summary", "summarise a log, or print one of its keys as CSV"),
     "draw": ("ground.desk.draw", "draw a log as a picture or an animation"),
-    "status": ("ground.desk.status", "show how the parts of a running mission are doing; exit status 1 if something is wrong"),
+    "status": (
+        "ground.desk.status",
+        "show how the parts of a running mission are doing; exit status 1 if something is wrong",
+    ),
     "view": ("ground.view.command", "show missions on a page, live or recorded, and command the vehicle"),
-    "bridge": ("aircraft.bridge.command", "join the bus with ground stations and autopilots over UDP, TCP and serial lines"),
-    "payload": ("aircraft.payload.command", "the gas sensor of a real autopilot: simulated, on a serial line, or a plug-in"),
+    "bridge": (
+        "aircraft.bridge.command",
+        "join the bus with ground stations and autopilots over UDP, TCP and serial lines",
+    ),
+    "payload": (
+        "aircraft.payload.command",
+        "the gas sensor of a real autopilot: simulated, on a serial line, or a plug-in",
+    ),
     "record": ("ground.desk.recorder", "record everything on a bus until interrupted"),
 }
 """Commands with a module of their own. It is imported only for its command: a part starts fast."""
 FIELDS = {
-    "seed": "seed", "speedup": "speedup", "sensor": "sensor", "world": "world", "silence": "vehicle.silence_s", "policy": "agent.policy",
-    "budget": "agent.budget", "headings": "agent.headings", "step": "agent.step_m", "measurements": "agent.measurements",
-    "particles": "estimator.particles", "threshold": "estimator.threshold_m", "prior": "estimator.prior",
-    "stop_on": "estimator.stop_on", "assume": "estimator.assume", "stop": "estimator.stop", "after_stop": "vehicle.after_stop",
+    "seed": "seed",
+    "speedup": "speedup",
+    "sensor": "sensor",
+    "world": "world",
+    "silence": "vehicle.silence_s",
+    "policy": "agent.policy",
+    "budget": "agent.budget",
+    "headings": "agent.headings",
+    "step": "agent.step_m",
+    "measurements": "agent.measurements",
+    "particles": "estimator.particles",
+    "threshold": "estimator.threshold_m",
+    "prior": "estimator.prior",
+    "stop_on": "estimator.stop_on",
+    "assume": "estimator.assume",
+    "stop": "estimator.stop",
+    "after_stop": "vehicle.after_stop",
     "strict": "vehicle.strict",
-}  # fmt: skip
+}
 """The field of a mission script that each flag sets."""
 RECORD_FILE = "FILE.mcap"
 """What the recorder calls the file that --record names."""
@@ -86,22 +108,31 @@ def _script(args: argparse.Namespace, given: argparse.Namespace) -> Script:
         raise FileError("--sign: there is nothing to sign; wanted it with --out")
     script = script.changed(changes)
     if script.agent.policy == "none" and not script.scripted():
-        raise FileError("--policy: 'none' is not allowed; wanted a policy, or a mission that scripts all its waypoints")
+        raise FileError(
+            "--policy: 'none' is not allowed; wanted a policy, or a mission that scripts all its waypoints"
+        )
     return script
 
 
 def _load(args: argparse.Namespace) -> Script:
     """Read the mission script. Raises FileError, with the nearest name where there is no such mission."""
     missions, name = shipped(), args.mission.removesuffix(".yaml")
-    if not os.path.lexists(args.mission) and name not in missions and (near := cli.did_you_mean(name, missions)):
+    if (
+        not os.path.lexists(args.mission)
+        and name not in missions
+        and (near := cli.did_you_mean(name, missions))
+    ):
         raise FileError(
-            f"{args.mission}: no such file and no shipped mission{near} Wanted a mission script, or one of {', '.join(missions)}"
+            f"{args.mission}: no such file and no shipped mission{near} Wanted a mission script, or one of "
+            f"{', '.join(missions)}"
         )
     return load(args.mission)
 
 
 def _check_policy(args: argparse.Namespace, given: argparse.Namespace, check: CheckPolicy) -> None:
-    """Refuse the policy of a mission script before anything starts; argparse has checked that of the flag. Raises FileError."""
+    """Refuse the policy of a mission script before anything starts; argparse has checked that of the flag.
+    Raises FileError.
+    """
     if not args.mission or args.connect or "policy" in given:
         return
     policy = _load(args).agent.policy
@@ -120,26 +151,46 @@ def _parse(
     prog: str, arguments: list[str], check_policy: CheckPolicy | None, policies: Callable[[], Iterable[str]]
 ) -> tuple[argparse.Namespace, argparse.Namespace]:
     """Return all arguments, and those that were given on the command line."""
-    parser = cli.Parser(prog=prog, description="Simulated flights to a gas leak. Without a command: fly, with its defaults.")
-    commands = parser.add_subparsers(dest="command", parser_class=cli.Parser, required=True, metavar="COMMAND")
+    parser = cli.Parser(
+        prog=prog, description="Simulated flights to a gas leak. Without a command: fly, with its defaults."
+    )
+    commands = parser.add_subparsers(
+        dest="command", parser_class=cli.Parser, required=True, metavar="COMMAND"
+    )
 
-    fly = commands.add_parser("fly", help="fly one mission, with router, vehicle, estimator and agent as processes")
+    fly = commands.add_parser(
+        "fly", help="fly one mission, with router, vehicle, estimator and agent as processes"
+    )
     add_vehicle_arguments(fly, speedup=10.0)
     policy = fly.add_argument(
-        "--policy", type=cli.checked(_policy_or_none(check_policy)), default=AgentPart().policy, metavar="NAME",
-        help="how waypoints are chosen: a name that `plumeward list policies` shows, or a bundle, FILE.zip (default: %(default)s)",
-    )  # fmt: skip
+        "--policy",
+        type=cli.checked(_policy_or_none(check_policy)),
+        default=AgentPart().policy,
+        metavar="NAME",
+        help="how waypoints are chosen: a name that `plumeward list policies` shows, or a bundle, FILE.zip "
+        "(default: %(default)s)",
+    )
     cli.completed(policy, policies, "zip")
     cli.add_reach_arguments(fly, BUDGET_STEPS)
     cli.add_filter_arguments(fly)
     fly.add_argument(
-        "-l", "--listen", metavar="ENDPOINT", default="tcp/127.0.0.1:0", help="where the router listens (default: a free local port)"
+        "-l",
+        "--listen",
+        metavar="ENDPOINT",
+        default="tcp/127.0.0.1:0",
+        help="where the router listens (default: a free local port)",
     )
     fly.add_argument(
-        "-e", "--connect", metavar="ENDPOINT", help="join a router, estimator and agent that run elsewhere; start only the vehicle"
+        "-e",
+        "--connect",
+        metavar="ENDPOINT",
+        help="join a router, estimator and agent that run elsewhere; start only the vehicle",
     )
     fly.add_argument(
-        "--record", type=_record, metavar="FILE.mcap", help="the record's file; a .tlog is written beside it (default: in runs/)"
+        "--record",
+        type=_record,
+        metavar="FILE.mcap",
+        help="the record's file; a .tlog is written beside it (default: in runs/)",
     )
     fly.add_argument("--no-record", action="store_true", help="record nothing")
     viewing.add_arguments(fly)
@@ -147,9 +198,13 @@ def _parse(
     add_payload_argument(fly, "with --vehicle, ")
     cli.add_output_guard(fly)
     fly.add_argument(
-        "--patience", type=cli.number(WARN_S, math.inf), default=PATIENCE_S, metavar="S",
-        help="fail the mission when a part is silent for S real seconds; inf waits for ever (default: %(default)g)",
-    )  # fmt: skip
+        "--patience",
+        type=cli.number(WARN_S, math.inf),
+        default=PATIENCE_S,
+        metavar="S",
+        help="fail the mission when a part is silent for S real seconds; inf waits for ever (default: "
+        "%(default)g)",
+    )
     cli.add_secure_argument(fly)
     cli.add_log_argument(fly, "warning")
     cli.add_output_arguments(fly)
@@ -161,8 +216,16 @@ def _parse(
     add_vehicle_url(uav)
 
     router = commands.add_parser("router", help="a Zenoh router alone")
-    router.add_argument("-l", "--listen", metavar="ENDPOINT", default=DEFAULT_ROUTER, help="where to listen (default: %(default)s)")
-    router.add_argument("-e", "--connect", metavar="ENDPOINT", help="join the router of another site; not with --secure")
+    router.add_argument(
+        "-l",
+        "--listen",
+        metavar="ENDPOINT",
+        default=DEFAULT_ROUTER,
+        help="where to listen (default: %(default)s)",
+    )
+    router.add_argument(
+        "-e", "--connect", metavar="ENDPOINT", help="join the router of another site; not with --secure"
+    )
     cli.add_secure_argument(router)
 
     for command, (_, help_text) in OTHERS.items():
@@ -170,7 +233,11 @@ def _parse(
         if command in arguments[:1]:
             _module(command).add_arguments(other)
 
-    if not arguments or arguments[0].endswith(SCRIPTS) or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
+    if (
+        not arguments
+        or arguments[0].endswith(SCRIPTS)
+        or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help"))
+    ):
         arguments = ["fly", *arguments]
     args = parser.parse_args(arguments)
     for action in commands.choices[args.command]._actions:
@@ -189,7 +256,10 @@ def _words(given: argparse.Namespace, *names: str) -> list[str]:
 
 def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]:
     """Return the words of the command line that the uav has to know, too."""
-    words, changed = _words(given, "seed", "sensor", "world", "silence", "after_stop", "sysid", "sign", "wind", "wait"), vars(given)
+    words, changed = (
+        _words(given, "seed", "sensor", "world", "silence", "after_stop", "sysid", "sign", "wind", "wait"),
+        vars(given),
+    )
     if "strict" in changed:
         words.append("--strict")
     if args.home:
@@ -217,16 +287,30 @@ def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
     if reason := reason or unfit_for_payload(script, args.vehicle, args.payload, vars(given)):
         print(f"error: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
-    summary = Path("runs") / f"{run_name('connected' if args.connect else script.agent.policy, script.seed)}.json"
+    summary = (
+        Path("runs") / f"{run_name('connected' if args.connect else script.agent.policy, script.seed)}.json"
+    )
     record = None if args.no_record else RecordFiles(args.record or summary.with_suffix(".mcap"))
     if record and (reason := record.refusal(args.force)):
         print(f"error: {reason}", file=sys.stderr)
         return cli.BAD_INPUT
     plume = _words(given, "seed", "sensor", "world") if args.payload == SIMULATED else []
     launch = Launch(
-        script, args.instance, args.listen, _handed_on(args, given), None, args.connect, args.log_level, args.patience, args.sysid,
-        args.vehicle, args.payload, plume, args.secure, args.wait if args.vehicle else math.inf,
-    )  # fmt: skip
+        script,
+        args.instance,
+        args.listen,
+        _handed_on(args, given),
+        None,
+        args.connect,
+        args.log_level,
+        args.patience,
+        args.sysid,
+        args.vehicle,
+        args.payload,
+        plume,
+        args.secure,
+        args.wait if args.vehicle else math.inf,
+    )
     page = viewing.page_of(args)
     try:
         flown = fly(launch, record, page)
@@ -295,8 +379,8 @@ def main(
 ) -> int:
     """Parse the command line and run the command.
 
-    `check_policy` refuses a policy before anything starts; without it the agent does when it has started. `policies` returns the names
-    that a shell completes.
+    `check_policy` refuses a policy before anything starts; without it the agent does when it has started.
+    `policies` returns the names that a shell completes.
     """
     args, given = _parse(prog, sys.argv[1:] if arguments is None else arguments, check_policy, policies)
     if args.command in ("fly", "uav", "payload"):
@@ -305,7 +389,11 @@ def main(
                 _check_policy(args, given, check_policy)
             if args.command == "fly":
                 return _fly(args, given)
-            run = importlib.import_module("sitl.uav.command").run if args.command == "uav" else _module("payload").run
+            run = (
+                importlib.import_module("sitl.uav.command").run
+                if args.command == "uav"
+                else _module("payload").run
+            )
             return int(run(args, given, _script(args, given)))
         except FileError as error:
             print(f"error: {error}", file=sys.stderr)

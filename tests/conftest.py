@@ -25,16 +25,28 @@ ROOT = Path(__file__).parents[1]
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Fill numba's cache before the first test: on a fresh checkout this takes a minute, longer than the time limits of the tests.
+    """Fill numba's cache before the first test: on a fresh checkout this takes a minute, longer than the
+    time limits of the tests.
 
     The main process does it once, before the workers start.
     """
     if hasattr(session.config, "workerinput") or session.config.option.collectonly:
         return
-    files = [path for folder in ("plume", "estimator", "agent", "benchmarks") for path in sorted((ROOT / folder).rglob("*.py"))]
-    modules = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files if "\n@kernel(" in path.read_text()]
+    files = [
+        path
+        for folder in ("plume", "estimator", "agent", "benchmarks")
+        for path in sorted((ROOT / folder).rglob("*.py"))
+    ]
+    modules = [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in files
+        if "\n@kernel(" in path.read_text()
+    ]
     # A module that cannot be imported fails its own tests.
-    code = f"import contextlib, importlib\nfor name in {modules}:\n    with contextlib.suppress(Exception): importlib.import_module(name)"
+    code = (
+        f"import contextlib, importlib\nfor name in {modules}:\n    with contextlib.suppress(Exception): "
+        "importlib.import_module(name)"
+    )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False, timeout=600)
 
 
@@ -47,7 +59,9 @@ def router() -> Iterator[str]:
 
 
 def wait_until(holds: Callable[[], object], timeout_s: float = 400.0) -> None:
-    """Poll until `holds()` is true. `timeout_s` is for what never comes true: a busy machine must not reach it."""
+    """Poll until `holds()` is true. `timeout_s` is for what never comes true: a busy machine must not
+    reach it.
+    """
     deadline = time.monotonic() + timeout_s
     while not holds():
         assert time.monotonic() < deadline, f"not true within {timeout_s:g} s"

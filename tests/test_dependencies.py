@@ -1,4 +1,6 @@
-"""Protects the dependencies: those declared are those imported, and what flies is pinned with the hashes of its files."""
+"""Protects the dependencies: those declared are those imported, and what flies is pinned with the hashes
+of its files.
+"""
 
 import ast
 import os
@@ -45,7 +47,10 @@ NOT_IMPORTED = {
     "rerun-sdk": "a process of its own imports it",
 }
 """Distributions that are declared although no import names them, and who uses them."""
-NOT_DECLARED = {"particles": "make installs it without its dependencies", "plumeward": "an example imports it"}
+NOT_DECLARED = {
+    "particles": "make installs it without its dependencies",
+    "plumeward": "an example imports it",
+}
 """Modules that development imports."""
 BUILD = {"hatchling", "editables"}
 """What builds Plumeward; hatchling asks for the second when it builds an editable install."""
@@ -71,7 +76,9 @@ def imported(*folders: str) -> dict[str, set[str]]:
     for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            modules += [node.module] if isinstance(node, ast.ImportFrom) and node.module and not node.level else []
+            modules += (
+                [node.module] if isinstance(node, ast.ImportFrom) and node.module and not node.level else []
+            )
             for module in {module.partition(".")[0] for module in modules} - own:
                 found.setdefault(module, set()).add(path.relative_to(ROOT).as_posix())
     return found
@@ -79,15 +86,23 @@ def imported(*folders: str) -> dict[str, set[str]]:
 
 @cache
 def distributions(module: str) -> set[str]:
-    """The distributions that a module may come from; one that is not installed here is taken to have the module's name."""
+    """The distributions that a module may come from; one that is not installed here is taken to have the
+    module's name.
+    """
     return {canonicalize_name(name) for name in PROVIDED.get(module, [module])}
 
 
-def wrong(modules: Iterable[str], declared: set[str], also: set[str] = frozenset()) -> tuple[set[str], set[str]]:
-    """(Modules of no distribution that is declared here or known `also`, distributions declared here that no module comes from.)"""
+def wrong(
+    modules: Iterable[str], declared: set[str], also: set[str] = frozenset()
+) -> tuple[set[str], set[str]]:
+    """(Modules of no distribution that is declared here or known `also`, distributions declared here that
+    no module comes from.)
+    """
     of = {module: distributions(module) for module in modules}
     used = set().union(*of.values())
-    return {module for module, possible in of.items() if not possible & (declared | also)}, declared - used - NOT_IMPORTED.keys()
+    return {
+        module for module, possible in of.items() if not possible & (declared | also)
+    }, declared - used - NOT_IMPORTED.keys()
 
 
 def test_what_the_packages_import_is_declared_and_what_is_declared_is_imported() -> None:
@@ -97,7 +112,12 @@ def test_what_the_packages_import_is_declared_and_what_is_declared_is_imported()
 @pytest.mark.parametrize("extra", EXTRAS)
 def test_what_an_extra_brings_is_imported_only_where_it_was_asked_for(extra: str) -> None:
     assert not OF[extra] & CORE
-    files = {file for module, files in imported(*PACKAGES).items() if distributions(module) & OF[extra] for file in files}
+    files = {
+        file
+        for module, files in imported(*PACKAGES).items()
+        if distributions(module) & OF[extra]
+        for file in files
+    }
     assert files
     assert {file for file in files if not file.startswith(EXTRAS[extra])} == set()
 
@@ -116,7 +136,11 @@ def test_an_exception_is_one() -> None:
 
 
 def test_a_new_release_of_what_we_extend_or_serve_with_is_not_installed_untried() -> None:
-    ours = {"numba": "plume/compiled.py", "uvicorn": "ground/view/command.py", "starlette": "ground/view/server.py"}
+    ours = {
+        "numba": "plume/compiled.py",
+        "uvicorn": "ground/view/command.py",
+        "starlette": "ground/view/server.py",
+    }
     bounds = {Requirement(each).name: Requirement(each).specifier for each in PROJECT["dependencies"]}
     for name, file in ours.items():
         assert file in imported(*PACKAGES)[name]
@@ -136,27 +160,39 @@ def needed(system: str, machine: str, python: str) -> set[str]:
     while to_do:
         found |= to_do
         wanted = [Requirement(each) for name in to_do - {"editables"} for each in requires(name) or ()]
-        to_do = {canonicalize_name(each.name) for each in wanted if not each.marker or each.marker.evaluate(environment)} - found
+        to_do = {
+            canonicalize_name(each.name)
+            for each in wanted
+            if not each.marker or each.marker.evaluate(environment)
+        } - found
     return found
 
 
 def hashed() -> dict[str, tuple[str, list[str]]]:
     """The version and the hashes of each package in requirements.txt."""
-    entries = re.findall(r"^(\S+)==(\S+) \\\n((?: +--hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", HASHED, re.MULTILINE)
+    entries = re.findall(
+        r"^(\S+)==(\S+) \\\n((?: +--hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)", HASHED, re.MULTILINE
+    )
     return {name: (version, re.findall("sha256:(.*?)(?: |\n)", hashes)) for name, version, hashes in entries}
 
 
 def test_every_line_of_the_requirements_is_a_version_or_a_hash() -> None:
     lines = [line for line in HASHED.splitlines() if not line.startswith("#")]
-    assert len(lines) == len(hashed()) + sum(len(hashes) for _, hashes in hashed().values())  # so no index and no folder either
+    assert len(lines) == len(hashed()) + sum(
+        len(hashes) for _, hashes in hashed().values()
+    )  # so no index and no folder either
 
 
-def test_what_flies_is_pinned_with_hashes_on_every_machine_and_python_in_the_versions_of_the_constraints() -> None:
+def test_what_flies_is_pinned_with_hashes_on_every_machine_and_python_in_the_versions_of_the_constraints() -> (
+    None
+):
     machines = [("linux", "x86_64"), ("linux", "aarch64"), ("darwin", "arm64")]
     everywhere = [needed(*machine, python) for machine in machines for python in ("3.11", "3.12", "3.13")]
     assert set(hashed()) == set().union(*everywhere)
     pins = {canonicalize_name(name): version for name, version in PINS.items()}
-    assert {name: version for name, (version, _) in hashed().items()} == {name: pins[name] for name in hashed()}
+    assert {name: version for name, (version, _) in hashed().items()} == {
+        name: pins[name] for name in hashed()
+    }
     assert "torch" not in hashed()
 
 
@@ -166,7 +202,9 @@ def wheel(folder: Path) -> Path:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("tiny.py", "")
         archive.writestr("tiny-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: tiny\nVersion: 1.0\n")
-        archive.writestr("tiny-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+        archive.writestr(
+            "tiny-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        )
         archive.writestr("tiny-1.0.dist-info/RECORD", "")
     return path
 
@@ -186,9 +224,15 @@ def test_a_flight_installs_no_file_but_the_pinned_one(tmp_path: Path, pinned: st
         (tmp_path / name).touch()
     own = sha256(wheel(tmp_path).read_bytes()).hexdigest()
     (tmp_path / "requirements.txt").write_text("tiny==1.0" + pinned.format(own=own, other="0" * 64) + "\n")
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS", "PIP_"))}
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS", "PIP_"))
+    }
     environment |= {"PIP_CONFIG_FILE": os.devnull, "PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(tmp_path)}
-    make = ["make", f"PYTHON={sys.executable}", ".venv/.flight"]  # Plumeward itself cannot be installed: only this much of it is here
+    make = [
+        "make",
+        f"PYTHON={sys.executable}",
+        ".venv/.flight",
+    ]  # Plumeward itself cannot be installed: only this much of it is here
     made = subprocess.run(make, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert made.returncode != 0
     assert told in made.stderr

@@ -1,7 +1,8 @@
-"""Protects README and docs: every command and example on these pages runs, what they show is what is printed, every link leads somewhere.
+"""Protects README and docs: every command and example on these pages runs, what they show is what is
+printed, every link leads somewhere.
 
-The commands run in a copy of the checkout. Long commands run smaller. Commands that stay up run until they have said what they should. The
-tables below say how; a line of a table that no page needs fails, too.
+The commands run in a copy of the checkout. Long commands run smaller. Commands that stay up run until they
+have said what they should. The tables below say how; a line of a table that no page needs fails, too.
 """
 
 import os
@@ -29,7 +30,9 @@ from tests.clients.installed import free_udp_port, python_of
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"sh", "console", "python", "yaml", "toml", "text", "mermaid"}
-"""sh: commands. console: commands behind `$ `, each with what it prints below it. text and mermaid: nothing to run."""
+"""sh: commands. console: commands behind `$ `, each with what it prints below it. text and mermaid:
+nothing to run.
+"""
 RUNS = ("python ", "make ", "plumeward ", "pip ", "docker ", "podman ", "source ", "tensorboard ")
 """Code spans in sentences that begin with one of these are commands, too."""
 OURS = r"(plumeward|python -m (sitl|agent))"
@@ -54,7 +57,9 @@ RELIED_ON = {
     "docs/services.md: plumeward router --listen tcp/127.0.0.1:7447",
     "docs/vehicles.md: plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11",
 }
-"""What `make test` runs, beside all that prints help: a page, and the first command of a block. `make test-all` runs the others."""
+"""What `make test` runs, beside all that prints help: a page, and the first command of a block. `make
+test-all` runs the others.
+"""
 SHORT = {"README.md", "physics.md", "policies.md"}
 """Pages whose examples in Python `make test` runs."""
 
@@ -66,10 +71,12 @@ INSTEAD = {
     "make site": "make --dry-run site",  # tests/test_site.py builds it
     "make bench": "make bench FLAGS='--missions 1'",
     "make bench-page": "make bench-page FLAGS='--duration 3'",
-    "make bench-env":
-        "python -c 'from benchmarks import env as b; b.PARTICLES, b.BATCHES, b.MISSIONS, b.REPEATS = (500,), (1,), 1, 1; b.main()'",
-    "make bench-filter": "python -c 'from benchmarks import filter as b; b.SIZES, b.BATCHES, b.MISSIONS = (1000,), (1,), 1; b.main()'",
-    "make bench-planners": "python -c 'from benchmarks import planners as b; b.SIZES, b.MISSIONS, b.REPEATS = (100,), 1, 1; b.main()'",
+    "make bench-env": "python -c 'from benchmarks import env as b; b.PARTICLES, b.BATCHES, b.MISSIONS, "
+    "b.REPEATS = (500,), (1,), 1, 1; b.main()'",
+    "make bench-filter": "python -c 'from benchmarks import filter as b; b.SIZES, b.BATCHES, b.MISSIONS = "
+    "(1000,), (1,), 1; b.main()'",
+    "make bench-planners": "python -c 'from benchmarks import planners as b; b.SIZES, b.MISSIONS, b.REPEATS "
+    "= (100,), 1, 1; b.main()'",
     "make train": "make train LEARNERS=ddpg FLAGS='--steps 1 --scenarios 0'",
     "make results": "make results POLICIES=greedy LEARNED=ppo FLAGS='--scenarios 2'",
     "make mismatch": "make mismatch FLAGS='--missions 1 --policy homing --assume paper --world as-modelled'",
@@ -77,36 +84,41 @@ INSTEAD = {
     "make golden": "python -c 'from tests.golden.__main__ import renew; print(renew(\"greedy-hits\"))'",
     "python benchmarks/floor.py": "python benchmarks/floor.py --missions 2 --threshold 0.9",
     "python benchmarks/floor.py --fly": "python benchmarks/floor.py --missions 2 --threshold 0.9 --fly",
-    "python benchmarks/floor.py --missions 200 --threshold 0.1 0.3 0.5 0.9 --convergence":
-        "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
-    "python -m benchmarks.trust --world wind-30 --policy homing":
-        "python -m benchmarks.trust --world wind-30 --policy homing --assume paper --missions 1",
+    "python benchmarks/floor.py --missions 200 --threshold 0.1 0.3 0.5 0.9 --convergence": "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
+    "python -m benchmarks.trust --world wind-30 --policy homing": "python -m benchmarks.trust --world "
+    "wind-30 --policy homing --assume paper "
+    "--missions 1",
     "python benchmarks/loop.py --secure": "python benchmarks/loop.py --secure --missions 1",
     "python -m benchmarks.soak": "python -m benchmarks.soak --steps 1000 || test $? = 1",  # too short to tell whether anything grows
     "python -m benchmarks.fleet": "python -m benchmarks.fleet --vehicles 1 --seconds 5",
     "python -m benchmarks.stop": "python -m benchmarks.stop --trials 10",
     "python -m benchmarks.record": "python -m benchmarks.record --comparisons 1 --stretch 10",
-    "plumeward report":
-        "mkdir few && plumeward evaluate --scenarios 2 --missions few/rows.csv && plumeward report --results few --out few",
+    "plumeward report": "mkdir few && plumeward evaluate --scenarios 2 --missions few/rows.csv && plumeward "
+    "report --results few --out few",
     "pip install .": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
-    "pip install ./heaviest": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
+    "pip install ./heaviest": "python -m pip install --quiet --no-index --no-deps --no-build-isolation "
+    "--target site .",
     "python -m hatchling build": "python -m hatchling build --target wheel",
     "plumeward status": "plumeward status --connect tcp/127.0.0.1:7447",
     "plumeward view --foxglove 8765": "plumeward view --foxglove 0 --port 0",
     "plumeward uav --out udpin:127.0.0.1:14550": "plumeward uav --out udpin:127.0.0.1:7447",
-    "plumeward uav --out udpin:127.0.0.1:14550 --sign fleet.key": "plumeward uav --out udpin:127.0.0.1:7447 --sign fleet.key",
-    "plumeward bridge udpin:127.0.0.1:14550 tcp:127.0.0.1:5760 --connect tcp/127.0.0.1:7447":
-        "plumeward bridge udpin:127.0.0.1:7447 tcp:127.0.0.1:1 --connect tcp/127.0.0.1:7447",
-    "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447":
-        "plumeward payload --payload serial:nothing:9600 --connect tcp/127.0.0.1:7447",
-    "plumeward replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "plumeward replay flight.tlog --gas gas*1.0 --wind 2.5,270",
-    "plumeward uav --out udpout:127.0.0.1:14540 --seed 3000950": "plumeward uav --out udpout:127.0.0.1:7447 --seed 3000950 --speedup 10",
-    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 3000950 --speedup 1 --record first.mcap":
-        "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 3000950 --speedup 10 --record first.mcap",
-    "plumeward fly --vehicle tcp:127.0.0.1:5760 --seed 11": "plumeward fly --vehicle tcp:127.0.0.1:1 --seed 11",
-    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 11",
+    "plumeward uav --out udpin:127.0.0.1:14550 --sign fleet.key": "plumeward uav --out udpin:127.0.0.1:7447 "
+    "--sign fleet.key",
+    "plumeward bridge udpin:127.0.0.1:14550 tcp:127.0.0.1:5760 --connect tcp/127.0.0.1:7447": "plumeward bridge udpin:127.0.0.1:7447 tcp:127.0.0.1:1 --connect tcp/127.0.0.1:7447",
+    "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447": "plumeward payload "
+    "--payload "
+    "serial:nothing:9600 --connect tcp/127.0.0.1:7447",
+    "plumeward replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "plumeward replay flight.tlog --gas "
+    "gas*1.0 --wind 2.5,270",
+    "plumeward uav --out udpout:127.0.0.1:14540 --seed 3000950": "plumeward uav --out udpout:127.0.0.1:7447 "
+    "--seed 3000950 --speedup 10",
+    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 3000950 --speedup 1 --record first.mcap": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 3000950 --speedup 10 --record first.mcap",
+    "plumeward fly --vehicle tcp:127.0.0.1:5760 --seed 11": "plumeward fly --vehicle tcp:127.0.0.1:1 --seed "
+    "11",
+    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11": "plumeward fly --vehicle udpin:127.0.0.1:7447 "
+    "--seed 11",
     "tensorboard --logdir runs/train": "tensorboard --logdir runs/train --port 0",
-}  # fmt: skip
+}
 """What is run in place of a command: one that takes less time, or needs nothing that only others have."""
 STAYS = {
     "plumeward router --listen tcp/127.0.0.1:7447": "tcp/127.0.0.1:",
@@ -132,13 +144,19 @@ STAYS = {
     "plumeward view runs/NAME.mcap": "page at http://127.0.0.1:",
     "plumeward estimator --connect tcp/127.0.0.1:7447": "ready: ",
     "plumeward estimator --connect tcp/127.0.0.1:7447 --particles 4000": "ready: ",
-    "plumeward estimator --connect tcp/127.0.0.1:7447 --rate 364.9238897255652 --diffusivity 5.890049834047215": "ready: ",
+    "plumeward estimator --connect tcp/127.0.0.1:7447 --rate 364.9238897255652 --diffusivity "
+    "5.890049834047215": "ready: ",
     "plumeward agent --connect tcp/127.0.0.1:7447 --policy homing": "ready: ",
     "plumeward agent --connect tcp/127.0.0.1:7447": "ceased at step",  # says the estimator: a whole mission is flown
     "tensorboard --logdir runs/train": "http://",
 }
-"""Commands that stay up, and what each must print before the next command of the block runs. At the end they are interrupted."""
-VARIES = re.compile(r"router at|runs/\d|begun 20|messages in|^time=|^(belief|health|mavlink|reading|waypoint)|replayed in|^plumeward \d")
+"""Commands that stay up, and what each must print before the next command of the block runs. At the end
+they are interrupted.
+"""
+VARIES = re.compile(
+    r"router at|runs/\d|begun 20|messages in|^time=|^(belief|health|mavlink|reading|waypoint)|replayed "
+    r"in|^plumeward \d"
+)
 """Lines of output whose figures differ between runs: times, rates, ports, names."""
 
 
@@ -174,7 +192,9 @@ def blocks(page: Path) -> list[Block]:
     found, lines = [], page.read_text().splitlines()
     fences = [number for number, line in enumerate(lines) if line.startswith("```")]
     for begin, end in zip(fences[::2], fences[1::2], strict=True):
-        found.append(Block(page, begin + 1, lines[begin].removeprefix("```"), "\n".join(lines[begin + 1 : end]) + "\n"))
+        found.append(
+            Block(page, begin + 1, lines[begin].removeprefix("```"), "\n".join(lines[begin + 1 : end]) + "\n")
+        )
     return found
 
 
@@ -210,14 +230,18 @@ def watched(text: str) -> Iterator[Command]:
     """The commands of a console, each with the lines below it."""
     for part in re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]:
         command, _, shown = part.partition("\n")
-        yield Command(re.sub(r"\s+#\s.*", "", command), tuple(line for line in shown.splitlines() if line.strip()))
+        yield Command(
+            re.sub(r"\s+#\s.*", "", command), tuple(line for line in shown.splitlines() if line.strip())
+        )
 
 
 SHELLS = {"sh": typed, "console": watched}
 
 
 def said_to_type(page: Path) -> list[tuple[Command, ...]]:
-    """The commands of each block of a page; a tutorial is one story, each of its blocks needs those before it."""
+    """The commands of each block of a page; a tutorial is one story, each of its blocks needs those before
+    it.
+    """
     each = [tuple(SHELLS[block.language](block.text)) for block in blocks(page) if block.language in SHELLS]
     return [tuple(chain.from_iterable(each))] if page.parent.name == "tutorials" else each
 
@@ -230,9 +254,16 @@ def spans(page: Path) -> Iterator[str]:
 
 
 def is_a_repeat(session: Session, earlier: list[Session]) -> bool:
-    """Whether all commands of a block were typed in the same folder before, and the block shows nothing that is printed."""
-    there = {(command.text, place(command.text, other.page)) for other in earlier for command in other.commands}
-    return all((command.text, place(command.text, session.page)) in there and not command.shown for command in session.commands)
+    """Whether all commands of a block were typed in the same folder before, and the block shows nothing
+    that is printed.
+    """
+    there = {
+        (command.text, place(command.text, other.page)) for other in earlier for command in other.commands
+    }
+    return all(
+        (command.text, place(command.text, session.page)) in there and not command.shown
+        for command in session.commands
+    )
 
 
 def mentioned(span: str) -> str:
@@ -258,13 +289,19 @@ SESSIONS = sessions()
 
 def checkout_files() -> list[str]:
     listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True, check=True
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     return [name for name in listed.stdout.split("\0") if name and (ROOT / name).is_file()]
 
 
 def make_environment(copy: Path) -> None:
-    """Give a copy a `.venv` that `make setup` leaves alone: the packages of the one that runs this test, commands of its own, no pip."""
+    """Give a copy a `.venv` that `make setup` leaves alone: the packages of the one that runs this test,
+    commands of its own, no pip.
+    """
     bin_ = copy / ".venv" / "bin"
     bin_.mkdir(parents=True)
     for there in Path(sys.prefix).iterdir():
@@ -274,9 +311,14 @@ def make_environment(copy: Path) -> None:
         if not there.name.startswith("pip"):
             (bin_ / there.name).symlink_to(there)
     scripts = tomllib.loads((copy / "pyproject.toml").read_text())["project"].get("scripts", {})
-    for name, (module, _, function) in {name: target.partition(":") for name, target in scripts.items()}.items():
+    for name, (module, _, function) in {
+        name: target.partition(":") for name, target in scripts.items()
+    }.items():
         (bin_ / name).unlink(missing_ok=True)
-        (bin_ / name).write_text(f"#!/usr/bin/env python\nfrom {module} import {function}\nif __name__ == '__main__':\n    {function}()\n")
+        (bin_ / name).write_text(
+            f"#!/usr/bin/env python\nfrom {module} import {function}\nif __name__ == '__main__':\n    "
+            f"{function}()\n"
+        )
         (bin_ / name).chmod(0o755)
     for layer in (".flight", ".ready"):
         (copy / ".venv" / layer).touch()
@@ -286,7 +328,9 @@ def make_environment(copy: Path) -> None:
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A copy of the checkout to run in, as a user has it; it is removed afterwards."""
     copy = tmp_path_factory.mktemp("checkout")
-    compiled = [str(path.relative_to(ROOT)) for path in ROOT.glob("[!.]*/**/__pycache__/*.nb[ci]")]  # by numba, which takes a minute
+    compiled = [
+        str(path.relative_to(ROOT)) for path in ROOT.glob("[!.]*/**/__pycache__/*.nb[ci]")
+    ]  # by numba, which takes a minute
     for name in (*checkout_files(), *compiled):
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, copy / name)
@@ -308,7 +352,11 @@ def said(tmp_path: Path) -> Path:
 @contextmanager
 def started(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subprocess.Popen]:
     """Run a command as a shell of the copy would; afterwards neither it nor a child of it is left."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "MAKE", "MFLAGS", "FLAGS"))}
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("PYTEST", "MAKE", "MFLAGS", "FLAGS"))
+    }
     environment |= {
         "PATH": f"{copy / '.venv' / 'bin'}{os.pathsep}{os.environ['PATH']}",
         "PYTHONPATH": os.pathsep.join(map(str, (copy, cwd / "site"))),
@@ -316,7 +364,9 @@ def started(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subproc
     }
     with said.open("ab") as file:
         shell, null = ["bash", "-c", command], subprocess.DEVNULL
-        process = subprocess.Popen(shell, cwd=cwd, env=environment, stdin=null, stdout=file, stderr=file, start_new_session=True)
+        process = subprocess.Popen(
+            shell, cwd=cwd, env=environment, stdin=null, stdout=file, stderr=file, start_new_session=True
+        )
     try:
         yield process
     finally:
@@ -342,7 +392,9 @@ def ended(command: str, cwd: Path, copy: Path, said: Path) -> int:
 
 @contextmanager
 def staying(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subprocess.Popen]:
-    """Keep a command up until the with block ends. If it is ours, Ctrl-C must end it, and nothing else may."""
+    """Keep a command up until the with block ends. If it is ours, Ctrl-C must end it, and nothing else
+    may.
+    """
     with started(f"exec {command}", cwd, copy, said) as process:
         yield process
         if " --view" in command and process.poll() == 0:
@@ -351,7 +403,9 @@ def staying(command: str, cwd: Path, copy: Path, said: Path) -> Iterator[subproc
         if command.startswith("tensorboard "):
             return  # it sometimes ignores the signal
         process.send_signal(signal.SIGINT)
-        assert process.wait(TIMEOUT_S) in (0, 130), f"{command}: an interrupt did not end it cleanly\n{output(said)}"
+        assert process.wait(TIMEOUT_S) in (0, 130), (
+            f"{command}: an interrupt did not end it cleanly\n{output(said)}"
+        )
 
 
 def free_port() -> int:
@@ -364,7 +418,9 @@ def smaller(command: str) -> str:
     """What is run in place of a command."""
     if command in INSTEAD:
         return INSTEAD[command]
-    return " ".join((command, *(flags for pattern, flags in SHORTER.items() if re.fullmatch(pattern, command))))
+    return " ".join(
+        (command, *(flags for pattern, flags in SHORTER.items() if re.fullmatch(pattern, command)))
+    )
 
 
 def is_whole(command: str) -> bool:
@@ -378,15 +434,31 @@ def words(line: str) -> str:
 
 
 def lacking(shown: tuple[str, ...], printed: str, *, whole: bool) -> list[str]:
-    """The lines that a page shows and a command did not print. Figures count if the command ran whole and they do not vary."""
-    same, alike = {" ".join(line.split()) for line in printed.splitlines()}, set(map(words, printed.splitlines()))
-    return [line for line in shown if not (" ".join(line.split()) in same or ((VARIES.search(line) or not whole) and words(line) in alike))]
+    """The lines that a page shows and a command did not print. Figures count if the command ran whole and
+    they do not vary.
+    """
+    same, alike = (
+        {" ".join(line.split()) for line in printed.splitlines()},
+        set(map(words, printed.splitlines())),
+    )
+    return [
+        line
+        for line in shown
+        if not (
+            " ".join(line.split()) in same or ((VARIES.search(line) or not whole) and words(line) in alike)
+        )
+    ]
 
 
 def put_in_place(command: str, copy: Path, said: Path) -> None:
     """Make the records that a command names: NAME is a mission's, flight.tlog another vehicle's."""
     if "NAME" in command and not (copy / "runs" / "NAME.mcap").exists():
-        assert ended("plumeward fly missions/wind-shift.yaml --speedup 0 --record runs/NAME.mcap", copy, copy, said) == 0
+        assert (
+            ended(
+                "plumeward fly missions/wind-shift.yaml --speedup 0 --record runs/NAME.mcap", copy, copy, said
+            )
+            == 0
+        )
     if "flight.tlog" in command and not (copy / "flight.tlog").exists():
         put_in_place("NAME", copy, said)
         shutil.copy(copy / "runs" / "NAME.tlog", copy / "flight.tlog")
@@ -400,7 +472,9 @@ def first_or_last(session: Session) -> Any:
 
 @pytest.mark.timeout(2 * TIMEOUT_S)
 @pytest.mark.parametrize("session", list(map(first_or_last, SESSIONS)))
-def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: Path, wait_until: Callable[..., None]) -> None:
+def test_what_a_page_says_to_type_works(
+    session: Session, checkout: Path, said: Path, wait_until: Callable[..., None]
+) -> None:
     port = str(free_port())
     with ExitStack() as up:
         for command, shown in session.commands:
@@ -423,7 +497,9 @@ def test_what_a_page_says_to_type_works(session: Session, checkout: Path, said: 
                 assert status == 0, f"{command}: exit status {status}\n{output(said, before)}"
             printed = output(said, before)
             missing = "\n".join(lacking(shown, printed, whole=is_whole(command)))
-            assert not missing, f"{command}: the page shows what is not printed:\n{missing}\n\nprinted was:\n{printed}"
+            assert not missing, (
+                f"{command}: the page shows what is not printed:\n{missing}\n\nprinted was:\n{printed}"
+            )
 
 
 def check_install(command: str) -> None:
@@ -433,12 +509,18 @@ def check_install(command: str) -> None:
     assert version
     for word in [word for word in shlex.split(command)[2:] if not word.startswith("-")]:
         what, _, extras = word.rstrip("]").partition("[")
-        assert what in (".", "plumeward", f"dist/plumeward-{version[1]}-py3-none-any.whl"), f"{command}: {what} is not ours"
-        assert set(filter(None, extras.split(","))) <= set(project["optional-dependencies"]), f"{command}: no such extra"
+        assert what in (".", "plumeward", f"dist/plumeward-{version[1]}-py3-none-any.whl"), (
+            f"{command}: {what} is not ours"
+        )
+        assert set(filter(None, extras.split(","))) <= set(project["optional-dependencies"]), (
+            f"{command}: no such extra"
+        )
 
 
 def check_containers(command: str) -> None:
-    """A compose command names services and profiles that compose.yaml has; tests/system/test_containers.py flies with them."""
+    """A compose command names services and profiles that compose.yaml has; tests/system/test_containers.py
+    flies with them.
+    """
     text = (ROOT / "compose.yaml").read_text()
     services = YAML(typ="safe").load(text)["services"]
     said = shlex.split(command)
@@ -452,7 +534,11 @@ def check_containers(command: str) -> None:
 
 def short_or_long(block: Block) -> Any:
     """An example, marked for `make test-all` unless its page is short."""
-    return pytest.param(block, id=f"{block.page.name}:{block.line}", marks=() if block.page.name in SHORT else pytest.mark.full)
+    return pytest.param(
+        block,
+        id=f"{block.page.name}:{block.line}",
+        marks=() if block.page.name in SHORT else pytest.mark.full,
+    )
 
 
 @pytest.mark.parametrize("block", list(map(short_or_long, of("python"))))
@@ -461,7 +547,9 @@ def test_an_example_in_python_runs(block: Block, checkout: Path, said: Path, tmp
     if "mavsdk.asyncio" in text:  # it needs MAVSDK 4, and a port of its own
         python, text = python_of("mavsdk4"), text.replace("14540", str(free_udp_port()))
     script.write_text(text)
-    status = ended(f"{shlex.quote(python)} {shlex.quote(str(script))}", checkout / folder(block.page), checkout, said)
+    status = ended(
+        f"{shlex.quote(python)} {shlex.quote(str(script))}", checkout / folder(block.page), checkout, said
+    )
     assert status == 0, output(said)
 
 
@@ -487,7 +575,11 @@ def test_an_example_in_toml_can_be_read(block: Block) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_block_says_what_it_is(page: Path) -> None:
-    unknown = [f"{page.name}:{block.line}: {block.language!r}" for block in blocks(page) if block.language not in LANGUAGES]
+    unknown = [
+        f"{page.name}:{block.line}: {block.language!r}"
+        for block in blocks(page)
+        if block.language not in LANGUAGES
+    ]
     assert not unknown, f"allowed are {', '.join(sorted(LANGUAGES))}"
 
 
@@ -496,7 +588,9 @@ def test_every_link_and_every_page_that_is_named_is_there(page: Path) -> None:
     text = page.read_text()
     links = [link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
     gone = [link for link in filter(None, links) if not (page.parent / link).exists()]
-    gone += [name for name in re.findall(r"docs/[\w-]+\.(?:md|svg|png|py)", text) if not (ROOT / name).exists()]
+    gone += [
+        name for name in re.findall(r"docs/[\w-]+\.(?:md|svg|png|py)", text) if not (ROOT / name).exists()
+    ]
     assert not gone
 
 

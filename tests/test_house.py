@@ -1,4 +1,6 @@
-"""Protects the house: each room imports what it says it may, nothing runs in a circle, truth stays away from estimate."""
+"""Protects the house: each room imports what it says it may, nothing runs in a circle, truth stays away
+from estimate.
+"""
 
 import ast
 import re
@@ -49,7 +51,9 @@ def tree_of(path: Path) -> ast.Module:
 
 
 def imports(path: Path) -> Iterator[tuple[str, str]]:
-    """The (module, name) pairs that a file imports, wherever in it; a module that is imported from its room counts as that module."""
+    """The (module, name) pairs that a file imports, wherever in it; a module that is imported from its
+    room counts as that module.
+    """
     yield from imported_by(ast.walk(tree_of(path)))
 
 
@@ -95,7 +99,10 @@ def test_nothing_runs_in_a_circle() -> None:
 def test_the_architecture_page_lists_the_rooms_from_the_ground_up() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text()
     rows = re.findall(r"^\| `([a-z_/]+)/` \| .+ \| (.+) \|$", page, re.MULTILINE)
-    listed = {room.replace("/", "."): set() if said == "nothing of ours" else set(said.split(", ")) for room, said in rows}
+    listed = {
+        room.replace("/", "."): set() if said == "nothing of ours" else set(said.split(", "))
+        for room, said in rows
+    }
     assert listed == {room: may_import(room) for room in ROOMS}
     above: set[str] = set()
     for room, below in listed.items():
@@ -103,10 +110,15 @@ def test_the_architecture_page_lists_the_rooms_from_the_ground_up() -> None:
         above.add(room)
 
 
-@pytest.mark.parametrize("page", sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]), ids=name_of)
+@pytest.mark.parametrize(
+    "page",
+    sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]),
+    ids=name_of,
+)
 def test_a_file_that_a_page_names_is_there(page: Path) -> None:
     named = re.findall(
-        r"`((?:plume|link|scene|sitl|aircraft|ground|estimator|agent|tests|benchmarks|docs|missions)/[\w./-]*)`", page.read_text()
+        r"`((?:plume|link|scene|sitl|aircraft|ground|estimator|agent|tests|benchmarks|docs|missions)/[\w./-]*)`",
+        page.read_text(),
     )
     assert [name for name in named if "NAME" not in name and not (ROOT / name).exists()] == []
 
@@ -121,7 +133,9 @@ def test_sitl_and_the_services_do_not_know_each_other() -> None:
 def test_nothing_that_estimates_or_plans_can_be_handed_the_truth() -> None:
     for path in FILES:
         if name_of(path).startswith(("estimator", "agent")) and not name_of(path).startswith(JUDGES):
-            assert not {name for module, name in imports(path) if module.startswith("plume")} & TRUTH, name_of(path)
+            assert not {name for module, name in imports(path) if module.startswith("plume")} & TRUTH, (
+                name_of(path)
+            )
             assert "plume.worlds" not in {module for module, _ in imports(path)}, name_of(path)
 
 
@@ -170,9 +184,15 @@ def test_the_services_get_neither_the_missions_seed_nor_its_source(monkeypatch: 
     monkeypatch.setattr(Processes, "start", start)
     script = Script(seed=123456, world="all-at-once")
     truth = script.simulated().truth
-    mission = Launch(script, uav_arguments=("--seed", "123456", "--world", "all-at-once"), record=Path("record.mcap"))
+    mission = Launch(
+        script, uav_arguments=("--seed", "123456", "--world", "all-at-once"), record=Path("record.mcap")
+    )
     start_parts(Processes(queue.SimpleQueue()), mission, {})
-    secrets = {"123456", "all-at-once", *map(repr, (*truth.source, truth.q, truth.d, truth.tau, truth.u, truth.phi))}
+    secrets = {
+        "123456",
+        "all-at-once",
+        *map(repr, (*truth.source, truth.q, truth.d, truth.tau, truth.u, truth.phi)),
+    }
     assert {"123456", "all-at-once"} <= set(started["uav"])
     assert str(draw(123456).q) in started["estimator"]  # what it is told
     for part in ("estimator", "agent"):
@@ -180,16 +200,50 @@ def test_the_services_get_neither_the_missions_seed_nor_its_source(monkeypatch: 
 
 
 INEXACT = {
-    *("exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "logaddexp", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2"),
-    *("asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "hypot", "power", "pow", "cbrt", "erf", "erfc", "gamma", "lgamma"),
+    *(
+        "exp",
+        "exp2",
+        "expm1",
+        "log",
+        "log2",
+        "log10",
+        "log1p",
+        "logaddexp",
+        "sin",
+        "cos",
+        "tan",
+        "arcsin",
+        "arccos",
+        "arctan",
+        "arctan2",
+    ),
+    *(
+        "asin",
+        "acos",
+        "atan",
+        "atan2",
+        "sinh",
+        "cosh",
+        "tanh",
+        "hypot",
+        "power",
+        "pow",
+        "cbrt",
+        "erf",
+        "erfc",
+        "gamma",
+        "lgamma",
+    ),
     *("dot", "vdot", "inner", "matmul", "einsum", "tensordot", "linalg"),
 }
 """Functions of NumPy, BLAS and the C library whose last bits depend on the processor."""
 SAMPLERS = {"uniform", "normal", "gamma", "beta", "lognormal", "exponential"}
 """Methods of a generator that compute with what they draw, in compiled code."""
 MAY_BE_INEXACT = {
-    "plume.geodesy": "latitude and longitude for ground stations, rounded to 1e-7° on the wire; nothing estimates from them",
-    "plume.sensor": "the definition of the likelihoods, with which tests and benchmarks compare the kernels; no flight calls it",
+    "plume.geodesy": "latitude and longitude for ground stations, rounded to 1e-7° on the wire; nothing "
+    "estimates from them",
+    "plume.sensor": "the definition of the likelihoods, with which tests and benchmarks compare the kernels; "
+    "no flight calls it",
     "plume.world": "beta draws of correlated gas, rounded to float32 with the reading",
     "agent.learn.render": "a picture",
     "agent.learn.train": "training, which promises the same policy on the same machine only",
@@ -199,19 +253,34 @@ MAY_BE_INEXACT = {
 
 
 def inexact(path: Path) -> Iterator[str]:
-    """What a file uses that is not plain IEEE arithmetic in a fixed order. Python's own x ** y is the C library's `pow`; numba's is not."""
+    """What a file uses that is not plain IEEE arithmetic in a fixed order. Python's own x ** y is the C
+    library's `pow`; numba's is not.
+    """
     tree = ast.parse(path.read_text())
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
-    compiled = {id(node) for function in functions if function.decorator_list for node in ast.walk(function) if is_compiled(function)}
+    compiled = {
+        id(node)
+        for function in functions
+        if function.decorator_list
+        for node in ast.walk(function)
+        if is_compiled(function)
+    }
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            if (node.value.id in ("np", "math") and node.attr in INEXACT) or (node.value.id == "rng" and node.attr in SAMPLERS):
+            if (node.value.id in ("np", "math") and node.attr in INEXACT) or (
+                node.value.id == "rng" and node.attr in SAMPLERS
+            ):
                 yield f"{node.value.id}.{node.attr}"
         elif isinstance(node, ast.ImportFrom) and node.module in ("math", "numpy"):
             yield from {alias.name for alias in node.names} & INEXACT
         elif isinstance(node, ast.BinOp | ast.AugAssign) and isinstance(node.op, ast.MatMult):
             yield "@"
-        elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and id(node) not in compiled and not is_exact(node.left):
+        elif (
+            isinstance(node, ast.BinOp)
+            and isinstance(node.op, ast.Pow)
+            and id(node) not in compiled
+            and not is_exact(node.left)
+        ):
             yield "**"
 
 
@@ -222,13 +291,17 @@ def is_exact(base: ast.expr) -> bool:
 
 def is_compiled(function: ast.FunctionDef) -> bool:
     """True if numba compiles the function."""
-    return any(word in ast.unparse(decorator) for decorator in function.decorator_list for word in ("njit", "kernel"))
+    return any(
+        word in ast.unparse(decorator) for decorator in function.decorator_list for word in ("njit", "kernel")
+    )
 
 
 def test_what_estimates_or_plans_uses_plain_arithmetic_in_a_fixed_order() -> None:
     used: dict[str, set[str]] = {}
     for path in FILES:
-        if path.relative_to(ROOT).parts[0] in ("plume", "estimator", "agent") and (found := set(inexact(path))):
+        if path.relative_to(ROOT).parts[0] in ("plume", "estimator", "agent") and (
+            found := set(inexact(path))
+        ):
             module = name_of(path)
             used[next((name for name in MAY_BE_INEXACT if module.startswith(name)), module)] = found
     assert {module: found for module, found in used.items() if module not in MAY_BE_INEXACT} == {}
@@ -245,7 +318,18 @@ MAY_SLEEP = {
 }
 """Why a file of tests sleeps all the same."""
 HEAVY = {
-    *("torch", "tensorboard", "stable_baselines3", "stonesoup", "particles", "scipy", "sklearn", "joblib", "matplotlib", "rerun"),
+    *(
+        "torch",
+        "tensorboard",
+        "stable_baselines3",
+        "stonesoup",
+        "particles",
+        "scipy",
+        "sklearn",
+        "joblib",
+        "matplotlib",
+        "rerun",
+    ),
     *("onnxruntime", "ray", "playwright", "nbclient", "nbformat"),
 }
 """Packages that take long to import: every process of a test run would."""
@@ -254,11 +338,20 @@ HEAVY = {
 def private(tree: ast.Module) -> Iterator[str]:
     """The private names of others that a file uses."""
     for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__") and node.attr not in TUPLES:
+        if (
+            isinstance(node, ast.Attribute)
+            and node.attr.startswith("_")
+            and not node.attr.startswith("__")
+            and node.attr not in TUPLES
+        ):
             if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")):
                 yield ast.unparse(node)
         elif isinstance(node, ast.ImportFrom):
-            yield from (alias.name for alias in node.names if alias.name.startswith("_") and not alias.name.startswith("__"))
+            yield from (
+                alias.name
+                for alias in node.names
+                if alias.name.startswith("_") and not alias.name.startswith("__")
+            )
 
 
 def at_once(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
@@ -283,7 +376,9 @@ def loads(path: Path) -> frozenset[str]:
             for name in {".".join(parts[: count + 1]) for count in range(len(parts))} - found:
                 found.add(name)
                 file = ROOT.joinpath(*name.split("."))
-                to_do += [there for there in (file.with_suffix(".py"), file / "__init__.py") if there.is_file()]
+                to_do += [
+                    there for there in (file.with_suffix(".py"), file / "__init__.py") if there.is_file()
+                ]
     return frozenset(found)
 
 

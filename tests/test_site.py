@@ -1,4 +1,6 @@
-"""Protects the documentation site, and the files for who cites or joins in: all is built, and what they name is there."""
+"""Protects the documentation site, and the files for who cites or joins in: all is built, and what they
+name is there.
+"""
 
 import json
 import os
@@ -18,12 +20,23 @@ from plume import __version__
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 NOTEBOOKS = sorted(DOCS.rglob("*.ipynb"))
-PAGES = {str(page.relative_to(DOCS).with_suffix("")) for page in (*DOCS.rglob("*.md"), *NOTEBOOKS)} | {"contributing", "changelog"}
+PAGES = {str(page.relative_to(DOCS).with_suffix("")) for page in (*DOCS.rglob("*.md"), *NOTEBOOKS)} | {
+    "contributing",
+    "changelog",
+}
 """The pages that there should be; the last two are made from files beside README.md."""
 MODULES = {
     "api/index": [f"plumeward.{name}" for name in plumeward.__all__ if name != "__version__"],
-    "api/physics": ("plume.dispersion.concentration", "plume.sensor.Gaussian.log_likelihood", "plume.scenario.Scenario.tau"),
-    "api/estimator": ("estimator.filter.assimilate", "estimator.filter.Config.threshold_m", "estimator.belief.belief"),
+    "api/physics": (
+        "plume.dispersion.concentration",
+        "plume.sensor.Gaussian.log_likelihood",
+        "plume.scenario.Scenario.tau",
+    ),
+    "api/estimator": (
+        "estimator.filter.assimilate",
+        "estimator.filter.Config.threshold_m",
+        "estimator.belief.belief",
+    ),
     "api/planners": ("agent.planners.homing.plan", "agent.planners.registry.PLANNERS"),
     "api/environments": ("agent.learn.env.SourceSearch.step",),
     "api/messages": ("link.bus.messages.Belief.spread",),
@@ -36,7 +49,9 @@ def nav_pages(part: Any) -> list[str]:
     """The pages of a nav, without their suffix, in order."""
     if isinstance(part, str):
         return [part.removesuffix(".md")]
-    return [page for inner in (part.values() if isinstance(part, dict) else part) for page in nav_pages(inner)]
+    return [
+        page for inner in (part.values() if isinstance(part, dict) else part) for page in nav_pages(inner)
+    ]
 
 
 def config() -> dict[str, Any]:
@@ -44,7 +59,9 @@ def config() -> dict[str, Any]:
 
 
 class Loads(HTMLParser):
-    """Collects what a browser fetches by itself, the links that a reader may follow, the anchors and the text."""
+    """Collects what a browser fetches by itself, the links that a reader may follow, the anchors and the
+    text.
+    """
 
     def __init__(self, html: str) -> None:
         super().__init__()
@@ -68,11 +85,17 @@ class Loads(HTMLParser):
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site, as `make site` builds it, on a machine whose only way out is a proxy that is not there."""
     folder = tmp_path_factory.mktemp("site")
-    closed = dict.fromkeys(("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY"), "http://127.0.0.1:9")
+    closed = dict.fromkeys(
+        ("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY"), "http://127.0.0.1:9"
+    )
     built = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)],
-        cwd=ROOT, env={**os.environ, **closed, "NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=ROOT,
+        env={**os.environ, **closed, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert built.returncode == 0, built.stdout + built.stderr
     return folder
 
@@ -82,7 +105,9 @@ def test_every_page_is_in_the_nav_once_and_every_entry_of_the_nav_is_a_page() ->
 
 
 def test_make_site_builds_strictly() -> None:
-    said = subprocess.run(["make", "--dry-run", "site"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    said = subprocess.run(
+        ["make", "--dry-run", "site"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
     assert "mkdocs build --strict" in said
 
 
@@ -94,15 +119,21 @@ def test_no_page_fetches_anything_from_elsewhere(site: Path) -> None:
     for page in site.rglob("*.html"):
         fetched = Loads(page.read_text()).fetched
         assert fetched, page
-        assert [url for url in fetched if re.match(r"(?i)[a-z][a-z+.-]*:|//", url) and not url.startswith("data:")] == [], page
+        assert [
+            url for url in fetched if re.match(r"(?i)[a-z][a-z+.-]*:|//", url) and not url.startswith("data:")
+        ] == [], page
     for style in site.rglob("*.css"):
         assert not re.search(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//", style.read_text()), style
 
 
 def test_nothing_on_a_page_makes_the_theme_load_a_library_or_a_repository(site: Path) -> None:
-    """Its script fetches a diagram's library, or the facts of a repository, only for pages that hold these."""
+    """Its script fetches a diagram's library, or the facts of a repository, only for pages that hold
+    these.
+    """
     for page in site.rglob("*.html"):
-        assert not re.search(r'class="[^"]*\bmermaid\b|data-md-component="source"|class="md-source', page.read_text()), page
+        assert not re.search(
+            r'class="[^"]*\bmermaid\b|data-md-component="source"|class="md-source', page.read_text()
+        ), page
 
 
 def test_no_host_is_invented() -> None:
@@ -130,14 +161,19 @@ def test_a_fields_description_is_in_the_reference(site: Path) -> None:
 
 
 def test_the_search_finds_every_page(site: Path) -> None:
-    found = {entry["location"].partition("#")[0] for entry in json.loads((site / "search/search_index.json").read_text())["docs"]}
+    found = {
+        entry["location"].partition("#")[0]
+        for entry in json.loads((site / "search/search_index.json").read_text())["docs"]
+    }
     assert {page.removesuffix(".html") or "index" for page in found} >= PAGES
 
 
 @pytest.mark.full
 @pytest.mark.timeout(300)  # where kernels are not compiled yet
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_its_claims_hold_and_it_prints_what_it_shows(path: Path, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_notebook_runs_its_claims_hold_and_it_prints_what_it_shows(
+    path: Path, site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import nbformat
     from nbclient import NotebookClient
 
@@ -154,11 +190,22 @@ def test_a_notebook_runs_its_claims_hold_and_it_prints_what_it_shows(path: Path,
 
 def said(cell: Any) -> str:
     """What a cell printed to stdout."""
-    return "".join(output.text for output in cell.get("outputs", []) if output.output_type == "stream" and output.name == "stdout")
+    return "".join(
+        output.text
+        for output in cell.get("outputs", [])
+        if output.output_type == "stream" and output.name == "stdout"
+    )
 
 
 def test_the_citation_is_valid() -> None:
-    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.citation-file-format", str(ROOT / "CITATION.cff")]
+    command = [
+        sys.executable,
+        "-m",
+        "check_jsonschema",
+        "--builtin-schema",
+        "vendor.citation-file-format",
+        str(ROOT / "CITATION.cff"),
+    ]
     checked = subprocess.run(command, capture_output=True, text=True, check=False)
     assert checked.returncode == 0, checked.stdout
 
@@ -166,7 +213,9 @@ def test_the_citation_is_valid() -> None:
 def test_citation_and_changelog_are_of_this_version() -> None:
     citation = YAML(typ="safe").load(ROOT / "CITATION.cff")
     assert citation["version"] == __version__
-    versions = re.findall(r"^## \[(.+?)\](?: - \d{4}-\d\d-\d\d)?$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    versions = re.findall(
+        r"^## \[(.+?)\](?: - \d{4}-\d\d-\d\d)?$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE
+    )
     assert versions[:2] == ["Unreleased", __version__]
 
 
@@ -174,7 +223,9 @@ def test_the_citation_names_the_paper_as_the_site_does() -> None:
     (paper,) = YAML(typ="safe").load(ROOT / "CITATION.cff")["references"]
     page = " ".join((DOCS / "index.md").read_text().replace("> ", "").split())
     assert paper["title"] in page
-    assert ", ".join(f"{author['given-names']} {author['family-names']}" for author in paper["authors"]) in page
+    assert (
+        ", ".join(f"{author['given-names']} {author['family-names']}" for author in paper["authors"]) in page
+    )
     assert paper["url"] in page
     assert f'Paper = "{paper["url"]}"' in (ROOT / "pyproject.toml").read_text()
 
@@ -184,7 +235,14 @@ def test_contributing_names_targets_and_files_that_are_there() -> None:
     targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     assert set(re.findall(r"`make ([\w-]+)", text)) <= targets
     files = set(re.findall(r"`([\w./]+/[\w./]*)`", text)) | set(re.findall(r"\]\(([^)#:]+)\)", text))
-    made = {"agent/planners/NAME.py", "site/", "site/index.html", ".venv/clients/"}  # by who reads, or by a target
+    made = {
+        "agent/planners/NAME.py",
+        "site/",
+        "site/index.html",
+        ".venv/clients/",
+    }  # by who reads, or by a target
     assert files - made <= {name for name in files if (ROOT / name).exists()}
     for constants, file in re.findall(r"`([A-Za-z_]+)` in\s+`([\w./]+\.py)`", text):
-        assert re.search(rf"^(?:def |class )?{constants}\b", (ROOT / file).read_text(), re.MULTILINE), f"{file}: {constants}"
+        assert re.search(rf"^(?:def |class )?{constants}\b", (ROOT / file).read_text(), re.MULTILINE), (
+            f"{file}: {constants}"
+        )

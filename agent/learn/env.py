@@ -1,7 +1,9 @@
-"""The gymnasium environments: the mission without the network, one at a time or many in parallel (docs/environment.md).
+"""The gymnasium environments: the mission without the network, one at a time or many in parallel
+(docs/environment.md).
 
-`gymnasium.make("plumeward/SourceSearch-v0")` has discrete headings; `gymnasium.make("plumeward/SourceSearchContinuous-v0")` has a heading
-and a step of up to 1 m. `gymnasium.make_vec` makes many at once.
+`gymnasium.make("plumeward/SourceSearch-v0")` has discrete headings;
+`gymnasium.make("plumeward/SourceSearchContinuous-v0")` has a heading and a step of up to 1 m.
+`gymnasium.make_vec` makes many at once.
 """
 
 import reprlib
@@ -27,7 +29,9 @@ from plume.scenario import AREA_M, BUDGET_STEPS
 from plume.worlds import AS_MODELLED, WORLDS
 
 TRAINING_SEEDS = 900_000
-"""Training draws seeds below it. Seeds from it to a million are for validation, those from a million on for testing."""
+"""Training draws seeds below it. Seeds from it to a million are for validation, those from a million on
+for testing.
+"""
 REWARDS: Mapping[str, tuple[float, float]] = {"paper": (0.0, 1.0), "cost": (-0.01, 1.0)}
 """By name: reward of each step and of the stop."""
 
@@ -59,7 +63,9 @@ class Settings:
     world: str = AS_MODELLED
     """A world of plume/worlds.py: how the truth differs from what the estimator is told."""
     assume: str = "paper"
-    """What the estimator takes to be known: a name of `estimator.assumptions.ASSUMPTIONS`. The shipped policies learned with `paper`."""
+    """What the estimator takes to be known: a name of `estimator.assumptions.ASSUMPTIONS`. The shipped
+    policies learned with `paper`.
+    """
     stop: str | None = None
     """The stop criterion instead of `threshold_m`, in the form of --stop: `within:1,0.99`."""
 
@@ -67,14 +73,23 @@ class Settings:
         """Raise ValueError on a value that is not allowed."""
         if not isinstance(self.continuous, bool | np.bool_):
             raise ValueError(f"continuous {self.continuous!r} is not allowed; wanted True or False")
-        for name, names in (("observation", SCHEMAS), ("reward", REWARDS), ("world", WORLDS), ("assume", ASSUMPTIONS)):
+        for name, names in (
+            ("observation", SCHEMAS),
+            ("reward", REWARDS),
+            ("world", WORLDS),
+            ("assume", ASSUMPTIONS),
+        ):
             value = getattr(self, name)
             if not isinstance(value, str) or value not in names:
                 raise ValueError(f"{name} {value!r} is not allowed; wanted {' or '.join(names)}")
         for name, least in (("headings", 2), ("particles", 10), ("budget", 1)):
             _check_whole(name, getattr(self, name), least)
         threshold_m: Any = self.threshold_m
-        if isinstance(threshold_m, bool) or not isinstance(threshold_m, int | float | np.number) or not threshold_m > 0:
+        if (
+            isinstance(threshold_m, bool)
+            or not isinstance(threshold_m, int | float | np.number)
+            or not threshold_m > 0
+        ):
             raise ValueError(f"threshold_m {threshold_m!r} is not allowed; wanted a number above 0")
         if not isinstance(self.stop, str | None):
             raise ValueError(f"stop {self.stop!r} is not allowed; wanted {FORMS}")
@@ -82,11 +97,15 @@ class Settings:
 
     @classmethod
     def of(cls, given: Mapping[str, Any], *others: str) -> "Settings":
-        """Return the settings `given`; `others` names other known arguments. Raises TypeError on an unknown one, or ValueError."""
+        """Return the settings `given`; `others` names other known arguments. Raises TypeError on an
+        unknown one, or ValueError.
+        """
         names = [field.name for field in fields(cls)]
         for name, value in given.items():
             if name not in names:
-                raise TypeError(f"argument {name}={value!r} is not allowed; wanted some of {', '.join((*others, *names))}")
+                raise TypeError(
+                    f"argument {name}={value!r} is not allowed; wanted some of {', '.join((*others, *names))}"
+                )
         return cls(**given)
 
     @property
@@ -102,28 +121,46 @@ class Settings:
     def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
         """Observation space and action space."""
         seen = spaces.Box(-BOUND, BOUND, (SCHEMAS[self.observation].size,), np.float32)
-        return seen, spaces.Box(-1.0, 1.0, (2,), np.float32) if self.continuous else spaces.Discrete(self.headings)
+        return seen, spaces.Box(-1.0, 1.0, (2,), np.float32) if self.continuous else spaces.Discrete(
+            self.headings
+        )
 
     def begin(self, seeds: Sequence[int], threads: int = 1) -> Missions:
         """Return new missions of these seeds."""
-        return Missions(seeds, self.observation, self.particles, self.criterion, self.assume, threads, self.world)
+        return Missions(
+            seeds, self.observation, self.particles, self.criterion, self.assume, threads, self.world
+        )
 
     def onlooker(self, render_mode: str | None) -> Onlooker | None:
-        """Return who draws missions; None where nothing is to be drawn. Raises ValueError on another mode than `rgb_array`."""
+        """Return who draws missions; None where nothing is to be drawn. Raises ValueError on another mode
+        than `rgb_array`.
+        """
         check(render_mode)
         return Onlooker(self.criterion.text, self.assume, self.budget) if render_mode else None
 
     def actions(self, given: Any, *count: int) -> NDArray[Any]:
-        """Return `count` actions as an array, (B,) or (B, 2); without a count a single one, () or (2,). Raises ActionError."""
+        """Return `count` actions as an array, (B,) or (B, 2); without a count a single one, () or (2,).
+        Raises ActionError.
+        """
         shape = (*count, 2) if self.continuous else count
-        kinds, wanted = ("iuf", "finite numbers") if self.continuous else ("iu", f"whole numbers from 0 to {self.headings - 1}")
-        wanted = f"wanted {wanted} in an array of shape {shape}" if shape else f"wanted a whole number from 0 to {self.headings - 1}"
+        kinds, wanted = (
+            ("iuf", "finite numbers")
+            if self.continuous
+            else ("iu", f"whole numbers from 0 to {self.headings - 1}")
+        )
+        wanted = (
+            f"wanted {wanted} in an array of shape {shape}"
+            if shape
+            else f"wanted a whole number from 0 to {self.headings - 1}"
+        )
         try:
             actions = np.asarray(given)
         except ValueError:  # rows of different lengths
             raise ActionError(f"action {_short(given)} is not allowed; {wanted}") from None
         if actions.dtype.kind not in kinds or actions.shape != shape:
-            raise ActionError(f"action {_short(given)} ({actions.dtype}, shape {actions.shape}) is not allowed; {wanted}")
+            raise ActionError(
+                f"action {_short(given)} ({actions.dtype}, shape {actions.shape}) is not allowed; {wanted}"
+            )
         good = np.isfinite(actions) if self.continuous else (actions >= 0) & (actions < self.headings)
         if not good.all():
             first = int(np.argwhere(~good)[0, 0]) if count else None
@@ -132,7 +169,9 @@ class Settings:
         return actions
 
     def fly(self, missions: Missions, actions: NDArray[Any]) -> tuple[Floats, Flags, Flags]:
-        """Fly each mission to the waypoint of its action; returns rewards, terminated and truncated, (B,) each."""
+        """Fly each mission to the waypoint of its action; returns rewards, terminated and truncated, (B,)
+        each.
+        """
         missions.move(self.move.waypoints(missions.positions, missions.frames, actions, AREA_M))
         step, stop = REWARDS[self.reward]
         terminated: Flags = missions.ceased.copy()
@@ -159,11 +198,16 @@ def _seed(value: Any) -> int:
 def _refuse(options: Any) -> None:
     """Raise ValueError on options of a reset: there are none."""
     if options:
-        raise ValueError(f"options {_short(options)} are not allowed; wanted none: the seed draws the start and all else of a mission")
+        raise ValueError(
+            f"options {_short(options)} are not allowed; wanted none: the seed draws the start and all else "
+            "of a mission"
+        )
 
 
 def _told(missions: Missions) -> dict[str, Any]:
-    """The infos of each mission; the policy does not see them. `located` is False where the mission has not ceased."""
+    """The infos of each mission; the policy does not see them. `located` is False where the mission has
+    not ceased.
+    """
     return {
         "seed": missions.seeds.copy(),
         "position": missions.positions.copy(),
@@ -175,10 +219,12 @@ def _told(missions: Missions) -> dict[str, Any]:
 
 
 class SourceSearch(gymnasium.Env[Observation, Any]):
-    """One mission at a time; the keyword arguments are those of `Settings`, and `render_mode`: None or "rgb_array".
+    """One mission at a time; the keyword arguments are those of `Settings`, and `render_mode`: None or
+    "rgb_array".
 
-    `reset(seed=s)` begins the mission of seed s, the same that `plumeward rollout --seed s --assume paper` flies. Resets without a seed
-    begin missions drawn by that seed. AGDC's stop *terminates* an episode, right or wrong; a spent budget *truncates* it.
+    `reset(seed=s)` begins the mission of seed s, the same that `plumeward rollout --seed s --assume paper`
+    flies. Resets without a seed begin missions drawn by that seed. AGDC's stop *terminates* an episode,
+    right or wrong; a spent budget *truncates* it.
 
     Example:
         ```python
@@ -200,27 +246,43 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
         self.observation_space, self.action_space = self.settings.spaces()
         self.missions: Missions | None = None
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Begin a mission and take its first reading. Raises ValueError on a bad seed and on options: there are none."""
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin a mission and take its first reading. Raises ValueError on a bad seed and on options:
+        there are none.
+        """
         _refuse(options)
         seed = None if seed is None else _seed(seed)
         super().reset(seed=seed)
-        self.missions = self.settings.begin([int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed])
+        self.missions = self.settings.begin(
+            [int(self.np_random.integers(TRAINING_SEEDS)) if seed is None else seed]
+        )
         if self.onlooker:
             self.onlooker.look(self.missions)
         return self.missions.observations[0].copy(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Fly to the waypoint of the action and take a reading there. Raises ActionError on one outside the action space."""
+        """Fly to the waypoint of the action and take a reading there. Raises ActionError on one outside
+        the action space.
+        """
         if self.missions is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
         rewards, terminated, truncated = self.settings.fly(self.missions, self.settings.actions(action)[None])
         if self.onlooker:
             self.onlooker.look(self.missions)
-        return self.missions.observations[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), self._info()
+        return (
+            self.missions.observations[0].copy(),
+            float(rewards[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            self._info(),
+        )
 
     def render(self) -> Frame | None:
-        """Return the picture of the mission, (540, 960, 3), with the true plume and source; None without a `render_mode`."""
+        """Return the picture of the mission, (540, 960, 3), with the true plume and source; None without a
+        `render_mode`.
+        """
         if self.onlooker is None:
             return None
         if self.missions is None:
@@ -233,15 +295,21 @@ class SourceSearch(gymnasium.Env[Observation, Any]):
 
 
 class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
-    """Missions in parallel in this process, on the filter's batch kernels, each bit-identical to `SourceSearch`.
+    """Missions in parallel in this process, on the filter's batch kernels, each bit-identical to
+    `SourceSearch`.
 
-    When a mission ends, the next one begins in the same step; `final_obs` and `final_info` are those of the mission that ended.
+    When a mission ends, the next one begins in the same step; `final_obs` and `final_info` are those of
+    the mission that ended.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, **RENDERING}  # noqa: RUF012
 
-    def __init__(self, num_envs: int = 1, threads: int = 1, render_mode: str | None = None, **settings: Any) -> None:
-        """Make `num_envs` missions; `threads` share the compiled part of the work. Raises like `SourceSearch`."""
+    def __init__(
+        self, num_envs: int = 1, threads: int = 1, render_mode: str | None = None, **settings: Any
+    ) -> None:
+        """Make `num_envs` missions; `threads` share the compiled part of the work. Raises like
+        `SourceSearch`.
+        """
         for name, value in (("num_envs", num_envs), ("threads", threads)):
             _check_whole(name, value, 1)
         self.num_envs = num_envs
@@ -258,7 +326,8 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence; without a seed, the next ones drawn.
+        """Begin missions: of seed, seed + 1 and so on, or of each seed of a sequence; without a seed, the
+        next ones drawn.
 
         Raises like `SourceSearch.reset`.
         """
@@ -268,7 +337,11 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         else:
             if seed is None:
                 seed = self.np_random.integers(TRAINING_SEEDS, size=self.num_envs).tolist()
-            several = seed if isinstance(seed, Sequence | np.ndarray) else [_seed(seed) + i for i in range(self.num_envs)]
+            several = (
+                seed
+                if isinstance(seed, Sequence | np.ndarray)
+                else [_seed(seed) + i for i in range(self.num_envs)]
+            )
             seeds = [_seed(each) for each in several]
             if len(seeds) != self.num_envs:
                 raise ValueError(f"{len(seeds)} seeds for {self.num_envs} missions")
@@ -281,12 +354,18 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             self.onlooker.look(self.missions)
         return self.missions.observations.copy(), _told(self.missions)
 
-    def step(self, actions: NDArray[Any]) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
-        """Fly each mission to the waypoint of its action and take a reading there. On a wrong action raises ActionError and moves none."""
+    def step(
+        self, actions: NDArray[Any]
+    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Fly each mission to the waypoint of its action and take a reading there. On a wrong action
+        raises ActionError and moves none.
+        """
         missions = self.missions
         if missions is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
-        rewards, terminated, truncated = self.settings.fly(missions, self.settings.actions(actions, self.num_envs))
+        rewards, terminated, truncated = self.settings.fly(
+            missions, self.settings.actions(actions, self.num_envs)
+        )
         infos: dict[str, Any] = {}
         over = terminated | truncated
         if over.any():
@@ -294,14 +373,21 @@ class SourceSearchVector(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             final = np.full(self.num_envs, None, object)
             for i in ended:
                 final[i] = missions.observations[i].copy()
-            infos = {"final_obs": final, "_final_obs": over, "final_info": _told(missions), "_final_info": over}
+            infos = {
+                "final_obs": final,
+                "_final_obs": over,
+                "final_info": _told(missions),
+                "_final_info": over,
+            }
             missions.begin(ended, [self._next(i) for i in ended.tolist()])
         if self.onlooker:
             self.onlooker.look(missions)
         return missions.observations.copy(), rewards, terminated, truncated, infos | _told(missions)
 
     def render(self) -> tuple[Frame, ...] | None:
-        """Return the pictures of all missions, as `SourceSearch.render` does of one; None without a `render_mode`."""
+        """Return the pictures of all missions, as `SourceSearch.render` does of one; None without a
+        `render_mode`.
+        """
         if self.onlooker is None:
             return None
         if self.missions is None:

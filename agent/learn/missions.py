@@ -27,9 +27,15 @@ class Missions:
     """Missions with a Gaussian sensor. All arrays have one row per mission."""
 
     def __init__(
-        self, seeds: Sequence[int], schema: str, particles: int, criterion: Criterion, assume: str = "paper", threads: int = 1,
+        self,
+        seeds: Sequence[int],
+        schema: str,
+        particles: int,
+        criterion: Criterion,
+        assume: str = "paper",
+        threads: int = 1,
         world: str = AS_MODELLED,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Begin the mission of each seed in the world of this name and take its first reading."""
         count = len(seeds)
         self._schema = SCHEMAS[schema]
@@ -61,7 +67,9 @@ class Missions:
         self._read(missions)
 
     def move(self, waypoints: Array) -> None:
-        """Fly each mission to its waypoint and take a reading there. waypoints: (B, 2) m, float32 values within the area."""
+        """Fly each mission to its waypoint and take a reading there. waypoints: (B, 2) m, float32 values
+        within the area.
+        """
         self.steps += 1
         self.distances_m += np.sqrt(np.square(waypoints - self.positions).sum(axis=1))
         self.positions[:] = waypoints
@@ -84,16 +92,31 @@ class Missions:
         return self._worlds
 
     def measurement(self, mission: int) -> Measurement:
-        """Return a mission's newest reading and the belief after it. The time is the step: there is no clock."""
-        step, (x, y), (east, north) = int(self.steps[mission]), self.positions[mission].tolist(), self.estimates[mission].tolist()
+        """Return a mission's newest reading and the belief after it. The time is the step: there is no
+        clock.
+        """
+        step, (x, y), (east, north) = (
+            int(self.steps[mission]),
+            self.positions[mission].tolist(),
+            self.estimates[mission].tolist(),
+        )
         (xx, xy), (_, yy) = self._batch.covariances[mission, :2, :2].tolist()
-        gas, spread_m, ceased = self.facts[mission, observation.GAS], self.spreads_m[mission], self.ceased[mission]
-        return Measurement(step, float(step), (x, y), float(gas), float(spread_m), (east, north), (xx, xy, yy), bool(ceased))
+        gas, spread_m, ceased = (
+            self.facts[mission, observation.GAS],
+            self.spreads_m[mission],
+            self.ceased[mission],
+        )
+        return Measurement(
+            step, float(step), (x, y), float(gas), float(spread_m), (east, north), (xx, xy, yy), bool(ceased)
+        )
 
     def scatter(self, mission: int) -> Scatter:
         """Return a copy of a mission's particles in the plane."""
         weights = self._batch.weights[mission]
-        return Scatter(self._batch.particles[mission, :2].T.astype(np.float32), (weights / weights.sum()).astype(np.float32))
+        return Scatter(
+            self._batch.particles[mission, :2].T.astype(np.float32),
+            (weights / weights.sum()).astype(np.float32),
+        )
 
     def _told(self, mission: int) -> Config:
         """Set a mission to the start of its world; returns its estimator's configuration."""
@@ -104,14 +127,23 @@ class Missions:
         known = (scenario.q, scenario.d, scenario.tau)
         self.facts[mission, observation.WIND_X : observation.LIFETIME + 1] = *world.wind, *known
         criterion, its_seed = self._criterion, derived_seed(seed, "estimator")
-        return Config(self._particles, criterion.threshold_m, its_seed, *known, assume=self._assume, within=criterion.within)
+        return Config(
+            self._particles,
+            criterion.threshold_m,
+            its_seed,
+            *known,
+            assume=self._assume,
+            within=criterion.within,
+        )
 
     def _read(self, missions: Indices) -> None:
         """Take a reading in each of these missions; update beliefs, observations and stops."""
         facts = self.facts
         facts[missions, : observation.GAS] = self.positions[missions]
         worlds = [self._worlds[mission] for mission in missions.tolist()]
-        facts[missions, observation.GAS] = gas_of(worlds, self.positions[missions], self.steps[missions].tolist(), self._noise)
+        facts[missions, observation.GAS] = gas_of(
+            worlds, self.positions[missions], self.steps[missions].tolist(), self._noise
+        )
         readings = np.zeros((len(missions), 7))
         readings[:, :2] = self.positions[missions]
         readings[:, 3:5] = facts[missions, observation.WIND_X : observation.RATE]
@@ -132,6 +164,14 @@ class Missions:
         totals = self._batch.weights.sum(axis=1)
 
         def see(portion: Indices) -> None:
-            self._schema.see_missions(self._batch.particles, self._batch.weights, totals, facts, portion, self.frames, self.observations)
+            self._schema.see_missions(
+                self._batch.particles,
+                self._batch.weights,
+                totals,
+                facts,
+                portion,
+                self.frames,
+                self.observations,
+            )
 
         self._batch.share_out(see, missions)

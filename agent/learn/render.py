@@ -1,4 +1,6 @@
-"""What the environments render: each mission as a scene with its truth, drawn as `plumeward draw` draws it."""
+"""What the environments render: each mission as a scene with its truth, drawn as `plumeward draw` draws
+it.
+"""
 
 import math
 from typing import Any
@@ -46,11 +48,15 @@ class Onlooker:
             taken.append(missions.measurement(i))
 
     def frame(self, missions: Missions, i: int) -> Frame:
-        """Return the picture of mission i, (540, 960, 3). Raises gymnasium's DependencyNotInstalled without matplotlib."""
+        """Return the picture of mission i, (540, 960, 3). Raises gymnasium's DependencyNotInstalled
+        without matplotlib.
+        """
         try:
             from scene.drawing import Drawing
         except ModuleNotFoundError as error:
-            raise gymnasium.error.DependencyNotInstalled(f"render needs {error.name}: pip install 'plumeward[view]'") from None
+            raise gymnasium.error.DependencyNotInstalled(
+                f"render needs {error.name}: pip install 'plumeward[view]'"
+            ) from None
         scene = self.scene(missions, i)
         if self._drawings[i] is None:
             self._drawings[i] = Drawing(scene, steps=min(self._budget, 30))
@@ -79,10 +85,16 @@ class Onlooker:
     def _ending(self, last: Measurement, release: Release) -> Ending | None:
         if last.ceased:
             return judged(last.step, last.estimate, last.spread_m, release)
-        return Ending("not ceased", f"the budget of {last.step} steps is spent") if last.step >= self._budget else None
+        return (
+            Ending("not ceased", f"the budget of {last.step} steps is spent")
+            if last.step >= self._budget
+            else None
+        )
 
 
 def _heading(track: NDArray[np.float32]) -> float:
-    """Return the direction of the last move, counter-clockwise from east; NaN before the first and after one of no length."""
+    """Return the direction of the last move, counter-clockwise from east; NaN before the first and after
+    one of no length.
+    """
     x, y = (track[-1] - track[-2]).tolist() if len(track) > 1 else (0.0, 0.0)
     return math.atan2(y, x) if x or y else math.nan

@@ -35,7 +35,9 @@ class StableBaselinesEnv(VecEnv):
         """Store the actions."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Fly the stored actions."""
         observations, rewards, terminated, truncated, told = self.vector.step(self._actions)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -43,8 +45,10 @@ class StableBaselinesEnv(VecEnv):
         for i in np.flatnonzero(over).tolist():
             last = {name: values[i] for name, values in told["final_info"].items()}
             infos[i] = last | {
-                "terminal_observation": told["final_obs"][i], "TimeLimit.truncated": bool(truncated[i]), "ceased": bool(terminated[i]),
-            }  # fmt: skip
+                "terminal_observation": told["final_obs"][i],
+                "TimeLimit.truncated": bool(truncated[i]),
+                "ceased": bool(terminated[i]),
+            }
         return observations, rewards.astype(np.float32), over, infos
 
     def close(self) -> None:
@@ -58,10 +62,14 @@ class StableBaselinesEnv(VecEnv):
         """Not possible: all missions share one object."""
         raise NotImplementedError("the missions of a batch share their settings")
 
-    def env_method(self, method_name: str, *args: Any, indices: int | Iterable[int] | None = None, **kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *args: Any, indices: int | Iterable[int] | None = None, **kwargs: Any
+    ) -> list[Any]:
         """Not possible: all missions share one object."""
         raise NotImplementedError("the missions of a batch share their methods")
 
-    def env_is_wrapped(self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None) -> list[bool]:
+    def env_is_wrapped(
+        self, wrapper_class: type[Any], indices: int | Iterable[int] | None = None
+    ) -> list[bool]:
         """Nothing is wrapped."""
         return [False for _ in self._get_indices(indices)]

@@ -1,1 +1,3 @@
-"""Planners: each a pure function from a belief to the next waypoint, one small file each. Imports: plume, link.bus, agent.planning."""
+"""Planners: each a pure function from a belief to the next waypoint, one small file each. Imports: plume,
+link.bus, agent.planning.
+"""

@@ -1,4 +1,6 @@
-"""DCEE (dual control for exploitation and exploration): go where the source is expected to be after the next reading."""
+"""DCEE (dual control for exploitation and exploration): go where the source is expected to be after the
+next reading.
+"""
 
 import numpy as np
 
@@ -8,7 +10,8 @@ from link.bus.messages import Belief, Particles
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The move p' with the least E[‖p' − ŝ'‖² + tr Cov'] (Chen, Rhodes, Liu 2021); ŝ' and Cov' belong to the belief after a reading at p'.
+    """The move p' with the least E[‖p' − ŝ'‖² + tr Cov'] (Chen, Rhodes, Liu 2021); ŝ' and Cov' belong to
+    the belief after a reading at p'.
 
     The sum of both terms is the expected squared distance from p' to the source under that belief.
     """

@@ -1,4 +1,6 @@
-"""Homing: approach the source and reduce its uncertainty at the same time; our best planner without learning (docs/planners.md)."""
+"""Homing: approach the source and reduce its uncertainty at the same time; our best planner without
+learning (docs/planners.md).
+"""
 
 import numpy as np
 
@@ -15,15 +17,19 @@ AHEAD = 2.0
 WEIGHT = 4.0
 """c: metres of flight that a metre of spread is expected to cost."""
 PROGRESS = 0.75
-"""Metres by which the expected flight must shorten for each metre flown; otherwise the middle of the belief is a dead end."""
+"""Metres by which the expected flight must shorten for each metre flown; otherwise the middle of the
+belief is a dead end.
+"""
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The move with the least D(p) + c · E[spread after a reading at p], p two steps ahead; the spread S is `entropy_spread`.
+    """The move with the least D(p) + c · E[spread after a reading at p], p two steps ahead; the spread S
+    is `entropy_spread`.
 
-    D(p) is E‖p − s‖, over the current belief: by the law of total expectation, a reading does not change it on average. Where no move
-    lessens the score by PROGRESS a metre, D(p) is −S log E exp(−‖p − s‖/S) instead: the distance to the nearest part of the belief,
-    and S more for each factor e by which that part is improbable.
+    D(p) is E‖p − s‖, over the current belief: by the law of total expectation, a reading does not change
+    it on average. Where no move lessens the score by PROGRESS a metre, D(p) is −S log E exp(−‖p − s‖/S)
+    instead: the distance to the nearest part of the belief, and S more for each factor e by which that
+    part is improbable.
     """
     moves = reach.moves(belief.position)
     places = np.clip(belief.position + AHEAD * (moves - belief.position), 0.0, reach.area_m)
@@ -37,6 +43,8 @@ def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Gene
     flown = lengths(places - belief.position)
     if np.all(scores > here - PROGRESS * flown):
         nearest = distances.min(axis=1, where=hypotheses.weights > 0, initial=np.inf)
-        shares = hypotheses.mean(exp_each(np.minimum(nearest[:, None] - distances, 0.0) / spread))  # of e^(nearest/S), against underflow
+        shares = hypotheses.mean(
+            exp_each(np.minimum(nearest[:, None] - distances, 0.0) / spread)
+        )  # of e^(nearest/S), against underflow
         scores = nearest - spread * log_each(shares) + WEIGHT * spreads
     return int(np.argmin(scores))

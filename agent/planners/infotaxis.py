@@ -10,4 +10,8 @@ from link.bus.messages import Belief, Particles
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the greatest expected information gain (Vergassola 2007; Hutchinson 2018, eq. 14)."""
     moves = reach.moves(belief.position)
-    return int(np.argmax(imagine(belief, cloud(belief, particles), moves, reach.measurements, rng).gains.mean(axis=1)))
+    return int(
+        np.argmax(
+            imagine(belief, cloud(belief, particles), moves, reach.measurements, rng).gains.mean(axis=1)
+        )
+    )

@@ -1,4 +1,6 @@
-"""Infotaxis as defined in the paper's appendix: go where the next reading is expected to leave the least variance."""
+"""Infotaxis as defined in the paper's appendix: go where the next reading is expected to leave the least
+variance.
+"""
 
 import numpy as np
 
@@ -10,4 +12,6 @@ from link.bus.messages import Belief, Particles
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the least expected trace of the location's covariance."""
     moves = reach.moves(belief.position)
-    return int(np.argmin(variances(belief, cloud(belief, particles), moves, reach.measurements, rng).mean(axis=1)))
+    return int(
+        np.argmin(variances(belief, cloud(belief, particles), moves, reach.measurements, rng).mean(axis=1))
+    )

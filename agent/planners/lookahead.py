@@ -11,19 +11,24 @@ REACH = Reach(headings=8, measurements=50)
 PARTICLES = 500
 """Most particles used for planning."""
 AHEAD = (2.0, 4.0)
-"""Distances of the hypothetical readings, steps. Not every step, since neighbouring readings are nearly redundant."""
+"""Distances of the hypothetical readings, steps. Not every step, since neighbouring readings are nearly
+redundant.
+"""
 WEIGHT = 4.0
 """c: metres of flight that a metre of spread is expected to cost."""
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
-    """The first move of the path with the least (metres flown to p) + E‖p − s‖ + c · E[spread], p being the best place on the path.
+    """The first move of the path with the least (metres flown to p) + E‖p − s‖ + c · E[spread], p being
+    the best place on the path.
 
     The spread is `entropy_spread` after readings at all places up to p.
     """
     moves = reach.moves(belief.position)
     ahead = np.array(AHEAD)[:, None]
-    paths = np.clip(belief.position + ahead * (moves - belief.position)[:, None], 0.0, reach.area_m)  # (A, L, 2)
+    paths = np.clip(
+        belief.position + ahead * (moves - belief.position)[:, None], 0.0, reach.area_m
+    )  # (A, L, 2)
     flown = lengths(paths - belief.position)  # (A, L)
     hypotheses = cloud(belief, particles).thinned(PARTICLES)
     distances = hypotheses.mean(hypotheses.distances(paths))  # (A, L)

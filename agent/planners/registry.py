@@ -30,7 +30,9 @@ PLANNERS = {
 
 
 def reach(name: str, given: Mapping[str, float] = MappingProxyType({})) -> Reach:
-    """Return a planner's reach: the `given` fields of `Reach`; for the others the planner's own `REACH`, or the defaults if it has none."""
+    """Return a planner's reach: the `given` fields of `Reach`; for the others the planner's own `REACH`,
+    or the defaults if it has none.
+    """
     return replace(getattr(import_module(PLANNERS[name]), "REACH", Reach()), **given)
 
 

@@ -8,14 +8,17 @@ from link.bus.messages import Belief, Particles
 from plume.numerics import exp_each, log_each
 
 CELL_M = 1.0
-"""Side of the cells in which entropy is computed, m: Loisy and Eloy's world is a grid with a cell per step."""
+"""Side of the cells in which entropy is computed, m: Loisy and Eloy's world is a grid with a cell per
+step.
+"""
 
 
 def plan(belief: Belief, particles: Particles, reach: Reach, rng: np.random.Generator) -> int:
     """The move with the least expected log₂(D + (2^H − 1)/2) (Loisy and Eloy 2022, eq. 3.4).
 
-    D is the expected Manhattan distance from the move to the source, in cells. H is the entropy of the source's cell, in bits. Both are
-    taken under the belief after a reading there; H is the present entropy less the reading's information gain.
+    D is the expected Manhattan distance from the move to the source, in cells. H is the entropy of the
+    source's cell, in bits. Both are taken under the belief after a reading there; H is the present entropy
+    less the reading's information gain.
     """
     moves = reach.moves(belief.position)
     hypotheses = cloud(belief, particles)

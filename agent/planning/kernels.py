@@ -1,4 +1,5 @@
-"""The planners' fused loops, compiled by numba and cached: they reweight a belief by hypothetical readings.
+"""The planners' fused loops, compiled by numba and cached: they reweight a belief by hypothetical
+readings.
 
 Plain IEEE arithmetic in a fixed order: bit-identical on every machine and in every run.
 """
@@ -21,17 +22,25 @@ BLOCK = 1024
 
 @numba.njit(error_model="numpy")
 def _variance(mean: float, noise: float, cv: float, sensor: Array) -> float:
-    """Variance of a reading: the sensor's noise, times the squared factor `noise`, and the gas's own with this intermittency."""
-    result: float = noise * noise * (sensor[1] * sensor[1] * mean * mean + sensor[2] * sensor[2]) + cv * cv * mean * mean
+    """Variance of a reading: the sensor's noise, times the squared factor `noise`, and the gas's own with
+    this intermittency.
+    """
+    result: float = (
+        noise * noise * (sensor[1] * sensor[1] * mean * mean + sensor[2] * sensor[2]) + cv * cv * mean * mean
+    )
     return result
 
 
 @numba.njit(error_model="numpy")
-def _exponents(means: Array, noises: Array, sensor: Array, quadratic: Array, linear: Array, constant: Array) -> None:
-    """Fill the coefficients of the log-likelihood of a reading z under each particle: quadratic · z² + linear · z + constant.
+def _exponents(
+    means: Array, noises: Array, sensor: Array, quadratic: Array, linear: Array, constant: Array
+) -> None:
+    """Fill the coefficients of the log-likelihood of a reading z under each particle: quadratic · z² +
+    linear · z + constant.
 
-    A reading in intermittent gas is taken to be normal, with its true mean and variance: the exact density is no quadratic and takes
-    far longer (docs/planners.md compares them). For hits, the term −log z! is left out.
+    A reading in intermittent gas is taken to be normal, with its true mean and variance: the exact density
+    is no quadratic and takes far longer (docs/planners.md compares them). For hits, the term −log z! is
+    left out.
     """
     offset = HALF_LOG_2PI - log1p(-sensor[4])
     for i in range(len(means)):
@@ -59,9 +68,18 @@ def _silence(means: Array, noises: Array, sensor: Array, constant: Array) -> Non
 
 @numba.njit(error_model="numpy")
 def _likelihoods(
-    one: Array, two: Array, three: Array, z: float, own: float, weights: Array, exponents: Array, likelihoods: Array, products: Array
+    one: Array,
+    two: Array,
+    three: Array,
+    z: float,
+    own: float,
+    weights: Array,
+    exponents: Array,
+    likelihoods: Array,
+    products: Array,
 ) -> None:
-    """Fill `likelihoods` with w L and `products` with w L log L of a reading z under a block of particles; L is relative to `own`.
+    """Fill `likelihoods` with w L and `products` with w L log L of a reading z under a block of particles;
+    L is relative to `own`.
 
     Two loops with few arrays each: with more arrays LLVM cannot rule out aliasing.
     """
@@ -74,15 +92,27 @@ def _likelihoods(
 
 @numba.njit(error_model="numpy")
 def _reweight(
-    one: Array, two: Array, three: Array, z: float, own: float, weights: Array, values: Array, buffers: Array, sums: Array
+    one: Array,
+    two: Array,
+    three: Array,
+    z: float,
+    own: float,
+    weights: Array,
+    values: Array,
+    buffers: Array,
+    sums: Array,
 ) -> None:
-    """Reweight by a reading z: fill `sums` with Σ w L, Σ w L log L and Σ w L v for each row v of values (F, N). buffers: (3, BLOCK)."""
+    """Reweight by a reading z: fill `sums` with Σ w L, Σ w L log L and Σ w L v for each row v of values
+    (F, N). buffers: (3, BLOCK).
+    """
     sums[:] = 0.0
     for start in range(0, len(weights), BLOCK):
         part = slice(start, min(start + BLOCK, len(weights)))
         size = part.stop - start
         likelihoods, products = buffers[0, :size], buffers[1, :size]
-        _likelihoods(one[part], two[part], three[part], z, own, weights[part], buffers[2, :size], likelihoods, products)
+        _likelihoods(
+            one[part], two[part], three[part], z, own, weights[part], buffers[2, :size], likelihoods, products
+        )
         sums[0] += total_of(likelihoods)
         sums[1] += total_of(products)
         for f in range(len(values)):
@@ -93,23 +123,33 @@ def _reweight(
 
 
 @kernel(
-    "Tuple((float64[:, :, ::1], float64[:, :, ::1], float64[:, :, :, ::1]))(float64[:, :, ::1], float64[::1], float64[:, :, :, ::1], "
+    "Tuple((float64[:, :, ::1], float64[:, :, ::1], float64[:, :, :, ::1]))(float64[:, :, ::1], "
+    "float64[::1], float64[:, :, :, ::1], "
     "int64[::1], float64[:, :, ::1], float64[::1], float64[:, ::1])",
     nogil=True,
 )
 def imagine(
-    means: Array, weights: Array, values: Array, imagined: NDArray[np.int64], readings: Array, sensor: Array, noises: Array
+    means: Array,
+    weights: Array,
+    values: Array,
+    imagined: NDArray[np.int64],
+    readings: Array,
+    sensor: Array,
+    noises: Array,
 ) -> tuple[Array, Array, Array]:
     """Reweight a belief by hypothetical readings along A paths of L places.
 
     means: (A, L, N) concentration at each place under each particle, g/m³.  weights: (N,), sum one.
-    values: (A, L, F, N) values of each particle at each place, or (1, 1, F, N) if they are the same at all places.
-    imagined: (K,) the particles from which the readings were drawn.  readings: (A, L, K).  sensor: (5,) as of `plume.sensor.sensor_row`.
+    values: (A, L, F, N) values of each particle at each place, or (1, 1, F, N) if they are the same at all
+    places.
+    imagined: (K,) the particles from which the readings were drawn.  readings: (A, L, K).  sensor: (5,) as
+    of `plume.sensor.sensor_row`.
     noises: (2, N) each particle's factor on the sensor's noise, and its intermittency (cv) of the gas.
 
-    Results at a place include all readings on the path up to it. Returns the log predictive density of these readings (A, L, K);
-    their expected log-likelihood (A, L, K) and the expectation of each value (A, L, K, F), both under the belief after them.
-    For hits, log z! is left out of both logarithms: it is the same for all particles and cancels in their difference.
+    Results at a place include all readings on the path up to it. Returns the log predictive density of
+    these readings (A, L, K); their expected log-likelihood (A, L, K) and the expectation of each value (A,
+    L, K, F), both under the belief after them. For hits, log z! is left out of both logarithms: it is the
+    same for all particles and cancels in their difference.
     """
     (paths, length, count), number, rows = means.shape, len(imagined), values.shape[2]
     quadratic, linear, constant = np.empty(count), np.empty(count), np.empty(count)
@@ -130,7 +170,9 @@ def imagine(
                     one, two, three = zeros, zeros, silent
                 else:
                     one, two, three = quadratic, linear, constant
-                own = fma(fma(one[imagined[k]], z, two[imagined[k]]), z, three[imagined[k]])  # a scale near the greatest log-likelihood
+                own = fma(
+                    fma(one[imagined[k]], z, two[imagined[k]]), z, three[imagined[k]]
+                )  # a scale near the greatest log-likelihood
                 if step > 0:
                     for i in range(count):
                         offset[i] = three[i] + before[k, i]
@@ -150,7 +192,9 @@ def imagine(
 
 @kernel("float64[:, ::1](float64[:, :], float64[::1], float64[::1])")
 def displacements(frames: Array, turns: Array, lengths: Array) -> Array:
-    """Displacements (B, 2) m of moves of these lengths (B,) at angles of so many turns (B,) in frames (B, 3)."""
+    """Displacements (B, 2) m of moves of these lengths (B,) at angles of so many turns (B,) in frames (B,
+    3).
+    """
     result = np.empty((len(turns), 2))
     for b in range(len(turns)):
         cosine, sine, mirror = frames[b]

@@ -33,7 +33,9 @@ class Reach:
         return float(edge if float(edge) <= self.area_m else np.nextafter(edge, np.float32(0)))
 
     def moves(self, position: tuple[float, float]) -> Array:
-        """Return the waypoints (A, 2) m that one step reaches inside the area; float32 values, as on the wire."""
+        """Return the waypoints (A, 2) m that one step reaches inside the area; float32 values, as on the
+        wire.
+        """
         places = (np.asarray(position) + self.step * self.directions).astype(np.float32).astype(np.float64)
         return places[((places >= 0) & (places <= self.area_m)).all(axis=1)]
 
@@ -44,7 +46,9 @@ class Reach:
 
 
 class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", forbid_unknown_fields=True):
-    """Discrete actions: a step in one of `count` evenly spaced directions of the observation's frame; the first is along its x axis."""
+    """Discrete actions: a step in one of `count` evenly spaced directions of the observation's frame; the
+    first is along its x axis.
+    """
 
     count: int
     step_m: float = STEP_M
@@ -63,7 +67,9 @@ class Headings(msgspec.Struct, frozen=True, tag_field="kind", tag="headings", fo
         return _moved(positions, frames, actions / self.count, np.full(len(actions), self.step_m), area_m)
 
 
-class HeadingAndStep(msgspec.Struct, frozen=True, tag_field="kind", tag="heading and step", forbid_unknown_fields=True):
+class HeadingAndStep(
+    msgspec.Struct, frozen=True, tag_field="kind", tag="heading and step", forbid_unknown_fields=True
+):
     """Continuous actions in [−1, 1]²: heading and step.
 
     Heading 0 is along the frame's x axis, ±1 opposite to it. Step −1 is no move, 1 a move of `step_m`.
@@ -81,7 +87,9 @@ class HeadingAndStep(msgspec.Struct, frozen=True, tag_field="kind", tag="heading
         return said
 
     def waypoints(self, positions: Array, frames: Array, actions: Array, area_m: float) -> Array:
-        """Return the waypoints (B, 2) m of actions (B, 2) from positions (B, 2) m; actions are clipped to [−1, 1]. frames: (B, 3)."""
+        """Return the waypoints (B, 2) m of actions (B, 2) from positions (B, 2) m; actions are clipped to
+        [−1, 1]. frames: (B, 3).
+        """
         heading, share = np.clip(np.asarray(actions, np.float64).T, -1.0, 1.0)
         return _moved(positions, frames, heading / 2, self.step_m * (share + 1) / 2, area_m)
 
@@ -90,8 +98,14 @@ Move = Headings | HeadingAndStep
 
 
 def _moved(positions: Array, frames: Array, turns: Array, lengths: Array, area_m: float) -> Array:
-    """Return the waypoints (B, 2) of moves at angles of so many turns in their frames, clipped to the area; float32 values."""
+    """Return the waypoints (B, 2) of moves at angles of so many turns in their frames, clipped to the
+    area; float32 values.
+    """
     from agent.planning.kernels import displacements  # compiled: naming a policy does not need it
 
-    places: Array = np.clip(positions + displacements(frames, turns, lengths), 0.0, area_m).astype(np.float32).astype(np.float64)
+    places: Array = (
+        np.clip(positions + displacements(frames, turns, lengths), 0.0, area_m)
+        .astype(np.float32)
+        .astype(np.float64)
+    )
     return places

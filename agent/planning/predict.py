@@ -58,12 +58,16 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Imagined:
-    """A belief after hypothetical readings: K readings at each of A places, drawn from the belief's predictive distribution there."""
+    """A belief after hypothetical readings: K readings at each of A places, drawn from the belief's
+    predictive distribution there.
+    """
 
     log_predictive: Array
     """(A, K): log predictive density of each reading. For hits, log z! is left out."""
     log_likelihood: Array
-    """(A, K): expected log-likelihood of each reading under the belief after it. For hits, log z! is left out."""
+    """(A, K): expected log-likelihood of each reading under the belief after it. For hits, log z! is left
+    out.
+    """
     expectations: Array
     """(A, K, F): expectations of the given values under the belief after each reading."""
     means: Array
@@ -81,7 +85,10 @@ def cloud(belief: Belief, particles: Particles) -> Cloud:
     """Unpack a belief's particles; a known x or y becomes a constant row."""
     columns = dict(zip(belief.unknowns, particles.T.astype(np.float64), strict=False))
     weights = particles[:, -1].astype(np.float64)
-    x, y = (np.broadcast_to(columns.pop(name, np.float64(known)), weights.shape) for name, known in zip("xy", belief.mean, strict=True))
+    x, y = (
+        np.broadcast_to(columns.pop(name, np.float64(known)), weights.shape)
+        for name, known in zip("xy", belief.mean, strict=True)
+    )
     return Cloud(np.vstack([x, y, *columns.values()]), weights / weights.sum())
 
 
@@ -125,23 +132,43 @@ def concentrations(belief: Belief, hypotheses: Cloud, places: Array) -> Array:
 
 
 def imagine(
-    belief: Belief, hypotheses: Cloud, places: Array, number: int, rng: np.random.Generator, values: Array | None = None
+    belief: Belief,
+    hypotheses: Cloud,
+    places: Array,
+    number: int,
+    rng: np.random.Generator,
+    values: Array | None = None,
 ) -> Imagined:
-    """Draw `number` readings at each place (A, 2) m from the predictive distribution there, and reweight the belief by each.
+    """Draw `number` readings at each place (A, 2) m from the predictive distribution there, and reweight
+    the belief by each.
 
-    values: (F, N) or (A, F, N) values of the particles, whose expectations are wanted.  The draws are stratified over the belief.
-    All places share the same random numbers, so that chance does not decide between them.
+    values: (F, N) or (A, F, N) values of the particles, whose expectations are wanted.  The draws are
+    stratified over the belief. All places share the same random numbers, so that chance does not decide
+    between them.
     """
     if values is not None:
         values = values[None, None] if values.ndim == 2 else values[:, None]
     along = imagine_along(belief, hypotheses, places[:, None], number, rng, values)
-    return Imagined(along.log_predictive[:, 0], along.log_likelihood[:, 0], along.expectations[:, 0], along.means[:, 0], along.noises)
+    return Imagined(
+        along.log_predictive[:, 0],
+        along.log_likelihood[:, 0],
+        along.expectations[:, 0],
+        along.means[:, 0],
+        along.noises,
+    )
 
 
 def imagine_along(
-    belief: Belief, hypotheses: Cloud, paths: Array, number: int, rng: np.random.Generator, values: Array | None = None
+    belief: Belief,
+    hypotheses: Cloud,
+    paths: Array,
+    number: int,
+    rng: np.random.Generator,
+    values: Array | None = None,
 ) -> Imagined:
-    """Do the same along paths (A, L, 2) m: results (A, L, K) at a place include the path's readings before it. values: (A, L, F, N)."""
+    """Do the same along paths (A, L, 2) m: results (A, L, K) at a place include the path's readings before
+    it. values: (A, L, F, N).
+    """
     sensor = parse(belief.sensor)
     means = concentrations(belief, hypotheses, paths.reshape(-1, 2)).reshape(*paths.shape[:2], -1)
     noises = _noises(belief, hypotheses)
@@ -157,12 +184,16 @@ def imagine_along(
             of_place[:] = _readings(sensor, row[drawn], noises[:, drawn], generator)
     if values is None:
         values = np.empty((1, 1, 0, len(cumulative)))
-    said = kernels.imagine(means, hypotheses.weights, np.ascontiguousarray(values), drawn, readings, sensor_row(sensor), noises)
+    said = kernels.imagine(
+        means, hypotheses.weights, np.ascontiguousarray(values), drawn, readings, sensor_row(sensor), noises
+    )
     return Imagined(*said, means, noises)
 
 
 def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Generator) -> Array:
-    """Draw a reading (K,) for each mean (K,), with each one's factor on the sensor's noise and intermittency of the gas, (2, K)."""
+    """Draw a reading (K,) for each mean (K,), with each one's factor on the sensor's noise and
+    intermittency of the gas, (2, K).
+    """
     factors, cvs = noises
     gas = None
     if cvs.any():
@@ -172,10 +203,11 @@ def _readings(sensor: Sensor, means: Array, noises: Array, rng: np.random.Genera
 
 
 def entropy_spread(hypotheses: Cloud, spread: float) -> float:
-    """Spread of the round normal distribution with the same entropy H as the location's, m: sqrt(exp(H)/(π e)), H in nats (m²).
+    """Spread of the round normal distribution with the same entropy H as the location's, m: sqrt(exp(H)/(π
+    e)), H in nats (m²).
 
-    H is computed from cells with a side of a quarter of the spread. If half of a disc is ruled out, the entropy spread shrinks, while the
-    spread itself need not.
+    H is computed from cells with a side of a quarter of the spread. If half of a disc is ruled out, the
+    entropy spread shrinks, while the spread itself need not.
     """
     cell = max(spread, SOURCE_RADIUS_M) / CELLS_A_SPREAD
     shares = shares_of_cells(hypotheses, cell)
@@ -183,7 +215,9 @@ def entropy_spread(hypotheses: Cloud, spread: float) -> float:
 
 
 def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
-    """Return the belief's weight in each square cell of this side (m) that has any, in order of column and row."""
+    """Return the belief's weight in each square cell of this side (m) that has any, in order of column and
+    row.
+    """
     columns, rows = np.clip(np.floor(hypotheses.places / cell), -FAR, FAR).astype(np.int64)
     rows -= rows.min()
     numbers = (columns - columns.min()) * (1 + rows.max()) + rows
@@ -193,9 +227,15 @@ def shares_of_cells(hypotheses: Cloud, cell: float) -> Array:
     return shares[shares > 0]
 
 
-def variances(belief: Belief, hypotheses: Cloud, places: Array, number: int, rng: np.random.Generator) -> Array:
-    """Trace of the location's covariance after each of `number` hypothetical readings at each place (A, 2) m: (A, K) m²."""
-    offsets = hypotheses.places - hypotheses.mean(hypotheses.places)[:, None]  # offsets from the mean limit cancellation below
+def variances(
+    belief: Belief, hypotheses: Cloud, places: Array, number: int, rng: np.random.Generator
+) -> Array:
+    """Trace of the location's covariance after each of `number` hypothetical readings at each place (A, 2)
+    m: (A, K) m².
+    """
+    offsets = (
+        hypotheses.places - hypotheses.mean(hypotheses.places)[:, None]
+    )  # offsets from the mean limit cancellation below
     values = np.vstack([offsets, np.square(offsets).sum(axis=0)])
     expected = imagine(belief, hypotheses, places, number, rng, values).expectations
     traces: Array = np.maximum(expected[:, :, 2] - np.square(expected[:, :, :2]).sum(axis=2), 0.0)

@@ -1,4 +1,6 @@
-"""Sweeps on a Ray cluster: the same flights and the same rows. Each node must have the same code installed, which is checked."""
+"""Sweeps on a Ray cluster: the same flights and the same rows. Each node must have the same code
+installed, which is checked.
+"""
 
 import logging
 import os
@@ -14,7 +16,9 @@ from agent.trials.sweep import Flight, Sweep, code
 from agent.trials.workers import THREADS
 
 AHEAD = 10_000
-"""Tasks handed out at once: more than a cluster flies in the second between two polls, without holding ten million in memory."""
+"""Tasks handed out at once: more than a cluster flies in the second between two polls, without holding ten
+million in memory.
+"""
 
 
 class ClusterError(Exception):
@@ -22,7 +26,9 @@ class ClusterError(Exception):
 
 
 def join(address: str) -> None:
-    """Join the Ray cluster at an address: HOST:PORT of its head, or auto. This machine must be one of its nodes. Raises ClusterError."""
+    """Join the Ray cluster at an address: HOST:PORT of its head, or auto. This machine must be one of its
+    nodes. Raises ClusterError.
+    """
     os.environ.setdefault("RAY_NUM_REDIS_GET_RETRIES", "1")  # each retry takes 40 s
     try:
         import ray
@@ -32,8 +38,15 @@ def join(address: str) -> None:
     try:
         if address != "auto":
             host, _, port = address.rpartition(":")
-            socket.create_connection((host.strip("[]"), int(port)), timeout=5).close()  # fails at once where nobody answers; Ray takes long
-        ray.init(address, log_to_driver=False, logging_level=logging.ERROR, runtime_env={"env_vars": dict.fromkeys(THREADS, "1")})
+            socket.create_connection(
+                (host.strip("[]"), int(port)), timeout=5
+            ).close()  # fails at once where nobody answers; Ray takes long
+        ray.init(
+            address,
+            log_to_driver=False,
+            logging_level=logging.ERROR,
+            runtime_env={"env_vars": dict.fromkeys(THREADS, "1")},
+        )
     except (OSError, RuntimeError, ValueError) as error:
         why = str(error.__cause__ or error).strip().splitlines()[-1].partition(". ")[0].rstrip(".")
         allowed = "HOST:PORT of a Ray cluster that this machine is in, or auto"
@@ -42,12 +55,16 @@ def join(address: str) -> None:
 
 
 def on_cluster(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[list[MissionRow], None, None]:
-    """Fly on the cluster that `join` joined, then leave it. Raises ClusterError where a node has other code."""
+    """Fly on the cluster that `join` joined, then leave it. Raises ClusterError where a node has other
+    code.
+    """
     import ray
 
     here = code()
 
-    def fly_there(packed: bytes) -> Any:  # pickled by value because it is nested, so a node without our code can still run it
+    def fly_there(
+        packed: bytes,
+    ) -> Any:  # pickled by value because it is nested, so a node without our code can still run it
         try:
             from agent.trials.sweep import code, fly
 
@@ -61,11 +78,16 @@ def on_cluster(sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[lis
         remote = ray.remote(num_cpus=1)(fly_there)
         left = iter(tasks)
         waiting: list[Any] = []
-        while waiting := waiting + [remote.remote(pickle.dumps((sweep, flights))) for flights in islice(left, AHEAD - len(waiting))]:
+        while waiting := waiting + [
+            remote.remote(pickle.dumps((sweep, flights))) for flights in islice(left, AHEAD - len(waiting))
+        ]:
             finished, waiting = ray.wait(waiting, num_returns=len(waiting), timeout=1)
             for flown in ray.get(finished):
                 if isinstance(flown, str):
-                    raise ClusterError(f"node {flown!r} has other versions of plumeward, numpy or numba; install those of this machine")
+                    raise ClusterError(
+                        f"node {flown!r} has other versions of plumeward, numpy or numba; install those of "
+                        "this machine"
+                    )
                 yield from flown
     finally:
         ray.shutdown()

@@ -1,4 +1,6 @@
-"""`plumeward evaluate`: the figures of policies over many missions. If interrupted, the same command resumes."""
+"""`plumeward evaluate`: the figures of policies over many missions. If interrupted, the same command
+resumes.
+"""
 
 import argparse
 import csv
@@ -46,10 +48,17 @@ SHOWN = {
     "search_time_s": (5, "ST"),
     "decision_ms": (6, "decision"),
 }
-"""Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All are in the JSON."""
+"""Figures in the table: (rank, name), of which a narrow terminal leaves out the highest ranks first. All
+are in the JSON.
+"""
 SHARED = {
-    "world": "world {}", "N": "N = {}", "ζ, m": "ζ = {} m", "stop": "stop {}", "assume": "assume {}", "missions": "{} missions each",
-}  # fmt: skip
+    "world": "world {}",
+    "N": "N = {}",
+    "ζ, m": "ζ = {} m",
+    "stop": "stop {}",
+    "assume": "assume {}",
+    "missions": "{} missions each",
+}
 """How the line above the table says a setting that all rows share."""
 SETTINGS = re.compile(" (?:world|particles|stop)=")
 """Where the settings in a key of `named` begin."""
@@ -63,7 +72,9 @@ def address(text: str) -> str:
     """Argument type: the address of a Ray cluster."""
     host, _, port = text.rpartition(":")
     if text != "auto" and not (host and port.isdecimal() and 0 < int(port) < 65536):
-        raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto"
+        )
     return text
 
 
@@ -75,7 +86,8 @@ def add_world_argument(parser: argparse.ArgumentParser, *, several: bool = False
         type=cli.listed(world) if several else world,
         default=[AS_MODELLED] if several else AS_MODELLED,
         metavar="NAME,NAME" if several else "NAME",
-        help=f"how the truth differs from what the estimator is told: a name of `plumeward list worlds` (default: {AS_MODELLED})",
+        help="how the truth differs from what the estimator is told: a name of `plumeward list worlds` "
+        f"(default: {AS_MODELLED})",
     )
     cli.completed(argument, lambda: WORLDS)
 
@@ -84,7 +96,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `evaluate`."""
     add_policy_argument(parser, several=True)
     parser.add_argument(
-        "--scenarios", type=cli.whole(1, 10_000_000), default=1000, metavar="N", help="number of missions (default: %(default)s)"
+        "--scenarios",
+        type=cli.whole(1, 10_000_000),
+        default=1000,
+        metavar="N",
+        help="number of missions (default: %(default)s)",
     )
     parser.add_argument(
         "--first-seed",
@@ -97,7 +113,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cli.add_filter_arguments(parser, several=True)
     add_sensor_argument(parser)
     add_world_argument(parser, several=True)
-    parser.add_argument("--missions", type=Path, metavar="FILE.csv", help="write one row per mission to this file; FILE.csv.gz compresses")
+    parser.add_argument(
+        "--missions",
+        type=Path,
+        metavar="FILE.csv",
+        help="write one row per mission to this file; FILE.csv.gz compresses",
+    )
     cli.add_output_guard(parser)
     parser.add_argument(
         "--workers",
@@ -107,21 +128,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="worker processes (default: all cores, %(default)s)",
     )
     parser.add_argument(
-        "--ray", type=address, metavar="ADDRESS",
-        help="fly on this Ray cluster, HOST:PORT or auto: this machine is a node of it, all nodes have the same plumeward, numpy and numba",
-    )  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print the figures as one JSON object on the last line of stdout")
+        "--ray",
+        type=address,
+        metavar="ADDRESS",
+        help="fly on this Ray cluster, HOST:PORT or auto: this machine is a node of it, all nodes have the "
+        "same plumeward, numpy and numba",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print the figures as one JSON object on the last line of stdout"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Fly the missions and print their figures; returns the exit status."""
-    from agent.trials.cluster import ClusterError, join  # here, and below: they load the kernels, which help does not need
+    from agent.trials.cluster import (
+        ClusterError,
+        join,
+    )  # here, and below: they load the kernels, which help does not need
     from agent.trials.sweep import Sweep
 
     sweep = Sweep(
-        args.policy, range(args.first_seed, args.first_seed + args.scenarios), args.particles, args.stops, args.budget,
-        cli.reach_given(args), args.knowledge, worlds=args.world,
-    )  # fmt: skip
+        args.policy,
+        range(args.first_seed, args.first_seed + args.scenarios),
+        args.particles,
+        args.stops,
+        args.budget,
+        cli.reach_given(args),
+        args.knowledge,
+        worlds=args.world,
+    )
     try:
         for name in args.policy:
             reach(name, cli.reach_given(args))
@@ -149,11 +184,16 @@ def _evaluate(sweep: "Sweep", args: argparse.Namespace) -> int:
     rows: list[MissionRow] = []
 
     def kept() -> str:
-        return f"{len(rows) // len(sweep.stops)} of {sweep.count} missions are saved. Run the command again: it resumes"
+        return (
+            f"{len(rows) // len(sweep.stops)} of {sweep.count} missions are saved. Run the command "
+            "again: it resumes"
+        )
 
     try:
         flights = fly_all(sweep, journal, on_cluster if args.ray else on_cores(args.workers))
-        starting = "starting on Ray" if args.ray else f"starting {args.workers} worker{'s' * (args.workers > 1)}"
+        starting = (
+            "starting on Ray" if args.ray else f"starting {args.workers} worker{'s' * (args.workers > 1)}"
+        )
         with closing(with_bar(flights, sweep.count, "missions", starting)) as all_flown:
             for flown in all_flown:
                 rows += flown
@@ -170,7 +210,11 @@ def _evaluate(sweep: "Sweep", args: argparse.Namespace) -> int:
         try:
             write_csv(rows, args.missions)
         except OSError as error:
-            print(f"error: --missions: {error}; the missions are saved: run the command again with another file", file=sys.stderr)
+            print(
+                f"error: --missions: {error}; the missions are saved: run the command again with another "
+                "file",
+                file=sys.stderr,
+            )
             return cli.BAD_INPUT
     result = named(rows)
     taken = args.json or (args.missions and _is_stdout(args.missions))
@@ -182,23 +226,32 @@ def _evaluate(sweep: "Sweep", args: argparse.Namespace) -> int:
 
 
 def named(rows: Sequence[MissionRow]) -> dict[str, Any]:
-    """Return the figures by policy. Where worlds differ, the key names the world too; so it is with particles, thresholds and stops."""
+    """Return the figures by policy. Where worlds differ, the key names the world too; so it is with
+    particles, thresholds and stops.
+    """
     groups = groupby(rows, key=lambda row: (row.policy, row.world, row.particles, row.threshold_m, row.stop))
     told = [(key[0], figures(list(group))) for key, group in groups]
-    several_worlds, several_counts, several_stops = (len({said[key] for _, said in told}) > 1 for key in ("world", "particles", "stop"))
+    several_worlds, several_counts, several_stops = (
+        len({said[key] for _, said in told}) > 1 for key in ("world", "particles", "stop")
+    )
     spreads = all(said["threshold_m"] is not None for _, said in told)
 
     def key(policy: str, said: dict[str, Any]) -> str:
         name = policy + f" world={said['world']}" * several_worlds
         if spreads and (several_counts or several_stops):
             return f"{name} particles={said['particles']} threshold={said['threshold_m']:g}"
-        return name + f" particles={said['particles']}" * several_counts + f" stop={said['stop']}" * several_stops
+        return (
+            name
+            + f" particles={said['particles']}" * several_counts
+            + f" stop={said['stop']}" * several_stops
+        )
 
     return {key(policy, said): said for policy, said in told}
 
 
 def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
-    """Write a header and one row per mission, with six significant digits. A name that ends in .gz is compressed.
+    """Write a header and one row per mission, with six significant digits. A name that ends in .gz is
+    compressed.
 
     An existing file stays as it is until the new one is complete.
     """
@@ -206,7 +259,10 @@ def write_csv(rows: Sequence[MissionRow], path: Path) -> None:
         writer = csv.writer(file)
         writer.writerow(MissionRow.__struct_fields__)
         for row in rows:
-            writer.writerow(f"{value:.6g}" if isinstance(value, float) else value for value in msgspec.structs.astuple(row))
+            writer.writerow(
+                f"{value:.6g}" if isinstance(value, float) else value
+                for value in msgspec.structs.astuple(row)
+            )
 
 
 def read_csv(path: Path) -> list[MissionRow]:
@@ -220,10 +276,14 @@ def read_csv(path: Path) -> list[MissionRow]:
 
 
 def _lines(file: IO[str]) -> Iterator[str]:
-    """Yield the lines of a file; raises ValueError on more than such a file can have. A small .gz file may hold gigabytes."""
+    """Yield the lines of a file; raises ValueError on more than such a file can have. A small .gz file may
+    hold gigabytes.
+    """
     for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), "")):
         if len(line) == LONGEST_LINE or number > MOST_ROWS:
-            raise ValueError(f"wanted lines of less than {LONGEST_LINE:,} characters, and at most {MOST_ROWS:,} missions")
+            raise ValueError(
+                f"wanted lines of less than {LONGEST_LINE:,} characters, and at most {MOST_ROWS:,} missions"
+            )
         yield line
 
 
@@ -241,7 +301,9 @@ def _open(path: Path, mode: str, *, compressed: bool) -> IO[str]:
 
 
 def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> None:
-    """Print the figures of `named` as a table, for people; `elsewhere` says how to see what a narrow terminal leaves out."""
+    """Print the figures of `named` as a table, for people; `elsewhere` says how to see what a narrow
+    terminal leaves out.
+    """
     said = list(result.values())
     settings = {
         "world": [row["world"] for row in said],
@@ -250,15 +312,28 @@ def print_table(result: dict[str, Any], stream: TextIO, elsewhere: str = "") -> 
         "assume": [row["assume"] for row in said],
         "missions": [f"{row['missions']:,}" for row in said],
     }
-    shared = [SHARED[name].format(cells[0]) for name, cells in settings.items() if len(set(cells)) == 1 and cells[0] != AS_MODELLED]
+    shared = [
+        SHARED[name].format(cells[0])
+        for name, cells in settings.items()
+        if len(set(cells)) == 1 and cells[0] != AS_MODELLED
+    ]
     columns = [
-        Column("policy", [SETTINGS.split(name)[0] for name in result], left=True, least=SHORTEST_NAME, keeps_end=True),
+        Column(
+            "policy",
+            [SETTINGS.split(name)[0] for name in result],
+            left=True,
+            least=SHORTEST_NAME,
+            keeps_end=True,
+        ),
         *(
             Column(name, cells, left=name == "world", least=SHORTEST_WORLD if name == "world" else None)
             for name, cells in settings.items()
             if len(set(cells)) > 1
         ),
-        *(Column(COLUMNS[key][0], [cell(row, key) for row in said], rank, name, stacks=True) for key, (rank, name) in SHOWN.items()),
+        *(
+            Column(COLUMNS[key][0], [cell(row, key) for row in said], rank, name, stacks=True)
+            for key, (rank, name) in SHOWN.items()
+        ),
     ]
     tell(table(columns, width_of(stream), elsewhere, above=[", ".join([*shared, "[95% interval]"])]), stream)
 

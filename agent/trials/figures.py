@@ -32,7 +32,9 @@ UNKNOWN = "–"
 
 
 class MissionRow(msgspec.Struct, frozen=True):
-    """The result of one mission: a row of the raw results. If it did not cease, its figures are those of its last step."""
+    """The result of one mission: a row of the raw results. If it did not cease, its figures are those of
+    its last step.
+    """
 
     policy: str
     particles: int
@@ -77,7 +79,9 @@ class MissionRow(msgspec.Struct, frozen=True):
     """Version of Plumeward that flew it; None where the row does not say."""
     world: str = AS_MODELLED
     warned: bool = False
-    """Whether the estimator warned, at any reading up to this end, that a stop would not be honest; False in older files."""
+    """Whether the estimator warned, at any reading up to this end, that a stop would not be honest; False
+    in older files.
+    """
 
     @property
     def criterion(self) -> str:
@@ -98,8 +102,12 @@ class Interval(msgspec.Struct, frozen=True):
         return f"{value} [{low}, {high}]"
 
 
-def nees(estimate: tuple[float, float], source: tuple[float, float], covariance: tuple[float, float, float]) -> float:
-    """Normalised estimation error squared, eᵀ C⁻¹ e; covariance C: (xx, xy, yy) m². Of a C without width, that along its line alone."""
+def nees(
+    estimate: tuple[float, float], source: tuple[float, float], covariance: tuple[float, float, float]
+) -> float:
+    """Normalised estimation error squared, eᵀ C⁻¹ e; covariance C: (xx, xy, yy) m². Of a C without width,
+    that along its line alone.
+    """
     (east, north), (xx, xy, yy) = (a - b for a, b in zip(estimate, source, strict=True)), covariance
     determinant, trace = xx * yy - xy * xy, xx + yy
     if determinant > 1e-15 * trace * trace:
@@ -124,13 +132,17 @@ def mean(samples: Array) -> Array:
 
 
 def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Interval:
-    """A statistic of values (n, …) and its percentile interval; NaN for no values. `statistic` maps samples (R, n, …) to (R,)."""
+    """A statistic of values (n, …) and its percentile interval; NaN for no values. `statistic` maps
+    samples (R, n, …) to (R,).
+    """
     if len(values) == 0:
         return Interval(math.nan, math.nan, math.nan)
     rng = np.random.default_rng(0)
     at_once = max(LARGEST // len(values), 1)
     sizes = [min(at_once, RESAMPLES - done) for done in range(0, RESAMPLES, at_once)]
-    again = np.concatenate([statistic(values[rng.integers(len(values), size=(size, len(values)))]) for size in sizes])
+    again = np.concatenate(
+        [statistic(values[rng.integers(len(values), size=(size, len(values)))]) for size in sizes]
+    )
     low, high = np.quantile(again, [0.025, 0.975])
     return Interval(float(statistic(values[None])[0]), float(low), float(high))
 
@@ -138,7 +150,8 @@ def bootstrap(values: Array, statistic: Callable[[Array], Array] = mean) -> Inte
 def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
     """Figures of missions of one policy, one world, one number of particles and one stop criterion.
 
-    `false_stop_warned` is the share of false stops that a warning preceded. Figures that no such mission defines are None.
+    `false_stop_warned` is the share of false stops that a warning preceded. Figures that no such mission
+    defines are None.
     """
     ceased = [row for row in rows if row.ceased]
     wrong = [row for row in ceased if not row.located]
@@ -147,7 +160,9 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
         return bootstrap(np.array([getattr(row, name) for row in ceased]))
 
     # The bootstrap draws distance and floor as pairs: both grow with the distance of the source.
-    both = np.array([(row.distance_m, row.floor_m) for row in ceased if row.floor_m is not None]).reshape(-1, 2)
+    both = np.array([(row.distance_m, row.floor_m) for row in ceased if row.floor_m is not None]).reshape(
+        -1, 2
+    )
 
     intervals = {
         "ceased": wilson(len(ceased), len(rows)),
@@ -164,7 +179,12 @@ def figures(rows: Sequence[MissionRow]) -> dict[str, Any]:
         "update_ms": bootstrap(np.array([row.update_ms for row in rows])),
     }
     first = rows[0]
-    summary: dict[str, Any] = {"missions": len(rows), "particles": first.particles, "threshold_m": first.threshold_m, "world": first.world}
+    summary: dict[str, Any] = {
+        "missions": len(rows),
+        "particles": first.particles,
+        "threshold_m": first.threshold_m,
+        "world": first.world,
+    }
     summary |= {"assume": first.assume, "stop": first.criterion}
     for name, interval in intervals.items():
         known = not math.isnan(interval.value)

@@ -1,4 +1,5 @@
-"""The information floor of a mission: how far an oracle flies before the posterior's spread can be below ζ (docs/floor.md).
+"""The information floor of a mission: how far an oracle flies before the posterior's spread can be below ζ
+(docs/floor.md).
 
 It uses the true source, so it may judge missions but not plan them.
 """
@@ -21,11 +22,26 @@ Array = NDArray[np.float64]
 
 LEAST_THRESHOLD_M = 0.03
 """Below this ζ the computation takes long, and the floor may exceed the budget."""
-SLOPE, FLOOR = GAUSSIAN.sensor_noise * GAUSSIAN.sensor_noise, GAUSSIAN.environment_noise * GAUSSIAN.environment_noise
+SLOPE, FLOOR = (
+    GAUSSIAN.sensor_noise * GAUSSIAN.sensor_noise,
+    GAUSSIAN.environment_noise * GAUSSIAN.environment_noise,
+)
 """α² and β²: the variance of a reading is SLOPE m² + FLOOR."""
 PRIOR = 12 / (AREA_M * AREA_M)
-"""Precision of the prior for each axis, 1/m²: that of the Gaussian with the covariance of the uniform prior."""
-BENDS = np.array([(0.0, 1.0), *((sign * rate, last) for sign in (-1, 1) for rate in (0.15, 0.3, 0.6, 1.2, 2.0) for last in (2, 4, 8, 16))])
+"""Precision of the prior for each axis, 1/m²: that of the Gaussian with the covariance of the uniform
+prior.
+"""
+BENDS = np.array(
+    [
+        (0.0, 1.0),
+        *(
+            (sign * rate, last)
+            for sign in (-1, 1)
+            for rate in (0.15, 0.3, 0.6, 1.2, 2.0)
+            for last in (2, 4, 8, 16)
+        ),
+    ]
+)
 """(rad per step, number of last steps): the bends that a path may end with after a straight beginning."""
 
 
@@ -50,7 +66,9 @@ def weight(mean: float) -> float:
 
 @kernel("Tuple((float64, float64, float64))(float64, float64, float64[::1])", error_model="numpy")
 def information(x: float, y: float, model: Array) -> tuple[float, float, float]:
-    """Fisher information c g gᵀ of a reading at (x, y) about the source's location, as (c, g_x, g_y); g = grad log m, 1/m."""
+    """Fisher information c g gᵀ of a reading at (x, y) about the source's location, as (c, g_x, g_y); g =
+    grad log m, 1/m.
+    """
     dx, dy = x - model[0], y - model[1]
     distance = math.sqrt(dx * dx + dy * dy)
     radius = max(distance, SOURCE_RADIUS_M)
@@ -80,7 +98,9 @@ def _variance(headings: Array, start: Array, model: Array) -> float:
 
 @kernel("float64(float64[::1], float64[::1], float64[::1], float64)", error_model="numpy")
 def _refine(headings: Array, start: Array, model: Array, finest: float) -> float:
-    """Compass search, in place: turn the path after a step, or shift one waypoint, while that helps; then halve the change."""
+    """Compass search, in place: turn the path after a step, or shift one waypoint, while that helps; then
+    halve the change.
+    """
     steps = len(headings)
     best = _variance(headings, start, model)
     tried = headings.copy()
@@ -105,8 +125,13 @@ def _refine(headings: Array, start: Array, model: Array, finest: float) -> float
     return best
 
 
-@kernel("float64[::1](int64, float64[::1], float64[::1], float64[:, ::1], int64, int64, float64)", error_model="numpy")
-def _best_headings(steps: int, start: Array, model: Array, bends: Array, bearings: int, refined: int, finest: float) -> Array:
+@kernel(
+    "float64[::1](int64, float64[::1], float64[::1], float64[:, ::1], int64, int64, float64)",
+    error_model="numpy",
+)
+def _best_headings(
+    steps: int, start: Array, model: Array, bends: Array, bearings: int, refined: int, finest: float
+) -> Array:
     """Headings of the best path found with this number of steps: the best of a family, refined."""
     towards = angle_of(model[0] - start[0], model[1] - start[1])
     family = np.empty((bearings * len(bends), steps))
@@ -132,28 +157,43 @@ def model(scenario: Scenario) -> Array:
     """(6,): source x and y, q/(4π d), 1/λ, wind_x/(2d), wind_y/(2d)."""
     s = scenario
     if s.height != 0.0:
-        raise ValueError(f"height {s.height:g} m is not allowed; wanted 0: the floor is defined for a source in the search plane")
+        raise ValueError(
+            f"height {s.height:g} m is not allowed; wanted 0: the floor is defined for a source in the "
+            "search plane"
+        )
     inverse_length = math.sqrt((1 + s.u * s.u * s.tau / (4 * s.d)) / (s.d * s.tau))
     east, north = s.wind
-    return np.array([*s.source, s.q / (4 * math.pi * s.d), inverse_length, east / (2 * s.d), north / (2 * s.d)])
+    return np.array(
+        [*s.source, s.q / (4 * math.pi * s.d), inverse_length, east / (2 * s.d), north / (2 * s.d)]
+    )
 
 
 def spread_m(scenario: Scenario, headings: Sequence[float]) -> float:
-    """Spread after a path of 1 m steps on these headings, rad, from the scenario's start, m; infinite where it leaves the area."""
+    """Spread after a path of 1 m steps on these headings, rad, from the scenario's start, m; infinite
+    where it leaves the area.
+    """
     return math.sqrt(_variance(np.array(headings, np.float64), np.array(scenario.start), model(scenario)))
 
 
 def best_path(scenario: Scenario, steps: int, effort: Effort = Effort()) -> tuple[float, ...]:
     """Headings, rad, of the path found with this number of steps that leaves the least spread."""
     start, parameters = np.array(scenario.start), model(scenario)
-    return tuple(_best_headings(steps, start, parameters, BENDS, effort.bearings, effort.refined, effort.finest).tolist())
+    return tuple(
+        _best_headings(
+            steps, start, parameters, BENDS, effort.bearings, effort.refined, effort.finest
+        ).tolist()
+    )
 
 
 def floors_m(
     scenario: Scenario, thresholds_m: Sequence[float], effort: Effort = Effort(), budget: int = BUDGET_STEPS
 ) -> dict[float, float]:
-    """Length of the shortest path found after which the spread can be below each ζ, m; infinite where it exceeds the budget."""
-    steps = min(int(math.dist(scenario.start, scenario.source) / STEP_M), budget)  # usually close to the answer
+    """Length of the shortest path found after which the spread can be below each ζ, m; infinite where it
+    exceeds the budget.
+    """
+    steps = min(
+        int(math.dist(scenario.start, scenario.source) / STEP_M), budget
+    )  # usually close to the answer
     result: dict[float, float] = {}
     for threshold_m in sorted(thresholds_m, reverse=True):  # a smaller ζ needs at least as many steps
 

@@ -27,7 +27,9 @@ NARROW = 80
 
 
 def progress_bar(*, stands: bool = False) -> Progress:
-    """Return a bar that counts missions; with `stands`, one of training, beside which the task's field of this name is shown."""
+    """Return a bar that counts missions; with `stands`, one of training, beside which the task's field of
+    this name is shown.
+    """
     console = Console(stderr=True)
     columns: tuple[ProgressColumn, ...]
     if stands:
@@ -39,8 +41,12 @@ def progress_bar(*, stands: bool = False) -> Progress:
     return Progress(TextColumn("{task.description}"), *columns, console=console)
 
 
-def with_bar(flights: Generator[Flown, None, None], total: int, what: str, starting: str) -> Generator[Flown, None, None]:
-    """Yield what `flights` yields and show a bar of `total`. It is named `starting` until the first result, then `what`."""
+def with_bar(
+    flights: Generator[Flown, None, None], total: int, what: str, starting: str
+) -> Generator[Flown, None, None]:
+    """Yield what `flights` yields and show a bar of `total`. It is named `starting` until the first
+    result, then `what`.
+    """
     with progress_bar() as progress, closing(flights):
         task = progress.add_task(starting, total=total)
         if not progress.console.is_terminal:

@@ -22,7 +22,9 @@ ALTITUDE_M = 5.0
 USUAL: Mapping[str, float] = MappingProxyType({})
 """The planner's own moves."""
 FURTHER = ("area_m", "priors", "sensor", "stop_on_location", "stop_limits")
-"""Fields of `Config` that may be given for a mission; the others have arguments of their own, or come from the scenario."""
+"""Fields of `Config` that may be given for a mission; the others have arguments of their own, or come from
+the scenario.
+"""
 
 
 class Step(NamedTuple):
@@ -50,29 +52,45 @@ class Mission(NamedTuple):
 
 
 def mission(
-    seed: int, policy: str, particles: int, threshold_m: float, budget: int, moves: Mapping[str, float] = USUAL,
-    world: str = AS_MODELLED, ends: bool = True, **knowledge: Any,
-) -> Mission:  # fmt: skip
+    seed: int,
+    policy: str,
+    particles: int,
+    threshold_m: float,
+    budget: int,
+    moves: Mapping[str, float] = USUAL,
+    world: str = AS_MODELLED,
+    ends: bool = True,
+    **knowledge: Any,
+) -> Mission:
     """Prepare the mission of a seed with a policy, by default with the paper's assumption.
 
-    `moves`: fields of `Reach`. `ends`: whether the stop ends it. `knowledge`: other fields of `Config`, like the sensor.
+    `moves`: fields of `Reach`. `ends`: whether the stop ends it. `knowledge`: other fields of `Config`,
+    like the sensor.
     """
     told = draw(seed)
-    config = Config(particles, threshold_m, derived_seed(seed, "estimator"), told.q, told.d, told.tau, **knowledge)
+    config = Config(
+        particles, threshold_m, derived_seed(seed, "estimator"), told.q, told.d, told.tau, **knowledge
+    )
     there = World(told, seed, config.sensor, world)
     steps = _steps(there, config, policy, derived_seed(seed, "agent"), budget, reach(policy, moves), ends)
     return Mission(there.truth, config, steps)
 
 
 def check(assume: str, knowledge: Mapping[str, Any]) -> None:
-    """Refuse further fields of `Config` that a mission cannot take. Raises TypeError, or ValueError if they are inconsistent."""
+    """Refuse further fields of `Config` that a mission cannot take. Raises TypeError, or ValueError if
+    they are inconsistent.
+    """
     for name, value in knowledge.items():
         if name not in FURTHER:
-            raise TypeError(f"argument {name}={value!r} is not allowed; wanted further knowledge of {', '.join(FURTHER)}")
+            raise TypeError(
+                f"argument {name}={value!r} is not allowed; wanted further knowledge of {', '.join(FURTHER)}"
+            )
     Config(assume=assume, **knowledge)
 
 
-def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: int, within: Reach, ends: bool) -> Iterator[Step]:
+def _steps(
+    world: World, config: Config, policy: str, agent_seed: int, budget: int, within: Reach, ends: bool
+) -> Iterator[Step]:
     posterior, position, decision_s = prior(config), world.start, 0.0
     for step in range(budget + 1):
         reading = Reading(step, position, ALTITUDE_M, world.wind, world.gas(position, step))
@@ -88,9 +106,18 @@ def _steps(world: World, config: Config, policy: str, agent_seed: int, budget: i
 
 
 def rollout(
-    seed: int, policy: str = DEFAULT, particles: int = 1000, threshold_m: float = USUAL_THRESHOLD_M, budget: int = BUDGET_STEPS,
-    moves: Mapping[str, float] = USUAL, *, world: str = AS_MODELLED, assume: str = "field", stop: str | None = None, **knowledge: Any,
-) -> tuple[Outcome, list[TracePoint]]:  # fmt: skip
+    seed: int,
+    policy: str = DEFAULT,
+    particles: int = 1000,
+    threshold_m: float = USUAL_THRESHOLD_M,
+    budget: int = BUDGET_STEPS,
+    moves: Mapping[str, float] = USUAL,
+    *,
+    world: str = AS_MODELLED,
+    assume: str = "field",
+    stop: str | None = None,
+    **knowledge: Any,
+) -> tuple[Outcome, list[TracePoint]]:
     """Fly one mission in this process, without a network. The same mission over Zenoh gives the same bits.
 
     Args:
@@ -100,17 +127,23 @@ def rollout(
         threshold_m: The search stops when the spread of the belief is below it, m.
         budget: Moves after which the mission is given up.
         moves: Of a planner: `headings`, `step` (m) and `measurements`, where its own are not wanted.
-        world: How the truth differs from what the estimator is told: a name that `plumeward list worlds` shows.
-        assume: What the estimator takes to be known: `field` or `paper`, where all but the position is known.
-        stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop when at least 99% of the belief is
+        world: How the truth differs from what the estimator is told: a name that `plumeward list worlds`
+        shows.
+        assume: What the estimator takes to be known: `field` or `paper`, where all but the position is
+        known.
+        stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
+        when at least 99% of the belief is
             within 1 m of the estimate.
-        knowledge: Further fields of `plumeward.Config`: `sensor`, `priors`, `stop_limits`, `stop_on_location` and `area_m`.
+        knowledge: Further fields of `plumeward.Config`: `sensor`, `priors`, `stop_limits`,
+        `stop_on_location` and `area_m`.
 
     Returns:
-        The outcome, and a trace of one point for each reading, the first of them before any move. Lengths are in metres.
+        The outcome, and a trace of one point for each reading, the first of them before any move. Lengths
+        are in metres.
 
     Raises:
-        ValueError: The policy or the world is not known, or cannot be flown so; or the assumption or the criterion is not allowed.
+        ValueError: The policy or the world is not known, or cannot be flown so; or the assumption or the
+        criterion is not allowed.
         TypeError: There is no such argument, or the sensor or a prior is something else, such as its text.
 
     Example:
@@ -129,4 +162,6 @@ def rollout(
         said = step.belief
         trace.append(TracePoint(said.position, said.gas, said.mean, said.spread))
         search_time_s += step.update_s + step.decision_s
-    return outcome(seed, policy, flown.scenario, trace, said.ceased, search_time_s, said.assume, said.stop, world), trace
+    return outcome(
+        seed, policy, flown.scenario, trace, said.ceased, search_time_s, said.assume, said.stop, world
+    ), trace

@@ -1,4 +1,6 @@
-"""Sweeps: missions of policies over seeds, particles and stop criteria, on all cores. A journal keeps each flight, to resume."""
+"""Sweeps: missions of policies over seeds, particles and stop criteria, on all cores. A journal keeps each
+flight, to resume.
+"""
 
 import hashlib
 import math
@@ -67,7 +69,12 @@ class Sweep:
     def __contains__(self, flight: "Flight") -> bool:
         """Whether the sweep includes a flight."""
         policy, particles, seed, world = flight
-        return policy in self.policies and particles in self.particles and seed in self.seeds and world in self.worlds
+        return (
+            policy in self.policies
+            and particles in self.particles
+            and seed in self.seeds
+            and world in self.worlds
+        )
 
 
 Flight = tuple[str, int, int, str]
@@ -79,18 +86,31 @@ Flyer = Callable[[Sweep, Iterable[Sequence[Flight]]], Generator[list[MissionRow]
 
 
 def fly(sweep: Sweep, flights: Sequence[Flight]) -> list[list[MissionRow]]:
-    """Fly missions of one seed until all stop criteria have been met; returns their rows, one per criterion, each as of its own stop."""
+    """Fly missions of one seed until all stop criteria have been met; returns their rows, one per
+    criterion, each as of its own stop.
+    """
     first = sweep.stops[0]
     missions = [
         mission(
-            seed, policy, particles, first.threshold_m, sweep.budget, sweep.moves, world=world, ends=False, within=first.within,
+            seed,
+            policy,
+            particles,
+            first.threshold_m,
+            sweep.budget,
+            sweep.moves,
+            world=world,
+            ends=False,
+            within=first.within,
             **sweep.knowledge,
         )
         for policy, particles, seed, world in flights
-    ]  # fmt: skip
+    ]
     modelled = [ready for flight, ready in zip(flights, missions, strict=True) if flight[3] == AS_MODELLED]
     floors = _floors(sweep, modelled[0]) if modelled else {}
-    return [_fly(sweep, flight, ready, floors if flight[3] == AS_MODELLED else {}) for flight, ready in zip(flights, missions, strict=True)]
+    return [
+        _fly(sweep, flight, ready, floors if flight[3] == AS_MODELLED else {})
+        for flight, ready in zip(flights, missions, strict=True)
+    ]
 
 
 def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
@@ -101,13 +121,17 @@ def _floors(sweep: Sweep, ready: Mission) -> dict[float, float]:
     if sweep.moves.get("step", STEP_M) != STEP_M:
         return {}
     thresholds_m = [stop.threshold_m for stop in sweep.stops if not stop.within]
-    floors = floors_m(ready.scenario, [threshold_m for threshold_m in thresholds_m if threshold_m >= LEAST_THRESHOLD_M])
+    floors = floors_m(
+        ready.scenario, [threshold_m for threshold_m in thresholds_m if threshold_m >= LEAST_THRESHOLD_M]
+    )
     return {threshold_m: floor_m for threshold_m, floor_m in floors.items() if math.isfinite(floor_m)}
 
 
 def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float]) -> list[MissionRow]:
     scenario, config, steps = ready
-    waiting = {stop: replace(config, threshold_m=stop.threshold_m, within=stop.within) for stop in sweep.stops}
+    waiting = {
+        stop: replace(config, threshold_m=stop.threshold_m, within=stop.within) for stop in sweep.stops
+    }
     rows: dict[Criterion, MissionRow] = {}
     warned: set[Criterion] = set()
     updates_s: list[float] = []
@@ -117,7 +141,19 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
 
     def row(stop: Criterion, ceased: bool) -> MissionRow:
         told, floor_m = waiting[stop], None if stop.within else floors.get(stop.threshold_m)
-        return row_of(sweep, flight, told, ceased, stop in warned, said, scenario.source, distance_m, floor_m, updates_s, decisions_s)
+        return row_of(
+            sweep,
+            flight,
+            told,
+            ceased,
+            stop in warned,
+            said,
+            scenario.source,
+            distance_m,
+            floor_m,
+            updates_s,
+            decisions_s,
+        )
 
     for step in steps:
         said = step.belief
@@ -137,9 +173,18 @@ def _fly(sweep: Sweep, flight: Flight, ready: Mission, floors: dict[float, float
 
 
 def row_of(
-    sweep: Sweep, flight: Flight, config: Config, ceased: bool, warned: bool, last: Belief, source: tuple[float, float],
-    distance_m: float, floor_m: float | None, updates_s: Sequence[float], decisions_s: Sequence[float],
-) -> MissionRow:  # fmt: skip
+    sweep: Sweep,
+    flight: Flight,
+    config: Config,
+    ceased: bool,
+    warned: bool,
+    last: Belief,
+    source: tuple[float, float],
+    distance_m: float,
+    floor_m: float | None,
+    updates_s: Sequence[float],
+    decisions_s: Sequence[float],
+) -> MissionRow:
     """Return the row of a mission that has been flown."""
     policy, particles, seed, world = flight
     moves, learned = reach(policy, sweep.moves), bundle_path(policy) is not None
@@ -176,17 +221,25 @@ def row_of(
 
 
 def told(config: Config) -> dict[str, Any]:
-    """Return the columns of a row that say what was told, assumed and waited for, in the form of the flags."""
+    """Return the columns of a row that say what was told, assumed and waited for, in the form of the
+    flags.
+    """
     names = {kind: name for name, kind in KINDS.items()}
-    priors = [f"{name}={names[type(prior)]}:{','.join(map(repr, astuple(prior)))}" for name, prior in config.priors.items()]
-    stop_on = ["location"] * config.stop_on_location + [f"{name}={limit!r}" for name, limit in config.stop_limits.items()]
+    priors = [
+        f"{name}={names[type(prior)]}:{','.join(map(repr, astuple(prior)))}"
+        for name, prior in config.priors.items()
+    ]
+    stop_on = ["location"] * config.stop_on_location + [
+        f"{name}={limit!r}" for name, limit in config.stop_limits.items()
+    ]
     stop = config.criterion.text if config.within else "spread"
     said = {"sensor": text(config.sensor), "prior": " ".join(priors) or None, "stop_on": ",".join(stop_on)}
     return {**said, "assume": config.assume, "stop": stop}
 
 
 def fly_all(sweep: Sweep, journal: Path, fly_tasks: Flyer) -> Generator[list[MissionRow], None, None]:
-    """Fly the flights that the journal lacks; yields the rows of each flight as it ends, those of the journal first.
+    """Fly the flights that the journal lacks; yields the rows of each flight as it ends, those of the
+    journal first.
 
     Each flight is added to the journal as it ends, so an interrupted sweep can resume.
     """
@@ -219,7 +272,9 @@ def on_cores(workers: int) -> Flyer:
     return partial(_on_cores, workers)
 
 
-def _on_cores(workers: int, sweep: Sweep, tasks: Iterable[Sequence[Flight]]) -> Generator[list[MissionRow], None, None]:
+def _on_cores(
+    workers: int, sweep: Sweep, tasks: Iterable[Sequence[Flight]]
+) -> Generator[list[MissionRow], None, None]:
     with closing(as_flown(partial(fly, sweep), tasks, workers)) as results:
         for _, flown in results:
             yield from flown
@@ -238,15 +293,30 @@ def code() -> str:
 
 def journal_of(sweep: Sweep, folder: Path) -> Path:
     """Return the journal of a sweep. Other settings or other code have another journal."""
-    bundles = [hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest() for name in sweep.policies if (path := bundle_path(name))]
-    question = (code(), bundles, sweep.stops, sweep.budget, sorted(sweep.moves.items()), sorted(sweep.knowledge.items()))
+    bundles = [
+        hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
+        for name in sweep.policies
+        if (path := bundle_path(name))
+    ]
+    question = (
+        code(),
+        bundles,
+        sweep.stops,
+        sweep.budget,
+        sorted(sweep.moves.items()),
+        sorted(sweep.knowledge.items()),
+    )
     digest = hashlib.blake2b(repr(question).encode(), digest_size=8)
     return folder / f"evaluate-{digest.hexdigest()}.jsonl"
 
 
 def ordered(rows: Iterable[MissionRow], sweep: Sweep) -> list[MissionRow]:
-    """Return rows by policy and world, as requested, then by particles, stop criterion and seed, whichever worker ended first."""
+    """Return rows by policy and world, as requested, then by particles, stop criterion and seed, whichever
+    worker ended first.
+    """
     rank = {flown: i for i, flown in enumerate(product(sweep.policies, sweep.worlds))}
     stops = sorted(sweep.stops, key=lambda stop: (stop.within or (), stop.threshold_m))
     place = {stop.text: i for i, stop in enumerate(stops)}
-    return sorted(rows, key=lambda row: (rank[row.policy, row.world], row.particles, place[row.criterion], row.seed))
+    return sorted(
+        rows, key=lambda row: (rank[row.policy, row.world], row.particles, place[row.criterion], row.seed)
+    )

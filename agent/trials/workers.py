@@ -1,4 +1,6 @@
-"""Worker processes: results come back as tasks end. A killed worker raises an error, and no worker outlives its parent."""
+"""Worker processes: results come back as tasks end. A killed worker raises an error, and no worker
+outlives its parent.
+"""
 
 import os
 import signal
@@ -25,10 +27,13 @@ class WorkerLost(BrokenExecutor):
     """A worker process was killed."""
 
 
-def as_flown(function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Generator[tuple[Task, Result], None, None]:
+def as_flown(
+    function: Callable[[Task], Result], tasks: Iterable[Task], workers: int
+) -> Generator[tuple[Task, Result], None, None]:
     """Yield (task, function(task)) as tasks end, computed by at most `workers` processes.
 
-    Raises what a task raises, and WorkerLost if a worker was killed, after yielding all results that were there by then.
+    Raises what a task raises, and WorkerLost if a worker was killed, after yielding all results that were
+    there by then.
     """
     for name in THREADS:
         os.environ.setdefault(name, "1")
@@ -44,10 +49,14 @@ def as_flown(function: Callable[[Task], Result], tasks: Iterable[Task], workers:
                 if not running:
                     return
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in sorted(done, key=lambda it: it.exception() is not None):  # results first, then the error
+                for future in sorted(
+                    done, key=lambda it: it.exception() is not None
+                ):  # results first, then the error
                     yield running.pop(future), future.result()
         except BaseException as error:
-            for worker in set(active_children()) - others:  # at once: closing the pool would wait for their tasks
+            for worker in (
+                set(active_children()) - others
+            ):  # at once: closing the pool would wait for their tasks
                 worker.kill()
             if isinstance(error, BrokenExecutor):
                 raise WorkerLost("a worker process was killed; the memory may have run out") from error
@@ -55,8 +64,10 @@ def as_flown(function: Callable[[Task], Result], tasks: Iterable[Task], workers:
 
 
 def _submit(pool: ProcessPoolExecutor, function: Callable[[Task], Result], task: Task) -> Future[Result]:
-    # This may start a worker. An interrupt waits until the start is complete, so that the worker is known and can be ended.
-    # The worker inherits the signal mask: a terminal sends its signals to workers too, but only this process answers it.
+    # This may start a worker. An interrupt waits until the start is complete, so that the worker is known and
+    # can be ended.
+    # The worker inherits the signal mask: a terminal sends its signals to workers too, but only this process
+    # answers it.
     with uninterrupted():
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
         try:

@@ -12,7 +12,11 @@ LISTENING = ("udpin", "tcpin")
 EVERYWHERE = "0.0.0.0"
 DEFAULT_BAUD = 57600
 """The telemetry port of ArduPilot and PX4."""
-BAUDS = {int(name[1:]): int(getattr(termios, name)) for name in dir(termios) if re.fullmatch(r"B[0-9]+", name) and int(name[1:]) >= 1200}
+BAUDS = {
+    int(name[1:]): int(getattr(termios, name))
+    for name in dir(termios)
+    if re.fullmatch(r"B[0-9]+", name) and int(name[1:]) >= 1200
+}
 """Baud rates that the system knows, with its own numbers for them."""
 OTHER_SIDE = {
     "udpin": "MAVSDK: udpout://{host}:{port}, pymavlink and MAVProxy: udpout:{host}:{port}",
@@ -42,7 +46,9 @@ class Address(NamedTuple):
     @property
     def other_side(self) -> str:
         """What the other side is, or how it connects."""
-        return OTHER_SIDE[self.kind].format(host="HOST" if self.host == EVERYWHERE else self.host, port=self.port)
+        return OTHER_SIDE[self.kind].format(
+            host="HOST" if self.host == EVERYWHERE else self.host, port=self.port
+        )
 
     @property
     def open(self) -> bool:
@@ -55,7 +61,9 @@ def parse_address(url: str) -> Address:
     if match := re.fullmatch(r"serial:([^\s:][^\s]*?)(?::([0-9]+))?", url):
         baud = int(match[2] or DEFAULT_BAUD)
         if baud not in BAUDS:
-            raise ValueError(f"{url!r}: {baud} baud is not allowed; wanted one of {', '.join(map(str, sorted(BAUDS)))}")
+            raise ValueError(
+                f"{url!r}: {baud} baud is not allowed; wanted one of {', '.join(map(str, sorted(BAUDS)))}"
+            )
         return Address("serial", match[1], baud)
     match = re.fullmatch(r"(udpin|udpout|tcp|tcpin):([^\s:/]+):([0-9]{1,5})", url)
     if not match or not 1 <= int(match[3]) <= 65535:

@@ -20,10 +20,13 @@ from link.signing.signer import Signing
 class Bridge:
     """Joins a bus with endpoints. Use it in one thread."""
 
-    def __init__(self, addresses: Sequence[Address], bus: Bus, name: str, signing: Signing | None = None) -> None:
+    def __init__(
+        self, addresses: Sequence[Address], bus: Bus, name: str, signing: Signing | None = None
+    ) -> None:
         """Open the endpoints; raises ValueError if one cannot be used on this machine.
 
-        name: the bus's in counts and logs; signing: what signs the links of the network. A serial line is taken for a safe cable.
+        name: the bus's in counts and logs; signing: what signs the links of the network. A serial line is
+        taken for a safe cable.
         """
         self.log = bus.log
         self.selector: selectors.BaseSelector = selectors.DefaultSelector()
@@ -103,18 +106,26 @@ class Bridge:
         for arrival, letters in self._bus_link.take():
             now_s = time.monotonic()
             for letter in letters:
-                self._send(letter, BUS, now_s, out=arrival.key is MAVLINK_OUT, brought=arrival.attachment == BRIDGED)
+                self._send(
+                    letter, BUS, now_s, out=arrival.key is MAVLINK_OUT, brought=arrival.attachment == BRIDGED
+                )
             self._bus.tally.latency_s = time.monotonic() - arrival.at
 
-    def _send(self, letter: Letter, came_on: int, now_s: float, *, out: bool = False, brought: bool = False) -> None:
+    def _send(
+        self, letter: Letter, came_on: int, now_s: float, *, out: bool = False, brought: bool = False
+    ) -> None:
         route = self._routes.route(letter, came_on, now_s, out=out, brought=brought)
         if route.dropped:
             traffic = self._bus_link.traffic if came_on == BUS else self._links[came_on].traffic
             traffic.drop(route.dropped)
-            if route.dropped == ELSEWHERE and (who := (traffic.url, letter.system, letter.component)) not in self._told:
+            if (
+                route.dropped == ELSEWHERE
+                and (who := (traffic.url, letter.system, letter.component)) not in self._told
+            ):
                 self._told.add(who)
                 self.log.warning(
-                    f"{traffic.url}: frames of {letter.system}/{letter.component} are dropped; it is a vehicle of another link"
+                    f"{traffic.url}: frames of {letter.system}/{letter.component} are dropped; it is a "
+                    "vehicle of another link"
                 )
             return
         self._bus.tally.did(-1)
@@ -131,7 +142,9 @@ class Bridge:
             endpoint.traffic.tell_refused()
         self._bus_link.tick()
         tally = self._bus.tally
-        tally.about = ", ".join(f"{endpoint.address.text} {endpoint.state()}".rstrip() for endpoint in self._endpoints)
+        tally.about = ", ".join(
+            f"{endpoint.address.text} {endpoint.state()}".rstrip() for endpoint in self._endpoints
+        )
         troubles = [(endpoint.address.text, endpoint.trouble()) for endpoint in self._endpoints]
         troubles.append((self._bus_link.traffic.url, self._bus_link.trouble()))
         tally.warnings = tuple(f"{url}: {trouble}" for url, trouble in troubles if trouble)
@@ -141,7 +154,10 @@ class Bridge:
 
     def counts(self) -> list[str]:
         """A line of counts for each URL and the bus."""
-        return [traffic.text() for traffic in (self._bus_link.traffic, *(endpoint.traffic for endpoint in self._endpoints))]
+        return [
+            traffic.text()
+            for traffic in (self._bus_link.traffic, *(endpoint.traffic for endpoint in self._endpoints))
+        ]
 
     def close(self) -> None:
         """Free all that it has opened, but not the bus."""

@@ -1,4 +1,6 @@
-"""The bridge's link to the bus: frames of `mavlink/out` and `mavlink/in` come in, and go out from a thread of their own."""
+"""The bridge's link to the bus: frames of `mavlink/out` and `mavlink/in` come in, and go out from a thread
+of their own.
+"""
 
 import queue
 import threading
@@ -15,7 +17,9 @@ MOST_WAITING = 4096
 """Most messages that wait in either direction; of those from the bus, WAITING_BYTES at most, too."""
 CLOSE_S = 1.0
 BRIDGED = b"bridge"
-"""The attachment of what a bridge publishes: it tells other bridges that the sender itself is not on the bus."""
+"""The attachment of what a bridge publishes: it tells other bridges that the sender itself is not on the
+bus.
+"""
 
 
 class BusChannel:
@@ -77,7 +81,9 @@ class BusChannel:
             self.traffic.sent += 1
 
     def tick(self) -> None:
-        """Look whether the router is there, to which Zenoh comes back by itself, and whether the search has ceased."""
+        """Look whether the router is there, to which Zenoh comes back by itself, and whether the search
+        has ceased.
+        """
         while self._stops:
             self._bus.take_stop(self._stops.popleft())
         connected = self._bus.connected

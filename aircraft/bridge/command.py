@@ -24,24 +24,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"a MAVLink endpoint: {ALLOWED}. Ground stations and autopilots may be behind any of them",
     )
     parser.add_argument(
-        "--sign", type=cli.checked(read_key), metavar="KEYFILE",
-        help="sign MAVLink on all UDP and TCP endpoints, and refuse frames without a valid signature; the file holds 64 hexadecimal "
+        "--sign",
+        type=cli.checked(read_key),
+        metavar="KEYFILE",
+        help="sign MAVLink on all UDP and TCP endpoints, and refuse frames without a valid signature; the "
+        "file holds 64 hexadecimal "
         "digits or a passphrase",
-    )  # fmt: skip
+    )
     cli.add_bus_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Route until interrupted; stderr says how to connect, and at the end what went where."""
     addresses = [parse_address(url) for url in args.urls]
-    if twice := next((address.text for at, address in enumerate(addresses) if address in addresses[:at]), None):
+    if twice := next(
+        (address.text for at, address in enumerate(addresses) if address in addresses[:at]), None
+    ):
         print(f"error: URL: {twice} is given twice; wanted different endpoints", file=sys.stderr)
         return cli.BAD_INPUT
     if args.sign and all(address.kind == "serial" for address in addresses):
-        print("error: --sign: serial lines are not signed; wanted it with a UDP or TCP endpoint", file=sys.stderr)
+        print(
+            "error: --sign: serial lines are not signed; wanted it with a UDP or TCP endpoint",
+            file=sys.stderr,
+        )
         return cli.BAD_INPUT
     with ExitStack() as stack:
-        bus = stack.enter_context(Bus("bridge", args.connect, args.namespace, log_level=args.log_level, secure=args.secure))
+        bus = stack.enter_context(
+            Bus("bridge", args.connect, args.namespace, log_level=args.log_level, secure=args.secure)
+        )
         flag = "--sign"
         try:
             who = f"bridge-{args.namespace.replace('/', '-')}"
@@ -55,7 +65,10 @@ def run(args: argparse.Namespace) -> int:
         for address in addresses:
             bus.log.info(f"{address.text}: {address.other_side}")
             if address.open and not args.sign:
-                bus.log.warning(f"{address.text} is open to other machines: whoever reaches port {address.port} can command the vehicle")
+                bus.log.warning(
+                    f"{address.text} is open to other machines: whoever reaches port {address.port} can "
+                    "command the vehicle"
+                )
         on_end(lambda _: bridge.end())  # no KeyboardInterrupt, which could strike within a frame
         signal.set_wakeup_fd(bridge.wake_descriptor, warn_on_full_buffer=False)
         bus.publish_health()

@@ -1,4 +1,6 @@
-"""What all links of the bridge share: counts for each URL, and a bounded queue in front of what can be written to."""
+"""What all links of the bridge share: counts for each URL, and a bounded queue in front of what can be
+written to.
+"""
 
 import contextlib
 import math
@@ -26,7 +28,9 @@ MOST_READS = 64
 BACK_OFF_FIRST_S, BACK_OFF_LAST_S = 0.25, 4.0
 """First and longest time after which a lost endpoint is tried again; it doubles each time."""
 SIGNS_OF_LIFE_S = 60.0
-"""A UDP peer that is silent for this long is forgotten: every MAVLink program sends a heartbeat every second."""
+"""A UDP peer that is silent for this long is forgotten: every MAVLink program sends a heartbeat every
+second.
+"""
 MOST_PEERS = 16
 """A `udpin` or `tcpin` has at most this many peers."""
 
@@ -55,7 +59,11 @@ class Traffic:
         if not count:
             return
         if reason not in self.dropped and reason not in USUAL:
-            hint = "; no frame has come: is this its baud rate?" if self.is_serial and reason == GARBAGE and not self.received else ""
+            hint = (
+                "; no frame has come: is this its baud rate?"
+                if self.is_serial and reason == GARBAGE and not self.received
+                else ""
+            )
             self.log.warning(f"{self.url}: drops {reason}{hint}")
         self.dropped[reason] += count
         kind = f"{reason} ({self.url})"
@@ -79,7 +87,8 @@ class Traffic:
 class Channel:
     """One sender and receiver of frames: a UDP peer, a TCP connection, a serial line.
 
-    With a signer, signatures are the link's own: frames come without them out of `take`, and get them in `send`.
+    With a signer, signatures are the link's own: frames come without them out of `take`, and get them in
+    `send`.
     """
 
     def __init__(self, traffic: Traffic, send: Callable[[bytes], None], who: str) -> None:
@@ -102,14 +111,19 @@ class Channel:
             self._send(frame)
 
     def take(self, data: bytes, *, datagram: bool = False) -> list[Letter]:
-        """Return the frames that are now complete, but none without a valid signature where the link signs; count them, and garbage.
+        """Return the frames that are now complete, but none without a valid signature where the link
+        signs; count them, and garbage.
 
         A serial line may be a console before it carries frames: its opening is no garbage.
         """
         before = self._garbage
         letters = self.stream.take(data, datagram=datagram)
         if signer := self.traffic.signer:
-            letters = [letter._replace(data=unsigned(letter.data)) for letter in letters if signer.admits(letter.data, self.who)]
+            letters = [
+                letter._replace(data=unsigned(letter.data))
+                for letter in letters
+                if signer.admits(letter.data, self.who)
+            ]
         self.traffic.received += len(letters)
         self.traffic.drop(GARBAGE, self._garbage - before)
         return letters
@@ -160,10 +174,22 @@ class Endpoint:
 
 
 class Pipe:
-    """A file descriptor of a stream, with a bounded queue of frames: if too many bytes wait, the oldest frames are dropped."""
+    """A file descriptor of a stream, with a bounded queue of frames: if too many bytes wait, the oldest
+    frames are dropped.
+    """
 
-    def __init__(self, descriptor: int, hub: Hub, traffic: Traffic, who: str, most_bytes: int, lost: Callable[[str], None]) -> None:
-        """Take a descriptor that does not block, and who is on the other side; `lost` is called with the reason when that has gone."""
+    def __init__(
+        self,
+        descriptor: int,
+        hub: Hub,
+        traffic: Traffic,
+        who: str,
+        most_bytes: int,
+        lost: Callable[[str], None],
+    ) -> None:
+        """Take a descriptor that does not block, and who is on the other side; `lost` is called with the
+        reason when that has gone.
+        """
         self.link = Channel(traffic, self.send, who)
         self._descriptor = descriptor
         self._hub = hub
@@ -252,7 +278,9 @@ class Retry:
         self._since_s = math.inf
 
     def due(self, now_s: float) -> bool:
-        """Whether it is time; if so, the next time is later. After a connection that lasted, waits begin short again."""
+        """Whether it is time; if so, the next time is later. After a connection that lasted, waits begin
+        short again.
+        """
         if now_s < self._at_s:
             return False
         if now_s - self._since_s > BACK_OFF_LAST_S:

@@ -1,7 +1,8 @@
 """Routing: on which links a frame goes on. Pure: no sockets, no clock.
 
-The rules are those of https://mavlink.io/en/guide/routing.html, read strictly as mavlink-router does: a message without a target goes to
-all other links, one with a target to the links on which that system and component have been heard, and none back to its link.
+The rules are those of https://mavlink.io/en/guide/routing.html, read strictly as mavlink-router does: a
+message without a target goes to all other links, one with a target to the links on which that system and
+component have been heard, and none back to its link.
 """
 
 from typing import NamedTuple
@@ -24,7 +25,11 @@ SETUP_SIGNING = 256
 AUTOPILOT = 1
 """The component id of autopilots."""
 
-DUPLICATE, ELSEWHERE, UNHEARD = "duplicate", "of a vehicle of another link", "for a target that nobody has heard"
+DUPLICATE, ELSEWHERE, UNHEARD = (
+    "duplicate",
+    "of a vehicle of another link",
+    "for a target that nobody has heard",
+)
 KEYS = "with a key (SETUP_SIGNING)"
 """Why a frame is dropped."""
 
@@ -47,10 +52,11 @@ class Routes:
 
     A system is a vehicle on the link on which its autopilot's HEARTBEAT has come, or if the bus has
     frames of an autopilot on mavlink/out. Each sender of a
-    vehicle has one link, on which it was heard first. Frames with its ids from other links are dropped: they came around a loop that is
-    slower than DUPLICATE_S, or two vehicles have the same id. Once it is silent for HOME_S, it may move. A vehicle that is itself on the
-    bus is at home there, wherever it was heard first: two bridges would otherwise hand its frames around for ever, each taking the
-    other's side for its home. Ground stations may share an id.
+    vehicle has one link, on which it was heard first. Frames with its ids from other links are dropped:
+    they came around a loop that is slower than DUPLICATE_S, or two vehicles have the same id. Once it is
+    silent for HOME_S, it may move. A vehicle that is itself on the bus is at home there, wherever it was
+    heard first: two bridges would otherwise hand its frames around for ever, each taking the other's side
+    for its home. Ground stations may share an id.
     """
 
     def __init__(self) -> None:
@@ -77,9 +83,15 @@ class Routes:
         self._vehicles = {(at, system) for at, system in self._vehicles if at != link}
         self._homes = {sender: home for sender, home in self._homes.items() if home[0] != link}
 
-    def route(self, letter: Letter, link: int, now_s: float, *, out: bool = False, brought: bool = False) -> Route:
-        """Return where a frame goes that came on `link`; `out`: the bus had it on mavlink/out; `brought`: by another bridge."""
-        if letter.message_id == SETUP_SIGNING:  # a key that came over a safe link must not leave by another one
+    def route(
+        self, letter: Letter, link: int, now_s: float, *, out: bool = False, brought: bool = False
+    ) -> Route:
+        """Return where a frame goes that came on `link`; `out`: the bus had it on mavlink/out; `brought`:
+        by another bridge.
+        """
+        if (
+            letter.message_id == SETUP_SIGNING
+        ):  # a key that came over a safe link must not leave by another one
             return Route(dropped=KEYS)
         sender = (letter.system, letter.component)
         came_from = BROUGHT if brought else link
@@ -97,7 +109,9 @@ class Routes:
         self._hear(sender, link)
         if not letter.target_system:
             return Route(tuple(other for other in self.heard if other != link), out or vehicle)
-        there = [other for other in self.heard if self._has(other, letter.target_system, letter.target_component)]
+        there = [
+            other for other in self.heard if self._has(other, letter.target_system, letter.target_component)
+        ]
         links = {other for other in there if other != link}
         if vehicle and link != BUS:
             links.add(BUS)  # mavlink/out holds all that a vehicle says, for records and viewers
@@ -106,7 +120,8 @@ class Routes:
     def _came_elsewhere(self, data: bytes, link: int, now_s: float, *, remember: bool) -> bool:
         """Return whether a frame came on another link lately. A sender may repeat itself on its own link.
 
-        A vehicle's frame that comes from afar is not remembered: it may have overtaken the one from the vehicle's own link.
+        A vehicle's frame that comes from afar is not remembered: it may have overtaken the one from the
+        vehicle's own link.
         """
         remembered = self.remembered
         while remembered:
@@ -121,7 +136,11 @@ class Routes:
 
     def _is_vehicle(self, letter: Letter, link: int, *, out: bool) -> bool:
         """Whether a frame's system is a vehicle on its link; a HEARTBEAT may tell just now."""
-        said = letter.autopilot or letter.component == AUTOPILOT if link == BUS and out else letter.autopilot and link != BUS
+        said = (
+            letter.autopilot or letter.component == AUTOPILOT
+            if link == BUS and out
+            else letter.autopilot and link != BUS
+        )
         if said:
             self._vehicles.add((link, letter.system))
         return (link, letter.system) in self._vehicles and (out or link != BUS)

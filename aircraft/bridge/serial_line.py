@@ -56,7 +56,9 @@ def open_device(address: Address) -> int:
 
 
 def _make_raw(descriptor: int, speed: int) -> None:
-    """8 data bits, no parity, one stop bit, no flow control, no characters that the system changes or acts on."""
+    """8 data bits, no parity, one stop bit, no flow control, no characters that the system changes or acts
+    on.
+    """
     settings = termios.tcgetattr(descriptor)
     characters = settings[6]
     characters[termios.VMIN], characters[termios.VTIME] = 1, 0

@@ -12,13 +12,22 @@ MARKER = re.compile(rb"[\xfd\xfe]")
 """The first byte of a frame."""
 MARKERS = frozenset(b"\xfd\xfe")
 MOST_FALSE_STARTS = 500
-"""Bytes in a delivery that look like the start of a frame and are none. Of noise one byte in 128 does; only a flood comes this far."""
+"""Bytes in a delivery that look like the start of a frame and are none. Of noise one byte in 128 does;
+only a flood comes this far.
+"""
 TEXT = bytes({*range(0x20, 0x7F), *b"\0\a\b\t\n\r\x1b"})
 """What a console prints, its escape sequences included."""
 LONGEST_FRAME = 280
-SIZES = {"char": 1, "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4, "float": 4} | dict.fromkeys(
-    ("int64_t", "uint64_t", "double"), 8
-)
+SIZES = {
+    "char": 1,
+    "int8_t": 1,
+    "uint8_t": 1,
+    "int16_t": 2,
+    "uint16_t": 2,
+    "int32_t": 4,
+    "uint32_t": 4,
+    "float": 4,
+} | dict.fromkeys(("int64_t", "uint64_t", "double"), 8)
 """Bytes of each type of field."""
 HEARTBEAT, TYPE_AT, AUTOPILOT_AT = mavlink.MAVLINK_MSG_ID_HEARTBEAT, 4, 5
 NO_VEHICLES = frozenset(
@@ -38,7 +47,8 @@ NO_VEHICLES = frozenset(
         mavlink.MAV_TYPE_LOG,
     }
 )
-"""Types in a HEARTBEAT that are no vehicle's, even if the sender forgot to say that it has no autopilot."""
+"""Types in a HEARTBEAT that are no vehicle's, even if the sender forgot to say that it has no autopilot.
+"""
 
 
 class _Kind(NamedTuple):
@@ -57,7 +67,9 @@ def _kind(message: Any) -> _Kind:
     for name, length in zip(message.ordered_fieldnames, message.array_lengths, strict=True):
         offsets[name] = at
         at += SIZES[types[name]] * max(length, 1)
-    return _Kind(bytes([message.crc_extra]), offsets.get("target_system", -1), offsets.get("target_component", -1))
+    return _Kind(
+        bytes([message.crc_extra]), offsets.get("target_system", -1), offsets.get("target_component", -1)
+    )
 
 
 KINDS = {number: _kind(message) for number, message in ({**ADDED, **mavlink.mavlink_map}).items()}
@@ -83,8 +95,9 @@ class Letter(NamedTuple):
 class FrameStream:
     """Cuts what one sender delivers into frames of MAVLink 1 and 2. Frames may be split over deliveries.
 
-    A frame of an unknown type has no checksum that could be verified. It is believed where a frame must begin: at the start of a
-    datagram or a connection, or right behind a good frame, and only if another frame or nothing follows it.
+    A frame of an unknown type has no checksum that could be verified. It is believed where a frame must
+    begin: at the start of a datagram or a connection, or right behind a good frame, and only if another
+    frame or nothing follows it.
     """
 
     def __init__(self) -> None:
@@ -92,7 +105,9 @@ class FrameStream:
         self.garbage = 0
         """Bytes so far that belong to no frame."""
         self.opening = 0
-        """How many of them came before the first frame and are text, or noise that is no longer than a frame."""
+        """How many of them came before the first frame and are text, or noise that is no longer than a
+        frame.
+        """
         self._noise_left = LONGEST_FRAME
         self._heard = False
         self.rest = b""
@@ -101,9 +116,11 @@ class FrameStream:
         """Whether a frame must begin where the rest begins."""
 
     def take(self, data: bytes, *, datagram: bool = False) -> list[Letter]:
-        """Return the frames that are now complete; after MOST_FALSE_STARTS the rest of the delivery is garbage.
+        """Return the frames that are now complete; after MOST_FALSE_STARTS the rest of the delivery is
+        garbage.
 
-        Garbage cannot swallow a good frame that follows it, also not a frame's beginning whose end never comes.
+        Garbage cannot swallow a good frame that follows it, also not a frame's beginning whose end never
+        comes.
         """
         boundary = len(self.rest) if datagram else -1
         data = self.rest + data
@@ -135,7 +152,9 @@ class FrameStream:
         return letters
 
     def _open(self, data: bytes) -> None:
-        """Take what came before the first frame: a console's text, and the frame in whose middle the line was opened."""
+        """Take what came before the first frame: a console's text, and the frame in whose middle the line
+        was opened.
+        """
         noise = len(data.translate(None, TEXT))
         excused = min(noise, self._noise_left)
         self._noise_left -= excused
@@ -160,7 +179,9 @@ def _is_good(data: bytes, frame: Frame, due: bool) -> bool:
 def _letter(data: bytes, frame: Frame) -> Letter:
     _, system_at, component_at = KINDS.get(frame.message_id, (b"", -1, -1))
     payload = data[frame.payload : frame.checksum]
-    target = payload[system_at] if 0 <= system_at < len(payload) else 0  # MAVLink 2 omits zeros at the payload's end
+    target = (
+        payload[system_at] if 0 <= system_at < len(payload) else 0
+    )  # MAVLink 2 omits zeros at the payload's end
     part = payload[component_at] if 0 <= component_at < len(payload) else 0
     autopilot = (
         frame.message_id == HEARTBEAT
@@ -168,4 +189,12 @@ def _letter(data: bytes, frame: Frame) -> Letter:
         and payload[AUTOPILOT_AT] != mavlink.MAV_AUTOPILOT_INVALID
         and payload[TYPE_AT] not in NO_VEHICLES
     )
-    return Letter(data[frame.start : frame.end], frame.system, frame.component, target, part if target else 0, autopilot, frame.message_id)
+    return Letter(
+        data[frame.start : frame.end],
+        frame.system,
+        frame.component,
+        target,
+        part if target else 0,
+        autopilot,
+        frame.message_id,
+    )

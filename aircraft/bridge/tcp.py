@@ -22,7 +22,12 @@ def _prepare(connection: socket.socket) -> None:
     connection.setblocking(False)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3), ("TCP_USER_TIMEOUT", 1000 * GONE_AFTER_S)):
+    for name, value in (
+        ("TCP_KEEPIDLE", 5),
+        ("TCP_KEEPINTVL", 2),
+        ("TCP_KEEPCNT", 3),
+        ("TCP_USER_TIMEOUT", 1000 * GONE_AFTER_S),
+    ):
         if hasattr(socket, name):  # the names are Linux's
             connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
@@ -58,7 +63,9 @@ class TcpOut(Reopened):
     def _answered(self, _events: int) -> None:
         assert self._connection is not None
         error = self._connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-        if error or self._connection.getsockname() == self._connection.getpeername():  # TCP may connect to itself where nobody listens
+        if (
+            error or self._connection.getsockname() == self._connection.getpeername()
+        ):  # TCP may connect to itself where nobody listens
             self._fail(os.strerror(error) if error else "Connection refused")
             return
         self._hub.selector.unregister(self._connection)
@@ -113,7 +120,9 @@ class TcpIn(Endpoint):
             self._hub.log.info(f"{who} has gone: {reason}")
 
         self._hub.log.info(f"{who} has called")
-        self._clients[connection] = Pipe(connection.fileno(), self._hub, self.traffic, f"{host}:{port}", MOST_BYTES, lost)
+        self._clients[connection] = Pipe(
+            connection.fileno(), self._hub, self.traffic, f"{host}:{port}", MOST_BYTES, lost
+        )
 
     def state(self) -> str:
         """How many clients it has."""

@@ -6,7 +6,18 @@ import socket
 import time
 
 from aircraft.bridge.address import Address
-from aircraft.bridge.links import AWAY, LARGEST_READ, MOST_PEERS, MOST_READS, OVERFLOW, SIGNS_OF_LIFE_S, Channel, Endpoint, Hub, peers
+from aircraft.bridge.links import (
+    AWAY,
+    LARGEST_READ,
+    MOST_PEERS,
+    MOST_READS,
+    OVERFLOW,
+    SIGNS_OF_LIFE_S,
+    Channel,
+    Endpoint,
+    Hub,
+    peers,
+)
 from link.signing.signer import FREE
 
 
@@ -15,7 +26,9 @@ def resolve(address: Address) -> tuple[str, int]:
     try:
         found = socket.getaddrinfo(address.host, address.port, socket.AF_INET, socket.SOCK_STREAM)
     except OSError as error:
-        raise ValueError(f"{address.text}: {error.strerror}; wanted an IPv4 address or the name of a host") from None
+        raise ValueError(
+            f"{address.text}: {error.strerror}; wanted an IPv4 address or the name of a host"
+        ) from None
     host, port = found[0][4][:2]
     return str(host), int(port)
 
@@ -79,7 +92,9 @@ class UdpOut(_Udp):
     def open(self) -> None:
         """Connect; the link is there from now on."""
         super().open()
-        self._link = Channel(self.traffic, lambda frame: self._send(frame, None), f"{self.address.host}:{self.address.port}")
+        self._link = Channel(
+            self.traffic, lambda frame: self._send(frame, None), f"{self.address.host}:{self.address.port}"
+        )
         self._hub.join(self._link)
 
     def _arrived(self, datagram: bytes, peer: tuple[str, int]) -> None:
@@ -88,7 +103,9 @@ class UdpOut(_Udp):
 
 
 class _Caller:
-    """A sender of datagrams; it has a link once it has sent a frame, other than a radio's RADIO_STATUS, which needs no signature."""
+    """A sender of datagrams; it has a link once it has sent a frame, other than a radio's RADIO_STATUS,
+    which needs no signature.
+    """
 
     def __init__(self, link: Channel) -> None:
         self.link = link
@@ -108,7 +125,9 @@ class UdpIn(_Udp):
     def _arrived(self, datagram: bytes, peer: tuple[str, int]) -> None:
         caller = self._callers.get(peer)
         if caller is None:
-            caller = _Caller(Channel(self.traffic, lambda frame: self._send(frame, peer), f"{peer[0]}:{peer[1]}"))
+            caller = _Caller(
+                Channel(self.traffic, lambda frame: self._send(frame, peer), f"{peer[0]}:{peer[1]}")
+            )
         letters = caller.link.take(datagram, datagram=True)
         if letters or not caller.joined:
             caller.heard_s = time.monotonic()
@@ -133,7 +152,9 @@ class UdpIn(_Udp):
 
     def tick(self, now_s: float) -> None:
         """Forget who is silent."""
-        for peer in [peer for peer, caller in self._callers.items() if now_s - caller.heard_s >= SIGNS_OF_LIFE_S]:
+        for peer in [
+            peer for peer, caller in self._callers.items() if now_s - caller.heard_s >= SIGNS_OF_LIFE_S
+        ]:
             self._forget(peer)
 
     def state(self) -> str:

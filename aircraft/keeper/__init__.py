@@ -1,4 +1,5 @@
-"""The keeper of a real autopilot's link, which brings the vehicle home without the search, and the connection to it.
+"""The keeper of a real autopilot's link, which brings the vehicle home without the search, and the
+connection to it.
 
 Imports: link.
 """

@@ -1,4 +1,6 @@
-"""Endpoints of the bridge's kinds, polled by whoever owns them: the connection to an autopilot, and the links of its clients."""
+"""Endpoints of the bridge's kinds, polled by whoever owns them: the connection to an autopilot, and the
+links of its clients.
+"""
 
 import contextlib
 import selectors
@@ -20,14 +22,24 @@ from link.signing.signer import Signing
 
 HEARD = frozenset(
     {
-        mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_SYS_STATUS, mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
-        mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-        mavlink.MAVLINK_MSG_ID_COMMAND_ACK, mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, mavlink.MAVLINK_MSG_ID_FENCE_STATUS,
-        mavlink.MAVLINK_MSG_ID_WIND, mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT, mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
-        mavlink.MAVLINK_MSG_ID_WIND_COV, mavlink.MAVLINK_MSG_ID_HOME_POSITION, mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+        mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+        mavlink.MAVLINK_MSG_ID_FENCE_STATUS,
+        mavlink.MAVLINK_MSG_ID_WIND,
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+        mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
+        mavlink.MAVLINK_MSG_ID_WIND_COV,
+        mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
         mavlink.MAVLINK_MSG_ID_STATUSTEXT,
     }
-)  # fmt: skip
+)
 """Messages that are decoded; the others are only handed on."""
 MOST_FRAMES = 4096
 """Most frames that wait to be handed on."""
@@ -48,10 +60,14 @@ class Came(NamedTuple):
 
 
 class Endpoints:
-    """Endpoints, each with any number of links. They come back by themselves; what is sent while nothing is connected is lost."""
+    """Endpoints, each with any number of links. They come back by themselves; what is sent while nothing
+    is connected is lost.
+    """
 
     def __init__(self, addresses: Sequence[Address], log: Log, signing: Signing | None = None) -> None:
-        """Open them; raises ValueError if one cannot be used on this machine. signing: what signs all links."""
+        """Open them; raises ValueError if one cannot be used on this machine. signing: what signs all
+        links.
+        """
         self.selector: selectors.BaseSelector = selectors.DefaultSelector()
         self.log = log
         self.links: list[Channel] = []
@@ -116,7 +132,9 @@ class Endpoints:
 
 
 class Connection(Endpoints):
-    """The endpoint of an autopilot, which its keeper has. The keeper knows which of several links (`udpin`, `tcpin`) is the vehicle's."""
+    """The endpoint of an autopilot, which its keeper has. The keeper knows which of several links
+    (`udpin`, `tcpin`) is the vehicle's.
+    """
 
     def __init__(self, address: Address, log: Log) -> None:
         """Open the endpoint; raises ValueError if it cannot be used on this machine."""
@@ -141,7 +159,10 @@ class Connection(Endpoints):
     def state(self) -> str:
         """Where it is expected, how that is doing, and what the other side needs."""
         doing = super().state.strip("()")
-        return f"at {self.address.text}{f' ({doing})' if doing else ''}: is it running? {self.address.other_side}"
+        return (
+            f"at {self.address.text}{f' ({doing})' if doing else ''}: is it running? "
+            f"{self.address.other_side}"
+        )
 
     def leave(self, link: Channel) -> None:
         """A link has gone."""

@@ -1,7 +1,9 @@
-"""The keeper: a small process that owns the link to an autopilot, and sends the vehicle home if the uav falls silent in flight.
+"""The keeper: a small process that owns the link to an autopilot, and sends the vehicle home if the uav
+falls silent in flight.
 
-It hands frames on, both ways, and knows from them whose flight it is. It goes on when the uav hangs, is stopped or is killed, and ends
-when the uav has ended and nobody needs it: the vehicle stands, comes down, or is a pilot's.
+It hands frames on, both ways, and knows from them whose flight it is. It goes on when the uav hangs, is
+stopped or is killed, and ends when the uav has ended and nobody needs it: the vehicle stands, comes down,
+or is a pilot's.
 """
 
 import contextlib
@@ -29,11 +31,14 @@ from link.bus.tally import Tally
 from link.early import ask_for_stacks
 
 SILENT_S = 3.0
-"""Real time without a HEARTBEAT of the uav after which it counts as silent, whatever the speed-up: its loop sends one each second."""
+"""Real time without a HEARTBEAT of the uav after which it counts as silent, whatever the speed-up: its
+loop sends one each second.
+"""
 HELD_UP_S = 1.0
 """Two looks so far apart mean that the keeper itself was held up: that time does not count as silence."""
 ARMED_S = 5.0
-"""A vehicle that is armed later than this after the uav's last HEARTBEAT has been armed by someone else."""
+"""A vehicle that is armed later than this after the uav's last HEARTBEAT has been armed by someone else.
+"""
 AGAIN_S = 1.0
 """How often a vehicle that does not obey is told again, and the uav what has happened."""
 GIVEN_UP_S = 60.0
@@ -41,19 +46,32 @@ GIVEN_UP_S = 60.0
 WAITING_BYTES = 16384
 """Most bytes that wait for a uav that does not read, twice: a few seconds of telemetry, the newest."""
 OWN = 0
-"""System id of the keeper's own words to the uav. No vehicle has it, and a frame with it from outside is not handed on."""
+"""System id of the keeper's own words to the uav. No vehicle has it, and a frame with it from outside is
+not handed on.
+"""
 AUTOPILOT, COMPANION = mavlink.MAV_COMP_ID_AUTOPILOT1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
 COMING_DOWN = (Mode.RETURN, Mode.LAND)
-WARNING, CRITICAL, INFO = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_INFO
+WARNING, CRITICAL, INFO = (
+    mavlink.MAV_SEVERITY_WARNING,
+    mavlink.MAV_SEVERITY_CRITICAL,
+    mavlink.MAV_SEVERITY_INFO,
+)
 
 
 class Keeper:
-    """Judges by the frames of both sides, and acts. It has no clock and no link: times are the caller's, s of real time."""
+    """Judges by the frames of both sides, and acts. It has no clock and no link: times are the caller's, s
+    of real time.
+    """
 
     def __init__(
-        self, send: Callable[[mavlink.MAVLink_message], None], say: Callable[[int, str], None], hangs: Callable[[], None] = lambda: None
+        self,
+        send: Callable[[mavlink.MAVLink_message], None],
+        say: Callable[[int, str], None],
+        hangs: Callable[[], None] = lambda: None,
     ) -> None:
-        """Take how a message goes to the autopilot, how people are told, and what to do with a uav that is silent."""
+        """Take how a message goes to the autopilot, how people are told, and what to do with a uav that is
+        silent.
+        """
         self.system = 0
         """The vehicle's system id: that of its companion, the uav. 0 until the uav has found it."""
         self.acted = ""
@@ -67,7 +85,8 @@ class Keeper:
         self._status = mavlink.MAV_STATE_UNINIT
         self._landed = mavlink.MAV_LANDED_STATE_UNDEFINED
         self._armed = False
-        self._ours = self._theirs = False  # whether the uav says that it is in charge; whether someone else has changed the mode since
+        self._ours = False  # whether the uav says that it is in charge
+        self._theirs = False  # whether someone else has changed the mode since
         self._asked: frozenset[int] = frozenset()
         self._gone = self._told = False
         self._sent_s = -math.inf
@@ -76,7 +95,9 @@ class Keeper:
     # ---- the uav's side ----
 
     def passes(self, letter: Letter, now_s: float) -> bool:
-        """Take a frame of the uav; returns whether it is to be handed on: what it hands on of others, which has other ids, always."""
+        """Take a frame of the uav; returns whether it is to be handed on: what it hands on of others,
+        which has other ids, always.
+        """
         if letter.component != COMPANION:
             return True
         if self.acted:
@@ -102,12 +123,17 @@ class Keeper:
             self._asked, self._theirs = frozenset(modes[mode] for mode in climbs), False
         elif message.command == mavlink.MAV_CMD_DO_SET_MODE:
             main, sub = int(message.param2), int(message.param3)
-            self._asked, self._theirs = frozenset({main if self._firmware.is_ardupilot else main << 16 | sub << 24}), False
+            self._asked, self._theirs = (
+                frozenset({main if self._firmware.is_ardupilot else main << 16 | sub << 24}),
+                False,
+            )
 
     # ---- the autopilot's side ----
 
     def hear(self, letter: Letter, now_s: float) -> bool:
-        """Take a frame of the autopilot's link; returns whether it is the vehicle's HEARTBEAT. Raises MAVError if it is malformed."""
+        """Take a frame of the autopilot's link; returns whether it is the vehicle's HEARTBEAT. Raises
+        MAVError if it is malformed.
+        """
         if (letter.system, letter.component) != (self.system, AUTOPILOT):
             return False
         number = letter.message_id
@@ -123,7 +149,11 @@ class Keeper:
         elif number == mavlink.MAVLINK_MSG_ID_COMMAND_ACK and self._is_in_charge and self.acted:
             message = self._message(letter)
             done = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
-            if message.command == mavlink.MAV_CMD_DO_SET_MODE and not done and self._asked != {self._firmware.modes[Mode.LAND]}:
+            if (
+                message.command == mavlink.MAV_CMD_DO_SET_MODE
+                and not done
+                and self._asked != {self._firmware.modes[Mode.LAND]}
+            ):
                 self._ask_for(Mode.LAND)
         return False
 
@@ -136,7 +166,9 @@ class Keeper:
         mode, before = message.custom_mode, self._mode
         failed = message.system_status >= mavlink.MAV_STATE_CRITICAL > self._status
         if before is not None and mode != before and mode not in self._asked:
-            self._theirs = not (failed and mode in self._firmware.hovers)  # a failsafe that only hovers has taken nothing over
+            self._theirs = not (
+                failed and mode in self._firmware.hovers
+            )  # a failsafe that only hovers has taken nothing over
         self._mode, self._status = mode, message.system_status
 
     def _message(self, letter: Letter) -> Any:
@@ -154,14 +186,20 @@ class Keeper:
             return
         if self._gone and self._heard_s < now_s - GIVEN_UP_S:
             if self._is_in_charge:
-                self._say(CRITICAL, f"The autopilot is not heard for {GIVEN_UP_S:g} s: its own failsafe is in charge")
+                self._say(
+                    CRITICAL,
+                    f"The autopilot is not heard for {GIVEN_UP_S:g} s: its own failsafe is in charge",
+                )
             self.over = True
         elif self._is_in_charge and not self._comes_down:
             self._act(now_s)
         else:
             if self.acted and not self._told:
                 self._told = True
-                self._say(WARNING, f"The vehicle is left in {self._mode_name}" if self._armed else "The motors have stopped")
+                self._say(
+                    WARNING,
+                    f"The vehicle is left in {self._mode_name}" if self._armed else "The motors have stopped",
+                )
             self.over = self._gone and (self._armed or not self._ours or now_s - self._beat_s > ARMED_S)
 
     def _act(self, now_s: float) -> None:
@@ -225,7 +263,9 @@ class Switch:
         uav.setblocking(False)
         uav.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING_BYTES)
         self._uav: Channel | None = None
-        self._pipe = Pipe(uav.fileno(), self, Traffic("uav", log), "uav", WAITING_BYTES, lambda _: self.keeper.gone())
+        self._pipe = Pipe(
+            uav.fileno(), self, Traffic("uav", log), "uav", WAITING_BYTES, lambda _: self.keeper.gone()
+        )
         self._uav = self._links.pop()
 
     def join(self, link: Channel) -> None:
@@ -281,7 +321,9 @@ class Switch:
         self._send(mavlink.MAVLink_statustext_message(severity, text[:50].encode()))
 
     def _tell_the_uav(self, now_s: float) -> None:
-        """Say each second why the keeper has acted, or else how the endpoint does: a uav that does not read may miss a word."""
+        """Say each second why the keeper has acted, or else how the endpoint does: a uav that does not
+        read may miss a word.
+        """
         if now_s - self._tell_s < AGAIN_S:
             return
         self._tell_s = now_s
@@ -296,7 +338,9 @@ class Switch:
 
 
 def main() -> None:
-    """Keep the vehicle at a URL for the uav on stdin; the line on stdout is empty if the URL can be used, else it says why not."""
+    """Keep the vehicle at a URL for the uav on stdin; the line on stdout is empty if the URL can be used,
+    else it says why not.
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends when the uav has ended and the vehicle is cared for
     url, level = sys.argv[1:]

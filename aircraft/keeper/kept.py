@@ -22,11 +22,14 @@ SILENT_S = 5.0
 START_S = 60.0
 """Longest time in which a keeper starts, on a busy machine."""
 END_S = 1.0
-"""How long a keeper may take to end after the uav; one that sends the vehicle home takes longer, and is left."""
+"""How long a keeper may take to end after the uav; one that sends the vehicle home takes longer, and is
+left.
+"""
 
 
 class Kept(Reopened):
-    """One link, to the keeper, a process in a session of its own: no signal for the uav or its group reaches it. One that dies is replaced.
+    """One link, to the keeper, a process in a session of its own: no signal for the uav or its group
+    reaches it. One that dies is replaced.
 
     It stands between its hub and the link, and keeps the keeper's own words for itself.
     """
@@ -79,7 +82,9 @@ class Kept(Reopened):
 
     def tick(self, now_s: float) -> None:
         """Start a new keeper if the last has died or hangs."""
-        if now_s - self._looked_s > keeper.HELD_UP_S:  # we ourselves were: what it has said meanwhile is not read yet
+        if (
+            now_s - self._looked_s > keeper.HELD_UP_S
+        ):  # we ourselves were: what it has said meanwhile is not read yet
             self._said_s += now_s - self._looked_s
         self._looked_s = now_s
         if self._process and self._pipe and now_s - self._said_s > SILENT_S:
@@ -93,9 +98,16 @@ class Kept(Reopened):
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", keeper.__name__, self.address.text, self.log.least], stdin=theirs.fileno(), stdout=stdout,
-                start_new_session=True, env={**os.environ, "PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-            )  # fmt: skip
+                [sys.executable, "-m", keeper.__name__, self.address.text, self.log.least],
+                stdin=theirs.fileno(),
+                stdout=stdout,
+                start_new_session=True,
+                env={
+                    **os.environ,
+                    "PYTHONSAFEPATH": "1",
+                    "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+                },
+            )
         ours.setblocking(False)
         self._socket, self._said_s = ours, math.inf
         self._begin(ours.fileno(), MOST_BYTES, now_s)

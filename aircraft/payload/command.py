@@ -28,14 +28,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> int:
-    """Answer the vehicle's questions until interrupted. given: the arguments on the command line; script: the mission to simulate."""
-    if args.payload != SIMULATED and (idle := [name for name in OF_THE_PLUME if getattr(given, name, None) is not None]):
+    """Answer the vehicle's questions until interrupted. given: the arguments on the command line; script:
+    the mission to simulate.
+    """
+    if args.payload != SIMULATED and (
+        idle := [name for name in OF_THE_PLUME if getattr(given, name, None) is not None]
+    ):
         flag = "MISSION" if idle[0] == "mission" else f"--{idle[0]}"
-        print(f"error: {flag}: only with --payload {SIMULATED}; {args.payload} measures what there is", file=sys.stderr)
+        print(
+            f"error: {flag}: only with --payload {SIMULATED}; {args.payload} measures what there is",
+            file=sys.stderr,
+        )
         return cli.BAD_INPUT
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
-        bus = stack.enter_context(Bus("payload", args.connect, args.namespace, inbox, args.log_level, secure=args.secure))
+        bus = stack.enter_context(
+            Bus("payload", args.connect, args.namespace, inbox, args.log_level, secure=args.secure)
+        )
         bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
         bus.tally.about = args.payload
         measure: Measure
@@ -46,7 +55,11 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
                 driver = make(args.payload, bus.log)
                 driver.open()
             except Exception as error:  # a plug-in may be anybody's code
-                print(f"error: --payload: {error if isinstance(error, ValueError) else f'{args.payload}: {said(error)}'}", file=sys.stderr)
+                print(
+                    "error: --payload: "
+                    f"{error if isinstance(error, ValueError) else f'{args.payload}: {said(error)}'}",
+                    file=sys.stderr,
+                )
                 return cli.BAD_INPUT
             stack.callback(driver.close)
             measure = Driven(driver, bus.log)

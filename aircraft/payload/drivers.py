@@ -13,7 +13,8 @@ from link.bus.log import Log
 PLUGINS = "plumeward.payloads"
 """Entry points of this group are drivers of other packages: docs/payload.md."""
 TIMEOUT_S = 5.0
-"""Real time that a sensor may take for a value; after that it has none (NaN), and the vehicle asks again."""
+"""Real time that a sensor may take for a value; after that it has none (NaN), and the vehicle asks again.
+"""
 LARGEST = 3.4028234e38
 """Largest float32: the wire carries no larger value."""
 NO_NUMBER, SENSOR_ERROR = "not a number", "sensor error"
@@ -23,16 +24,22 @@ Measure = Callable[[Question], Sample]
 
 
 class Driver(Protocol):
-    """A gas sensor. It is made with the text behind the colon in `--payload NAME:TEXT`, empty if there is none.
+    """A gas sensor. It is made with the text behind the colon in `--payload NAME:TEXT`, empty if there is
+    none.
 
-    All methods are called in one thread, except `close`. What they raise is counted and logged, and costs no more than the value.
+    All methods are called in one thread, except `close`. What they raise is counted and logged, and costs
+    no more than the value.
     """
 
     def open(self) -> None:
-        """Begin; called once. What this raises ends the payload with status 2: raise only what waiting cannot mend."""
+        """Begin; called once. What this raises ends the payload with status 2: raise only what waiting
+        cannot mend.
+        """
 
     def read(self, timeout_s: float) -> float:
-        """Return the first value that the sensor gives from now on, in its unit; NaN if it gives none within timeout_s."""
+        """Return the first value that the sensor gives from now on, in its unit; NaN if it gives none
+        within timeout_s.
+        """
         ...
 
     def close(self) -> None:
@@ -53,7 +60,9 @@ def check(text: str) -> None:
         try:
             parse_address(text)
         except ValueError as error:
-            raise ValueError(str(error) if "baud" in str(error) else f"{text!r} is not allowed; wanted {WANTED_SERIAL}") from None
+            raise ValueError(
+                str(error) if "baud" in str(error) else f"{text!r} is not allowed; wanted {WANTED_SERIAL}"
+            ) from None
     elif name not in kinds():
         plugged_in = [*kinds()[2:]]
         raise ValueError(cli.not_allowed(text, kinds(), cli.listing([SIMULATED, WANTED_SERIAL, *plugged_in])))
@@ -62,7 +71,9 @@ def check(text: str) -> None:
 
 
 def make(text: str, log: Log) -> Driver:
-    """Return the driver that a text names. Raises ValueError, with what is wrong, if a plug-in cannot be used."""
+    """Return the driver that a text names. Raises ValueError, with what is wrong, if a plug-in cannot be
+    used.
+    """
     name, _, rest = text.partition(":")
     if name == SERIAL:
         from aircraft.bridge.address import parse_address
@@ -71,13 +82,21 @@ def make(text: str, log: Log) -> Driver:
         return SerialNumbers(parse_address(text), log)
     plugins = tuple(entry_points(group=PLUGINS, name=name))
     if len(plugins) > 1:
-        raise ValueError(f"{name} is plugged in more than once, by {' and '.join(each.value for each in plugins)}; wanted one")
+        raise ValueError(
+            f"{name} is plugged in more than once, by {' and '.join(each.value for each in plugins)}; wanted "
+            "one"
+        )
     try:
         driver: Driver = plugins[0].load()(rest)
     except Exception as error:  # it may be anybody's code
         raise ValueError(f"{text}: {plugins[0].value} cannot be used: {said(error)}") from error
-    if missing := [method for method in ("open", "read", "close") if not callable(getattr(driver, method, None))]:
-        raise ValueError(f"{text}: {plugins[0].value} has no {cli.listing(missing)}; wanted open(), read(timeout_s) and close()")
+    if missing := [
+        method for method in ("open", "read", "close") if not callable(getattr(driver, method, None))
+    ]:
+        raise ValueError(
+            f"{text}: {plugins[0].value} has no {cli.listing(missing)}; wanted open(), read(timeout_s) and "
+            "close()"
+        )
     return driver
 
 
@@ -105,7 +124,11 @@ class Driven:
             value = float(self._driver.read(TIMEOUT_S))
         except Exception as error:  # it may be anybody's code
             return self._without_value(said(error))
-        return self._without_value(f"{value} is no value; wanted a finite number, or NaN for none") if abs(value) > LARGEST else value
+        return (
+            self._without_value(f"{value} is no value; wanted a finite number, or NaN for none")
+            if abs(value) > LARGEST
+            else value
+        )
 
     def _without_value(self, reason: str) -> float:
         self._log.tally.refuse(SENSOR_ERROR)

@@ -41,10 +41,13 @@ class Sample(NamedTuple):
     gas: float
     """In the sensor's unit: g/m³, or a count of hits; NaN: the sensor has no value."""
     wind: Wind | None
-    """(u cos φ, u sin φ) m/s, points to where the wind comes from; None if the payload does not know it."""
+    """(u cos φ, u sin φ) m/s, points to where the wind comes from; None if the payload does not know it.
+    """
 
 
-def pack_question(codec: Codec, time_boot_ms: int, number: int, position: tuple[float, float, float], wind: Wind | None) -> bytes:
+def pack_question(
+    codec: Codec, time_boot_ms: int, number: int, position: tuple[float, float, float], wind: Wind | None
+) -> bytes:
     """Return the frames of a question; position is (north, east, down) m."""
     place = mavlink.MAVLink_local_position_ned_message(time_boot_ms, *position, 0.0, 0.0, 0.0)
     which = mavlink.MAVLink_named_value_int_message(time_boot_ms, NUMBER_NAME.encode(), number)
@@ -54,7 +57,10 @@ def pack_question(codec: Codec, time_boot_ms: int, number: int, position: tuple[
 def unpack_question(payload: bytes) -> Question:
     """Undo `pack_question`; raises BadFrame with the reason."""
     said, system = _said(payload)
-    place, which = _wanted(said, "LOCAL_POSITION_NED", "question"), _wanted(said, "NAMED_VALUE_INT", "question")
+    place, which = (
+        _wanted(said, "LOCAL_POSITION_NED", "question"),
+        _wanted(said, "NAMED_VALUE_INT", "question"),
+    )
     _check_name(which, "NAMED_VALUE_INT", NUMBER_NAME)
     wind = _wind(said)
     _check_times(said, place["time_boot_ms"], "question")
@@ -92,9 +98,11 @@ Said = Mapping[str, Mapping[str, Any]]
 def _said(payload: bytes) -> tuple[Said, int]:
     """Return the messages of a payload, and the system id of its first frame."""
     frames = split(payload)
-    return {LAYOUTS[f.message_id].kind: fields_of(payload, f, LAYOUTS[f.message_id]) for f in frames if f.message_id in LAYOUTS}, frames[
-        0
-    ].system
+    return {
+        LAYOUTS[f.message_id].kind: fields_of(payload, f, LAYOUTS[f.message_id])
+        for f in frames
+        if f.message_id in LAYOUTS
+    }, frames[0].system
 
 
 def _wanted(said: Said, kind: str, what: str) -> Mapping[str, Any]:
@@ -111,7 +119,11 @@ def _check_name(message: Mapping[str, Any], kind: str, name: str) -> None:
 
 def _check_times(said: Said, time_boot_ms: int, what: str) -> None:
     for kind, message in said.items():
-        if kind in TIMED and (message["time_usec"] // 1000 if kind == "WIND_COV" else message["time_boot_ms"]) != time_boot_ms:
+        if (
+            kind in TIMED
+            and (message["time_usec"] // 1000 if kind == "WIND_COV" else message["time_boot_ms"])
+            != time_boot_ms
+        ):
             raise BadFrame(f"the frames of the {what} do not share one time_boot_ms")
 
 

@@ -26,7 +26,9 @@ LOOK_S = 0.1
 
 
 class NumberLines:
-    """Cuts bytes into lines, holding at most one, and turns them into numbers. The first line may lack its beginning: it is left out."""
+    """Cuts bytes into lines, holding at most one, and turns them into numbers. The first line may lack its
+    beginning: it is left out.
+    """
 
     def __init__(self, log: Log) -> None:
         """Take the log whose tally counts the lines that are no numbers."""
@@ -40,7 +42,9 @@ class NumberLines:
         self.begun = None
 
     def take(self, data: bytes) -> list[float]:
-        """Return the numbers of the lines that are now complete. Blank lines say nothing; others are counted and told of once."""
+        """Return the numbers of the lines that are now complete. Blank lines say nothing; others are
+        counted and told of once.
+        """
         if self.begun is None:
             if not (end := END_OF_LINE.search(data)):
                 return []
@@ -59,7 +63,10 @@ class NumberLines:
         self._log.tally.refuse(NO_NUMBER)
         if not self._told:
             self._told = True
-            self._log.warning(f"a line is not a number, {text[:LONGEST].decode(errors='replace')!r}: such lines are counted and left out")
+            self._log.warning(
+                f"a line is not a number, {text[:LONGEST].decode(errors='replace')!r}: such lines are "
+                "counted and left out"
+            )
         return None
 
 

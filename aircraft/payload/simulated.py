@@ -9,7 +9,9 @@ from plume.world import World
 
 
 class Simulated:
-    """A sensor in a world. Its values depend on world, seed and question alone, so that it may start again at any time."""
+    """A sensor in a world. Its values depend on world, seed and question alone, so that it may start again
+    at any time.
+    """
 
     def __init__(self, world: World) -> None:
         """Take the world of the mission."""
@@ -17,7 +19,9 @@ class Simulated:
         self._lost = -1
 
     def __call__(self, question: Question) -> Sample:
-        """Measure once. The plume blows with the wind of the question; without one, with that of the scenario."""
+        """Measure once. The plume blows with the wind of the question; without one, with that of the
+        scenario.
+        """
         world = self._world if question.wind is None else blown(self._world, question.wind)
         wind = question.wind or world.wind
         if world.loses(question.number) and question.number != self._lost:

@@ -1,4 +1,5 @@
-"""A real autopilot as the vehicle: a MAVLink client that flies it for a search, and the keeper of its link.
+"""A real autopilot as the vehicle: a MAVLink client that flies it for a search, and the keeper of its
+link.
 
 Imports: plume, link, link.bus, link.signing, aircraft.bridge, sitl.autopilot.
 """

@@ -1,4 +1,6 @@
-"""The targets of a real vehicle: whose it flies to, and when it has arrived: near enough and slow enough, for long enough."""
+"""The targets of a real vehicle: whose it flies to, and when it has arrived: near enough and slow enough,
+for long enough.
+"""
 
 import math
 from collections import deque
@@ -8,7 +10,9 @@ from sitl.autopilot.motion import Ned
 
 
 class ArrivalRule(NamedTuple):
-    """It arrives once it has stayed within `radius_m` of its target, no faster than `speed_mps`, for `settle_s`."""
+    """It arrives once it has stayed within `radius_m` of its target, no faster than `speed_mps`, for
+    `settle_s`.
+    """
 
     radius_m: float = 0.3
     speed_mps: float = 0.25
@@ -32,11 +36,15 @@ class Approach:
         self._near_since_s = math.inf
 
     def arrived(self, at_s: float, position: Ned, velocity: Ned, known: bool) -> bool:
-        """Take where the vehicle is, at a time of its own clock; returns whether it has arrived; with a position not `known`, it has not.
+        """Take where the vehicle is, at a time of its own clock; returns whether it has arrived; with a
+        position not `known`, it has not.
 
         By the vehicle's clock, what a slow or halting link takes is no time at rest.
         """
-        near = math.dist(position, self.target) <= self._arrival.radius_m and math.hypot(*velocity) <= self._arrival.speed_mps
+        near = (
+            math.dist(position, self.target) <= self._arrival.radius_m
+            and math.hypot(*velocity) <= self._arrival.speed_mps
+        )
         self._near_since_s = min(self._near_since_s, at_s) if near and known else math.inf
         return at_s - self._near_since_s >= self._arrival.settle_s
 
@@ -48,10 +56,12 @@ KEPT = 4
 
 
 class Targets:
-    """Whose target an autopilot flies to, as far as it reads back. Positions NED, m from the EKF's origin; None is no position.
+    """Whose target an autopilot flies to, as far as it reads back. Positions NED, m from the EKF's origin;
+    None is no position.
 
-    What it reads back is foreign if it is neither one of ours nor what it was before: a target of ours that the autopilot does not take
-    leaves the one before, and a take-off reads back whatever was there before it.
+    What it reads back is foreign if it is neither one of ours nor what it was before: a target of ours
+    that the autopilot does not take leaves the one before, and a take-off reads back whatever was there
+    before it.
     """
 
     def __init__(self) -> None:
@@ -66,7 +76,9 @@ class Targets:
             self._ours.append(target)
 
     def begin(self) -> None:
-        """Take whatever is read back next for what was there before: the mode has changed, or the vehicle stands."""
+        """Take whatever is read back next for what was there before: the mode has changed, or the vehicle
+        stands.
+        """
         self._fresh = True
 
     def takes(self, target: Ned | None) -> bool:

@@ -1,4 +1,6 @@
-"""The conversation with one autopilot: it is found, asked for telemetry, and commanded until it acknowledges."""
+"""The conversation with one autopilot: it is found, asked for telemetry, and commanded until it
+acknowledges.
+"""
 
 import itertools
 import math
@@ -21,7 +23,9 @@ AGAIN_S = 1.0
 SHORTEST_S = 0.5
 """Shortest real time for any answer, however fast the vehicle's simulator runs."""
 SLOWEST_S = 2.0
-"""Shortest real time after which a vehicle that says nothing counts as lost, however fast its simulator runs."""
+"""Shortest real time after which a vehicle that says nothing counts as lost, however fast its simulator
+runs.
+"""
 BEAT_S = 1.0
 """Longest time between two HEARTBEATs, of the vehicle's and of real time."""
 STREAMS_S = 2.0
@@ -68,7 +72,9 @@ def _is_ours(ack: Message, system: int) -> bool:
 
 
 class Commander:
-    """Keeps up what is known of one vehicle, and commands it. Times are of the vehicle's own clock, s, except where said."""
+    """Keeps up what is known of one vehicle, and commands it. Times are of the vehicle's own clock, s,
+    except where said.
+    """
 
     def __init__(
         self,
@@ -79,8 +85,9 @@ class Commander:
     ) -> None:
         """Take the connection.
 
-        speedup: how fast the vehicle's simulator runs; system: the vehicle's id, None takes the first heard; handling: what a message
-        is read in, so that a fault of ours ends nothing.
+        speedup: how fast the vehicle's simulator runs; system: the vehicle's id, None takes the first
+        heard;
+        handling: what a message is read in, so that a fault of ours ends nothing.
         """
         self.known = Known(slowest_s=SLOWEST_S * speedup)
         self.system = 0
@@ -98,7 +105,9 @@ class Commander:
         self.speedup = speedup
         self._running: CommandRun | None = None
         self.in_charge = False
-        """Whether the vehicle is in our charge, which our HEARTBEAT says: ACTIVE, else STANDBY. The keeper goes by it."""
+        """Whether the vehicle is in our charge, which our HEARTBEAT says: ACTIVE, else STANDBY. The keeper
+        goes by it.
+        """
         self._beat_s = self._streams_s = -math.inf
         self._state = mavlink.MAV_STATE_UNINIT
 
@@ -109,12 +118,18 @@ class Commander:
     # ---- what goes in and out all the time ----
 
     def poll(self, now_s: float) -> None:
-        """Take what has come, and send what is due. Raises VehicleFailed if this is no vehicle for a search."""
-        if now_s - self.now_s > SLOWEST_S * self.speedup:  # we were held up: what has come meanwhile is not read yet
+        """Take what has come, and send what is due. Raises VehicleFailed if this is no vehicle for a
+        search.
+        """
+        if (
+            now_s - self.now_s > SLOWEST_S * self.speedup
+        ):  # we were held up: what has come meanwhile is not read yet
             self.known.heard_s += now_s - self.now_s
         self.now_s = now_s
         state = mavlink.MAV_STATE_ACTIVE if self.in_charge else mavlink.MAV_STATE_STANDBY
-        due = now_s - self._beat_s >= min(BEAT_S, self.speedup)  # the autopilot's failsafes count by its time, people by real time
+        due = now_s - self._beat_s >= min(
+            BEAT_S, self.speedup
+        )  # the autopilot's failsafes count by its time, people by real time
         if due or state != self._state:
             self._beat_s, self._state = now_s, state
             kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
@@ -141,7 +156,10 @@ class Commander:
             if reason:  # a gimbal or a companion that has taken the vehicle's ids
                 if reason not in self._unfit and len(self._unfit) < MOST_UNFIT:
                     self._unfit.add(reason)
-                    self.ignored.append(f"Another HEARTBEAT with the vehicle's ids, {system}/{AUTOPILOT}, is ignored: {reason}")
+                    self.ignored.append(
+                        f"Another HEARTBEAT with the vehicle's ids, {system}/{AUTOPILOT}, is ignored: "
+                        f"{reason}"
+                    )
                 return
             self.system = system
             self.radio.use(link, system)  # a vehicle may come back on another link
@@ -152,12 +170,18 @@ class Commander:
         self.known.take(message, self.now_s)
 
     def _ask_for_streams(self) -> None:
-        """Ask for the messages that do not come: ArduPilot streams none of them unasked, and forgets them when it starts again."""
+        """Ask for the messages that do not come: ArduPilot streams none of them unasked, and forgets them
+        when it starts again.
+        """
         number = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
         for wanted, rate_hz in self.known.firmware.streams.items():
-            if self.now_s - self.known.came_s.get(wanted, -math.inf) > self.patient(max(STREAMS_S, 3.0 / rate_hz)):
+            if self.now_s - self.known.came_s.get(wanted, -math.inf) > self.patient(
+                max(STREAMS_S, 3.0 / rate_hz)
+            ):
                 self.send(number, float(wanted), 1e6 / rate_hz)
-                if wanted not in self.known.came_s:  # some autopilots stream no GPS_GLOBAL_ORIGIN, but say it when asked
+                if (
+                    wanted not in self.known.came_s
+                ):  # some autopilots stream no GPS_GLOBAL_ORIGIN, but say it when asked
                     self.send(mavlink.MAV_CMD_REQUEST_MESSAGE, float(wanted))
 
     def send(self, number: int, *params: float) -> None:
@@ -166,15 +190,23 @@ class Commander:
 
     # ---- what takes a while ----
 
-    def command(self, number: int, *params: float, seen: Callable[[], bool], within_s: float = DONE_S) -> Steps[Result]:
-        """Send MAV_CMD `number` until it is done (`CommandRun`); a refusal has the texts that came with it."""
+    def command(
+        self, number: int, *params: float, seen: Callable[[], bool], within_s: float = DONE_S
+    ) -> Steps[Result]:
+        """Send MAV_CMD `number` until it is done (`CommandRun`); a refusal has the texts that came with
+        it.
+        """
         if seen():
             return ACCEPTED
         began_s = self.now_s
         run = self._running = CommandRun(
-            command(self.system, number, *params), seen, lambda: self.known.warned(began_s),
-            self.patient(AGAIN_S), self.patient(within_s), self.patient(REASON_S),
-        )  # fmt: skip
+            command(self.system, number, *params),
+            seen,
+            lambda: self.known.warned(began_s),
+            self.patient(AGAIN_S),
+            self.patient(within_s),
+            self.patient(REASON_S),
+        )
         while (result := run.over(self.now_s)) is None:
             if copy := run.send(self.now_s):
                 self.radio.send(copy)
@@ -189,13 +221,19 @@ class Commander:
         return so
 
     def read_parameters(self, names: tuple[str, ...]) -> Steps[None]:
-        """Read parameters into `known`; those that are not answered stay unknown. `A|B`: one or the other, whichever there is."""
+        """Read parameters into `known`; those that are not answered stay unknown. `A|B`: one or the other,
+        whichever there is.
+        """
 
         def missing() -> list[list[str]]:
-            return [either for name in names if not self.known.parameters.keys() & (either := name.split("|"))]
+            return [
+                either for name in names if not self.known.parameters.keys() & (either := name.split("|"))
+            ]
 
         for _ in range(TRIES):
             for name in itertools.chain(*missing()):
-                self.radio.send(mavlink.MAVLink_param_request_read_message(self.system, AUTOPILOT, name.encode(), -1))
+                self.radio.send(
+                    mavlink.MAVLink_param_request_read_message(self.system, AUTOPILOT, name.encode(), -1)
+                )
             if (yield from self.until(lambda: not missing(), self.patient(AGAIN_S))):
                 return

@@ -1,4 +1,6 @@
-"""What differs between ArduCopter and PX4 for a companion computer: modes by number, streams, take-off altitudes, when it can fly."""
+"""What differs between ArduCopter and PX4 for a companion computer: modes by number, streams, take-off
+altitudes, when it can fly.
+"""
 
 from typing import NamedTuple
 
@@ -41,11 +43,16 @@ class Firmware(NamedTuple):
 
 def _rates(*more: int) -> dict[int, float]:
     usual = {
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20.0, mavlink.MAVLINK_MSG_ID_ATTITUDE: 10.0, mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
-        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0, mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
-        mavlink.MAVLINK_MSG_ID_HOME_POSITION: 1.0, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
-        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 2.0, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,  # for people
-    }  # fmt: skip
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 20.0,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE: 10.0,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 5.0,
+        mavlink.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
+        mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 2.0,
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,  # for people
+    }
     return usual | dict.fromkeys(more, 5.0)
 
 
@@ -59,7 +66,11 @@ ARDUCOPTER = Firmware(
     {Mode.OFFBOARD: 4, Mode.HOLD: 17, Mode.RETURN: 6, Mode.LAND: 9},
     _reports(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA),
     frozenset({4, 17}),
-    _rates(mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT, mavlink.MAVLINK_MSG_ID_WIND, mavlink.MAVLINK_MSG_ID_FENCE_STATUS),
+    _rates(
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+        mavlink.MAVLINK_MSG_ID_WIND,
+        mavlink.MAVLINK_MSG_ID_FENCE_STATUS,
+    ),
     is_ardupilot=True,
 )
 PX4 = Firmware(
@@ -74,10 +85,15 @@ PX4 = Firmware(
 FIRMWARES = {firmware.autopilot: firmware for firmware in (ARDUCOPTER, PX4)}
 """By HEARTBEAT's autopilot."""
 COPTERS = {
-    mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_TYPE_COAXIAL, mavlink.MAV_TYPE_HELICOPTER, mavlink.MAV_TYPE_HEXAROTOR,
+    mavlink.MAV_TYPE_QUADROTOR,
+    mavlink.MAV_TYPE_COAXIAL,
+    mavlink.MAV_TYPE_HELICOPTER,
+    mavlink.MAV_TYPE_HEXAROTOR,
     mavlink.MAV_TYPE_OCTOROTOR,
-    mavlink.MAV_TYPE_TRICOPTER, mavlink.MAV_TYPE_DODECAROTOR, mavlink.MAV_TYPE_DECAROTOR,
-}  # fmt: skip
+    mavlink.MAV_TYPE_TRICOPTER,
+    mavlink.MAV_TYPE_DODECAROTOR,
+    mavlink.MAV_TYPE_DECAROTOR,
+}
 """HEARTBEAT's types that can hover."""
 
 

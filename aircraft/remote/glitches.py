@@ -1,4 +1,6 @@
-"""Whether a vehicle is where it says: jumps of its position, its own doubts about it, and when both are over."""
+"""Whether a vehicle is where it says: jumps of its position, its own doubts about it, and when both are
+over.
+"""
 
 import math
 import re
@@ -10,21 +12,31 @@ from link.bus.mavlink import Message, elapsed_ms
 from sitl.autopilot.motion import Ned
 
 RESET_M = 1.0
-"""An EKF may reset its position by so much, for instance when it changes to another of its filters: no glitch."""
+"""An EKF may reset its position by so much, for instance when it changes to another of its filters: no
+glitch.
+"""
 ACCELERATION_MPS2 = 5.0
-"""Largest acceleration of a multirotor in a search; PX4's limit (MPC_ACC_HOR_MAX), twice ArduCopter's (WPNAV_ACCEL)."""
+"""Largest acceleration of a multirotor in a search; PX4's limit (MPC_ACC_HOR_MAX), twice ArduCopter's
+(WPNAV_ACCEL).
+"""
 SPEED_ERROR = 0.1
 """Share of the speed by which the reported velocity may be wrong."""
 LARGEST_VARIANCE = {True: 0.8, False: 1.0}
-"""Of position or velocity, by whether it is ArduPilot: there FS_EKF_THRESH's default. From 1 on both reject what GPS says."""
+"""Of position or velocity, by whether it is ArduPilot: there FS_EKF_THRESH's default. From 1 on both
+reject what GPS says.
+"""
 DOUBTED_S = 1.0
-"""Large variances that last for so long are a glitch; ArduPilot waits as long. Shorter ones only delay a reading."""
+"""Large variances that last for so long are a glitch; ArduPilot waits as long. Shorter ones only delay a
+reading.
+"""
 SOUND_S = 5.0
 """A glitch is over when nothing has been wrong for so long."""
 SHIFTED_S = 20.0
 """The same while the position has not jumped back: most glitches do."""
 NOTICED_S = 2.0
-"""A glitch may have begun so long before it is noticed: ArduPilot waits for 1 s, telemetry and the EKF add a few tenths."""
+"""A glitch may have begun so long before it is noticed: ArduPilot waits for 1 s, telemetry and the EKF add
+a few tenths.
+"""
 BEGINS = re.compile(
     r"gps glitch|ekf variance|ekf primary changed|lane switch|emergency yaw reset|dead reckoning started"
     r"|g(nss|ps) data fusion stopped|g(nss|ps) signal (spoofed|jammed)",
@@ -45,16 +57,22 @@ class Fix(NamedTuple):
 
 
 def innovation(before: Fix, now: Fix) -> Shift:
-    """Return how far, north and east, a position lies from where the one before it and both velocities lead."""
+    """Return how far, north and east, a position lies from where the one before it and both velocities
+    lead.
+    """
     seconds = elapsed_ms(before.boot_ms, now.boot_ms) / 1000.0
-    north, east = (now.position[n] - before.position[n] - (before.velocity[n] + now.velocity[n]) / 2.0 * seconds for n in (0, 1))
+    north, east = (
+        now.position[n] - before.position[n] - (before.velocity[n] + now.velocity[n]) / 2.0 * seconds
+        for n in (0, 1)
+    )
     return north, east
 
 
 def margin_m(before: Fix, now: Fix) -> float:
     """Return how large an innovation can be without a jump.
 
-    Who speeds up and slows down again between two reports `seconds` apart has flown up to a·seconds²/4 further than the velocities tell.
+    Who speeds up and slows down again between two reports `seconds` apart has flown up to a·seconds²/4
+    further than the velocities tell.
     """
     seconds = elapsed_ms(before.boot_ms, now.boot_ms) / 1000.0
     speed = max(math.hypot(*fix.velocity[:2]) for fix in (before, now))
@@ -62,14 +80,18 @@ def margin_m(before: Fix, now: Fix) -> float:
 
 
 class Glitches:
-    """What is wrong with one vehicle's position. Times are the caller's, s. Heights are not watched: barometers make them, not GPS."""
+    """What is wrong with one vehicle's position. Times are the caller's, s. Heights are not watched:
+    barometers make them, not GPS.
+    """
 
     def __init__(self) -> None:
         """Begin on the ground, with a position that nobody doubts."""
         self.fix: Fix | None = None
         """The newest position."""
         self.shift: Shift = (0.0, 0.0)
-        """The sum of the jumps of this flight. The vehicle has not jumped: what lies around it has moved by so much in the EKF's frame."""
+        """The sum of the jumps of this flight. The vehicle has not jumped: what lies around it has moved
+        by so much in the EKF's frame.
+        """
         self.began_s = math.inf
         """When the glitch began that lasts; infinity if none does."""
         self.read_s = -math.inf
@@ -78,18 +100,25 @@ class Glitches:
         """What people are to be told; whoever tells them takes it away."""
         self._flies = False
         self._number = self._suspect = 0  # of glitches in flight, and of readings just before one
-        self._wrong_s, self._doubted_s = -math.inf, math.inf  # when anything was wrong last; since when variances have been too large
+        self._wrong_s, self._doubted_s = (
+            -math.inf,
+            math.inf,
+        )  # when anything was wrong last; since when variances have been too large
 
     # ---- what the vehicle says ----
 
     def flies(self, flies: bool) -> None:
-        """Take whether it is in the air: what jumps on the ground moves nothing, and is no glitch of a flight."""
+        """Take whether it is in the air: what jumps on the ground moves nothing, and is no glitch of a
+        flight.
+        """
         if not flies:
             self.shift, self.began_s = (0.0, 0.0), math.inf
         self._flies = flies
 
     def moved(self, fix: Fix, now_s: float) -> bool:
-        """Take a position; returns whether it is newer than the one before: datagrams may overtake each other."""
+        """Take a position; returns whether it is newer than the one before: datagrams may overtake each
+        other.
+        """
         before = self.fix
         if before and elapsed_ms(before.boot_ms, fix.boot_ms) <= 0:
             return False
@@ -105,18 +134,32 @@ class Glitches:
         return True
 
     def judge(self, message: Message, is_ardupilot: bool, now_s: float) -> None:
-        """Take an EKF_STATUS_REPORT or ESTIMATOR_STATUS: its flag for a glitch, and how little EKF and GPS agree."""
+        """Take an EKF_STATUS_REPORT or ESTIMATOR_STATUS: its flag for a glitch, and how little EKF and GPS
+        agree.
+        """
         if is_ardupilot:
-            flag, velocity, position = mavlink.EKF_GPS_GLITCHING, message.velocity_variance, message.pos_horiz_variance
+            flag, velocity, position = (
+                mavlink.EKF_GPS_GLITCHING,
+                message.velocity_variance,
+                message.pos_horiz_variance,
+            )
         else:
-            flag, velocity, position = mavlink.ESTIMATOR_GPS_GLITCH, message.vel_ratio, message.pos_horiz_ratio
+            flag, velocity, position = (
+                mavlink.ESTIMATOR_GPS_GLITCH,
+                message.vel_ratio,
+                message.pos_horiz_ratio,
+            )
         largest = LARGEST_VARIANCE[is_ardupilot]
         doubted = velocity >= largest or position >= largest  # NaN is not
         self._doubted_s = min(self._doubted_s, now_s) if doubted else math.inf
         if message.flags & flag:
             self._wrong(now_s, now_s, "the autopilot flags it")
         elif now_s - self._doubted_s >= DOUBTED_S:
-            self._wrong(now_s, self._doubted_s, f"the EKF's variance is {velocity:.1f} for the velocity, {position:.1f} for the position")
+            self._wrong(
+                now_s,
+                self._doubted_s,
+                f"the EKF's variance is {velocity:.1f} for the velocity, {position:.1f} for the position",
+            )
         elif doubted:
             self._wrong_s = now_s
 
@@ -133,7 +176,9 @@ class Glitches:
         self.flies(False)
 
     def _wrong(self, now_s: float, since_s: float, why: str, again: bool | None = None) -> None:
-        """Note that something is wrong; `again`: with a position that was off before, which makes it the same glitch."""
+        """Note that something is wrong; `again`: with a position that was off before, which makes it the
+        same glitch.
+        """
         self._wrong_s = now_s
         if not self._flies or self.began_s < math.inf:
             return
@@ -142,7 +187,8 @@ class Glitches:
         late = since_s - self.read_s <= NOTICED_S
         self._suspect += late
         self.news.append(
-            f"GPS glitch: {why}; no readings until it is over" + late * f"; the reading taken {now_s - self.read_s:.1f} s ago may be off"
+            f"GPS glitch: {why}; no readings until it is over"
+            + late * f"; the reading taken {now_s - self.read_s:.1f} s ago may be off"
         )
 
     # ---- what comes of it ----
@@ -167,7 +213,9 @@ class Glitches:
         """What a result of this flight has to be read with; empty if there has been no glitch."""
         if not self._number:
             return ""
-        suspect = f"; readings taken just before it was noticed, which may be off: {self._suspect}" * bool(self._suspect)
+        suspect = f"; readings taken just before it was noticed, which may be off: {self._suspect}" * bool(
+            self._suspect
+        )
         return f"GPS glitches in this flight: {self._number}{suspect}{self._rest}"
 
     @property
@@ -176,4 +224,7 @@ class Glitches:
         if not self.is_shifted:
             return ""
         far_m = math.hypot(*self.shift)
-        return f"; the position has not jumped back: all places, and the autopilot's way home, may be {far_m:.1f} m off from now on"
+        return (
+            "; the position has not jumped back: all places, and the autopilot's way home, may be "
+            f"{far_m:.1f} m off from now on"
+        )

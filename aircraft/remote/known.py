@@ -25,18 +25,24 @@ BREACH = re.compile("breach|geofence|fence violation", re.IGNORECASE)
 OVER = re.compile("clear|recover|deactivated", re.IGNORECASE)
 """What a text on a breach that is over says."""
 INTEGERS = {
-    mavlink.MAV_PARAM_TYPE_UINT8, mavlink.MAV_PARAM_TYPE_INT8, mavlink.MAV_PARAM_TYPE_UINT16, mavlink.MAV_PARAM_TYPE_INT16,
-    mavlink.MAV_PARAM_TYPE_UINT32, mavlink.MAV_PARAM_TYPE_INT32,
-}  # fmt: skip
+    mavlink.MAV_PARAM_TYPE_UINT8,
+    mavlink.MAV_PARAM_TYPE_INT8,
+    mavlink.MAV_PARAM_TYPE_UINT16,
+    mavlink.MAV_PARAM_TYPE_INT16,
+    mavlink.MAV_PARAM_TYPE_UINT32,
+    mavlink.MAV_PARAM_TYPE_INT32,
+}
 Global = tuple[float, float, float]
 """Latitude and longitude in degrees, altitude above sea in m."""
 
 
 @dataclass
 class Known:
-    """The newest of what one vehicle has said. Times are the caller's, s; positions NED, m from the EKF's origin.
+    """The newest of what one vehicle has said. Times are the caller's, s; positions NED, m from the EKF's
+    origin.
 
-    `slowest_s`: shortest time after which anything may count as missing; a vehicle whose simulator runs fast needs it.
+    `slowest_s`: shortest time after which anything may count as missing; a vehicle whose simulator runs
+    fast needs it.
     """
 
     slowest_s: float = 0.0
@@ -64,7 +70,9 @@ class Known:
     """0 to 1; NaN where the autopilot does not know."""
     landed: int = mavlink.MAV_LANDED_STATE_UNDEFINED
     wind: tuple[float, float] | None = None
-    """(u cos φ, u sin φ) m/s, x east, y north, to where the wind comes from; None where the autopilot does not tell."""
+    """(u cos φ, u sin φ) m/s, x east, y north, to where the wind comes from; None where the autopilot does
+    not tell.
+    """
     wind_s: float = -math.inf
     """When it last told of a wind, or that it does not know it."""
     target: Ned | None = None
@@ -95,7 +103,10 @@ class Known:
         match message.get_type():
             case "HEARTBEAT":
                 self.firmware = FIRMWARES[message.autopilot]
-                if message.system_status > self.status and message.system_status >= mavlink.MAV_STATE_CRITICAL:
+                if (
+                    message.system_status > self.status
+                    and message.system_status >= mavlink.MAV_STATE_CRITICAL
+                ):
                     self.critical_s = now_s
                 self.custom_mode, self.status = message.custom_mode, message.system_status
                 self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
@@ -103,7 +114,9 @@ class Known:
             case "LOCAL_POSITION_NED":
                 self._tick(message.time_boot_ms)
                 position, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
-                finite = all(map(math.isfinite, (*position, *velocity)))  # an EKF that has lost itself sends NaN
+                finite = all(
+                    map(math.isfinite, (*position, *velocity))
+                )  # an EKF that has lost itself sends NaN
                 self.glitches.flies(self.armed and not self.on_ground)
                 if finite and self.glitches.moved(Fix(message.time_boot_ms, position, velocity), now_s):
                     self.position, self.velocity, self.position_s = position, velocity, now_s
@@ -113,14 +126,21 @@ class Known:
             case "GPS_GLOBAL_ORIGIN":
                 self.origin = message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0
             case "HOME_POSITION":
-                self.home, self.home_s = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0), now_s
+                self.home, self.home_s = (
+                    (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1000.0),
+                    now_s,
+                )
             case "EKF_STATUS_REPORT" | "ESTIMATOR_STATUS":
                 self.flags = message.flags
                 self.glitches.judge(message, self.firmware.is_ardupilot, now_s)
             case "SYS_STATUS":
-                self.battery = message.battery_remaining / 100.0 if 0 <= message.battery_remaining <= 100 else math.nan
+                self.battery = (
+                    message.battery_remaining / 100.0 if 0 <= message.battery_remaining <= 100 else math.nan
+                )
                 check = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-                self.healthy = not message.onboard_control_sensors_present & check or bool(message.onboard_control_sensors_health & check)
+                self.healthy = not message.onboard_control_sensors_present & check or bool(
+                    message.onboard_control_sensors_health & check
+                )
             case "EXTENDED_SYS_STATE":
                 self.landed = message.landed_state
             case "WIND_COV":
@@ -159,7 +179,9 @@ class Known:
         return float(struct.unpack("<i", struct.pack("<f", message.param_value))[0])
 
     def _blows(self, north: float, east: float, now_s: float) -> None:
-        """Take the velocity of the air. A wind of exactly zero is one that the autopilot has not estimated."""
+        """Take the velocity of the air. A wind of exactly zero is one that the autopilot has not
+        estimated.
+        """
         known = math.isfinite(north) and math.isfinite(east) and (north or east)
         self.wind, self.wind_s = (-east, -north) if known else None, now_s
 
@@ -172,7 +194,9 @@ class Known:
                 return
         self.glitches.hear(text, now_s)
         if not OVER.search(text):
-            self.breach_s, self.breached_s = (now_s, now_s) if BREACH.search(text) else (self.breach_s, self.breached_s)
+            self.breach_s, self.breached_s = (
+                (now_s, now_s) if BREACH.search(text) else (self.breach_s, self.breached_s)
+            )
         if message.severity <= mavlink.MAV_SEVERITY_NOTICE:
             self.warnings.append((now_s, text))
         self.texts.append((message.severity, text))
@@ -191,7 +215,9 @@ class Known:
         return max(STALE_S, self.slowest_s)
 
     def knows_place(self, now_s: float) -> bool:
-        """True if the position is fresh and the EKF stands by it: after a loss of GPS positions keep coming, but the flag goes."""
+        """True if the position is fresh and the EKF stands by it: after a loss of GPS positions keep
+        coming, but the flag goes.
+        """
         return now_s - self.position_s <= self.stale_s and bool(self.flags & ESTIMATES)
 
     def trusts_place(self, now_s: float) -> bool:
@@ -199,24 +225,39 @@ class Known:
         return self.knows_place(now_s) and not self.glitches.lasts(now_s)
 
     def missing(self, now_s: float) -> str:
-        """Return what is still missing to fly by setpoints; empty if nothing is. Arming may be accepted long before that."""
+        """Return what is still missing to fly by setpoints; empty if nothing is. Arming may be accepted
+        long before that.
+        """
         return self.unplaced(now_s) or self.unready
 
     def unplaced(self, now_s: float) -> str:
-        """Return what is missing to know where it and the area are, and how to get it; empty if nothing is."""
+        """Return what is missing to know where it and the area are, and how to get it; empty if nothing
+        is.
+        """
         if self.lost(now_s):
             return "no HEARTBEAT"
         if not self.trusts_place(now_s):
-            return "no position yet: its EKF has not settled, which takes ArduCopter 41 s; is GPS outside, with a fix?"
+            return (
+                "no position yet: its EKF has not settled, which takes ArduCopter 41 s; is GPS outside, "
+                "with a fix?"
+            )
         if self.origin is None:
-            return "no GPS_GLOBAL_ORIGIN, though it is asked for (MAV_CMD_REQUEST_MESSAGE): without it the area has no place"
+            return (
+                "no GPS_GLOBAL_ORIGIN, though it is asked for (MAV_CMD_REQUEST_MESSAGE): without it the "
+                "area has no place"
+            )
         if self.home is None:
-            return "no HOME_POSITION, though it is asked for (MAV_CMD_REQUEST_MESSAGE): set home from a ground station"
+            return (
+                "no HOME_POSITION, though it is asked for (MAV_CMD_REQUEST_MESSAGE): set home from a "
+                "ground station"
+            )
         return ""
 
     @property
     def unready(self) -> str:
-        """Why it would not arm; empty if it would. ArduPilot's check depends on the mode, and says why when it is armed."""
+        """Why it would not arm; empty if it would. ArduPilot's check depends on the mode, and says why
+        when it is armed.
+        """
         if self.firmware.is_ardupilot or self.healthy:
             return ""
         return "a check before arming fails: the autopilot's texts, or a ground station, say which"

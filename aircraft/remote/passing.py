@@ -1,4 +1,6 @@
-"""A real vehicle's clients: what its autopilot says is passed on to them, what they say to it. The search is a component beside it."""
+"""A real vehicle's clients: what its autopilot says is passed on to them, what they say to it. The search
+is a component beside it.
+"""
 
 import contextlib
 import time
@@ -29,28 +31,42 @@ BEAT_S = 1.0
 """Real time between two HEARTBEATs of the search."""
 COMMANDS = {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
 SETPOINTS = {
-    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED, mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
+    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
+    mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT,
     mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET,
-}  # fmt: skip
+}
 CHANGES = {
-    mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, mavlink.MAV_CMD_NAV_LAND, mavlink.MAV_CMD_NAV_TAKEOFF,
-    mavlink.MAV_CMD_DO_REPOSITION, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, mavlink.MAV_CMD_MISSION_START,
+    mavlink.MAV_CMD_DO_SET_MODE,
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
+    mavlink.MAV_CMD_NAV_LAND,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+    mavlink.MAV_CMD_DO_REPOSITION,
+    mavlink.MAV_CMD_DO_PAUSE_CONTINUE,
+    mavlink.MAV_CMD_MISSION_START,
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
-}  # fmt: skip
+}
 """Commands of which a change of the flight mode may come."""
 POSED, KEYS = "in the vehicle's name", "with a key"
 """Kinds of clients' frames that are dropped."""
 
 
 class RealClients:
-    """The clients of a real vehicle. Each gets every frame of the autopilot, and every word of the search, which is component 191."""
+    """The clients of a real vehicle. Each gets every frame of the autopilot, and every word of the search,
+    which is component 191.
+    """
 
     component = SEARCH
 
     def __init__(
-        self, vehicle: RemoteVehicle, search: Search, bus: Bus, outs: Sequence[str], clock: Clock, handling: Handling,
+        self,
+        vehicle: RemoteVehicle,
+        search: Search,
+        bus: Bus,
+        outs: Sequence[str],
+        clock: Clock,
+        handling: Handling,
         signing: Signing | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Open the links; raises ValueError for a URL that cannot be used."""
         self._vehicle, self._search, self._bus, self._clock = vehicle, search, bus, clock
         self._handling = handling
@@ -68,7 +84,9 @@ class RealClients:
     # ---- what they are told ----
 
     def serve(self) -> None:
-        """Pass on what has come from the autopilot since the last call, and from the clients of --out; send a HEARTBEAT if it is due."""
+        """Pass on what has come from the autopilot since the last call, and from the clients of --out;
+        send a HEARTBEAT if it is due.
+        """
         if frames := self._vehicle.frames():
             self._pass_on(frames)
         for link, letter in self._outs.take():
@@ -118,23 +136,32 @@ class RealClients:
             self._hear(letter, "through a bridge" if item.attachment == BRIDGED else "on the bus")
 
     def _hear(self, letter: Letter, whence: str) -> None:
-        """Hand a client's frame on to the autopilot, if it is for that; the search's own commands are obeyed here."""
+        """Hand a client's frame on to the autopilot, if it is for that; the search's own commands are
+        obeyed here.
+        """
         system, tally = self.system, self._handling.log.tally
         if not system or letter.target_system not in (0, system):
             return
         if letter.system == system and letter.component in (AUTOPILOT, SEARCH):
             tally.refuse(POSED)
-        elif letter.message_id == SETUP_SIGNING:  # a key that came over a safe link must not leave by another one
+        elif (
+            letter.message_id == SETUP_SIGNING
+        ):  # a key that came over a safe link must not leave by another one
             tally.refuse(KEYS)
         elif letter.target_system and letter.target_component == SEARCH:
             if letter.message_id in COMMANDS:
                 with contextlib.suppress(mavlink.MAVError):
                     self._obey(mavlink.MAVLink(None).decode(bytearray(letter.data)), whence)
         elif letter.message_id in SETPOINTS and self._search.leads:
-            self.refuse(denied("Setpoint refused: the search leads, HOLD stops it", "not leading"), self._clock.now_s())
+            self.refuse(
+                denied("Setpoint refused: the search leads, HOLD stops it", "not leading"),
+                self._clock.now_s(),
+            )
             tally.refuse("waypoint")
         else:
-            self._vehicle.forward(letter.data, named((letter.system, letter.component), whence) if _changes(letter) else "")
+            self._vehicle.forward(
+                letter.data, named((letter.system, letter.component), whence) if _changes(letter) else ""
+            )
 
     def _obey(self, message: Message, whence: str) -> None:
         with self._handling.of(message):
@@ -149,7 +176,9 @@ class RealClients:
 
     def operate(self, name: CommandName) -> None:
         """Obey a word of the script's operator."""
-        self._say(self._words.reason(self._search.obey(name, self._vehicle.now_s, named(OPERATOR, "in the script"))))
+        self._say(
+            self._words.reason(self._search.obey(name, self._vehicle.now_s, named(OPERATOR, "in the script")))
+        )
 
     def _say(self, answers: Sequence[Message]) -> None:
         if texts := [answer.text for answer in answers if answer.get_type() == "STATUSTEXT"]:
@@ -167,4 +196,6 @@ def _changes(letter: Letter) -> bool:
     if letter.message_id not in COMMANDS:
         return bool(letter.message_id == mavlink.MAVLINK_MSG_ID_SET_MODE)
     frame = frame_at(letter.data, 0)
-    return frame is not None and fields_of(letter.data, frame, LAYOUTS[frame.message_id])["command"] in CHANGES
+    return (
+        frame is not None and fields_of(letter.data, frame, LAYOUTS[frame.message_id])["command"] in CHANGES
+    )

@@ -1,4 +1,6 @@
-"""What is done before a real vehicle is armed: one list is told, once; and what is missing is waited for, but not for ever."""
+"""What is done before a real vehicle is armed: one list is told, once; and what is missing is waited for,
+but not for ever.
+"""
 
 import math
 from collections.abc import Collection
@@ -27,10 +29,13 @@ WAITING = "Waiting for the autopilot: "
 class Preflight:
     """The list before arming, and the wait for its start. Times in s of the vehicle's clock."""
 
-    def __init__(self, flight: Procedures, config: VehicleConfig, wait_s: float = math.inf, *, launched: bool = False) -> None:
+    def __init__(
+        self, flight: Procedures, config: VehicleConfig, wait_s: float = math.inf, *, launched: bool = False
+    ) -> None:
         """Take the vehicle and what is flown.
 
-        wait_s: real time in which the search has to begin; launched: whether a launcher starts the services, and waits for them itself.
+        wait_s: real time in which the search has to begin; launched: whether a launcher starts the
+        services, and waits for them itself.
         """
         self.has_read = False
         """Whether the vehicle has been found and its parameters have been read."""
@@ -68,13 +73,17 @@ class Preflight:
             self._known_all = next(self._steps, ENDED) is ENDED
 
     def take_wind(self, check: Check) -> None:
-        """Take where the wind of the readings comes from; before that, and without any, there is no flight."""
+        """Take where the wind of the readings comes from; before that, and without any, there is no
+        flight.
+        """
         self._wind = check
         if check.verdict is Verdict.FORBIDS:
             self._tell()
 
     def ask(self) -> str:
-        """Return what is missing before arming, `missing` or the wind; once all of the list is known, it is told first."""
+        """Return what is missing before arming, `missing` or the wind; once all of the list is known, it
+        is told first.
+        """
         if not self._known_all or self._told:
             return self.missing or ("" if self._wind else UNANSWERED)
         if self._wind:
@@ -87,10 +96,13 @@ class Preflight:
         yield from commander.read_parameters(ASKED[self._flight.firmware.name])
         self.has_read = True
         yield from commander.until(lambda: not known.unplaced(commander.now_s), math.inf)
-        yield from commander.until(lambda: SYS_STATUS in known.came_s and not known.unready, commander.patient(READY_S))
+        yield from commander.until(
+            lambda: SYS_STATUS in known.came_s and not known.unready, commander.patient(READY_S)
+        )
 
     def bound(self, waits_for: str, absent: Collection[str]) -> None:
-        """Call it while the search has not begun. waits_for: why not, if all services are there; absent: the services that are not.
+        """Call it while the search has not begun. waits_for: why not, if all services are there; absent:
+        the services that are not.
 
         Raises VehicleFailed once that has taken too long, and without any wind; the list comes before it.
         """
@@ -104,13 +116,17 @@ class Preflight:
         if absent:
             why = [
                 self.missing,
-                "" if self._launched else f"no {', '.join(sorted(absent))}: the first lines of this log say how to start it",
+                ""
+                if self._launched
+                else f"no {', '.join(sorted(absent))}: the first lines of this log say how to start it",
             ]
         if not any(why):
             self._since_s = self._flight.now_s
         elif self._flight.now_s - self._since_s >= self._wait_s * self._flight.commander.speedup:
             if self._told:
-                raise VehicleFailed(f"the search has not begun in {self._wait_s:g} s (--wait): {'; '.join(filter(None, why))}")
+                raise VehicleFailed(
+                    f"the search has not begun in {self._wait_s:g} s (--wait): {'; '.join(filter(None, why))}"
+                )
             self._tell()
 
     # ---- the list ----
@@ -118,7 +134,9 @@ class Preflight:
     def _tell(self) -> None:
         checks, self._told = [] if self._told else self._checks(), True
         for check in checks:
-            severity = mavlink.MAV_SEVERITY_INFO if check.verdict is Verdict.OK else mavlink.MAV_SEVERITY_WARNING
+            severity = (
+                mavlink.MAV_SEVERITY_INFO if check.verdict is Verdict.OK else mavlink.MAV_SEVERITY_WARNING
+            )
             self._flight.say(severity, str(check))
 
     def _checks(self) -> list[Check]:
@@ -136,11 +154,17 @@ class Preflight:
             )
             place = Check("position and home", Verdict.OK, where)
         return [
-            Check("vehicle", Verdict.OK, f"{flight.firmware.name}, system {system}, in {mode}"), place, self._battery,
-            *[Check(about, Verdict.FORBIDS, why) for about, why in (("arming", known.unready), ("pilot", self._pilot)) if why],
+            Check("vehicle", Verdict.OK, f"{flight.firmware.name}, system {system}, in {mode}"),
+            place,
+            self._battery,
+            *[
+                Check(about, Verdict.FORBIDS, why)
+                for about, why in (("arming", known.unready), ("pilot", self._pilot))
+                if why
+            ],
             self._wind or Check("wind", Verdict.FORBIDS, UNANSWERED),
             *checks(flight.firmware, known.parameters, system, config.area_m, config.takeoff_altitude_m),
-        ]  # fmt: skip
+        ]
 
     @property
     def _pilot(self) -> str:
@@ -157,5 +181,7 @@ class Preflight:
         if math.isnan(left):
             return Check("battery", Verdict.WARNS, "not known: the autopilot does not say how much is left")
         if left < LOW_BATTERY:
-            return Check("battery", Verdict.FORBIDS, f"{left:.0%} is below {LOW_BATTERY:.0%}: charge or change it")
+            return Check(
+                "battery", Verdict.FORBIDS, f"{left:.0%} is below {LOW_BATTERY:.0%}: charge or change it"
+            )
         return Check("battery", Verdict.OK, f"{left:.0%}")

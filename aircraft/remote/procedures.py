@@ -1,4 +1,6 @@
-"""What a real vehicle is told to do over several seconds: one procedure at a time, resumed at each poll; and who else leads it."""
+"""What a real vehicle is told to do over several seconds: one procedure at a time, resumed at each poll;
+and who else leads it.
+"""
 
 import math
 
@@ -52,7 +54,9 @@ class Procedures:
         self.taken_from_us = self.taken_by_client = False
         """Whether it was ours before that, and whether a client of ours had asked for it."""
         self.begun = False
-        """Whether we have begun this flight: one that was under way before us, or begins after ours, is someone else's."""
+        """Whether we have begun this flight: one that was under way before us, or begins after ours, is
+        someone else's.
+        """
         self.armed_by_us = False
         self.streams = False
         """Whether setpoints are to go out."""
@@ -99,7 +103,9 @@ class Procedures:
         return self.firmware.modes[Mode.OFFBOARD]
 
     def poll(self, now_s: float) -> None:
-        """Take what the vehicle has said, and go on with what it is told. Raises VehicleFailed if it is no vehicle for a search."""
+        """Take what the vehicle has said, and go on with what it is told. Raises VehicleFailed if it is no
+        vehicle for a search.
+        """
         try:
             self._hear(now_s)
         finally:  # whatever we are told, a vehicle is not left half-way
@@ -113,7 +119,10 @@ class Procedures:
             self.say(mavlink.MAV_SEVERITY_WARNING, text)
         self.commander.ignored.clear()
         if (reason := self.commander.radio.sent_home) and reason != self._sent_home:
-            self._sent_home, self._asked = reason, {self.firmware.modes[mode] for mode in (Mode.RETURN, Mode.LAND)}
+            self._sent_home, self._asked = (
+                reason,
+                {self.firmware.modes[mode] for mode in (Mode.RETURN, Mode.LAND)},
+            )
             self.failure = reason  # what else has failed since it hung comes of that
             self.say(mavlink.MAV_SEVERITY_CRITICAL, reason)
             self._stop()
@@ -159,15 +168,21 @@ class Procedures:
             self.targets.begin()
             if self.theirs or mode not in self._asked:
                 self._taken(self.firmware.mode_name(mode))
-        if landed and not self.begun and mode in self.firmware.reports:  # what a flight left behind, not a pilot's choice
+        if (
+            landed and not self.begun and mode in self.firmware.reports
+        ):  # what a flight left behind, not a pilot's choice
             self.theirs = False
 
     def _watch_target(self) -> None:
-        """See whether the autopilot flies to someone else's target: in GUIDED a ground station's go-to changes no mode.
+        """See whether the autopilot flies to someone else's target: in GUIDED a ground station's go-to
+        changes no mode.
 
         PX4 changes its mode for a go-to. What streams setpoints beside us is not told apart there.
         """
-        if self.known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED) != self.now_s or not self.firmware.is_ardupilot:
+        if (
+            self.known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED) != self.now_s
+            or not self.firmware.is_ardupilot
+        ):
             return
         if not self.flying:
             self.targets.begin()
@@ -185,7 +200,9 @@ class Procedures:
         self.events.append(Led(self.now_s, how, self._client if asked else ""))
 
     def asked_by(self, client: str) -> None:
-        """Note that a client's command goes to the autopilot through us: what changes soon after it, the client has changed."""
+        """Note that a client's command goes to the autopilot through us: what changes soon after it, the
+        client has changed.
+        """
         self._client, self._client_s = client, self.now_s
 
     def _stop(self) -> None:
@@ -220,7 +237,9 @@ class Procedures:
         while True:
             result = yield from self._change(self.start)
             if result.accepted:
-                result = yield from self.commander.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, seen=lambda: self.known.armed)
+                result = yield from self.commander.command(
+                    mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, seen=lambda: self.known.armed
+                )
             if result.accepted or self.known.armed:
                 return
             reason = f"Arming refused: {result.reason}"
@@ -233,14 +252,20 @@ class Procedures:
     def take_off(self, altitude_m: float) -> None:
         """Climb straight up to an altitude above home."""
         modes = self.firmware.modes
-        asked = {modes[Mode.OFFBOARD]} if self.firmware.is_ardupilot else {modes[Mode.TAKEOFF], modes[Mode.HOLD]}
+        asked = (
+            {modes[Mode.OFFBOARD]} if self.firmware.is_ardupilot else {modes[Mode.TAKEOFF], modes[Mode.HOLD]}
+        )
         self.begin(self._take_off(altitude_m), Mode.TAKEOFF, *asked)
 
     def _take_off(self, altitude_m: float) -> Steps[None]:
-        """ArduPilot takes an altitude above home, and a NaN ends it; PX4 one above sea, and NaN for what it shall not change."""
+        """ArduPilot takes an altitude above home, and a NaN ends it; PX4 one above sea, and NaN for what
+        it shall not change.
+        """
         armed_s = self.now_s
         self.commander.send(mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HOME_POSITION))
-        yield from self.commander.until(lambda: self.known.home_s > armed_s, self.commander.patient(HOME_S))  # arming sets home anew
+        yield from self.commander.until(
+            lambda: self.known.home_s > armed_s, self.commander.patient(HOME_S)
+        )  # arming sets home anew
         home = self.known.to_home()[2]
         unset = 0.0 if self.firmware.is_ardupilot else math.nan
         assert self.known.home
@@ -248,14 +273,20 @@ class Procedures:
         climb = (mavlink.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, unset, unset, unset, above)
         result = yield from self.commander.command(*climb, seen=lambda: self.flying, within_s=LIFT_OFF_S)
         if not result.accepted:
-            self.fail(f"Take-off refused: {result.reason}" if self.known.armed else "Take-off failed: the motors have stopped")
+            self.fail(
+                f"Take-off refused: {result.reason}"
+                if self.known.armed
+                else "Take-off failed: the motors have stopped"
+            )
             return
 
         def height_m() -> float:
             return home - self.known.position[2]
 
         most_s = altitude_m / SLOWEST_CLIMB_MPS + CLIMB_GRACE_S
-        there = yield from self.commander.until(lambda: height_m() >= altitude_m - NEAR_TAKEOFF_M or not self.known.armed, most_s)
+        there = yield from self.commander.until(
+            lambda: height_m() >= altitude_m - NEAR_TAKEOFF_M or not self.known.armed, most_s
+        )
         if not there or not self.known.armed:
             self.fail(f"Take-off failed: {height_m():.1f} m reached of {altitude_m:g} m")
 
@@ -278,7 +309,9 @@ class Procedures:
     def _hold(self, mode: int) -> Steps[None]:
         result = yield from self._insist(mode)
         if not result.accepted:
-            self.say(mavlink.MAV_SEVERITY_WARNING, f"{self.firmware.mode_name(mode)} refused: {result.reason}")
+            self.say(
+                mavlink.MAV_SEVERITY_WARNING, f"{self.firmware.mode_name(mode)} refused: {result.reason}"
+            )
 
     def go_home(self) -> None:
         """Return and land."""
@@ -289,7 +322,9 @@ class Procedures:
         self._come_down(Mode.LAND)
 
     def _come_down(self, mode: Mode) -> None:
-        self.begin(self._until_down(mode), mode, self.firmware.modes[Mode.RETURN], self.firmware.modes[Mode.LAND])
+        self.begin(
+            self._until_down(mode), mode, self.firmware.modes[Mode.RETURN], self.firmware.modes[Mode.LAND]
+        )
 
     def _until_down(self, mode: Mode) -> Steps[None]:
         """Insist for ever: nobody else is in charge. A return that is refused becomes a landing."""
@@ -312,7 +347,11 @@ class Procedures:
 
     def _change(self, mode: int) -> Steps[Result]:
         number = mavlink.MAV_CMD_DO_SET_MODE
-        return (yield from self.commander.command(number, *self.firmware.params(mode), seen=lambda: self.known.custom_mode == mode))
+        return (
+            yield from self.commander.command(
+                number, *self.firmware.params(mode), seen=lambda: self.known.custom_mode == mode
+            )
+        )
 
     def _wait(self, seconds: float) -> Steps[None]:
         yield from self.commander.until(lambda: False, seconds)

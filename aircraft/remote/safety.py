@@ -1,4 +1,6 @@
-"""What the autopilot's parameters say of a flight: its failsafes and its fence. They are read, never changed."""
+"""What the autopilot's parameters say of a flight: its failsafes and its fence. They are read, never
+changed.
+"""
 
 import enum
 import math
@@ -7,30 +9,66 @@ from typing import NamedTuple
 
 from aircraft.remote.firmware import Firmware
 
-ESTIMATES = {"ArduCopter": ("EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y", "EK3_DRAG_MCOEF"), "PX4": ("EKF2_DRAG_CTRL",)}
-"""The parameters by which a multirotor's EKF estimates the wind in flight, from its drag; it does if any of them is set."""
+ESTIMATES = {
+    "ArduCopter": ("EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y", "EK3_DRAG_MCOEF"),
+    "PX4": ("EKF2_DRAG_CTRL",),
+}
+"""The parameters by which a multirotor's EKF estimates the wind in flight, from its drag; it does if any
+of them is set.
+"""
 ASKED = {
     "ArduCopter": (
-        "FS_GCS_ENABLE", "SYSID_MYGCS|MAV_GCS_SYSID", "SYSID_MYGCS|MAV_GCS_SYSID_HI", "FS_GCS_TIMEOUT", "BATT_FS_LOW_ACT", "FENCE_ENABLE",
-        "FENCE_TYPE", "FENCE_RADIUS", "FENCE_ALT_MAX", *ESTIMATES["ArduCopter"],
+        "FS_GCS_ENABLE",
+        "SYSID_MYGCS|MAV_GCS_SYSID",
+        "SYSID_MYGCS|MAV_GCS_SYSID_HI",
+        "FS_GCS_TIMEOUT",
+        "BATT_FS_LOW_ACT",
+        "FENCE_ENABLE",
+        "FENCE_TYPE",
+        "FENCE_RADIUS",
+        "FENCE_ALT_MAX",
+        *ESTIMATES["ArduCopter"],
     ),
     "PX4": (
-        "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "NAV_DLL_ACT", "COM_RCL_EXCEPT", "COM_LOW_BAT_ACT", "GF_ACTION", "GF_MAX_HOR_DIST",
-        "GF_MAX_VER_DIST", *ESTIMATES["PX4"],
+        "COM_OF_LOSS_T",
+        "COM_OBL_RC_ACT",
+        "NAV_DLL_ACT",
+        "COM_RCL_EXCEPT",
+        "COM_LOW_BAT_ACT",
+        "GF_ACTION",
+        "GF_MAX_HOR_DIST",
+        "GF_MAX_VER_DIST",
+        *ESTIMATES["PX4"],
     ),
-}  # fmt: skip
-"""The parameters to read. ArduPilot 4.7 calls SYSID_MYGCS MAV_GCS_SYSID, and up to MAV_GCS_SYSID_HI all are ground stations."""
-OFFBOARD_LOSS = {0: "POSITION", 1: "ALTITUDE", 2: "STABILIZED", 3: "RETURN", 4: "LAND", 5: "HOLD", 6: "TERMINATE", 7: "DISARM"}
+}
+"""The parameters to read. ArduPilot 4.7 calls SYSID_MYGCS MAV_GCS_SYSID, and up to MAV_GCS_SYSID_HI all
+are ground stations.
+"""
+OFFBOARD_LOSS = {
+    0: "POSITION",
+    1: "ALTITUDE",
+    2: "STABILIZED",
+    3: "RETURN",
+    4: "LAND",
+    5: "HOLD",
+    6: "TERMINATE",
+    7: "DISARM",
+}
 BY_HAND = {0, 1, 2}
 """What COM_OBL_RC_ACT chooses that a pilot flies: without one PX4 goes on to RETURN."""
 OFFBOARD_EXCEPTED = 4
 LOW_BATTERY_ACTIONS = {
     "BATT_FS_LOW_ACT": {
-        1: "LAND", 2: "RTL", 3: "SMART_RTL, else RTL", 4: "SMART_RTL, else LAND", 5: "TERMINATE", 6: "AUTO to its landing, else RTL",
+        1: "LAND",
+        2: "RTL",
+        3: "SMART_RTL, else RTL",
+        4: "SMART_RTL, else LAND",
+        5: "TERMINATE",
+        6: "AUTO to its landing, else RTL",
         7: "BRAKE, else LAND",
     },
     "COM_LOW_BAT_ACT": {1: "RETURN", 2: "LAND", 3: "RETURN, and LAND when it is nearly empty"},
-}  # fmt: skip
+}
 """What each parameter chooses; 0 is nothing."""
 FENCE_ALTITUDE, FENCE_CIRCLE = 1, 2
 """Bits of FENCE_TYPE."""
@@ -57,8 +95,12 @@ class Check(NamedTuple):
         return f"Check: {self.about}: {self.verdict.value}, {self.text}"
 
 
-def checks(firmware: Firmware, parameters: Mapping[str, float], system: int, side_m: float, height_m: float) -> list[Check]:
-    """Return what the parameters say of a flight by a companion of a system, over an area of this side, at this height."""
+def checks(
+    firmware: Firmware, parameters: Mapping[str, float], system: int, side_m: float, height_m: float
+) -> list[Check]:
+    """Return what the parameters say of a flight by a companion of a system, over an area of this side, at
+    this height.
+    """
     lost = _if_killed_arducopter(parameters, system) if firmware.is_ardupilot else _if_killed_px4(parameters)
     return [*lost, _low_battery(firmware, parameters), *_fence(firmware, parameters, side_m, height_m)]
 
@@ -70,10 +112,21 @@ def _if_killed_arducopter(parameters: Mapping[str, float], system: int) -> list[
     if enabled is None:
         return [Check(about, Verdict.WARNS, "not known: FS_GCS_ENABLE could not be read")]
     if enabled == 0:
-        return [Check(about, Verdict.WARNS, "FS_GCS_ENABLE is 0: in flight the vehicle hovers until its battery is low")]
+        return [
+            Check(
+                about,
+                Verdict.WARNS,
+                "FS_GCS_ENABLE is 0: in flight the vehicle hovers until its battery is low",
+            )
+        ]
     if not int(station) <= system <= int(max(station, parameters.get("MAV_GCS_SYSID_HI", 0.0))):
         return [
-            Check(about, Verdict.WARNS, f"FS_GCS watches system {station:.0f}, not this program, {system}: in flight the vehicle hovers")
+            Check(
+                about,
+                Verdict.WARNS,
+                f"FS_GCS watches system {station:.0f}, not this program, {system}: in flight the vehicle "
+                "hovers",
+            )
         ]
     after_s = parameters.get("FS_GCS_TIMEOUT", 5.0)
     return [Check(about, Verdict.OK, f"FS_GCS acts after {after_s:g} s (FS_GCS_ENABLE {enabled:.0f})")]
@@ -87,11 +140,19 @@ def _if_killed_px4(parameters: Mapping[str, float]) -> list[Check]:
     else:
         mode = OFFBOARD_LOSS.get(int(action), f"{action:.0f}")
         else_return = ", without a pilot to RETURN" if int(action) in BY_HAND else ""
-        said = [Check(about, Verdict.OK, f"PX4 changes to {mode}{else_return} after {after_s:g} s (COM_OBL_RC_ACT)")]
+        said = [
+            Check(
+                about, Verdict.OK, f"PX4 changes to {mode}{else_return} after {after_s:g} s (COM_OBL_RC_ACT)"
+            )
+        ]
     if parameters.get("NAV_DLL_ACT", 0.0) > 0:
-        said.append(Check("ground station", Verdict.WARNS, "NAV_DLL_ACT is above 0: PX4 does not arm without one"))
+        said.append(
+            Check("ground station", Verdict.WARNS, "NAV_DLL_ACT is above 0: PX4 does not arm without one")
+        )
     if not int(parameters.get("COM_RCL_EXCEPT", OFFBOARD_EXCEPTED)) & OFFBOARD_EXCEPTED:
-        said.append(Check("radio", Verdict.OK, "the loss of one that was there ends OFFBOARD: COM_RCL_EXCEPT lacks 4"))
+        said.append(
+            Check("radio", Verdict.OK, "the loss of one that was there ends OFFBOARD: COM_RCL_EXCEPT lacks 4")
+        )
     return said
 
 
@@ -100,20 +161,37 @@ def _low_battery(firmware: Firmware, parameters: Mapping[str, float]) -> Check:
     if (action := parameters.get(name)) is None:
         return Check(about, Verdict.WARNS, f"not known: {name} could not be read")
     if action == 0:
-        return Check(about, Verdict.WARNS, f"{name} is 0: the autopilot only warns, and this program alone returns home")
-    return Check(about, Verdict.OK, f"the autopilot changes to {LOW_BATTERY_ACTIONS[name].get(int(action), 'a mode of its own')} ({name})")
+        return Check(
+            about,
+            Verdict.WARNS,
+            f"{name} is 0: the autopilot only warns, and this program alone returns home",
+        )
+    return Check(
+        about,
+        Verdict.OK,
+        f"the autopilot changes to {LOW_BATTERY_ACTIONS[name].get(int(action), 'a mode of its own')} "
+        f"({name})",
+    )
 
 
-def _fence(firmware: Firmware, parameters: Mapping[str, float], side_m: float, height_m: float) -> list[Check]:
+def _fence(
+    firmware: Firmware, parameters: Mapping[str, float], side_m: float, height_m: float
+) -> list[Check]:
     """Return a line if there is a fence around home; a polygon is not read."""
     if firmware.is_ardupilot:
         kinds = int(parameters.get("FENCE_TYPE", 0.0)) if parameters.get("FENCE_ENABLE") else 0
-        names = [name for bit, name in ((FENCE_CIRCLE, "FENCE_RADIUS"), (FENCE_ALTITUDE, "FENCE_ALT_MAX")) if kinds & bit]
+        names = [
+            name
+            for bit, name in ((FENCE_CIRCLE, "FENCE_RADIUS"), (FENCE_ALTITUDE, "FENCE_ALT_MAX"))
+            if kinds & bit
+        ]
     else:
         names = ["GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"] if parameters.get("GF_ACTION") else []
     limits = {name: limit for name in names if (limit := parameters.get(name, 0.0)) > 0.0}
     needs = dict.fromkeys(("FENCE_RADIUS", "GF_MAX_HOR_DIST"), math.hypot(side_m, side_m))
     tight = [name for name, limit in limits.items() if limit < needs.get(name, height_m)]
-    text = ", ".join(f"{name} is {limit:g} m" + f", the search needs {needs.get(name, height_m):.0f} m" * (name in tight)
-                     for name, limit in limits.items())  # fmt: skip
+    text = ", ".join(
+        f"{name} is {limit:g} m" + f", the search needs {needs.get(name, height_m):.0f} m" * (name in tight)
+        for name, limit in limits.items()
+    )
     return [Check("fence", Verdict.WARNS if tight else Verdict.OK, text)] if limits else []

@@ -15,12 +15,24 @@ from link.bus.mavlink import POSITION_ONLY
 from sitl.autopilot.config import VehicleConfig, metres
 from sitl.autopilot.motion import ZERO, Ned, as_float32
 from sitl.autopilot.setpoint import Setpoint
-from sitl.autopilot.state import ACCEPTED, Arrived, Mode, Result, Said, VehicleEvent, denied, going_on, not_now
+from sitl.autopilot.state import (
+    ACCEPTED,
+    Arrived,
+    Mode,
+    Result,
+    Said,
+    VehicleEvent,
+    denied,
+    going_on,
+    not_now,
+)
 
 STREAM_HZ = 10.0
 """Setpoints a second of the vehicle's time to PX4, from before OFFBOARD on. It wants more than 2."""
 SEND_AGAIN_S = 0.5
-"""Time after which ArduPilot is sent a setpoint again that it has not read back; its target stands until there is another."""
+"""Time after which ArduPilot is sent a setpoint again that it has not read back; its target stands until
+there is another.
+"""
 POLL_S = 0.05
 INSIDE_M = 0.05
 """A reading is taken at least this far inside the area's edge."""
@@ -36,11 +48,13 @@ ARRIVAL = ArrivalRule()
 
 
 class RemoteVehicle:
-    """One real multirotor, or its own simulator. Positions are NED, m from the search area's south-west corner, which is home.
+    """One real multirotor, or its own simulator. Positions are NED, m from the search area's south-west
+    corner, which is home.
 
-    No call waits: a command begins, `mode` shows what is being done, and `advance` tells what comes of it. Times are s of the
-    caller's clock, which runs as fast as the vehicle's own simulator. Setpoints go out only while the caller goes on calling: if it
-    hangs, the autopilot's failsafe sees that they have stopped.
+    No call waits: a command begins, `mode` shows what is being done, and `advance` tells what comes of it.
+    Times are s of the caller's clock, which runs as fast as the vehicle's own simulator. Setpoints go out
+    only while the caller goes on calling: if it hangs, the autopilot's failsafe sees that they have
+    stopped.
     """
 
     def __init__(
@@ -52,7 +66,8 @@ class RemoteVehicle:
         *,
         launched: bool = False,
     ) -> None:
-        """Take the conversation with a vehicle, which need not be there yet; `config` says how high and how far it may fly.
+        """Take the conversation with a vehicle, which need not be there yet; `config` says how high and
+        how far it may fly.
 
         wait_s, launched: how long the search's begin is waited for, as `Preflight` says.
         """
@@ -81,7 +96,9 @@ class RemoteVehicle:
         return self._now
 
     def catch_up(self, t_s: float) -> None:
-        """Take what the vehicle has said; once for each time. Raises VehicleFailed if it cannot fly the search, or no longer."""
+        """Take what the vehicle has said; once for each time. Raises VehicleFailed if it cannot fly the
+        search, or no longer.
+        """
         if t_s <= self._now:
             return
         self._now = t_s
@@ -94,7 +111,10 @@ class RemoteVehicle:
     def advance(self, t_s: float) -> list[VehicleEvent]:
         """Take what the vehicle has said; returns its texts and ours, and its arrival if there is one."""
         self.catch_up(t_s)
-        heard = [Said(self._now, severity, f"{self.flight.firmware.name}: {text}", heard=True) for severity, text in self._known.texts]
+        heard = [
+            Said(self._now, severity, f"{self.flight.firmware.name}: {text}", heard=True)
+            for severity, text in self._known.texts
+        ]
         events: list[VehicleEvent] = [*self.flight.events, *heard]
         self._known.texts.clear()
         self.flight.events.clear()
@@ -111,7 +131,9 @@ class RemoteVehicle:
     @property
     def moving(self) -> bool:
         """True while it flies to a setpoint, or is armed and not at rest."""
-        return self._known.armed and (self._flies_leg or math.hypot(*self._known.velocity) > self._arrival.speed_mps)
+        return self._known.armed and (
+            self._flies_leg or math.hypot(*self._known.velocity) > self._arrival.speed_mps
+        )
 
     @property
     def busy(self) -> bool:
@@ -130,7 +152,9 @@ class RemoteVehicle:
 
     @property
     def wind(self) -> tuple[float, float] | None:
-        """(u cos φ, u sin φ) m/s, to where the wind comes from, as float32; None where the autopilot does not tell, or no longer."""
+        """(u cos φ, u sin φ) m/s, to where the wind comes from, as float32; None where the autopilot does
+        not tell, or no longer.
+        """
         if self._known.wind is None or self._now - self._known.wind_s > self._commander.patient(WIND_S):
             return None
         x, y, _ = as_float32((*self._known.wind, 0.0))
@@ -147,9 +171,13 @@ class RemoteVehicle:
         return self._known.glitches.lasts(self._now)
 
     def arrive_again(self) -> None:
-        """Let the next arrival be at the same waypoint, once the position can be trusted: a reading was in vain."""
+        """Let the next arrival be at the same waypoint, once the position can be trusted: a reading was in
+        vain.
+        """
         assert self._setpoint
-        self._leg = Approach(self._arrival, self._setpoint, self._arrival.deadline_s(self._now, self.position, self._setpoint))
+        self._leg = Approach(
+            self._arrival, self._setpoint, self._arrival.deadline_s(self._now, self.position, self._setpoint)
+        )
 
     def still(self, arrived: Arrived) -> Arrived:
         """Return the arrival as it is now: where it has drifted to since."""
@@ -162,7 +190,9 @@ class RemoteVehicle:
         return self._commander.radio.frames()
 
     def forward(self, frame: bytes, asks_for_mode: str = "") -> None:
-        """Hand a client's frame on to the autopilot, unchanged. asks_for_mode: who sent it, if it may change the flight mode."""
+        """Hand a client's frame on to the autopilot, unchanged. asks_for_mode: who sent it, if it may
+        change the flight mode.
+        """
         if asks_for_mode:
             self.flight.asked_by(asks_for_mode)
         self._commander.radio.forward(frame)
@@ -183,7 +213,10 @@ class RemoteVehicle:
         """Climb straight up to `takeoff_altitude_m` above home, then hold."""
         altitude = self.config.takeoff_altitude_m
         if not 0.0 < altitude <= self.config.ceiling_m:
-            return denied(f"Take-off refused: altitude {metres(altitude)} m, allowed is above 0 and up to {self.config.ceiling_m:g} m")
+            return denied(
+                f"Take-off refused: altitude {metres(altitude)} m, allowed is above 0 and up to "
+                f"{self.config.ceiling_m:g} m"
+            )
         if not self._known.armed:
             return not_now("Take-off refused: disarmed")
         if self.flight.flying:
@@ -204,22 +237,32 @@ class RemoteVehicle:
         if mode is Mode.OFFBOARD and self._setpoint is None:
             return not_now("Offboard refused: no setpoint received yet")
         self._follows = mode is Mode.OFFBOARD
-        {Mode.OFFBOARD: self.flight.fly, Mode.HOLD: self.flight.hold, Mode.RETURN: self.flight.go_home, Mode.LAND: self.flight.land}[mode]()
+        {
+            Mode.OFFBOARD: self.flight.fly,
+            Mode.HOLD: self.flight.hold,
+            Mode.RETURN: self.flight.go_home,
+            Mode.LAND: self.flight.land,
+        }[mode]()
         return ACCEPTED
 
     def setpoint(self, t_s: float, wanted: Ned | Setpoint, *, answers: bool = False) -> Result:
-        """Take a waypoint as the simulated vehicle does: fly there in OFFBOARD, else remember it. The yaw is the autopilot's.
+        """Take a waypoint as the simulated vehicle does: fly there in OFFBOARD, else remember it. The yaw
+        is the autopilot's.
 
-        The agent answers with the altitude that it has read, which is never exactly the one flown: the search's altitude is kept, or
-        the vehicle would drift up or down from reading to reading. A waypoint on the area's edge is flown a little inside, so that the
-        reading is taken inside, wherever around it the vehicle comes to rest.
+        The agent answers with the altitude that it has read, which is never exactly the one flown: the
+        search's altitude is kept, or the vehicle would drift up or down from reading to reading. A
+        waypoint on the area's edge is flown a little inside, so that the reading is taken inside, wherever
+        around it the vehicle comes to rest.
         """
         setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted))
         if setpoint.position is None:
             return denied("Setpoint refused: only positions are handed on to a real autopilot", "no position")
         if refusal := setpoint.refusal(self.config):
             return refusal
-        north, east = (min(max(along_m, self._inset_m), self.config.area_m - self._inset_m) for along_m in setpoint.position[:2])
+        north, east = (
+            min(max(along_m, self._inset_m), self.config.area_m - self._inset_m)
+            for along_m in setpoint.position[:2]
+        )
         down = setpoint.position[2]
         if answers:
             down = -self.config.takeoff_altitude_m
@@ -239,7 +282,8 @@ class RemoteVehicle:
         return self._setpoint
 
     def leave(self) -> str:
-        """Send a vehicle home that nobody else is in charge of; returns what becomes of it, nothing if it stands on the ground.
+        """Send a vehicle home that nobody else is in charge of; returns what becomes of it, nothing if it
+        stands on the ground.
 
         Call it, and `catch_up`, again and again until `left`.
         """
@@ -266,9 +310,12 @@ class RemoteVehicle:
 
     @property
     def left(self) -> bool:
-        """Whether someone else is in charge of it: a pilot, or the autopilot, which returns or lands by itself."""
+        """Whether someone else is in charge of it: a pilot, or the autopilot, which returns or lands by
+        itself.
+        """
         return (
-            not (self.flight.flying and self.flight.in_charge) or self.flight.firmware.reports.get(self._known.custom_mode) in COMING_DOWN
+            not (self.flight.flying and self.flight.in_charge)
+            or self.flight.firmware.reports.get(self._known.custom_mode) in COMING_DOWN
         )
 
     # ---- flight ----
@@ -283,25 +330,40 @@ class RemoteVehicle:
 
     @property
     def mode(self) -> Mode:
-        """The mode in the search's words: what is being done about it counts. One that only pilots fly is HOLD: the search has no part."""
+        """The mode in the search's words: what is being done about it counts. One that only pilots fly is
+        HOLD: the search has no part.
+        """
         if self.flight.doing:
             return self.flight.doing
-        mode = self.flight.firmware.reports.get(self._known.custom_mode, Mode.HOLD) if self._known.armed else Mode.HOLD
+        mode = (
+            self.flight.firmware.reports.get(self._known.custom_mode, Mode.HOLD)
+            if self._known.armed
+            else Mode.HOLD
+        )
         return Mode.HOLD if mode is Mode.OFFBOARD and (self.flight.theirs or not self._follows) else mode
 
     @property
     def _flies_leg(self) -> bool:
-        return self._leg is not None and self.mode is Mode.OFFBOARD and self.flight.doing is None and self.flight.flying
+        return (
+            self._leg is not None
+            and self.mode is Mode.OFFBOARD
+            and self.flight.doing is None
+            and self.flight.flying
+        )
 
     @property
     def position(self) -> Ned:
         """Where it says it is, in the area's frame, as float32."""
-        north, east, down = (there - at for there, at in zip(self._known.position, self._area_at, strict=True))
+        north, east, down = (
+            there - at for there, at in zip(self._known.position, self._area_at, strict=True)
+        )
         return as_float32((north, east, down))
 
     @property
     def _area_at(self) -> Ned:
-        """The area's corner in the EKF's frame. When the position jumps, it moves as well: the vehicle, and the area, have stayed."""
+        """The area's corner in the EKF's frame. When the position jumps, it moves as well: the vehicle,
+        and the area, have stayed.
+        """
         north, east, down = self._corner or ZERO
         shift = self._known.glitches.shift
         return north + shift[0], east + shift[1], down
@@ -320,14 +382,26 @@ class RemoteVehicle:
     def _go_on_with(self, leg: Approach, events: list[VehicleEvent]) -> None:
         """Judge the way to the setpoint by what the vehicle says."""
         (north, east, _), away_m = leg.target, math.dist(self.position, leg.target)
-        if self._known.lost(self._now) or self._known.glitches.lasts(self._now):  # nothing can be said about it meanwhile
-            leg.deadline_s = max(leg.deadline_s, self._arrival.deadline_s(self._now, self.position, leg.target))
-        if leg.arrived(self._known.position_ms / 1000.0, self.position, self._known.velocity, self._known.trusts_place(self._now)):
+        if self._known.lost(self._now) or self._known.glitches.lasts(
+            self._now
+        ):  # nothing can be said about it meanwhile
+            leg.deadline_s = max(
+                leg.deadline_s, self._arrival.deadline_s(self._now, self.position, leg.target)
+            )
+        if leg.arrived(
+            self._known.position_ms / 1000.0,
+            self.position,
+            self._known.velocity,
+            self._known.trusts_place(self._now),
+        ):
             self._leg, self._heard_s = None, self._now
             self._known.glitches.read_s = self._now
             events.append(Arrived(self._now, self.position, self._known.position_ms))
         elif self._is_ignored(leg.target):
-            self.flight.fail(f"Waypoint ({east:.2f}, {north:.2f}) m is ignored by the autopilot: is it outside its geofence?")
+            self.flight.fail(
+                f"Waypoint ({east:.2f}, {north:.2f}) m is ignored by the autopilot: is it outside its "
+                "geofence?"
+            )
         elif self._now > leg.deadline_s:
             self.flight.fail(f"Waypoint ({east:.2f}, {north:.2f}) m not reached in time: {away_m:.1f} m away")
 
@@ -335,8 +409,13 @@ class RemoteVehicle:
         """Whether ArduPilot reads back another target: it ignores what it does not take without a word."""
         said_s = self._known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, -math.inf)
         reads_back = self.flight.firmware.is_ardupilot and self._now - said_s <= self._known.stale_s
-        taken = self._known.target is not None and math.dist(self._known.target, self._in_ekf_frame(target)) <= IGNORED_M
-        self._ignored_since_s = min(self._ignored_since_s, self._now) if reads_back and not taken else math.inf
+        taken = (
+            self._known.target is not None
+            and math.dist(self._known.target, self._in_ekf_frame(target)) <= IGNORED_M
+        )
+        self._ignored_since_s = (
+            min(self._ignored_since_s, self._now) if reads_back and not taken else math.inf
+        )
         return self._now - self._ignored_since_s > self._commander.patient(IGNORED_S)
 
     def _in_ekf_frame(self, position: Ned) -> Ned:
@@ -360,6 +439,12 @@ class RemoteVehicle:
         milliseconds = round(self._now * 1000) & 0xFFFFFFFF
         self._commander.radio.send(
             mavlink.MAVLink_set_position_target_local_ned_message(
-                milliseconds, self._commander.system, AUTOPILOT, mavlink.MAV_FRAME_LOCAL_NED, POSITION_ONLY, *place, *[0.0] * 8
+                milliseconds,
+                self._commander.system,
+                AUTOPILOT,
+                mavlink.MAV_FRAME_LOCAL_NED,
+                POSITION_ONLY,
+                *place,
+                *[0.0] * 8,
             )
         )

@@ -1,4 +1,6 @@
-"""What is done about a real vehicle's troubles: link or position lost, battery low, geofence breached, failsafes of its own."""
+"""What is done about a real vehicle's troubles: link or position lost, battery low, geofence breached,
+failsafes of its own.
+"""
 
 import math
 
@@ -14,10 +16,16 @@ UNKNOWN_S = 1.0
 BLIND_S = 10.0
 """A vehicle that hovers without a position for so long, and does nothing about it, is landed."""
 GLITCHES_S = 120.0
-"""A glitch that lasts for so long ends the search; one that ArduPilot takes for the truth for half a minute lasts for one."""
+"""A glitch that lasts for so long ends the search; one that ArduPilot takes for the truth for half a
+minute lasts for one.
+"""
 SAME_TIME_S = 3.0
 """A failsafe's words, its state and its change of mode come within this time."""
-CRITICAL, WARNING, INFO = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_INFO
+CRITICAL, WARNING, INFO = (
+    mavlink.MAV_SEVERITY_CRITICAL,
+    mavlink.MAV_SEVERITY_WARNING,
+    mavlink.MAV_SEVERITY_INFO,
+)
 
 
 class Watch:
@@ -30,7 +38,9 @@ class Watch:
         self._blind_since_s = math.inf
         self._blind = self._drained = False
         self._explained_s = -math.inf  # the change of mode that a failsafe has made
-        self._judged_s = self._warned_s = -math.inf  # the change of mode, and the critical status, that were looked at last
+        self._judged_s = (
+            self._warned_s
+        ) = -math.inf  # the change of mode, and the critical status, that were looked at last
 
     def look(self, now_s: float) -> None:
         """Look, and act. Raises VehicleFailed when the vehicle has been lost."""
@@ -54,27 +64,40 @@ class Watch:
         elif self._flight.commander.system:
             if self._lost_since_s == math.inf:
                 self._lost_since_s = self._known.heard_s
-                self._flight.say(CRITICAL, "Link lost: the autopilot's own failsafe is in charge; waiting for it")
+                self._flight.say(
+                    CRITICAL, "Link lost: the autopilot's own failsafe is in charge; waiting for it"
+                )
             if self._known.armed and now_s - self._lost_since_s > self._flight.commander.patient(GIVEN_UP_S):
-                raise VehicleFailed(f"link lost for {now_s - self._lost_since_s:.0f} s: the autopilot's own failsafe is in charge")
+                raise VehicleFailed(
+                    f"link lost for {now_s - self._lost_since_s:.0f} s: the autopilot's own failsafe is in "
+                    "charge"
+                )
 
     def _mode(self, now_s: float) -> None:
-        """A failsafe that only hovers leaves nobody in charge: then it is flown home. A pilot is left alone.
+        """A failsafe that only hovers leaves nobody in charge: then it is flown home. A pilot is left
+        alone.
 
-        The HEARTBEAT in which a failsafe's mode is new is the first, or soon after the first, with a critical status; a breach of the fence
-        may have its text alone, before or after. A status that rises later has changed no mode. A sign explains one change: the next is a
-        pilot's, who has seen it.
+        The HEARTBEAT in which a failsafe's mode is new is the first, or soon after the first, with a
+        critical status; a breach of the fence may have its text alone, before or after. A status that
+        rises later has changed no mode. A sign explains one change: the next is a pilot's, who has seen
+        it.
         """
         flight, changed_s = self._flight, self._flight.taken_s
         if not flight.begun or not flight.theirs or changed_s == self._judged_s:
             return
         by_hand = flight.taken_by_client or changed_s - self._explained_s <= SAME_TIME_S
-        struck = 0.0 <= changed_s - self._known.critical_s <= SAME_TIME_S or abs(self._known.breached_s - changed_s) <= SAME_TIME_S
+        struck = (
+            0.0 <= changed_s - self._known.critical_s <= SAME_TIME_S
+            or abs(self._known.breached_s - changed_s) <= SAME_TIME_S
+        )
         if not by_hand and struck:
             self._judged_s = self._explained_s = changed_s
             mode = self._known.custom_mode
             said = self._known.warned(changed_s - SAME_TIME_S)
-            reason = f"{flight.firmware.name} has changed to {flight.firmware.mode_name(mode)} by its failsafe{said and ': '}{said}"
+            reason = (
+                f"{flight.firmware.name} has changed to {flight.firmware.mode_name(mode)} by its "
+                f"failsafe{said and ': '}{said}"
+            )
             if mode in flight.firmware.hovers and flight.taken_from_us:
                 flight.theirs = False
                 flight.fail(reason)
@@ -85,7 +108,9 @@ class Watch:
             self._judged_s = changed_s
 
     def _failsafe(self, now_s: float) -> None:
-        """A failsafe that only warns, as its action is 0. Each is looked at once: a pilot who leads then knows of it."""
+        """A failsafe that only warns, as its action is 0. Each is looked at once: a pilot who leads then
+        knows of it.
+        """
         critical_s = self._known.critical_s
         if critical_s <= self._warned_s or now_s - critical_s <= SAME_TIME_S:
             return
@@ -96,7 +121,10 @@ class Watch:
 
     def _fence(self, now_s: float) -> None:
         if self._ours and now_s - self._known.breach_s <= SAME_TIME_S:
-            self._flight.fail(f"Geofence breached: {self._known.warned(self._known.breach_s - SAME_TIME_S) or 'FENCE_STATUS says so'}")
+            self._flight.fail(
+                "Geofence breached: "
+                f"{self._known.warned(self._known.breach_s - SAME_TIME_S) or 'FENCE_STATUS says so'}"
+            )
 
     def _battery(self) -> None:
         if self._ours and not self._drained and self._known.battery < LOW_BATTERY:  # NaN is not less
@@ -133,7 +161,11 @@ class Watch:
     @property
     def _ours(self) -> bool:
         """Whether it does what we last asked, and that is not to come down."""
-        return self._flight.in_charge and self._flight.doing not in COMING_DOWN and self._reported not in COMING_DOWN
+        return (
+            self._flight.in_charge
+            and self._flight.doing not in COMING_DOWN
+            and self._reported not in COMING_DOWN
+        )
 
     @property
     def _reported(self) -> Mode | None:

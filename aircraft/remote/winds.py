@@ -1,4 +1,6 @@
-"""Where the wind of a real vehicle's readings comes from: given, measured by the payload or estimated by the autopilot, never drawn."""
+"""Where the wind of a real vehicle's readings comes from: given, measured by the payload or estimated by
+the autopilot, never drawn.
+"""
 
 import math
 from collections.abc import Mapping
@@ -9,7 +11,10 @@ from plume.world import float32
 
 Wind = tuple[float, float]
 """(u cos φ, u sin φ) m/s: points to where the wind comes from."""
-WANTED = "SPEED,FROM: m/s from 0 to 100, and the direction that it comes from in degrees within ±360, clockwise from north"
+WANTED = (
+    "SPEED,FROM: m/s from 0 to 100, and the direction that it comes from in degrees within ±360, "
+    "clockwise from north"
+)
 
 
 class WindSource(Enum):
@@ -40,15 +45,21 @@ def in_words(wind: Wind) -> str:
 
 
 def will_estimate(parameters: Mapping[str, float], firmware: str) -> bool:
-    """Return whether an autopilot with these parameters estimates the wind once it flies: on the ground it never does."""
+    """Return whether an autopilot with these parameters estimates the wind once it flies: on the ground it
+    never does.
+    """
     return any(parameters.get(name, 0.0) > 0.0 for name in ESTIMATES[firmware])
 
 
 class Winds:
-    """The wind of each reading. A source that goes quiet is replaced by another one, which is told, or by none: never by a drawn wind."""
+    """The wind of each reading. A source that goes quiet is replaced by another one, which is told, or by
+    none: never by a drawn wind.
+    """
 
     def __init__(self, given: Wind | None, scenario: Wind) -> None:
-        """given: the wind of all readings, whatever payload and autopilot say. scenario: what only a simulated payload knows."""
+        """given: the wind of all readings, whatever payload and autopilot say. scenario: what only a
+        simulated payload knows.
+        """
         self.source: WindSource | None = None
         """Of the last reading, before the first that of the flight; None until it is decided."""
         self.news: list[str] = []
@@ -59,27 +70,37 @@ class Winds:
         """Return the wind that the payload is told, with the autopilot's estimate."""
         return self._given or estimated
 
-    def before(self, measured: Wind | None, estimated: Wind | None, parameters: Mapping[str, float], firmware: str) -> Check:
-        """Decide before arming, by what the payload says on the ground; returns a line of the list. Without any wind there is no flight."""
+    def before(
+        self, measured: Wind | None, estimated: Wind | None, parameters: Mapping[str, float], firmware: str
+    ) -> Check:
+        """Decide before arming, by what the payload says on the ground; returns a line of the list.
+        Without any wind there is no flight.
+        """
         source, wind = self._of(measured, estimated)
         if source is WindSource.NONE and will_estimate(parameters, firmware):
             source = WindSource.AUTOPILOT
         if source is WindSource.NONE:
             return Check(
-                "wind", Verdict.FORBIDS,
-                f"no wind for the readings: neither the payload nor {firmware} tells one; set {', '.join(ESTIMATES[firmware])}, "
+                "wind",
+                Verdict.FORBIDS,
+                f"no wind for the readings: neither the payload nor {firmware} tells one; set "
+                f"{', '.join(ESTIMATES[firmware])}, "
                 "use a payload that measures it, or give it with --wind SPEED,FROM",
-            )  # fmt: skip
+            )
         self.source = source
         return Check("wind", Verdict.OK, f"{source.value}, {in_words(wind) if wind else 'once it flies'}")
 
     def of(self, measured: Wind | None, estimated: Wind | None) -> Wind | None:
-        """Return the wind of a reading: what the payload measured with it, else the autopilot's; None if there is none now."""
+        """Return the wind of a reading: what the payload measured with it, else the autopilot's; None if
+        there is none now.
+        """
         source, wind = self._of(measured, estimated)
         if source is not self.source:
             self.source = source
             quiet = "neither payload nor autopilot tells one; no readings until one does"
-            self.news.append(f"Wind of the readings: {f'now {source.value}, {in_words(wind)}' if wind else quiet}")
+            self.news.append(
+                f"Wind of the readings: {f'now {source.value}, {in_words(wind)}' if wind else quiet}"
+            )
         return wind
 
     def _of(self, measured: Wind | None, estimated: Wind | None) -> tuple[WindSource, Wind | None]:

@@ -6,8 +6,8 @@ import time
 class Clock:
     """The simulation time of one process, in s.
 
-    At speed-up 0 the clock stands still while the vehicle waits, and jumps to the end of each leg that it flies. The times of a
-    mission therefore do not depend on the speed of the computer.
+    At speed-up 0 the clock stands still while the vehicle waits, and jumps to the end of each leg that it
+    flies. The times of a mission therefore do not depend on the speed of the computer.
     """
 
     def __init__(self, speedup: float) -> None:
@@ -30,7 +30,9 @@ class Clock:
         self._idle_since = time.monotonic()
 
     def jump(self, moving: bool, next_event_s: float | None) -> None:
-        """At speed-up 0, jump to the next event: at once if the vehicle moves, else after an equal real time without a setpoint."""
+        """At speed-up 0, jump to the next event: at once if the vehicle moves, else after an equal real
+        time without a setpoint.
+        """
         if next_event_s is None:
             return
         if moving or time.monotonic() - self._idle_since >= next_event_s - self._jumped_s:

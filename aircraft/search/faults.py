@@ -10,7 +10,9 @@ from sitl.script.events import Delay, Dropout, Duplicate, Lose, Spike, Stuck
 
 
 class FaultySensor:
-    """Applies a script's sensor faults to each reading. Values are in the sensor's unit, times are simulation time in s."""
+    """Applies a script's sensor faults to each reading. Values are in the sensor's unit, times are
+    simulation time in s.
+    """
 
     def __init__(self) -> None:
         """Start without faults."""
@@ -34,7 +36,9 @@ class FaultySensor:
         return now_s < self._silent_until_s
 
     def read(self, gas: float) -> float:
-        """Return the faulty value for a true one, as float32 as on the wire. A stuck sensor hides spikes; their readings still count."""
+        """Return the faulty value for a true one, as float32 as on the wire. A stuck sensor hides spikes;
+        their readings still count.
+        """
         gas = float32(gas + sum(added for _, added in self._spikes))
         self._spikes = [(left - 1, added) for left, added in self._spikes if left > 1]
         if self._stuck:
@@ -45,7 +49,9 @@ class FaultySensor:
 
 
 class FaultyRadio:
-    """Loses, delays and duplicates readings on their way to the bus. Its times are real time in s, whatever the speed-up."""
+    """Loses, delays and duplicates readings on their way to the bus. Its times are real time in s,
+    whatever the speed-up.
+    """
 
     def __init__(self, publish: Callable[[bytes], None]) -> None:
         """Take the function that publishes a reading."""

@@ -1,7 +1,9 @@
-"""The search's side of the vehicle: when it begins and ends, and who leads, the search or a pilot. The pilot always wins.
+"""The search's side of the vehicle: when it begins and ends, and who leads, the search or a pilot. The
+pilot always wins.
 
-One rule: the search leads only while it holds control. Anyone else's change of mode takes control at once; the search then leads again
-only when it is given back: a simulated vehicle by OFFBOARD, a real one by a command to its search. Setpoints are the leader's alone.
+One rule: the search leads only while it holds control. Anyone else's change of mode takes control at once;
+the search then leads again only when it is given back: a simulated vehicle by OFFBOARD, a real one by a
+command to its search. Setpoints are the leader's alone.
 """
 
 from collections.abc import Callable
@@ -24,7 +26,9 @@ RETURNING, HOLDING, LANDED = "returning", "holding", "landed"
 
 
 class Search:
-    """One search by one vehicle: arm, take off, fly to the start, follow the agent's waypoints, come home; or let a pilot lead."""
+    """One search by one vehicle: arm, take off, fly to the start, follow the agent's waypoints, come home;
+    or let a pilot lead.
+    """
 
     def __init__(
         self,
@@ -39,7 +43,9 @@ class Search:
         self.found = False
         """True once the stop has been declared."""
         self.answers = Answers()
-        """The readings, and whether the newest is answered: the agent's first waypoint with its time answers it."""
+        """The readings, and whether the newest is answered: the agent's first waypoint with its time
+        answers it.
+        """
         self._vehicle, self._say = vehicle, say
         self._after_stop = after_stop
         self.waypoint: Ned = (start[1], start[0], -vehicle.config.takeoff_altitude_m)
@@ -64,23 +70,31 @@ class Search:
 
     @property
     def waits_for(self) -> str:
-        """Why it has not begun, or how a pilot has ended it, in words; empty if it goes on, or if only the services are missing."""
+        """Why it has not begun, or how a pilot has ended it, in words; empty if it goes on, or if only the
+        services are missing.
+        """
         return self._said if not self._begun or self.state == LANDED else ""
 
     @property
     def measures(self) -> bool:
-        """True if the vehicle's arrival is one at a waypoint of the search: only there readings are taken, one at each."""
+        """True if the vehicle's arrival is one at a waypoint of the search: only there readings are taken,
+        one at each.
+        """
         return self.leads and self.state == SEARCHING and not self.answers.awaited
 
     @property
     def wants_answers(self) -> bool:
-        """True while the search waits for the answer to its newest reading; a paused one keeps the answer for later."""
+        """True while the search waits for the answer to its newest reading; a paused one keeps the answer
+        for later.
+        """
         return self.state in (SEARCHING, PAUSED) and self.answers.awaited and not self.found
 
     # ---- how it goes on ----
 
     def go_on(self, searchers: bool) -> None:
-        """Take the next step of the search where it is due; `searchers` says whether estimator and agent are there."""
+        """Take the next step of the search where it is due; `searchers` says whether estimator and agent
+        are there.
+        """
         if self.state == LANDED:
             return
         now_s, mode = self._vehicle.now_s, self._vehicle.mode
@@ -90,7 +104,9 @@ class Search:
             elif searchers:
                 self._begin(now_s)
         elif not self._vehicle.armed and not self._vehicle.moving:
-            stopped = "ended by a pilot or the autopilot: the motors have stopped in flight" if self.leads else ""
+            stopped = (
+                "ended by a pilot or the autopilot: the motors have stopped in flight" if self.leads else ""
+            )
             ended = f"ended by the pilot: {self._pilot}" if self._pilot else stopped
             self._said, self.leads, self.state = "", False, LANDED
             if ended and not self.found and not self._vehicle.failure:
@@ -108,7 +124,9 @@ class Search:
             self.state = SEARCHING
 
     def led(self, mode: str, by: str) -> None:
-        """A real autopilot's mode or target was changed by a pilot, or by itself; `by`: the client who asked for it, if one has."""
+        """A real autopilot's mode or target was changed by a pilot, or by itself; `by`: the client who
+        asked for it, if one has.
+        """
         if self.under_way and self._vehicle.armed:
             pilot, returned = self._pilot, self.state == RETURNING
             self.give_way(mode, by)
@@ -122,7 +140,9 @@ class Search:
         self._say(mavlink.MAV_SEVERITY_WARNING, f"{gives_way}{mode} by {by or 'the autopilot or its pilot'}")
 
     def give_back(self, by: str) -> Result:
-        """Lead a real vehicle again where the search left off, as someone wants it: no change of mode gives it back."""
+        """Lead a real vehicle again where the search left off, as someone wants it: no change of mode
+        gives it back.
+        """
         if self.found or self._vehicle.failure:
             return not_now(f"Resume refused: {self._vehicle.failure or 'the source is found'}")
         if not self.under_way:
@@ -150,7 +170,9 @@ class Search:
             return
         north, east, _ = self.waypoint
         self.waypoint = north, east, -self._vehicle.config.takeoff_altitude_m  # a client may have changed it
-        if (self._vehicle.armed or self._obeyed(self._vehicle.arm(now_s))) and self._obeyed(self._vehicle.take_off(now_s)):
+        if (self._vehicle.armed or self._obeyed(self._vehicle.arm(now_s))) and self._obeyed(
+            self._vehicle.take_off(now_s)
+        ):
             self.leads = self._begun = True
             self.state = TAKING_OFF
 
@@ -162,7 +184,9 @@ class Search:
         if not self.under_way:
             return
         (x, y), mode = stop.estimate, AFTER_STOP[self._after_stop]
-        self._say(mavlink.MAV_SEVERITY_NOTICE, f"Source found at ({x:.2f}, {y:.2f}) m, spread {stop.spread:.2f} m")
+        self._say(
+            mavlink.MAV_SEVERITY_NOTICE, f"Source found at ({x:.2f}, {y:.2f}) m, spread {stop.spread:.2f} m"
+        )
         if caveat := self._vehicle.caveat:
             self._say(mavlink.MAV_SEVERITY_WARNING, f"The source may be elsewhere: {caveat}")
         if self.leads:
@@ -172,7 +196,9 @@ class Search:
     def _obeyed(self, result: Result) -> bool:
         if not result.accepted:
             going_on = result.code == mavlink.MAV_RESULT_IN_PROGRESS
-            self._say_once(result.reason, mavlink.MAV_SEVERITY_INFO if going_on else mavlink.MAV_SEVERITY_WARNING)
+            self._say_once(
+                result.reason, mavlink.MAV_SEVERITY_INFO if going_on else mavlink.MAV_SEVERITY_WARNING
+            )
         return result.accepted
 
     def _say_once(self, text: str, severity: int = mavlink.MAV_SEVERITY_WARNING) -> None:
@@ -186,7 +212,9 @@ class Search:
         """Take the agent's SET_POSITION_TARGET_LOCAL_NED, which answers the reading of its time."""
         self._vehicle.catch_up(t_s)
         if not self.leads and self._vehicle.mode is Mode.OFFBOARD:
-            return not_now("Waypoint ignored: another client leads")  # the agent is asked again when the search is given back
+            return not_now(
+                "Waypoint ignored: another client leads"
+            )  # the agent is asked again when the search is given back
         setpoint = read(waypoint, self._vehicle.config, 0.0)  # the answer is a position, which no yaw turns
         if isinstance(setpoint, Result):
             return setpoint

@@ -1,4 +1,6 @@
-"""When the events of a mission happen: an event with a step at that step's reading, an event with a time at exactly that time."""
+"""When the events of a mission happen: an event with a step at that step's reading, an event with a time
+at exactly that time.
+"""
 
 import heapq
 import itertools
@@ -18,7 +20,9 @@ class Timeline:
     """The events that are still to come. Times are simulation time in s."""
 
     def __init__(self, events: Sequence[OnBoard] = ()) -> None:
-        """Take the events; simultaneous ones happen in this order. An event with neither step nor time waits for `schedule`."""
+        """Take the events; simultaneous ones happen in this order. An event with neither step nor time
+        waits for `schedule`.
+        """
         self._order = itertools.count()
         self._timed: list[tuple[float, int, Item]] = []
         self._stepped: dict[int, list[OnBoard]] = defaultdict(list)

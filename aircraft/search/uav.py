@@ -19,7 +19,17 @@ from aircraft.search.handling import Handling
 from aircraft.search.search import PAUSED, SEARCHING, STANDBY, Search
 from aircraft.search.timeline import Timeline
 from link.bus.inbox import Inbox
-from link.bus.keys import MAVLINK_IN, PAYLOAD_IN, PAYLOAD_OUT, READING, RESEND_FIRST_S, RESEND_LAST_S, SEARCHERS, STOP, WAYPOINT
+from link.bus.keys import (
+    MAVLINK_IN,
+    PAYLOAD_IN,
+    PAYLOAD_OUT,
+    READING,
+    RESEND_FIRST_S,
+    RESEND_LAST_S,
+    SEARCHERS,
+    STOP,
+    WAYPOINT,
+)
 from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack_waypoint
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
@@ -28,7 +38,20 @@ from link.signing.signer import Signing
 from plume.world import World
 from sitl.autopilot.state import Arrived, Led, Reached, VehicleFailed
 from sitl.autopilot.vehicle import Vehicle
-from sitl.script.events import Delay, Dropout, Duplicate, Hold, Land, Lose, OnBoard, Resume, Return, Spike, Stuck, Wind
+from sitl.script.events import (
+    Delay,
+    Dropout,
+    Duplicate,
+    Hold,
+    Land,
+    Lose,
+    OnBoard,
+    Resume,
+    Return,
+    Spike,
+    Stuck,
+    Wind,
+)
 from sitl.script.script import AfterStop
 from sitl.uav.simulated import FromUdp, SimulatedClients
 
@@ -60,8 +83,10 @@ class Uav:
     ) -> None:
         """Open the links; raises ValueError for a UDP URL that cannot be used.
 
-        vehicle: a real one needs a bus, where its gas sensor answers; outs: UDP URLs; log: the bus's own log if there is a bus;
-        events: the script events that happen on board; after_stop: what the vehicle does once the source is found;
+        vehicle: a real one needs a bus, where its gas sensor answers; outs: UDP URLs; log: the bus's own
+        log if there is a bus;
+        events: the script events that happen on board; after_stop: what the vehicle does once the source
+        is found;
         signing: what signs its UDP links; wind: of a real vehicle's readings, if it is given.
         """
         self._vehicle: Aircraft = vehicle
@@ -74,7 +99,9 @@ class Uav:
         self._tally = log.tally
         self._handling = Handling(log)
         self._timeline = Timeline(events)
-        self._after_hold_s = [event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None]
+        self._after_hold_s = [
+            event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None
+        ]
         self._sensor = FaultySensor()
         self._radio = FaultyRadio(self._publish_reading)
         self._last_reading = b""
@@ -92,10 +119,20 @@ class Uav:
         self._sampled_at = time.monotonic()
         if isinstance(vehicle, Vehicle):
             self._clients: Clients = SimulatedClients(
-                vehicle, self._search, bus, outs, inbox, clock, self._handling, lambda: self._world.wind, signing
-            )  # fmt: skip
+                vehicle,
+                self._search,
+                bus,
+                outs,
+                inbox,
+                clock,
+                self._handling,
+                lambda: self._world.wind,
+                signing,
+            )
         else:
-            from aircraft.remote.passing import RealClients  # a simulated vehicle starts without all of MAVLink's dialects
+            from aircraft.remote.passing import (
+                RealClients,
+            )  # a simulated vehicle starts without all of MAVLink's dialects
 
             assert bus is not None
             self._remote = vehicle
@@ -127,7 +164,9 @@ class Uav:
                     self._live_until(self._clock.now_s())
                     self._meet()
                     self._go_on_with_the_search()
-                    if self._vehicle.failure and not self._vehicle.armed:  # it has given the search up, and stands on the ground again
+                    if (
+                        self._vehicle.failure and not self._vehicle.armed
+                    ):  # it has given the search up, and stands on the ground again
                         raise VehicleFailed(self._vehicle.failure)
                     self._resend()
                     self._clients.serve()
@@ -143,7 +182,10 @@ class Uav:
 
     def _next_event_s(self) -> float | None:
         """Return the time of the next vehicle or script event if no message comes; None if there is none."""
-        return min((at for at in (self._vehicle.next_event_s(), self._timeline.next_s()) if at is not None), default=None)
+        return min(
+            (at for at in (self._vehicle.next_event_s(), self._timeline.next_s()) if at is not None),
+            default=None,
+        )
 
     @property
     def _busy(self) -> bool:
@@ -184,7 +226,9 @@ class Uav:
             real_s = min(real_s, self._asking.next_s() if self._asking else math.inf)
             timeout_s = min(timeout_s, max(real_s - time.monotonic(), 0.0))
         try:
-            return self._inbox.get(timeout=min(timeout_s, SIGNAL_POLL_S))  # the timeout may be infinite: a client can turn all streams off
+            return self._inbox.get(
+                timeout=min(timeout_s, SIGNAL_POLL_S)
+            )  # the timeout may be infinite: a client can turn all streams off
         except queue.Empty:
             return None
 
@@ -238,7 +282,9 @@ class Uav:
                 self._bus.publish_health()
 
     def _ask_for_the_wind(self) -> None:
-        """Ask a real vehicle's payload on the ground whether it measures the wind: before that is known there is no flight."""
+        """Ask a real vehicle's payload on the ground whether it measures the wind: before that is known
+        there is no flight.
+        """
         remote, asking = self._remote, self._asking
         if not (remote and asking) or self._winds.source is not None:
             return
@@ -255,11 +301,15 @@ class Uav:
 
     @property
     def _measures(self) -> bool:
-        """Whether an arrival is measured: at the search's waypoints, and everywhere by a plain vehicle, which has no bus."""
+        """Whether an arrival is measured: at the search's waypoints, and everywhere by a plain vehicle,
+        which has no bus.
+        """
         return self._search.measures or self._bus is None
 
     def _sample(self, arrived: Arrived) -> None:
-        """Take one reading where the vehicle came to rest, and publish it. A sensor without a value publishes NaN and is read again."""
+        """Take one reading where the vehicle came to rest, and publish it. A sensor without a value
+        publishes NaN and is read again.
+        """
         for event in self._timeline.before(self._readings):
             self._perform(event)
         north, east, _ = arrived.position
@@ -267,19 +317,30 @@ class Uav:
         self._last_time_boot_ms = self._search.answers.time_of(boot_ms)
         if self._asking and self._remote:
             self._asked = arrived
-            self._asking.ask(self._last_time_boot_ms, self._readings, arrived.position, self._winds.asked(self._remote.wind))
+            self._asking.ask(
+                self._last_time_boot_ms,
+                self._readings,
+                arrived.position,
+                self._winds.asked(self._remote.wind),
+            )
             return
         lost = self._world.loses(self._readings) and self._tried < self._readings
         self._tried = self._readings
         silent = lost or self._sensor.silent(self._vehicle.now_s)
-        self._read(arrived, math.nan if silent else self._world.gas((east, north), self._readings), self._world.wind)
+        self._read(
+            arrived, math.nan if silent else self._world.gas((east, north), self._readings), self._world.wind
+        )
 
     def _measured(self, remote: "RemoteVehicle", sample: Sample) -> None:
-        """Take the payload's answer, unless the vehicle has been led away; the first, on the ground, says where the wind comes from."""
+        """Take the payload's answer, unless the vehicle has been led away; the first, on the ground, says
+        where the wind comes from.
+        """
         arrived, self._asked = self._asked, None
         if self._winds.source is None:
             known = remote.flight.known
-            remote.preflight.take_wind(self._winds.before(sample.wind, remote.wind, known.parameters, known.firmware.name))
+            remote.preflight.take_wind(
+                self._winds.before(sample.wind, remote.wind, known.parameters, known.firmware.name)
+            )
         elif arrived and self._measures and remote.doubtful:
             remote.arrive_again()
         elif arrived and self._measures:
@@ -343,13 +404,20 @@ class Uav:
             if self._measures and not self._vehicle.moving:
                 self._sample(self._vehicle.still(event))
             return
-        words = " ".join(f"{name} {value}" for name, value in msgspec.structs.asdict(event).items() if value is not None)
+        words = " ".join(
+            f"{name} {value}" for name, value in msgspec.structs.asdict(event).items() if value is not None
+        )
         self._tell(mavlink.MAV_SEVERITY_INFO, f"Script: {event.__struct_config__.tag} {words}")
         match event:
             case Wind(u=u, phi=phi):
                 world = self._world
-                turned = {"u": world.scenario.u if u is None else u, "phi": world.scenario.phi if phi is None else phi}
-                self._world = World(msgspec.structs.replace(world.scenario, **turned), world.seed, world.sensor, world.name)
+                turned = {
+                    "u": world.scenario.u if u is None else u,
+                    "phi": world.scenario.phi if phi is None else phi,
+                }
+                self._world = World(
+                    msgspec.structs.replace(world.scenario, **turned), world.seed, world.sensor, world.name
+                )
             case Dropout() | Stuck() | Spike():
                 self._sensor.begin(event, self._vehicle.now_s)
             case Delay() | Duplicate() | Lose():

@@ -1,4 +1,6 @@
-"""MAVLink over UDP with ground stations and programs: `udpout:HOST:PORT` or `udpin:HOST:PORT`, pymavlink's URLs."""
+"""MAVLink over UDP with ground stations and programs: `udpout:HOST:PORT` or `udpin:HOST:PORT`, pymavlink's
+URLs.
+"""
 
 import logging
 import re
@@ -22,9 +24,13 @@ logger = logging.getLogger(__name__)
 
 LARGEST_DATAGRAM = 65535
 FORGET_AFTER_S = 60.0
-"""A peer of a `udpin` that is silent for this long is dropped: a ground station sends a heartbeat every second."""
+"""A peer of a `udpin` that is silent for this long is dropped: a ground station sends a heartbeat every
+second.
+"""
 MOST_PEERS = 16
-"""A `udpin` answers at most this many peers, the latest to have sent a frame: source addresses are easily forged."""
+"""A `udpin` answers at most this many peers, the latest to have sent a frame: source addresses are easily
+forged.
+"""
 ALLOWED = "udpout:HOST:PORT or udpin:HOST:PORT"
 PX4_SENDS, PX4_LISTENS = 14540, 14580
 """Ports of PX4's first simulated vehicle for programs: where it sends to, and where it listens."""
@@ -34,7 +40,9 @@ class Url(NamedTuple):
     """The parts of a UDP URL."""
 
     listens: bool
-    """True for `udpin`: bind to the address and answer every sender. False for `udpout`: send to the address."""
+    """True for `udpin`: bind to the address and answer every sender. False for `udpout`: send to the
+    address.
+    """
     host: str
     port: int
 
@@ -57,10 +65,14 @@ class Url(NamedTuple):
 
 
 def parse_url(url: str, instance: int = 0) -> Url:
-    """Parse a URL; raises ValueError if it is not valid. A missing port is that of PX4's simulated vehicle of this number."""
+    """Parse a URL; raises ValueError if it is not valid. A missing port is that of PX4's simulated vehicle
+    of this number.
+    """
     match = re.fullmatch(r"udp(in|out):([^\s:/]+)(?::([0-9]{1,5}))?", url)
     if not match or not 1 <= int(match[3] or 1) <= 65535:
-        raise ValueError(f"{url!r} is not a MAVLink UDP URL: allowed is {ALLOWED} with a port from 1 to 65535")
+        raise ValueError(
+            f"{url!r} is not a MAVLink UDP URL: allowed is {ALLOWED} with a port from 1 to 65535"
+        )
     listens = match[1] == "in"
     return Url(listens, match[2], int(match[3] or (PX4_LISTENS if listens else PX4_SENDS) + instance))
 
@@ -78,15 +90,18 @@ class Datagram(NamedTuple):
 MARKER = re.compile(rb"[\xfd\xfe]")
 """The first byte of a frame."""
 MOST_FALSE_STARTS = 500
-"""Bytes in a datagram that look like the start of a frame and are none. Of noise one byte in 128 does; only a flood comes this far."""
+"""Bytes in a datagram that look like the start of a frame and are none. Of noise one byte in 128 does;
+only a flood comes this far.
+"""
 
 
 def decode(datagram: bytes, admits: Callable[[bytes], bool] = lambda _: True) -> Datagram:
-    """Return the messages in a datagram (MAVLink 1 or 2), the number of bytes that belong to none, and the beginning of a last frame.
+    """Return the messages in a datagram (MAVLink 1 or 2), the number of bytes that belong to none, and the
+    beginning of a last frame.
 
     `admits` says of each whole frame whether it may be read; those that may not are passed over.
-    Garbage cannot swallow a good frame that follows it, also not a frame's beginning whose end never comes. After `MOST_FALSE_STARTS`
-    the rest of the datagram is garbage.
+    Garbage cannot swallow a good frame that follows it, also not a frame's beginning whose end never
+    comes. After `MOST_FALSE_STARTS` the rest of the datagram is garbage.
     """
     parser = mavlink.MAVLink(None)
     messages: list[Message] = []
@@ -103,7 +118,11 @@ def decode(datagram: bytes, admits: Callable[[bytes], bool] = lambda _: True) ->
         else:
             false_starts += 1
             at = start + 1
-            if frame is None and rest_at == len(datagram) and _may_begin(datagram[start : start + 3], len(datagram) - start):
+            if (
+                frame is None
+                and rest_at == len(datagram)
+                and _may_begin(datagram[start : start + 3], len(datagram) - start)
+            ):
                 rest_at = start
     rest = datagram[rest_at:] if false_starts < MOST_FALSE_STARTS else b""
     return Datagram(messages, len(datagram) - used - len(rest), rest)
@@ -117,7 +136,9 @@ def _may_begin(head: bytes, left: int) -> bool:
 
 
 def _message(parser: mavlink.MAVLink, datagram: bytes, frame: Frame) -> Message | None:
-    """Return the message of a frame; None if its checksum is wrong, or its type unknown: then the checksum cannot be verified."""
+    """Return the message of a frame; None if its checksum is wrong, or its type unknown: then the checksum
+    cannot be verified.
+    """
     layout = LAYOUTS.get(frame.message_id)
     if layout is None or frame.message_id in ADDED:  # none of them asks for anything
         return None
@@ -131,14 +152,21 @@ def _message(parser: mavlink.MAVLink, datagram: bytes, frame: Frame) -> Message 
 
 
 class UdpLink:
-    """Sends messages to its peers and passes received ones, with the sender's HOST:PORT, to a callback, in a thread of its own.
+    """Sends messages to its peers and passes received ones, with the sender's HOST:PORT, to a callback, in
+    a thread of its own.
 
-    A `udpout` has one peer, its address, whether or not anyone answers there; a message that cannot be sent is lost, as on a radio.
-    The peers of a `udpin` are all who sent it a frame in the last minute, other than a radio's RADIO_STATUS, which needs no signature.
+    A `udpout` has one peer, its address, whether or not anyone answers there; a message that cannot be
+    sent is lost, as on a radio. The peers of a `udpin` are all who sent it a frame in the last minute,
+    other than a radio's RADIO_STATUS, which needs no signature.
     """
 
     def __init__(
-        self, url: str, on_message: Callable[[Message, str], None], system: int = 1, component: int = 1, signer: Signer | None = None
+        self,
+        url: str,
+        on_message: Callable[[Message, str], None],
+        system: int = 1,
+        component: int = 1,
+        signer: Signer | None = None,
     ) -> None:
         """Open the link; raises ValueError if the URL is not valid or its host or port cannot be used.
 
@@ -148,12 +176,16 @@ class UdpLink:
         """Received bytes that belong to no message."""
         where = parse_url(url)
         self.rests: dict[tuple[str, int], bytes] = {}
-        """Of each peer, the beginning of a frame that its last datagram ended with; of strangers, the latest `MOST_PEERS`."""
+        """Of each peer, the beginning of a frame that its last datagram ended with; of strangers, the
+        latest `MOST_PEERS`.
+        """
         self._codec = Codec(system, component)
         self.signer = signer
         self._on_message = on_message
         self._heard: dict[tuple[str, int], float] | None = {} if where.listens else None
-        """When each peer of a `udpin` was last heard, the latest last. Replaced as a whole because two threads use it."""
+        """When each peer of a `udpin` was last heard, the latest last. Replaced as a whole because two
+        threads use it.
+        """
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             if where.listens:
@@ -162,7 +194,9 @@ class UdpLink:
                 self._socket.connect(where[1:])  # from now on the kernel delivers only this peer's datagrams
         except OSError as error:
             self._socket.close()
-            raise ValueError(f"{url!r} cannot be used: {error.strerror}; allowed is {ALLOWED} with a usable IPv4 host") from None
+            raise ValueError(
+                f"{url!r} cannot be used: {error.strerror}; allowed is {ALLOWED} with a usable IPv4 host"
+            ) from None
         self._socket.setblocking(False)
         self._wake, self._woken = socket.socketpair()
         self._thread = threading.Thread(target=self._receive, name=f"mavlink {url}", daemon=True)
@@ -207,7 +241,9 @@ class UdpLink:
         """Return the messages of a peer's datagram; a frame may have begun in its last one."""
         signer, sender = self.signer, f"{peer[0]}:{peer[1]}"
         data = self.rests.pop(peer, b"") + datagram
-        messages, garbage, rest = decode(data, lambda frame: signer.admits(frame, sender)) if signer else decode(data)
+        messages, garbage, rest = (
+            decode(data, lambda frame: signer.admits(frame, sender)) if signer else decode(data)
+        )
         self.garbage += garbage
         if rest:
             strangers = [other for other in self.rests if other not in (self._heard or {})]

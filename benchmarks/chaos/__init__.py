@@ -1,1 +1,3 @@
-"""The fault campaign: seeded missions with faults drawn by their seeds, each judged by what it leaves as evidence."""
+"""The fault campaign: seeded missions with faults drawn by their seeds, each judged by what it leaves as
+evidence.
+"""

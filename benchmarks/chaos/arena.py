@@ -1,4 +1,6 @@
-"""Where a mission flies: namespaces of its own, a second machine behind a link that loses packets, a clock that can be stepped."""
+"""Where a mission flies: namespaces of its own, a second machine behind a link that loses packets, a clock
+that can be stepped.
+"""
 
 import contextlib
 import mmap
@@ -23,11 +25,18 @@ def lacking() -> dict[str, str]:
     missing: dict[str, str] = {}
     tries = (
         ("", ("true",), "no namespaces: `unshare --user --net` is not permitted"),
-        ("split", ("sh", "-c", "ip link add one type veth peer name two && nft add table inet x"), "needs ip and nft, and their rights"),
+        (
+            "split",
+            ("sh", "-c", "ip link add one type veth peer name two && nft add table inet x"),
+            "needs ip and nft, and their rights",
+        ),
         ("disk", ("mount", "-t", "tmpfs", "tmpfs", "/mnt"), "needs leave to mount a small disk"),
-    )  # fmt: skip
+    )
     for what, command, reason in tries:
-        if shutil.which("unshare") is None or subprocess.run([*UNSHARE, *command], capture_output=True, check=False).returncode:
+        if (
+            shutil.which("unshare") is None
+            or subprocess.run([*UNSHARE, *command], capture_output=True, check=False).returncode
+        ):
             missing[what] = reason
     if shutil.which("cc") is None:
         missing["clock"] = "needs a C compiler, cc"
@@ -46,7 +55,9 @@ def _run(*command: str) -> None:
 
 
 class FarMachine:
-    """A network namespace behind a link whose packets can be dropped, in both directions, where they arrive."""
+    """A network namespace behind a link whose packets can be dropped, in both directions, where they
+    arrive.
+    """
 
     def __init__(self) -> None:
         """Make it. The namespace lives as long as a process in it."""
@@ -57,12 +68,18 @@ class FarMachine:
         while os.stat(f"/proc/{self._anchor.pid}/ns/net").st_ino == own:
             if self._anchor.poll() is not None:
                 raise OSError("cannot make a network namespace")
-        _run("ip", "link", "add", "near", "type", "veth", "peer", "name", "far", "netns", str(self._anchor.pid))
+        _run(
+            "ip", "link", "add", "near", "type", "veth", "peer", "name", "far", "netns", str(self._anchor.pid)
+        )
         for there, link, address in (([], "near", NEAR), (self.prefix, "far", FAR)):
             _run(*there, "ip", "address", "add", f"{address}/30", "dev", link)
             _run(*there, "ip", "link", "set", link, "up")
             _run(*there, "ip", "link", "set", "lo", "up")
-            _run(*there, "nft", "add table inet chaos; add chain inet chaos arriving { type filter hook input priority 0; }")
+            _run(
+                *there,
+                "nft",
+                "add table inet chaos; add chain inet chaos arriving { type filter hook input priority 0; }",
+            )
 
     def drop(self, share: float) -> None:
         """Drop this share of the packets from now on: 0 none, 1 all."""
@@ -96,7 +113,9 @@ class SteppedClock:
 
 
 def processes(marker: str) -> dict[int, str]:
-    """Return the running processes whose environment holds a text, with their command lines; this one is left out."""
+    """Return the running processes whose environment holds a text, with their command lines; this one is
+    left out.
+    """
     found = {}
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit() and int(folder.name) != os.getpid():
@@ -118,9 +137,15 @@ def sockets(port: int) -> list[str]:
 
 
 def shared_memory() -> list[str]:
-    """Return the files in shared memory that this process does not use, where the memory is this mission's own."""
+    """Return the files in shared memory that this process does not use, where the memory is this mission's
+    own.
+    """
     used = Path("/proc/self/maps").read_text()
-    return sorted(str(path) for path in SHARED_MEMORY.iterdir() if str(path) not in used) if os.environ.get(ISOLATED) else []
+    return (
+        sorted(str(path) for path in SHARED_MEMORY.iterdir() if str(path) not in used)
+        if os.environ.get(ISOLATED)
+        else []
+    )
 
 
 def open_files(pid: int) -> set[str]:

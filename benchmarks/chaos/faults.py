@@ -30,7 +30,9 @@ class Fault(msgspec.Struct, frozen=True, omit_defaults=True):
     for_s: float = 0.0
     """How long it lasts, or how late something is, real time in s."""
     amount: float = 0.0
-    """What else has a size: the share of packets dropped, the step of the clock in s, the bytes of the disk."""
+    """What else has a size: the share of packets dropped, the step of the clock in s, the bytes of the
+    disk.
+    """
 
 
 class Kind(NamedTuple):
@@ -45,7 +47,9 @@ class Kind(NamedTuple):
     amount: tuple[float, float] = (0.0, 0.0)
     from_start: bool = False
     split: bool = False
-    """Needs a part on another machine: a network namespace of its own, behind a link whose packets can be dropped."""
+    """Needs a part on another machine: a network namespace of its own, behind a link whose packets can be
+    dropped.
+    """
 
 
 ENDS = "the mission ends as if undisturbed"
@@ -53,23 +57,53 @@ KINDS: Mapping[str, Kind] = {
     "kill": Kind(
         "SIGKILL of a part; router, estimator and agent are started again after at most 5 s",
         f"{ENDS}; without the uav it fails and says so, and all parts end with the launcher",
-        PARTS, (0.1, 5.0),
+        PARTS,
+        (0.1, 5.0),
     ),
     "hang": Kind("SIGSTOP of a part for 1 to 20 s", ENDS, PARTS, (1.0, 20.0)),
-    "cut": Kind("a relay between a part and the router stalls for 1 to 15 s", ENDS, ("uav", "estimator", "agent"), (1.0, 15.0)),
-    "unplug": Kind("the link to a part's machine drops all packets for 1 to 15 s", ENDS, ("uav", "estimator", "agent"), (1.0, 15.0),
-                   split=True),
-    "loss": Kind("the link to a part's machine drops 10 to 30% of packets, both ways", ENDS, ("uav", "estimator", "agent"),
-                 amount=(0.1, 0.3), from_start=True, split=True),
+    "cut": Kind(
+        "a relay between a part and the router stalls for 1 to 15 s",
+        ENDS,
+        ("uav", "estimator", "agent"),
+        (1.0, 15.0),
+    ),
+    "unplug": Kind(
+        "the link to a part's machine drops all packets for 1 to 15 s",
+        ENDS,
+        ("uav", "estimator", "agent"),
+        (1.0, 15.0),
+        split=True,
+    ),
+    "loss": Kind(
+        "the link to a part's machine drops 10 to 30% of packets, both ways",
+        ENDS,
+        ("uav", "estimator", "agent"),
+        amount=(0.1, 0.3),
+        from_start=True,
+        split=True,
+    ),
     "radio": Kind("the vehicle's radio delays, duplicates and loses readings", ENDS, (), (0.1, 3.0)),
-    "echo": Kind("a stranger publishes old readings again: up to 3 times each, up to 3 s late, in any order", ENDS),
+    "echo": Kind(
+        "a stranger publishes old readings again: up to 3 times each, up to 3 s late, in any order", ENDS
+    ),
     "deaf": Kind("a subscriber to every key that never reads", ENDS),
-    "second": Kind("a second estimator or agent, with other settings", f"{ENDS}; the second is refused with one line",
-                   ("estimator", "agent")),
-    "clock": Kind("the wall clock of all parts is stepped by 1 s to 1 day, forward or back", ENDS, amount=(1.0, 86_400.0)),
-    "disk": Kind("the disk under the record is full at 40 to 400 kB", f"{ENDS}; the record says why it stops", amount=(4e4, 4e5),
-                 from_start=True),
-}  # fmt: skip
+    "second": Kind(
+        "a second estimator or agent, with other settings",
+        f"{ENDS}; the second is refused with one line",
+        ("estimator", "agent"),
+    ),
+    "clock": Kind(
+        "the wall clock of all parts is stepped by 1 s to 1 day, forward or back",
+        ENDS,
+        amount=(1.0, 86_400.0),
+    ),
+    "disk": Kind(
+        "the disk under the record is full at 40 to 400 kB",
+        f"{ENDS}; the record says why it stops",
+        amount=(4e4, 4e5),
+        from_start=True,
+    ),
+}
 
 
 def plan(seed: int, only: str | None = None) -> list[Fault]:
@@ -82,14 +116,21 @@ def plan(seed: int, only: str | None = None) -> list[Fault]:
     count = 1 + int(rng.integers(MOST_FAULTS))
     split = KINDS[first].split
     # On two machines nothing of the first is relayed; on one machine no packet can be dropped.
-    others = [kind for kind in kinds if kind not in (first, "cut" if split else "") and (split or not KINDS[kind].split)]
+    others = [
+        kind
+        for kind in kinds
+        if kind not in (first, "cut" if split else "") and (split or not KINDS[kind].split)
+    ]
     others = [str(kind) for kind in rng.permutation(others)][: count - 1]
     if split:
         others = [kind for kind in others if not KINDS[kind].split]
     drawn = [_draw(kind, rng) for kind in (first, *others)]
     twice = {fault.part for fault in drawn if fault.kind == "second"}
-    # Of a part that is gone for a while the second one takes the place: nobody can tell which of them is meant.
-    return sorted((it for it in drawn if it.kind not in SILENCES or it.part not in twice), key=lambda fault: fault.step)
+    # Of a part that is gone for a while the second one takes the place: nobody can tell which of them is
+    # meant.
+    return sorted(
+        (it for it in drawn if it.kind not in SILENCES or it.part not in twice), key=lambda fault: fault.step
+    )
 
 
 def is_split(faults: list[Fault]) -> bool:

@@ -50,7 +50,8 @@ class Hands:
         late = [
             fault
             for fault in self._mission.faults
-            if fault not in self._done and any(scripted.get(fault.kind, "\0").format(fault.part) in line for line in said)
+            if fault not in self._done
+            and any(scripted.get(fault.kind, "\0").format(fault.part) in line for line in said)
         ]
         return [*self._done, *late]
 
@@ -83,9 +84,14 @@ class Hands:
                 assert mission.far
                 mission.far.drop(fault.amount)
             case "deaf" | "echo":
-                mission.start(fault.kind, "benchmarks.chaos.strangers", fault.kind, mission.endpoint, str(mission.seed))
+                mission.start(
+                    fault.kind, "benchmarks.chaos.strangers", fault.kind, mission.endpoint, str(mission.seed)
+                )
             case "second":
-                words = {"estimator": ["--particles", "500", "--seed", "7"], "agent": ["--policy", "random", "--seed", "7"]}[part]
+                words = {
+                    "estimator": ["--particles", "500", "--seed", "7"],
+                    "agent": ["--policy", "random", "--seed", "7"],
+                }[part]
                 mission.start(f"second {part}", part, "--connect", mission.endpoint, *words)
             case "clock":
                 assert mission.clock
@@ -100,6 +106,8 @@ class Hands:
         mission = self._mission
         old = mission.parts[part]
         old.ended(1.0)
-        words = ("sitl", "router", "--listen", mission.endpoint) if part == "router" else mission.service(part)
+        words = (
+            ("sitl", "router", "--listen", mission.endpoint) if part == "router" else mission.service(part)
+        )
         if mission.parts["launcher"].process.poll() is None:
             mission.start(part, *words, far=part == far(mission.faults))

@@ -20,16 +20,25 @@ AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN = "as undisturbed", "failsafe", "failed, 
 OUTCOMES = (AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN)
 GAVE_UP = "the uav landed before the search was over; its last words: "
 START_S = 5.0
-"""A second service that ran for less beside the mission, on a core of its own, may not have joined before the mission's end."""
+"""A second service that ran for less beside the mission, on a core of its own, may not have joined before
+the mission's end.
+"""
 REASON = "No setpoint for "
 """What the vehicle says before it returns home for want of waypoints."""
 SILENT = " has said nothing for "
-LACKS = ("warning: the record lacks the last readings", "warning: the recorder hangs and is killed", "messages of reading are lost")
-"""What launcher and recorder say of a record that lacks readings: the flight has priority over its record."""
+LACKS = (
+    "warning: the record lacks the last readings",
+    "warning: the recorder hangs and is killed",
+    "messages of reading are lost",
+)
+"""What launcher and recorder say of a record that lacks readings: the flight has priority over its record.
+"""
 MISSED = "beliefs were not received: of these the trace has the readings"
 """What the launcher says of beliefs that a link dropped."""
 UNREACHED = "error: --connect: no router at "
-"""What a part says that cannot join: over a link that drops packets this may take longer than its patience. Then nothing flies."""
+"""What a part says that cannot join: over a link that drops packets this may take longer than its
+patience. Then nothing flies.
+"""
 
 
 class Evidence(msgspec.Struct, frozen=True):
@@ -78,7 +87,15 @@ def judge(evidence: Evidence) -> Verdict:
     reasons += _second(evidence)
     reasons += _record(evidence, trace, outcome.ceased, ended)
     said = () if ended == AS_UNDISTURBED and not reasons else evidence.err[-6:]
-    return Verdict(evidence.seed, BROKEN if reasons else ended, tuple(reasons), evidence.done, len(trace) - 1, evidence.wall_s, tuple(said))
+    return Verdict(
+        evidence.seed,
+        BROKEN if reasons else ended,
+        tuple(reasons),
+        evidence.done,
+        len(trace) - 1,
+        evidence.wall_s,
+        tuple(said),
+    )
 
 
 def hit(evidence: Evidence, kind: str) -> set[str]:
@@ -98,7 +115,14 @@ def _ended(evidence: Evidence, trace: list[TracePoint], ceased: bool) -> tuple[s
                 if one["spread"] is None:  # its belief did not come: the reading stands alone
                     other |= {"mean": [None, None], "spread": None}
         if flown["trace"] != wanted or flown["ceased"] != ceased:
-            at = next((i for i, (one, other) in enumerate(zip(flown["trace"], wanted, strict=False)) if one != other), len(wanted))
+            at = next(
+                (
+                    i
+                    for i, (one, other) in enumerate(zip(flown["trace"], wanted, strict=False))
+                    if one != other
+                ),
+                len(wanted),
+            )
             return BROKEN, [f"the trace differs from step {at} on"]
         return AS_UNDISTURBED, []
     if evidence.status == -9 and "launcher" in killed:
@@ -112,7 +136,9 @@ def _ended(evidence: Evidence, trace: list[TracePoint], ceased: bool) -> tuple[s
     if SILENT in last and last.startswith("error: the "):
         part = last.split()[2]
         silenced = hit(evidence, "hang") | hit(evidence, "unplug") | hit(evidence, "cut")
-        return TOLD, [] if part in silenced or "router" in silenced or hit(evidence, "loss") else [f"a part hangs by itself: {last}"]
+        return TOLD, [] if part in silenced or "router" in silenced or hit(evidence, "loss") else [
+            f"a part hangs by itself: {last}"
+        ]
     return BROKEN, [f"status {evidence.status}: {last or 'no last words'}"]
 
 
@@ -130,7 +156,9 @@ def _second(evidence: Evidence) -> list[str]:
 
 def _record(evidence: Evidence, trace: list[TracePoint], ceased: bool, ended: str) -> list[str]:
     """Return what the record shows that must not be, and what it must show and lacks."""
-    wounded = "recorder" in hit(evidence, "kill") | hit(evidence, "hang") or "launcher" in hit(evidence, "kill")
+    wounded = "recorder" in hit(evidence, "kill") | hit(evidence, "hang") or "launcher" in hit(
+        evidence, "kill"
+    )
     full = bool(hit(evidence, "disk"))
     unreached = ended == TOLD and any(line.startswith(UNREACHED) for line in evidence.err)
     try:
@@ -139,9 +167,9 @@ def _record(evidence: Evidence, trace: list[TracePoint], ceased: bool, ended: st
         return [] if wounded or full or unreached else [f"record: {error}"]
     payloads: dict[str, list[bytes]] = {}
     wrong: list[str] = []
-    link_lost = hit(evidence, "unplug") | hit(evidence, "loss") | hit(evidence, "cut") or "router" in hit(evidence, "kill") | hit(
-        evidence, "hang"
-    )
+    link_lost = hit(evidence, "unplug") | hit(evidence, "loss") | hit(evidence, "cut") or "router" in hit(
+        evidence, "kill"
+    ) | hit(evidence, "hang")
     for entry in recording.entries:
         if reason := _unreadable(entry.key, entry.payload):
             wrong += [] if link_lost else [f"a message on {entry.key} cannot be read: {reason}"]
@@ -156,7 +184,11 @@ def _record(evidence: Evidence, trace: list[TracePoint], ceased: bool, ended: st
     if wounded:
         return wrong
     if full and not recording.complete:
-        return wrong if any("recording stopped" in line for line in evidence.err) else [*wrong, "the full disk is not told"]
+        return (
+            wrong
+            if any("recording stopped" in line for line in evidence.err)
+            else [*wrong, "the full disk is not told"]
+        )
     if not (recording.complete or told):
         wrong.append("the record is not complete")
     if ended == AS_UNDISTURBED and len(readings) != len(trace) and not told:
@@ -169,7 +201,8 @@ def _record(evidence: Evidence, trace: list[TracePoint], ceased: bool, ended: st
 def _unreadable(key: str, payload: bytes) -> str:
     """Return why a message is not of its key's type; empty if it is, or if any is allowed.
 
-    Where a link is lost and joined again, Zenoh may hand the last messages of the old one to a wrong key. All who receive refuse them.
+    Where a link is lost and joined again, Zenoh may hand the last messages of the old one to a wrong key.
+    All who receive refuse them.
     """
     try:
         if key == READING.name:
@@ -181,8 +214,11 @@ def _unreadable(key: str, payload: bytes) -> str:
     return ""
 
 
-def _readings(payloads: list[bytes], trace: list[TracePoint], *, gaps: bool) -> tuple[list[str], dict[int, int]]:
-    """Each reading is taken once, where the undisturbed mission took it; returns their steps by time as well.
+def _readings(
+    payloads: list[bytes], trace: list[TracePoint], *, gaps: bool
+) -> tuple[list[str], dict[int, int]]:
+    """Each reading is taken once, where the undisturbed mission took it; returns their steps by time as
+    well.
 
     gaps: the record may lack some, as it has told.
     """
@@ -196,10 +232,21 @@ def _readings(payloads: list[bytes], trace: list[TracePoint], *, gaps: bool) -> 
     step = 0
     for number, time_boot_ms in enumerate(sorted(by_time)):
         reading = unpack_reading(by_time[time_boot_ms], 1)
-        while gaps and step < len(trace) and (reading.position, reading.gas) != (trace[step].position, trace[step].reading):
+        while (
+            gaps
+            and step < len(trace)
+            and (reading.position, reading.gas) != (trace[step].position, trace[step].reading)
+        ):
             step += 1
-        if step >= len(trace) or (reading.position, reading.gas) != (trace[step].position, trace[step].reading):
-            return [*wrong, f"reading {number} is not that of the undisturbed mission: a waypoint was lost or flown twice"], steps
+        if step >= len(trace) or (reading.position, reading.gas) != (
+            trace[step].position,
+            trace[step].reading,
+        ):
+            return [
+                *wrong,
+                f"reading {number} is not that of the undisturbed mission: a waypoint was lost or flown "
+                "twice",
+            ], steps
         steps[time_boot_ms] = step
         step += 1
     return wrong, steps
@@ -208,7 +255,10 @@ def _readings(payloads: list[bytes], trace: list[TracePoint], *, gaps: bool) -> 
 def _beliefs(payloads: list[bytes], trace: list[TracePoint]) -> list[str]:
     for payload in payloads:
         said = msgspec.json.decode(payload, type=Belief)
-        if said.step >= len(trace) or TracePoint(said.position, said.gas, said.mean, said.spread) != trace[said.step]:
+        if (
+            said.step >= len(trace)
+            or TracePoint(said.position, said.gas, said.mean, said.spread) != trace[said.step]
+        ):
             return [f"a belief of step {said.step} is not that of the undisturbed mission"]
     return []
 
@@ -217,8 +267,12 @@ def _waypoints(payloads: Iterable[bytes], steps: Mapping[int, int], trace: list[
     """Every answer to a reading leads where the undisturbed mission went."""
     wrong = []
     for message in itertools.chain.from_iterable(map(_messages, payloads)):
-        step = steps.get(message.time_boot_ms) if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED" else None
-        if step is not None and (step + 1 >= len(trace) or (message.y, message.x) != trace[step + 1].position):
+        step = (
+            steps.get(message.time_boot_ms) if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED" else None
+        )
+        if step is not None and (
+            step + 1 >= len(trace) or (message.y, message.x) != trace[step + 1].position
+        ):
             wrong.append(f"a waypoint of step {step} is not that of the undisturbed mission")
     return wrong[:1]
 

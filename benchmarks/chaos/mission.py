@@ -1,4 +1,6 @@
-"""Flies one mission with its faults, in processes, and gathers what they leave: `python -m benchmarks.chaos.mission SEED [KIND]`."""
+"""Flies one mission with its faults, in processes, and gathers what they leave: `python -m
+benchmarks.chaos.mission SEED [KIND]`.
+"""
 
 import contextlib
 import os
@@ -54,7 +56,14 @@ class Part:
         """Start it."""
         self.began = time.monotonic()
         self.process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace", env=env, cwd=cwd
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            env=env,
+            cwd=cwd,
         )
         self.out: list[str] = []
         self.err: list[str] = []
@@ -139,7 +148,9 @@ class Mission:
             flags += ["--connect", self.endpoint]
         else:
             flags += ["--listen", self.endpoint]
-        launcher = self.start("launcher", "sitl", "fly", str(file), *flags, far=bool(self.far) and far(self.faults) == "uav")
+        launcher = self.start(
+            "launcher", "sitl", "fly", str(file), *flags, far=bool(self.far) and far(self.faults) == "uav"
+        )
         if "station" in hit:
             there = bool(self.far) and far(self.faults) == "uav"
             url = f"udpin:127.0.0.1:{STATION_PORT}"
@@ -159,7 +170,9 @@ class Mission:
         return found
 
     def end(self) -> list[str]:
-        """End what this program started; returns what is left of the launcher's processes, and then of all."""
+        """End what this program started; returns what is left of the launcher's processes, and then of
+        all.
+        """
         own = {part.process.pid for part in self.parts.values()}
         left = self._left(own)
         held: set[str] = set()
@@ -183,7 +196,11 @@ class Mission:
         """Wait for the processes of this mission to end, but for some; returns those that do not."""
         deadline = time.monotonic() + END_S
         while True:
-            left = {pid: words for pid, words in processes(f"CHAOS_MISSION={self.marker}").items() if pid not in but}
+            left = {
+                pid: words
+                for pid, words in processes(f"CHAOS_MISSION={self.marker}").items()
+                if pid not in but
+            }
             if not left or time.monotonic() >= deadline:
                 return [f"process {words}" for words in left.values()]
             time.sleep(LOOK_S)
@@ -208,7 +225,11 @@ def _script(seed: int, faults: list[Fault]) -> Script:
 
 
 def _written(script: Script) -> dict[str, Any]:
-    return {"seed": script.seed, "speedup": script.speedup, "events": [msgspec.to_builtins(event) for event in script.events]}
+    return {
+        "seed": script.seed,
+        "speedup": script.speedup,
+        "events": [msgspec.to_builtins(event) for event in script.events],
+    }
 
 
 def _free_port() -> int:

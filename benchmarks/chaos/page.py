@@ -31,7 +31,9 @@ class Row(msgspec.Struct, frozen=True):
     def of(cls, said: Mapping[str, Any], only: str) -> "Row":
         """Return the row of a verdict."""
         happened = ";".join(f"{fault['kind']} {fault.get('part', '')}".strip() for fault in said["done"])
-        return cls(said["seed"], only, said["words"], happened, said["outcome"], said["steps"], said["wall_s"])
+        return cls(
+            said["seed"], only, said["words"], happened, said["outcome"], said["steps"], said["wall_s"]
+        )
 
     def cells(self) -> tuple[Any, ...]:
         """Return its cells, in the order of COLUMNS."""
@@ -51,7 +53,9 @@ def read(path: Path) -> dict[tuple[int, str], Row]:
 
 
 def page(text: str, rows: Collection[Row]) -> str:
-    """Return the page with its table made anew; its prose stays. Raises ValueError if it has no place for the table."""
+    """Return the page with its table made anew; its prose stays. Raises ValueError if it has no place for
+    the table.
+    """
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end:
@@ -66,7 +70,13 @@ def table(rows: Collection[Row]) -> str:
         for part in KINDS[kind].parts or ("",):
             hit = [row for row in rows if f"{kind} {part}".strip() in row.happened.split(";")]
             first = part in ("", *KINDS[kind].parts[:1])
-            lines.append([f"`{kind}`{' ' * bool(part)}{part}", *((what, promise) if first else ("", "")), *_counts(hit)])
+            lines.append(
+                [
+                    f"`{kind}`{' ' * bool(part)}{part}",
+                    *((what, promise) if first else ("", "")),
+                    *_counts(hit),
+                ]
+            )
     lines.append(["all", "", "", *_counts(rows)])
     heads = ["fault", "what happens", "promise", "missions", AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN]
     told = "".join(f"| {' | '.join(line)} |\n" for line in (heads, ["---"] * len(heads), *lines))
@@ -74,4 +84,10 @@ def table(rows: Collection[Row]) -> str:
 
 
 def _counts(rows: Collection[Row]) -> list[str]:
-    return [str(len(rows)), *(str(sum(row.outcome == outcome for row in rows)) for outcome in (AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN))]
+    return [
+        str(len(rows)),
+        *(
+            str(sum(row.outcome == outcome for row in rows))
+            for outcome in (AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN)
+        ),
+    ]

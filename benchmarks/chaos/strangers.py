@@ -1,4 +1,6 @@
-"""Processes that do not belong on a bus: `python -m benchmarks.chaos.strangers deaf|echo|station ENDPOINT SEED`."""
+"""Processes that do not belong on a bus: `python -m benchmarks.chaos.strangers deaf|echo|station ENDPOINT
+SEED`.
+"""
 
 import heapq
 import sys
@@ -19,11 +21,20 @@ BEAT_S = 0.5
 
 
 class Deaf(Bus):
-    """Subscribes to every key with a queue for one message, and never takes it out: its session soon takes nothing more."""
+    """Subscribes to every key with a queue for one message, and never takes it out: its session soon takes
+    nothing more.
+    """
 
     def listen(self) -> None:
-        """Subscribe, without history: whoever asks for it waits for it, behind messages that are never taken."""
-        self._unread = [self._session.declare_subscriber(key.name.replace("<service>", "*"), zenoh.handlers.FifoChannel(1)) for key in KEYS]
+        """Subscribe, without history: whoever asks for it waits for it, behind messages that are never
+        taken.
+        """
+        self._unread = [
+            self._session.declare_subscriber(
+                key.name.replace("<service>", "*"), zenoh.handlers.FifoChannel(1)
+            )
+            for key in KEYS
+        ]
 
 
 def deaf(endpoint: str, seed: int) -> None:
@@ -40,7 +51,9 @@ def echo(endpoint: str, seed: int) -> None:
     rng = keyed(seed, "chaos echo")
     late: list[tuple[float, int, bytes]] = []
     with Bus("echo", endpoint, announced=False) as bus:
-        publisher = bus._session.declare_publisher(READING.name, congestion_control=zenoh.CongestionControl.BLOCK)
+        publisher = bus._session.declare_publisher(
+            READING.name, congestion_control=zenoh.CongestionControl.BLOCK
+        )
         bus._hold(  # as a stranger: each reading as it comes, without history
             READING.name,
             lambda session: session.declare_subscriber(
@@ -55,7 +68,9 @@ def echo(endpoint: str, seed: int) -> None:
             due_s = late[0][0] - time.monotonic() if late else BEAT_S
             if (arrival := bus.receive(max(due_s, 0.0))) is not None:
                 for _ in range(int(rng.integers(MOST_COPIES + 1))):
-                    heapq.heappush(late, (time.monotonic() + LATEST_S * float(rng.random()), count, arrival.payload))
+                    heapq.heappush(
+                        late, (time.monotonic() + LATEST_S * float(rng.random()), count, arrival.payload)
+                    )
                     count += 1
             while late and late[0][0] <= time.monotonic():
                 publisher.put(heapq.heappop(late)[2])
@@ -66,7 +81,9 @@ def station(endpoint: str, seed: int) -> None:
     link = UdpLink(endpoint, lambda _, peer: None, system=255, component=mavlink.MAV_COMP_ID_MISSIONPLANNER)
     _ready()
     while True:
-        link.send(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3))
+        link.send(
+            mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3)
+        )
         time.sleep(BEAT_S)
 
 

@@ -1,4 +1,6 @@
-"""A griffe extension: shows this project's docstrings well, and takes the descriptions of fields from their types."""
+"""A griffe extension: shows this project's docstrings well, and takes the descriptions of fields from
+their types.
+"""
 
 import re
 
@@ -21,7 +23,9 @@ class Fields(griffe.Extension):
     def on_attribute_instance(self, *, attr: griffe.Attribute, **_: object) -> None:
         """Use the description as the docstring, and only the type as the annotation."""
         annotation = attr.annotation
-        if isinstance(annotation, griffe.ExprName) and isinstance(named := attr.module.members.get(annotation.name), griffe.Attribute):
+        if isinstance(annotation, griffe.ExprName) and isinstance(
+            named := attr.module.members.get(annotation.name), griffe.Attribute
+        ):
             annotation = named.value
         if not (isinstance(annotation, griffe.ExprSubscript) and annotation.canonical_name == "Annotated"):
             return

@@ -19,7 +19,9 @@ TOP_LEVEL = ("CONTRIBUTING.md", "CHANGELOG.md")
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages."""
     for name in TOP_LEVEL:
-        files.append(File.generated(config, name.lower(), content=from_docs((ROOT / name).read_text(encoding="utf-8"))))
+        files.append(
+            File.generated(config, name.lower(), content=from_docs((ROOT / name).read_text(encoding="utf-8")))
+        )
     for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
         page = PurePosixPath(notebook.src_uri)
         for name, content in pages(page, json.loads(notebook.content_string)):
@@ -28,13 +30,21 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
-    """Point links to those files at their pages. A notebook's own page keeps the link to the file, for download."""
-    markdown = re.sub(rf"\]\(\.\./((?:\.\./)*)({'|'.join(TOP_LEVEL)})\b", lambda found: f"]({found[1]}{found[2].lower()}", markdown)
+    """Point links to those files at their pages. A notebook's own page keeps the link to the file, for
+    download.
+    """
+    markdown = re.sub(
+        rf"\]\(\.\./((?:\.\./)*)({'|'.join(TOP_LEVEL)})\b",
+        lambda found: f"]({found[1]}{found[2].lower()}",
+        markdown,
+    )
     return re.sub(r"\]\(([\w./-]*?)([\w-]+)\.ipynb\)(?!\{ \.md-button)", r"](\1\2.md)", markdown)
 
 
 def from_docs(text: str) -> str:
-    """Rewrite the links of a page beside README.md for docs/. A link to a file outside the site becomes plain text."""
+    """Rewrite the links of a page beside README.md for docs/. A link to a file outside the site becomes
+    plain text.
+    """
     text = re.sub(r"\]\(docs/([^)]+)\)", r"](\1)", text)
     text = re.sub(r"\[([^\]]+)\]\(((?:\w+/)+[\w.]+|[\w.]+\.(?!md)\w+|README\.md)\)", r"\1", text)
     return re.sub(rf"\]\(({'|'.join(TOP_LEVEL)})\)", lambda found: f"]({found[1].lower()})", text)

@@ -1,4 +1,6 @@
-"""Model check: ranks of readings in their predictive distributions, and a test that these ranks are uniform."""
+"""Model check: ranks of readings in their predictive distributions, and a test that these ranks are
+uniform.
+"""
 
 import math
 
@@ -16,12 +18,18 @@ from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 Array = NDArray[np.float64]
 
 CHECK_PARTICLES, CHECK_INTERMITTENT = 1000, 250
-"""About so many particles, evenly spaced, are used for the predictive rank of a reading; fewer in intermittent gas, where each is dear."""
+"""About so many particles, evenly spaced, are used for the predictive rank of a reading; fewer in
+intermittent gas, where each is dear.
+"""
 
 
 @numba.njit(error_model="numpy")
-def _gaussian_tails(means: Array, noises: Array, gas: float, slope: float, floor: float, result: Array) -> None:
-    """Fill `result` with P(Z ≤ gas) for each mean and squared noise factor, accurate to 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
+def _gaussian_tails(
+    means: Array, noises: Array, gas: float, slope: float, floor: float, result: Array
+) -> None:
+    """Fill `result` with P(Z ≤ gas) for each mean and squared noise factor, accurate to 1.5e-7 (Abramowitz
+    and Stegun 7.1.26).
+    """
     for i in range(len(means)):
         residual = gas - means[i]
         half_square = 0.5 * residual * residual / (noises[i] * (slope * means[i] * means[i] + floor))
@@ -51,10 +59,14 @@ def _hits_cdf(count: float, expected: float) -> float:
 
 
 @numba.njit(error_model="numpy")
-def predictive_rank(means: Array, derived: Array, weights: Array, gas: float, priors: Array, sensor: Array, chance: float) -> float:
-    """Return the rank of a reading in its predictive distribution: uniform in (0, 1) if the model is right (Dawid 1984).
+def predictive_rank(
+    means: Array, derived: Array, weights: Array, gas: float, priors: Array, sensor: Array, chance: float
+) -> float:
+    """Return the rank of a reading in its predictive distribution: uniform in (0, 1) if the model is right
+    (Dawid 1984).
 
-    means, weights: (N,) of the particles before the reading.  derived: their columns of `plume.kernels.derive`, or empty.
+    means, weights: (N,) of the particles before the reading.  derived: their columns of
+    `plume.kernels.derive`, or empty.
     chance: a uniform draw in (0, 1) that breaks ties of discrete readings.
     """
     gaussian = sensor[0] == GAUSSIAN_KIND
@@ -78,7 +90,9 @@ def predictive_rank(means: Array, derived: Array, weights: Array, gas: float, pr
             below = _hits_cdf(gas - 1, expected)
             tails[i] = below + chance * (_hits_cdf(gas, expected) - below)
         elif not gaussian:
-            tails[i] = sensor[4] + (1 - sensor[4]) * normal_cdf((max(gas, sensor[3]) - few[i]) / math.sqrt(variance))
+            tails[i] = sensor[4] + (1 - sensor[4]) * normal_cdf(
+                (max(gas, sensor[3]) - few[i]) / math.sqrt(variance)
+            )
             if gas == 0.0:
                 tails[i] *= chance
         share += shares[i] * tails[i]
@@ -88,9 +102,11 @@ def predictive_rank(means: Array, derived: Array, weights: Array, gas: float, pr
 
 @kernel("float64(float64[:, ::1], float64[::1])")
 def log_likelihood_of_one_value(readings: Array, sensor: Array) -> float:
-    """Greatest log-likelihood of readings (T, 7) by a sensor that shows one value plus noise, wherever it is.
+    """Greatest log-likelihood of readings (T, 7) by a sensor that shows one value plus noise, wherever it
+    is.
 
-    For hits: by one that counts with one mean. A threshold sensor shows 0 with one probability, and else one value plus noise.
+    For hits: by one that counts with one mean. A threshold sensor shows 0 with one probability, and else
+    one value plus noise.
     """
     gas, result = readings[:, 5].copy(), 0.0
     count = len(gas)
@@ -112,7 +128,9 @@ def log_likelihood_of_one_value(readings: Array, sensor: Array) -> float:
 
 @kernel("float64(float64[::1])")
 def uniformity_p_value(ranks: Array) -> float:
-    """p-value of the Anderson–Darling test that ranks (n,), n ≥ 8, are uniform in (0, 1) (Marsaglia and Marsaglia 2004)."""
+    """p-value of the Anderson–Darling test that ranks (n,), n ≥ 8, are uniform in (0, 1) (Marsaglia and
+    Marsaglia 2004).
+    """
     count = len(ranks)
     ordered = np.sort(ranks)
     total = 0.0
@@ -127,9 +145,15 @@ def uniformity_p_value(ranks: Array) -> float:
         p = 2.00012 + (0.247105 - (0.0649821 - (0.0347962 - (0.011672 - 0.00168691 * z) * z) * z) * z) * z
         limit = exp(-1.2337141 / z) / math.sqrt(z) * p
     else:
-        limit = exp(-exp(1.0776 - (2.30695 - (0.43424 - (0.082433 - (0.008056 - 0.0003146 * z) * z) * z) * z) * z))
+        limit = exp(
+            -exp(1.0776 - (2.30695 - (0.43424 - (0.082433 - (0.008056 - 0.0003146 * z) * z) * z) * z) * z)
+        )
     if limit > 0.8:
-        g = -130.2137 + (745.2337 - (1705.091 - (1950.646 - (1116.360 - 255.7844 * limit) * limit) * limit) * limit) * limit
+        g = (
+            -130.2137
+            + (745.2337 - (1705.091 - (1950.646 - (1116.360 - 255.7844 * limit) * limit) * limit) * limit)
+            * limit
+        )
         limit += g / count
     else:
         c = 0.01265 + 0.1757 / count

@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 from plume.compiled import kernel
 from plume.dispersion import SOURCE_RADIUS_M
 from plume.intermittency import log_density
-from plume.kernels import CVS, DERIVED, NOISES, derive, derived_means, is_location_only, is_plain, location_means
+from plume.kernels import (
+    CVS,
+    DERIVED,
+    NOISES,
+    derive,
+    derived_means,
+    is_location_only,
+    is_plain,
+    location_means,
+)
 from plume.numerics import HALF_LOG_2PI, erfc, exp, log, log1p, log_gamma
 from plume.parameters import CV, GAMMA, KNOWN, LOGNORMAL, NORMAL, TAU, D, Q, Z
 from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
@@ -17,7 +26,8 @@ from plume.sensor import GAUSSIAN_KIND, HITS_KIND, THRESHOLD_KIND
 Array = NDArray[np.float64]
 
 FUSED = 8
-"""Readings whose densities are added together: products of so many variances neither overflow nor vanish."""
+"""Readings whose densities are added together: products of so many variances neither overflow nor vanish.
+"""
 
 
 @numba.njit(error_model="numpy")
@@ -28,7 +38,9 @@ def normal_cdf(value: float) -> float:
 
 @numba.njit(error_model="numpy")
 def log_densities_of(means: Array, count: int, gas: float, sensor: Array, result: Array) -> None:
-    """Fill `result` with the log-likelihood of a gas value for each mean, as `log_likelihood` in plume/sensor.py."""
+    """Fill `result` with the log-likelihood of a gas value for each mean, as `log_likelihood` in
+    plume/sensor.py.
+    """
     if sensor[0] == HITS_KIND:
         constant = log_gamma(gas + 1.0)
         for i in range(count):
@@ -50,16 +62,24 @@ def log_densities_of(means: Array, count: int, gas: float, sensor: Array, result
 
 
 @numba.njit(error_model="numpy")
-def noisy_log_densities_of(means: Array, count: int, gas: float, sensor: Array, derived: Array, intermittent: bool, result: Array) -> None:
-    """Do the same where the sensor's noise, or the gas's intermittency, differs between the columns of `derived`."""
+def noisy_log_densities_of(
+    means: Array, count: int, gas: float, sensor: Array, derived: Array, intermittent: bool, result: Array
+) -> None:
+    """Do the same where the sensor's noise, or the gas's intermittency, differs between the columns of
+    `derived`.
+    """
     slope, floor = sensor[1] * sensor[1], sensor[2] * sensor[2]
     if intermittent:
         for i in range(count):
-            result[i] = log_density(gas, means[i], derived[NOISES, i] * (slope * means[i] * means[i] + floor), derived[CVS, i])
+            result[i] = log_density(
+                gas, means[i], derived[NOISES, i] * (slope * means[i] * means[i] + floor), derived[CVS, i]
+            )
     elif sensor[0] == THRESHOLD_KIND and gas == 0.0:
         for i in range(count):
             std = math.sqrt(derived[NOISES, i] * (slope * means[i] * means[i] + floor))
-            result[i] = log(max(sensor[4] + (1 - sensor[4]) * normal_cdf((sensor[3] - means[i]) / std), 1e-300))
+            result[i] = log(
+                max(sensor[4] + (1 - sensor[4]) * normal_cdf((sensor[3] - means[i]) / std), 1e-300)
+            )
     else:
         constant = HALF_LOG_2PI - (log1p(-sensor[4]) if sensor[0] == THRESHOLD_KIND else 0.0)
         for i in range(count):
@@ -77,9 +97,17 @@ def is_intermittent(priors: Array) -> bool:
 
 @numba.njit(error_model="numpy")
 def reading_densities(
-    particles: Array, derived: Array, count: int, reading: Array, priors: Array, sensor: Array, means: Array, result: Array
+    particles: Array,
+    derived: Array,
+    count: int,
+    reading: Array,
+    priors: Array,
+    sensor: Array,
+    means: Array,
+    result: Array,
 ) -> None:
-    """Fill `means` and `result` (count,) with the concentration and the log-likelihood of one reading under each particle.
+    """Fill `means` and `result` (count,) with the concentration and the log-likelihood of one reading
+    under each particle.
 
     derived: columns that `derive` filled; empty if only the location is unknown.
     """
@@ -95,7 +123,9 @@ def reading_densities(
 
 @numba.njit(error_model="numpy")
 def is_fused(unknowns: NDArray[np.int64], readings: Array, priors: Array, sensor: Array) -> bool:
-    """True if `add_place_densities` applies: the paper's case with a Gaussian sensor, and numbers whose products stay in range."""
+    """True if `add_place_densities` applies: the paper's case with a Gaussian sensor, and numbers whose
+    products stay in range.
+    """
     if sensor[0] != GAUSSIAN_KIND or not is_location_only(unknowns, priors):
         return False
     scale = priors[Q, 1] / (4 * math.pi * priors[D, 1])
@@ -107,12 +137,22 @@ def is_fused(unknowns: NDArray[np.int64], readings: Array, priors: Array, sensor
 
 @numba.njit(error_model="numpy")
 def add_place_densities(
-    places: Array, count: int, readings: Array, first: int, last: int, priors: Array, sensor: Array, scratch: Array, targets: Array
+    places: Array,
+    count: int,
+    readings: Array,
+    first: int,
+    last: int,
+    priors: Array,
+    sensor: Array,
+    scratch: Array,
+    targets: Array,
 ) -> None:
-    """Add the log-likelihoods of readings `first` to `last`, at most FUSED, to the targets of sources at places (2, count).
+    """Add the log-likelihoods of readings `first` to `last`, at most FUSED, to the targets of sources at
+    places (2, count).
 
-    The same as `reading_densities` in the paper's case, with one division and one logarithm for all of them: of each reading, the square
-    of the residual and the variance, both times the squared distance, are sums of products; fractions are brought to one denominator.
+    The same as `reading_densities` in the paper's case, with one division and one logarithm for all of
+    them: of each reading, the square of the residual and the variance, both times the squared distance,
+    are sums of products; fractions are brought to one denominator.
     scratch: (3 or more, count or more).  All shares are 1.
     """
     diffusivity = priors[D, 1]
@@ -145,16 +185,20 @@ def add_place_densities(
 
 @numba.njit(error_model="numpy")
 def is_a_normal_density(gas: float, sensor: Array) -> bool:
-    """True if the likelihood of this gas value is a density, which noise widens and so lowers; false if it is a probability."""
+    """True if the likelihood of this gas value is a density, which noise widens and so lowers; false if it
+    is a probability.
+    """
     normal: bool = sensor[0] != HITS_KIND and (sensor[0] != THRESHOLD_KIND or gas != 0.0)
     return normal
 
 
 @numba.njit(error_model="numpy")
 def greatest_log_density(gas: float, sensor: Array, priors: Array) -> float:
-    """Return an upper bound of the log-likelihood of this gas value, whatever the mean, for a noise factor of 1.
+    """Return an upper bound of the log-likelihood of this gas value, whatever the mean, for a noise factor
+    of 1.
 
-    If the gas is steady and the noise known, the bound falls with the reading: a strong reading needs a large mean, and so much noise.
+    If the gas is steady and the noise known, the bound falls with the reading: a strong reading needs a
+    large mean, and so much noise.
     """
     if sensor[0] == HITS_KIND:
         return gas * log(gas) - gas - log_gamma(gas + 1.0) + 1e-9 if gas > 0 else 0.0
@@ -164,14 +208,20 @@ def greatest_log_density(gas: float, sensor: Array, priors: Array) -> float:
     if gas <= 0 or not is_plain(priors):
         return -0.5 * log(floor) - HALF_LOG_2PI
     best = -0.5 * log(slope * gas * gas + floor)  # of means above the reading
-    for cell in range(20):  # of means in twentieths of the reading: the least distance with the best variances
+    for cell in range(
+        20
+    ):  # of means in twentieths of the reading: the least distance with the best variances
         low, high = cell / 20 * gas, (cell + 1) / 20 * gas
-        best = max(best, -0.5 * ((gas - high) ** 2 / (slope * high * high + floor) + log(slope * low * low + floor)))
+        best = max(
+            best, -0.5 * ((gas - high) ** 2 / (slope * high * high + floor) + log(slope * low * low + floor))
+        )
     return best - HALF_LOG_2PI
 
 
 @kernel("float64[::1](float64[:, ::1], int64[::1], float64[:, ::1], float64[::1], float64[::1])")
-def log_likelihoods(particles: Array, unknowns: NDArray[np.int64], priors: Array, sensor: Array, reading: Array) -> Array:
+def log_likelihoods(
+    particles: Array, unknowns: NDArray[np.int64], priors: Array, sensor: Array, reading: Array
+) -> Array:
     """Log-likelihood of one reading (7,) under each particle: (N,)."""
     count = particles.shape[1]
     means, result = np.empty(count), np.empty(count)
@@ -184,7 +234,9 @@ def log_likelihoods(particles: Array, unknowns: NDArray[np.int64], priors: Array
 
 @numba.njit(error_model="numpy")
 def log_prior(particles: Array, i: int, unknowns: NDArray[np.int64], priors: Array) -> float:
-    """Log prior density of particle i up to a constant; of a log-normal parameter, the density of its logarithm."""
+    """Log prior density of particle i up to a constant; of a log-normal parameter, the density of its
+    logarithm.
+    """
     total = 0.0
     for row in range(len(unknowns)):
         kind, a, b = priors[unknowns[row], 0], priors[unknowns[row], 1], priors[unknowns[row], 2]

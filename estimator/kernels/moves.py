@@ -14,7 +14,7 @@ from estimator.kernels.densities import (
     is_fused,
     log_prior,
     reading_densities,
-)  # fmt: skip
+)
 from estimator.kernels.draws import key_of, uniform, word_at
 from plume.compiled import kernel
 from plume.kernels import DERIVED, NOISES, derive, is_location_only, is_plain
@@ -32,7 +32,9 @@ TINY = 1e-12
 BLOCK = 256
 """Proposals that are judged together: their arrays stay in the processor's first-level cache."""
 ENOUGH, ENOUGH_OF_MORE = 0.5, 2.0
-"""Accepted moves for each particle after which further sweeps would hardly change the cloud: of the place alone, and of more unknowns."""
+"""Accepted moves for each particle after which further sweeps would hardly change the cloud: of the place
+alone, and of more unknowns.
+"""
 
 
 @numba.njit(error_model="numpy")
@@ -47,11 +49,13 @@ def _propose(
     proposals: Array,
     needed: Array,
 ) -> None:
-    """Fill `proposals` (D, M) with a step for each particle (D, M) (differential evolution, ter Braak 2006).
+    """Fill `proposals` (D, M) with a step for each particle (D, M) (differential evolution, ter Braak
+    2006).
 
-    A step is a scaled difference of two members of the pool (D, N) plus a little uniform noise. Such steps follow curved and multimodal
-    posteriors. Log-normal unknowns step in their logarithm, in which the pool holds them. If a proposal leaves the prior's support,
-    its `needed` becomes infinite, so that it is rejected. (Reflection at the ends would make correlated steps asymmetric.)
+    A step is a scaled difference of two members of the pool (D, N) plus a little uniform noise. Such steps
+    follow curved and multimodal posteriors. Log-normal unknowns step in their logarithm, in which the pool
+    holds them. If a proposal leaves the prior's support, its `needed` becomes infinite, so that it is
+    rejected. (Reflection at the ends would make correlated steps asymmetric.)
     """
     rows, count = particles.shape
     moved = 0
@@ -66,7 +70,9 @@ def _propose(
         ones[i] = ((word >> half) * size) >> half
         others[i] = ((word & low_half) * size) >> half
         chance = 3 * uniform(key, 2 * i + 1)
-        scales[i] = largest * (0.7 if chance < 1 else 0.35 if chance < 2 else 0.12)  # smaller steps for thin ridges
+        scales[i] = largest * (
+            0.7 if chance < 1 else 0.35 if chance < 2 else 0.12
+        )  # smaller steps for thin ridges
     for row in range(rows):
         of_place = unknowns[row] == X or unknowns[row] == Y
         if not (block == EVERYTHING or of_place == (block == PLACE)):
@@ -94,10 +100,11 @@ def _propose(
 
 @numba.njit(error_model="numpy")
 def _propose_place(states: Array, priors: Array, key: np.uint64, proposals: Array, needed: Array) -> None:
-    """Fill `proposals` (2, N) with places that do not depend on the states: Student's t with the particles' mean and covariance.
+    """Fill `proposals` (2, N) with places that do not depend on the states: Student's t with the
+    particles' mean and covariance.
 
-    A posterior that is close to normal accepts most of them. `needed` becomes what the log target of a proposal has to reach, by the
-    ratio of the proposal's densities.
+    A posterior that is close to normal accepts most of them. `needed` becomes what the log target of a
+    proposal has to reach, by the ratio of the proposal's densities.
     """
     count = states.shape[1]
     mean_x, mean_y = total_of(states[0]) / count, total_of(states[1]) / count
@@ -117,7 +124,10 @@ def _propose_place(states: Array, priors: Array, key: np.uint64, proposals: Arra
         two = (dy[i] - b * one) * inverse_c
         needed[i] += 0.5 * (FREEDOM + 2) * log((FREEDOM + one * one + two * two) / (FREEDOM + square))
     for i in range(count):
-        inside = priors[X, 3] <= proposals[0, i] <= priors[X, 4] and priors[Y, 3] <= proposals[1, i] <= priors[Y, 4]
+        inside = (
+            priors[X, 3] <= proposals[0, i] <= priors[X, 4]
+            and priors[Y, 3] <= proposals[1, i] <= priors[Y, 4]
+        )
         needed[i] = needed[i] if inside else np.inf
 
 
@@ -136,11 +146,13 @@ def _judge(
     scratch: Array,
     fused: bool,
 ) -> int:
-    """Add the log-likelihood of all readings to the targets of the first `alive` proposals; returns how many are accepted, now in front.
+    """Add the log-likelihood of all readings to the targets of the first `alive` proposals; returns how
+    many are accepted, now in front.
 
-    bounds: (2, T) the greatest log-likelihood of all readings before each, and the sum of the shares of those that have noise.
-    Readings are evaluated newest first, since the newest is the most likely to reject. A proposal is given up early if it cannot reach
-    `needed` even with the best possible likelihood of the remaining readings. This changes no decision.
+    bounds: (2, T) the greatest log-likelihood of all readings before each, and the sum of the shares of
+    those that have noise. Readings are evaluated newest first, since the newest is the most likely to
+    reject. A proposal is given up early if it cannot reach `needed` even with the best possible likelihood
+    of the remaining readings. This changes no decision.
     """
     rows = len(proposals)
     last = len(readings) - 1
@@ -188,7 +200,8 @@ def _judge(
 
 
 @kernel(
-    "int64(float64[:, ::1], float64[::1], int64[::1], int64, float64[:, ::1], int64[::1], float64[:, ::1], float64[::1], uint64, "
+    "int64(float64[:, ::1], float64[::1], int64[::1], int64, float64[:, ::1], int64[::1], float64[:, ::1], "
+    "float64[::1], uint64, "
     "int64, int64)"
 )
 def resample_move(
@@ -206,8 +219,10 @@ def resample_move(
 ) -> int:
     """Replace the particles (D, N) by their ancestors (N,), and move these by Metropolis–Hastings sweeps.
 
-    The sweeps leave the posterior given all readings invariant. They end when ENOUGH moves have been accepted, or after `sweeps`.
-    log_targets: (N,) log posterior density of each particle up to a constant.  Returns the number of accepted moves.
+    The sweeps leave the posterior given all readings invariant. They end when ENOUGH moves have been
+    accepted, or after `sweeps`.
+    log_targets: (N,) log posterior density of each particle up to a constant.  Returns the number of
+    accepted moves.
     """
     rows, count = particles.shape
     last = len(readings) - 1
@@ -233,7 +248,11 @@ def resample_move(
         bounds[0, t + 1] = bounds[0, t] + share * greatest_log_density(readings[t, 5], sensor, priors)
         bounds[1, t + 1] = bounds[1, t] + share * is_a_normal_density(readings[t, 5], sensor)
     proposals, needed = np.empty((rows, count)), np.empty(count)
-    few, derived, scratch = np.empty((rows, BLOCK)), np.empty((0 if only_location else DERIVED, BLOCK)), np.zeros((6, BLOCK))
+    few, derived, scratch = (
+        np.empty((rows, BLOCK)),
+        np.empty((0 if only_location else DERIVED, BLOCK)),
+        np.zeros((6, BLOCK)),
+    )
     owners, targets, thresholds = np.empty(BLOCK, np.int64), np.empty(BLOCK), np.empty(BLOCK)
     accepted, enough = 0, ENOUGH if only_place else ENOUGH_OF_MORE
     for sweep in range(sweeps):
@@ -257,7 +276,20 @@ def resample_move(
                 targets[j] = log_prior(few, j, unknowns, priors)
             if not only_location:
                 derive(few, size, unknowns, priors, derived)
-            size = _judge(few, derived, targets, thresholds, owners, size, readings, bounds, priors, sensor, scratch, fused)
+            size = _judge(
+                few,
+                derived,
+                targets,
+                thresholds,
+                owners,
+                size,
+                readings,
+                bounds,
+                priors,
+                sensor,
+                scratch,
+                fused,
+            )
             for j in range(size):
                 for row in range(rows):
                     particles[row, owners[j]] = few[row, j]

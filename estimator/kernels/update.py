@@ -16,11 +16,14 @@ Array = NDArray[np.float64]
 RESAMPLE_BELOW = 0.5
 """Resample if the effective sample size falls below this share of N."""
 MAX_STAGES = 40
-"""Most tempered stages per reading. The rest of its likelihood is dropped, so that no admitted reading collapses the cloud to a point."""
+"""Most tempered stages per reading. The rest of its likelihood is dropped, so that no admitted reading
+collapses the cloud to a point.
+"""
 
 
 @kernel(
-    "float64(float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[::1], "
+    "float64(float64[:, ::1], float64[::1], float64[::1], float64[::1], float64[:, ::1], int64[::1], "
+    "float64[:, ::1], float64[::1], "
     "uint64, int64)",
     nogil=True,
 )
@@ -38,8 +41,9 @@ def update(
 ) -> float:
     """Assimilate the last of the readings (T, 7) in place, setting its share; returns its predictive rank.
 
-    Reweight; if the weights degenerate, resample and move (Gordon 1993; Chopin 2002). A reading that would reduce the effective sample
-    size too much is taken in tempered stages (Del Moral 2006).  weights: (N,) exp(log_weights), scaled so that the greatest is 1.
+    Reweight; if the weights degenerate, resample and move (Gordon 1993; Chopin 2002). A reading that would
+    reduce the effective sample size too much is taken in tempered stages (Del Moral 2006).  weights: (N,)
+    exp(log_weights), scaled so that the greatest is 1.
     """
     count = particles.shape[1]
     step = len(readings) - 1
@@ -66,8 +70,18 @@ def update(
         if size < RESAMPLE_BELOW * count:
             ancestors = systematic(weights, uniform(key_of(seed, step, stage, 0), 0))
             resample_move(
-                particles, log_targets, ancestors, sweeps, readings, unknowns, priors, sensor, seed, step, stage
-            )  # fmt: skip
+                particles,
+                log_targets,
+                ancestors,
+                sweeps,
+                readings,
+                unknowns,
+                priors,
+                sensor,
+                seed,
+                step,
+                stage,
+            )
             log_weights[:] = 0.0
             weights[:] = 1.0
             stage += 1
@@ -76,7 +90,8 @@ def update(
 
 
 @kernel(
-    "void(float64[:, :, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, ::1], int64[::1], "
+    "void(float64[:, :, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], "
+    "float64[:, ::1], int64[::1], "
     "int64[::1], float64[:, :, ::1], float64[:, ::1], uint64[::1], int64, int64[::1])",
     nogil=True,
 )
@@ -95,10 +110,20 @@ def update_missions(
     sweeps: int,
     missions: NDArray[np.int64],
 ) -> None:
-    """Apply `update` to each of these missions of a batch, with its first `counts` readings; arrays as in `update`, stacked."""
+    """Apply `update` to each of these missions of a batch, with its first `counts` readings; arrays as in
+    `update`, stacked.
+    """
     for b in missions:
         count = counts[b]
         ranks[b, count - 1] = update(
-            particles[b], log_weights[b], weights[b], log_targets[b], readings[b, :count], unknowns, priors[b], sensors[b], seeds[b],
+            particles[b],
+            log_weights[b],
+            weights[b],
+            log_targets[b],
+            readings[b, :count],
+            unknowns,
+            priors[b],
+            sensors[b],
+            seeds[b],
             sweeps,
-        )  # fmt: skip
+        )

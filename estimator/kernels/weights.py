@@ -10,7 +10,9 @@ from plume.numerics import dot, exp, total_of
 Array = NDArray[np.float64]
 
 STAGE_FLOOR = 0.4
-"""If a reading would bring the effective sample size below this share of N, it is taken in tempered stages."""
+"""If a reading would bring the effective sample size below this share of N, it is taken in tempered
+stages.
+"""
 
 
 @numba.njit(error_model="numpy")
@@ -30,7 +32,9 @@ def _greatest(values: Array) -> float:
 
 @numba.njit(error_model="numpy")
 def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array) -> float:
-    """Set weights ∝ exp(log_weights + share · log_densities), scaled so that the greatest is 1; returns the effective sample size."""
+    """Set weights ∝ exp(log_weights + share · log_densities), scaled so that the greatest is 1; returns
+    the effective sample size.
+    """
     for i in range(len(weights)):
         weights[i] = log_weights[i] + share * log_densities[i]
     highest = _greatest(weights)
@@ -41,10 +45,14 @@ def weigh(log_weights: Array, share: float, log_densities: Array, weights: Array
 
 
 @numba.njit(error_model="numpy")
-def tempered_share(log_weights: Array, log_densities: Array, left: float, weights: Array) -> tuple[float, float]:
-    """Return the exponent for the next stage and the effective sample size that it leaves; sets the weights accordingly.
+def tempered_share(
+    log_weights: Array, log_densities: Array, left: float, weights: Array
+) -> tuple[float, float]:
+    """Return the exponent for the next stage and the effective sample size that it leaves; sets the
+    weights accordingly.
 
-    It is `left` if that leaves at least STAGE_FLOOR · N effective particles. Otherwise bisection finds one that leaves 1 to 1.2 times that.
+    It is `left` if that leaves at least STAGE_FLOOR · N effective particles. Otherwise bisection finds one
+    that leaves 1 to 1.2 times that.
     """
     floor = STAGE_FLOOR * len(weights)
     size = weigh(log_weights, left, log_densities, weights)
@@ -96,8 +104,12 @@ def moments(particles: Array, weights: Array) -> tuple[Array, Array]:
     return mean, covariance
 
 
-@kernel("void(float64[:, :, ::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[:, :, ::1])", nogil=True)
-def moments_of_missions(particles: Array, weights: Array, missions: NDArray[np.int64], means: Array, covariances: Array) -> None:
+@kernel(
+    "void(float64[:, :, ::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[:, :, ::1])", nogil=True
+)
+def moments_of_missions(
+    particles: Array, weights: Array, missions: NDArray[np.int64], means: Array, covariances: Array
+) -> None:
     """Write the `moments` of these missions of a batch into means (B, D) and covariances (B, D, D)."""
     for b in missions:
         mean, covariance = moments(particles[b], weights[b])
@@ -109,7 +121,9 @@ def moments_of_missions(particles: Array, weights: Array, missions: NDArray[np.i
 
 @kernel("int64[::1](float64[::1], float64)")
 def systematic(weights: Array, offset: float) -> NDArray[np.int64]:
-    """Systematic resampling: returns the ancestors (N,). The cumulative weight passes (k + offset) / N at ancestor k; offset in [0, 1)."""
+    """Systematic resampling: returns the ancestors (N,). The cumulative weight passes (k + offset) / N at
+    ancestor k; offset in [0, 1).
+    """
     count = len(weights)
     ancestors = np.empty(count, np.int64)
     scale = count / total_of(weights)

@@ -24,7 +24,9 @@ PICTURES = (".png", ".svg")
 def _file(*endings: str) -> Callable[[str], Path]:
     def parse(text: str) -> Path:
         if Path(text).suffix not in endings:
-            raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted a file that ends in {cli.listing(endings)}")
+            raise argparse.ArgumentTypeError(
+                f"{text!r} is not allowed; wanted a file that ends in {cli.listing(endings)}"
+            )
         return Path(text)
 
     return parse
@@ -34,16 +36,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
     parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap written by a mission or `record`")
     parser.add_argument(
-        "--out", type=_file(*PICTURES), metavar="FILE",
-        help="the picture, .png or .svg (default: LOG.png beside the log; none where only --gif or --mp4 is given)",
-    )  # fmt: skip
+        "--out",
+        type=_file(*PICTURES),
+        metavar="FILE",
+        help="the picture, .png or .svg (default: LOG.png beside the log; none where only --gif or --mp4 is "
+        "given)",
+    )
     parser.add_argument(
-        "--at", type=cli.listed(cli.whole(0, MOST_STEPS)), metavar="STEP,STEP",
-        help="steps at which the picture shows the belief (default: the first ones at which the spread has fallen by a third and by two "
+        "--at",
+        type=cli.listed(cli.whole(0, MOST_STEPS)),
+        metavar="STEP,STEP",
+        help="steps at which the picture shows the belief (default: the first ones at which the spread has "
+        "fallen by a third and by two "
         "thirds, and the last)",
-    )  # fmt: skip
-    parser.add_argument("--gif", type=_file(".gif"), metavar="FILE.gif", help="an animation, a frame for each reading")
-    parser.add_argument("--mp4", type=_file(".mp4"), metavar="FILE.mp4", help="the same as a film; needs ffmpeg")
+    )
+    parser.add_argument(
+        "--gif", type=_file(".gif"), metavar="FILE.gif", help="an animation, a frame for each reading"
+    )
+    parser.add_argument(
+        "--mp4", type=_file(".mp4"), metavar="FILE.mp4", help="the same as a film; needs ffmpeg"
+    )
     cli.add_output_guard(parser)
 
 
@@ -53,11 +65,16 @@ def run(args: argparse.Namespace) -> int:
         print("error: draw needs matplotlib: pip install 'plumeward[view]'", file=sys.stderr)
         return cli.FAILED
     if args.mp4 and shutil.which("ffmpeg") is None:
-        print("error: --mp4 needs the program ffmpeg, which is not installed; --gif needs nothing more", file=sys.stderr)
+        print(
+            "error: --mp4 needs the program ffmpeg, which is not installed; --gif needs nothing more",
+            file=sys.stderr,
+        )
         return cli.FAILED
     if args.out is None and not (args.gif or args.mp4):
         args.out = args.log.with_suffix(".png")
-    wanted = {flag: path for flag, path in (("--out", args.out), ("--gif", args.gif), ("--mp4", args.mp4)) if path}
+    wanted = {
+        flag: path for flag, path in (("--out", args.out), ("--gif", args.gif), ("--mp4", args.mp4)) if path
+    }
     try:
         history, damaged = _history(args.log)
         for flag, path in wanted.items():
@@ -72,7 +89,9 @@ def run(args: argparse.Namespace) -> int:
                     else:
                         (write_gif if flag == "--gif" else write_mp4)(_frames(history), partial)
             except OSError as error:
-                raise _Undrawable(f"{flag}: {str(path)!r} cannot be written: {error.strerror or error}") from None
+                raise _Undrawable(
+                    f"{flag}: {str(path)!r} cannot be written: {error.strerror or error}"
+                ) from None
             print(path)
     except _Undrawable as error:
         print(f"error: {error}", file=sys.stderr)
@@ -102,24 +121,33 @@ def _history(path: Path) -> tuple["History", bool]:
 
 
 def _beliefs(history: "History", steps: Sequence[int] | None) -> list["Scene"]:
-    """Return the scenes whose beliefs the picture shows. Raises _Undrawable on a step that the log has not."""
+    """Return the scenes whose beliefs the picture shows. Raises _Undrawable on a step that the log has
+    not.
+    """
     from scene.drawing import BELIEFS
 
     measured = {it.step: it for it in history.measurements.values}
     chosen = telling(list(measured.values())) if steps is None else sorted(steps)
     for step in chosen:
         if step not in measured:
-            raise _Undrawable(f"--at: {step} is not allowed; wanted steps of the log, {min(measured)} to {max(measured)}")
+            raise _Undrawable(
+                f"--at: {step} is not allowed; wanted steps of the log, {min(measured)} to {max(measured)}"
+            )
     if len(chosen) > len(BELIEFS):
         raise _Undrawable(f"--at: {len(chosen)} steps are not allowed; wanted at most {len(BELIEFS)}")
     return [history.at(measured[step].time_s) for step in chosen]
 
 
 def telling(measured: Sequence["Measurement"]) -> list[int]:
-    """Return the first steps at which the spread has gone a third and two thirds of its way from first to last, and the last step."""
+    """Return the first steps at which the spread has gone a third and two thirds of its way from first to
+    last, and the last step.
+    """
     first, last = measured[0], measured[-1]
     way_m = first.spread_m - last.spread_m
-    gone = [next((it for it in measured if first.spread_m - it.spread_m >= share * way_m), last) for share in (1 / 3, 2 / 3)]
+    gone = [
+        next((it for it in measured if first.spread_m - it.spread_m >= share * way_m), last)
+        for share in (1 / 3, 2 / 3)
+    ]
     return sorted({it.step for it in (*gone, last)})
 
 

@@ -31,11 +31,17 @@ FLUSH_S = 0.35
 SIGNAL_POLL_S = 0.05
 LAST_WORDS_S = 0.5
 """Longest wait at the end for messages still in transit, s."""
-FEW_THREADS = "(rx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1), tx: (worker_threads: 1))"
-"""Zenoh's threads, read by the first session of a process: by default each message passes through four thread pools. Sending keeps its
-own thread: a receiver may wait for something to be sent first, which would block the router and with it the mission."""
+FEW_THREADS = (
+    "(rx: (handover: net), acc: (handover: net), app: (handover: net), net: (worker_threads: 1), "
+    "tx: (worker_threads: 1))"
+)
+"""Zenoh's threads, read by the first session of a process: by default each message passes through four
+thread pools. Sending keeps its own thread: a receiver may wait for something to be sent first, which would
+block the router and with it the mission."""
 NICENESS = 5
-"""The flight has priority over its record. With 19 it would cost no less, and beside other work the record would lose its end."""
+"""The flight has priority over its record. With 19 it would cost no less, and beside other work the record
+would lose its end.
+"""
 PACKAGES = ("eclipse-zenoh", "numpy", "pymavlink", "numba", "mcap")
 ROOT = Path(__file__).parents[2]
 
@@ -58,10 +64,21 @@ def _about(text: str) -> dict[str, Any]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
-    parser.add_argument("file", type=_file, metavar="FILE.mcap", help="the record to write; a .tlog of all MAVLink is written beside it")
+    parser.add_argument(
+        "file",
+        type=_file,
+        metavar="FILE.mcap",
+        help="the record to write; a .tlog of all MAVLink is written beside it",
+    )
     cli.add_output_guard(parser)
     cli.add_bus_arguments(parser)
-    parser.add_argument("--about", type=_about, default={}, metavar="JSON", help="a description of the run, stored in the record")
+    parser.add_argument(
+        "--about",
+        type=_about,
+        default={},
+        metavar="JSON",
+        help="a description of the run, stored in the record",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -76,7 +93,10 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             culprit = "" if error.filename in (None, str(args.file)) else f": {error.filename}"
             cannot = f"FILE.mcap: cannot write {str(args.file)!r}: {error.strerror}{culprit}"
-            print(f"error: {cli.existing('FILE.mcap', _files(args.file), args.force) or cannot}", file=sys.stderr)
+            print(
+                f"error: {cli.existing('FILE.mcap', _files(args.file), args.force) or cannot}",
+                file=sys.stderr,
+            )
             return cli.BAD_INPUT
         bus.subscribe(*KEYS)
         bus.settle(CONNECT_TIMEOUT_S)
@@ -123,7 +143,9 @@ def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> N
     ended = False
     while not ended:
         _await_batch(ends)
-        ended = bool(ends)  # read before the messages, so that those that came before the end are still written
+        ended = bool(
+            ends
+        )  # read before the messages, so that those that came before the end are still written
         if ended:
             bus.settle(LAST_WORDS_S)
         messages = bus.take()
@@ -131,7 +153,9 @@ def record(bus: Tap, writer: Writer, ends: list[int], scene: RecordedScene) -> N
             if message.key is STOP:
                 bus.take_stop(message)
             simulation_s = clock.time_s(message.name, message.payload, message.published_ns)
-            entry = Entry(message.name, message.published_ns, simulation_s, message.payload, message.attachment)
+            entry = Entry(
+                message.name, message.published_ns, simulation_s, message.payload, message.attachment
+            )
             writer.write(entry, message.received_ns)
             for topic, kind, data in scene.take(entry, message.received_ns):
                 writer.write_for_viewers(topic, functools.partial(schema_of, kind), data, message.received_ns)
@@ -157,7 +181,9 @@ def _await_batch(ends: list[int]) -> None:
 
 
 def _give_way() -> None:
-    """Lower the priority of this thread. Zenoh's threads, already running, keep theirs: the router waits for them."""
+    """Lower the priority of this thread. Zenoh's threads, already running, keep theirs: the router waits
+    for them.
+    """
     if sys.platform == "linux":  # elsewhere it would affect the whole process
         os.nice(NICENESS)
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -168,7 +194,11 @@ def surroundings(namespace: str) -> dict[str, Any]:
     return {
         "namespace": namespace,
         "began": datetime.now(UTC).isoformat(timespec="milliseconds"),
-        "versions": {"plumeward": __version__, "python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+        "versions": {
+            "plumeward": __version__,
+            "python": platform.python_version(),
+            **{name: version(name) for name in PACKAGES},
+        },
         "git": git_revision(),
         "host": {"platform": platform.platform(), "machine": platform.machine(), "cpus": os.cpu_count()},
     }

@@ -14,7 +14,9 @@ from scene.foxglove import Encoded, SceneEncoder, pose_slot
 
 
 class RecordedScene:
-    """The scene of a mission that is being recorded. Its memory is bounded, and it follows no more telemetry than it shows."""
+    """The scene of a mission that is being recorded. Its memory is bounded, and it follows no more
+    telemetry than it shows.
+    """
 
     def __init__(self, about: dict[str, Any], namespace: str) -> None:
         """Begin; `about` is the run's own description, which for a simulation has the truth."""
@@ -26,7 +28,9 @@ class RecordedScene:
         """Why there are no more scenes: messages are recorded in any case."""
 
     def take(self, entry: Entry, stamp_ns: int) -> list[Encoded]:
-        """Take a message; returns what changed for viewers. `stamp_ns` is the time at which it is recorded. Raises nothing."""
+        """Take a message; returns what changed for viewers. `stamp_ns` is the time at which it is
+        recorded. Raises nothing.
+        """
         if self.failure:
             return []
         try:
@@ -39,7 +43,9 @@ class RecordedScene:
         news = self._news(entry) if entry.key == MAVLINK_OUT.name else ()
         if entry.key == MAVLINK_OUT.name and not news:
             return []
-        self._history.take(entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9)
+        self._history.take(
+            entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9
+        )
         if entry.key == READING.name:
             return []  # its belief shows it
         happening = self._history.happenings.at(math.inf)
@@ -51,7 +57,9 @@ class RecordedScene:
         return list(self._encoder.encode_pose(self._history.craft, stamp_ns)) if LOCAL in news else []
 
     def _news(self, entry: Entry) -> set[int]:
-        """Return the telemetry of a payload that is to be followed: of each kind of motion, the first message of a slot of time."""
+        """Return the telemetry of a payload that is to be followed: of each kind of motion, the first
+        message of a slot of time.
+        """
         news = set()
         slot = pose_slot(entry.simulation_s)
         at = 0

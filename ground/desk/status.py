@@ -42,7 +42,9 @@ class Part:
 class Board:
     """Judges the parts by their messages. All times are of one clock, s."""
 
-    def __init__(self, wanted: Iterable[str], alive: Iterable[str], now_s: float, *, only_wanted: bool = False) -> None:
+    def __init__(
+        self, wanted: Iterable[str], alive: Iterable[str], now_s: float, *, only_wanted: bool = False
+    ) -> None:
         """Start with the parts that must be there and those alive; `only_wanted` ignores all others."""
         self._wanted = set(wanted)
         self._only_wanted = only_wanted
@@ -82,14 +84,25 @@ class Board:
     def settled(self, now_s: float) -> bool:
         """Whether waiting longer is pointless: every part alive has spoken or had the time to."""
         return all(
-            not part.alive or part.spoke_s >= part.known_since_s or now_s - part.known_since_s >= STALE_S for part in self._parts.values()
+            not part.alive or part.spoke_s >= part.known_since_s or now_s - part.known_since_s >= STALE_S
+            for part in self._parts.values()
         )
 
     def report(self, now_s: float) -> dict[str, dict[str, Any]]:
         """Return verdict and last health message of each part by name, required parts first."""
-        order = sorted(self._parts, key=lambda name: (name not in self._wanted, PARTS.index(name) if name in PARTS else len(PARTS), name))
+        order = sorted(
+            self._parts,
+            key=lambda name: (
+                name not in self._wanted,
+                PARTS.index(name) if name in PARTS else len(PARTS),
+                name,
+            ),
+        )
         return {
-            name: {"status": self.verdict(name, now_s), **(msgspec.to_builtins(health) if (health := self._parts[name].health) else {})}
+            name: {
+                "status": self.verdict(name, now_s),
+                **(msgspec.to_builtins(health) if (health := self._parts[name].health) else {}),
+            }
             for name in order
         }
 
@@ -98,10 +111,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
     cli.add_bus_arguments(parser)
     parser.add_argument(
-        "--parts", type=cli.listed(str), metavar="NAME,NAME", help=f"show only these (default: {','.join(PARTS)} and all others there)"
+        "--parts",
+        type=cli.listed(str),
+        metavar="NAME,NAME",
+        help=f"show only these (default: {','.join(PARTS)} and all others there)",
     )
     parser.add_argument("--watch", action="store_true", help="repeat until interrupted")
-    parser.add_argument("--json", action="store_true", help="print one line of JSON, with --watch one each second")
+    parser.add_argument(
+        "--json", action="store_true", help="print one line of JSON, with --watch one each second"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -110,10 +128,19 @@ def run(args: argparse.Namespace) -> int:
     with Live(console=Console(highlight=False), auto_refresh=False) if live else _Printer() as shown:
         while True:
             try:
-                with Bus("status", args.connect, args.namespace, log_level=args.log_level, announced=False, secure=args.secure) as bus:
+                with Bus(
+                    "status",
+                    args.connect,
+                    args.namespace,
+                    log_level=args.log_level,
+                    announced=False,
+                    secure=args.secure,
+                ) as bus:
                     well = _look(bus, args, shown)
             except NoRouter as error:
-                well = _show(args, shown, str(error), {name: {"status": MISSING} for name in args.parts or PARTS})
+                well = _show(
+                    args, shown, str(error), {name: {"status": MISSING} for name in args.parts or PARTS}
+                )
             if not args.watch:
                 return 0 if well else cli.FAILED
             time.sleep(WATCH_EVERY_S)
@@ -132,7 +159,9 @@ class _Printer:
 
 
 def _look(bus: Bus, args: argparse.Namespace, shown: "Live | _Printer") -> bool:
-    """Listen until all verdicts are known, with --watch until the router is gone; returns whether all is well."""
+    """Listen until all verdicts are known, with --watch until the router is gone; returns whether all is
+    well.
+    """
     board = Board(args.parts or PARTS, bus.services(), time.monotonic(), only_wanted=bool(args.parts))
     bus.watch_services()
     bus.subscribe(HEALTH)
@@ -142,7 +171,9 @@ def _look(bus: Bus, args: argparse.Namespace, shown: "Live | _Printer") -> bool:
         gone = not bus.connected
         if gone or now_s >= show_at or (math.isinf(show_at) and board.settled(now_s)):
             router = f"--connect: {bus.expiry() or f'the router at {args.connect} is gone'}" if gone else ""
-            report = {name: {"status": MISSING} for name in args.parts or PARTS} if gone else board.report(now_s)
+            report = (
+                {name: {"status": MISSING} for name in args.parts or PARTS} if gone else board.report(now_s)
+            )
             well = _show(args, shown, router, report)
             if gone or not args.watch:
                 return well
@@ -156,12 +187,20 @@ def _look(bus: Bus, args: argparse.Namespace, shown: "Live | _Printer") -> bool:
                     board.hears(health, time.monotonic())
 
 
-def _show(args: argparse.Namespace, shown: "Live | _Printer", no_router: str, parts: dict[str, dict[str, Any]]) -> bool:
+def _show(
+    args: argparse.Namespace, shown: "Live | _Printer", no_router: str, parts: dict[str, dict[str, Any]]
+) -> bool:
     """Show a report; returns whether all is well."""
     well = not no_router and all(part["status"] == OK for part in parts.values())
     if args.json:
         router = {"endpoint": args.connect, "status": MISSING if no_router else OK}
-        told = {"ok": well, "namespace": args.namespace, "router": router, "ceased": bool(_knowing(parts)), "parts": parts}
+        told = {
+            "ok": well,
+            "namespace": args.namespace,
+            "router": router,
+            "ceased": bool(_knowing(parts)),
+            "parts": parts,
+        }
         print(json.dumps(told), flush=True)
     else:
         shown.update(_table(args, no_router, parts), refresh=True)
@@ -174,7 +213,14 @@ def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, 
     verdicts = [MISSING if no_router else OK, *(part["status"] for part in parts.values())]
     told = [{}, *(part if "state" in part else {} for part in parts.values())]
 
-    def column(heading: str, text: Callable[[dict[str, Any]], str], rank: int, *, left: bool = False, least: int | None = None) -> Column:
+    def column(
+        heading: str,
+        text: Callable[[dict[str, Any]], str],
+        rank: int,
+        *,
+        left: bool = False,
+        least: int | None = None,
+    ) -> Column:
         cells = [text(part) if part else "" for part in told]
         return Column(heading, cells, rank, heading.partition(",")[0], left=left, least=least)
 
@@ -190,7 +236,9 @@ def _table(args: argparse.Namespace, no_router: str, parts: dict[str, dict[str, 
     knowing = _knowing(parts)
     ceased = [f"the search has ceased, say {', '.join(knowing)}"] if knowing else []
     troubles = [line for name, part in parts.items() for line in _troubles(name, part)]
-    return table(columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], ceased + troubles)
+    return table(
+        columns, width_of(sys.stdout), "--json", [f"{args.namespace} at {args.connect}"], ceased + troubles
+    )
 
 
 def _knowing(parts: dict[str, dict[str, Any]]) -> list[str]:

@@ -34,7 +34,11 @@ class Row(NamedTuple):
 
     def cells(self) -> dict[str, Any]:
         """Return its cells by the names of their columns."""
-        return {"published_s": repr(self.published_s), "simulation_s": _cell(self.simulation_s), **dict(_flattened("", self.fields))}
+        return {
+            "published_s": repr(self.published_s),
+            "simulation_s": _cell(self.simulation_s),
+            **dict(_flattened("", self.fields)),
+        }
 
 
 class Summary(NamedTuple):
@@ -49,12 +53,21 @@ class Summary(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
-    parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap written by a mission or `record`, or any autopilot's .tlog")
+    parser.add_argument(
+        "log",
+        metavar="LOG",
+        type=Path,
+        help="an .mcap written by a mission or `record`, or any autopilot's .tlog",
+    )
     output = parser.add_mutually_exclusive_group()
     output.add_argument(
-        "--csv", metavar="KEY", help="print one key as CSV: belief, reading, health/uav, mavlink/out/ATTITUDE; for a .tlog ATTITUDE"
+        "--csv",
+        metavar="KEY",
+        help="print one key as CSV: belief, reading, health/uav, mavlink/out/ATTITUDE; for a .tlog ATTITUDE",
     )
-    output.add_argument("--json", action="store_true", help="print the summary as one JSON object on the last line of stdout")
+    output.add_argument(
+        "--json", action="store_true", help="print the summary as one JSON object on the last line of stdout"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -116,8 +129,17 @@ def _summary(path: Path, log: "LogFile", survey: "Survey") -> Summary:
     revision = commit[:12] + (f", {dirty}" if dirty else "")
     stopped = log.about.get("stopped")
     count = sum(len(table.published_s) for table in tables)
-    wall_s, simulation_s = _span([table.published_s for table in tables]), _span([table.simulation_s for table in tables])
-    whole = "complete" if log.complete else "DAMAGED" if log.damage else f"CUT OFF{f': {stopped}' if stopped else ''}"
+    wall_s, simulation_s = (
+        _span([table.published_s for table in tables]),
+        _span([table.simulation_s for table in tables]),
+    )
+    whole = (
+        "complete"
+        if log.complete
+        else "DAMAGED"
+        if log.damage
+        else f"CUT OFF{f': {stopped}' if stopped else ''}"
+    )
     flown_with = f"plumeward {versions.get('plumeward', 'unknown')}{f' ({revision})' if revision else ''}"
     head = [
         str(path),
@@ -127,11 +149,19 @@ def _summary(path: Path, log: "LogFile", survey: "Survey") -> Summary:
         *([f"it {log.shortcoming}"] if log.damage else []),
     ]
     fields = {
-        "log": str(path), "complete": log.complete, "damage": [place._asdict() for place in log.damage],
-        "messages": count, "duration_s": wall_s, "simulation_s": simulation_s,
-        "keys": {table.name: {"messages": len(table.published_s), "repeats": table.repeats} for table in tables},
-        "beliefs": len(survey.trace), "gaps": gaps, **outcome,
-    }  # fmt: skip
+        "log": str(path),
+        "complete": log.complete,
+        "damage": [place._asdict() for place in log.damage],
+        "messages": count,
+        "duration_s": wall_s,
+        "simulation_s": simulation_s,
+        "keys": {
+            table.name: {"messages": len(table.published_s), "repeats": table.repeats} for table in tables
+        },
+        "beliefs": len(survey.trace),
+        "gaps": gaps,
+        **outcome,
+    }
     return Summary([printable(line) for line in head], tables, [*(gaps or ["gaps: none"]), *lines], fields)
 
 
@@ -162,17 +192,30 @@ def _outcome(about: dict[str, Any], survey: "Survey") -> tuple[dict[str, Any], l
     world = _object(about, "mission").get("world")
     world = world if isinstance(world, str) else AS_MODELLED  # records of other versions may lack it
     plain = {
-        "ceased": last.ceased, "estimate": last.mean, "spread_m": last.spread, "steps": last.step, "assume": last.assume, "stop": last.stop,
+        "ceased": last.ceased,
+        "estimate": last.mean,
+        "spread_m": last.spread,
+        "steps": last.step,
+        "assume": last.assume,
+        "stop": last.stop,
         "world": world,
-    }  # fmt: skip
+    }
     try:
         scenario = msgspec.convert(about["scenario"], Scenario)
     except (KeyError, msgspec.ValidationError):
         verdict = f"{'ceased' if last.ceased else 'not ceased'} after {last.step} steps"
         return plain, [verdict, estimate, assumed_text(last.assume, last.stop, world)]
     trace = [point for _, point in sorted(survey.trace.items())]
-    result = outcome(0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world)  # no seed, policy, search time
-    told = {**plain, "located": result.located, "error_m": result.error_m, "distance_m": result.distance_m, "source": result.source}
+    result = outcome(
+        0, "", scenario, trace, last.ceased, 0.0, last.assume, last.stop, world
+    )  # no seed, policy, search time
+    told = {
+        **plain,
+        "located": result.located,
+        "error_m": result.error_m,
+        "distance_m": result.distance_m,
+        "source": result.source,
+    }
     return told, outcome_text(result).splitlines()
 
 
@@ -186,13 +229,22 @@ def _columns(entries: "Iterable[Entry]", name: str) -> list[str]:
             if key == name:
                 columns.update(dict.fromkeys(_row(entry, fields).cells()))
     if name not in keys:
-        raise _NoSuchKey(f"--csv: {name!r} is not allowed; wanted one of {', '.join(sorted(keys)) or 'nothing: the log is empty'}")
+        raise _NoSuchKey(
+            f"--csv: {name!r} is not allowed; wanted one of "
+            f"{', '.join(sorted(keys)) or 'nothing: the log is empty'}"
+        )
     return list(columns)
 
 
 def _rows(entries: "Iterable[Entry]", name: str) -> Iterator[Row]:
     """Yield a key's messages with their fields."""
-    return (_row(entry, fields) for entry in entries if name.startswith(entry.key) for key, fields in _decoded(entry) if key == name)
+    return (
+        _row(entry, fields)
+        for entry in entries
+        if name.startswith(entry.key)
+        for key, fields in _decoded(entry)
+        if key == name
+    )
 
 
 def _row(entry: "Entry", fields: dict[str, Any]) -> Row:
@@ -240,7 +292,12 @@ def _summary_of_tlog(path: Path, log: "FlightLog", notes: list[str]) -> Summary:
     senders = ", ".join(f"{system}/{component}" for system, component in sorted(log.senders()))
     head = [f"{path}: MAVLink of system/component {senders}", f"{len(log):,} messages in {span_s:.1f} s"]
     counts = {table.name: {"messages": len(table.published_s)} for table in tables}
-    return Summary(head, tables, notes, {"log": str(path), "messages": len(log), "duration_s": span_s, "keys": counts, "notes": notes})
+    return Summary(
+        head,
+        tables,
+        notes,
+        {"log": str(path), "messages": len(log), "duration_s": span_s, "keys": counts, "notes": notes},
+    )
 
 
 def _kinds() -> dict[int, str]:
@@ -261,7 +318,9 @@ def _columns_of_tlog(log: "FlightLog", name: str) -> list[str]:
 
 def _rows_of_tlog(log: "FlightLog", name: str) -> Iterator[Row]:
     """Yield the messages of a type."""
-    for index, message in log.messages(log.select(None, [message_id for message_id, kind in _kinds().items() if kind == name])):
+    for index, message in log.messages(
+        log.select(None, [message_id for message_id, kind in _kinds().items() if kind == name])
+    ):
         fields = message.to_dict()
         del fields["mavpackettype"]
         yield Row(float(log.times_us[index]) / 1e6, math.nan, {**fields, "system": message.get_srcSystem()})
@@ -295,7 +354,9 @@ def _rate(times: Sequence[float]) -> str:
 
 
 def _print_csv(names: Sequence[str], rows: Iterable[Row]) -> None:
-    writer = csv.DictWriter(sys.stdout, names, restval="", extrasaction="ignore", lineterminator="\n")  # the log may still be written
+    writer = csv.DictWriter(
+        sys.stdout, names, restval="", extrasaction="ignore", lineterminator="\n"
+    )  # the log may still be written
     writer.writeheader()
     writer.writerows(row.cells() for row in rows)
 

@@ -1,4 +1,6 @@
-"""What a record holds, taken message by message: times, counts and the search, however large the record is."""
+"""What a record holds, taken message by message: times, counts and the search, however large the record
+is.
+"""
 
 import math
 from array import array
@@ -67,9 +69,14 @@ class Survey:
 
     @property
     def tables(self) -> list[KeyTable]:
-        """Return a table for each key. Simulation times from before the vehicle told its clock are left out."""
+        """Return a table for each key. Simulation times from before the vehicle told its clock are left
+        out.
+        """
         began = began_s(time_s for times in self.simulation_s.values() for time_s in times)
-        told = {key: [time_s for time_s in times if time_s >= began] if began else times for key, times in self.simulation_s.items()}
+        told = {
+            key: [time_s for time_s in times if time_s >= began] if began else times
+            for key, times in self.simulation_s.items()
+        }
         return [
             KeyTable(key, times, told[key], len(times) - len(self._told[key]) if key in self._told else None)
             for key, times in sorted(self.published_s.items())
@@ -84,14 +91,23 @@ class Survey:
         ]
 
     def gaps(self) -> list[str]:
-        """Return a line for each kind of gap: unanswered readings, missing steps, pauses, restarted services."""
+        """Return a line for each kind of gap: unanswered readings, missing steps, pauses, restarted
+        services.
+        """
         lines = []
         if unanswered := sorted(time_ms for time_ms in self.asked if time_ms % WRAP_MS not in self.answered):
             times = [f"{time_ms / 1000:.2f} s" for time_ms in unanswered[:LISTED]]
-            lines.append(f"{len(unanswered)} readings without a belief, at {_few(times, len(unanswered))} of simulation")
+            lines.append(
+                f"{len(unanswered)} readings without a belief, at {_few(times, len(unanswered))} of "
+                "simulation"
+            )
         steps = sorted(self.trace)
-        if missing := max(steps, default=-1) + 1 - len(steps):  # counted, not listed: a foreign message may have any step
-            absent = (str(step) for before, after in pairwise([-1, *steps]) for step in range(before + 1, after))
+        if (
+            missing := max(steps, default=-1) + 1 - len(steps)
+        ):  # counted, not listed: a foreign message may have any step
+            absent = (
+                str(step) for before, after in pairwise([-1, *steps]) for step in range(before + 1, after)
+            )
             lines.append(f"{missing} beliefs missing, of step {_few(list(islice(absent, LISTED)), missing)}")
         published_s = sorted(time for times in self.published_s.values() for time in times)
         pauses = [
@@ -102,17 +118,25 @@ class Survey:
         if pauses:
             lines.append(f"{len(pauses)} pauses of the whole bus: {_few(pauses)}")
         return lines + [
-            f"{service} was restarted {count} time{'s' * (count > 1)}" for service, count in sorted(self.restarts.items()) if count
+            f"{service} was restarted {count} time{'s' * (count > 1)}"
+            for service, count in sorted(self.restarts.items())
+            if count
         ]
 
     def _take(self, entry: Entry) -> None:
         self.published_s[entry.key].append(entry.published_ns / 1e9)
         self.simulation_s[entry.key].append(entry.simulation_s)
         if entry.key in self._told:
-            self._told[entry.key].add(blake2b(f"{entry.simulation_s!r}".encode() + entry.payload, digest_size=16).digest())
+            self._told[entry.key].add(
+                blake2b(f"{entry.simulation_s!r}".encode() + entry.payload, digest_size=16).digest()
+            )
         if entry.key == "reading":
             self.asked.add(round(entry.simulation_s * 1000))
-        for prefix, name, kind in (("belief", "belief", Belief), ("agdc/stop", "stop", Stop), ("health/", "health message", Alive)):
+        for prefix, name, kind in (
+            ("belief", "belief", Belief),
+            ("agdc/stop", "stop", Stop),
+            ("health/", "health message", Alive),
+        ):
             if entry.key.startswith(prefix):
                 try:
                     self._hear(entry.key, msgspec.json.decode(entry.payload, type=kind))
@@ -139,6 +163,8 @@ def _line(text: str) -> str:
 
 
 def _few(texts: Sequence[str], count: int = 0) -> str:
-    """Return the first few texts as a list and the number of the others; `count` is their total if not all are given."""
+    """Return the first few texts as a list and the number of the others; `count` is their total if not all
+    are given.
+    """
     more = max(len(texts), count) - LISTED
     return ", ".join(texts[:LISTED]) + (f" and {more:,} more" if more > 0 else "")

@@ -1,4 +1,5 @@
-"""Replay: a log takes the place of the vehicle, and the services' answers are compared with the recorded ones.
+"""Replay: a log takes the place of the vehicle, and the services' answers are compared with the recorded
+ones.
 
 Imports: plume, link, link.bus, link.record, sitl.script, sitl.launch, ground.tlog.
 """

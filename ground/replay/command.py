@@ -1,4 +1,6 @@
-"""`plumeward replay`: a log takes the place of the vehicle. `--verify` compares the services' answers with the recorded ones."""
+"""`plumeward replay`: a log takes the place of the vehicle. `--verify` compares the services' answers with
+the recorded ones.
+"""
 
 import argparse
 import math
@@ -22,7 +24,19 @@ if TYPE_CHECKING:
 
 READING_FLAGS = ("sysid", "gas", "wind", "every", "origin", "area", "plume")
 """Flags for reading an autopilot's log."""
-FILTER_FLAGS = ("particles", "assume", "threshold", "stop", "prior", "stop_on", "rate", "diffusivity", "lifetime", "sensor", "seed")
+FILTER_FLAGS = (
+    "particles",
+    "assume",
+    "threshold",
+    "stop",
+    "prior",
+    "stop_on",
+    "rate",
+    "diffusivity",
+    "lifetime",
+    "sensor",
+    "seed",
+)
 """Flags passed on to the estimator."""
 
 
@@ -41,7 +55,9 @@ def _pair(names: str) -> Callable[[str], tuple[float, float]]:
         try:
             one, two = (float(part) for part in text.split(","))
         except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted {names}, two numbers") from None
+            raise argparse.ArgumentTypeError(
+                f"{text!r} is not allowed; wanted {names}, two numbers"
+            ) from None
         return one, two
 
     return parse
@@ -50,13 +66,29 @@ def _pair(names: str) -> Callable[[str], tuple[float, float]]:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
     seconds, positive = cli.number(0, math.inf), cli.number(0, math.inf, above=True)
-    parser.add_argument("log", metavar="LOG", type=Path, help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog")
     parser.add_argument(
-        "-e", "--connect", metavar="ENDPOINT",
-        help="act only as the vehicle, on this router (default: also start router, estimator and agent with their recorded flags)",
-    )  # fmt: skip
-    parser.add_argument("--policy", metavar="FILE.zip", help="the bundle that the recorded agent flew: a record never names a file to load")
-    parser.add_argument("--namespace", metavar="NAME", help="the vehicle's key prefix (default: the recorded one; with --connect uav/1)")
+        "log",
+        metavar="LOG",
+        type=Path,
+        help="an .mcap that a mission or `record` wrote, or any autopilot's .tlog",
+    )
+    parser.add_argument(
+        "-e",
+        "--connect",
+        metavar="ENDPOINT",
+        help="act only as the vehicle, on this router (default: also start router, estimator and agent with "
+        "their recorded flags)",
+    )
+    parser.add_argument(
+        "--policy",
+        metavar="FILE.zip",
+        help="the bundle that the recorded agent flew: a record never names a file to load",
+    )
+    parser.add_argument(
+        "--namespace",
+        metavar="NAME",
+        help="the vehicle's key prefix (default: the recorded one; with --connect uav/1)",
+    )
     cli.add_secure_argument(parser)
     parser.add_argument(
         "--speedup",
@@ -65,16 +97,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X",
         help="1 for the recorded pace, 0 for as fast as possible (default: 1)",
     )
-    parser.add_argument("--from", type=seconds, default=0.0, metavar="S", dest="from_s", help="skip this many seconds of simulation time")
     parser.add_argument(
-        "--to", type=seconds, default=math.inf, metavar="S", dest="to_s", help="end at this simulation time, from the beginning of the log"
+        "--from",
+        type=seconds,
+        default=0.0,
+        metavar="S",
+        dest="from_s",
+        help="skip this many seconds of simulation time",
     )
-    parser.add_argument("--loop", action="store_true", help="repeat, each time with new services; not with --connect")
-    parser.add_argument("--verify", action="store_true", help="compare with the recorded answers: status 0, or 1 and the first difference")
     parser.add_argument(
-        "--ignore", action="append", default=[], metavar="FIELD",
-        help="with --verify: ignore a field such as belief.p_value, the particles, or all of belief, stop or waypoint",
-    )  # fmt: skip
+        "--to",
+        type=seconds,
+        default=math.inf,
+        metavar="S",
+        dest="to_s",
+        help="end at this simulation time, from the beginning of the log",
+    )
+    parser.add_argument(
+        "--loop", action="store_true", help="repeat, each time with new services; not with --connect"
+    )
+    parser.add_argument(
+        "--verify",
+        action="store_true",
+        help="compare with the recorded answers: status 0, or 1 and the first difference",
+    )
+    parser.add_argument(
+        "--ignore",
+        action="append",
+        default=[],
+        metavar="FIELD",
+        help="with --verify: ignore a field such as belief.p_value, the particles, or all of belief, stop or "
+        "waypoint",
+    )
     parser.add_argument(
         "--tolerance",
         type=seconds,
@@ -82,9 +136,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="X",
         help="with --verify: largest difference of numbers that is accepted (default: 0)",
     )
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object on the last line of stdout")
-    parser.add_argument("--sysid", type=cli.whole(1, 255), metavar="N", help="tlog: which vehicle (default: the only one)")
-    parser.add_argument("--gas", metavar="NAME", help="tlog: message of the gas readings, NAME or MESSAGE.FIELD (default: gas)")
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as one JSON object on the last line of stdout"
+    )
+    parser.add_argument(
+        "--sysid", type=cli.whole(1, 255), metavar="N", help="tlog: which vehicle (default: the only one)"
+    )
+    parser.add_argument(
+        "--gas",
+        metavar="NAME",
+        help="tlog: message of the gas readings, NAME or MESSAGE.FIELD (default: gas)",
+    )
     parser.add_argument(
         "--wind",
         type=_pair("SPEED,FROM"),
@@ -92,37 +154,76 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="tlog: wind to use instead of the log's, m/s and the direction it comes from in degrees",
     )
     parser.add_argument(
-        "--every", type=positive, metavar="S", help="tlog: time between two readings (default: 1 s; all readings that a record holds)"
+        "--every",
+        type=positive,
+        metavar="S",
+        help="tlog: time between two readings (default: 1 s; all readings that a record holds)",
     )
     parser.add_argument(
-        "--origin", type=_pair("NORTH,EAST"), metavar="NORTH,EAST",
-        help="tlog: south-western corner of the search area, m in the log's local frame (default: home, if the readings lie "
+        "--origin",
+        type=_pair("NORTH,EAST"),
+        metavar="NORTH,EAST",
+        help="tlog: south-western corner of the search area, m in the log's local frame (default: home, if "
+        "the readings lie "
         "in the area then, else around the flight)",
-    )  # fmt: skip
-    parser.add_argument("--area", type=positive, metavar="M", help="tlog: side of the search area (default: around the flight)")
-    parser.add_argument("--plume", metavar="MISSION", help="tlog: simulate the gas along the path with this mission's plume")
+    )
+    parser.add_argument(
+        "--area",
+        type=positive,
+        metavar="M",
+        help="tlog: side of the search area (default: around the flight)",
+    )
+    parser.add_argument(
+        "--plume", metavar="MISSION", help="tlog: simulate the gas along the path with this mission's plume"
+    )
     cli.add_filter_arguments(parser)
     for name in ("particles", "assume", "threshold", "stop_on"):
         parser.set_defaults(**{name: _Unset(parser.get_default(name))})
     rate, diffusivity, lifetime = (cli.number(*LIMITS[name]) for name in ("q", "d", "tau"))
-    parser.add_argument("--rate", type=rate, metavar="Q", help="release rate q (default: the plume's, or 300 g/s)")
-    parser.add_argument("--diffusivity", type=diffusivity, metavar="D", help="diffusivity d (default: the plume's, or 4.5 m²/s)")
-    parser.add_argument("--lifetime", type=lifetime, metavar="TAU", help="lifetime τ of the gas (default: the plume's, or 10 s)")
     parser.add_argument(
-        "--sensor", type=cli.checked(sensor.parse), metavar="KIND[:NUMBERS]",
-        help="gaussian, threshold or hits, each with its numbers if wanted (default: the plume's, or gaussian)",
-    )  # fmt: skip
-    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), metavar="N", help="seed of the filter's random draws (default: 0)")
+        "--rate", type=rate, metavar="Q", help="release rate q (default: the plume's, or 300 g/s)"
+    )
+    parser.add_argument(
+        "--diffusivity",
+        type=diffusivity,
+        metavar="D",
+        help="diffusivity d (default: the plume's, or 4.5 m²/s)",
+    )
+    parser.add_argument(
+        "--lifetime",
+        type=lifetime,
+        metavar="TAU",
+        help="lifetime τ of the gas (default: the plume's, or 10 s)",
+    )
+    parser.add_argument(
+        "--sensor",
+        type=cli.checked(sensor.parse),
+        metavar="KIND[:NUMBERS]",
+        help="gaussian, threshold or hits, each with its numbers if wanted (default: the plume's, or "
+        "gaussian)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=cli.whole(0, MAX_SEED),
+        metavar="N",
+        help="seed of the filter's random draws (default: 0)",
+    )
 
 
 def _given(args: argparse.Namespace, names: Sequence[str]) -> dict[str, Any]:
     """Return the flags of `names` that were given."""
     values = {name: getattr(args, name) for name in names}
-    return {name: value for name, value in values.items() if value not in (None, []) and not isinstance(value, _Unset)}
+    return {
+        name: value
+        for name, value in values.items()
+        if value not in (None, []) and not isinstance(value, _Unset)
+    }
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay once, or until interrupted; returns the exit status: 1 if something differs, or if pieces of the log are missing."""
+    """Replay once, or until interrupted; returns the exit status: 1 if something differs, or if pieces of
+    the log are missing.
+    """
     from ground.replay.player import replay
     from ground.replay.source import BadSource, find
     from sitl.launch.processes import MissionFailed
@@ -138,7 +239,10 @@ def run(args: argparse.Namespace) -> int:
         while True:
             began = time.monotonic()
             result = replay(source, rules, args.speedup, args.connect, args.secure)
-            tell(_text(result, source, rules, time.monotonic() - began), sys.stderr if args.json else sys.stdout)
+            tell(
+                _text(result, source, rules, time.monotonic() - began),
+                sys.stderr if args.json else sys.stdout,
+            )
             if result.difference or not args.loop:
                 break
     except KeyboardInterrupt:
@@ -163,15 +267,22 @@ def _text(result: "Replayed", source: "Source", rules: "Rules | None", took_s: f
         ceased = "not ceased" if result.ceased_at is None else f"ceased at step {result.ceased_at}"
         outcome = f"{last.step + 1} readings, {ceased}\nestimate ({x:.2f}, {y:.2f}) ± {last.spread:.2f} m"
         if source.truth:
-            outcome += f"\nsource   ({source.truth[0]:.2f}, {source.truth[1]:.2f}), error {math.dist(last.mean, source.truth):.2f} m"
+            outcome += (
+                f"\nsource   ({source.truth[0]:.2f}, {source.truth[1]:.2f}), error "
+                f"{math.dist(last.mean, source.truth):.2f} m"
+            )
         outcome += f"\n{assumed_text(last.assume, last.stop, source.world)}"
     replayed = f"replayed in {took_s:.1f} s: {outcome}"
     if rules is None:
         return replayed
     if result.difference:
         return f"{replayed}\ndiffers: {result.difference.text()}"
-    counted = [f"{n} {kind}{'' if n == 1 else 's'}" for kind, n in result.counts.items() if kind not in rules.ignored]
-    relaxed = [f"within {rules.tolerance:g}"] * bool(rules.tolerance) + [f"without {name}" for name in sorted(rules.ignored)]
+    counted = [
+        f"{n} {kind}{'' if n == 1 else 's'}" for kind, n in result.counts.items() if kind not in rules.ignored
+    ]
+    relaxed = [f"within {rules.tolerance:g}"] * bool(rules.tolerance) + [
+        f"without {name}" for name in sorted(rules.ignored)
+    ]
     return f"{replayed}\nverified: {', '.join(counted)}" + f" ({', '.join(relaxed)})" * bool(relaxed)
 
 

@@ -1,4 +1,6 @@
-"""The player of a replay: publishes the vehicle's recorded messages, and waits for the services' answers in between."""
+"""The player of a replay: publishes the vehicle's recorded messages, and waits for the services' answers
+in between.
+"""
 
 import contextlib
 import math
@@ -35,8 +37,12 @@ class Replayed(NamedTuple):
     difference: Difference | None
 
 
-def replay(source: Source, rules: Rules | None, speedup: float, connect: str | None, secure: Path | None = None) -> Replayed:
-    """Replay once. Every process started for it has ended when this returns or raises. Raises MissionFailed."""
+def replay(
+    source: Source, rules: Rules | None, speedup: float, connect: str | None, secure: Path | None = None
+) -> Replayed:
+    """Replay once. Every process started for it has ended when this returns or raises. Raises
+    MissionFailed.
+    """
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
         readings = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
@@ -57,7 +63,9 @@ def _start(processes: Processes, source: Source, secure: Path | None) -> str:
     """Start a router and the services; returns the router's endpoint."""
     endpoint = processes.start_router("tcp/127.0.0.1:0", secure)
     for part, words in source.parts.items():
-        processes.start(part, part, "--connect", endpoint, "--namespace", source.namespace, *secure_words(secure), *words)
+        processes.start(
+            part, part, "--connect", endpoint, "--namespace", source.namespace, *secure_words(secure), *words
+        )
     return endpoint
 
 
@@ -72,7 +80,9 @@ class Player:
         self._rules = rules
         self._own = own
         ignored = rules.ignored if rules else frozenset()
-        available = {kind for kind, service in SERVICES.items() if not own or service in source.parts} - ignored
+        available = {
+            kind for kind, service in SERVICES.items() if not own or service in source.parts
+        } - ignored
         self._awaited = deque(key for key in source.then if key[1] in available)
         self._services = {SERVICES[kind] for _, kind in self._awaited} if source.recorded else {"estimator"}
         self._present: set[str] = set()
@@ -107,7 +117,11 @@ class Player:
         for entry in self._source.entries:
             if speedup:
                 self._listen(began + (entry.published_ns - first_ns) / 1e9 / speedup)
-            if entry.key == READING.name and (time_ms := reading_time(entry)) is not None and time_ms > self._latest_ms:
+            if (
+                entry.key == READING.name
+                and (time_ms := reading_time(entry)) is not None
+                and time_ms > self._latest_ms
+            ):
                 began += self._wait_for_answers()
                 if not self._difference:
                     self._begin(entry, time_ms)
@@ -135,13 +149,17 @@ class Player:
                 self._due.add(self._awaited.popleft())  # also answers whose reading the log lacks
         else:
             self._due.add((time_ms, "belief"))
-        self._due = {(time, kind) for time, kind in self._due if time >= self._first_ms and kind not in self._given_up}
+        self._due = {
+            (time, kind) for time, kind in self._due if time >= self._first_ms and kind not in self._given_up
+        }
         self._published_at = time.monotonic()
         self._resend_s = RESEND_FIRST_S
         self._resend_at = self._published_at + self._resend_s
 
     def _wait_for_answers(self) -> float:
-        """Wait for all answers due; returns the time it took, s. A missing answer is a difference or a warning."""
+        """Wait for all answers due; returns the time it took, s. A missing answer is a difference or a
+        warning.
+        """
         began = time.monotonic()
         self._listen(began + self._patience_s, for_answers=True)
         if self._due and not self._difference:
@@ -152,16 +170,23 @@ class Player:
         time_ms, kind = key
         service = SERVICES[kind]
         gone = "" if service in self._present else f": the {service} is gone"
-        again = " (it refuses readings that it has seen before: restart it)" if not (self._own or self._heard or gone) else ""
+        again = (
+            " (it refuses readings that it has seen before: restart it)"
+            if not (self._own or self._heard or gone)
+            else ""
+        )
         self._progress.say(
-            f"warning: no {kind} received for the reading at {time_ms / 1000:.2f} s within {self._patience_s:g} s{gone}{again}"
+            f"warning: no {kind} received for the reading at {time_ms / 1000:.2f} s within "
+            f"{self._patience_s:g} s{gone}{again}"
         )
         self._compare(key, None)
         self._given_up |= {kind for _, kind in self._due}  # not waited for again until one arrives
         self._due.clear()
 
     def _listen(self, until: float, for_answers: bool = False) -> None:
-        """Receive until a time, or until nothing is due; meanwhile repeat an unanswered reading, as the vehicle does."""
+        """Receive until a time, or until nothing is due; meanwhile repeat an unanswered reading, as the
+        vehicle does.
+        """
         while not self._difference and (self._due or not for_answers) and (now := time.monotonic()) < until:
             if self._due and now >= self._resend_at:
                 assert self._reading is not None
@@ -187,7 +212,8 @@ class Player:
                 elif not self._own:
                     self._present.add(service)
             case Arrival(key) if key is HEALTH:
-                # A service started just now is present once it reports its health: it may compile kernels first.
+                # A service started just now is present once it reports its health: it may compile kernels
+                # first.
                 if (health := self._bus.decode(item, Health)) is not None:
                     self._present.add(health.service)
             case Arrival(key, payload, attachment):
@@ -214,12 +240,18 @@ class Player:
         if self._rules is None or self._difference or not (key in then or self._must_be_silent(key)):
             return
         belief = then.get((key[0], "belief"))
-        self._difference = verify.difference(then.get(key), now, self._rules, belief.fields.get("step") if belief else None)
+        self._difference = verify.difference(
+            then.get(key), now, self._rules, belief.fields.get("step") if belief else None
+        )
 
     def _must_be_silent(self, key: tuple[int, str]) -> bool:
         """Whether the log proves that there was no such answer."""
         source = self._source
-        return key not in source.then and key[0] <= source.sure_ms and verify.must_be_silent(source.then, *key, source.budget)
+        return (
+            key not in source.then
+            and key[0] <= source.sure_ms
+            and verify.must_be_silent(source.then, *key, source.budget)
+        )
 
     def _show(self, belief: Belief | None) -> None:
         if belief is None:

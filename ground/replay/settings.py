@@ -1,4 +1,6 @@
-"""The settings that a record may give the services of its replay: it may come from a stranger, so that nothing else of it is run."""
+"""The settings that a record may give the services of its replay: it may come from a stranger, so that
+nothing else of it is run.
+"""
 
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
@@ -56,7 +58,9 @@ LONGEST = 80
 
 
 def words(service: str, recorded: list[str]) -> list[str]:
-    """Return the flags for a service of today from its recorded ones. Raises ValueError with the one that a record may not give."""
+    """Return the flags for a service of today from its recorded ones. Raises ValueError with the one that
+    a record may not give.
+    """
     given: dict[str, Any] = {}
     for flag, value in _pairs(recorded):
         name = flag.removeprefix("--")
@@ -78,13 +82,25 @@ def flew_a_bundle(recorded: list[str]) -> bool:
 
 
 def with_bundle(recorded: list[str], bundle: str) -> list[str]:
-    """Return an agent's flags with the file that the user names in place of the recorded one. Raises ValueError as `words` does."""
-    return [*words("agent", [word for pair in _pairs(recorded) if pair[0] != "--policy" for word in pair]), "--policy", bundle]
+    """Return an agent's flags with the file that the user names in place of the recorded one. Raises
+    ValueError as `words` does.
+    """
+    return [
+        *words("agent", [word for pair in _pairs(recorded) if pair[0] != "--policy" for word in pair]),
+        "--policy",
+        bundle,
+    ]
 
 
 def as_words(settings: Mapping[str, Any]) -> list[str]:
-    """Return a command line of settings: their names are those of the flags, and each item of a list is a flag of its own."""
-    each = [(name, item) for name, value in settings.items() for item in (value if isinstance(value, list) else [value])]
+    """Return a command line of settings: their names are those of the flags, and each item of a list is a
+    flag of its own.
+    """
+    each = [
+        (name, item)
+        for name, value in settings.items()
+        for item in (value if isinstance(value, list) else [value])
+    ]
     return [word for name, item in each for word in (f"--{name.replace('_', '-')}", str(item))]
 
 

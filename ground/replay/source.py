@@ -22,7 +22,11 @@ from plume.worlds import AS_MODELLED
 from sitl.script import script
 from sitl.script.typed_yaml import FileError
 
-VEHICLE_KEYS = {READING.name: READING, MAVLINK_OUT.name: MAVLINK_OUT, HEALTH.name.replace("<service>", "uav"): HEALTH}
+VEHICLE_KEYS = {
+    READING.name: READING,
+    MAVLINK_OUT.name: MAVLINK_OUT,
+    HEALTH.name.replace("<service>", "uav"): HEALTH,
+}
 """The keys that a vehicle publishes on, by their names in a log."""
 SERVICES = {"belief": "estimator", "stop": "estimator", "waypoint": "agent"}
 """The service that sends each kind of answer."""
@@ -53,7 +57,9 @@ class Source(NamedTuple):
     unfit: Mapping[str, str] = MappingProxyType({})
     """Why a service cannot be started as the record says, one line each."""
     sure_ms: float = math.inf
-    """The log has all answers to readings up to this time; if it was cut off or damaged, later ones may lack some."""
+    """The log has all answers to readings up to this time; if it was cut off or damaged, later ones may
+    lack some.
+    """
     sure_ns: float = math.inf
     """Up to this time of publication it lacks nothing."""
     damaged: bool = False
@@ -103,9 +109,17 @@ def recording(path: Path, bundle: str | None = None) -> Source:
     for service, words in told.parts.items():
         if service in SERVICES.values():
             try:
-                parts[service] = settings.with_bundle(words, bundle) if bundle and service == "agent" else settings.words(service, words)
+                parts[service] = (
+                    settings.with_bundle(words, bundle)
+                    if bundle and service == "agent"
+                    else settings.words(service, words)
+                )
             except ValueError as error:
-                hint = "; name the bundle with --policy" if service == "agent" and settings.flew_a_bundle(words) else ""
+                hint = (
+                    "; name the bundle with --policy"
+                    if service == "agent" and settings.flew_a_bundle(words)
+                    else ""
+                )
                 unfit[service] = f"{path} starts its {service} with {error}, which a record may not do{hint}"
     notes: tuple[str, ...] = ()
     sure_ms = sure_ns = math.inf
@@ -116,11 +130,18 @@ def recording(path: Path, bundle: str | None = None) -> Source:
         if log.damage:
             notes = (f"warning: {path} {log.shortcoming}; --verify compares up to {end_s:.2f} s",)
         sure_ns = max((entry.published_ns for entry in sound), default=0)
-        early = [entry for entry in sound if entry.key == READING.name and entry.published_ns <= sure_ns - OVERTAKE_NS]
+        early = [
+            entry
+            for entry in sound
+            if entry.key == READING.name and entry.published_ns <= sure_ns - OVERTAKE_NS
+        ]
         sure_ms = max((time for time in map(reading_time, early) if time is not None), default=-1)
     return Source(
         path,
-        sorted((entry for entry in log.entries if entry.key in VEHICLE_KEYS), key=lambda entry: entry.published_ns),
+        sorted(
+            (entry for entry in log.entries if entry.key in VEHICLE_KEYS),
+            key=lambda entry: entry.published_ns,
+        ),
         verify.said(sound),
         parts,
         told.namespace,
@@ -149,28 +170,50 @@ def _slowest_s(entries: list[Entry]) -> float:
 
 
 def autopilot_log(path: Path, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> Source:
-    """Read an autopilot's log as the flags `chosen` say, for an estimator with the flags `filtering`; raises BadSource."""
+    """Read an autopilot's log as the flags `chosen` say, for an estimator with the flags `filtering`;
+    raises BadSource.
+    """
     try:
         world = script.load(chosen["plume"]).simulated() if "plume" in chosen else None
         flown = flight.read(
-            path, system=chosen.get("sysid"), gas=chosen.get("gas", "gas"), wind=chosen.get("wind"), every_s=chosen.get("every"),
-            origin=chosen.get("origin"), area_m=chosen.get("area"), plume=world,
-        )  # fmt: skip
+            path,
+            system=chosen.get("sysid"),
+            gas=chosen.get("gas", "gas"),
+            wind=chosen.get("wind"),
+            every_s=chosen.get("every"),
+            origin=chosen.get("origin"),
+            area_m=chosen.get("area"),
+            plume=world,
+        )
     except (FlightError, FileError) as error:
         raise BadSource(str(error)) from None
     known: dict[str, Any] = {}
     if world:
         told = world.scenario
-        known = {"rate": told.q, "diffusivity": told.d, "lifetime": told.tau, "sensor": sensor.text(world.sensor)}
+        known = {
+            "rate": told.q,
+            "diffusivity": told.d,
+            "lifetime": told.tau,
+            "sensor": sensor.text(world.sensor),
+        }
     estimator = settings.as_words({**known, **filtering, "sysid": flown.system, "area": flown.area_m})
     truth = world.truth.source if world else None
     return Source(
-        path, flown.entries, {}, {"estimator": estimator}, f"uav/{flown.system}", False, truth=truth,
-        world=world.name if world else AS_MODELLED, notes=tuple(flown.notes),
-    )  # fmt: skip
+        path,
+        flown.entries,
+        {},
+        {"estimator": estimator},
+        f"uav/{flown.system}",
+        False,
+        truth=truth,
+        world=world.name if world else AS_MODELLED,
+        notes=tuple(flown.notes),
+    )
 
 
-def find(args: argparse.Namespace, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> tuple[Source, Rules | None]:
+def find(
+    args: argparse.Namespace, chosen: Mapping[str, Any], filtering: Mapping[str, Any]
+) -> tuple[Source, Rules | None]:
     """Return the source that a command line asks for, and the rules of --verify; raises BadSource.
 
     `chosen` and `filtering` are the flags given for reading an autopilot's log and for its estimator.
@@ -185,7 +228,9 @@ def find(args: argparse.Namespace, chosen: Mapping[str, Any], filtering: Mapping
     )  # a record does not choose among the vehicles of a user's bus
     source = source._replace(namespace=namespace, entries=_cut(source.entries, args))
     if args.verify:  # what follows a gap depends on what is missing
-        source = source._replace(entries=[entry for entry in source.entries if entry.published_ns <= source.sure_ns])
+        source = source._replace(
+            entries=[entry for entry in source.entries if entry.published_ns <= source.sure_ns]
+        )
     rules = _rules(args, source) if args.verify else None
     return (source if args.connect else _with_services(source, rules)), rules
 
@@ -206,23 +251,37 @@ def is_recording(path: Path) -> bool:
         raise BadSource(str(error)) from None
 
 
-def _refuse(args: argparse.Namespace, recorded: bool, chosen: Mapping[str, Any], filtering: Mapping[str, Any]) -> None:
+def _refuse(
+    args: argparse.Namespace, recorded: bool, chosen: Mapping[str, Any], filtering: Mapping[str, Any]
+) -> None:
     """Raise BadSource on a flag that would have no effect here."""
     for name in (*chosen, *filtering) if recorded else ():
-        raise BadSource(f"--{name.replace('_', '-')}: not allowed with {args.log}: a recording has its own settings")
+        raise BadSource(
+            f"--{name.replace('_', '-')}: not allowed with {args.log}: a recording has its own settings"
+        )
     for name in filtering if args.connect else ():
-        raise BadSource(f"--{name.replace('_', '-')}: not allowed with --connect: the estimator there has its own settings")
+        raise BadSource(
+            f"--{name.replace('_', '-')}: not allowed with --connect: the estimator there has its own "
+            "settings"
+        )
     if args.policy and (args.connect or not recorded):
         raise BadSource("--policy: only allowed where the agent of a recording is started")
     for name, value in () if args.verify else (("ignore", args.ignore), ("tolerance", args.tolerance)):
         if value:
             raise BadSource(f"--{name}: only allowed with --verify")
     if args.loop and args.connect:
-        raise BadSource("--loop: not allowed with --connect: an estimator accepts the same readings only once")
+        raise BadSource(
+            "--loop: not allowed with --connect: an estimator accepts the same readings only once"
+        )
     if args.verify and not recorded:
-        raise BadSource(f"--verify: not allowed with {args.log}: an autopilot's log holds no answers to compare with")
+        raise BadSource(
+            f"--verify: not allowed with {args.log}: an autopilot's log holds no answers to compare with"
+        )
     if args.verify and args.from_s:
-        raise BadSource(f"--from: {args.from_s:g} is not allowed with --verify; wanted 0: a belief depends on all readings before it")
+        raise BadSource(
+            f"--from: {args.from_s:g} is not allowed with --verify; wanted 0: a belief depends on all "
+            "readings before it"
+        )
     if args.from_s > args.to_s:
         raise BadSource(f"--to: {args.to_s:g} is not allowed; wanted at least --from, {args.from_s:g}")
 
@@ -232,7 +291,10 @@ def _cut(entries: list[Entry], args: argparse.Namespace) -> list[Entry]:
     within = [entry for entry in entries if args.from_s <= entry.simulation_s - first_s <= args.to_s]
     if not within:
         long_s = max(entry.simulation_s for entry in entries) - first_s
-        raise BadSource(f"--from: no message of {args.log} is between {args.from_s:g} and {args.to_s:g} s; it is {long_s:.1f} s long")
+        raise BadSource(
+            f"--from: no message of {args.log} is between {args.from_s:g} and {args.to_s:g} s; it is "
+            f"{long_s:.1f} s long"
+        )
     return within
 
 
@@ -243,17 +305,27 @@ def _rules(args: argparse.Namespace, source: Source) -> Rules:
         raise BadSource(str(error)) from None
     published = {reading_time(entry) for entry in source.entries if entry.key == READING.name}
     if not any(time in published and kind not in rules.ignored for time, kind in source.then):
-        raise BadSource(f"--verify: no belief, stop or waypoint in {args.log} answers a replayed reading: nothing to compare")
+        raise BadSource(
+            f"--verify: no belief, stop or waypoint in {args.log} answers a replayed reading: nothing to "
+            "compare"
+        )
     return rules
 
 
 def _with_services(source: Source, rules: Rules | None) -> Source:
-    """Add a note for each recorded service that cannot be started; raises BadSource if its answers are to be compared."""
+    """Add a note for each recorded service that cannot be started; raises BadSource if its answers are to
+    be compared.
+    """
     notes = list(source.notes)
-    for service in sorted(({SERVICES[kind] for _, kind in source.then} | set(source.unfit)) - set(source.parts)):
+    for service in sorted(
+        ({SERVICES[kind] for _, kind in source.then} | set(source.unfit)) - set(source.parts)
+    ):
         text = source.unfit.get(service, f"{source.path} does not say how its {service} was started")
         kinds = [kind for kind in SERVICES if SERVICES[kind] == service]
         if rules and not rules.ignored.issuperset(kinds):
-            raise BadSource(f"{text}; start one and give --connect, or give {' '.join(f'--ignore {kind}' for kind in kinds)}")
+            raise BadSource(
+                f"{text}; start one and give --connect, or give "
+                f"{' '.join(f'--ignore {kind}' for kind in kinds)}"
+            )
         notes.append(f"warning: {text}: replayed without it")
     return source._replace(notes=tuple(notes))

@@ -1,4 +1,6 @@
-"""Compares the answers of estimator and agent with the recorded ones, field by field. It decodes their bytes without their code."""
+"""Compares the answers of estimator and agent with the recorded ones, field by field. It decodes their
+bytes without their code.
+"""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -37,7 +39,9 @@ class Answer(NamedTuple):
     fields: dict[str, Any]
 
     def near(self, time_ms: float) -> "Answer":
-        """Return it with its time near to another of the vehicle's, ms: so its time goes on where time_boot_ms wraps."""
+        """Return it with its time near to another of the vehicle's, ms: so its time goes on where
+        time_boot_ms wraps.
+        """
         return self._replace(time_ms=nearest(round(time_ms), self.time_ms))
 
 
@@ -61,11 +65,21 @@ class Difference(NamedTuple):
     def text(self) -> str:
         """One line for people."""
         step = "" if self.step is None else f" (step {self.step})"
-        return f"{self.kind} at {self.time_s:.2f} s{step}: {self.field or 'it'} was {_text(self.was)}, is {_text(self.now)}"
+        return (
+            f"{self.kind} at {self.time_s:.2f} s{step}: {self.field or 'it'} was {_text(self.was)}, is "
+            f"{_text(self.now)}"
+        )
 
     def as_json(self) -> dict[str, Any]:
         """The fields that `--json` prints."""
-        return {"key": KINDS[self.kind], "time_s": self.time_s, "step": self.step, "field": self.field, "was": self.was, "is": self.now}
+        return {
+            "key": KINDS[self.kind],
+            "time_s": self.time_s,
+            "step": self.step,
+            "field": self.field,
+            "was": self.was,
+            "is": self.now,
+        }
 
 
 class Rules(NamedTuple):
@@ -87,7 +101,9 @@ def place(key: tuple[int, str]) -> tuple[int, int]:
 
 
 def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
-    """Return the answers in a message, with their time_boot_ms; empty if it is not an answer of a service or does not decode."""
+    """Return the answers in a message, with their time_boot_ms; empty if it is not an answer of a service
+    or does not decode.
+    """
     if key == WAYPOINT.name:
         return _waypoints(payload)
     kind = {BELIEF.name: "belief", STOP.name: "stop"}.get(key)
@@ -107,7 +123,10 @@ def answers(key: str, payload: bytes, attachment: bytes = b"") -> list[Answer]:
 
 def recorded(entry: Entry) -> list[Answer]:
     """Return the answers in a message of a log."""
-    return [answer.near(1000 * entry.simulation_s) for answer in answers(entry.key, entry.payload, entry.attachment)]
+    return [
+        answer.near(1000 * entry.simulation_s)
+        for answer in answers(entry.key, entry.payload, entry.attachment)
+    ]
 
 
 def said(entries: Iterable[Entry]) -> dict[tuple[int, str], Answer]:
@@ -120,7 +139,9 @@ def said(entries: Iterable[Entry]) -> dict[tuple[int, str], Answer]:
 
 
 def ignored(names: Sequence[str], then: Iterable[Answer] = ()) -> frozenset[str]:
-    """Parse the values of --ignore; raises ValueError that says what is allowed. Fields that only the log has can be ignored too."""
+    """Parse the values of --ignore; raises ValueError that says what is allowed. Fields that only the log
+    has can be ignored too.
+    """
     fields = {kind: list(known) for kind, known in FIELDS.items()}
     for answer in then:
         fields[answer.kind] = list(dict.fromkeys((*fields[answer.kind], *answer.fields)))
@@ -131,7 +152,10 @@ def ignored(names: Sequence[str], then: Iterable[Answer] = ()) -> frozenset[str]
         if name == PARTICLES:
             found.add(f"belief.{PARTICLES}")
         elif key not in kinds:
-            raise ValueError(f"--ignore: {name!r} is not allowed; wanted {', '.join(kinds)}, a field of theirs, or {PARTICLES}")
+            raise ValueError(
+                f"--ignore: {name!r} is not allowed; wanted {', '.join(kinds)}, a field of theirs, or "
+                f"{PARTICLES}"
+            )
         elif field and field not in fields[kinds[key]]:
             raise ValueError(f"--ignore: {name!r} is not allowed; {key} has {', '.join(fields[kinds[key]])}")
         else:
@@ -139,8 +163,11 @@ def ignored(names: Sequence[str], then: Iterable[Answer] = ()) -> frozenset[str]
     return frozenset(found)
 
 
-def difference(was: Answer | None, now: Answer | None, rules: Rules = EXACTLY, step: int | None = None) -> Difference | None:
-    """Compare one message with its counterpart, one of which may be missing; returns the first field that differs.
+def difference(
+    was: Answer | None, now: Answer | None, rules: Rules = EXACTLY, step: int | None = None
+) -> Difference | None:
+    """Compare one message with its counterpart, one of which may be missing; returns the first field that
+    differs.
 
     `step` is used for messages that have none.
     """
@@ -148,7 +175,11 @@ def difference(was: Answer | None, now: Answer | None, rules: Rules = EXACTLY, s
     assert one is not None
     if one.kind in rules.ignored:
         return None
-    where = one.kind, one.time_ms, next((known for known in (_step(was), _step(now), step) if known is not None), None)
+    where = (
+        one.kind,
+        one.time_ms,
+        next((known for known in (_step(was), _step(now), step) if known is not None), None),
+    )
     if was is None or now is None:
         return Difference(*where, "", _headline(was), _headline(now))
     for name in dict.fromkeys((*was.fields, *now.fields)):
@@ -159,7 +190,9 @@ def difference(was: Answer | None, now: Answer | None, rules: Rules = EXACTLY, s
     return None
 
 
-def compare(then: Mapping[tuple[int, str], Answer], now: Mapping[tuple[int, str], Answer], rules: Rules = EXACTLY) -> Difference | None:
+def compare(
+    then: Mapping[tuple[int, str], Answer], now: Mapping[tuple[int, str], Answer], rules: Rules = EXACTLY
+) -> Difference | None:
     """Compare the answers of two logs; returns the first difference."""
     both = {**then, **now}
     for key in sorted(both, key=place):
@@ -169,9 +202,11 @@ def compare(then: Mapping[tuple[int, str], Answer], now: Mapping[tuple[int, str]
 
 
 def must_be_silent(then: Mapping[tuple[int, str], Answer], time_ms: int, kind: str, budget: float) -> bool:
-    """True if a missing answer proves that none was sent, rather than that the log begins later or ends earlier.
+    """True if a missing answer proves that none was sent, rather than that the log begins later or ends
+    earlier.
 
-    Answers to the last reading may have been sent after the recording ended, unless the log shows that none was to be sent.
+    Answers to the last reading may have been sent after the recording ended, unless the log shows that
+    none was to be sent.
     """
     times = [time for time, _ in then]
     if not times or not times[0] <= time_ms <= times[-1]:
@@ -199,7 +234,11 @@ def _waypoints(payload: bytes) -> list[Answer]:
     except BadFrame:
         return []
     return [
-        Answer("waypoint", message.time_boot_ms, {name: _float32(getattr(message, name)) for name in SETPOINT.fieldnames})
+        Answer(
+            "waypoint",
+            message.time_boot_ms,
+            {name: _float32(getattr(message, name)) for name in SETPOINT.fieldnames},
+        )
         for message in messages
         if message.get_type() == SETPOINT.msgname
     ]
@@ -208,7 +247,11 @@ def _waypoints(payload: bytes) -> list[Answer]:
 def _particles(attachment: bytes, unknowns: Any) -> Any:
     """Return rows of float32, or the bytes unchanged if they do not divide into rows."""
     columns = len(unknowns) + 1 if isinstance(unknowns, list) else 1
-    return attachment if len(attachment) % (4 * columns) else np.frombuffer(attachment, "<f4").reshape(-1, columns)
+    return (
+        attachment
+        if len(attachment) % (4 * columns)
+        else np.frombuffer(attachment, "<f4").reshape(-1, columns)
+    )
 
 
 def _float32(value: Any) -> Any:
@@ -225,13 +268,18 @@ def _first(name: str, was: Any, now: Any, tolerance: float) -> tuple[str, Any, A
         return _first_of_rows(name, was, now, tolerance)
     if isinstance(was, list) and isinstance(now, list) and len(was) == len(now):
         pairs = zip(was, now, strict=True)
-        return next((found for i, (a, b) in enumerate(pairs) if (found := _first(f"{name}[{i}]", a, b, tolerance))), None)
+        return next(
+            (found for i, (a, b) in enumerate(pairs) if (found := _first(f"{name}[{i}]", a, b, tolerance))),
+            None,
+        )
     if _is_number(was) and _is_number(now):
         return None if _same(was, now, tolerance) else (name, was, now)
     return None if type(was) is type(now) and was == now else (name, _plain(was), _plain(now))
 
 
-def _first_of_rows(name: str, was: "np.ndarray[Any, Any]", now: "np.ndarray[Any, Any]", tolerance: float) -> tuple[str, Any, Any] | None:
+def _first_of_rows(
+    name: str, was: "np.ndarray[Any, Any]", now: "np.ndarray[Any, Any]", tolerance: float
+) -> tuple[str, Any, Any] | None:
     if was.shape != now.shape:
         return name, _plain(was), _plain(now)
     if was.tobytes() == now.tobytes():
@@ -271,4 +319,10 @@ def _text(value: Any) -> str:
         return "none"
     if isinstance(value, dict):
         return ", ".join(f"{name} {_text(each)}" for name, each in value.items())
-    return value if isinstance(value, str) else msgspec.json.encode(value).decode() if not isinstance(value, float) else repr(value)
+    return (
+        value
+        if isinstance(value, str)
+        else msgspec.json.encode(value).decode()
+        if not isinstance(value, float)
+        else repr(value)
+    )

@@ -1,7 +1,7 @@
 """Finds the intact MAVLink frames of a telemetry log (.tlog), however damaged the file around them is.
 
-A record is a time (µs since 1970, 8 bytes, big-endian) followed by one MAVLink 1 or 2 frame. Nothing marks the start of a record:
-after damage, the next one is searched for byte by byte.
+A record is a time (µs since 1970, 8 bytes, big-endian) followed by one MAVLink 1 or 2 frame. Nothing marks
+the start of a record: after damage, the next one is searched for byte by byte.
 """
 
 import math
@@ -23,11 +23,15 @@ STAMP = 8
 """Bytes of the time before each frame."""
 NO_STAMP = -1
 LATEST_US = 4_102_444_800_000_000
-"""The year 2100: a later time is damaged. An early one is valid: a computer without a battery-backed clock starts in 1970."""
+"""The year 2100: a later time is damaged. An early one is valid: a computer without a battery-backed clock
+starts in 1970.
+"""
 MAGIC = re.compile(b"[\xfd\xfe]")
 CHECKSUM_SEEDS = {message_id: bytes([kind.crc_extra]) for message_id, kind in mavlink.mavlink_map.items()}
 SURE_US = 1_000_000
-"""A larger step of the clock between two records, back or ahead, is checked against the records that follow."""
+"""A larger step of the clock between two records, back or ahead, is checked against the records that
+follow.
+"""
 
 
 class Records(NamedTuple):
@@ -44,7 +48,9 @@ class Records(NamedTuple):
     garbage: list[tuple[int, int]]
     """Runs of bytes that belong to no record: (records before the run, its length)."""
     refused: Counter[int]
-    """Whole frames among the garbage whose checksum is wrong, by message id: damaged, or from another revision of the dialect."""
+    """Whole frames among the garbage whose checksum is wrong, by message id: damaged, or from another
+    revision of the dialect.
+    """
     unknown: Counter[int]
     """Frames of messages outside the dialect, by message id; their checksums cannot be verified."""
     cut_off: int
@@ -81,8 +87,21 @@ def scan(data: bytes) -> Records:
         systems.append(found.system)
         components.append(found.component)
         at = found.end
-    columns = [np.frombuffer(column, np.int64) for column in (logged, starts, ends, message_ids, systems, components)]
-    return Records(columns[0], columns[1], columns[2], columns[3], columns[4], columns[5], garbage, refused, unknown, cut_off)
+    columns = [
+        np.frombuffer(column, np.int64) for column in (logged, starts, ends, message_ids, systems, components)
+    ]
+    return Records(
+        columns[0],
+        columns[1],
+        columns[2],
+        columns[3],
+        columns[4],
+        columns[5],
+        garbage,
+        refused,
+        unknown,
+        cut_off,
+    )
 
 
 def payload(data: bytes, start: int) -> bytes:
@@ -97,7 +116,9 @@ class LogClock(NamedTuple):
 
     times_us: Integers
     damaged: int
-    """Number of records whose time is missing or fits neither neighbour; each takes the time of the record before it."""
+    """Number of records whose time is missing or fits neither neighbour; each takes the time of the record
+    before it.
+    """
     jumps: list[tuple[int, int]]
     """Where the clock was set back: (record, µs). This amount is added to all later times."""
 
@@ -112,7 +133,9 @@ def log_clock(logged_us: Integers) -> LogClock:
         if stamp == NO_STAMP or now > LATEST_US:
             damaged += 1
         elif not abs(now - newest) <= SURE_US:
-            following = next((later + offset for later in stamps[index + 1 : index + 3] if later != NO_STAMP), newest)
+            following = next(
+                (later + offset for later in stamps[index + 1 : index + 3] if later != NO_STAMP), newest
+            )
             if newest - SURE_US <= following < (now - SURE_US if now > newest else math.inf):
                 damaged += 1
             elif now < newest:
@@ -139,12 +162,18 @@ def _record(data: bytes, at: int) -> Frame | None:
 
 
 def _is_good(data: bytes, at: int, frame: Frame) -> bool:
-    """True for a real frame: by its checksum or, for an unknown message, by the bytes before, after and inside it."""
+    """True for a real frame: by its checksum or, for an unknown message, by the bytes before, after and
+    inside it.
+    """
     verified = _is_right(data, frame)
     if verified is not None:
         return verified
     start, end = frame.start, frame.end
-    if start - STAMP < at or _stamp(data, start - STAMP) == NO_STAMP or not (end == len(data) or _may_begin(data, end)):
+    if (
+        start - STAMP < at
+        or _stamp(data, start - STAMP) == NO_STAMP
+        or not (end == len(data) or _may_begin(data, end))
+    ):
         return False
     inside = (frame_at(data, match.start()) for match in MAGIC.finditer(data, start + 1, end))
     return not any(seen is not None and _is_right(data, seen) for seen in inside)
@@ -160,7 +189,9 @@ def _is_right(data: bytes, frame: Frame) -> bool | None:
 
 
 def _refused(data: bytes, at: int, end: int) -> list[int]:
-    """Return the message ids of a run of garbage that consists only of records with a wrong checksum; else an empty list."""
+    """Return the message ids of a run of garbage that consists only of records with a wrong checksum; else
+    an empty list.
+    """
     message_ids = []
     while at < end:
         frame = frame_at(data, at + STAMP)

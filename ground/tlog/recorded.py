@@ -1,4 +1,6 @@
-"""The readings of a search as they were said on its bus: the .tlog of a record holds their frames among the others."""
+"""The readings of a search as they were said on its bus: the .tlog of a record holds their frames among
+the others.
+"""
 
 from collections.abc import Callable
 
@@ -16,7 +18,9 @@ FRAMES = (LOCAL, mavlink.MAVLINK_MSG_ID_WIND_COV, mavlink.MAVLINK_MSG_ID_NAMED_V
 
 
 class Recorded:
-    """The readings of a log. Their positions are m from home, wherever the vehicle has the origin of its own frame."""
+    """The readings of a log. Their positions are m from home, wherever the vehicle has the origin of its
+    own frame.
+    """
 
     def __init__(self, log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> None:
         """Find them. One that was said again counts once."""
@@ -28,7 +32,9 @@ class Recorded:
         records = log.records
         for first in log.select(autopilot.system, FRAMES[:1]).tolist():
             three = slice(first, first + 3)
-            if tuple(records.message_ids[three]) != FRAMES or any(np.ptp(ids[three]) for ids in (records.systems, records.components)):
+            if tuple(records.message_ids[three]) != FRAMES or any(
+                np.ptp(ids[three]) for ids in (records.systems, records.components)
+            ):
                 continue
             try:
                 reading = unpack_reading(b"".join(log.frame(index) for index in range(first, first + 3)))
@@ -45,7 +51,9 @@ class Recorded:
         self.samples = [samples[time_ms] for time_ms in sorted(samples)]
 
     def around(self, home: Pair) -> Callable[[float], Place | None]:
-        """Return what maps the time of a reading to its place in the vehicle's own frame, in which home is (north, east) m."""
+        """Return what maps the time of a reading to its place in the vehicle's own frame, in which home is
+        (north, east) m.
+        """
 
         def at(time_ms: float) -> Place | None:
             if (place := self._places.get(time_ms)) is None:

@@ -24,8 +24,8 @@ NAME_LENGTH = 10
 """Longest name of a NAMED_VALUE_FLOAT (251) or NAMED_VALUE_INT (252)."""
 
 SAME_CLOCK_MS, OWN_CLOCK_MS = 500.0, 5000.0
-"""Largest difference between a sender's time and the vehicle's if both share a clock: of the median, and by which a single value may be
-later."""
+"""Largest difference between a sender's time and the vehicle's if both share a clock: of the median, and
+by which a single value may be later."""
 WIND_AGE_MS = 30_000.0
 """A wind message is valid for this long before and after it was logged."""
 
@@ -42,7 +42,9 @@ class GasSource(NamedTuple):
 
 
 def parse_gas(text: str) -> GasSource:
-    """Parse NAME (of a NAMED_VALUE_FLOAT or NAMED_VALUE_INT) or MESSAGE.FIELD, either followed by *FACTOR. Raises FlightError."""
+    """Parse NAME (of a NAMED_VALUE_FLOAT or NAMED_VALUE_INT) or MESSAGE.FIELD, either followed by *FACTOR.
+    Raises FlightError.
+    """
     what, star, number = text.partition("*")
     try:
         factor = float(number) if star else 1.0
@@ -55,11 +57,15 @@ def parse_gas(text: str) -> GasSource:
         kind = MESSAGES[message]
         numbers = [name for name in kind.fieldnames if _is_number(kind, name)]
         if field not in numbers:
-            raise FlightError(f"{text!r} is not allowed; wanted a numeric field of {message}: {', '.join(numbers) or 'it has none'}")
+            raise FlightError(
+                f"{text!r} is not allowed; wanted a numeric field of {message}: "
+                f"{', '.join(numbers) or 'it has none'}"
+            )
         return GasSource(text, (kind.id,), field, None, factor)
     if not 1 <= len(what) <= NAME_LENGTH:
         raise FlightError(
-            f"{text!r} is not allowed; wanted the NAME of a NAMED_VALUE_FLOAT, 1 to {NAME_LENGTH} characters, "
+            f"{text!r} is not allowed; wanted the NAME of a NAMED_VALUE_FLOAT, 1 to {NAME_LENGTH} "
+            "characters, "
             "or MESSAGE.FIELD such as SCALED_PRESSURE3.temperature, either followed by *FACTOR"
         )
     return GasSource(text, NAMED, "value", what, factor)
@@ -81,7 +87,9 @@ class LoggedGas(NamedTuple):
 
 
 Air = Callable[[float], Pair | None]
-"""Maps the vehicle's time in ms to the wind, (x east, y north) m/s, pointing to where it comes from; None if unknown."""
+"""Maps the vehicle's time in ms to the wind, (x east, y north) m/s, pointing to where it comes from; None
+if unknown.
+"""
 
 
 def read_gas(
@@ -95,7 +103,11 @@ def read_gas(
     for index, m in log.messages(log.select(autopilot.system, source.message_ids)):
         if source.name is not None and m.name != source.name:
             continue
-        component, boot_ms, value = m.get_srcComponent(), getattr(m, "time_boot_ms", 0), getattr(m, source.field)
+        component, boot_ms, value = (
+            m.get_srcComponent(),
+            getattr(m, "time_boot_ms", 0),
+            getattr(m, source.field),
+        )
         if boot_ms and (taken := (component, int(boots[index]), boot_ms, value)) in told:
             left_out["repeated"] += 1  # a value that was taken once is said again until there is another
             continue
@@ -109,12 +121,16 @@ def read_gas(
     records, components, boot_ms = np.array(said, np.int64).T
     times_ms, by_log = _timed(clock, records, components, boot_ms)
     if by_log:
-        notes.append(f"gas values from senders without the vehicle's clock: {by_log:,}; their log times are used")
+        notes.append(
+            f"gas values from senders without the vehicle's clock: {by_log:,}; their log times are used"
+        )
     with np.errstate(over="ignore"):
         gas = (np.array(values, np.float64) * source.factor).astype(np.float32).tolist()
     samples: list[LoggedGas] = []
     order = np.argsort(times_ms, kind="stable")
-    for number, logged_us in zip(order.tolist(), np.maximum.accumulate(log.times_us[records[order]]).tolist(), strict=True):
+    for number, logged_us in zip(
+        order.tolist(), np.maximum.accumulate(log.times_us[records[order]]).tolist(), strict=True
+    ):
         sample = LoggedGas(round(float(times_ms[number])), logged_us, gas[number])
         if not math.isfinite(sample.gas):
             left_out["not finite"] += 1
@@ -125,10 +141,14 @@ def read_gas(
     return samples, notes
 
 
-def _timed(clock: VehicleClock, records: Integers, components: Integers, boot_ms: Integers) -> tuple[Floats, int]:
-    """Return the vehicle's times of gas values, and how many come from the log because their sender has another clock or none.
+def _timed(
+    clock: VehicleClock, records: Integers, components: Integers, boot_ms: Integers
+) -> tuple[Floats, int]:
+    """Return the vehicle's times of gas values, and how many come from the log because their sender has
+    another clock or none.
 
-    Where a sender has the vehicle's clock, what is older was lost at first, and came when it was said again.
+    Where a sender has the vehicle's clock, what is older was lost at first, and came when it was said
+    again.
     """
     logged_ms, own_ms = clock.logged_ms(records), clock.own_ms(records, boot_ms)
     is_own = own_ms - logged_ms <= OWN_CLOCK_MS
@@ -143,7 +163,10 @@ def _no_gas(log: FlightLog, autopilot: Autopilot, source: GasSource) -> str:
     names: dict[int, set[str]] = defaultdict(set)
     for _, m in log.messages(log.select(None, NAMED)):
         names[m.get_srcSystem()].add(m.name)
-    there = few([name if name.isprintable() else repr(name) for name in sorted(names[autopilot.system])]) or "none"
+    there = (
+        few([name if name.isprintable() else repr(name) for name in sorted(names[autopilot.system])])
+        or "none"
+    )
     elsewhere = "".join(f"; system {system} did" for system in sorted(names) if source.name in names[system])
     return (
         f"system {autopilot.system} sent no {source.text}{elsewhere}; its named values: {there}; "
@@ -151,21 +174,31 @@ def _no_gas(log: FlightLog, autopilot: Autopilot, source: GasSource) -> str:
     )
 
 
-def read_wind(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: Pair | None) -> tuple[Air, list[str]]:
-    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168), and notes; raises FlightError if none exists."""
+def read_wind(
+    log: FlightLog, autopilot: Autopilot, clock: VehicleClock, wind: Pair | None
+) -> tuple[Air, list[str]]:
+    """Return the wind that was given, else WIND_COV (231), else ArduPilot's WIND (168), and notes; raises
+    FlightError if none exists.
+    """
     if wind is not None:
         return steady(_from_compass(*wind)), [f"wind: {wind[0]:g} m/s from {wind[1]:g}°, as given"]
     for message_id, toward in ((WIND_COV, _wind_cov), (WIND, _wind)):
         said = [(index, toward(m)) for index, m in log.messages(log.select(autopilot.system, (message_id,)))]
         said = [(index, pair) for index, pair in said if all(map(math.isfinite, pair))]
         if said:
-            told = Told(clock.logged_ms(np.array([index for index, _ in said], np.int64)), [pair for _, pair in said])
+            told = Told(
+                clock.logged_ms(np.array([index for index, _ in said], np.int64)), [pair for _, pair in said]
+            )
             return _changing(told), [f"wind: {len(said):,} {mavlink.mavlink_map[message_id].msgname}"]
-    raise FlightError(f"system {autopilot.system} sent no wind (WIND_COV or WIND); give it with --wind SPEED,FROM")
+    raise FlightError(
+        f"system {autopilot.system} sent no wind (WIND_COV or WIND); give it with --wind SPEED,FROM"
+    )
 
 
 def _from_compass(speed: float, from_deg: float) -> Pair:
-    return float32(speed * math.sin(math.radians(from_deg))), float32(speed * math.cos(math.radians(from_deg)))
+    return float32(speed * math.sin(math.radians(from_deg))), float32(
+        speed * math.cos(math.radians(from_deg))
+    )
 
 
 def _wind_cov(m: Message) -> Pair:

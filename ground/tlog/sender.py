@@ -64,7 +64,9 @@ class FlightLog:
         """True if the log has record times."""
         return bool(len(self) and np.ptp(self.records.logged_us) > 0)
 
-    def select(self, system: int | None, message_ids: Iterable[int], component: int | None = None) -> Integers:
+    def select(
+        self, system: int | None, message_ids: Iterable[int], component: int | None = None
+    ) -> Integers:
         """Return the indices of the records of these messages and this sender."""
         chosen = np.isin(self.records.message_ids, list(message_ids))
         if system is not None:
@@ -88,7 +90,11 @@ class FlightLog:
 
     def senders(self, indices: Integers | slice = slice(None)) -> Counter[tuple[int, int]]:
         """Count these records by (system, component)."""
-        return Counter(zip(self.records.systems[indices].tolist(), self.records.components[indices].tolist(), strict=True))
+        return Counter(
+            zip(
+                self.records.systems[indices].tolist(), self.records.components[indices].tolist(), strict=True
+            )
+        )
 
 
 class Autopilot(NamedTuple):
@@ -100,7 +106,9 @@ class Autopilot(NamedTuple):
 
 
 def choose(log: FlightLog, system: int | None) -> Autopilot:
-    """Return the autopilot that sent the most positions, of one system or of any; raises FlightError if there is none."""
+    """Return the autopilot that sent the most positions, of one system or of any; raises FlightError if
+    there is none.
+    """
     senders = log.senders()
     systems = sorted({of for of, _ in senders})
     present = ", ".join(map(str, systems))
@@ -111,8 +119,13 @@ def choose(log: FlightLog, system: int | None) -> Autopilot:
     candidates = [sender for sender in senders if system in (None, sender[0])]
     autopilots = [sender for sender in candidates if sender in makers or sender[1] == AUTOPILOT]
     if system is None and not autopilots:
-        raise FlightError(f"no vehicle is in the log: none of its systems ({present}) is an autopilot; choose one with --sysid")
-    best = max(autopilots or candidates, key=lambda sender: (positions[sender], sender in makers, senders[sender]))
+        raise FlightError(
+            f"no vehicle is in the log: none of its systems ({present}) is an autopilot; choose one with "
+            "--sysid"
+        )
+    best = max(
+        autopilots or candidates, key=lambda sender: (positions[sender], sender in makers, senders[sender])
+    )
     return Autopilot(*best, makers.get(best, "no heartbeat of an autopilot"))
 
 
@@ -128,15 +141,27 @@ def _makers(log: FlightLog) -> dict[tuple[int, int], str]:
 def notes_on_senders(log: FlightLog, autopilot: Autopilot) -> list[str]:
     """Return notes on the senders of a log, and on those whose frames are skipped."""
     ground = {
-        (m.get_srcSystem(), m.get_srcComponent()) for _, m in log.messages(log.select(None, (HEARTBEAT,))) if m.type == mavlink.MAV_TYPE_GCS
+        (m.get_srcSystem(), m.get_srcComponent())
+        for _, m in log.messages(log.select(None, (HEARTBEAT,)))
+        if m.type == mavlink.MAV_TYPE_GCS
     }
     senders = log.senders().most_common()
-    own = {component: counted(count, "frame") for (system, component), count in senders if system == autopilot.system}
-    notes = [f"vehicle: system {autopilot.system} ({autopilot.maker}), component {autopilot.component} ({own.pop(autopilot.component)})"]
+    own = {
+        component: counted(count, "frame")
+        for (system, component), count in senders
+        if system == autopilot.system
+    }
+    notes = [
+        f"vehicle: system {autopilot.system} ({autopilot.maker}), component {autopilot.component} "
+        f"({own.pop(autopilot.component)})"
+    ]
     if own:
-        notes.append(f"also on board: {few([f'component {component} ({count})' for component, count in own.items()])}")
+        notes.append(
+            f"also on board: {few([f'component {component} ({count})' for component, count in own.items()])}"
+        )
     strangers = [
-        f"system {system} component {component} ({'ground station, ' if (system, component) in ground else ''}{counted(count, 'frame')})"
+        f"system {system} component {component} "
+        f"({'ground station, ' if (system, component) in ground else ''}{counted(count, 'frame')})"
         for (system, component), count in senders
         if system != autopilot.system
     ]

@@ -21,7 +21,9 @@ Home = tuple[float, float, float]
 
 EXTENDED_SYS_STATE = mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
 JOIN_MS, REACH_MS = 5000.0, 1000.0
-"""Fixes at most JOIN_MS apart are joined by a line; a line is extrapolated by at most REACH_MS beyond its ends."""
+"""Fixes at most JOIN_MS apart are joined by a line; a line is extrapolated by at most REACH_MS beyond its
+ends.
+"""
 SAMPLED = 500
 """About this many fixes suffice to find the offset between two frames."""
 SHIFTED_M = 0.1
@@ -62,7 +64,9 @@ class Track:
             yield int(self.boots[fixes[0]]), fixes
 
     def at(self, time_ms: float) -> Place | None:
-        """Return the place, interpolated on a line or extrapolated from its first or last second by at most 1 s; None elsewhere."""
+        """Return the place, interpolated on a line or extrapolated from its first or last second by at
+        most 1 s; None elsewhere.
+        """
         after = int(np.searchsorted(self.times_ms, time_ms, side="right"))
         before = after - 1
         if before >= 0 and after < len(self) and self._lines[before] == self._lines[after]:
@@ -105,10 +109,14 @@ class FlownPath:
         return next((place for track in self.tracks if (place := track.at(time_ms)) is not None), None)
 
 
-def flown(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, foreign: Sequence[int] = ()) -> tuple[FlownPath, list[str]]:
-    """Return the path and notes; raises FlightError if the vehicle sent no position. foreign: records of positions in another frame.
+def flown(
+    log: FlightLog, autopilot: Autopilot, clock: VehicleClock, foreign: Sequence[int] = ()
+) -> tuple[FlownPath, list[str]]:
+    """Return the path and notes; raises FlightError if the vehicle sent no position. foreign: records of
+    positions in another frame.
 
-    Fixes come from LOCAL_POSITION_NED (32), else GLOBAL_POSITION_INT (33); from GPS_RAW_INT (24) only if neither was ever sent.
+    Fixes come from LOCAL_POSITION_NED (32), else GLOBAL_POSITION_INT (33); from GPS_RAW_INT (24) only if
+    neither was ever sent.
     """
     home = next((home for _, home in _homes(log, autopilot)), None)
     local = _track(log, autopilot, clock, LOCAL, _local_place, foreign)
@@ -117,10 +125,15 @@ def flown(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, foreign: Se
     if not len(local) and not len(around):
         around, home = _globe_track(log, autopilot, clock, GPS, home)
         name = "GPS_RAW_INT"
-    told = [f"{len(track):,} {kind}" for track, kind in ((local, "LOCAL_POSITION_NED"), (around, name)) if len(track)]
+    told = [
+        f"{len(track):,} {kind}"
+        for track, kind in ((local, "LOCAL_POSITION_NED"), (around, name))
+        if len(track)
+    ]
     if not told:
         raise FlightError(
-            f"system {autopilot.system} sent no position; wanted LOCAL_POSITION_NED, or GLOBAL_POSITION_INT or GPS_RAW_INT with a fix"
+            f"system {autopilot.system} sent no position; wanted LOCAL_POSITION_NED, or GLOBAL_POSITION_INT "
+            "or GPS_RAW_INT with a fix"
         )
     notes = [f"positions: {', otherwise '.join(told)}"]
     if not len(local):
@@ -141,7 +154,8 @@ def flown(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, foreign: Se
         local.places[fixes] += offsets[boot] - base
         if math.hypot(north, east) >= SHIFTED_M:
             moved.append(
-                f"after start {boot + 1} the origin of the local frame is {north:.1f} m north and {east:.1f} m east of the first one, "
+                f"after start {boot + 1} the origin of the local frame is {north:.1f} m north and {east:.1f} "
+                "m east of the first one, "
                 "by GLOBAL_POSITION_INT: positions are corrected"
             )
     around.places -= base
@@ -152,12 +166,22 @@ def flown(log: FlightLog, autopilot: Autopilot, clock: VehicleClock, foreign: Se
 
 
 def _track(
-    log: FlightLog, autopilot: Autopilot, clock: VehicleClock, message_id: int, place: Callable[[Message], Place | None],
+    log: FlightLog,
+    autopilot: Autopilot,
+    clock: VehicleClock,
+    message_id: int,
+    place: Callable[[Message], Place | None],
     foreign: Sequence[int] = (),
-) -> Track:  # fmt: skip
-    """Return the fixes of one message. A GPS_RAW_INT (24) may carry any clock's time, so its log time is used."""
+) -> Track:
+    """Return the fixes of one message. A GPS_RAW_INT (24) may carry any clock's time, so its log time is
+    used.
+    """
     records = np.setdiff1d(log.select(autopilot.system, (message_id,), autopilot.component), foreign)
-    fixes = [(index, spot, getattr(m, "time_boot_ms", 0)) for index, m in log.messages(records) if (spot := place(m)) is not None]
+    fixes = [
+        (index, spot, getattr(m, "time_boot_ms", 0))
+        for index, m in log.messages(records)
+        if (spot := place(m)) is not None
+    ]
     kept = np.array([index for index, _, _ in fixes], np.int64)
     boot_ms = np.array([boot_ms for _, _, boot_ms in fixes], np.int64)
     times = clock.logged_ms(kept) if message_id == GPS else clock.own_ms(kept, boot_ms)
@@ -175,7 +199,9 @@ def _globe_track(
 
     def place(m: Message) -> Place | None:
         nonlocal home
-        fixed = _is_place(m.lat, m.lon) and not (message_id == GPS and m.fix_type < mavlink.GPS_FIX_TYPE_2D_FIX)
+        fixed = _is_place(m.lat, m.lon) and not (
+            message_id == GPS and m.fix_type < mavlink.GPS_FIX_TYPE_2D_FIX
+        )
         if not fixed:
             return None
         home = home or (m.lat / 1e7, m.lon / 1e7, m.alt / 1e3)
@@ -187,16 +213,28 @@ def _globe_track(
 
 def _homes(log: FlightLog, autopilot: Autopilot) -> list[tuple[int, Home]]:
     """Return each valid HOME_POSITION (242), with its record."""
-    told = log.messages(log.select(autopilot.system, (mavlink.MAVLINK_MSG_ID_HOME_POSITION,), autopilot.component))
-    return [(index, (m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3)) for index, m in told if _is_place(m.latitude, m.longitude)]
+    told = log.messages(
+        log.select(autopilot.system, (mavlink.MAVLINK_MSG_ID_HOME_POSITION,), autopilot.component)
+    )
+    return [
+        (index, (m.latitude / 1e7, m.longitude / 1e7, m.altitude / 1e3))
+        for index, m in told
+        if _is_place(m.latitude, m.longitude)
+    ]
 
 
 def home(
-    log: FlightLog, autopilot: Autopilot, clock: VehicleClock, flying: Callable[[float], bool], anchor: Anchor | None
+    log: FlightLog,
+    autopilot: Autopilot,
+    clock: VehicleClock,
+    flying: Callable[[float], bool],
+    anchor: Anchor | None,
 ) -> tuple[float, float] | None:
-    """Return where home was before the flight, (north, east) in m of the local frame; None if the log does not say.
+    """Return where home was before the flight, (north, east) in m of the local frame; None if the log does
+    not say.
 
-    It is where GPS_GLOBAL_ORIGIN (49) puts it, as for the search; else where the vehicle's global positions do, to 1 cm.
+    It is where GPS_GLOBAL_ORIGIN (49) puts it, as for the search; else where the vehicle's global
+    positions do, to 1 cm.
     """
     homes = _homes(log, autopilot)
     times_ms = clock.logged_ms(np.array([index for index, _ in homes], np.int64)).tolist()
@@ -204,7 +242,9 @@ def home(
     if not homes:
         return None
     lat, lon, _ = (before[-1][1] if before else homes[0])[1]
-    for _, m in log.messages(log.select(autopilot.system, (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,), autopilot.component)):
+    for _, m in log.messages(
+        log.select(autopilot.system, (mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,), autopilot.component)
+    ):
         if _is_place(m.latitude, m.longitude):
             return to_local(m.latitude / 1e7, m.longitude / 1e7, lat, lon)
     if anchor is None:
@@ -219,7 +259,9 @@ def _is_place(lat_e7: int, lon_e7: int) -> bool:
 
 
 def _offsets(local: Track, around: Track) -> dict[int, Floats]:
-    """Return, by number of restarts, the local frame's origin in the other track's frame, from fixes at equal times."""
+    """Return, by number of restarts, the local frame's origin in the other track's frame, from fixes at
+    equal times.
+    """
     offsets = {}
     for boot, fixes in local.of_boots():
         chosen = fixes[:: max(1, len(fixes) // SAMPLED)].tolist()
@@ -246,19 +288,28 @@ class Told:
         return max(int(np.searchsorted(self.times_ms, time_ms, side="right")) - 1, 0)
 
 
-def flying(log: FlightLog, autopilot: Autopilot, clock: VehicleClock) -> tuple[Callable[[float], bool], list[str]]:
+def flying(
+    log: FlightLog, autopilot: Autopilot, clock: VehicleClock
+) -> tuple[Callable[[float], bool], list[str]]:
     """Return a function that tells if the vehicle was in the air at a time (ms), and notes.
 
-    In the air means armed (HEARTBEAT, 0) and not on the ground (EXTENDED_SYS_STATE, 245). A state that was never reported is ignored.
+    In the air means armed (HEARTBEAT, 0) and not on the ground (EXTENDED_SYS_STATE, 245). A state that was
+    never reported is ignored.
     """
 
     def told(message_id: int, state: Callable[[Message], bool | None]) -> Told:
         records = log.select(autopilot.system, (message_id,), autopilot.component)
         said = [(index, value) for index, m in log.messages(records) if (value := state(m)) is not None]
-        return Told(clock.logged_ms(np.array([index for index, _ in said], np.int64)), [value for _, value in said])
+        return Told(
+            clock.logged_ms(np.array([index for index, _ in said], np.int64)), [value for _, value in said]
+        )
 
     def is_aloft(m: Message) -> bool | None:
-        return None if m.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED else bool(m.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND)
+        return (
+            None
+            if m.landed_state == mavlink.MAV_LANDED_STATE_UNDEFINED
+            else bool(m.landed_state != mavlink.MAV_LANDED_STATE_ON_GROUND)
+        )
 
     armed = told(HEARTBEAT, lambda m: bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED))
     aloft = told(EXTENDED_SYS_STATE, is_aloft)

@@ -40,7 +40,13 @@ OVER = signal.SIGUSR1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add its flags."""
-    logs = parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help="a record, or two to compare; without one: a live stack")
+    logs = parser.add_argument(
+        "logs",
+        nargs="*",
+        type=Path,
+        metavar="LOG",
+        help="a record, or two to compare; without one: a live stack",
+    )
     cli.completed(logs, tuple, "mcap")
     parser.add_argument(
         "-e",
@@ -50,22 +56,48 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the Zenoh router of the vehicles to show (default: %(default)s)",
     )
     cli.add_secure_argument(parser)
-    parser.add_argument("--host", metavar="ADDRESS", default="127.0.0.1", help="where to serve the page (default: %(default)s)")
-    parser.add_argument("--port", type=cli.whole(0, 65535), default=PORT, metavar="N", help="0: a free port (default: %(default)s)")
     parser.add_argument(
-        "--token-file", type=Path, metavar="FILE",
-        help="allow commands only to those who enter the word in this file; if there is none, it is made with a new word",
-    )  # fmt: skip
+        "--host",
+        metavar="ADDRESS",
+        default="127.0.0.1",
+        help="where to serve the page (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--port",
+        type=cli.whole(0, 65535),
+        default=PORT,
+        metavar="N",
+        help="0: a free port (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--token-file",
+        type=Path,
+        metavar="FILE",
+        help="allow commands only to those who enter the word in this file; if there is none, it is made "
+        "with a new word",
+    )
     parser.add_argument("--token", type=_gone, help=argparse.SUPPRESS)
     parser.add_argument(
-        "--origin", type=cli.checked(origin), action="append", default=[], metavar="URL",
-        help="allow those who come from here, too: a proxy before the page, a web page that shows --foxglove; may be repeated",
-    )  # fmt: skip
+        "--origin",
+        type=cli.checked(origin),
+        action="append",
+        default=[],
+        metavar="URL",
+        help="allow those who come from here, too: a proxy before the page, a web page that shows "
+        "--foxglove; may be repeated",
+    )
     parser.add_argument("--open", action="store_true", help="open the page in a browser")
-    parser.add_argument("--foxglove", type=cli.whole(0, 65535), metavar="N", help="stream the scenes to Foxglove, too, on this local port")
+    parser.add_argument(
+        "--foxglove",
+        type=cli.whole(0, 65535),
+        metavar="N",
+        help="stream the scenes to Foxglove, too, on this local port",
+    )
     truth = "simulation only: the truth to show of the first vehicle is that of"
     parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), metavar="S", help=f"{truth} this seed")
-    world = parser.add_argument("--world", type=cli.checked(check, WORLDS), metavar="NAME", help=f"{truth} this world")
+    world = parser.add_argument(
+        "--world", type=cli.checked(check, WORLDS), metavar="NAME", help=f"{truth} this world"
+    )
     cli.completed(world, lambda: WORLDS)
     mission = parser.add_argument("--mission", metavar="MISSION", help=f"{truth} this mission script")
     cli.completed(mission, shipped, "yaml", "yml")
@@ -73,7 +105,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _gone(_: str) -> str:
-    raise argparse.ArgumentTypeError("not allowed any more: everyone on this machine can read it there; wanted --token-file FILE")
+    raise argparse.ArgumentTypeError(
+        "not allowed any more: everyone on this machine can read it there; wanted --token-file FILE"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -94,7 +128,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _refusal(args: argparse.Namespace) -> str:
     """Return why these flags cannot be served; empty if they can. Notes what they tell of the truth."""
-    truth = {name: value for name in ("mission", "seed", "world") if (value := getattr(args, name)) is not None}
+    truth = {
+        name: value for name in ("mission", "seed", "world") if (value := getattr(args, name)) is not None
+    }
     if not args.host:
         return "--host: '' is not allowed; wanted an address of this machine"
     if len(args.logs) > 2:
@@ -109,7 +145,12 @@ def _refusal(args: argparse.Namespace) -> str:
             script = script.changed(truth)
         except FileError as error:
             return str(error)
-        args.about = {"namespace": None, "mission": script, "scenario": script.simulated().truth, "seed": script.seed}
+        args.about = {
+            "namespace": None,
+            "mission": script,
+            "scenario": script.simulated().truth,
+            "seed": script.seed,
+        }
         args.about = msgspec.to_builtins(args.about)
     args.word = ""
     if args.token_file:
@@ -165,7 +206,11 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
                 await asyncio.to_thread(show, stream)
                 await asyncio.sleep(STREAM_EVERY_S)
         except Exception as error:  # nobody awaits it
-            print(f"error: Foxglove gets no more scenes: {type(error).__name__}: {error}", file=sys.stderr, flush=True)
+            print(
+                f"error: Foxglove gets no more scenes: {type(error).__name__}: {error}",
+                file=sys.stderr,
+                flush=True,
+            )
             end(cli.FAILED)
 
     try:
@@ -177,7 +222,13 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
             described = None
             if args.about:
                 described = Described(args.about["namespace"], *backdrop_of(args.about), turns_of(args.about))
-            shown = LiveFleet(args.connect, described, changed, lambda line: print(line, file=sys.stderr, flush=True), args.secure)
+            shown = LiveFleet(
+                args.connect,
+                described,
+                changed,
+                lambda line: print(line, file=sys.stderr, flush=True),
+                args.secure,
+            )
     except RecordError as error:
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
@@ -192,11 +243,20 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
     def serving(app: Asgi, longest_message: int) -> uvicorn.Server:
         guest, page_socket = Lobby(SEND_S).protocols()
         config = uvicorn.Config(
-            app, http=guest, ws=page_socket, lifespan="off", log_config=None, log_level="critical", access_log=False,
-            server_header=False, date_header=False, ws_max_size=longest_message, ws_per_message_deflate=False,
+            app,
+            http=guest,
+            ws=page_socket,
+            lifespan="off",
+            log_config=None,
+            log_level="critical",
+            access_log=False,
+            server_header=False,
+            date_header=False,
+            ws_max_size=longest_message,
+            ws_per_message_deflate=False,
             timeout_graceful_shutdown=1,
             proxy_headers=bool(origins),  # who is behind a proxy of this machine, by X-Forwarded-For
-        )  # fmt: skip
+        )
         return _Uvicorn(config)
 
     http = serving(server.app(), LONGEST_MESSAGE)
@@ -215,7 +275,9 @@ async def _serve(args: argparse.Namespace, listening: socket.socket) -> int:
         server.bye = "the mission is over"
         server.news()
         began = time.monotonic()
-        while server.watched or time.monotonic() < (began + FIRST_PAGE_S if server.left_at is None else server.left_at + RELOAD_S):
+        while server.watched or time.monotonic() < (
+            began + FIRST_PAGE_S if server.left_at is None else server.left_at + RELOAD_S
+        ):
             await asyncio.sleep(0.1)
         http.should_exit = True
 

@@ -1,4 +1,6 @@
-"""The connections of the page's server. Those that are no page wait in a lobby that never fills: a new one drives out the oldest."""
+"""The connections of the page's server. Those that are no page wait in a lobby that never fills: a new one
+drives out the oldest.
+"""
 
 import asyncio
 
@@ -10,7 +12,9 @@ MOST_WAITING = 100
 
 
 class Lobby:
-    """The connections that have asked for nothing yet, or that only get files or a refusal; the oldest first."""
+    """The connections that have asked for nothing yet, or that only get files or a refusal; the oldest
+    first.
+    """
 
     def __init__(self, unread_s: float) -> None:
         """Begin empty. unread_s: after this long a page that was closed is gone, whatever it has not read."""

@@ -1,4 +1,6 @@
-"""Commands of an operator to a vehicle on the bus, as any ground station sends them, and the vehicle's answers."""
+"""Commands of an operator to a vehicle on the bus, as any ground station sends them, and the vehicle's
+answers.
+"""
 
 import asyncio
 import time
@@ -7,7 +9,17 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.operator import AUTOPILOT, NO_ANSWER, OPERATOR, SEARCH, TRIES, WANTED, CommandName, CommandRun, order
+from aircraft.operator import (
+    AUTOPILOT,
+    NO_ANSWER,
+    OPERATOR,
+    SEARCH,
+    TRIES,
+    WANTED,
+    CommandName,
+    CommandRun,
+    order,
+)
 from ground.view.live import LiveVehicle
 from link.bus.frames import Frame
 from link.bus.mavlink import BadFrame, Codec, Message
@@ -38,7 +50,9 @@ class Awaited:
     """One command and what its vehicle says meanwhile. Its times are of one clock, s."""
 
     def __init__(self, name: CommandName, system: int, component: int = AUTOPILOT) -> None:
-        """Begin with a command to a component of the vehicle: its simulated autopilot, or the search that flies a real one."""
+        """Begin with a command to a component of the vehicle: its simulated autopilot, or the search that
+        flies a real one.
+        """
         self._name, self._system, self._component = name, system, component
         self._run = CommandRun(order(name, system, component), self._seen, lambda: self._reason, AGAIN_S)
         self._texts = Texts()
@@ -73,17 +87,25 @@ class Awaited:
 
     def _counts(self, frame: Frame) -> bool:
         """Whether a frame is the autopilot's HEARTBEAT, or what the commanded component says."""
-        return frame.system == self._system and frame.component == (AUTOPILOT if frame.message_id == HEARTBEAT else self._component)
+        return frame.system == self._system and frame.component == (
+            AUTOPILOT if frame.message_id == HEARTBEAT else self._component
+        )
 
     def _seen(self) -> bool:
-        """Whether the vehicle does it; once it has accepted, also whether it is through with it: a return ends as a landing, motors off."""
+        """Whether the vehicle does it; once it has accepted, also whether it is through with it: a return
+        ends as a landing, motors off.
+        """
         if self._mode == WANTED[self._name].name and (self._run.accepted or not self._gives_back):
             return True
-        return self._run.accepted and (not self._armed or (self._name == "return" and self._mode == Mode.LAND.name))
+        return self._run.accepted and (
+            not self._armed or (self._name == "return" and self._mode == Mode.LAND.name)
+        )
 
     @property
     def _gives_back(self) -> bool:
-        """Whether a real vehicle is given back: a pilot may fly it in the very mode in which the search does."""
+        """Whether a real vehicle is given back: a pilot may fly it in the very mode in which the search
+        does.
+        """
         return self._name == "resume" and self._component == SEARCH
 
 
@@ -92,7 +114,9 @@ def _to_us(system: int, component: int) -> bool:
 
 
 async def operate(vehicle: LiveVehicle, name: CommandName) -> CommandAnswer:
-    """Send a command to a vehicle until it is done, and return its answer. Once this is cancelled, nothing more is sent."""
+    """Send a command to a vehicle until it is done, and return its answer. Once this is cancelled, nothing
+    more is sent.
+    """
     if not vehicle.here:
         return CommandAnswer(False, f"{vehicle.name} is not there")
     until_s = time.monotonic() + ANSWER_S

@@ -1,7 +1,7 @@
 """A live connection for Foxglove and Lichtblick: a WebSocket server on this machine that streams scenes.
 
-Its protocol is https://github.com/foxglove/ws-protocol. foxglove-sdk has a server of it, but that asks nobody for Host and Origin: any web
-page of any browser on this machine may read it.
+Its protocol is https://github.com/foxglove/ws-protocol. foxglove-sdk has a server of it, but that asks
+nobody for Host and Origin: any web page of any browser on this machine may read it.
 """
 
 import asyncio
@@ -31,11 +31,14 @@ from scene.scene import Measurement, Scene
 
 HOST = "127.0.0.1"
 BELIEF = "belief"
-"""Topic of the readings and what was believed after them, as JSON with the names that a record has: one layout plots both."""
+"""Topic of the readings and what was believed after them, as JSON with the names that a record has: one
+layout plots both.
+"""
 PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 """The protocol's names, the newer first."""
 MESSAGE = struct.Struct("<BIQ")
-"""What precedes a message: that it is one, the viewer's number for its topic, and its time, ns since 1970."""
+"""What precedes a message: that it is one, the viewer's number for its topic, and its time, ns since 1970.
+"""
 MOST_VIEWERS = 20
 MOST_WAITING = 256
 """Messages that wait for a viewer that reads slowly; more take the place of the oldest."""
@@ -63,7 +66,9 @@ class _Subscription(msgspec.Struct, rename="camel"):
 
 
 class ViewerRequest(msgspec.Struct, rename="camel"):
-    """What a viewer asks for. Of the protocol's other requests none is served, and none has to be answered."""
+    """What a viewer asks for. Of the protocol's other requests none is served, and none has to be
+    answered.
+    """
 
     op: str
     subscriptions: list[_Subscription] = []
@@ -79,19 +84,25 @@ def request_of(text: str | bytes) -> ViewerRequest:
 
 
 class LiveFoxglove:
-    """Streams the scenes of vehicles to every viewer that connects. Viewers can only look: the server takes no commands.
+    """Streams the scenes of vehicles to every viewer that connects. Viewers can only look: the server
+    takes no commands.
 
-    The first vehicle has the topics and frames of a record; those of others begin with their names: `uav/2/scene/path`.
+    The first vehicle has the topics and frames of a record; those of others begin with their names:
+    `uav/2/scene/path`.
     """
 
     def __init__(self, port: int, origins: Sequence[str] = ()) -> None:
-        """Take a port of this machine, 0 for any free one, and the origins of web pages that may look. Raises NoFoxglove, in one line."""
+        """Take a port of this machine, 0 for any free one, and the origins of web pages that may look.
+        Raises NoFoxglove, in one line.
+        """
         try:
             self.listening = socket.create_server((HOST, port))
         except OSError as error:
             reason = str(error.strerror).partition(" (while")[0]
             raise NoFoxglove(f"--foxglove: port {port} of {HOST} cannot be opened: {reason}") from None
-        self._rules = AccessRules(HOST, self.listening.getsockname()[1], origins=tuple(origins), programs=True)
+        self._rules = AccessRules(
+            HOST, self.listening.getsockname()[1], origins=tuple(origins), programs=True
+        )
         self._loop = asyncio.get_running_loop()
         self._lock = Lock()  # scenes come from another thread
         self._encoders: dict[str, SceneEncoder] = {}
@@ -152,7 +163,9 @@ class LiveFoxglove:
 class _Viewer:
     """One viewer. It gets the newest message of a topic when it subscribes, and all that come after it."""
 
-    def __init__(self, viewer: WebSocket, topics: dict[str, _Topic], said: dict[str, tuple[int, bytes]]) -> None:
+    def __init__(
+        self, viewer: WebSocket, topics: dict[str, _Topic], said: dict[str, tuple[int, bytes]]
+    ) -> None:
         self._socket, self._topics, self._said = viewer, topics, said
         self._numbers: dict[str, int] = {}
         """The viewer's own number of each topic that it wants."""
@@ -193,7 +206,11 @@ class _Viewer:
                     self._numbers[name] = wanted.id
                     self.take(name, *self._said[name])
         elif request.op == "unsubscribe":
-            self._numbers = {name: number for name, number in self._numbers.items() if number not in request.subscription_ids}
+            self._numbers = {
+                name: number
+                for name, number in self._numbers.items()
+                if number not in request.subscription_ids
+            }
 
     async def _write(self) -> None:
         await self._send({"op": "serverInfo", "name": "plumeward", "capabilities": []})
@@ -201,7 +218,12 @@ class _Viewer:
         while True:
             self._wake.clear()
             if new := list(self._topics.values())[told:]:
-                await self._send({"op": "advertise", "channels": [_announced(told + at, topic) for at, topic in enumerate(new)]})
+                await self._send(
+                    {
+                        "op": "advertise",
+                        "channels": [_announced(told + at, topic) for at, topic in enumerate(new)],
+                    }
+                )
                 told += len(new)
             while self._waiting:
                 number, time_ns, data = self._waiting.popleft()
@@ -223,16 +245,26 @@ def _schema(kind: Any) -> tuple[str, str]:
 
 def _announced(number: int, topic: _Topic) -> dict[str, Any]:
     return {
-        "id": number, "topic": topic.name, "encoding": topic.encoding, "schemaName": topic.schema_name, "schema": topic.schema,
+        "id": number,
+        "topic": topic.name,
+        "encoding": topic.encoding,
+        "schemaName": topic.schema_name,
+        "schema": topic.schema,
         "schemaEncoding": "jsonschema" if topic.encoding == "json" else topic.encoding,
-    }  # fmt: skip
+    }
 
 
 def _belief(said: Measurement) -> bytes:
     fields: dict[str, Any] = {
-        "step": said.step, "simulation_s": said.time_s, "position": said.position, "gas": said.gas, "spread": said.spread_m,
-        "mean": said.estimate, "covariance": said.covariance, "ceased": said.ceased,
-    }  # fmt: skip
+        "step": said.step,
+        "simulation_s": said.time_s,
+        "position": said.position,
+        "gas": said.gas,
+        "spread": said.spread_m,
+        "mean": said.estimate,
+        "covariance": said.covariance,
+        "ceased": said.ceased,
+    }
     if not math.isfinite(said.gas):
         del fields["gas"]  # JSON knows no NaN
     return json.dumps(fields).encode()
@@ -242,7 +274,13 @@ def _belief_schema() -> str:
     number = {"type": "number"}
     numbers = {"type": "array", "items": number}
     fields = {
-        "step": {"type": "integer"}, "simulation_s": number, "position": numbers, "gas": number, "spread": number, "mean": numbers,
-        "covariance": numbers, "ceased": {"type": "boolean"},
-    }  # fmt: skip
+        "step": {"type": "integer"},
+        "simulation_s": number,
+        "position": numbers,
+        "gas": number,
+        "spread": number,
+        "mean": numbers,
+        "covariance": numbers,
+        "ceased": {"type": "boolean"},
+    }
     return json.dumps({"title": "Belief", "type": "object", "properties": fields})

@@ -15,7 +15,8 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 Asgi = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 HEADERS = {
-    "content-security-policy": "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; object-src 'none'",
+    "content-security-policy": "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors "
+    "'none'; object-src 'none'",
     "x-content-type-options": "nosniff",
     "referrer-policy": "same-origin",
     "cross-origin-opener-policy": "same-origin",
@@ -28,7 +29,9 @@ WANTED = "read-only: to command, enter the word of --token-file"
 WRONG = "read-only: that is not the word of --token-file"
 USUAL_PORTS = {"http": ":80", "https": ":443"}
 FILE = "file://"
-"""The Origin of programs that are made like web pages, such as the desktop app of Lichtblick, and of files that a browser opens."""
+"""The Origin of programs that are made like web pages, such as the desktop app of Lichtblick, and of files
+that a browser opens.
+"""
 
 
 class AccessRules(NamedTuple):
@@ -50,11 +53,15 @@ class AccessRules(NamedTuple):
         return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}/"
 
     def allows_host(self, host: str) -> bool:
-        """Whether a Host header is this server's or a proxy's: a page whose name was pointed here (DNS rebinding) has another one."""
+        """Whether a Host header is this server's or a proxy's: a page whose name was pointed here (DNS
+        rebinding) has another one.
+        """
         return self._is_own(host) or any(host.lower() == known.partition("://")[2] for known in self.origins)
 
     def _is_own(self, host: str) -> bool:
-        """Whether a Host header is this server's. Bound to all addresses, any address is: a name is what rebinding needs."""
+        """Whether a Host header is this server's. Bound to all addresses, any address is: a name is what
+        rebinding needs.
+        """
         name, port = _split(host)
         if port != self.port:
             return False
@@ -66,10 +73,14 @@ class AccessRules(NamedTuple):
         return name == self.host.lower() or (asked is not None and asked == bound)
 
     def allows_origin(self, origin: str | None, host: str) -> bool:
-        """Whether an Origin header, None if there is none, is of the page that this Host header asks for, or of the others allowed."""
+        """Whether an Origin header, None if there is none, is of the page that this Host header asks for,
+        or of the others allowed.
+        """
         if origin is None or origin == FILE:
             return self.programs
-        return origin.lower() in self.origins or (self._is_own(host) and origin.lower() == f"http://{host.lower()}")
+        return origin.lower() in self.origins or (
+            self._is_own(host) and origin.lower() == f"http://{host.lower()}"
+        )
 
     def why_no_commands(self, token: str) -> str:
         """Return why a client with this token may only look; empty if it may command."""
@@ -84,9 +95,14 @@ class AccessRules(NamedTuple):
 
 def origin(text: str) -> str:
     """Return an origin as browsers write it; raises ValueError if it is none."""
-    match = re.fullmatch(r"([a-z][a-z0-9+.-]*)://([a-z0-9._-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?/?", text.lower())
+    match = re.fullmatch(
+        r"([a-z][a-z0-9+.-]*)://([a-z0-9._-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?/?", text.lower()
+    )
     if not match:
-        raise ValueError(f"{text!r} is not an origin; wanted the beginning of an address, without a path: https://drone.example:8443")
+        raise ValueError(
+            f"{text!r} is not an origin; wanted the beginning of an address, without a path: "
+            "https://drone.example:8443"
+        )
     scheme, host, port = match[1], match[2], match[3] or ""
     return f"{scheme}://{host}{'' if port == USUAL_PORTS.get(scheme) else port}"
 
@@ -99,11 +115,15 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _split(host: str) -> tuple[str, int]:
-    """Return name and port of a Host header, in lower case and without brackets; port -1 if it is not a number."""
+    """Return name and port of a Host header, in lower case and without brackets; port -1 if it is not a
+    number.
+    """
     name, colon, port = host.rpartition(":")
     if not colon or "]" in port:
         name, port = host, "80"
-    return name.lower().removeprefix("[").removesuffix("]"), int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else -1
+    return name.lower().removeprefix("[").removesuffix("]"), int(
+        port
+    ) if port.isascii() and port.isdigit() and len(port) <= 5 else -1
 
 
 def guarded(app: Asgi, rules: AccessRules) -> Asgi:
@@ -123,7 +143,10 @@ def guarded(app: Asgi, rules: AccessRules) -> Asgi:
         if reason := _refusal(scope, rules):
             kind = "http" if scope["type"] == "http" else "websocket.http"
             body = f"refused: {reason}\n".encode()
-            headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(body)).encode())]
+            headers = [
+                (b"content-type", b"text/plain; charset=utf-8"),
+                (b"content-length", str(len(body)).encode()),
+            ]
             await answer({"type": f"{kind}.response.start", "status": 403, "headers": headers})
             await send({"type": f"{kind}.response.body", "body": body})
             return
@@ -137,8 +160,13 @@ def _refusal(scope: Scope, rules: AccessRules) -> str:
     hosts, origins = _values(scope, b"host"), _values(scope, b"origin")
     if len(hosts) != 1 or not rules.allows_host(hosts[0]):
         return f"Host {', '.join(hosts)!r} is not this server; wanted its address and port {rules.port}"
-    if scope["type"] == "websocket" and (len(origins) > 1 or not rules.allows_origin(next(iter(origins), None), hosts[0])):
-        return f"Origin {', '.join(origins)!r} is not this page; wanted http://{hosts[0]}, or one that --origin names"
+    if scope["type"] == "websocket" and (
+        len(origins) > 1 or not rules.allows_origin(next(iter(origins), None), hosts[0])
+    ):
+        return (
+            f"Origin {', '.join(origins)!r} is not this page; wanted http://{hosts[0]}, or one that "
+            "--origin names"
+        )
     return ""
 
 

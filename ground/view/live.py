@@ -1,6 +1,8 @@
-"""Vehicles on a router, followed as they appear and go. One thread talks to the bus; scenes may be asked for from any other.
+"""Vehicles on a router, followed as they appear and go. One thread talks to the bus; scenes may be asked
+for from any other.
 
-The bus's thread only takes messages. Whoever asks first for a new version of a scene builds it, and all others get the same one.
+The bus's thread only takes messages. Whoever asks first for a new version of a scene builds it, and all
+others get the same one.
 """
 
 import threading
@@ -23,14 +25,18 @@ from scene.follow.history import History, WindTurn
 from scene.scene import Backdrop, Scene
 
 COMMANDS = replace(MAVLINK_IN, delivery=replace(MAVLINK_IN.delivery, blocking=False))
-"""Commands go out now or never: what waited here would go out late, when nobody wants it any more. They are sent again anyway."""
+"""Commands go out now or never: what waited here would go out late, when nobody wants it any more. They
+are sent again anyway.
+"""
 EVERY_S = 0.01
 """How often messages are taken."""
 LOOK_S = 0.2
 """How often it looks for the router, and tries again to join it."""
 CONNECT_TIMEOUT_S = 1.0
 GONE_AFTER_S = 0.5
-"""A part that is back within this time was not gone; a router that is back gets as long to name the parts that it knows."""
+"""A part that is back within this time was not gone; a router that is back gets as long to name the parts
+that it knows.
+"""
 JUDGE_S = 1.0
 """Longest time between two versions of what there is to see: silent parts are judged anew."""
 MOST_VEHICLES = 32
@@ -53,7 +59,9 @@ Built = tuple[Scene, object, float | None]
 class LiveVehicle:
     """One vehicle on the bus and its history since it was first seen."""
 
-    def __init__(self, name: str, router: str, described: Described | None, secure: Path | None = None) -> None:
+    def __init__(
+        self, name: str, router: str, described: Described | None, secure: Path | None = None
+    ) -> None:
         """Join its bus; raises NoRouter."""
         self.name = name
         self.here = True
@@ -71,20 +79,34 @@ class LiveVehicle:
         self._judge_at = 0.0
         self._alive: dict[str, bool] = {}
         self._bus = Tap(
-            "view", router, name, "error", announced=False, secure=secure, connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S),
-        )  # fmt: skip
+            "view",
+            router,
+            name,
+            "error",
+            announced=False,
+            secure=secure,
+            connect__timeout_ms=round(1000 * CONNECT_TIMEOUT_S),
+        )
         self._bus.subscribe(*KEYS)
 
     def entry(self) -> dict[str, Any]:
         """Return its row of the list of vehicles."""
         backdrop = self.history.backdrop
         return {
-            "name": self.name, "title": backdrop.title, "here": self.here, "has_truth": backdrop.release is not None,
-            "begin_s": None, "end_s": None, "readings_s": None, "moments": None,
-        }  # fmt: skip
+            "name": self.name,
+            "title": backdrop.title,
+            "here": self.here,
+            "has_truth": backdrop.release is not None,
+            "begin_s": None,
+            "end_s": None,
+            "readings_s": None,
+            "moments": None,
+        }
 
     def scene(self, at_s: float | None = None) -> Built:
-        """Return the newest scene, which of its missions it is of, and when the newest message in it was published, ms since 1970."""
+        """Return the newest scene, which of its missions it is of, and when the newest message in it was
+        published, ms since 1970.
+        """
         with self._building:
             if self._built is None or self._built[0] != self.version:
                 with self._lock:
@@ -112,7 +134,9 @@ class LiveVehicle:
         if message.name == MAVLINK_OUT.name:
             for listener in tuple(self.listeners):
                 listener(message.payload)
-        return self.history.take(message.name, message.payload, message.attachment, time_s, message.published_ns / 1e9)
+        return self.history.take(
+            message.name, message.payload, message.attachment, time_s, message.published_ns / 1e9
+        )
 
     def lives(self, service: str, alive: bool) -> None:
         """Take that a part appeared or is gone."""
@@ -128,7 +152,9 @@ class LiveVehicle:
 
     @property
     def commanded(self) -> int:
-        """The component that obeys an operator's words: the simulated autopilot, or the search that flies a real one."""
+        """The component that obeys an operator's words: the simulated autopilot, or the search that flies
+        a real one.
+        """
         return SEARCH if self.history.is_real else AUTOPILOT
 
     @property
@@ -153,13 +179,19 @@ class LiveFleet:
     """All vehicles on a router."""
 
     def __init__(
-        self, router: str, described: Described | None, changed: Callable[[], None], say: Callable[[str], None],
+        self,
+        router: str,
+        described: Described | None,
+        changed: Callable[[], None],
+        say: Callable[[str], None],
         secure: Path | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Begin to follow.
 
-        changed: called in the bus's thread when there is something new to see; say: told, in a line, of what is wrong.
-        secure: the folder of certificates. Raises BusError if `router` is not an endpoint, AccessError without a certificate that is fit.
+        changed: called in the bus's thread when there is something new to see; say: told, in a line, of
+        what is wrong.
+        secure: the folder of certificates. Raises BusError if `router` is not an endpoint, AccessError
+        without a certificate that is fit.
         """
         self.vehicles: dict[str, LiveVehicle] = {}
         """In the order in which they appeared."""
@@ -237,7 +269,9 @@ class LiveFleet:
         return reason if known else f"no router at {self._router}: waiting for one"
 
     def _lack(self) -> str:
-        """Return what is wrong with our certificate now: it may have expired since we joined. Empty if nothing is."""
+        """Return what is wrong with our certificate now: it may have expired since we joined. Empty if
+        nothing is.
+        """
         try:
             secured("--connect", self._router, self._secure, "view", None)
         except AccessError as error:
@@ -265,11 +299,17 @@ class LiveFleet:
         if name not in self.vehicles:
             if len(self.vehicles) >= MOST_VEHICLES:
                 if not self._crowded:
-                    self._say(f"warning: more than {MOST_VEHICLES} vehicles on the router; only the first ones are shown")
+                    self._say(
+                        f"warning: more than {MOST_VEHICLES} vehicles on the router; only the first ones are "
+                        "shown"
+                    )
                 self._crowded = True
                 return True
             try:
-                self.vehicles = {**self.vehicles, name: LiveVehicle(name, self._router, self._told_of(name), self._secure)}
+                self.vehicles = {
+                    **self.vehicles,
+                    name: LiveVehicle(name, self._router, self._told_of(name), self._secure),
+                }
             except (NoRouter, AccessError):
                 return False
             self._list_changed()

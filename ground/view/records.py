@@ -24,13 +24,23 @@ class RecordedVehicle:
         history = self._history
         readings = history.measurements.times_s
         return {
-            "name": self.name, "title": history.backdrop.title, "here": True, "has_truth": history.backdrop.release is not None,
-            "begin_s": history.begin_s, "end_s": history.time_s, "readings_s": readings,
-            "moments": [(max(each.time_s, history.begin_s), each.level, each.who, each.text) for each in history.happenings.values],
-        }  # fmt: skip
+            "name": self.name,
+            "title": history.backdrop.title,
+            "here": True,
+            "has_truth": history.backdrop.release is not None,
+            "begin_s": history.begin_s,
+            "end_s": history.time_s,
+            "readings_s": readings,
+            "moments": [
+                (max(each.time_s, history.begin_s), each.level, each.who, each.text)
+                for each in history.happenings.values
+            ],
+        }
 
     def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:
-        """Return the scene at a simulation time, by default the last one, and which mission it is of; a record is not published."""
+        """Return the scene at a simulation time, by default the last one, and which mission it is of; a
+        record is not published.
+        """
         return self._history.at() if at_s is None else self._history.at(at_s), self._history.missions, None
 
 

@@ -57,7 +57,9 @@ class Showable(Protocol):
         """Return its row of the list of vehicles."""
 
     def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:
-        """Return the scene at a time, None for the newest; which mission it is of; when it was published, ms since 1970."""
+        """Return the scene at a time, None for the newest; which mission it is of; when it was published,
+        ms since 1970.
+        """
 
 
 class Fleet(Protocol):
@@ -267,7 +269,12 @@ class Client:
         now_s = time.monotonic()
         if order.command not in URGENT:
             if now_s - self._ordered_s[0] < COMMANDS_S:
-                self._answered(order, CommandAnswer(False, f"more than {MOST_COMMANDS} commands within {COMMANDS_S:g} s: wait a moment"))
+                self._answered(
+                    order,
+                    CommandAnswer(
+                        False, f"more than {MOST_COMMANDS} commands within {COMMANDS_S:g} s: wait a moment"
+                    ),
+                )
                 return
             self._ordered_s.append(now_s)
 
@@ -279,7 +286,12 @@ class Client:
         task.add_done_callback(self._orders.discard)
 
     def _answered(self, order: Order, answer: CommandAnswer) -> None:
-        about = {"vehicle": order.vehicle, "command": order.command, "accepted": answer.accepted, "reason": answer.reason}
+        about = {
+            "vehicle": order.vehicle,
+            "command": order.command,
+            "accepted": answer.accepted,
+            "reason": answer.reason,
+        }
         self._answers.append({"answer": about})
         self.wake.set()
 
@@ -287,7 +299,13 @@ class Client:
 
     async def _write(self) -> None:
         may, word = self.may_command, ASKS.get(self._why_not, "")
-        hello = {"live": self._live, "may_command": may, "why_not": self._why_not, "word": word, "version": __version__}
+        hello = {
+            "live": self._live,
+            "may_command": may,
+            "why_not": self._why_not,
+            "word": word,
+            "version": __version__,
+        }
         await self._say({"hello": hello})
         told = False
         while True:
@@ -297,13 +315,22 @@ class Client:
                 await self._say({"vehicles": self._shown.entries(), "notice": self._shown.notice})
             while self._answers:
                 await self._say(self._answers.popleft())
-            bye, wanted = self._server.bye, [self._shown.vehicles[name] for name in self._want.show if name in self._shown.vehicles]
+            bye, wanted = (
+                self._server.bye,
+                [self._shown.vehicles[name] for name in self._want.show if name in self._shown.vehicles],
+            )
             waits_s = [await self._show(vehicle) for vehicle in wanted]
-            if bye and not told and all(self._what(vehicle) == self._sent[vehicle.name].what for vehicle in wanted):
+            if (
+                bye
+                and not told
+                and all(self._what(vehicle) == self._sent[vehicle.name].what for vehicle in wanted)
+            ):
                 told = True
                 await self._say({"bye": bye})
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(min(waits_s, default=UNDRAWN_S)):  # Python 3.11's wait_for may swallow a cancellation
+                async with asyncio.timeout(
+                    min(waits_s, default=UNDRAWN_S)
+                ):  # Python 3.11's wait_for may swallow a cancellation
                     await self.wake.wait()
 
     def _what(self, vehicle: Showable) -> tuple[object, ...]:

@@ -1,4 +1,6 @@
-"""A scene as the page reads it: one binary message with a JSON header and float32 arrays, and only what the page does not have yet."""
+"""A scene as the page reads it: one binary message with a JSON header and float32 arrays, and only what
+the page does not have yet.
+"""
 
 import struct
 from dataclasses import dataclass
@@ -33,13 +35,24 @@ class Cursor:
         self.measurements = self.happenings = self.track = 0
 
 
-def packed(scene: Scene, cursor: Cursor, mission: object, number: int, *, truth: bool = False, published_ms: float | None = None) -> bytes:
-    """Return a scene as a message, without what the page has, and note in the cursor that the page has it now.
+def packed(
+    scene: Scene,
+    cursor: Cursor,
+    mission: object,
+    number: int,
+    *,
+    truth: bool = False,
+    published_ms: float | None = None,
+) -> bytes:
+    """Return a scene as a message, without what the page has, and note in the cursor that the page has it
+    now.
 
-    The message: uint32, little-endian, the length of the header; the header in JSON, padded with spaces so that both have a multiple of
-    4 bytes; the arrays, little-endian float32, in the order that the header lists them. Numbers that are not finite are null.
+    The message: uint32, little-endian, the length of the header; the header in JSON, padded with spaces so
+    that both have a multiple of 4 bytes; the arrays, little-endian float32, in the order that the header
+    lists them. Numbers that are not finite are null.
 
-    mission: identifies the mission that the scene is of.  truth: whether the page asked for the true plume and source.
+    mission: identifies the mission that the scene is of.  truth: whether the page asked for the true plume
+    and source.
     """
     anew = cursor.mission != mission
     if anew:
@@ -58,7 +71,11 @@ def packed(scene: Scene, cursor: Cursor, mission: object, number: int, *, truth:
         "truth": None if shown is None else {"source": shown.source},
         "arrays": [{**about, "shape": array.shape} for about, array in arrays],
     }
-    cursor.measurements, cursor.happenings, cursor.track = len(scene.measurements), len(scene.happenings), len(scene.track)
+    cursor.measurements, cursor.happenings, cursor.track = (
+        len(scene.measurements),
+        len(scene.happenings),
+        len(scene.track),
+    )
     cursor.scatter, cursor.release = scene.scatter, shown
     return framed(header, [array for _, array in arrays])
 
@@ -67,12 +84,17 @@ def framed(header: dict[str, Any], arrays: list[Floats]) -> bytes:
     """Return a header and arrays as one message."""
     text = msgspec.json.encode(header)
     text += b" " * (-len(text) % 4)
-    return b"".join([struct.pack("<I", len(text)), text, *(array.astype("<f4", copy=False).tobytes() for array in arrays)])
+    return b"".join(
+        [struct.pack("<I", len(text)), text, *(array.astype("<f4", copy=False).tobytes() for array in arrays)]
+    )
 
 
 def _header(scene: Scene, cursor: Cursor) -> dict[str, Any]:
     last = scene.measurements[-1] if scene.measurements else None
-    measured, happened = min(cursor.measurements, len(scene.measurements)), min(cursor.happenings, len(scene.happenings))
+    measured, happened = (
+        min(cursor.measurements, len(scene.measurements)),
+        min(cursor.happenings, len(scene.happenings)),
+    )
     return {
         "vehicle": scene.backdrop.vehicle,
         "time_s": scene.time_s,
@@ -86,7 +108,10 @@ def _header(scene: Scene, cursor: Cursor) -> dict[str, Any]:
         "waypoint": scene.waypoint,
         "wind": scene.wind,
         "measurements": {"from": measured, "rows": [_row(each) for each in scene.measurements[measured:]]},
-        "happenings": {"from": happened, "rows": [(each.time_s, each.level, each.who, each.text) for each in scene.happenings[happened:]]},
+        "happenings": {
+            "from": happened,
+            "rows": [(each.time_s, each.level, each.who, each.text) for each in scene.happenings[happened:]],
+        },
         "services": scene.services,
         "ending": scene.ending,
     }
@@ -97,9 +122,17 @@ def _craft(craft: Craft | None) -> dict[str, Any] | None:
         return None
     (x, y), it = craft.position, craft.condition
     return {
-        "x": x, "y": y, "altitude_m": craft.altitude_m, "heading": craft.heading, "mode": craft.mode, "armed": craft.armed,
-        "battery": it.battery, "volts": it.volts, "gps": it.gps, "health": it.health,
-    }  # fmt: skip
+        "x": x,
+        "y": y,
+        "altitude_m": craft.altitude_m,
+        "heading": craft.heading,
+        "mode": craft.mode,
+        "armed": craft.armed,
+        "battery": it.battery,
+        "volts": it.volts,
+        "gps": it.gps,
+        "health": it.health,
+    }
 
 
 def _estimate(last: Measurement) -> dict[str, Any]:

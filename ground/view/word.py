@@ -14,7 +14,9 @@ from link.access.secret import read_secret
 IN_FILE = "a file with a word of at least 8 characters in one line"
 SHORTEST = 8
 PROTOCOL, WORD = "plumeward", "word."
-"""WebSocket subprotocols of the page: its own, and one with the word, in base64. It is a header: no log or history keeps it."""
+"""WebSocket subprotocols of the page: its own, and one with the word, in base64. It is a header: no log or
+history keeps it.
+"""
 LATER = "read-only: a wrong word came from your address a moment ago: wait a second"
 ASKS = {WANTED: "wanted", WRONG: "wrong", LATER: "later"}
 """For the page: what became of the word."""
@@ -25,7 +27,9 @@ MOST_WRONG = 1000
 
 
 def word_in(path: Path) -> tuple[str, str]:
-    """Return the word in a file, and a line for people or "". Makes the file, with a new word, if there is none. Raises ValueError."""
+    """Return the word in a file, and a line for people or "". Makes the file, with a new word, if there is
+    none. Raises ValueError.
+    """
     word = secrets.token_urlsafe(16)
     try:
         with open(path, "x", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:
@@ -33,16 +37,25 @@ def word_in(path: Path) -> tuple[str, str]:
     except FileExistsError:
         word, mode = read_secret(path, IN_FILE)
         if len(word) < SHORTEST:
-            raise ValueError(f"{str(path)!r} holds a word of {len(word)} characters; wanted {IN_FILE}") from None
+            raise ValueError(
+                f"{str(path)!r} holds a word of {len(word)} characters; wanted {IN_FILE}"
+            ) from None
         others = bool(mode & (stat.S_IRWXG | stat.S_IRWXO))
-        return word, f"warning: {str(path)!r} is open to other users of this machine: chmod 600 {path}" if others else ""
+        return (
+            word,
+            f"warning: {str(path)!r} is open to other users of this machine: chmod 600 {path}"
+            if others
+            else "",
+        )
     except OSError as error:
         raise ValueError(f"{str(path)!r}: {error.strerror}; wanted {IN_FILE}") from None
     return word, f"{path} is new: it holds the word that allows commands"
 
 
 class Doorkeeper:
-    """Hears the word of clients. Who gave a wrong one is heard again later: so guessing takes long, and locks nobody else out."""
+    """Hears the word of clients. Who gave a wrong one is heard again later: so guessing takes long, and
+    locks nobody else out.
+    """
 
     def __init__(self, rules: AccessRules) -> None:
         """Take the rules; nobody has said anything yet."""

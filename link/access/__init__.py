@@ -1,4 +1,5 @@
-"""Who may do what on the bus: roles, certificates, the router's rules, why a connection is refused, whom an address is open to.
+"""Who may do what on the bus: roles, certificates, the router's rules, why a connection is refused, whom
+an address is open to.
 
 Imports: nothing of ours.
 """

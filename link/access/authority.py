@@ -54,10 +54,16 @@ def host(text: str) -> str:
 
 
 def make(
-    folder: Path, vehicles: Iterable[int], hosts: Sequence[str] = ROUTER_NAMES, days: int = 365, *, force: bool = False,
+    folder: Path,
+    vehicles: Iterable[int],
+    hosts: Sequence[str] = ROUTER_NAMES,
+    days: int = 365,
+    *,
+    force: bool = False,
     now: datetime.datetime | None = None,
-) -> list[Made]:  # fmt: skip
-    """Make the CA and all certificates that are not there yet; with `force` all but the CA anew. Returns all of them.
+) -> list[Made]:
+    """Make the CA and all certificates that are not there yet; with `force` all but the CA anew. Returns
+    all of them.
 
     hosts: names and addresses at which clients reach the router.  days: how long the certificates hold.
     Raises CertificateError if files are damaged or half there, OSError if they cannot be read or written.
@@ -69,7 +75,11 @@ def make(
         _make_ca(folder, begins)
     ca = _read_ca(folder)
     made.append(Made(CA, ca.certificate.not_valid_after_utc, new))
-    names = [ROUTER, *OF_ALL_VEHICLES, *(common_name(role, f"uav/{number}") for number in vehicles for role in OF_A_VEHICLE)]
+    names = [
+        ROUTER,
+        *OF_ALL_VEHICLES,
+        *(common_name(role, f"uav/{number}") for number in vehicles for role in OF_A_VEHICLE),
+    ]
     until = min(begins + datetime.timedelta(days=days) + EARLIER, ca.certificate.not_valid_after_utc)
     if until <= begins:
         raise CertificateError(f"{folder / 'ca.pem'} has expired: make a new CA, in another folder")
@@ -82,22 +92,31 @@ def make(
         else:
             kept = _read(path)
             if not issued(kept, ca.certificate):
-                raise CertificateError(f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {OTHERWISE}")
+                raise CertificateError(
+                    f"{files(path)[0]} is not from the CA of {folder / 'ca.pem'}: {OTHERWISE}"
+                )
             made.append(Made(name, kept.not_valid_after_utc, False))
     return made
 
 
 def risks(folder: Path) -> list[str]:
-    """Return why others may come by the keys in a folder, or put theirs in their place: a line for each reason."""
+    """Return why others may come by the keys in a folder, or put theirs in their place: a line for each
+    reason.
+    """
     said = []
     there = folder.resolve()
     if there != Path(os.path.abspath(folder)):
-        said.append(f"{folder} leads through a link to {there}: whoever may change the link chooses where keys are")
+        said.append(
+            f"{folder} leads through a link to {there}: whoever may change the link chooses where keys are"
+        )
     for place in (there, *there.parents):
         mode = place.stat().st_mode
-        if mode & stat.S_IWOTH and (place == there or not mode & stat.S_ISVTX):  # in a sticky folder others cannot rename ours
+        if mode & stat.S_IWOTH and (
+            place == there or not mode & stat.S_ISVTX
+        ):  # in a sticky folder others cannot rename ours
             said.append(
-                f"{place} may be written by everybody, who can so replace certificates and keys (forbid it with: chmod o-w {place})"
+                f"{place} may be written by everybody, who can so replace certificates and keys (forbid it "
+                f"with: chmod o-w {place})"
             )
     return said
 
@@ -143,32 +162,57 @@ def _name(text: str) -> x509.Name:
 
 def _make_ca(folder: Path, begins: datetime.datetime) -> None:
     key, number = ec.generate_private_key(ec.SECP256R1()), x509.random_serial_number()
-    name = _name(f"Plumeward development CA {number:x}"[:40])  # a name of its own: another CA is told apart by it
+    name = _name(
+        f"Plumeward development CA {number:x}"[:40]
+    )  # a name of its own: another CA is told apart by it
     certificate = (
-        x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key()).serial_number(number)
-        .not_valid_before(begins).not_valid_after(begins + datetime.timedelta(days=CA_DAYS))
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(number)
+        .not_valid_before(begins)
+        .not_valid_after(begins + datetime.timedelta(days=CA_DAYS))
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(_usage(signs=True), critical=True)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
         .sign(key, hashes.SHA256())
-    )  # fmt: skip
+    )
     _write(folder / CA, key, certificate)
 
 
-def _issue(path: Path, name: str, hosts: Sequence[str], ca: _Issuer, begins: datetime.datetime, until: datetime.datetime) -> None:
-    """Make a certificate. A router's serves only for a router, another's only for a client: none can pose as the other."""
+def _issue(
+    path: Path,
+    name: str,
+    hosts: Sequence[str],
+    ca: _Issuer,
+    begins: datetime.datetime,
+    until: datetime.datetime,
+) -> None:
+    """Make a certificate. A router's serves only for a router, another's only for a client: none can pose
+    as the other.
+    """
     key = ec.generate_private_key(ec.SECP256R1())
     serves = ExtendedKeyUsageOID.SERVER_AUTH if name == ROUTER else ExtendedKeyUsageOID.CLIENT_AUTH
     builder = (
-        x509.CertificateBuilder().subject_name(_name(name)).issuer_name(ca.certificate.subject).public_key(key.public_key())
-        .serial_number(x509.random_serial_number()).not_valid_before(begins).not_valid_after(until)
+        x509.CertificateBuilder()
+        .subject_name(_name(name))
+        .issuer_name(ca.certificate.subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(begins)
+        .not_valid_after(until)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_usage(signs=False), critical=True)
         .add_extension(x509.ExtendedKeyUsage([serves]), critical=False)
-        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key()), critical=False)
-    )  # fmt: skip
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key()), critical=False
+        )
+    )
     if name == ROUTER:
-        builder = builder.add_extension(x509.SubjectAlternativeName([_alternative(text) for text in hosts]), critical=False)
+        builder = builder.add_extension(
+            x509.SubjectAlternativeName([_alternative(text) for text in hosts]), critical=False
+        )
     _write(path, key, builder.sign(ca.key, hashes.SHA256()))
 
 
@@ -181,15 +225,26 @@ def _alternative(text: str) -> x509.GeneralName:
 
 def _usage(*, signs: bool) -> x509.KeyUsage:
     return x509.KeyUsage(
-        digital_signature=not signs, content_commitment=False, key_encipherment=False, data_encipherment=False, key_agreement=False,
-        key_cert_sign=signs, crl_sign=signs, encipher_only=False, decipher_only=False,
-    )  # fmt: skip
+        digital_signature=not signs,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=signs,
+        crl_sign=signs,
+        encipher_only=False,
+        decipher_only=False,
+    )
 
 
 def _write(path: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
     pem, secret = files(path)
     unlocked = serialization.NoEncryption()
-    _put(secret, key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, unlocked), 0o600)
+    _put(
+        secret,
+        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, unlocked),
+        0o600,
+    )
     _put(pem, certificate.public_bytes(serialization.Encoding.PEM), 0o644)
 
 

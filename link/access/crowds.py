@@ -1,4 +1,6 @@
-"""How many sessions of a router one certificate holds at once: more are closed. Zenoh itself knows only a limit for all."""
+"""How many sessions of a router one certificate holds at once: more are closed. Zenoh itself knows only a
+limit for all.
+"""
 
 import contextlib
 import os
@@ -12,7 +14,9 @@ import zenoh
 from link.access.roles import OF_ALL_VEHICLES
 
 MOST_OF_A_PART, MOST_FOR_ALL = 16, 250
-"""Sessions of a certificate of one vehicle, and of one of all vehicles: all recorders share one. A router holds 1,000 sessions."""
+"""Sessions of a certificate of one vehicle, and of one of all vehicles: all recorders share one. A router
+holds 1,000 sessions.
+"""
 
 
 def most_of(name: str) -> int:
@@ -53,7 +57,9 @@ class Crowds:
 
 
 def _shut(address: str) -> None:
-    """End the connection of this process with an address: Zenoh has no way to close a session of another. It notices, and cleans up."""
+    """End the connection of this process with an address: Zenoh has no way to close a session of another.
+    It notices, and cleans up.
+    """
     host, _, port = address.rpartition(":")
     for number in map(int, os.listdir("/dev/fd")):
         with contextlib.suppress(OSError):  # closed meanwhile, or no connection

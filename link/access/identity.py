@@ -1,4 +1,6 @@
-"""A service's own certificate: found, checked before it is used, and given to Zenoh; and why a router was not reached with it."""
+"""A service's own certificate: found, checked before it is used, and given to Zenoh; and why a router was
+not reached with it.
+"""
 
 import datetime
 import socket
@@ -33,20 +35,31 @@ class Identity(NamedTuple):
     """When it expires, or its CA does."""
 
     def expiry(self) -> str:
-        """Return that it has expired, which closes its link, and what to do then. Empty if it is still valid."""
+        """Return that it has expired, which closes its link, and what to do then. Empty if it is still
+        valid.
+        """
         if datetime.datetime.now(datetime.UTC) <= self.until:
             return ""
-        return f"the certificate {self.name} expired on {self.until:%Y-%m-%d}: renew it with plumeward certs, and start this part again"
+        return (
+            f"the certificate {self.name} expired on {self.until:%Y-%m-%d}: renew it with plumeward "
+            "certs, and start this part again"
+        )
 
     def lack(self, roles: tuple[str, ...], what: str, service: str | None = None) -> str:
-        """Return which right it lacks if only these roles may do something; with a service, it must be of its role too. Empty if none."""
+        """Return which right it lacks if only these roles may do something; with a service, it must be of
+        its role too. Empty if none.
+        """
         if self.role in roles and (service is None or service in SERVICES[self.role]):
             return ""
         return f"the certificate {self.name} has no right to {what}: the router drops it"
 
 
-def secured(flag: str, endpoint: str, folder: Path | None, service: str, namespace: str | None) -> tuple[str, Identity | None]:
-    """Return the endpoint and the certificate to use for it, None without --secure; raises AccessError if they do not fit."""
+def secured(
+    flag: str, endpoint: str, folder: Path | None, service: str, namespace: str | None
+) -> tuple[str, Identity | None]:
+    """Return the endpoint and the certificate to use for it, None without --secure; raises AccessError if
+    they do not fit.
+    """
     if folder is None:
         if endpoint.startswith("tls/"):
             raise AccessError(f"{flag}: {endpoint!r} is not allowed without --secure DIR")
@@ -61,16 +74,22 @@ def identity(folder: Path, service: str, namespace: str | None) -> Identity:
     """Return the certificate of a service, or of the router; raises AccessError if it cannot be used."""
     role = ROUTER if service == ROUTER else role_of(service)
     if role in OF_A_VEHICLE and not _is_a_vehicles(namespace):
-        raise AccessError(f"--namespace: {namespace!r} is not allowed with --secure; wanted uav/1 to uav/{MOST_VEHICLES}")
+        raise AccessError(
+            f"--namespace: {namespace!r} is not allowed with --secure; wanted uav/1 to uav/{MOST_VEHICLES}"
+        )
     name = common_name(role, namespace)
     until = _check(folder, name, namespace if role in OF_A_VEHICLE else None)
     side = "listen" if role == ROUTER else "connect"
     tls = {
-        "root_ca_certificate": str(folder / "ca.pem"), f"{side}_certificate": str(folder / f"{name}.pem"),
-        f"{side}_private_key": str(folder / f"{name}.key"), "enable_mtls": True, "close_link_on_expiration": True,
-        # Zenoh's clients also trust the public CAs of browsers: only the router's name keeps their certificates out.
+        "root_ca_certificate": str(folder / "ca.pem"),
+        f"{side}_certificate": str(folder / f"{name}.pem"),
+        f"{side}_private_key": str(folder / f"{name}.key"),
+        "enable_mtls": True,
+        "close_link_on_expiration": True,
+        # Zenoh's clients also trust the public CAs of browsers: only the router's name keeps their
+        # certificates out.
         "verify_name_on_connect": True,
-    }  # fmt: skip
+    }
     return Identity(folder, role, name, tls, until)
 
 
@@ -79,7 +98,9 @@ def _is_a_vehicles(namespace: str | None) -> bool:
 
 
 def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
-    """Return until when a certificate is valid. Raise AccessError if it is missing, another's, of another CA or not valid now."""
+    """Return until when a certificate is valid. Raise AccessError if it is missing, another's, of another
+    CA or not valid now.
+    """
     from cryptography import x509  # takes time to load, and only --secure needs it
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
     from cryptography.x509.oid import NameOID
@@ -91,7 +112,10 @@ def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
             read[file] = path.read_bytes()
         except OSError as error:
             more = f" --vehicles {namespace.removeprefix('uav/')}" if namespace else ""
-            raise AccessError(f"--secure: cannot read {path}: {error.strerror} (make it with: plumeward certs {folder}{more})") from None
+            raise AccessError(
+                f"--secure: cannot read {path}: {error.strerror} (make it with: plumeward certs "
+                f"{folder}{more})"
+            ) from None
     path = folder / f"{name}.pem"
     try:
         ca, own = (x509.load_pem_x509_certificate(read[file]) for file in ("ca.pem", f"{name}.pem"))
@@ -107,14 +131,25 @@ def _check(folder: Path, name: str, namespace: str | None) -> datetime.datetime:
     except (ValueError, TypeError):  # none, or one with a password
         key = None
     if key is None or key.public_key() != own.public_key():
-        raise AccessError(f"--secure: {path.with_suffix('.key')} is not the key of {path} (delete both and run: plumeward certs {folder})")
+        raise AccessError(
+            f"--secure: {path.with_suffix('.key')} is not the key of {path} (delete both and run: plumeward "
+            f"certs {folder})"
+        )
     now = datetime.datetime.now(datetime.UTC)
     for certificate, where in ((ca, folder / "ca.pem"), (own, path)):
         if now > certificate.not_valid_after_utc:
-            renewed = "make a new CA, in another folder" if certificate is ca else f"delete it and run: plumeward certs {folder}"
-            raise AccessError(f"--secure: {where} expired on {certificate.not_valid_after_utc:%Y-%m-%d} ({renewed})")
+            renewed = (
+                "make a new CA, in another folder"
+                if certificate is ca
+                else f"delete it and run: plumeward certs {folder}"
+            )
+            raise AccessError(
+                f"--secure: {where} expired on {certificate.not_valid_after_utc:%Y-%m-%d} ({renewed})"
+            )
         if now < certificate.not_valid_before_utc:
-            raise AccessError(f"--secure: {where} is not valid before {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC")
+            raise AccessError(
+                f"--secure: {where} is not valid before {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC"
+            )
     return min(ca.not_valid_after_utc, own.not_valid_after_utc)
 
 
@@ -149,7 +184,9 @@ def why_not(endpoint: str, known: Identity | None) -> str:
 
 
 def is_refused(endpoint: str) -> bool:
-    """Whether nobody listens at an endpoint. Where packets are lost, or who listens is slow, nobody has refused yet."""
+    """Whether nobody listens at an endpoint. Where packets are lost, or who listens is slow, nobody has
+    refused yet.
+    """
     host, port = host_and_port(endpoint.partition("/")[2])
     try:
         socket.create_connection((host, int(port)), timeout=PROBE_S).close()
@@ -188,7 +225,10 @@ def _refusal(error: OSError, known: Identity) -> str:
 
 def _of_the_router(said: str, host: str, known: Identity) -> str:
     if "mismatch" in said:
-        return f"its certificate is not for {host} (make one with: plumeward certs {known.folder} --router {host}, after deleting it)"
+        return (
+            f"its certificate is not for {host} (make one with: plumeward certs {known.folder} --router "
+            f"{host}, after deleting it)"
+        )
     if "purpose" in said:
         return "its certificate is not a router's"
     if "expired" in said:

@@ -1,4 +1,6 @@
-"""A router's own log, turned into lines for people: who joins, and what is refused. Zenoh tells neither client nor router otherwise."""
+"""A router's own log, turned into lines for people: who joins, and what is refused. Zenoh tells neither
+client nor router otherwise.
+"""
 
 import contextlib
 import fcntl
@@ -9,9 +11,12 @@ import sys
 
 import zenoh
 
-FILTER = "off,zenoh_link_tls=debug,zenoh::net::routing::interceptor=trace,zenoh::net::routing::interceptor::access_control=off"
-"""Lines only for connections and for refused messages. With `access_control=trace` a line would also say which message, but there would
-be lines for every message that is allowed, too: that stalls a busy router."""
+FILTER = (
+    "off,zenoh_link_tls=debug,zenoh::net::routing::interceptor=trace,"
+    "zenoh::net::routing::interceptor::access_control=off"
+)
+"""Lines only for connections and for refused messages. With `access_control=trace` a line would also say
+which message, but there would be lines for every message that is allowed, too: that stalls a busy router."""
 PIPE_BYTES = 1 << 20
 EVERY_S = 10.0
 """The same refusal is told at most so often: a client that is refused tries again and again."""
@@ -49,17 +54,23 @@ def _stdout_of_zenoh() -> int:
 
 
 class Refusals:
-    """Reads what Zenoh logs in this process. Make it before the router: Zenoh's log goes to stdout, which from then on is another one."""
+    """Reads what Zenoh logs in this process. Make it before the router: Zenoh's log goes to stdout, which
+    from then on is another one.
+    """
 
     def __init__(self, reader: int | None = None) -> None:
-        """Take over stdout for Zenoh; `sys.stdout` goes where it went before. Or read a log from a file descriptor that never blocks."""
+        """Take over stdout for Zenoh; `sys.stdout` goes where it went before. Or read a log from a file
+        descriptor that never blocks.
+        """
         self._reader = _stdout_of_zenoh() if reader is None else reader
         self._begun = ""
         self._counts: dict[tuple[str, str], int] = {}
         self._told_at: dict[tuple[str, str], float] = {}
 
     def news(self, now_s: float) -> list[tuple[int, str]]:
-        """Return what has happened since the last call, as levels of `logging` and lines; now_s: any monotonic clock."""
+        """Return what has happened since the last call, as levels of `logging` and lines; now_s: any
+        monotonic clock.
+        """
         lines: list[tuple[int, str]] = []
         for line in self._lines():
             if joins := JOINS.search(line):
@@ -67,7 +78,10 @@ class Refusals:
             elif DROPS in line:
                 self.count("messages", "the certificates of their senders give no right to them")
             elif refused := REFUSES.search(line):
-                meant = next((meaning for words, meaning in MEANING if words in refused[1]), f"is refused: {refused[1]}")
+                meant = next(
+                    (meaning for words, meaning in MEANING if words in refused[1]),
+                    f"is refused: {refused[1]}",
+                )
                 self.count("connections", f"the client {meant}")
         for (what, why), count in list(self._counts.items()):
             if now_s - self._told_at.get((what, why), -EVERY_S) >= EVERY_S:
@@ -87,6 +101,10 @@ class Refusals:
     def count(self, what: str, why: str, more: int = 1) -> None:
         """Count what was refused and why: `news` tells of it."""
         kind = what, why
-        if kind not in self._counts and kind not in self._told_at and len(self._told_at | self._counts) >= MOST_KINDS:
+        if (
+            kind not in self._counts
+            and kind not in self._told_at
+            and len(self._told_at | self._counts) >= MOST_KINDS
+        ):
             why = "for other reasons"
         self._counts[what, why] = self._counts.get((what, why), 0) + more

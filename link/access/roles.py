@@ -7,17 +7,26 @@ ROUTER = "router"
 VEHICLE, ESTIMATOR, AGENT, PAYLOAD, BRIDGE = "vehicle", "estimator", "agent", "payload", "bridge"
 OPERATOR, OBSERVER = "operator", "observer"
 OF_A_VEHICLE = (VEHICLE, ESTIMATOR, AGENT, PAYLOAD, BRIDGE)
-"""Roles of one vehicle: each vehicle has a certificate for each of them. The others are one for all vehicles."""
+"""Roles of one vehicle: each vehicle has a certificate for each of them. The others are one for all
+vehicles.
+"""
 OF_ALL_VEHICLES = (OPERATOR, OBSERVER)
 """Roles that may read every key of every vehicle. Only operators command."""
 EVERYBODY = (*OF_A_VEHICLE, *OF_ALL_VEHICLES)
 SERVICES = {
-    VEHICLE: ("uav",), ESTIMATOR: ("estimator",), AGENT: ("agent",), PAYLOAD: ("payload",), BRIDGE: ("bridge",),
-    OPERATOR: ("view", "mission"), OBSERVER: ("recorder", "status"),
-}  # fmt: skip
+    VEHICLE: ("uav",),
+    ESTIMATOR: ("estimator",),
+    AGENT: ("agent",),
+    PAYLOAD: ("payload",),
+    BRIDGE: ("bridge",),
+    OPERATOR: ("view", "mission"),
+    OBSERVER: ("recorder", "status"),
+}
 """The services of each role: those whose health it may publish."""
 MOST_VEHICLES = 64
-"""The rules admit uav/1 to uav/64; the CA decides which of them there are. Each takes a router about 1 ms to start, and 0.2 MB."""
+"""The rules admit uav/1 to uav/64; the CA decides which of them there are. Each takes a router about 1 ms
+to start, and 0.2 MB.
+"""
 HEALTH = "health/"
 """The keys of health: one for each service."""
 WRITING = ("put", "declare_queryable", "liveliness_token", "reply")
@@ -39,7 +48,9 @@ def role_of(service: str) -> str:
 
 
 def common_name(role: str, namespace: str | None) -> str:
-    """Return the name in a role's certificate, such as uav/1/agent or operator. It is also where its files are."""
+    """Return the name in a role's certificate, such as uav/1/agent or operator. It is also where its files
+    are.
+    """
     return f"{namespace}/{role}" if role in OF_A_VEHICLE else role
 
 
@@ -53,15 +64,34 @@ def access_control(table: Iterable[Rights]) -> Mapping[str, Any]:
     rules: list[Any] = [_rule("out", "egress", everything, ["**", "**/@adv/**"])]
     subjects, policies = [], []
     for role in EVERYBODY:
-        for space in [f"uav/{number}" for number in range(1, MOST_VEHICLES + 1)] if role in OF_A_VEHICLE else ["uav/*"]:
+        for space in (
+            [f"uav/{number}" for number in range(1, MOST_VEHICLES + 1)] if role in OF_A_VEHICLE else ["uav/*"]
+        ):
             name = common_name(role, space)
             written = [key for right in rights if role in right.writers for key in _written(right.key, role)]
-            read = [right.key.replace("<service>", "*") for right in rights if role in (*right.readers, *OF_ALL_VEHICLES)]
+            read = [
+                right.key.replace("<service>", "*")
+                for right in rights
+                if role in (*right.readers, *OF_ALL_VEHICLES)
+            ]
             rules.append(_rule(f"{name} writes", "ingress", WRITING, _within(space, written)))
-            rules.append(_rule(f"{name} reads", "ingress", READING, [*_within(space, read), f"{space}/nobody", *_roster(role)]))
+            rules.append(
+                _rule(
+                    f"{name} reads",
+                    "ingress",
+                    READING,
+                    [*_within(space, read), f"{space}/nobody", *_roster(role)],
+                )
+            )
             subjects.append({"id": name, "cert_common_names": [name]})
             policies.append({"subjects": [name], "rules": ["out", f"{name} writes", f"{name} reads"]})
-    return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
 
 
 def _rule(name: str, flow: str, messages: Iterable[str], keys: list[str]) -> dict[str, Any]:
@@ -73,7 +103,9 @@ def _written(key: str, role: str) -> list[str]:
 
 
 def _within(space: str, keys: list[str]) -> list[str]:
-    """Return the keys in a namespace, and those on which their advanced publishers and subscribers speak, which ** does not match."""
+    """Return the keys in a namespace, and those on which their advanced publishers and subscribers speak,
+    which ** does not match.
+    """
     return [f"{space}/{key}{more}" for key in keys for more in ("", "/@adv/**")]
 
 

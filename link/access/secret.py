@@ -16,7 +16,9 @@ class Secret(NamedTuple):
 
 
 def read_secret(path: str | Path, wanted: str) -> Secret:
-    """Read it; raises ValueError with what is wrong and what is `wanted`. Space around the text, a line end among it, does not count."""
+    """Read it; raises ValueError with what is wrong and what is `wanted`. Space around the text, a line
+    end among it, does not count.
+    """
     try:
         mode = Path(path).stat().st_mode
         if not stat.S_ISREG(mode):
@@ -30,6 +32,12 @@ def read_secret(path: str | Path, wanted: str) -> Secret:
     except UnicodeDecodeError:
         raise ValueError(f"{str(path)!r} is not text; wanted {wanted}") from None
     if not text or not text.isprintable() or len(content) > MOST_BYTES:
-        fault = "is empty" if not text else "is too long" if len(content) > MOST_BYTES else "has more than one line"
+        fault = (
+            "is empty"
+            if not text
+            else "is too long"
+            if len(content) > MOST_BYTES
+            else "has more than one line"
+        )
         raise ValueError(f"{str(path)!r} {fault}; wanted {wanted}")
     return Secret(text, stat.S_IMODE(mode))

@@ -1,7 +1,7 @@
 """MAVLink frames in bytes: their extent, sender, checksum and fields.
 
-Only this file knows the wire format of MAVLink 1 and 2 frames. The layout of each message type comes from pymavlink's dialect and
-`px4.py`.
+Only this file knows the wire format of MAVLink 1 and 2 frames. The layout of each message type comes from
+pymavlink's dialect and `px4.py`.
 """
 
 import itertools
@@ -15,7 +15,9 @@ from link.bus.px4 import ADDED
 
 MAVLINK_1, MAVLINK_2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
 HEADER_1, HEADER_2 = struct.Struct("<BBxBBB"), struct.Struct("<BBBxxBBHB")
-"""MAVLink 1: magic, length, system, component, message id. MAVLink 2: magic, length, flags, system, component, message id (low, high)."""
+"""MAVLink 1: magic, length, system, component, message id. MAVLink 2: magic, length, flags, system,
+component, message id (low, high).
+"""
 CHECKSUM, SIGNATURE = 2, mavlink.MAVLINK_SIGNATURE_BLOCK_LEN
 SIGNED = mavlink.MAVLINK_IFLAG_SIGNED
 SHORTEST = HEADER_1.size + CHECKSUM
@@ -40,8 +42,8 @@ class Frame(NamedTuple):
 def frame_at(data: bytes, start: int) -> Frame | None:
     """Return the frame that begins at `start`, judged by its header.
 
-    None if no whole frame begins there, or if its flags are unknown: receivers must drop those. It does not verify the checksum
-    (see `checksums`).
+    None if no whole frame begins there, or if its flags are unknown: receivers must drop those. It does
+    not verify the checksum (see `checksums`).
     """
     left = len(data) - start
     if left < SHORTEST:
@@ -77,7 +79,9 @@ def frame_length(data: bytes, start: int) -> int:
 
 
 def checksums(data: bytes, frame: Frame, seed: bytes) -> tuple[int, int]:
-    """Return a frame's checksum as received and as computed; `seed` is the extra byte (CRC_EXTRA) of its message type."""
+    """Return a frame's checksum as received and as computed; `seed` is the extra byte (CRC_EXTRA) of its
+    message type.
+    """
     at = frame.checksum
     return data[at] | data[at + 1] << 8, crc16(data[frame.start + 1 : at] + seed)
 
@@ -104,7 +108,14 @@ def _layout(message: Any) -> Layout:
     lengths = zip(message.ordered_fieldnames, message.array_lengths, strict=True)
     counts = {name: 1 if types[name] == "char" else max(length, 1) for name, length in lengths}
     plain = set(counts.values()) == {1} and "char" not in types.values()
-    return Layout(message.msgname, message.unpacker.size, bytes([message.crc_extra]), message.unpacker.unpack, counts, plain)
+    return Layout(
+        message.msgname,
+        message.unpacker.size,
+        bytes([message.crc_extra]),
+        message.unpacker.unpack,
+        counts,
+        plain,
+    )
 
 
 DIALECT: dict[int, Any] = {**mavlink.mavlink_map, **ADDED}
@@ -120,7 +131,10 @@ def fields_of(data: bytes, frame: Frame, layout: Layout) -> dict[str, Any]:
 
 def _grouped(values: tuple[Any, ...], counts: dict[str, int]) -> dict[str, Any]:
     rest = iter(values)
-    grouped = {name: next(rest) if count == 1 else list(itertools.islice(rest, count)) for name, count in counts.items()}
+    grouped = {
+        name: next(rest) if count == 1 else list(itertools.islice(rest, count))
+        for name, count in counts.items()
+    }
     return {name: _text(value) if isinstance(value, bytes) else value for name, value in grouped.items()}
 
 

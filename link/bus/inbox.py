@@ -1,4 +1,5 @@
-"""What bounds what a service holds: the inbox, in which messages wait for its loop, and the names of services that it takes notice of.
+"""What bounds what a service holds: the inbox, in which messages wait for its loop, and the names of
+services that it takes notice of.
 
 A flood drops messages, but never fills memory or blocks a sender.
 """
@@ -17,7 +18,9 @@ from link.bus.log import Log
 from link.bus.tally import OVERFLOW, STRANGER
 
 WAITING_MESSAGES = 4096
-"""Most messages that wait per key, in addition to the key's kept ones. Beyond that the oldest are dropped, so that the flight goes on."""
+"""Most messages that wait per key, in addition to the key's kept ones. Beyond that the oldest are dropped,
+so that the flight goes on.
+"""
 WAITING_BYTES = 256 * 2**20
 """Most bytes that wait per key; a belief of a million particles has up to 36 MB."""
 BURST_S = 10.0
@@ -25,7 +28,9 @@ BURST_S = 10.0
 OURS = frozenset(name for names in SERVICES.values() for name in names)
 """The names of our own services; each is always taken notice of."""
 MOST_OTHERS = 16
-"""Services of other names that a process takes notice of. Without --secure, anybody may join under any number of names."""
+"""Services of other names that a process takes notice of. Without --secure, anybody may join under any
+number of names.
+"""
 NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")
 """What the name of another service may be."""
 
@@ -47,12 +52,17 @@ class Overflow:
         log.tally.refuse(OVERFLOW, count)
         now_s = log.tally.now_s()
         if now_s - self._reported_at >= BURST_S:
-            log.warning(f"refused {self._name}: messages arrive faster than they are processed; some of the waiting ones are dropped")
+            log.warning(
+                f"refused {self._name}: messages arrive faster than they are processed; some of the waiting "
+                "ones are dropped"
+            )
         self._reported_at = now_s
 
 
 class ServiceNames:
-    """The names of services that a process takes notice of: OURS, and the first MOST_OTHERS of others. Safe in several threads."""
+    """The names of services that a process takes notice of: OURS, and the first MOST_OTHERS of others.
+    Safe in several threads.
+    """
 
     def __init__(self) -> None:
         """Start with OURS."""
@@ -81,7 +91,9 @@ class ServiceNames:
             if not self._told:
                 self._told = True
                 wanted = f"wanted ours and at most {MOST_OTHERS} others, of 1 to 64 letters, digits and . _ -"
-                log.warning(f"refused health/<service>: there are services of too many or of strange names; {wanted}")
+                log.warning(
+                    f"refused health/<service>: there are services of too many or of strange names; {wanted}"
+                )
 
 
 class _Lane:
@@ -97,7 +109,9 @@ class _Lane:
         self._bytes = 0
 
     def append(self, item: Any, size: int) -> None:
-        """Add an item and drop the oldest beyond the limits. With `newest`, replacing an older item does not count as a drop."""
+        """Add an item and drop the oldest beyond the limits. With `newest`, replacing an older item does
+        not count as a drop.
+        """
         self.waiting.append((item, size))
         self._bytes += size
         while len(self.waiting) > self._most or self._bytes > WAITING_BYTES:
@@ -120,10 +134,12 @@ class Inbox:
         """Start empty."""
         self._lock = threading.Lock()
         self._turns: deque[_Lane] = deque()
-        """The lanes in the order in which their items are taken. There are spare turns where items were dropped or overtook others."""
+        """The lanes in the order in which their items are taken. There are spare turns where items were
+        dropped or overtook others.
+        """
         self._came = threading.Lock()
-        """Released when something comes. Not a SimpleQueue: its `get(timeout)` never returns if a signal's handler runs across the deadline
-        (CPython 3.11 and 3.12)."""
+        """Released when something comes. Not a SimpleQueue: its `get(timeout)` never returns if a signal's
+        handler runs across the deadline (CPython 3.11 and 3.12)."""
         self._came.acquire()
         self._lanes: dict[str, _Lane] = {}
         self._own = _Lane("", math.inf, newest=False)
@@ -133,11 +149,14 @@ class Inbox:
         """Add an item of the service's own; it is never dropped."""
         self._add(self._own, item, 0)
 
-    def lane(self, name: str, most: int = WAITING_MESSAGES, *, newest: bool = False, urgent: bool = False) -> Callable[[Any, int], None]:
+    def lane(
+        self, name: str, most: int = WAITING_MESSAGES, *, newest: bool = False, urgent: bool = False
+    ) -> Callable[[Any, int], None]:
         """Return a function (item, size in bytes) that adds items of one kind, from any thread.
 
-        If more than `most` items or WAITING_BYTES wait, the oldest are dropped. With `newest` only the newest waits;
-        those it replaces are not counted as dropped. With `urgent` they overtake all others that wait.
+        If more than `most` items or WAITING_BYTES wait, the oldest are dropped. With `newest` only the
+        newest waits; those it replaces are not counted as dropped. With `urgent` they overtake all others
+        that wait.
         """
         with self._lock:
             lane = self._lanes.setdefault(name, _Lane(name, 1 if newest else most, newest))
@@ -168,7 +187,9 @@ class Inbox:
             self._came.acquire(timeout=min(left_s, threading.TIMEOUT_MAX))
 
     def _next(self) -> _Lane | None:
-        """Return the lane whose turn it is, and take the turn. That of an urgent item stays behind as a spare one."""
+        """Return the lane whose turn it is, and take the turn. That of an urgent item stays behind as a
+        spare one.
+        """
         for lane in self._urgent:
             if lane.waiting:
                 return lane

@@ -23,7 +23,9 @@ class Delivery:
     kept: int = 0
     """The publisher keeps this many messages for late and returning subscribers."""
     recovered: int = 0
-    """It keeps this many for subscribers that find a gap, such as those whose link was down; late ones do not get them."""
+    """It keeps this many for subscribers that find a gap, such as those whose link was down; late ones do
+    not get them.
+    """
 
 
 @dataclass(frozen=True)
@@ -51,75 +53,119 @@ class Key:
 
 
 MAVLINK_OUT = Key(
-    "mavlink/out", FRAMES, "vehicle", "bridges, viewers, logs",
+    "mavlink/out",
+    FRAMES,
+    "vehicle",
+    "bridges, viewers, logs",
     Delivery(reliable=False),
     "PX4's onboard rates",
-    "All MAVLink output of the vehicle. Newest wins: frames are dropped rather than queued for a slow reader. So may be a command's "
-    "acknowledgement: send the command again until one comes, or until HEARTBEAT shows its mode. A bridge may bring other systems; the "
-    "vehicle is the one that `health/uav` tells. Of a real vehicle these are its autopilot's own frames, unchanged, and, as component 191, "
+    "All MAVLink output of the vehicle. Newest wins: frames are dropped rather than queued for a slow "
+    "reader. So may be a command's "
+    "acknowledgement: send the command again until one comes, or until HEARTBEAT shows its mode. A bridge "
+    "may bring other systems; the "
+    "vehicle is the one that `health/uav` tells. Of a real vehicle these are its autopilot's own frames, "
+    "unchanged, and, as component 191, "
     "those of its search.",
-    writers=(VEHICLE, BRIDGE), readers=(BRIDGE,),
-)  # fmt: skip
+    writers=(VEHICLE, BRIDGE),
+    readers=(BRIDGE,),
+)
 MAVLINK_IN = Key(
-    "mavlink/in", FRAMES, "operator, GCS bridge", "vehicle",
+    "mavlink/in",
+    FRAMES,
+    "operator, GCS bridge",
+    "vehicle",
     Delivery(blocking=True, express=True),
     "as they come",
-    "Commands to the vehicle, and setpoints of whoever flies it in the search's place. A bridge passes MAVLink 1 frames as they are. "
+    "Commands to the vehicle, and setpoints of whoever flies it in the search's place. A bridge passes "
+    "MAVLink 1 frames as they are. "
     "A real vehicle's autopilot gets them unchanged; commands to component 191 are for its search.",
-    writers=(BRIDGE, OPERATOR), readers=(VEHICLE, BRIDGE),
-)  # fmt: skip
+    writers=(BRIDGE, OPERATOR),
+    readers=(VEHICLE, BRIDGE),
+)
 WAYPOINT = Key(
-    "waypoint", FRAMES, "agent", "vehicle",
+    "waypoint",
+    FRAMES,
+    "agent",
+    "vehicle",
     Delivery(blocking=True, express=True),
     "1 per belief",
-    "The answer to a reading: one SET_POSITION_TARGET_LOCAL_NED with the reading's time_boot_ms. All else on this key is refused, and "
+    "The answer to a reading: one SET_POSITION_TARGET_LOCAL_NED with the reading's time_boot_ms. All else on "
+    "this key is refused, and "
     "nothing on another key answers a reading.",
-    writers=(AGENT,), readers=(VEHICLE,),
-)  # fmt: skip
+    writers=(AGENT,),
+    readers=(VEHICLE,),
+)
 READING = Key(
-    "reading", FRAMES, "vehicle", "estimator",
+    "reading",
+    FRAMES,
+    "vehicle",
+    "estimator",
     Delivery(blocking=True, express=True, kept=100_000),
     "1 per waypoint; repeated while unanswered",
     "One sample: LOCAL_POSITION_NED, WIND_COV, NAMED_VALUE_FLOAT `gas`, with one time_boot_ms, of a real "
     "vehicle the autopilot's. All readings are kept for late joiners.",
-    writers=(VEHICLE,), readers=(ESTIMATOR,),
-)  # fmt: skip
+    writers=(VEHICLE,),
+    readers=(ESTIMATOR,),
+)
 PAYLOAD_IN = Key(
-    "payload/in", FRAMES, "vehicle", "payload",
+    "payload/in",
+    FRAMES,
+    "vehicle",
+    "payload",
     Delivery(blocking=True, express=True),
     "1 per waypoint; repeated while unanswered",
-    "Of a real autopilot only: measure here, now. LOCAL_POSITION_NED, WIND_COV if the autopilot reports a wind, and NAMED_VALUE_INT "
+    "Of a real autopilot only: measure here, now. LOCAL_POSITION_NED, WIND_COV if the autopilot reports a "
+    "wind, and NAMED_VALUE_INT "
     "`sample`, the number of the reading, with one time_boot_ms.",
-    writers=(VEHICLE,), readers=(PAYLOAD,),
-)  # fmt: skip
+    writers=(VEHICLE,),
+    readers=(PAYLOAD,),
+)
 PAYLOAD_OUT = Key(
-    "payload/out", FRAMES, "payload", "vehicle",
+    "payload/out",
+    FRAMES,
+    "payload",
+    "vehicle",
     Delivery(blocking=True, express=True),
     "1 per question",
-    "The answer, with the question's time_boot_ms: NAMED_VALUE_FLOAT `gas`, NaN for no value, and WIND_COV if the payload knows the wind.",
-    writers=(PAYLOAD,), readers=(VEHICLE,),
-)  # fmt: skip
+    "The answer, with the question's time_boot_ms: NAMED_VALUE_FLOAT `gas`, NaN for no value, and WIND_COV "
+    "if the payload knows the wind.",
+    writers=(PAYLOAD,),
+    readers=(VEHICLE,),
+)
 BELIEF = Key(
-    "belief", Belief, "estimator", "agent, viewers",
+    "belief",
+    Belief,
+    "estimator",
+    "agent, viewers",
     Delivery(express=True, kept=1, recovered=32),
     "1 per reading",
     "The belief after a reading; the attachment is the particle array. A subscriber needs only the newest.",
-    writers=(ESTIMATOR,), readers=(AGENT, VEHICLE), most_mib=64,
-)  # fmt: skip
+    writers=(ESTIMATOR,),
+    readers=(AGENT, VEHICLE),
+    most_mib=64,
+)
 STOP = Key(
-    "agdc/stop", Stop, "estimator", "all",
+    "agdc/stop",
+    Stop,
+    "estimator",
+    "all",
     Delivery(blocking=True, realtime=True, express=True, kept=1),
     "once per mission",
     "The search has ceased. Kept for late joiners.",
-    writers=(ESTIMATOR,), readers=(VEHICLE, AGENT, PAYLOAD, BRIDGE),
-)  # fmt: skip
+    writers=(ESTIMATOR,),
+    readers=(VEHICLE, AGENT, PAYLOAD, BRIDGE),
+)
 HEALTH = Key(
-    "health/<service>", Health, "all", "all",
+    "health/<service>",
+    Health,
+    "all",
+    "all",
     Delivery(kept=1),
     "1 per step, at least 1 per second",
     "The status of a service. A liveliness token on the same key shows that its process is running.",
-    writers=EVERYBODY, readers=EVERYBODY,
-)  # fmt: skip
+    writers=EVERYBODY,
+    readers=EVERYBODY,
+)
 
 KEYS = (MAVLINK_OUT, MAVLINK_IN, WAYPOINT, READING, PAYLOAD_IN, PAYLOAD_OUT, BELIEF, STOP, HEALTH)
 

@@ -1,4 +1,6 @@
-"""Logs on stderr, one logfmt line per event; stdout is for results. They use the `logging` logger `plumeward` and its children."""
+"""Logs on stderr, one logfmt line per event; stdout is for results. They use the `logging` logger
+`plumeward` and its children.
+"""
 
 import json
 import logging
@@ -21,7 +23,9 @@ class Log(logging.LoggerAdapter[logging.Logger]):
     """A service's logger. A warning or worse also becomes `last_error` of its tally."""
 
     def __init__(self, service: str, mission: str, tally: Tally, least: str = "info") -> None:
-        """Take the names of service and mission, the service's tally, and the lowest of LEVELS that is written."""
+        """Take the names of service and mission, the service's tally, and the lowest of LEVELS that is
+        written.
+        """
         super().__init__(LOGGER.getChild(service))
         self._service = service
         self._mission = mission
@@ -30,7 +34,9 @@ class Log(logging.LoggerAdapter[logging.Logger]):
         self._least = logging.getLevelNamesMapping()[least.upper()]
 
     def isEnabledFor(self, level: int) -> bool:
-        """True if this level is written. Two loggers of one service in one process may have different levels."""
+        """True if this level is written. Two loggers of one service in one process may have different
+        levels.
+        """
         return level >= self._least and super().isEnabledFor(level)
 
     def log(self, level: int, msg: object, *args: object, **kwargs: Any) -> None:
@@ -53,15 +59,26 @@ class Logfmt(logging.Formatter):
         text = record.getMessage()
         if record.exc_info:
             text += "\n" + self.formatException(record.exc_info)
-        at = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        at = (
+            datetime.fromtimestamp(record.created, UTC)
+            .isoformat(timespec="milliseconds")
+            .replace("+00:00", "Z")
+        )
         level = LEVELS[min(max(record.levelno // 10 - 1, 0), len(LEVELS) - 1)]
         who = {"service": record.name, "mission": "-", "step": -1} | record.__dict__
-        event = json.dumps(text, ensure_ascii=not text.isprintable())  # unprintable characters could break the line or the terminal
-        return f"time={at} level={level} service={who['service']} mission={who['mission']} step={who['step']} event={event}"
+        event = json.dumps(
+            text, ensure_ascii=not text.isprintable()
+        )  # unprintable characters could break the line or the terminal
+        return (
+            f"time={at} level={level} service={who['service']} mission={who['mission']} "
+            f"step={who['step']} event={event}"
+        )
 
 
 class _Stderr(logging.Handler):
-    """Writes to the current `sys.stderr`, looked up at each record. It never waits: what nobody reads is left out, and counted."""
+    """Writes to the current `sys.stderr`, looked up at each record. It never waits: what nobody reads is
+    left out, and counted.
+    """
 
     _missing = 0
 
@@ -70,7 +87,15 @@ class _Stderr(logging.Handler):
             if self._missing and _takes_more(sys.stderr):
                 words, self._missing = f"{self._missing} lines are missing here: nobody has read them", 0
                 self._write(
-                    logging.makeLogRecord({**record.__dict__, "levelno": logging.WARNING, "msg": words, "args": (), "exc_info": None})
+                    logging.makeLogRecord(
+                        {
+                            **record.__dict__,
+                            "levelno": logging.WARNING,
+                            "msg": words,
+                            "args": (),
+                            "exc_info": None,
+                        }
+                    )
                 )
             self._write(record)
         except Exception:
@@ -106,7 +131,9 @@ if not LOGGER.handlers:
 
 
 def parse(line: str) -> tuple[str, str]:
-    """Return level and readable text of a log line. A line that is not a log event is returned unchanged, as info."""
+    """Return level and readable text of a log line. A line that is not a log event is returned unchanged,
+    as info.
+    """
     if (match := LINE.fullmatch(line)) is None:
         return "info", line
     level, service, event = match.groups()

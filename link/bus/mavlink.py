@@ -38,7 +38,8 @@ class Reading(NamedTuple):
     """One sample of gas and wind. All floats are exact float32 values, as on the wire.
 
     Example:
-        `Reading(0, (2.0, 3.5), 5.0, (1.5, 0.0), 0.42)`: 0.42 g/m³ at (2, 3.5) m, 5 m up, in a wind of 1.5 m/s from the east.
+        `Reading(0, (2.0, 3.5), 5.0, (1.5, 0.0), 0.42)`: 0.42 g/m³ at (2, 3.5) m, 5 m up, in a wind of 1.5
+        m/s from the east.
     """
 
     time_boot_ms: int
@@ -54,17 +55,23 @@ class Reading(NamedTuple):
 
 
 def elapsed_ms(since: int, until: int) -> int:
-    """Return the time from one time_boot_ms to another, ms, in [-2³¹, 2³¹): negative if `until` is the earlier one."""
+    """Return the time from one time_boot_ms to another, ms, in [-2³¹, 2³¹): negative if `until` is the
+    earlier one.
+    """
     return (until - since + WRAP_MS // 2) % WRAP_MS - WRAP_MS // 2
 
 
 def nearest(time_ms: int, time_boot_ms: int) -> int:
-    """Return the time nearest to another that time_boot_ms may stand for, ms: this goes on where time_boot_ms wraps."""
+    """Return the time nearest to another that time_boot_ms may stand for, ms: this goes on where
+    time_boot_ms wraps.
+    """
     return time_ms + elapsed_ms(time_ms, time_boot_ms)
 
 
 def continued(newest_ms: int, time_boot_ms: int) -> int:
-    """Return a vehicle's own time, ms: it goes on from the newest known where time_boot_ms wraps, and begins anew when the vehicle does."""
+    """Return a vehicle's own time, ms: it goes on from the newest known where time_boot_ms wraps, and
+    begins anew when the vehicle does.
+    """
     step = elapsed_ms(newest_ms, time_boot_ms)
     if abs(step) <= WRAPPED_MS and newest_ms + step >= 0:
         return newest_ms + step
@@ -111,7 +118,10 @@ def split(payload: bytes) -> list[Frame]:
         if layout is not None:
             received, right = checksums(payload, frame, layout.seed)
             if received != right:
-                raise BadFrame(f"malformed frame: invalid MAVLink CRC in msgID {frame.message_id} 0x{received:04x} should be 0x{right:04x}")
+                raise BadFrame(
+                    f"malformed frame: invalid MAVLink CRC in msgID {frame.message_id} 0x{received:04x} "
+                    f"should be 0x{right:04x}"
+                )
         frames.append(frame)
         at = frame.end
     if not frames:
@@ -135,7 +145,9 @@ def unpack(payload: bytes) -> list[Message]:
 
 
 def wind_message(time_boot_ms: int, wind: tuple[float, float]) -> Message:
-    """WIND_COV (231). It carries the velocity of the air, NED; `wind` points the other way, to where the wind comes from."""
+    """WIND_COV (231). It carries the velocity of the air, NED; `wind` points the other way, to where the
+    wind comes from.
+    """
     return mavlink.MAVLink_wind_cov_message(
         time_usec=time_boot_ms * 1000,
         wind_x=-wind[1],
@@ -155,14 +167,23 @@ def gas_message(time_boot_ms: int, gas: float) -> Message:
 
 
 def pack_reading(codec: Codec, reading: Reading) -> bytes:
-    """Return the three frames of one sample, with the same time_boot_ms. Velocities are 0: the vehicle is at rest when it samples."""
+    """Return the three frames of one sample, with the same time_boot_ms. Velocities are 0: the vehicle is
+    at rest when it samples.
+    """
     x, y = reading.position
-    position = mavlink.MAVLink_local_position_ned_message(reading.time_boot_ms, y, x, -reading.altitude_m, 0.0, 0.0, 0.0)
-    return codec.pack(position, wind_message(reading.time_boot_ms, reading.wind), gas_message(reading.time_boot_ms, reading.gas))
+    position = mavlink.MAVLink_local_position_ned_message(
+        reading.time_boot_ms, y, x, -reading.altitude_m, 0.0, 0.0, 0.0
+    )
+    return codec.pack(
+        position,
+        wind_message(reading.time_boot_ms, reading.wind),
+        gas_message(reading.time_boot_ms, reading.gas),
+    )
 
 
 def flat_reading(said: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return a reading in the search plane. `said` holds its messages' fields by message type; missing values become None.
+    """Return a reading in the search plane. `said` holds its messages' fields by message type; missing
+    values become None.
 
     x east, y north, m; the wind points to where it comes from, m/s.
     """
@@ -180,11 +201,19 @@ def flat_reading(said: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
-    """Undo `pack_reading`; raises BadFrame with the reason. If `system` is given, frames of another system are refused too."""
+    """Undo `pack_reading`; raises BadFrame with the reason. If `system` is given, frames of another system
+    are refused too.
+    """
     frames = {frame.message_id: frame for frame in split(payload)}
     if system is not None and (strangers := {frame.system for frame in frames.values()} - {system}):
-        raise BadFrame(f"a reading of system {min(strangers)}; this is the estimator of system {system}", "other vehicle")
-    messages = {LAYOUTS[number].kind: fields_of(payload, frame, LAYOUTS[number]) for number, frame in frames.items() if number in LAYOUTS}
+        raise BadFrame(
+            f"a reading of system {min(strangers)}; this is the estimator of system {system}", "other vehicle"
+        )
+    messages = {
+        LAYOUTS[number].kind: fields_of(payload, frame, LAYOUTS[number])
+        for number, frame in frames.items()
+        if number in LAYOUTS
+    }
     try:
         position, wind, gas = (messages[kind] for kind in READING_KINDS)
     except KeyError as missing:
@@ -195,7 +224,12 @@ def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
         raise BadFrame("the frames of the reading do not share one time_boot_ms")
     time_boot_ms, x, y, altitude_m, wind_x, wind_y, value = flat_reading(messages).values()
     reading = Reading(time_boot_ms, (x, y), altitude_m, (wind_x, wind_y), value)
-    for name, field in (("position", reading.position), ("altitude", altitude_m), ("wind", reading.wind), ("gas", value)):
+    for name, field in (
+        ("position", reading.position),
+        ("altitude", altitude_m),
+        ("wind", reading.wind),
+        ("gas", value),
+    ):
         if not all(map(math.isfinite, field if isinstance(field, tuple) else (field,))):
             raise BadFrame(f"{name} is not finite: {field}", "not finite")
     return reading
@@ -206,8 +240,12 @@ def sender(payload: bytes) -> int:
     return split(payload)[0].system
 
 
-def waypoint_message(system: int, answers_time_boot_ms: int, position: tuple[float, float], altitude_m: float) -> Message:
-    """SET_POSITION_TARGET_LOCAL_NED (84) with the time_boot_ms of the reading that it answers; position (x, y) m, x east, y north."""
+def waypoint_message(
+    system: int, answers_time_boot_ms: int, position: tuple[float, float], altitude_m: float
+) -> Message:
+    """SET_POSITION_TARGET_LOCAL_NED (84) with the time_boot_ms of the reading that it answers; position
+    (x, y) m, x east, y north.
+    """
     return mavlink.MAVLink_set_position_target_local_ned_message(
         time_boot_ms=answers_time_boot_ms,
         target_system=system,
@@ -229,7 +267,9 @@ def waypoint_message(system: int, answers_time_boot_ms: int, position: tuple[flo
 
 
 def unpack_waypoint(payload: bytes, system: int) -> Message:
-    """Return the SET_POSITION_TARGET_LOCAL_NED of a payload; raises BadFrame if it is not one alone, or not for this system."""
+    """Return the SET_POSITION_TARGET_LOCAL_NED of a payload; raises BadFrame if it is not one alone, or
+    not for this system.
+    """
     frames = split(payload)
     if len(frames) != 1 or frames[0].message_id != mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED:
         found = f"{len(frames)} frames" if len(frames) > 1 else f"message {frames[0].message_id}"

@@ -9,13 +9,24 @@ from numpy.typing import NDArray
 
 Pair = tuple[float, float]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-Covariance = Annotated[tuple[float, float, float], Meta(description="(xx, xy, yy) of the source's position, m²")]
+Covariance = Annotated[
+    tuple[float, float, float], Meta(description="(xx, xy, yy) of the source's position, m²")
+]
 MOST = 2**32 - 1
 """Greatest number that MAVLink's time_boot_ms can say; no mission has more steps."""
 TimeBootMs = Annotated[int, Meta(ge=0, le=MOST, description="time_boot_ms of the reading that this answers")]
-Step = Annotated[int, Meta(ge=0, le=MOST, description="number of the reading, 0 at the start; equals the number of moves before it")]
+Step = Annotated[
+    int,
+    Meta(
+        ge=0,
+        le=MOST,
+        description="number of the reading, 0 at the start; equals the number of moves before it",
+    ),
+]
 Particles = NDArray[np.float32]
-"""(N, D + 1): a column for each unknown of the belief (x and y by default), then the weights, which sum to one."""
+"""(N, D + 1): a column for each unknown of the belief (x and y by default), then the weights, which sum to
+one.
+"""
 
 
 class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -23,21 +34,35 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     time_boot_ms: TimeBootMs
     step: Step
-    position: Annotated[Pair, Meta(description="where the reading was taken: (x, y) m, x east, y north, from home")]
+    position: Annotated[
+        Pair, Meta(description="where the reading was taken: (x, y) m, x east, y north, from home")
+    ]
     altitude_m: Annotated[float, Meta(description="height above home at which the reading was taken, m")]
     gas: Annotated[float, Meta(description="the gas reading, in the sensor's unit: g/m³, or a count of hits")]
     wind: Annotated[
         Pair,
-        Meta(description="(u cos φ, u sin φ) m/s, points to where the wind comes from; as measured, or its mean if u or φ has a prior"),
+        Meta(
+            description="(u cos φ, u sin φ) m/s, points to where the wind comes from; as measured, or its "
+            "mean if u or φ has a prior"
+        ),
     ]
     sensor: Annotated[str, Meta(description="assumed sensor, in the form of --sensor")]
     rate: Annotated[float, Meta(gt=0, description="assumed release rate q, or its mean if unknown, g/s")]
-    diffusivity: Annotated[float, Meta(gt=0, description="assumed diffusivity d, or its mean if unknown, m²/s")]
-    lifetime: Annotated[float, Meta(gt=0, description="assumed lifetime τ of the gas, or its mean if unknown, s")]
-    z: Annotated[float, Meta(description="assumed height of the source above home, or its mean if unknown, m")]
+    diffusivity: Annotated[
+        float, Meta(gt=0, description="assumed diffusivity d, or its mean if unknown, m²/s")
+    ]
+    lifetime: Annotated[
+        float, Meta(gt=0, description="assumed lifetime τ of the gas, or its mean if unknown, s")
+    ]
+    z: Annotated[
+        float, Meta(description="assumed height of the source above home, or its mean if unknown, m")
+    ]
     unknowns: Annotated[
         tuple[str, ...],
-        Meta(description="names of the particle array's columns, of x y z q u phi d tau wind-direction wind-speed gain noise cv"),
+        Meta(
+            description="names of the particle array's columns, of x y z q u phi d tau wind-direction "
+            "wind-speed gain noise cv"
+        ),
     ]
     means: Annotated[tuple[float, ...], Meta(description="mean of each unknown")]
     stds: Annotated[tuple[float, ...], Meta(description="standard deviation of each unknown")]
@@ -45,13 +70,29 @@ class Belief(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     covariance: Covariance
     spread: Annotated[float, Meta(ge=0, description="square root of the covariance's trace, m")]
     effective_sample_size: Annotated[float, Meta(gt=0, description="1/Σw² of the particles")]
-    p_value: Annotated[float, Meta(ge=0, le=1, description="p-value of the recent readings under the model: near 0 if they do not fit it")]
-    ceased: Annotated[bool, Meta(description="true if the stop criterion is met and the readings fit the model: the search is over")]
+    p_value: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=1,
+            description="p-value of the recent readings under the model: near 0 if they do not fit it",
+        ),
+    ]
+    ceased: Annotated[
+        bool,
+        Meta(
+            description="true if the stop criterion is met and the readings fit the model: the search is over"
+        ),
+    ]
     assume: Annotated[str, Meta(description="what is taken to be known, in the form of --assume")] = "paper"
     """Older records lack this field and the next ones; their beliefs get these defaults."""
     stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread"
     evidence: Annotated[
-        float, Meta(description="nats by which the readings are explained better than by a sensor that shows one value plus noise")
+        float,
+        Meta(
+            description="nats by which the readings are explained better than by a sensor that shows one "
+            "value plus noise"
+        ),
     ] = 0.0
 
 
@@ -63,29 +104,58 @@ class Stop(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     estimate: Annotated[Pair, Meta(description="claimed position of the source, (x, y) m")]
     covariance: Covariance
     spread: Annotated[float, Meta(ge=0, description="square root of the covariance's trace, m")]
-    threshold: Annotated[float, Meta(ge=0, description="ζ, the spread below which the search stops, m; 0 with another criterion")]
+    threshold: Annotated[
+        float,
+        Meta(ge=0, description="ζ, the spread below which the search stops, m; 0 with another criterion"),
+    ]
     stop: Annotated[str, Meta(description="the stop criterion, in the form of --stop")] = "spread"
 
 
 class Health(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The status of a service. The liveliness token on the same key shows that its process runs, not that a vehicle is alive."""
+    """The status of a service. The liveliness token on the same key shows that its process runs, not that
+    a vehicle is alive.
+    """
 
     service: str
-    state: Annotated[str, Meta(description="what it is doing; uav: standby, taking off, searching, paused, returning, holding, landed")]
+    state: Annotated[
+        str,
+        Meta(
+            description="what it is doing; uav: standby, taking off, searching, paused, returning, holding, "
+            "landed"
+        ),
+    ]
     step: Annotated[int, Meta(ge=-1, le=MOST, description="last step finished; -1 before the first")]
-    compute_s: Annotated[float, Meta(ge=0, description="compute time of the steps so far, s; only the uav's includes the bus")]
+    compute_s: Annotated[
+        float, Meta(ge=0, description="compute time of the steps so far, s; only the uav's includes the bus")
+    ]
     uptime_s: Annotated[float, Meta(ge=0, description="time since it joined the bus, s")]
     refused: Annotated[dict[str, Count], Meta(description="messages dropped so far, by kind")]
-    warnings: Annotated[tuple[str, ...], Meta(description="current problems, in words; empty if there are none")] = ()
-    refused_lately: Annotated[Count, Meta(description="messages dropped within the last 60 s, except `repeated` ones")] = 0
-    last_error: Annotated[str, Meta(description="text of the last warning or error in the log; empty if there was none")] = ""
-    rate_hz: Annotated[float, Meta(ge=0, description="steps per second over the last 10 s; recorder: messages per second")] = 0.0
-    latency_s: Annotated[
-        float, Meta(ge=0, description="time from the last message to its answer, s; uav: from its reading to the waypoint")
+    warnings: Annotated[
+        tuple[str, ...], Meta(description="current problems, in words; empty if there are none")
+    ] = ()
+    refused_lately: Annotated[
+        Count, Meta(description="messages dropped within the last 60 s, except `repeated` ones")
+    ] = 0
+    last_error: Annotated[
+        str, Meta(description="text of the last warning or error in the log; empty if there was none")
+    ] = ""
+    rate_hz: Annotated[
+        float, Meta(ge=0, description="steps per second over the last 10 s; recorder: messages per second")
     ] = 0.0
-    about: Annotated[str, Meta(description="what it runs with: the agent's policy, the estimator's particles")] = ""
+    latency_s: Annotated[
+        float,
+        Meta(
+            ge=0,
+            description="time from the last message to its answer, s; uav: from its reading to the waypoint",
+        ),
+    ] = 0.0
+    about: Annotated[
+        str, Meta(description="what it runs with: the agent's policy, the estimator's particles")
+    ] = ""
     ceased: Annotated[bool, Meta(description="true once it knows of the stop: the search has ceased")] = False
-    system: Annotated[int, Meta(ge=0, le=255, description="uav: the vehicle's MAVLink system id; 0: none is told")] = 0
+    system: Annotated[
+        int, Meta(ge=0, le=255, description="uav: the vehicle's MAVLink system id; 0: none is told")
+    ] = 0
 
 
 def stop_text(stop: Stop) -> str:
@@ -100,7 +170,9 @@ def pack_particles(particles: Particles) -> bytes:
 
 
 def unpack_particles(payload: bytes, unknowns: int) -> Particles:
-    """Undo `pack_particles` for this number of unknowns; raises ValueError if the payload is not a valid particle array."""
+    """Undo `pack_particles` for this number of unknowns; raises ValueError if the payload is not a valid
+    particle array.
+    """
     row = 4 * (unknowns + 1)
     if not payload or len(payload) % row:
         raise ValueError(f"the particle array has {len(payload)} bytes; wanted a positive multiple of {row}")

@@ -18,15 +18,21 @@ from link.bus.keys import BELIEF, KEYS, MIB, Delivery, Key
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 CONNECT_TIMEOUT_S = 5.0
 SLOW_CONNECT_S = 15.0
-"""How long we go on trying where nobody has refused us: over a link that drops packets it takes several seconds to join."""
+"""How long we go on trying where nobody has refused us: over a link that drops packets it takes several
+seconds to join.
+"""
 RETRY = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2}
 """Frequent retries bring a restarted router back in 0.5 s instead of 3.5 s."""
 FULL_S = 0.02
-"""How long a router waits for a client that takes nothing and whose queue is full, before it cuts the link. Meanwhile others wait, too:
-Zenoh forwards to one client after the other (its issues 1876 and 2585). By default it waits for 5 s, and the stop with it."""
+"""How long a router waits for a client that takes nothing and whose queue is full, before it cuts the
+link.
+Meanwhile others wait, too: Zenoh forwards to one client after the other (its issues 1876 and 2585). By
+default it waits for 5 s, and the stop with it."""
 
 MOST_MESSAGE = BELIEF.most_mib * MIB
-"""Most bytes of a message: a belief of a million particles with all unknowns has 56 MB. Receivers drop a larger one, and keep the link."""
+"""Most bytes of a message: a belief of a million particles with all unknowns has 56 MB. Receivers drop a
+larger one, and keep the link.
+"""
 FEWEST_FILES = 64
 """Fewest files that a process must be allowed to open: with less than half of them Zenoh panics."""
 
@@ -35,7 +41,9 @@ MOST_QUERY = MIB
 """Most bytes that a query may carry; ours carry none."""
 MOST_SESSIONS = 1000
 MOST_JOINING, JOINING_S = 1000, 10.0
-"""Connections that may be joining a router at once, and for how long. With Zenoh's 100, as many silent ones keep all others out."""
+"""Connections that may be joining a router at once, and for how long. With Zenoh's 100, as many silent
+ones keep all others out.
+"""
 
 
 class BusError(Exception):
@@ -47,10 +55,11 @@ class NoRouter(BusError):
 
 
 def priority(how: Delivery) -> zenoh.Priority:
-    """Return the priority of a key's messages. Each has a queue of its own on each link, and higher ones overtake lower ones.
+    """Return the priority of a key's messages. Each has a queue of its own on each link, and higher ones
+    overtake lower ones.
 
-    What must not be dropped never waits behind what may be: on a slow link a full queue of telemetry would hold up the router, which then
-    cuts that link (FULL_S).
+    What must not be dropped never waits behind what may be: on a slow link a full queue of telemetry would
+    hold up the router, which then cuts that link (FULL_S).
     """
     if how.realtime:
         return zenoh.Priority.REAL_TIME
@@ -84,10 +93,13 @@ def declare_publisher(session: zenoh.Session, name: str, how: Delivery) -> Any:
     )
 
 
-def declare_subscriber(session: zenoh.Session, name: str, how: Delivery, handler: Any, origin: zenoh.Locality) -> Any:
+def declare_subscriber(
+    session: zenoh.Session, name: str, how: Delivery, handler: Any, origin: zenoh.Locality
+) -> Any:
     """Return a subscriber of a key; if messages are kept, it gets them first.
 
-    That of several keys (`*`) gets new messages only: Zenoh would let it drop those of one key for what another's publisher says of itself.
+    That of several keys (`*`) gets new messages only: Zenoh would let it drop those of one key for what
+    another's publisher says of itself.
     """
     if not how.kept or "*" in name:
         return session.declare_subscriber(name, handler, allowed_origin=origin)
@@ -102,47 +114,70 @@ def declare_subscriber(session: zenoh.Session, name: str, how: Delivery, handler
     )
 
 
-def ask_for_kept(session: zenoh.Session, name: str, most: int, received: Any, where: zenoh.Locality = zenoh.Locality.ANY) -> Any:
+def ask_for_kept(
+    session: zenoh.Session, name: str, most: int, received: Any, where: zenoh.Locality = zenoh.Locality.ANY
+) -> Any:
     """Ask the publishers of a key for their newest `most` messages. received: the handler of the replies."""
     return session.get(
-        f"{name}/@adv/**?_max={most}", received, target=zenoh.QueryTarget.ALL, consolidation=zenoh.ConsolidationMode.NONE,
-        accept_replies=zenoh.ReplyKeyExpr.ANY, allowed_destination=where,
-    )  # fmt: skip
+        f"{name}/@adv/**?_max={most}",
+        received,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        accept_replies=zenoh.ReplyKeyExpr.ANY,
+        allowed_destination=where,
+    )
 
 
 def kept_of(session: zenoh.Session, key: Key) -> list[tuple[bytes, bytes | None]]:
     """Return the messages of a key that this session itself keeps, oldest first, with their attachments."""
     if not (most := key.delivery.kept) or "<" in key.name:
         return []
-    replies = ask_for_kept(session, key.name, most, zenoh.handlers.FifoChannel(most), zenoh.Locality.SESSION_LOCAL)
+    replies = ask_for_kept(
+        session, key.name, most, zenoh.handlers.FifoChannel(most), zenoh.Locality.SESSION_LOCAL
+    )
     samples = [reply.ok for reply in replies if reply.ok]
-    return [(sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else None) for sample in samples]
+    return [
+        (sample.payload.to_bytes(), sample.attachment.to_bytes() if sample.attachment else None)
+        for sample in samples
+    ]
 
 
 def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) -> zenoh.Config:
-    """Return Zenoh's configuration for a mode and what each flag names, such as `connect`. Raises BusError. settings: others of Zenoh's."""
+    """Return Zenoh's configuration for a mode and what each flag names, such as `connect`. Raises
+    BusError.
+    settings: others of Zenoh's.
+    """
     most_files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if 0 <= most_files < FEWEST_FILES:
-        raise BusError(f"only {most_files} files may be open at a time; wanted {FEWEST_FILES} at least (set it with: ulimit -n 1024)")
+        raise BusError(
+            f"only {most_files} files may be open at a time; wanted {FEWEST_FILES} at least (set it with: "
+            "ulimit -n 1024)"
+        )
     config = zenoh.Config()
     config.insert_json5("mode", json.dumps(mode))
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("scouting/gossip/enabled", "false")
-    config.insert_json5("scouting/delay", "0")  # nobody to scout for: a router opens at once instead of after 0.5 s
+    config.insert_json5(
+        "scouting/delay", "0"
+    )  # nobody to scout for: a router opens at once instead of after 0.5 s
     config.insert_json5("transport/link/tx/lease", "2000")  # a cut link is noticed in 2 s
     config.insert_json5("transport/link/rx/max_message_size", json.dumps(MOST_MESSAGE))
-    # A belief of 4,000 particles is larger than the two batches that wait by default: where the other side is slow, it would be dropped.
+    # A belief of 4,000 particles is larger than the two batches that wait by default: where the other side is
+    # slow, it would be dropped.
     # More of the other priorities wait, too: a router that finds their queue full cuts the link.
     for name in ("interactive_high", "data", "data_low"):
         config.insert_json5(f"transport/link/tx/queue/size/{name}", "16")
-    # Shared memory is no faster, wakes each process 20 times a second, loses messages silently where a receiver hangs, and leaves files
+    # Shared memory is no faster, wakes each process 20 times a second, loses messages silently where a
+    # receiver hangs, and leaves files
     # behind where a process is killed.
     config.insert_json5("transport/shared_memory/enabled", "false")
     for kind, urls in endpoints.items():
         try:
             config.insert_json5(f"{kind}/endpoints", json.dumps(urls))
         except zenoh.ZError:
-            raise BusError(f"--{kind}: {', '.join(urls)!r} is not a Zenoh endpoint; wanted one like {DEFAULT_ROUTER}") from None
+            raise BusError(
+                f"--{kind}: {', '.join(urls)!r} is not a Zenoh endpoint; wanted one like {DEFAULT_ROUTER}"
+            ) from None
     for name, value in settings.items():
         try:
             config.insert_json5(name.replace("__", "/"), json.dumps(value))
@@ -153,16 +188,20 @@ def zenoh_config(mode: str, endpoints: dict[str, list[str]], **settings: Any) ->
 
 
 def join(connect: str, within_s: float, **settings: Any) -> zenoh.Session:
-    """Join a router, with an id of Zenoh's choice; raises zenoh.ZError if none admits us in time, BusError if it is not an endpoint."""
+    """Join a router, with an id of Zenoh's choice; raises zenoh.ZError if none admits us in time, BusError
+    if it is not an endpoint.
+    """
     in_time = {"connect__timeout_ms": round(1000 * within_s), "connect__retry": RETRY}
     return zenoh.open(zenoh_config("client", {"connect": [connect]}, **in_time | settings))
 
 
-def open_client(connect: str, known: Identity | None, say: Callable[[str], None], **settings: Any) -> zenoh.Session:
+def open_client(
+    connect: str, known: Identity | None, say: Callable[[str], None], **settings: Any
+) -> zenoh.Session:
     """Join a router. settings: Zenoh's, beside the usual ones or instead of them.
 
-    Raises NoRouter if none admits us: within CONNECT_TIMEOUT_S, and if nobody has refused us within SLOW_CONNECT_S more. BusError if
-    `connect` is not an endpoint.
+    Raises NoRouter if none admits us: within CONNECT_TIMEOUT_S, and if nobody has refused us within
+    SLOW_CONNECT_S more. BusError if `connect` is not an endpoint.
     """
     try:
         return join(connect, CONNECT_TIMEOUT_S, **settings)
@@ -177,22 +216,46 @@ def open_client(connect: str, known: Identity | None, say: Callable[[str], None]
 
 
 def low_pass_filter() -> list[dict[str, Any]]:
-    """Return Zenoh's `low_pass_filter` for a router: it drops messages that are larger than the table says. A small key stays small."""
-    sizes = [(key.name, ["put", "delete", "reply"], [f"**/{key.name.replace('<service>', '*')}"], key.most_mib * MIB) for key in KEYS]
+    """Return Zenoh's `low_pass_filter` for a router: it drops messages that are larger than the table
+    says. A small key stays small.
+    """
+    sizes = [
+        (
+            key.name,
+            ["put", "delete", "reply"],
+            [f"**/{key.name.replace('<service>', '*')}"],
+            key.most_mib * MIB,
+        )
+        for key in KEYS
+    ]
     return [
-        {"id": name, "flows": ["ingress"], "messages": kinds, "key_exprs": [*keys, *(f"{key}/@adv/**" for key in keys)], "size_limit": size}
+        {
+            "id": name,
+            "flows": ["ingress"],
+            "messages": kinds,
+            "key_exprs": [*keys, *(f"{key}/@adv/**" for key in keys)],
+            "size_limit": size,
+        }
         for name, kinds, keys, size in [*sizes, ("queries", ["query"], ["**"], MOST_QUERY)]
     ]
 
 
-def open_router(endpoint: str, secure: Path | None = None, connect: str | None = None) -> tuple[zenoh.Session, str]:
-    """Open a Zenoh router in this process. Returns it and its endpoint, which names the chosen port if port 0 was asked for.
+def open_router(
+    endpoint: str, secure: Path | None = None, connect: str | None = None
+) -> tuple[zenoh.Session, str]:
+    """Open a Zenoh router in this process. Returns it and its endpoint, which names the chosen port if
+    port 0 was asked for.
 
-    secure: the folder of its certificate; it then admits per role and vehicle.  connect: another router, of another site; it may come
-    later, and come back. Raises BusError if it cannot listen on `endpoint`, AccessError if it cannot be secured.
+    secure: the folder of its certificate; it then admits per role and vehicle.  connect: another router,
+    of another site; it may come later, and come back. Raises BusError if it cannot listen on `endpoint`,
+    AccessError if it cannot be secured.
     """
     endpoint, known = secured("--listen", endpoint, secure, ROUTER, None)
-    rules = {"transport__link__tls": known.tls, "access_control": access_control(key.rights for key in KEYS)} if known else {}
+    rules = (
+        {"transport__link__tls": known.tls, "access_control": access_control(key.rights for key in KEYS)}
+        if known
+        else {}
+    )
     limits = {
         "transport__link__tx__queue__congestion_control__block__wait_before_close": round(1e6 * FULL_S),
         "transport__unicast__max_sessions": MOST_SESSIONS,
@@ -201,23 +264,41 @@ def open_router(endpoint: str, secure: Path | None = None, connect: str | None =
         "low_pass_filter": low_pass_filter(),
     }
     joined = {"connect": [connect]} if connect else {}
-    config = zenoh_config("router", {"listen": [endpoint], **joined}, adminspace__enabled=True, connect__retry=RETRY, **limits, **rules)
+    config = zenoh_config(
+        "router",
+        {"listen": [endpoint], **joined},
+        adminspace__enabled=True,
+        connect__retry=RETRY,
+        **limits,
+        **rules,
+    )
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
-        reason = re.search(r"(Address already in use|Permission denied|Cannot assign requested address|[Ff]ailed to lookup)", str(error))
-        raise BusError(f"--listen: cannot listen on {endpoint}: {reason.group(1) if reason else str(error).split(' at /')[0]}") from None
+        reason = re.search(
+            r"(Address already in use|Permission denied|Cannot assign requested address|[Ff]ailed to lookup)",
+            str(error),
+        )
+        raise BusError(
+            f"--listen: cannot listen on {endpoint}: "
+            f"{reason.group(1) if reason else str(error).split(' at /')[0]}"
+        ) from None
     for reply in session.get(f"@/{session.zid()}/router"):
         if reply.ok is not None:
             addresses = json.loads(reply.ok.payload.to_bytes())["locators"] or at_loopback(endpoint)
             if addresses:
                 return session, str(addresses[0])
     session.close()  # type: ignore[no-untyped-call]
-    raise BusError(f"--listen: the router on {endpoint} does not report its address; wanted one with a port, like {DEFAULT_ROUTER}")
+    raise BusError(
+        f"--listen: the router on {endpoint} does not report its address; wanted one with a port, like "
+        f"{DEFAULT_ROUTER}"
+    )
 
 
 def at_loopback(endpoint: str) -> list[str]:
-    """Return where a router on all addresses is reached if there is none but loopback, as Zenoh then reports none. Empty for port 0."""
+    """Return where a router on all addresses is reached if there is none but loopback, as Zenoh then
+    reports none. Empty for port 0.
+    """
     protocol, _, address = endpoint.partition("/")
     port = address.partition("#")[0].partition("?")[0].rpartition(":")[2]
     return [f"{protocol}/{'[::1]' if address.startswith('[') else '127.0.0.1'}:{port}"] if port != "0" else []

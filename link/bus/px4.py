@@ -1,4 +1,6 @@
-"""Message types of MAVLink that PX4 or ArduPilot sends, but that pymavlink's common dialect lacks in whole or in part."""
+"""Message types of MAVLink that PX4 or ArduPilot sends, but that pymavlink's common dialect lacks in whole
+or in part.
+"""
 
 import struct
 from typing import Any, NamedTuple
@@ -20,7 +22,9 @@ class Field(NamedTuple):
 
 
 def _message_type(number: int, name: str, *fields: Field) -> Any:
-    """Return the class of a message like those that pymavlink generates. Fields come in wire order: the widest first, then extensions."""
+    """Return the class of a message like those that pymavlink generates. Fields come in wire order: the
+    widest first, then extensions.
+    """
 
     def init(self: Any, **values: Any) -> None:
         mavlink.MAVLink_message.__init__(self, number, name)
@@ -32,7 +36,9 @@ def _message_type(number: int, name: str, *fields: Field) -> Any:
         for field in fields:
             value = getattr(self, field.name)
             values += value if isinstance(value, list) else [value]
-        packed: bytes = self._pack(mav, self.crc_extra, self.unpacker.pack(*values), force_mavlink1=force_mavlink1)
+        packed: bytes = self._pack(
+            mav, self.crc_extra, self.unpacker.pack(*values), force_mavlink1=force_mavlink1
+        )
         return packed
 
     names = [field.name for field in fields]
@@ -53,7 +59,9 @@ def _message_type(number: int, name: str, *fields: Field) -> Any:
 
 
 def _crc_extra(name: str, fields: tuple[Field, ...]) -> int:
-    """The byte that stands for a message's layout in its checksum (MAVLink guide, "CRC_EXTRA calculation")."""
+    """The byte that stands for a message's layout in its checksum (MAVLink guide, "CRC_EXTRA
+    calculation").
+    """
     described = f"{name} ".encode()
     for field in fields:
         if field.extension:
@@ -83,7 +91,11 @@ AvailableModes = _message_type(
     Field("char", "mode_name", 35),
 )
 CurrentMode = _message_type(
-    436, "CURRENT_MODE", Field("uint32_t", "custom_mode"), Field("uint32_t", "intended_custom_mode"), Field("uint8_t", "standard_mode")
+    436,
+    "CURRENT_MODE",
+    Field("uint32_t", "custom_mode"),
+    Field("uint32_t", "intended_custom_mode"),
+    Field("uint8_t", "standard_mode"),
 )
 AvailableModesMonitor = _message_type(437, "AVAILABLE_MODES_MONITOR", Field("uint8_t", "seq"))
 MissionCurrent = _message_type(
@@ -98,7 +110,9 @@ MissionCurrent = _message_type(
     Field("uint32_t", "rally_points_id", extension=True),
 )
 
-Wind = _message_type(168, "WIND", Field("float", "direction"), Field("float", "speed"), Field("float", "speed_z"))
+Wind = _message_type(
+    168, "WIND", Field("float", "direction"), Field("float", "speed"), Field("float", "speed_z")
+)
 EkfStatusReport = _message_type(
     193,
     "EKF_STATUS_REPORT",
@@ -112,5 +126,14 @@ EkfStatusReport = _message_type(
 )
 
 ADDED = {
-    kind.id: kind for kind in (ProtocolVersion, AvailableModes, CurrentMode, AvailableModesMonitor, MissionCurrent, Wind, EkfStatusReport)
+    kind.id: kind
+    for kind in (
+        ProtocolVersion,
+        AvailableModes,
+        CurrentMode,
+        AvailableModesMonitor,
+        MissionCurrent,
+        Wind,
+        EkfStatusReport,
+    )
 }

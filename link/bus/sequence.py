@@ -1,7 +1,8 @@
 """Completeness of kept messages: puts each publisher's messages in order and detects missing ones.
 
-Zenoh's advanced subscriber delivers history and live messages. In 1.10.2 it can lose history when it joins a busy publisher: live
-messages that arrive before its history query has started make it drop the answer. Therefore we check the sequence numbers ourselves.
+Zenoh's advanced subscriber delivers history and live messages. In 1.10.2 it can lose history when it joins
+a busy publisher: live messages that arrive before its history query has started make it drop the answer.
+Therefore we check the sequence numbers ourselves.
 """
 
 import math
@@ -12,7 +13,9 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 ASK_FIRST_S, ASK_LAST_S = 0.3, 2.4
-"""First and longest time between two requests for missing messages; it doubles each time, since a long history takes long to arrive."""
+"""First and longest time between two requests for missing messages; it doubles each time, since a long
+history takes long to arrive.
+"""
 GIVE_UP_S = 5.0
 """Missing messages are given up after this time."""
 MOST_SOURCES = 64
@@ -29,8 +32,12 @@ class _Source(Generic[T]):
 class Sequence(Generic[T]):
     """Orders the messages of one key. Each publisher numbers its messages from 0."""
 
-    def __init__(self, most: int, most_bytes: float = math.inf, size: Callable[[T], int] = lambda _: 0) -> None:
-        """Start empty. At most `most` messages and `most_bytes` bytes (measured by `size`) may wait for missing ones."""
+    def __init__(
+        self, most: int, most_bytes: float = math.inf, size: Callable[[T], int] = lambda _: 0
+    ) -> None:
+        """Start empty. At most `most` messages and `most_bytes` bytes (measured by `size`) may wait for
+        missing ones.
+        """
         self.dropped = 0
         """Messages dropped for lack of room. They count as missing and are requested again."""
         self._most = most
@@ -43,7 +50,9 @@ class Sequence(Generic[T]):
         self._sources: dict[str, _Source[T]] = {}
 
     def arrived(self, source: str, number: int, message: T, now_s: float) -> list[T]:
-        """Take a message; return the messages that are now next in order. A message seen before is dropped."""
+        """Take a message; return the messages that are now next in order. A message seen before is
+        dropped.
+        """
         state = self._sources.pop(source) if source in self._sources else _Source()
         self._sources[source] = state
         if len(self._sources) > MOST_SOURCES:
@@ -59,7 +68,9 @@ class Sequence(Generic[T]):
         while state.next_number in state.waiting:
             ready += self._release(state, [state.next_number])
             state.next_number += 1
-        state.waiting_since_s = now_s  # messages are still coming in; the service may compute for long between two of them
+        state.waiting_since_s = (
+            now_s  # messages are still coming in; the service may compute for long between two of them
+        )
         return ready
 
     def _wait(self, state: _Source[T], number: int, message: T, now_s: float) -> None:
@@ -97,7 +108,9 @@ class Sequence(Generic[T]):
             state.waiting_since_s = now_s
 
     def given_up(self, now_s: float) -> tuple[int, list[T]]:
-        """Return how many messages have been missing for longer than GIVE_UP_S, and the messages that waited for them, in order."""
+        """Return how many messages have been missing for longer than GIVE_UP_S, and the messages that
+        waited for them, in order.
+        """
         missing, ready = 0, []
         for state in self._sources.values():
             if state.waiting and now_s - state.waiting_since_s >= GIVE_UP_S:

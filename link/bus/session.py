@@ -1,4 +1,6 @@
-"""A session on the bus: publishers and subscribers made from the table of keys, and one inbox for all messages that arrive."""
+"""A session on the bus: publishers and subscribers made from the table of keys, and one inbox for all
+messages that arrive.
+"""
 
 import math
 import queue
@@ -18,7 +20,16 @@ from link.bus.inbox import WAITING_BYTES, WAITING_MESSAGES, Inbox, Overflow, Ser
 from link.bus.keys import HEALTH, KEYS, Key
 from link.bus.log import Log
 from link.bus.messages import Health, Stop, stop_text
-from link.bus.opening import DEFAULT_ROUTER, BusError, ask_for_kept, declare_publisher, declare_subscriber, join, kept_of, open_client
+from link.bus.opening import (
+    DEFAULT_ROUTER,
+    BusError,
+    ask_for_kept,
+    declare_publisher,
+    declare_subscriber,
+    join,
+    kept_of,
+    open_client,
+)
 from link.bus.sequence import Sequence
 from link.bus.sole import Sole
 from link.bus.standby import Standby
@@ -29,7 +40,9 @@ MOST_REASON = 300
 HEALTH_EVERY_S = 1.0
 """Longest time between two health messages, also of an idle service."""
 SIGNAL_POLL_S = 0.2
-"""Waits are cut into slices of this length: the system may deliver a signal to one of Zenoh's threads, which does not wake ours."""
+"""Waits are cut into slices of this length: the system may deliver a signal to one of Zenoh's threads,
+which does not wake ours.
+"""
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -55,9 +68,13 @@ class Stamped(NamedTuple):
     name: str
     """The key it was published on, within the namespace; for HEALTH it names the service."""
     published_ns: int
-    """Time of publishing, ns since the Unix epoch: by the publisher's clock, or by the router's if the message has no timestamp."""
+    """Time of publishing, ns since the Unix epoch: by the publisher's clock, or by the router's if the
+    message has no timestamp.
+    """
     received_ns: int
-    """`published_ns`, clamped to the time between the previous `take` and now. They differ only if clocks differ."""
+    """`published_ns`, clamped to the time between the previous `take` and now. They differ only if clocks
+    differ.
+    """
 
 
 class Numbered(NamedTuple):
@@ -69,7 +86,9 @@ class Numbered(NamedTuple):
 
 
 def most_waiting(key: Key) -> int:
-    """Return how many messages of a key may wait. Beyond that the oldest are dropped, so that the flight goes on."""
+    """Return how many messages of a key may wait. Beyond that the oldest are dropped, so that the flight
+    goes on.
+    """
     return WAITING_MESSAGES + key.delivery.kept
 
 
@@ -106,14 +125,18 @@ class Bus:
     ) -> None:
         """Join a router as a client.
 
-        namespace: the vehicle's key prefix; None: keys are those of the router, with every vehicle's prefix.
-        inbox: receives all messages; pass your own if other sources fill it too. If too many messages wait, some are dropped and counted.
-        announced: if False, the service has no liveliness token (observer).  settings: Zenoh's, beside these or instead of them.
-        secure: the folder of certificates; the connection is then mutual TLS, with the certificate of the service's role.
+        namespace: the vehicle's key prefix; None: keys are those of the router, with every vehicle's
+        prefix.
+        inbox: receives all messages; pass your own if other sources fill it too. If too many messages
+        wait, some are dropped and counted.
+        announced: if False, the service has no liveliness token (observer).  settings: Zenoh's, beside
+        these or instead of them.
+        secure: the folder of certificates; the connection is then mutual TLS, with the certificate of the
+        service's role.
         sole: refuse to be here beside an older service of the same name, now and later on.
 
-        Raises NoRouter if no router admits us in time (open_client), BusError if `connect` is not an endpoint or an older one is here,
-        AccessError if we have no certificate that is fit.
+        Raises NoRouter if no router admits us in time (open_client), BusError if `connect` is not an
+        endpoint or an older one is here, AccessError if we have no certificate that is fit.
         """
         connect, self._identity = secured("--connect", connect, secure, service, namespace)
         usual: dict[str, Any] = {
@@ -126,7 +149,9 @@ class Bus:
         self.tally = Tally()
         self.log = Log(service, namespace or "-", self.tally, log_level)
         self._session = open_client(connect, self._identity, self.log.warning, **usual | settings)
-        self._standby = Standby(lambda: self.connected, lambda within_s: join(connect, within_s, **usual | settings))
+        self._standby = Standby(
+            lambda: self.connected, lambda within_s: join(connect, within_s, **usual | settings)
+        )
         self._inbox = Inbox() if inbox is None else inbox
         self._declaring = threading.Lock()
         self._publishers: dict[str, Any] = {}
@@ -151,7 +176,9 @@ class Bus:
             self._hold("token", lambda session: session.liveliness().declare_token(self._own_health()))
 
     def _hold(self, name: str, declare: Callable[[zenoh.Session], Any]) -> None:
-        """Declare something on the session, and on each that takes its place. It replaces what had this name."""
+        """Declare something on the session, and on each that takes its place. It replaces what had this
+        name.
+        """
         if before := self._held.get(name):
             before.undeclare()
         self._declarations[name] = declare
@@ -160,9 +187,15 @@ class Bus:
     def _superfluous(self) -> BusError:
         return BusError(f"another {self.service} is already on {self._namespace or 'the bus'}")
 
-    def _look_for_rights(self, key: Key, roles: tuple[str, ...], verb: str, service: str | None = None) -> None:
+    def _look_for_rights(
+        self, key: Key, roles: tuple[str, ...], verb: str, service: str | None = None
+    ) -> None:
         """Say which right our certificate lacks: the router drops what it does not allow without a word."""
-        if self._identity and (reason := self._identity.lack(roles, f"{verb} {key.name.replace('<service>', service or '*')}", service)):
+        if self._identity and (
+            reason := self._identity.lack(
+                roles, f"{verb} {key.name.replace('<service>', service or '*')}", service
+            )
+        ):
             self.log.warning(reason)
 
     def _own_health(self) -> str:
@@ -185,12 +218,15 @@ class Bus:
             self._publisher(key).put(payload, attachment=attachment)
 
     def subscribe(self, *keys: Key, newest: bool = False) -> None:
-        """Put the messages of these keys into the inbox, kept ones first. With `newest` only the newest message of a key waits there."""
+        """Put the messages of these keys into the inbox, kept ones first. With `newest` only the newest
+        message of a key waits there.
+        """
         for key in keys:
             self._put_in_order(key)
             put = self._inbox.lane(key.name, most_waiting(key), newest=newest, urgent=key.delivery.realtime)
 
-            # Callbacks only queue: a callback that blocks or computes delays the whole session, stop messages included.
+            # Callbacks only queue: a callback that blocks or computes delays the whole session, stop messages
+            # included.
             def queued(item: Arrival | Numbered, put: Callable[[Any, int], None] = put) -> None:
                 put(item, _size(item.arrival if isinstance(item, Numbered) else item))
 
@@ -202,7 +238,9 @@ class Bus:
             self._overflows[key.name] = Overflow(key.name)
 
     def on(self, key: Key, arrived: Callable[[Any], None], *, own: bool = True) -> None:
-        """Call `arrived` with each message of a key, kept messages first, in a thread of Zenoh's; without `own`, not with ours."""
+        """Call `arrived` with each message of a key, kept messages first, in a thread of Zenoh's; without
+        `own`, not with ours.
+        """
 
         heard: set[str] = set()
 
@@ -220,7 +258,9 @@ class Bus:
 
         self._declare(key, received, zenoh.Locality.ANY if own else zenoh.Locality.REMOTE)
         if key is HEALTH:  # what is new may come before what is kept
-            self._ask_for_kept_health(lambda sample: received(sample) if service_of(sample) not in heard else None)
+            self._ask_for_kept_health(
+                lambda sample: received(sample) if service_of(sample) not in heard else None
+            )
 
     def _declare(self, key: Key, handler: Any, origin: zenoh.Locality = zenoh.Locality.ANY) -> None:
         self._look_for_rights(key, (*key.readers, *OF_ALL_VEHICLES), "receive")
@@ -232,7 +272,8 @@ class Bus:
         ask_for_kept(self._session, name, most, lambda reply: received(reply.ok) if reply.ok else None)
 
     def settle(self, timeout_s: float) -> None:
-        """Wait, at most timeout_s, until the router has received all that was sent from here, and we have received all that it sent.
+        """Wait, at most timeout_s, until the router has received all that was sent from here, and we have
+        received all that it sent.
 
         What is called with a message (`on`) runs in another thread, and may be called a little later.
         """
@@ -241,7 +282,9 @@ class Bus:
             pass
 
     def watch_services(self) -> None:
-        """Put a LivelinessChange into the inbox whenever a service joins or leaves, beginning with those present."""
+        """Put a LivelinessChange into the inbox whenever a service joins or leaves, beginning with those
+        present.
+        """
 
         put = self._inbox.lane("liveliness")
 
@@ -250,12 +293,18 @@ class Bus:
                 put(LivelinessChange(service, sample.kind == zenoh.SampleKind.PUT), 0)
 
         name = HEALTH.name.replace("<service>", "*")
-        self._hold("liveliness", lambda session: session.liveliness().declare_subscriber(name, changed, history=True))
+        self._hold(
+            "liveliness", lambda session: session.liveliness().declare_subscriber(name, changed, history=True)
+        )
 
     def services(self) -> set[str]:
         """Return the names of the services present, by their liveliness tokens."""
         replies = self._session.liveliness().get(HEALTH.name.replace("<service>", "*"))
-        return {name for reply in replies if reply.ok is not None and self._names.admits(name := service_of(reply.ok))}
+        return {
+            name
+            for reply in replies
+            if reply.ok is not None and self._names.admits(name := service_of(reply.ok))
+        }
 
     @property
     def connected(self) -> bool:
@@ -263,11 +312,15 @@ class Bus:
         return bool(self._session.info.routers_zid())
 
     def expiry(self) -> str:
-        """Return that our certificate has expired, and what to do; empty if it has not, or if there is none."""
+        """Return that our certificate has expired, and what to do; empty if it has not, or if there is
+        none.
+        """
         return self._identity.expiry() if self._identity else ""
 
     def receive(self, timeout_s: float | None = None) -> Any:
-        """Return the next item of the inbox; None if none comes within timeout_s. Without a timeout it waits forever."""
+        """Return the next item of the inbox; None if none comes within timeout_s. Without a timeout it
+        waits forever.
+        """
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         while not self._ready:
             self._look_after_sequences()
@@ -309,7 +362,9 @@ class Bus:
             self._overflows[name].tell(sequence.dropped, self.log)
 
     def refuse(self, key: Key, reason: str, kind: str) -> None:
-        """Count a dropped message under `kind` and log the reason: as info if it is only repeated, else as a warning."""
+        """Count a dropped message under `kind` and log the reason: as info if it is only repeated, else as
+        a warning.
+        """
         self.tally.refuse(kind)
         if len(reason) > MOST_REASON:
             reason = f"{reason[:MOST_REASON]}…"
@@ -340,26 +395,49 @@ class Bus:
         """Report that the last received message has been answered: log its latency and publish health."""
         tally = self.tally
         tally.latency_s = time.monotonic() - self._given_at
-        self.log.debug(f"answered after {1000 * tally.latency_s:.2f} ms; {1000 * tally.compute_s:.2f} ms computed so far")
+        self.log.debug(
+            f"answered after {1000 * tally.latency_s:.2f} ms; {1000 * tally.compute_s:.2f} ms computed so far"
+        )
         self.publish_health()
 
     def publish_health(self) -> None:
-        """Publish the service's health now. After the first call, `receive` repeats it at least every HEALTH_EVERY_S."""
+        """Publish the service's health now. After the first call, `receive` repeats it at least every
+        HEALTH_EVERY_S.
+        """
         tally = self.tally
         health = Health(
-            service=self.service, state=tally.state, about=tally.about, step=tally.step, rate_hz=tally.rate_hz, latency_s=tally.latency_s,
-            compute_s=tally.compute_s, uptime_s=tally.uptime_s, refused=dict(tally.refused), refused_lately=tally.refused_lately,
-            last_error=tally.last_error, warnings=tally.warnings, ceased=tally.ceased, system=tally.system,
-        )  # fmt: skip
+            service=self.service,
+            state=tally.state,
+            about=tally.about,
+            step=tally.step,
+            rate_hz=tally.rate_hz,
+            latency_s=tally.latency_s,
+            compute_s=tally.compute_s,
+            uptime_s=tally.uptime_s,
+            refused=dict(tally.refused),
+            refused_lately=tally.refused_lately,
+            last_error=tally.last_error,
+            warnings=tally.warnings,
+            ceased=tally.ceased,
+            system=tally.system,
+        )
         self.publish(HEALTH, health)
         self._health_at = time.monotonic() + HEALTH_EVERY_S
 
     def keep_link(self) -> None:
-        """Go on with a new session if the router keeps ours out: its id was taken while it was away. `keep_health` does it, too."""
+        """Go on with a new session if the router keeps ours out: its id was taken while it was away.
+        `keep_health` does it, too.
+        """
         if (session := self._standby.look()) is None:
             return
-        self.log.warning(f"the router admits others but not us: our session id {self._session.zid()} is taken; going on with a new one")
-        before, kept = self._session, [(key, kept_of(self._session, key)) for key in KEYS if key.name in self._publishers]
+        self.log.warning(
+            f"the router admits others but not us: our session id {self._session.zid()} is taken; going on "
+            "with a new one"
+        )
+        before, kept = (
+            self._session,
+            [(key, kept_of(self._session, key)) for key in KEYS if key.name in self._publishers],
+        )
         with self._declaring:
             self._session, self._publishers = session, {}
         for name, declare in self._declarations.items():
@@ -370,7 +448,9 @@ class Bus:
         before.close()  # type: ignore[no-untyped-call]
 
     def keep_health(self) -> None:
-        """Publish the service's health if HEALTH_EVERY_S have passed since the last time. Raises BusError beside an older one, if sole."""
+        """Publish the service's health if HEALTH_EVERY_S have passed since the last time. Raises BusError
+        beside an older one, if sole.
+        """
         if self._sole and self._sole.has_elder:
             raise self._superfluous()
         self.keep_link()

@@ -1,4 +1,6 @@
-"""One service of a name on the bus of a vehicle: a second one, started by mistake, is refused before it says anything."""
+"""One service of a name on the bus of a vehicle: a second one, started by mistake, is refused before it
+says anything.
+"""
 
 import time
 from collections.abc import Callable
@@ -9,10 +11,14 @@ import zenoh
 from link.bus.messages import Health
 
 WAIT_S = 5.0
-"""How long a new service waits for the token of another to go: that of one that was killed, hangs or is cut off goes within 2 s."""
+"""How long a new service waits for the token of another to go: that of one that was killed, hangs or is
+cut off goes within 2 s.
+"""
 LOOK_S = 0.02
 APART_S = 0.5
-"""Time after which an elder that was heard must still be there: a message on its way may be the last one of the dead."""
+"""Time after which an elder that was heard must still be there: a message on its way may be the last one
+of the dead.
+"""
 
 
 class Sole:

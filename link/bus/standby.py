@@ -1,4 +1,6 @@
-"""A session in place of one that its router keeps out. Whoever takes the id of a session that is away keeps it out for ever."""
+"""A session in place of one that its router keeps out. Whoever takes the id of a session that is away
+keeps it out for ever.
+"""
 
 import contextlib
 import threading
@@ -8,7 +10,9 @@ from collections.abc import Callable
 import zenoh
 
 AWAY_S = 5.0
-"""A session that has been away for so long is replaced on trial, as often. Zenoh brings it back within 0.5 s of its router."""
+"""A session that has been away for so long is replaced on trial, as often. Zenoh brings it back within 0.5
+s of its router.
+"""
 LAST_CHANCE_S = 1.0
 """How long the other one waits for the first to come back: the router itself may have been away."""
 TRY_S = 1.0
@@ -20,7 +24,9 @@ class Standby:
     """Tries, in a thread of its own, whether a router that does not admit a session admits another one."""
 
     def __init__(self, admitted: Callable[[], bool], join: Callable[[float], zenoh.Session]) -> None:
-        """Take whether the session is admitted, and what opens another within so many seconds, or raises zenoh.ZError."""
+        """Take whether the session is admitted, and what opens another within so many seconds, or raises
+        zenoh.ZError.
+        """
         self._admitted = admitted
         self._join = join
         self._look_at, self._try_at = 0.0, time.monotonic() + AWAY_S
@@ -50,7 +56,9 @@ class Standby:
         with contextlib.suppress(zenoh.ZError):
             other = self._join(TRY_S)
             until = time.monotonic() + LAST_CHANCE_S
-            while not (back := self._admitted()) and time.monotonic() < until and not self._ended.wait(LOOK_S):
+            while (
+                not (back := self._admitted()) and time.monotonic() < until and not self._ended.wait(LOOK_S)
+            ):
                 pass
             if back or self._ended.is_set():
                 other.close()  # type: ignore[no-untyped-call]

@@ -15,7 +15,9 @@ from link.bus.opening import DEFAULT_ROUTER
 from link.bus.session import Bus, Numbered, Stamped, most_waiting, service_of
 
 DRAIN_EVERY_S = 0.05
-"""How often Zenoh's rings are emptied: they are bounded by messages alone, of any size, and drop without a word."""
+"""How often Zenoh's rings are emptied: they are bounded by messages alone, of any size, and drop without a
+word.
+"""
 Ring = tuple[Key, Callable[[Any, int], None]]
 """A key whose messages come into a ring of Zenoh's, and what puts them into the inbox."""
 
@@ -23,8 +25,9 @@ Ring = tuple[Key, Callable[[Any, int], None]]
 class Tap(Bus):
     """A bus connection for recorders: messages are taken in batches, as `Stamped`.
 
-    A Python callback for each message would cost too much. Therefore messages come into rings of Zenoh's, and a thread moves them from
-    there to the inbox, which is bounded by bytes, too, and counts what it drops.
+    A Python callback for each message would cost too much. Therefore messages come into rings of Zenoh's,
+    and a thread moves them from there to the inbox, which is bounded by bytes, too, and counts what it
+    drops.
     """
 
     def __init__(
@@ -43,9 +46,12 @@ class Tap(Bus):
         self._full = 0
         self._fullness = Overflow("messages")
         self._ended = threading.Event()
-        # Each message keeps its receive buffer. With the default of 64 kB, clearing the buffers is half the cost of receiving.
+        # Each message keeps its receive buffer. With the default of 64 kB, clearing the buffers is half the
+        # cost of receiving.
         small = {"transport__link__tx__batch_size": 16_384}
-        super().__init__(service, connect, namespace, log_level=log_level, announced=announced, **small | settings)
+        super().__init__(
+            service, connect, namespace, log_level=log_level, announced=announced, **small | settings
+        )
         self._drainer = threading.Thread(target=self._keep_draining, name="tap", daemon=True)
         self._drainer.start()
 
@@ -68,7 +74,9 @@ class Tap(Bus):
             except queue.Empty:  # dropped meanwhile
                 break
             if isinstance(item, Numbered):
-                self._ready += self._sequences[item.arrival.key.name].arrived(item.source, item.number, item.arrival, time.monotonic())
+                self._ready += self._sequences[item.arrival.key.name].arrived(
+                    item.source, item.number, item.arrival, time.monotonic()
+                )
             else:
                 self._ready.append(item)
         self._look_after_sequences()
@@ -95,13 +103,17 @@ class Tap(Bus):
             self._drain()
 
     def _drain(self) -> None:
-        """Move what is in the rings to the inbox, at most one full ring of each key: new messages keep coming."""
+        """Move what is in the rings to the inbox, at most one full ring of each key: new messages keep
+        coming.
+        """
         with self._draining:
             for ring in tuple(self._rings.values()):
                 self._full += self._drain_one(*ring)
 
     def _drain_one(self, key: Key, put: Callable[[Any, int], None]) -> bool:
-        """Empty a ring; returns whether it was full, and so may have dropped messages: nobody knows how many."""
+        """Empty a ring; returns whether it was full, and so may have dropped messages: nobody knows how
+        many.
+        """
         handler = self._held[key.name].handler
         for _ in range(most_waiting(key)):
             try:
@@ -119,6 +131,11 @@ class Tap(Bus):
             return
         published_ns = sample.timestamp.get_time_as_ntp64().as_nanos() if sample.timestamp else time.time_ns()
         attachment = sample.attachment.to_bytes() if sample.attachment else b""
-        message = Stamped(key, sample.payload.to_bytes(), attachment, str(sample.key_expr), published_ns, published_ns)
+        message = Stamped(
+            key, sample.payload.to_bytes(), attachment, str(sample.key_expr), published_ns, published_ns
+        )
         info = sample.source_info if key.name in self._sequences else None
-        put(message if info is None else Numbered(str(info.source_id), info.source_sn, message), len(message.payload) + len(attachment))
+        put(
+            message if info is None else Numbered(str(info.source_id), info.source_sn, message),
+            len(message.payload) + len(attachment),
+        )

@@ -73,7 +73,9 @@ class _Pieces:
 
 
 class McapFile:
-    """An MCAP file with zstd chunks, indexes and summary. Methods that write raise OSError if the system does."""
+    """An MCAP file with zstd chunks, indexes and summary. Methods that write raise OSError if the system
+    does.
+    """
 
     def __init__(self, path: Path) -> None:
         """Create the file."""
@@ -116,7 +118,9 @@ class McapFile:
         self._pieces.file.close()
 
     def break_off(self, name: str, data: dict[str, str]) -> None:
-        """Discard the waiting messages, end the file with a metadata record and the shortest valid footer, and close it."""
+        """Discard the waiting messages, end the file with a metadata record and the shortest valid footer,
+        and close it.
+        """
         end = RecordBuilder()
         for record in (Metadata(name, data), DataEnd(0), Footer(0, 0, 0)):
             record.write(end)

@@ -1,7 +1,7 @@
 """Messages in a form that viewers can plot: flat JSON, with a JSON Schema for each kind.
 
-Viewers such as Foxglove read only plain object schemas: no references, no unions (hence no null), no tuples. A float that JSON
-cannot express (NaN, infinity) is therefore left out of its message.
+Viewers such as Foxglove read only plain object schemas: no references, no unions (hence no null), no
+tuples. A float that JSON cannot express (NaN, infinity) is therefore left out of its message.
 """
 
 import math
@@ -13,7 +13,10 @@ from msgspec import Meta
 from link.bus.frames import DIALECT, LAYOUTS, fields_of
 from link.bus.mavlink import split, unpack_reading
 
-SIMULATION_S = {"type": "number", "description": "simulation time, s: the message's own if it has one, else the newest known"}
+SIMULATION_S = {
+    "type": "number",
+    "description": "simulation time, s: the message's own if it has one, else the newest known",
+}
 SENDER = {
     "system": {"type": "integer", "description": "MAVLink system id of the sender"},
     "component": {"type": "integer", "description": "MAVLink component id of the sender"},
@@ -29,12 +32,18 @@ UNKNOWN = "UNKNOWN"
 class FlatReading(msgspec.Struct, frozen=True):
     """One sample of gas and wind, in the search plane."""
 
-    time_boot_ms: Annotated[int, Meta(ge=0, description="milliseconds since the start of the simulation, modulo 2³²")]
+    time_boot_ms: Annotated[
+        int, Meta(ge=0, description="milliseconds since the start of the simulation, modulo 2³²")
+    ]
     x: Annotated[float, Meta(description="place of the reading, m east of home")]
     y: Annotated[float, Meta(description="place of the reading, m north of home")]
     altitude_m: Annotated[float, Meta(description="height of the reading above home, m")]
-    wind_x: Annotated[float, Meta(description="u cos φ, m/s: east component of the wind, pointing to where it comes from")]
-    wind_y: Annotated[float, Meta(description="u sin φ, m/s: north component of the wind, pointing to where it comes from")]
+    wind_x: Annotated[
+        float, Meta(description="u cos φ, m/s: east component of the wind, pointing to where it comes from")
+    ]
+    wind_y: Annotated[
+        float, Meta(description="u sin φ, m/s: north component of the wind, pointing to where it comes from")
+    ]
     gas: Annotated[float, Meta(description="the reading, in the sensor's unit: g/m³, or a count of hits")]
 
 
@@ -56,12 +65,17 @@ class Decoded(NamedTuple):
 def decode(payload: bytes) -> list[Decoded]:
     """Decode a payload of whole frames; raises BadFrame as `split` does.
 
-    It does not use pymavlink's decoder: that takes 10 µs per frame, and a vehicle at --speedup 0 sends thousands a second.
+    It does not use pymavlink's decoder: that takes 10 µs per frame, and a vehicle at --speedup 0 sends
+    thousands a second.
     """
     messages = []
     for frame in split(payload):
         layout = LAYOUTS.get(frame.message_id)
-        fields: dict[str, Any] = {"data": list(payload[frame.start : frame.end])} if layout is None else fields_of(payload, frame, layout)
+        fields: dict[str, Any] = (
+            {"data": list(payload[frame.start : frame.end])}
+            if layout is None
+            else fields_of(payload, frame, layout)
+        )
         fields["system"], fields["component"] = frame.system, frame.component
         messages.append(Decoded(UNKNOWN if layout is None else layout.kind, _encoded(fields)))
     return messages
@@ -70,7 +84,9 @@ def decode(payload: bytes) -> list[Decoded]:
 def decode_reading(payload: bytes) -> FlatReading:
     """Decode a reading; raises BadFrame with the same reason as the estimator."""
     reading = unpack_reading(payload)
-    return FlatReading(reading.time_boot_ms, *reading.position, reading.altitude_m, *reading.wind, reading.gas)
+    return FlatReading(
+        reading.time_boot_ms, *reading.position, reading.altitude_m, *reading.wind, reading.gas
+    )
 
 
 encode = msgspec.json.Encoder().encode
@@ -79,7 +95,11 @@ encode = msgspec.json.Encoder().encode
 def _encoded(fields: dict[str, Any]) -> bytes:
     """Encode as JSON, without the values that would become null (NaN, infinity)."""
     text = encode(fields)
-    return encode({name: value for name, value in fields.items() if _is_finite(value)}) if b"null" in text else text
+    return (
+        encode({name: value for name, value in fields.items() if _is_finite(value)})
+        if b"null" in text
+        else text
+    )
 
 
 def _is_finite(value: Any) -> bool:
@@ -96,7 +116,10 @@ def struct_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
             field["items"] = field.pop("prefixItems")[0]
         if "additionalProperties" in field:
             field["properties"] = {}
-    properties, required = {**schema["properties"], "simulation_s": SIMULATION_S}, [*schema["required"], "simulation_s"]
+    properties, required = (
+        {**schema["properties"], "simulation_s": SIMULATION_S},
+        [*schema["required"], "simulation_s"],
+    )
     return {**schema, "properties": properties, "required": required}
 
 
@@ -113,10 +136,17 @@ def message_schema(kind: str) -> dict[str, Any]:
             field: dict[str, Any] = {"type": PLAIN.get(wire_type, "integer")}
             if counts[name] > 1:
                 field = {"type": "array", "items": field}
-            if about := " ".join(filter(None, (message.fieldunits_by_name.get(name), message.fieldenums_by_name.get(name)))):
+            if about := " ".join(
+                filter(None, (message.fieldunits_by_name.get(name), message.fieldenums_by_name.get(name)))
+            ):
                 field["description"] = about
             properties[name] = field
             if wire_type not in ("float", "double"):
                 required.append(name)
     properties |= {**SENDER, "simulation_s": SIMULATION_S}
-    return {"title": kind, "type": "object", "properties": properties, "required": [*required, *SENDER, "simulation_s"]}
+    return {
+        "title": kind,
+        "type": "object",
+        "properties": properties,
+        "required": [*required, *SENDER, "simulation_s"],
+    }

@@ -1,4 +1,6 @@
-"""The records of an MCAP file, one after the other. What is damaged is stepped over: the next chunk is looked for behind it."""
+"""The records of an MCAP file, one after the other. What is damaged is stepped over: the next chunk is
+looked for behind it.
+"""
 
 import struct
 from collections.abc import Iterator
@@ -12,8 +14,8 @@ from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.writer import MCAP0_MAGIC
 
 LARGEST_PIECE = 256 << 20
-"""Most bytes of a chunk, packed or not. Ours hold 4 MB and one message. A chunk that claims more is damaged, or made to exhaust memory:
-small messages take ten times their bytes there."""
+"""Most bytes of a chunk, packed or not. Ours hold 4 MB and one message. A chunk that claims more is
+damaged, or made to exhaust memory: small messages take ten times their bytes there."""
 DAMAGE = (McapError, struct.error, ValueError, LookupError, RuntimeError, EOFError, ArithmeticError)
 """What reading damaged bytes can raise."""
 HEAD = struct.Struct("<BQ")
@@ -43,15 +45,21 @@ class Pieces:
         self.whole = False
 
     def __iter__(self) -> Iterator[tuple[Hole, McapRecord | None]]:
-        """Yield where each piece is, and the record there: None where it is damaged. Records that mean nothing to us are left out."""
-        at = sound = len(MCAP0_MAGIC)  # all before `sound` is surely not the beginning of a chunk that is still to come
+        """Yield where each piece is, and the record there: None where it is damaged. Records that mean
+        nothing to us are left out.
+        """
+        at = sound = len(
+            MCAP0_MAGIC
+        )  # all before `sound` is surely not the beginning of a chunk that is still to come
         while at < self._size:
             kind, length = self._head(at)
             if not kind:
                 found = self._next_chunk(sound)
                 if found is None:
                     return
-                begin = at if found >= at else sound  # behind it, or within a record that claims to be longer than it is
+                begin = (
+                    at if found >= at else sound
+                )  # behind it, or within a record that claims to be longer than it is
                 yield Hole(begin, found - begin), None
                 at = sound = found
                 continue
@@ -74,7 +82,9 @@ class Pieces:
             kind, length = self._head(at)
             if kind not in (Opcode.SCHEMA, Opcode.CHANNEL):
                 return
-            if kind == Opcode.CHANNEL and isinstance(channel := _parsed(kind, self._bytes(at + HEAD.size, length)), Channel):
+            if kind == Opcode.CHANNEL and isinstance(
+                channel := _parsed(kind, self._bytes(at + HEAD.size, length)), Channel
+            ):
                 yield channel
             at += HEAD.size + length
 
@@ -96,7 +106,10 @@ class Pieces:
         begin = self._bytes(at + NAME_AT, 4)
         (name,) = struct.unpack("<I", begin) if len(begin) == 4 else (LARGEST_PIECE,)
         packed = self._bytes(at + NAME_AT + 4 + name, 8) if name <= length else b""
-        return len(packed) == 8 and NAME_AT - HEAD.size + 4 + name + 8 + int.from_bytes(packed, "little") == length
+        return (
+            len(packed) == 8
+            and NAME_AT - HEAD.size + 4 + name + 8 + int.from_bytes(packed, "little") == length
+        )
 
     def _next_chunk(self, start: int) -> int | None:
         """Return where the first chunk at or behind a place begins."""

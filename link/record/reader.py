@@ -35,8 +35,8 @@ from link.terminal import printable
 LARGEST_RECORD = 4 << 30
 """Most bytes of memory for all messages, where they are read at once."""
 MOST_RATIO, SMALL = 100, 1 << 20
-"""Chunks may unpack to so many times the size of the file, or to SMALL bytes. Real missions pack to a third; a file that unpacks to a
-thousand times its size was made to exhaust memory."""
+"""Chunks may unpack to so many times the size of the file, or to SMALL bytes. Real missions pack to a
+third; a file that unpacks to a thousand times its size was made to exhaust memory."""
 MESSAGE_BYTES = 400
 """Memory overhead of a message, bytes."""
 NOT_READ = {b"\xa3\x95": "an ArduPilot dataflash log", b"ULog\x01\x12\x35": "a PX4 ULog"}
@@ -46,7 +46,9 @@ MOST_PLACES, LISTED = 1000, 3
 
 
 class RecordError(Exception):
-    """The file is not a readable log; the text is one line. It is not a ValueError, since damage raises those."""
+    """The file is not a readable log; the text is one line. It is not a ValueError, since damage raises
+    those.
+    """
 
 
 class Damage(NamedTuple):
@@ -70,11 +72,15 @@ class Recording(NamedTuple):
     """The contents of a log."""
 
     about: dict[str, Any]
-    """The run's description by the launcher, with versions, git revision, host and namespace; empty if the file has none."""
+    """The run's description by the launcher, with versions, git revision, host and namespace; empty if the
+    file has none.
+    """
     entries: list[Entry]
     """All messages, in the order of recording."""
     complete: bool
-    """False if the file is truncated or damaged, or if recording stopped early; in the latter case about["stopped"] gives the reason."""
+    """False if the file is truncated or damaged, or if recording stopped early; in the latter case
+    about["stopped"] gives the reason.
+    """
     damage: tuple[Damage, ...] = ()
     """The places that are left out because they cannot be read."""
 
@@ -85,7 +91,8 @@ class Recording(NamedTuple):
 
 
 def is_record(path: Path) -> bool:
-    """True if a file is an MCAP file by its first bytes; raises RecordError if it is empty, no regular file, not readable, or NOT_READ.
+    """True if a file is an MCAP file by its first bytes; raises RecordError if it is empty, no regular
+    file, not readable, or NOT_READ.
 
     A pipe is refused: reading its first bytes would consume them, and could wait forever for a writer.
     """
@@ -101,7 +108,8 @@ def is_record(path: Path) -> bool:
     for magic, kind in NOT_READ.items():
         if begin.startswith(magic):
             raise RecordError(
-                f"{path} is {kind}, {path.stat().st_size:,} bytes; not read yet: wanted an .mcap or a .tlog of the same flight"
+                f"{path} is {kind}, {path.stat().st_size:,} bytes; not read yet: wanted an .mcap or a .tlog "
+                "of the same flight"
             )
     return begin == MCAP0_MAGIC
 
@@ -109,7 +117,8 @@ def is_record(path: Path) -> bool:
 def read(path: Path | str) -> Recording:
     """Read a log, also one that is damaged, truncated or still being written.
 
-    Raises RecordError if the file is not a log of ours, its format is unknown, or it holds more than LARGEST_RECORD or MOST_RATIO allow.
+    Raises RecordError if the file is not a log of ours, its format is unknown, or it holds more than
+    LARGEST_RECORD or MOST_RATIO allow.
 
     Example:
         ```python
@@ -123,16 +132,22 @@ def read(path: Path | str) -> Recording:
         held += len(entry.payload) + len(entry.attachment) + MESSAGE_BYTES
         if held > LARGEST_RECORD:
             gib = f"{LARGEST_RECORD / 2**30:g} GiB"
-            raise RecordError(f"{path} holds more than {gib} of messages; cut out a part of it with `mcap filter`")
+            raise RecordError(
+                f"{path} holds more than {gib} of messages; cut out a part of it with `mcap filter`"
+            )
         entries.append(entry)
     return Recording(log.about, entries, log.complete, tuple(log.damage))
 
 
 class LogFile:
-    """The messages of a log, one after the other: no more than a chunk of them is in memory. The rest is known at their end."""
+    """The messages of a log, one after the other: no more than a chunk of them is in memory. The rest is
+    known at their end.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Take its path; raises RecordError if it is no MCAP file. So does going through it, for the reasons that `read` has."""
+        """Take its path; raises RecordError if it is no MCAP file. So does going through it, for the
+        reasons that `read` has.
+        """
         if not is_record(path):
             raise RecordError(f"{path} is not an MCAP file")
         self.about: dict[str, Any] = {}
@@ -173,11 +188,16 @@ class LogFile:
         if self._newest is not None:
             yield self._newest
         elif pieces.whole and not self.about and not self.damage:
-            raise RecordError(f"{self._path} is an MCAP file, but not a plumeward log: none of its channels has the name of a bus key")
+            raise RecordError(
+                f"{self._path} is an MCAP file, but not a plumeward log: none of its channels has the name "
+                "of a bus key"
+            )
         self.complete = pieces.whole and not self.damage and STOPPED not in self.about
 
     def _of_chunk(self, chunk: Chunk) -> list[McapRecord] | list[None]:
-        """Return the records of a chunk, None in place of a damaged one's. The size that it claims is not trusted."""
+        """Return the records of a chunk, None in place of a damaged one's. The size that it claims is not
+        trusted.
+        """
         if chunk.uncompressed_size > min(LARGEST_PIECE, self._may_unpack):
             return [None]
         try:
@@ -188,7 +208,10 @@ class LogFile:
         if chunk.compression:
             self._unpacked += len(data)
             if self._unpacked > self._may_unpack:
-                raise RecordError(f"{self._path} unpacks to more than {MOST_RATIO} times its size: damaged, or made to exhaust memory")
+                raise RecordError(
+                    f"{self._path} unpacks to more than {MOST_RATIO} times its size: damaged, or made to "
+                    "exhaust memory"
+                )
         return records
 
     def _takes(self, record: McapRecord | None, place: Hole) -> bool:
@@ -216,7 +239,9 @@ class LogFile:
         if self.damage and (self.damage[-1].before == self._count or len(self.damage) == MOST_PLACES):
             self.damage[-1] = self.damage[-1]._replace(size=self.damage[-1].size + hole.size)
         else:
-            self.damage.append(Damage(hole.at, hole.size, self._newest.simulation_s if self._newest else 0.0, self._count))
+            self.damage.append(
+                Damage(hole.at, hole.size, self._newest.simulation_s if self._newest else 0.0, self._count)
+            )
 
     def _describe(self, told: dict[str, str]) -> None:
         about = {name: value_of(text) for name, text in told.items()}
@@ -224,7 +249,8 @@ class LogFile:
         if written not in READABLE:
             formats = ", ".join(map(str, READABLE))
             raise RecordError(
-                f"{self._path} has record format {printable(str(written))} of another plumeward version; readable formats: {formats}"
+                f"{self._path} has record format {printable(str(written))} of another plumeward version; "
+                f"readable formats: {formats}"
             )
         self.about |= about
         self._format = max(self._format, written)
@@ -239,7 +265,10 @@ class LogFile:
             self._begin(Entry(key, published_ns, simulation_s, payload), sequence)
         elif ending == MALFORMED and key not in FRAME_KEYS:
             text, simulation_s = without_time(data)
-            self._begin(Entry(key, published_ns, simulation_s, msgspec.json.decode(text, type=Malformed).payload), sequence)
+            self._begin(
+                Entry(key, published_ns, simulation_s, msgspec.json.decode(text, type=Malformed).payload),
+                sequence,
+            )
         elif newest is None or sequence != self._sequence:
             return
         elif ending in (PARTICLES, ATTACHMENT):
@@ -259,7 +288,9 @@ UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
     "lz4": lambda data, size: lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size),
     "zstd": lambda data, size: zstandard.ZstdDecompressor().stream_reader(data).read(size),
 }
-"""Decompressors that stop at a given size: mcap and zstandard trust the size in the data. Other tools may pack with lz4."""
+"""Decompressors that stop at a given size: mcap and zstandard trust the size in the data. Other tools may
+pack with lz4.
+"""
 
 
 def shortcoming(log: Recording | LogFile) -> str:
@@ -271,4 +302,8 @@ def shortcoming(log: Recording | LogFile) -> str:
         more = f"; and {len(log.damage) - LISTED:,} more places" * (len(log.damage) > LISTED)
         return f"is damaged, and lacks {places}{more}"
     reason = log.about.get(STOPPED)
-    return f"ends early: {printable(str(reason))}" if reason else "is cut off, damaged or still being written: what follows is missing"
+    return (
+        f"ends early: {printable(str(reason))}"
+        if reason
+        else "is cut off, damaged or still being written: what follows is missing"
+    )

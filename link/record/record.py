@@ -1,12 +1,13 @@
 """The record of a run: its messages, its topics, and the simulation time of messages.
 
-A record is one MCAP file with every message as published, and a .tlog file beside it with the MAVLink frames. `writer` writes both,
-`reader` reads the MCAP file.
+A record is one MCAP file with every message as published, and a .tlog file beside it with the MAVLink
+frames. `writer` writes both, `reader` reads the MCAP file.
 
-A MAVLink payload is stored unchanged under its key. Decoded copies for viewers lie beside it: each message under a topic such as
-`mavlink/out/ATTITUDE`, a reading under `reading/decoded`. JSON is stored under its key with one more field, `simulation_s`; the
-particles of a belief under `belief/particles`. A message that violates docs/bus.md is stored under `<key>/malformed`, with the reason.
-All parts of one message have the same times and the same sequence number. Topics that begin with no key, such as `scene/particles`, are for
+A MAVLink payload is stored unchanged under its key. Decoded copies for viewers lie beside it: each message
+under a topic such as `mavlink/out/ATTITUDE`, a reading under `reading/decoded`. JSON is stored under its
+key with one more field, `simulation_s`; the particles of a belief under `belief/particles`. A message that
+violates docs/bus.md is stored under `<key>/malformed`, with the reason. All parts of one message have the
+same times and the same sequence number. Topics that begin with no key, such as `scene/particles`, are for
 viewers only and are not read back.
 """
 
@@ -25,16 +26,20 @@ from link.bus.mavlink import ONBOARD_COMPUTER, continued
 from link.record.own import OwnSystem
 
 ABOUT, STOPPED = "plumeward", "stopped"
-"""Name of the metadata record that describes the run. If recording stops early, a second such record gives the reason under STOPPED."""
+"""Name of the metadata record that describes the run. If recording stops early, a second such record gives
+the reason under STOPPED.
+"""
 FORMAT_NAME, FORMAT = "format", 2
 """Entry of ABOUT with the format of the record; the format that is written."""
 READABLE = (0, 1, FORMAT)
-"""Formats that are read. 0 stands for records without a format number; they are otherwise the same as 1. Until 1, waypoints were sent on
-`mavlink/in`: see `key_today`."""
+"""Formats that are read. 0 stands for records without a format number; they are otherwise the same as 1.
+Until 1, waypoints were sent on `mavlink/in`: see `key_today`."""
 MALFORMED, DECODED, PARTICLES, ATTACHMENT = "malformed", "decoded", "particles", "attachment"
 """Endings of topics, after their key."""
 
-STRUCTS: dict[str, type[msgspec.Struct]] = {key.name: key.payload for key in KEYS if isinstance(key.payload, type)}
+STRUCTS: dict[str, type[msgspec.Struct]] = {
+    key.name: key.payload for key in KEYS if isinstance(key.payload, type)
+}
 FRAME_KEYS = {key.name for key in KEYS if isinstance(key.payload, str)}
 HEALTH_PREFIX = HEALTH.name.removesuffix("<service>")
 
@@ -68,9 +73,15 @@ def parted(topic: str) -> tuple[str, str]:
 
 
 def key_today(key: str, payload: bytes, written: int) -> str:
-    """Return the key that a message of a record in format `written` has today: the agent's setpoints on `mavlink/in` are waypoints."""
+    """Return the key that a message of a record in format `written` has today: the agent's setpoints on
+    `mavlink/in` are waypoints.
+    """
     frame = frame_at(payload, 0) if written < FORMAT and key == MAVLINK_IN.name else None
-    return WAYPOINT.name if frame and frame.message_id in SETPOINT and frame.component == ONBOARD_COMPUTER else key
+    return (
+        WAYPOINT.name
+        if frame and frame.message_id in SETPOINT and frame.component == ONBOARD_COMPUTER
+        else key
+    )
 
 
 # ---- simulation time ----
@@ -86,8 +97,12 @@ SETPOINT = {84}
 """SET_POSITION_TARGET_LOCAL_NED begins with the time_boot_ms of the reading it answers."""
 
 
-def _time_boot_ms(payload: bytes, message_ids: set[int], counts: Callable[[Frame], bool] = lambda _: True) -> int | None:
-    """Return the time_boot_ms of the first frame that counts with one of these message ids, decoding headers only; None: there is none."""
+def _time_boot_ms(
+    payload: bytes, message_ids: set[int], counts: Callable[[Frame], bool] = lambda _: True
+) -> int | None:
+    """Return the time_boot_ms of the first frame that counts with one of these message ids, decoding
+    headers only; None: there is none.
+    """
     at = 0
     while (frame := frame_at(payload, at)) is not None:
         if frame.message_id in message_ids and counts(frame):
@@ -101,7 +116,9 @@ MOST_READINGS = 4096
 
 
 class SimulationClock:
-    """Assigns a simulation time to each message, from the vehicle's own time stamps. It goes on where those wrap."""
+    """Assigns a simulation time to each message, from the vehicle's own time stamps. It goes on where
+    those wrap.
+    """
 
     def __init__(self) -> None:
         """Start at zero."""
@@ -109,14 +126,17 @@ class SimulationClock:
         self._newest_ms = 0
         self._newest_published_ns = 0
         self._readings: dict[int, int] = {}
-        """The times of the last MOST_READINGS by their time_boot_ms; `_order` has them in the order in which they came."""
+        """The times of the last MOST_READINGS by their time_boot_ms; `_order` has them in the order in
+        which they came.
+        """
         self._order: deque[int] = deque()
         self._count = 0
 
     def time_s(self, key: str, payload: bytes, published_ns: int) -> float:
         """Return the simulation time of a message, s.
 
-        The newest known time is the vehicle's last published one. It may go back: that follows a restarted vehicle.
+        The newest known time is the vehicle's last published one. It may go back: that follows a restarted
+        vehicle.
         """
         own: int | None = None
         self._own.learn(key, payload)

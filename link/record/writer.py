@@ -1,4 +1,6 @@
-"""Writes the record of a running mission: an MCAP file of all messages, and a .tlog file of the MAVLink frames."""
+"""Writes the record of a running mission: an MCAP file of all messages, and a .tlog file of the MAVLink
+frames.
+"""
 
 import contextlib
 import json
@@ -12,7 +14,15 @@ import msgspec
 from link.bus.keys import BELIEF, READING
 from link.bus.mavlink import BadFrame, split
 from link.record.chunks import McapFile, WholeFile
-from link.record.decoded import FlatReading, Malformed, decode, decode_reading, encode, message_schema, struct_schema
+from link.record.decoded import (
+    FlatReading,
+    Malformed,
+    decode,
+    decode_reading,
+    encode,
+    message_schema,
+    struct_schema,
+)
 from link.record.record import (
     ABOUT,
     ATTACHMENT,
@@ -34,12 +44,16 @@ from link.record.record import (
 CHUNK_BYTES = 4_000_000
 """A chunk is closed at this size, if no flush has closed it before."""
 TLOG_LAG_NS = 100_000_000
-"""A flush leaves frames younger than this out of the .tlog, so that frames that overtook each other are written in order."""
+"""A flush leaves frames younger than this out of the .tlog, so that frames that overtook each other are
+written in order.
+"""
 DECODERS = {name: msgspec.json.Decoder(kind) for name, kind in STRUCTS.items()}
 
 
 class Writer:
-    """Writes PATH and the .tlog of the same stem. If writing fails, it raises OSError; what was flushed stays readable."""
+    """Writes PATH and the .tlog of the same stem. If writing fails, it raises OSError; what was flushed
+    stays readable.
+    """
 
     def __init__(self, path: Path, about: dict[str, Any]) -> None:
         """Create the files and write the description of the run, `about`; raises OSError if that fails."""
@@ -47,7 +61,9 @@ class Writer:
         self._mcap, self._tlog = McapFile(path), _Tlog(path.with_suffix(".tlog"))
         self._channels: dict[tuple[str, str], int] = {}
         self._count = 0
-        self._mcap.add_metadata(ABOUT, {name: text_of(value) for name, value in {**about, FORMAT_NAME: FORMAT}.items()})
+        self._mcap.add_metadata(
+            ABOUT, {name: text_of(value) for name, value in {**about, FORMAT_NAME: FORMAT}.items()}
+        )
 
     def write(self, entry: Entry, received_ns: int) -> None:
         """Write one message with its decoded copies and its attachment. Call it in order of `received_ns`."""
@@ -56,20 +72,27 @@ class Writer:
         else:
             self._write_json(entry, received_ns)
         if entry.attachment:
-            self._add(entry, PARTICLES if entry.key == BELIEF.name else ATTACHMENT, received_ns, entry.attachment)
+            self._add(
+                entry, PARTICLES if entry.key == BELIEF.name else ATTACHMENT, received_ns, entry.attachment
+            )
         self._count += 1
         if self._mcap.waiting > CHUNK_BYTES:
             self.flush()
 
-    def write_for_viewers(self, topic: str, schema: Callable[[], tuple[str, bytes]], data: bytes, received_ns: int) -> None:
-        """Write a protobuf message that was not on the bus. Readers of records leave it out, if its topic does not begin with a key's name.
+    def write_for_viewers(
+        self, topic: str, schema: Callable[[], tuple[str, bytes]], data: bytes, received_ns: int
+    ) -> None:
+        """Write a protobuf message that was not on the bus. Readers of records leave it out, if its topic
+        does not begin with a key's name.
 
         `schema` returns the name of the message's type and its encoded FileDescriptorSet.
         """
         channel = self._channels.get((topic, ""))
         if channel is None:
             name, described = schema()
-            channel = self._mcap.add_channel(topic, "protobuf", self._mcap.add_schema(name, "protobuf", described))
+            channel = self._mcap.add_channel(
+                topic, "protobuf", self._mcap.add_schema(name, "protobuf", described)
+            )
             self._channels[topic, ""] = channel
         self._mcap.add_message(channel, self._count, received_ns, received_ns, data)
 
@@ -87,7 +110,12 @@ class Writer:
             for frame in split(entry.payload):
                 self._tlog.add(entry.published_ns, received_ns, entry.payload[frame.start : frame.end])
             if entry.key == READING.name:
-                self._add(entry, DECODED, received_ns, with_time(encode(decode_reading(entry.payload)), entry.simulation_s))
+                self._add(
+                    entry,
+                    DECODED,
+                    received_ns,
+                    with_time(encode(decode_reading(entry.payload)), entry.simulation_s),
+                )
             else:
                 ending = time_field(entry.simulation_s)
                 for kind, fields in decode(entry.payload):
@@ -96,7 +124,12 @@ class Writer:
             self._add_malformed(entry, received_ns, str(error))
 
     def _add_malformed(self, entry: Entry, received_ns: int, reason: str) -> None:
-        self._add(entry, MALFORMED, received_ns, with_time(encode(Malformed(reason, entry.payload)), entry.simulation_s))
+        self._add(
+            entry,
+            MALFORMED,
+            received_ns,
+            with_time(encode(Malformed(reason, entry.payload)), entry.simulation_s),
+        )
 
     def _add(self, entry: Entry, ending: str, received_ns: int, data: bytes) -> None:
         channel = self._channels.get((entry.key, ending)) or self._open_channel(entry.key, ending)
@@ -112,7 +145,9 @@ class Writer:
             kinds: dict[str, type[msgspec.Struct]] = {MALFORMED: Malformed, DECODED: FlatReading}
             kind = kinds.get(ending) or STRUCTS.get(row(key))
             schema = struct_schema(kind) if kind else message_schema(ending)
-            schema_id = self._mcap.add_schema(schema["title"], "jsonschema", json.dumps(schema, ensure_ascii=False).encode())
+            schema_id = self._mcap.add_schema(
+                schema["title"], "jsonschema", json.dumps(schema, ensure_ascii=False).encode()
+            )
         channel = self._mcap.add_channel(f"{key}/{ending}" if ending else key, encoding, schema_id)
         self._channels[key, ending] = channel
         return channel
@@ -151,9 +186,14 @@ class _Tlog:
         self._waiting.append((published_ns, received_ns, frame))
 
     def flush(self, until_ns: int) -> None:
-        """Write the frames received until `until_ns`, and those published before them, in order of publishing."""
+        """Write the frames received until `until_ns`, and those published before them, in order of
+        publishing.
+        """
         self._waiting.sort(key=lambda waiting: waiting[0])
-        due = max((n for n, (_, received_ns, _) in enumerate(self._waiting, 1) if received_ns <= until_ns), default=0)
+        due = max(
+            (n for n, (_, received_ns, _) in enumerate(self._waiting, 1) if received_ns <= until_ns),
+            default=0,
+        )
         piece = bytearray()
         for published_ns, _, frame in self._waiting[:due]:
             self._last_us = max(published_ns // 1000, self._last_us)

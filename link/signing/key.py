@@ -26,8 +26,8 @@ class SecretKey(NamedTuple):
 def read_key(path: str | Path) -> SecretKey:
     """Read a key file; raises ValueError with what is wrong and what is allowed.
 
-    64 hexadecimal digits are the key itself. Any other line is a passphrase: the key is its SHA-256, as in MAVProxy,
-    QGroundControl and Mission Planner. Space around it, a line end among it, does not count.
+    64 hexadecimal digits are the key itself. Any other line is a passphrase: the key is its SHA-256, as in
+    MAVProxy, QGroundControl and Mission Planner. Space around it, a line end among it, does not count.
     """
     text, mode = read_secret(path, WANTED)
     open_to_all = bool(mode & (stat.S_IROTH | stat.S_IWOTH)) and os.name == "posix"

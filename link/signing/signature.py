@@ -1,7 +1,8 @@
 """The signature of a MAVLink 2 frame: added, removed and verified. Pure functions on bytes.
 
-Source: https://mavlink.io/en/guide/message_signing.html. A signed frame ends with 13 bytes: the link id, the timestamp (48 bits,
-little-endian) and the first 48 bits of the SHA-256 of the key and all bytes before.
+Source: https://mavlink.io/en/guide/message_signing.html. A signed frame ends with 13 bytes: the link id,
+the timestamp (48 bits, little-endian) and the first 48 bits of the SHA-256 of the key and all bytes
+before.
 """
 
 import hashlib
@@ -51,15 +52,20 @@ def _digest(key: bytes, body: bytes) -> bytes:
 def _with_flags(body: bytes, flags: int) -> bytes:
     """Change the flags of a frame without a signature from one of 0 and SIGNED to the other."""
     checksum = int.from_bytes(body[-CHECKSUM:], "little") ^ _change_of_checksum(body[1])
-    return body[:FLAGS_AT] + bytes([flags]) + body[FLAGS_AT + 1 : -CHECKSUM] + checksum.to_bytes(CHECKSUM, "little")
+    return (
+        body[:FLAGS_AT]
+        + bytes([flags])
+        + body[FLAGS_AT + 1 : -CHECKSUM]
+        + checksum.to_bytes(CHECKSUM, "little")
+    )
 
 
 @cache
 def _change_of_checksum(payload: int) -> int:
     """By what the flag changes the checksum of a frame with a payload of this many bytes.
 
-    A CRC is linear: the change depends on no other byte. So a frame of an unknown type, whose CRC_EXTRA nobody knows, can be signed too,
-    and one whose checksum is wrong stays wrong.
+    A CRC is linear: the change depends on no other byte. So a frame of an unknown type, whose CRC_EXTRA
+    nobody knows, can be signed too, and one whose checksum is wrong stays wrong.
     """
     zeros = bytes(HEADER_2.size + payload)  # the header without its first byte, the payload, CRC_EXTRA
     return int(crc16(b"\0" + bytes([SIGNED]) + zeros[2:]) ^ crc16(zeros))

@@ -17,11 +17,15 @@ UNSIGNED, WRONG, OLD = "without a signature", "with a wrong signature", "with an
 FAR_AHEAD = f"with a timestamp more than {AHEAD // MINUTE} minutes ahead of this machine's clock"
 """Why a frame is refused."""
 FREE = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
-"""Types that need no signature: radios add them to the link, and have no key. The standard lets them through."""
+"""Types that need no signature: radios add them to the link, and have no key. The standard lets them
+through.
+"""
 SYSTEM_AT = 5
 """Offset of the system id in a frame of MAVLink 2; the component id follows."""
 MOST_TOLD = 16
-"""Senders of a link that are told of, each once for each reason. It is bounded because source addresses are easily forged."""
+"""Senders of a link that are told of, each once for each reason. It is bounded because source addresses
+are easily forged.
+"""
 
 
 class Signing:
@@ -44,12 +48,15 @@ class Signing:
             log.warning(f"{path!r} is open to every user of this machine: chmod 600 {path}")
         if (ahead_s := self.timestamps.ahead_s) > MINUTE / UNITS_A_S:
             log.warning(
-                f"the last timestamp is {ahead_s:.0f} s later than the clock: who signs by the right time is refused "
+                f"the last timestamp is {ahead_s:.0f} s later than the clock: who signs by the right time is "
+                "refused "
                 f"(if the clock is right, remove {str(kept)!r}, at the earliest a minute after its last use)"
             )
 
     def link(self, url: str) -> "Signer":
-        """Return what signs a link. Its link id comes from its URL and whose it is: two processes should not speak with the same ids."""
+        """Return what signs a link. Its link id comes from its URL and whose it is: two processes should
+        not speak with the same ids.
+        """
         number = crc32(f"{self._who} {url}".encode()) % 256
         while number in self._numbers and len(self._numbers) < 256:
             number = (number + 1) % 256
@@ -80,10 +87,14 @@ class Signer:
         if frame[0] == MAVLINK_1:
             return b""
         system, component = frame[SYSTEM_AT : SYSTEM_AT + 2]
-        return signed(frame, self._secret, self._number, self._timestamps.next((system, component, self._number)))
+        return signed(
+            frame, self._secret, self._number, self._timestamps.next((system, component, self._number))
+        )
 
     def admits(self, frame: bytes, sender: str) -> bool:
-        """Whether a whole frame is rightly signed and new, or needs no signature. If not, it is counted. sender: for people."""
+        """Whether a whole frame is rightly signed and new, or needs no signature. If not, it is counted.
+        sender: for people.
+        """
         if not (reason := self._fault(frame)):
             return True
         with self._lock:

@@ -1,4 +1,6 @@
-"""Timestamps that only go forward: a process's own, and those of each stream that it has accepted. A file keeps them across restarts."""
+"""Timestamps that only go forward: a process's own, and those of each stream that it has accepted. A file
+keeps them across restarts.
+"""
 
 import fcntl
 import os
@@ -18,15 +20,17 @@ LAST = 2**48 - 1
 MINUTE = 60 * UNITS_A_S
 """A stream that is new may be so far behind."""
 AHEAD = 10 * MINUTE
-"""No frame may be further ahead of our clock: it would take our own timestamps along, and those of all who hear us. An autopilot that keeps
-its timestamp across reboots may be some minutes ahead."""
+"""No frame may be further ahead of our clock: it would take our own timestamps along, and those of all who
+hear us. An autopilot that keeps its timestamp across reboots may be some minutes ahead."""
 MOST_STREAMS = 512
 KEPT_EVERY_S = 1.0
 """So often what has been written is brought to the disk, where it outlasts a power cut."""
 Stream = tuple[int, int, int]
 """System id, component id, link id."""
 FORGOTTEN: Stream = (256, 0, 0)
-"""Stands for the streams that had to be forgotten; its timestamp is the last of theirs. A stream that is not known must be later."""
+"""Stands for the streams that had to be forgotten; its timestamp is the last of theirs. A stream that is
+not known must be later.
+"""
 LINE = re.compile(rb"( *\d+) +(\d+) +(\d+) +(\d+)\n")
 EMPTY = b" " * 27 + b"\n"
 
@@ -37,15 +41,19 @@ def clock() -> int:
 
 
 class Timestamps:
-    """The last timestamp of each stream that a process has sent or accepted, for all its links. Safe in several threads.
+    """The last timestamp of each stream that a process has sent or accepted, for all its links. Safe in
+    several threads.
 
-    Each timestamp is in the file before it is used, in a line of its own that is written at once, so a process may be killed at any time.
-    A power cut may take those of the last KEPT_EVERY_S: waiting for the disk at each frame would hold up the flight.
-    The file belongs to one process at a time.
+    Each timestamp is in the file before it is used, in a line of its own that is written at once, so a
+    process may be killed at any time.
+    A power cut may take those of the last KEPT_EVERY_S: waiting for the disk at each frame would hold up
+    the flight. The file belongs to one process at a time.
     """
 
     def __init__(self, path: Path, now: Callable[[], int] = clock) -> None:
-        """Open the file, or begin it; raises ValueError if it cannot be used. now: the clock; it may step back."""
+        """Open the file, or begin it; raises ValueError if it cannot be used. now: the clock; it may step
+        back.
+        """
         self._path = path
         self._now = now
         self._lock = threading.Lock()
@@ -53,14 +61,18 @@ class Timestamps:
         """The line of each stream in the file."""
         self._latest: dict[Stream, int] = {}
         self.notice = ""
-        """What people should know, until somebody has told them: that the file cannot be written, or that a sender is far ahead."""
+        """What people should know, until somebody has told them: that the file cannot be written, or that
+        a sender is far ahead.
+        """
         self._failed = self._ahead = False
         self._written = 0
         """How many lines have been written."""
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         except OSError as error:
-            raise ValueError(f"{str(path)!r} keeps the last timestamps, but cannot be written: {error.strerror}") from None
+            raise ValueError(
+                f"{str(path)!r} keeps the last timestamps, but cannot be written: {error.strerror}"
+            ) from None
         try:
             self._load()
         except BaseException:
@@ -68,7 +80,9 @@ class Timestamps:
             raise
         self._last = max(self._latest.values(), default=0)
         self.ahead_s = (self._last - now()) / UNITS_A_S
-        """By how much the last timestamp was later than the clock at the start; negative if it was earlier."""
+        """By how much the last timestamp was later than the clock at the start; negative if it was
+        earlier.
+        """
         self._closed = threading.Event()
         self._keeper = threading.Thread(target=self._keep, name="timestamps", daemon=True)
         self._keeper.start()
@@ -80,9 +94,14 @@ class Timestamps:
             if not content:  # room for all, so that a full disk does no harm later
                 os.pwrite(self._file, EMPTY * MOST_STREAMS, 0)
         except BlockingIOError:
-            raise ValueError(f"{str(self._path)!r} is in use by another process; wanted one process for each vehicle or bus") from None
+            raise ValueError(
+                f"{str(self._path)!r} is in use by another process; wanted one process for each vehicle or "
+                "bus"
+            ) from None
         except OSError as error:
-            raise ValueError(f"{str(self._path)!r} keeps the last timestamps, but cannot be used: {error.strerror}") from None
+            raise ValueError(
+                f"{str(self._path)!r} keeps the last timestamps, but cannot be used: {error.strerror}"
+            ) from None
         for number, start in enumerate(range(0, len(content), len(EMPTY))):
             line = content[start : start + len(EMPTY)]
             if (found := LINE.fullmatch(line)) and number < MOST_STREAMS:
@@ -90,11 +109,13 @@ class Timestamps:
                 self._lines[stream], self._latest[stream] = number, int(found[4])
             elif line != EMPTY[: len(line)]:
                 raise ValueError(
-                    f"{str(self._path)!r}: line {number + 1} is damaged; remove the file, at the earliest a minute after its last use"
+                    f"{str(self._path)!r}: line {number + 1} is damaged; remove the file, at the earliest a "
+                    "minute after its last use"
                 )
 
     def next(self, stream: Stream) -> int:
-        """Return the timestamp of the next frame to send: the clock's, or one more than the last one where the clock is behind.
+        """Return the timestamp of the next frame to send: the clock's, or one more than the last one where
+        the clock is behind.
 
         What is sent is remembered as what is accepted: nobody can play it back.
         """
@@ -104,10 +125,11 @@ class Timestamps:
             return self._last
 
     def accept(self, stream: Stream, timestamp: int) -> bool:
-        """Whether a frame that is rightly signed is new, and not far ahead. If so, it is remembered, and own timestamps will be later.
+        """Whether a frame that is rightly signed is new, and not far ahead. If so, it is remembered, and
+        own timestamps will be later.
 
-        It must be later than the last one of its stream. A new stream may be a minute behind, not more, and must be later than all
-        that was forgotten.
+        It must be later than the last one of its stream. A new stream may be a minute behind, not more,
+        and must be later than all that was forgotten.
         """
         if self.is_far_ahead(timestamp):
             return False
@@ -124,15 +146,20 @@ class Timestamps:
             return new
 
     def is_far_ahead(self, timestamp: int) -> bool:
-        """Whether a timestamp is ahead of the clock by more than AHEAD. Nothing is where the clock stands before 2015: it is not set."""
+        """Whether a timestamp is ahead of the clock by more than AHEAD. Nothing is where the clock stands
+        before 2015: it is not set.
+        """
         return 0 < self._now() < timestamp - AHEAD
 
     def _look_ahead(self, stream: Stream, timestamp: int) -> None:
-        """Say once that a timestamp is ahead of the clock. It is taken all the same, as the standard has it: clocks may be wrong."""
+        """Say once that a timestamp is ahead of the clock. It is taken all the same, as the standard has
+        it: clocks may be wrong.
+        """
         if (ahead := timestamp - self._now()) > MINUTE and not self._ahead:
             self._ahead = True
             self.notice = (
-                f"system {stream[0]}, component {stream[1]} signs {ahead / UNITS_A_S:.0f} s later than the clock, "
+                f"system {stream[0]}, component {stream[1]} signs {ahead / UNITS_A_S:.0f} s later than the "
+                "clock, "
                 "and so all do who hear it: who then begins with the right time is refused"
             )
 
@@ -146,7 +173,9 @@ class Timestamps:
         self._write(self._lines[stream], b"%3d %3d %3d %15d\n" % (*stream, timestamp))
 
     def _forget(self) -> None:
-        """Make room by forgetting the oldest stream. What it has said stays refused: FORGOTTEN is written before its line is used again."""
+        """Make room by forgetting the oldest stream. What it has said stays refused: FORGOTTEN is written
+        before its line is used again.
+        """
         oldest = min(self._latest.keys() - {FORGOTTEN}, key=self._latest.__getitem__)
         timestamp, line = self._latest.pop(oldest), self._lines.pop(oldest)
         self._lines.setdefault(FORGOTTEN, line)
@@ -159,7 +188,10 @@ class Timestamps:
         except OSError as error:
             if not self._failed:
                 self._failed = True
-                self.notice = f"{str(self._path)!r} cannot be written: {error.strerror}; after a restart old frames may pass"
+                self.notice = (
+                    f"{str(self._path)!r} cannot be written: {error.strerror}; after a restart "
+                    "old frames may pass"
+                )
 
     def _keep(self) -> None:
         """Bring what is written to the disk, until the end."""

@@ -1,4 +1,6 @@
-"""Where a vehicle is in the search area's frame, whose corner is home; its LOCAL_POSITION_NED is in a frame of its own."""
+"""Where a vehicle is in the search area's frame, whose corner is home; its LOCAL_POSITION_NED is in a
+frame of its own.
+"""
 
 import math
 from typing import Any
@@ -21,8 +23,9 @@ Place = tuple[float, float, float]
 class AreaFrame:
     """The search area's frame as one vehicle's messages place it.
 
-    Home is subtracted from GPS_GLOBAL_ORIGIN. A simulated vehicle sends no origin: its origin is its home. On the ground home may be
-    set anew, as arming does. What it becomes in the air is not the area's corner, also after the landing.
+    Home is subtracted from GPS_GLOBAL_ORIGIN. A simulated vehicle sends no origin: its origin is its home.
+    On the ground home may be set anew, as arming does. What it becomes in the air is not the area's
+    corner, also after the landing.
     """
 
     def __init__(self) -> None:
@@ -42,7 +45,9 @@ class AreaFrame:
         """(north, east, down) m of home in the vehicle's own frame; None while that is not known."""
 
     def take(self, message_id: int, fields: dict[str, Any]) -> bool:
-        """Take one of the `PLACING` messages of the vehicle's autopilot. Returns whether the corner has moved."""
+        """Take one of the `PLACING` messages of the vehicle's autopilot. Returns whether the corner has
+        moved.
+        """
         match message_id:
             case 0:  # HEARTBEAT
                 self._autopilot, self._status = fields["autopilot"], fields["system_status"]
@@ -68,7 +73,9 @@ class AreaFrame:
         return None if self._origin or self._autopilot == ARDUPILOT else (0.0, 0.0, 0.0)
 
     def place(self, local: dict[str, Any]) -> tuple[float, float, float] | None:
-        """Return (x, y) and height above home, m, of a LOCAL_POSITION_NED; None where it cannot be told, or is not finite."""
+        """Return (x, y) and height above home, m, of a LOCAL_POSITION_NED; None where it cannot be told,
+        or is not finite.
+        """
         if self.corner is None:
             return None
         north, east, down = (local[name] - corner for name, corner in zip("xyz", self.corner, strict=True))

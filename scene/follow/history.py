@@ -21,7 +21,21 @@ from scene.follow.area import HEARTBEAT, PLACING, AreaFrame
 from scene.follow.parts import restarted, verdict
 from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, Texts, frames, seen, waypoint
 from scene.follow.timed import MOST, Timed, Trail
-from scene.scene import INFO, WARNING, Backdrop, Craft, Ending, Floats, Happening, Measurement, Place, Scatter, Scene, Service, judged
+from scene.scene import (
+    INFO,
+    WARNING,
+    Backdrop,
+    Craft,
+    Ending,
+    Floats,
+    Happening,
+    Measurement,
+    Place,
+    Scatter,
+    Scene,
+    Service,
+    judged,
+)
 from scene.scene import STOP as STOPPED
 
 TRACK_STEP_M = 0.1
@@ -63,10 +77,20 @@ class _Packed(NamedTuple):
 
 
 class History:
-    """What was said on the bus of one vehicle. A message that breaks the contract is left out: the services count and refuse it."""
+    """What was said on the bus of one vehicle. A message that breaks the contract is left out: the
+    services count and refuse it.
+    """
 
-    def __init__(self, backdrop: Backdrop, budget: int | None = None, *, turns: Sequence[WindTurn] | None = (), whole: bool = True) -> None:
-        """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the newest ones.
+    def __init__(
+        self,
+        backdrop: Backdrop,
+        budget: int | None = None,
+        *,
+        turns: Sequence[WindTurn] | None = (),
+        whole: bool = True,
+    ) -> None:
+        """Begin. `whole` keeps what scrubbing needs: each pose and each belief's particles; else only the
+        newest ones.
 
         turns: the changes of the backdrop's wind, in order; None: it is the wind that the readings have.
         """
@@ -112,7 +136,9 @@ class History:
         self._track = Trail(self._whole)
 
     def _begin_again(self, time_s: float) -> None:
-        """Follow the next mission of a vehicle that was started again. Services stay; happenings, too, where no one goes back in time."""
+        """Follow the next mission of a vehicle that was started again. Services stay; happenings, too,
+        where no one goes back in time.
+        """
         self._begin()
         self.time_s = time_s
         if self._whole:  # what was said before has another mission's times
@@ -124,7 +150,9 @@ class History:
     # ---- taking ----
 
     def take(self, key: str, payload: bytes, attachment: bytes, time_s: float, wall_s: float) -> bool:
-        """Take a message, published at a simulation time and at a time by the clock, s. Returns whether it changes the scene."""
+        """Take a message, published at a simulation time and at a time by the clock, s. Returns whether it
+        changes the scene.
+        """
         self.time_s, self.wall_s = max(self.time_s, time_s), max(self.wall_s, wall_s)
         self._walls.add(time_s, wall_s)
         if self.own.learn(key, payload):
@@ -157,7 +185,9 @@ class History:
         if self._is_crowded(service):
             return
         if known is None or known.alive != alive:
-            self._signed(service, _Sign(wall_s, alive, None if alive or known is None else known.health), self.time_s)
+            self._signed(
+                service, _Sign(wall_s, alive, None if alive or known is None else known.health), self.time_s
+            )
             self._happened(self.time_s, INFO if alive else WARNING, service, "joined" if alive else "is gone")
 
     def _counts(self, frame: Frame) -> bool:
@@ -185,7 +215,9 @@ class History:
                     self._begin_again(time_s)
                     craft = replace(craft, position=(math.nan, math.nan))
                 self._boot_ms = boot_ms
-            if message_id in PLACING and self._area.take(message_id, fields):  # where it was is told from another corner
+            if message_id in PLACING and self._area.take(
+                message_id, fields
+            ):  # where it was is told from another corner
                 craft, self._track = replace(craft, position=(math.nan, math.nan)), Trail(self._whole)
             craft = seen(craft, message_id, fields, time_s, self._area)
             last = self._track.last
@@ -205,13 +237,18 @@ class History:
         last = self.measurements.at(math.inf)
         if last is not None and said.step <= last.step:
             return False  # repeated
-        measurement = Measurement(said.step, time_s, said.position, said.gas, said.spread, said.mean, said.covariance, said.ceased)
+        measurement = Measurement(
+            said.step, time_s, said.position, said.gas, said.spread, said.mean, said.covariance, said.ceased
+        )
         self.measurements.add(time_s, measurement)
         self._stop, self._assume = said.stop, said.assume
         if attachment:
             self._scatters.add(time_s, _Packed(attachment, said.unknowns, said.mean))
         if not said.ceased and self._budget is not None and said.step >= self._budget:
-            words = f"not ceased after {said.step} steps; estimate ({said.mean[0]:.2f}, {said.mean[1]:.2f}) ± {said.spread:.2f} m"
+            words = (
+                f"not ceased after {said.step} steps; estimate ({said.mean[0]:.2f}, {said.mean[1]:.2f}) "
+                f"± {said.spread:.2f} m"
+            )
             self._ended(time_s, Ending("not ceased", words))
             self._happened(time_s, WARNING, "estimator", "the budget is spent and the source not found")
         return True
@@ -219,7 +256,10 @@ class History:
     def _take_stop(self, said: Stop, time_s: float) -> bool:
         if self._endings.values:
             return False  # repeated
-        words = f"source found at ({said.estimate[0]:.2f}, {said.estimate[1]:.2f}) ± {said.spread:.2f} m after {said.step} steps"
+        words = (
+            f"source found at ({said.estimate[0]:.2f}, {said.estimate[1]:.2f}) ± {said.spread:.2f} m "
+            f"after {said.step} steps"
+        )
         self._happened(time_s, STOPPED, "estimator", words)
         self._ended(time_s, judged(said.step, said.estimate, said.spread, self.backdrop.release))
         return True
@@ -277,12 +317,16 @@ class History:
         return self._waypoints.at(math.inf)
 
     def at(self, time_s: float = math.inf, wall_s: float | None = None) -> Scene:
-        """Return the scene at a simulation time, by default the newest. `wall_s` is now by the clock, for judging silent parts."""
+        """Return the scene at a simulation time, by default the newest. `wall_s` is now by the clock, for
+        judging silent parts.
+        """
         count = self.measurements.count(time_s)
         wall = (self._walls.at(time_s) or self.wall_s) if wall_s is None else wall_s
         packed, craft = self._scatters.at(time_s), self._crafts.at(time_s)
         return Scene(
-            backdrop=self._backdrop(min(time_s, self.time_s), self.measurements.values[count - 1].step if count else -1),
+            backdrop=self._backdrop(
+                min(time_s, self.time_s), self.measurements.values[count - 1].step if count else -1
+            ),
             time_s=min(time_s, self.time_s),
             craft=craft,
             track=self._track.until(time_s),
@@ -309,7 +353,9 @@ class History:
         if (release := self.backdrop.release) is None:
             return self.backdrop
         if self._turns is None:
-            return replace(self.backdrop, release=replace(release, wind=self._winds.at(time_s) or release.wind))
+            return replace(
+                self.backdrop, release=replace(release, wind=self._winds.at(time_s) or release.wind)
+            )
         for turn in self._turns:
             if step >= turn.step if turn.step is not None else time_s >= turn.time_s:
                 u = math.hypot(*release.wind) if turn.u is None else turn.u
@@ -319,7 +365,9 @@ class History:
 
     def _services(self, time_s: float, wall_s: float) -> Iterator[Service]:
         order = ("uav", "estimator", "agent")
-        for name in sorted(self._signs, key=lambda name: (order.index(name) if name in order else len(order), name)):
+        for name in sorted(
+            self._signs, key=lambda name: (order.index(name) if name in order else len(order), name)
+        ):
             if (sign := self._signs[name].at(time_s)) is None:
                 continue
             plain = Service(name, verdict(sign.alive, sign.health, wall_s - sign.wall_s))
@@ -327,7 +375,14 @@ class History:
             yield (
                 plain
                 if said is None
-                else replace(plain, state=said.state, about=said.about, step=said.step, latency_s=said.latency_s, warnings=said.warnings)
+                else replace(
+                    plain,
+                    state=said.state,
+                    about=said.about,
+                    step=said.step,
+                    latency_s=said.latency_s,
+                    warnings=said.warnings,
+                )
             )
 
 
@@ -339,6 +394,10 @@ def _scatter(packed: _Packed) -> Scatter | None:
         return None
     columns: list[NDArray[np.float32]] = []
     for name, known in zip("xy", packed.estimate, strict=True):
-        columns.append(rows[:, packed.unknowns.index(name)] if name in packed.unknowns else np.full(len(rows), known, np.float32))
+        columns.append(
+            rows[:, packed.unknowns.index(name)]
+            if name in packed.unknowns
+            else np.full(len(rows), known, np.float32)
+        )
     places: Floats = np.ascontiguousarray(np.stack(columns, axis=1))
     return Scatter(places, rows[:, -1])

@@ -1,4 +1,6 @@
-"""How a part is doing, from its liveliness and its health messages; `plumeward status` and the page judge alike."""
+"""How a part is doing, from its liveliness and its health messages; `plumeward status` and the page judge
+alike.
+"""
 
 import math
 
@@ -10,7 +12,9 @@ OK, MISSING, STARTING, STALE, REFUSING = "ok", "missing", "starting", "stale", "
 
 
 def verdict(alive: bool, health: Health | None, silent_s: float) -> str:
-    """Return the verdict on a part: ok, missing, starting, stale or refusing. `silent_s` is the time since it spoke or appeared."""
+    """Return the verdict on a part: ok, missing, starting, stale or refusing. `silent_s` is the time since
+    it spoke or appeared.
+    """
     if not alive:
         return MISSING
     if health is None:

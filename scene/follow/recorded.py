@@ -13,7 +13,9 @@ from scene.scene import Backdrop, Release
 
 
 def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int | None]:
-    """Return the backdrop and the budget, from a run's own description; what it does not tell, or not in this version, is left out."""
+    """Return the backdrop and the budget, from a run's own description; what it does not tell, or not in
+    this version, is left out.
+    """
     try:
         release = Release.of(msgspec.convert(about["scenario"], Scenario))
     except (KeyError, msgspec.ValidationError):
@@ -25,7 +27,8 @@ def backdrop_of(about: dict[str, Any], vehicle: str = "") -> tuple[Backdrop, int
 
 
 def turns_of(about: dict[str, Any]) -> list[WindTurn] | None:
-    """Return the changes of the wind that a run's mission script has; one that is not as scripts have it is left out.
+    """Return the changes of the wind that a run's mission script has; one that is not as scripts have it
+    is left out.
 
     None if the plume blew with the wind that a real vehicle reported.
     """
@@ -37,7 +40,9 @@ def turns_of(about: dict[str, Any]) -> list[WindTurn] | None:
     turns = []
     for event in winds:
         with suppress(msgspec.ValidationError):
-            turn = msgspec.convert((event.get("step"), event.get("time_s") or 0.0, event.get("u"), event.get("phi")), WindTurn)
+            turn = msgspec.convert(
+                (event.get("step"), event.get("time_s") or 0.0, event.get("u"), event.get("phi")), WindTurn
+            )
             if all(math.isfinite(value) for value in turn if value is not None):
                 turns.append(turn)
     return turns
@@ -53,7 +58,9 @@ def history_of(recording: Recording, vehicle: str = "") -> History:
 
 
 def remark_on(recording: Recording, history: History) -> str:
-    """Return what people should know who see the record, after its name: `is cut off ...`; empty if there is nothing."""
+    """Return what people should know who see the record, after its name: `is cut off ...`; empty if there
+    is nothing.
+    """
     remarks = [recording.shortcoming]
     if history.missions > 1:
         remarks.append(f"holds {history.missions} missions, of which the last one is shown")

@@ -15,16 +15,42 @@ from scene.scene import ERROR, INFO, WARNING, Condition, Craft, Place
 
 ATTITUDE, LOCAL, GLOBAL, TEXT, SETPOINT = 30, 32, 33, 253, 84
 SYS_STATUS, GPS_RAW, WIND, EKF_STATUS, ESTIMATOR_STATUS, WIND_COV = 1, 24, 168, 193, 230, 231
-SHOWN = {*PLACING, ATTITUDE, LOCAL, GLOBAL, TEXT, SYS_STATUS, GPS_RAW, WIND, EKF_STATUS, ESTIMATOR_STATUS, WIND_COV}
+SHOWN = {
+    *PLACING,
+    ATTITUDE,
+    LOCAL,
+    GLOBAL,
+    TEXT,
+    SYS_STATUS,
+    GPS_RAW,
+    WIND,
+    EKF_STATUS,
+    ESTIMATOR_STATUS,
+    WIND_COV,
+}
 UNKNOWN_MV, UNKNOWN_SATELLITES = 0xFFFF, 0xFF
-FIXES = ("no GPS", "no fix", "2-D fix", "3-D fix", "3-D fix, DGPS", "RTK float", "RTK fixed", "static", "3-D fix, PPP")
+FIXES = (
+    "no GPS",
+    "no fix",
+    "2-D fix",
+    "3-D fix",
+    "3-D fix, DGPS",
+    "RTK float",
+    "RTK fixed",
+    "static",
+    "3-D fix, PPP",
+)
 """GPS_RAW_INT's fix_type (GPS_FIX_TYPE)."""
 CHUNK = 50
 """Characters of one STATUSTEXT; longer texts come in chunks."""
 
 
-def frames(payload: bytes, wanted: set[int], counts: Callable[[Frame], bool] = lambda _: True) -> Iterator[tuple[Frame, dict[str, Any]]]:
-    """Yield the wanted frames that count, with their fields. Raises BadFrame if the payload is not made of whole, valid frames."""
+def frames(
+    payload: bytes, wanted: set[int], counts: Callable[[Frame], bool] = lambda _: True
+) -> Iterator[tuple[Frame, dict[str, Any]]]:
+    """Yield the wanted frames that count, with their fields. Raises BadFrame if the payload is not made of
+    whole, valid frames.
+    """
     for frame in split(payload):
         if frame.message_id in wanted and counts(frame):
             yield frame, fields_of(payload, frame, LAYOUTS[frame.message_id])
@@ -39,9 +65,27 @@ def seen(craft: Craft, message_id: int, fields: dict[str, Any], time_s: float, a
         case 30 if math.isfinite(fields["yaw"]):  # ATTITUDE: yaw is clockwise from north
             heading = math.remainder(math.pi / 2 - fields["yaw"], 2 * math.pi)
             # Not `replace`, which takes ten times as long: these two are nearly all of the telemetry.
-            return Craft(time_s, craft.position, craft.altitude_m, heading, craft.mode, craft.armed, craft.fix, craft.condition)
+            return Craft(
+                time_s,
+                craft.position,
+                craft.altitude_m,
+                heading,
+                craft.mode,
+                craft.armed,
+                craft.fix,
+                craft.condition,
+            )
         case 32 if place := area.place(fields):  # LOCAL_POSITION_NED
-            return Craft(time_s, place[:2], place[2], craft.heading, craft.mode, craft.armed, craft.fix, craft.condition)
+            return Craft(
+                time_s,
+                place[:2],
+                place[2],
+                craft.heading,
+                craft.mode,
+                craft.armed,
+                craft.fix,
+                craft.condition,
+            )
         case 33:  # GLOBAL_POSITION_INT; (0, 0) is sent without a position
             fix = fields["lat"] / 1e7, fields["lon"] / 1e7, fields["alt"] / 1e3
             return replace(craft, fix=fix if any(fix[:2]) else None)
@@ -57,17 +101,25 @@ def _condition(known: Condition, message_id: int, fields: dict[str, Any]) -> Con
             return replace(
                 known,
                 battery=percent / 100 if 0 <= percent <= 100 else None,
-                volts=millivolts / 1e3 if millivolts not in (0, UNKNOWN_MV) else None,  # ArduPilot sends 0 without a monitor
+                volts=millivolts / 1e3
+                if millivolts not in (0, UNKNOWN_MV)
+                else None,  # ArduPilot sends 0 without a monitor
                 ailing=_ailing(fields),
             )
         case 24:  # GPS_RAW_INT
             kind, satellites = fields["fix_type"], fields["satellites_visible"]
             words = FIXES[kind] if kind < len(FIXES) else f"fix type {kind}"
-            return replace(known, gps=words if satellites == UNKNOWN_SATELLITES else f"{words}, {satellites} satellites")
+            return replace(
+                known, gps=words if satellites == UNKNOWN_SATELLITES else f"{words}, {satellites} satellites"
+            )
         case 168:  # WIND, ArduPilot's: from where it comes, degrees clockwise from north
             angle = math.radians(fields["direction"]) if math.isfinite(fields["direction"]) else math.nan
-            return replace(known, wind=_wind(fields["speed"] * math.sin(angle), fields["speed"] * math.cos(angle)))
-        case 193 | 230:  # EKF_STATUS_REPORT, ArduPilot's, and ESTIMATOR_STATUS, whose first flags mean the same
+            return replace(
+                known, wind=_wind(fields["speed"] * math.sin(angle), fields["speed"] * math.cos(angle))
+            )
+        case (
+            193 | 230
+        ):  # EKF_STATUS_REPORT, ArduPilot's, and ESTIMATOR_STATUS, whose first flags mean the same
             return replace(known, placed=bool(fields["flags"] & mavlink.ESTIMATOR_POS_HORIZ_ABS))
         case 231:  # WIND_COV: where the air goes
             return replace(known, wind=_wind(-fields["wind_y"], -fields["wind_x"]))
@@ -76,10 +128,15 @@ def _condition(known: Condition, message_id: int, fields: dict[str, Any]) -> Con
 
 def _ailing(fields: dict[str, Any]) -> tuple[str, ...]:
     """Return the parts that a SYS_STATUS calls present, enabled and not healthy."""
-    present, enabled, healthy = (fields[f"onboard_control_sensors_{state}"] for state in ("present", "enabled", "health"))
+    present, enabled, healthy = (
+        fields[f"onboard_control_sensors_{state}"] for state in ("present", "enabled", "health")
+    )
     names = mavlink.enums["MAV_SYS_STATUS_SENSOR"]
     bits = [1 << n for n in range(32) if present & enabled & ~healthy & 1 << n]
-    return tuple(names[bit].name.removeprefix("MAV_SYS_STATUS_").removeprefix("SENSOR_").replace("_", " ").lower() for bit in bits)
+    return tuple(
+        names[bit].name.removeprefix("MAV_SYS_STATUS_").removeprefix("SENSOR_").replace("_", " ").lower()
+        for bit in bits
+    )
 
 
 def _wind(x: float, y: float) -> Place | None:
@@ -111,5 +168,11 @@ class Texts:
                 self._begun = {number: text}  # one text at a time: what is cut off is dropped
                 return None
         severity = fields["severity"]
-        level = ERROR if severity <= mavlink.MAV_SEVERITY_ERROR else WARNING if severity == mavlink.MAV_SEVERITY_WARNING else INFO
+        level = (
+            ERROR
+            if severity <= mavlink.MAV_SEVERITY_ERROR
+            else WARNING
+            if severity == mavlink.MAV_SEVERITY_WARNING
+            else INFO
+        )
         return level, "".join(letter if letter.isprintable() else "?" for letter in text)

@@ -10,7 +10,9 @@ import numpy as np
 from scene.scene import Floats, Place
 
 MOST = 100_000
-"""Most readings, points of the track and happenings that are kept where not all is; then the older half goes."""
+"""Most readings, points of the track and happenings that are kept where not all is; then the older half
+goes.
+"""
 
 T = TypeVar("T")
 
@@ -53,7 +55,9 @@ class Timed(Generic[T]):
 
 
 class Trail:
-    """Where the vehicle was, in order of time. What was once taken stays as it is, so that no scene needs a copy of it."""
+    """Where the vehicle was, in order of time. What was once taken stays as it is, so that no scene needs
+    a copy of it.
+    """
 
     def __init__(self, whole: bool) -> None:
         """Keep all places, or the newest: `MOST`, and at least half of it."""

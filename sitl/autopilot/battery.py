@@ -6,7 +6,9 @@ from sitl.autopilot.state import LOW_BATTERY
 
 
 class Battery:
-    """Charge by time: full at the start, empty after `endurance_s` with the motors on. Times in s of simulation time."""
+    """Charge by time: full at the start, empty after `endurance_s` with the motors on. Times in s of
+    simulation time.
+    """
 
     def __init__(self) -> None:
         """Begin full, with the motors off."""
@@ -32,7 +34,9 @@ class Battery:
         self._on = False
 
     def next_alarm_s(self, endurance_s: float) -> float:
-        """Return when the next alarm is due with the motors on, low first, then empty; infinity if there is none."""
+        """Return when the next alarm is due with the motors on, low first, then empty; infinity if there
+        is none.
+        """
         if not self._on or self.empty:
             return math.inf
         lasts_s = endurance_s * (1.0 - LOW_BATTERY if self.alarms == 0 else 1.0)

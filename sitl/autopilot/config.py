@@ -14,7 +14,9 @@ NO_ACTION, HOLD, RETURN, TERMINATE, LAND = 0, 2, 3, 4, 5
 
 @dataclass(frozen=True)
 class VehicleConfig:
-    """Configuration of one vehicle; raises ValueError on a value outside its range. Speeds are PX4's defaults where PX4 has one."""
+    """Configuration of one vehicle; raises ValueError on a value outside its range. Speeds are PX4's
+    defaults where PX4 has one.
+    """
 
     sysid: int = 1
     home_lat_deg: float = 47.397742
@@ -33,11 +35,15 @@ class VehicleConfig:
     yaw_rate_dps: float = 45.0
     takeoff_altitude_m: float = 5.0
     return_altitude_m: float = 5.0
-    """Lowest altitude above home for a return: a vehicle below it climbs first, one above it keeps its altitude."""
+    """Lowest altitude above home for a return: a vehicle below it climbs first, one above it keeps its
+    altitude.
+    """
     silence_s: float = 30.0
     """Time without a setpoint after which OFFBOARD fails safe: return in the air, disarm on the ground."""
     stream_s: float = math.inf
-    """PX4's COM_OF_LOSS_T of a companion that must stream: OFFBOARD fails safe after this time without a setpoint; `inf`: not strict."""
+    """PX4's COM_OF_LOSS_T of a companion that must stream: OFFBOARD fails safe after this time without a
+    setpoint; `inf`: not strict.
+    """
     disarm_landed_s: float = 2.0
     """Time on the ground after a flight until the motors stop; `inf`: never. PX4's COM_DISARM_LAND."""
     disarm_preflight_s: float = 10.0
@@ -54,15 +60,31 @@ class VehicleConfig:
         """Check every range."""
         if not 1 <= self.sysid <= 255:
             raise ValueError(f"sysid is {self.sysid}: allowed is 1 to 255")
-        for name, limit in (("home_lat_deg", 90.0), ("home_lon_deg", 180.0), ("home_heading_deg", 360.0), ("home_alt_m", 10_000.0)):
+        for name, limit in (
+            ("home_lat_deg", 90.0),
+            ("home_lon_deg", 180.0),
+            ("home_heading_deg", 360.0),
+            ("home_alt_m", 10_000.0),
+        ):
             if not abs(getattr(self, name)) <= limit:
                 raise ValueError(f"{name} is {getattr(self, name)}: allowed is -{limit:g} to {limit:g}")
-        for name in ("area_m", "ceiling_m", "speed_mps", "climb_mps", "descent_mps", "accel_mps2", "yaw_rate_dps"):
+        for name in (
+            "area_m",
+            "ceiling_m",
+            "speed_mps",
+            "climb_mps",
+            "descent_mps",
+            "accel_mps2",
+            "yaw_rate_dps",
+        ):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}: allowed is a finite number above 0")
         for name in ("takeoff_altitude_m", "return_altitude_m"):
             if not 0.0 < getattr(self, name) <= self.ceiling_m:
-                raise ValueError(f"{name} is {getattr(self, name)}: allowed is above 0 and up to the ceiling, {self.ceiling_m:g}")
+                raise ValueError(
+                    f"{name} is {getattr(self, name)}: allowed is above 0 and up to the ceiling, "
+                    f"{self.ceiling_m:g}"
+                )
         if self.fence_action not in range(6):
             raise ValueError(f"fence_action is {self.fence_action}: allowed is 0 to 5")
         for name in ("silence_s", "stream_s", "disarm_landed_s", "disarm_preflight_s", "endurance_s"):
@@ -80,13 +102,18 @@ class VehicleConfig:
         return bool(self.fence.shapes) and self.fence_action != NO_ACTION
 
     def outside(self, position: Ned, fence: bool = True) -> tuple[str, str] | None:
-        """Return (kind of reason, reason) if a position (NED, m from home) is outside the area, the altitudes or the fence; else None."""
+        """Return (kind of reason, reason) if a position (NED, m from home) is outside the area, the
+        altitudes or the fence; else None.
+        """
         north, east, down = position
         place = f"({metres(east)}, {metres(north)}) m"
         if not all(map(math.isfinite, position)):
             return "not finite", f"{place} at {metres(-down)} m is not finite"
         if not (0.0 <= east <= self.area_m and 0.0 <= north <= self.area_m):
-            return "outside the area", f"{place} is outside the area [0, {self.area_m:g}] x [0, {self.area_m:g}] m"
+            return (
+                "outside the area",
+                f"{place} is outside the area [0, {self.area_m:g}] x [0, {self.area_m:g}] m",
+            )
         if not 0.0 <= -down <= self.ceiling_m:
             return "outside the altitudes", f"altitude {metres(-down)} m is outside [0, {self.ceiling_m:g}] m"
         if fence and (reason := self.fence_refusal(position)):

@@ -1,4 +1,6 @@
-"""Telemetry of where the vehicle is and how it moves, and of the air. Each message is built from one snapshot."""
+"""Telemetry of where the vehicle is and how it moves, and of the air. Each message is built from one
+snapshot.
+"""
 
 import math
 
@@ -39,26 +41,38 @@ def global_position_int(s: Snapshot) -> Message:
     north, east, down = (round(speed * 100.0) for speed in s.state.velocity)
     altitude, above_home = round(s.altitude_m * 1000.0), round(-s.state.position[2] * 1000.0)
     heading = _centidegrees(s.state.yaw)
-    return mavlink.MAVLink_global_position_int_message(s.time_boot_ms, lat, lon, altitude, above_home, north, east, down, heading)
+    return mavlink.MAVLink_global_position_int_message(
+        s.time_boot_ms, lat, lon, altitude, above_home, north, east, down, heading
+    )
 
 
 def local_position_ned(s: Snapshot) -> Message:
-    """LOCAL_POSITION_NED (32): position and velocity from home; a reading is taken at exactly these float32 values."""
+    """LOCAL_POSITION_NED (32): position and velocity from home; a reading is taken at exactly these
+    float32 values.
+    """
     values = np.array(s.state.position + s.state.velocity, np.float32).tolist()
     return mavlink.MAVLink_local_position_ned_message(s.time_boot_ms, *values)
 
 
 def attitude(s: Snapshot) -> Message:
-    """ATTITUDE (30): roll and pitch from the thrust direction, yaw, and the yaw rate; roll and pitch rates are not simulated (0)."""
+    """ATTITUDE (30): roll and pitch from the thrust direction, yaw, and the yaw rate; roll and pitch rates
+    are not simulated (0).
+    """
     state = s.state
-    return mavlink.MAVLink_attitude_message(s.time_boot_ms, state.roll, state.pitch, state.yaw, 0.0, 0.0, state.yaw_rate)
+    return mavlink.MAVLink_attitude_message(
+        s.time_boot_ms, state.roll, state.pitch, state.yaw, 0.0, 0.0, state.yaw_rate
+    )
 
 
 def vfr_hud(s: Snapshot) -> Message:
     """VFR_HUD (74): airspeed, ground speed, heading, throttle, altitude and climb rate."""
     north, east, down = s.state.velocity
     a_north, a_east, a_down = s.state.acceleration
-    throttle = HOVER_THROTTLE * math.hypot(a_north, a_east, GRAVITY_MPS2 - a_down) / GRAVITY_MPS2 if s.state.armed else 0.0
+    throttle = (
+        HOVER_THROTTLE * math.hypot(a_north, a_east, GRAVITY_MPS2 - a_down) / GRAVITY_MPS2
+        if s.state.armed
+        else 0.0
+    )
     return mavlink.MAVLink_vfr_hud_message(
         airspeed=math.hypot(north + s.wind[1], east + s.wind[0], down),  # the air moves with −wind
         groundspeed=math.hypot(north, east),
@@ -84,11 +98,15 @@ def named_value_float_gas(s: Snapshot) -> Message | None:
 
 def attitude_quaternion(s: Snapshot) -> Message:
     """ATTITUDE_QUATERNION (31): the attitude as (w, x, y, z); roll and pitch rates are not simulated (0)."""
-    return mavlink.MAVLink_attitude_quaternion_message(s.time_boot_ms, *quaternion(s), 0.0, 0.0, s.state.yaw_rate, [0.0] * 4)
+    return mavlink.MAVLink_attitude_quaternion_message(
+        s.time_boot_ms, *quaternion(s), 0.0, 0.0, s.state.yaw_rate, [0.0] * 4
+    )
 
 
 def odometry(s: Snapshot) -> Message:
-    """ODOMETRY (331): position from home, NED; velocity in the body's axes, forward, right, down. Accuracy: unknown."""
+    """ODOMETRY (331): position from home, NED; velocity in the body's axes, forward, right, down.
+    Accuracy: unknown.
+    """
     unknown = [math.nan] + [0.0] * 20
     return mavlink.MAVLink_odometry_message(
         round(s.state.time_s * 1e6),
@@ -115,28 +133,40 @@ IMU_FIELDS = (
 
 
 def highres_imu(s: Snapshot) -> Message:
-    """HIGHRES_IMU (105): what an accelerometer feels and the yaw rate. Nothing else is simulated, nor marked as updated."""
+    """HIGHRES_IMU (105): what an accelerometer feels and the yaw rate. Nothing else is simulated, nor
+    marked as updated.
+    """
     north, east, down = s.state.acceleration
     felt = in_body(s, (north, east, down - GRAVITY_MPS2))
     nothing = [0.0] * 7
-    return mavlink.MAVLink_highres_imu_message(round(s.state.time_s * 1e6), *felt, 0.0, 0.0, s.state.yaw_rate, *nothing, IMU_FIELDS)
+    return mavlink.MAVLink_highres_imu_message(
+        round(s.state.time_s * 1e6), *felt, 0.0, 0.0, s.state.yaw_rate, *nothing, IMU_FIELDS
+    )
 
 
 def altitude(s: Snapshot) -> Message:
-    """ALTITUDE (141): above sea and above home, m. There is no terrain: the ground is level, at home's altitude."""
+    """ALTITUDE (141): above sea and above home, m. There is no terrain: the ground is level, at home's
+    altitude.
+    """
     height = -s.state.position[2]
     sea = s.altitude_m
-    return mavlink.MAVLink_altitude_message(round(s.state.time_s * 1e6), sea, sea, height, height, math.nan, math.nan)
+    return mavlink.MAVLink_altitude_message(
+        round(s.state.time_s * 1e6), sea, sea, height, height, math.nan, math.nan
+    )
 
 
 def position_target_local_ned(s: Snapshot) -> Message | None:
-    """POSITION_TARGET_LOCAL_NED (85): where the current leg ends, or the velocity that is asked for; None while disarmed."""
+    """POSITION_TARGET_LOCAL_NED (85): where the current leg ends, or the velocity that is asked for; None
+    while disarmed.
+    """
     if not s.state.armed:
         return None
     mask, values = POSITION_ONLY, [*s.state.target, *[0.0] * 8]
     if s.state.cruise is not None:
         mask, values = VELOCITY_ONLY, [0.0, 0.0, 0.0, *s.state.cruise, *[0.0] * 5]
-    return mavlink.MAVLink_position_target_local_ned_message(s.time_boot_ms, mavlink.MAV_FRAME_LOCAL_NED, mask, *values)
+    return mavlink.MAVLink_position_target_local_ned_message(
+        s.time_boot_ms, mavlink.MAV_FRAME_LOCAL_NED, mask, *values
+    )
 
 
 KNOWN = (
@@ -152,13 +182,17 @@ KNOWN = (
 
 
 def estimator_status(s: Snapshot) -> Message:
-    """ESTIMATOR_STATUS (230): the position is known and without error, so no test of an innovation comes near its limit."""
+    """ESTIMATOR_STATUS (230): the position is known and without error, so no test of an innovation comes
+    near its limit.
+    """
     return mavlink.MAVLink_estimator_status_message(round(s.state.time_s * 1e6), KNOWN, *[0.0] * 8)
 
 
 def quaternion(s: Snapshot) -> tuple[float, float, float, float]:
     """(w, x, y, z) of the attitude: yaw, then pitch, then roll."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a / 2.0), math.sin(a / 2.0)) for a in (s.state.roll, s.state.pitch, s.state.yaw))
+    (cr, sr), (cp, sp), (cy, sy) = (
+        (math.cos(a / 2.0), math.sin(a / 2.0)) for a in (s.state.roll, s.state.pitch, s.state.yaw)
+    )
     return (
         cr * cp * cy + sr * sp * sy,
         sr * cp * cy - cr * sp * sy,

@@ -33,11 +33,19 @@ class Circle(NamedTuple):
     def crossings(self, phase: Phase) -> Iterator[float]:
         """Yield the times, of a phase or beyond it, at which the edge may be crossed."""
         (north, east, _), (v_north, v_east, _), (a_north, a_east, _) = phase.known
-        curves = [np.array([a / 2.0, v, at - c]) for at, v, a, c in (
-            (north, v_north, a_north, self.centre[0]), (east, v_east, a_east, self.centre[1]),
-        )]  # fmt: skip
-        distance = sum(np.convolve(curve, curve) for curve in curves) - np.array([0.0, 0.0, 0.0, 0.0, self.radius_m**2])
-        yield from (phase.known_s + root.real for root in np.roots(distance).tolist() if abs(root.imag) < SHORTEST_S)
+        curves = [
+            np.array([a / 2.0, v, at - c])
+            for at, v, a, c in (
+                (north, v_north, a_north, self.centre[0]),
+                (east, v_east, a_east, self.centre[1]),
+            )
+        ]
+        distance = sum(np.convolve(curve, curve) for curve in curves) - np.array(
+            [0.0, 0.0, 0.0, 0.0, self.radius_m**2]
+        )
+        yield from (
+            phase.known_s + root.real for root in np.roots(distance).tolist() if abs(root.imag) < SHORTEST_S
+        )
 
 
 class Polygon(NamedTuple):
@@ -47,13 +55,17 @@ class Polygon(NamedTuple):
     vertices: tuple[Place, ...]
 
     def allows(self, place: Place) -> bool:
-        """True on the edge and on its allowed side; by the ray that leaves an inner place across an odd number of edges."""
+        """True on the edge and on its allowed side; by the ray that leaves an inner place across an odd
+        number of edges.
+        """
         north, east = place
         inside = False
         for a, b in self._edges():
             if _off(place, a, b) <= EDGE_M:
                 return True
-            if (a[1] > east) != (b[1] > east) and north < a[0] + (b[0] - a[0]) * (east - a[1]) / (b[1] - a[1]):
+            if (a[1] > east) != (b[1] > east) and north < a[0] + (b[0] - a[0]) * (east - a[1]) / (
+                b[1] - a[1]
+            ):
                 inside = not inside
         return inside == self.inclusion
 
@@ -62,19 +74,25 @@ class Polygon(NamedTuple):
         (north, east, _), (v_north, v_east, _), (a_north, a_east, _) = phase.known
         for a, b in self._edges():
             across = (a[1] - b[1], b[0] - a[0])  # a vector at a right angle to the edge
-            roots = np.roots([
-                (a_north * across[0] + a_east * across[1]) / 2.0,
-                v_north * across[0] + v_east * across[1],
-                (north - a[0]) * across[0] + (east - a[1]) * across[1],
-            ]).tolist()  # fmt: skip
-            yield from (phase.known_s + root.real for root in map(complex, roots) if abs(root.imag) < SHORTEST_S)
+            roots = np.roots(
+                [
+                    (a_north * across[0] + a_east * across[1]) / 2.0,
+                    v_north * across[0] + v_east * across[1],
+                    (north - a[0]) * across[0] + (east - a[1]) * across[1],
+                ]
+            ).tolist()
+            yield from (
+                phase.known_s + root.real for root in map(complex, roots) if abs(root.imag) < SHORTEST_S
+            )
 
     def _edges(self) -> Iterator[tuple[Place, Place]]:
         return zip(self.vertices, (*self.vertices[1:], self.vertices[0]), strict=True)
 
 
 class Fence(NamedTuple):
-    """Every shape has to be kept: the vehicle stays inside all inclusions and outside all exclusions, as in PX4."""
+    """Every shape has to be kept: the vehicle stays inside all inclusions and outside all exclusions, as
+    in PX4.
+    """
 
     shapes: tuple[Circle | Polygon, ...] = ()
     number: int = 0
@@ -85,9 +103,11 @@ class Fence(NamedTuple):
         return all(shape.allows(position[:2]) for shape in self.shapes)
 
     def left_s(self, path: Trajectory, since_s: float, outside: bool) -> float:
-        """Return when a path leaves the fence after a time; infinity if it does not. A path that begins outside has to come in first.
+        """Return when a path leaves the fence after a time; infinity if it does not. A path that begins
+        outside has to come in first.
 
-        The candidates are roots of polynomials. The time itself is bisected: it is the last float at which the fence allows the place.
+        The candidates are roots of polynomials. The time itself is bisected: it is the last float at which
+        the fence allows the place.
         """
         inside_s = since_s
         for start_s, end_s in self._stretches(path, since_s):
@@ -104,7 +124,9 @@ class Fence(NamedTuple):
             start_s = max(phase.start_s, since_s)
             if phase.end_s <= start_s:
                 continue
-            crossed = {at for shape in self.shapes for at in shape.crossings(phase) if start_s < at < phase.end_s}
+            crossed = {
+                at for shape in self.shapes for at in shape.crossings(phase) if start_s < at < phase.end_s
+            }
             for begin_s, end_s in itertools.pairwise(sorted({start_s, *crossed, phase.end_s})):
                 if end_s - begin_s >= SHORTEST_S:
                     yield begin_s, end_s
@@ -126,7 +148,9 @@ class Rally(NamedTuple):
     """The checksum of the items that they were made of; 0 without rally points."""
 
     def nearest(self, position: Ned) -> Place:
-        """Return the nearest of home and the rally points, as PX4's RTL_TYPE 0 does; home if two are equally near."""
+        """Return the nearest of home and the rally points, as PX4's RTL_TYPE 0 does; home if two are
+        equally near.
+        """
         return min(((0.0, 0.0), *self.places), key=lambda place: math.dist(place, position[:2]))
 
 

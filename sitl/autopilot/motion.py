@@ -1,4 +1,6 @@
-"""Closed-form motion: the position is a formula of time, never a sum of steps. Every speed-up therefore sees the same positions."""
+"""Closed-form motion: the position is a formula of time, never a sum of steps. Every speed-up therefore
+sees the same positions.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,11 +11,15 @@ import numpy as np
 GRAVITY_MPS2 = 9.80665
 
 Ned = tuple[float, float, float]
-"""(north, east, down): position in m from home, velocity in m/s or acceleration in m/s². Down grows towards the ground."""
+"""(north, east, down): position in m from home, velocity in m/s or acceleration in m/s². Down grows
+towards the ground.
+"""
 
 ZERO: Ned = (0.0, 0.0, 0.0)
 NOTHING = 1e-9
-"""A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its direction would be 0/0."""
+"""A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its
+direction would be 0/0.
+"""
 SHORTEST_S = 1e-11
 """How exactly the moment is found at which a vehicle must brake."""
 ROUNDING_M = 1e-12
@@ -65,7 +71,8 @@ class Push(NamedTuple):
 class Phase(NamedTuple):
     """A stretch of constant acceleration, defined by the known motion at one instant of it.
 
-    A phase that ends at rest is defined at its end. Rounding then cannot carry the vehicle past it, through the ground or the fence.
+    A phase that ends at rest is defined at its end. Rounding then cannot carry the vehicle past it,
+    through the ground or the fence.
     """
 
     start_s: float
@@ -85,7 +92,9 @@ class Phase(NamedTuple):
 
 
 class Trajectory(NamedTuple):
-    """Consecutive phases, then rest exactly on the target: the final position equals the target bit for bit."""
+    """Consecutive phases, then rest exactly on the target: the final position equals the target bit for
+    bit.
+    """
 
     start_s: float
     target: Ned
@@ -104,7 +113,9 @@ class Trajectory(NamedTuple):
         return Motion(self.target)
 
     def to(self, target: Ned, limits: Limits) -> "Trajectory":
-        """This trajectory plus a straight leg from its end to a new target: speed up, cruise (if long enough), slow down."""
+        """This trajectory plus a straight leg from its end to a new target: speed up, cruise (if long
+        enough), slow down.
+        """
         difference = _minus(target, self.target)
         length = math.hypot(*difference)
         if length < NOTHING:
@@ -122,7 +133,12 @@ class Trajectory(NamedTuple):
         speed_up, slow_down = _times(direction, accel), _times(direction, -accel)
         phases = (
             Phase(started_s, fast_s, started_s, Motion(self.target, ZERO, speed_up)),
-            Phase(fast_s, slowing_s, fast_s, Motion(_along(self.target, direction, ramp_m), _times(direction, peak))),
+            Phase(
+                fast_s,
+                slowing_s,
+                fast_s,
+                Motion(_along(self.target, direction, ramp_m), _times(direction, peak)),
+            ),
             Phase(slowing_s, stopped_s, stopped_s, Motion(target, ZERO, slow_down)),
         )
         return Trajectory(self.start_s, target, self.phases + phases)
@@ -135,15 +151,23 @@ def halt(t_s: float, motion: Motion, limits: Limits) -> Trajectory:
         return Trajectory(t_s, motion.position)
     direction, end_s = _times(motion.velocity, 1.0 / speed), t_s + speed / limits.accel_mps2
     north, east, down = _along(motion.position, direction, speed * speed / limits.accel_mps2 / 2.0)
-    stop = (north, east, min(down, 0.0))  # every leg ends on or above the ground; rounding must not put the stop below it
-    return Trajectory(t_s, stop, (Phase(t_s, end_s, end_s, Motion(stop, ZERO, _times(direction, -limits.accel_mps2))),))
+    stop = (
+        north,
+        east,
+        min(down, 0.0),
+    )  # every leg ends on or above the ground; rounding must not put the stop below it
+    return Trajectory(
+        t_s, stop, (Phase(t_s, end_s, end_s, Motion(stop, ZERO, _times(direction, -limits.accel_mps2))),)
+    )
 
 
 def steer(t_s: float, motion: Motion, pushes: Sequence[Push], limits: Limits, box: Box) -> Trajectory:
-    """Accelerate as told and cruise on, but brake in time to come to rest on the box's edge instead of leaving it.
+    """Accelerate as told and cruise on, but brake in time to come to rest on the box's edge instead of
+    leaving it.
 
-    At each moment of the way, to brake to rest (`halt`) ends inside the box. A push that would break this is broken off: the vehicle
-    brakes at the last moment. The way ends at rest, since the box is finite. A vehicle that is outside can only come nearer.
+    At each moment of the way, to brake to rest (`halt`) ends inside the box. A push that would break this
+    is broken off: the vehicle brakes at the last moment. The way ends at rest, since the box is finite. A
+    vehicle that is outside can only come nearer.
     """
     began_s = t_s
     phases: list[Phase] = []
@@ -163,7 +187,9 @@ def steer(t_s: float, motion: Motion, pushes: Sequence[Push], limits: Limits, bo
     if not stopping.phases:
         return _ending(began_s, tuple(phases), stopping, box.within(motion.position))
     leaves_s, edge = _way_out(motion, box)
-    cruise_s = leaves_s - (stopping.end_s - t_s) / 2.0  # to brake takes half the way that cruising makes in the same time
+    cruise_s = (
+        leaves_s - (stopping.end_s - t_s) / 2.0
+    )  # to brake takes half the way that cruising makes in the same time
     if cruise_s <= 0.0:
         return _ending(began_s, tuple(phases), stopping, box.within(stopping.target))
     phases.append(Phase(t_s, t_s + cruise_s, t_s, motion))
@@ -193,7 +219,8 @@ def _way_out(motion: Motion, box: Box) -> tuple[float, Ned]:
 def _safe_s(motion: Motion, push: Push, accel: float, box: Box) -> float:
     """How long a push may last if braking at any moment of it must end inside the box, s.
 
-    Spans of time for which that can be shown are safe; others are halved, the earlier half first, until they are too short to matter.
+    Spans of time for which that can be shown are safe; others are halved, the earlier half first, until
+    they are too short to matter.
     """
     phase = Phase(0.0, push.duration_s, 0.0, motion._replace(acceleration=push.acceleration))
     spans = [(0.0, push.duration_s)]
@@ -211,20 +238,32 @@ def _safe_s(motion: Motion, push: Push, accel: float, box: Box) -> float:
 
 
 def _is_safe(start: Motion, end: Motion, lasts_s: float, accel: float, box: Box) -> bool:
-    """Whether braking at any moment of a span of constant acceleration ends inside the box; False if it cannot be shown.
+    """Whether braking at any moment of a span of constant acceleration ends inside the box; False if it
+    cannot be shown.
 
-    With position p, velocity v of direction e, and acceleration g, braking ends at s = p + v|v|/2a. This point moves at
-    ds/dt = |v| (e (1 + e·g/2a) + g/2a): slow or fast by |v|, to where e tells. Both are bounded over the span.
+    With position p, velocity v of direction e, and acceleration g, braking ends at s = p + v|v|/2a. This
+    point moves at ds/dt = |v| (e (1 + e·g/2a) + g/2a): slow or fast by |v|, to where e tells. Both are
+    bounded over the span.
     """
     speeds = math.hypot(*start.velocity), math.hypot(*end.velocity)
     push = _times(start.acceleration, 0.5 / accel)
     fastest, slowest = max(speeds), max(max(speeds) - math.hypot(*start.acceleration) * lasts_s, 0.0)
-    first, last = (_times(at.velocity, 1.0 / speed) if speed > NOTHING else None for at, speed in zip((start, end), speeds, strict=True))
+    first, last = (
+        _times(at.velocity, 1.0 / speed) if speed > NOTHING else None
+        for at, speed in zip((start, end), speeds, strict=True)
+    )
     heads = first or last or ZERO, last or first or ZERO  # from rest and to rest it flies straight
-    bulge = 1.0 / math.sqrt(max(1.0 - (math.dist(*heads) / 2.0) ** 2, NOTHING))  # of the arc between them, over the chord
-    least, most = (1.0 + _dot(head, push) for head in heads)  # it only grows: the velocity turns towards the acceleration
+    bulge = 1.0 / math.sqrt(
+        max(1.0 - (math.dist(*heads) / 2.0) ** 2, NOTHING)
+    )  # of the arc between them, over the chord
+    least, most = (
+        1.0 + _dot(head, push) for head in heads
+    )  # it only grows: the velocity turns towards the acceleration
     for axis in range(3):
-        stops = [at.position[axis] + at.velocity[axis] * speed / (2.0 * accel) for at, speed in zip((start, end), speeds, strict=True)]
+        stops = [
+            at.position[axis] + at.velocity[axis] * speed / (2.0 * accel)
+            for at, speed in zip((start, end), speeds, strict=True)
+        ]
         for sign, edge in ((1.0, box.high[axis]), (-1.0, -box.low[axis])):
             inwards, outwards = sorted((sign * heads[0][axis], sign * heads[1][axis]))
             inwards, outwards = (
@@ -241,7 +280,9 @@ def _is_safe(start: Motion, end: Motion, lasts_s: float, accel: float, box: Box)
 
 
 def fall(t_s: float, motion: Motion) -> Trajectory:
-    """Fall to the ground (down = 0) with the motors off and without air drag, then rest at the impact point."""
+    """Fall to the ground (down = 0) with the motors off and without air drag, then rest at the impact
+    point.
+    """
     height, climb = -motion.position[2], -motion.velocity[2]
     duration = (climb + math.sqrt(climb * climb + 2.0 * GRAVITY_MPS2 * max(height, 0.0))) / GRAVITY_MPS2
     end_s, gravity = t_s + duration, (0.0, 0.0, GRAVITY_MPS2)
@@ -264,7 +305,9 @@ class Turn(NamedTuple):
         return self.start_s + abs(self._angle()) / self.rate_radps
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """(yaw in rad, yaw rate in rad/s) at a time not before the start; yaw is clockwise from north, in [−π, π]."""
+        """(yaw in rad, yaw rate in rad/s) at a time not before the start; yaw is clockwise from north, in
+        [−π, π].
+        """
         if t_s >= self.end_s:
             return self.target_rad, 0.0
         rate = math.copysign(self.rate_radps, self._angle())
@@ -291,7 +334,9 @@ class Spin(NamedTuple):
         return math.inf
 
     def at(self, t_s: float) -> tuple[float, float]:
-        """(yaw in rad, yaw rate in rad/s) at a time not before the start; yaw is clockwise from north, in [−π, π]."""
+        """(yaw in rad, yaw rate in rad/s) at a time not before the start; yaw is clockwise from north, in
+        [−π, π].
+        """
         return wrapped(self.start_rad + self.rate_radps * max(t_s - self.start_s, 0.0)), self.rate_radps
 
     def stopped(self, t_s: float) -> Turn:
@@ -302,7 +347,9 @@ class Spin(NamedTuple):
 
 def as_float32(position: Ned) -> Ned:
     """The position rounded to float32, as the wire carries it."""
-    with np.errstate(over="ignore"):  # a number too large for float32 becomes infinite, and the fence refuses it
+    with np.errstate(
+        over="ignore"
+    ):  # a number too large for float32 becomes infinite, and the fence refuses it
         north, east, down = np.array(position, np.float32).tolist()
     return north, east, down
 
@@ -313,7 +360,9 @@ def wrapped(angle_rad: float) -> float:
 
 
 def tilt(acceleration: Ned, yaw_rad: float) -> tuple[float, float]:
-    """(roll, pitch) in rad of a multirotor whose thrust and gravity give this acceleration (NED, m/s²), without air drag."""
+    """(roll, pitch) in rad of a multirotor whose thrust and gravity give this acceleration (NED, m/s²),
+    without air drag.
+    """
     north, east, down = acceleration
     forward = north * math.cos(yaw_rad) + east * math.sin(yaw_rad)
     right = east * math.cos(yaw_rad) - north * math.sin(yaw_rad)
@@ -324,7 +373,9 @@ def tilt(acceleration: Ned, yaw_rad: float) -> tuple[float, float]:
 
 
 def _speed_limit(direction: Ned, limits: Limits) -> float:
-    """Highest speed (m/s) along a unit vector whose horizontal and vertical parts stay within their limits."""
+    """Highest speed (m/s) along a unit vector whose horizontal and vertical parts stay within their
+    limits.
+    """
     horizontal, down = math.hypot(direction[0], direction[1]), direction[2]
     vertical_limit = limits.descent_mps if down > 0.0 else limits.climb_mps
     return min(
@@ -356,4 +407,8 @@ def _times(a: Ned, factor: float) -> Ned:
 
 
 def _along(start: Ned, direction: Ned, distance: float) -> Ned:
-    return start[0] + direction[0] * distance, start[1] + direction[1] * distance, start[2] + direction[2] * distance
+    return (
+        start[0] + direction[0] * distance,
+        start[1] + direction[1] * distance,
+        start[2] + direction[2] * distance,
+    )

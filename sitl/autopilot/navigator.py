@@ -19,7 +19,9 @@ ACTIONS = {HOLD: (Mode.HOLD, "holding"), RETURN: (Mode.RETURN, "returning"), LAN
 
 
 class Navigator:
-    """The flight of a `Vehicle`: its path and what determines it. Times in s of simulation time, positions NED in m from home."""
+    """The flight of a `Vehicle`: its path and what determines it. Times in s of simulation time, positions
+    NED in m from home.
+    """
 
     def __init__(self, config: VehicleConfig) -> None:
         """Start at home at time 0, disarmed."""
@@ -51,7 +53,9 @@ class Navigator:
     # ---- the mission ----
 
     def load(self, t_s: float, steps: tuple[MissionStep, ...], number: int = 0, current: int = 0) -> None:
-        """Replace the mission; a vehicle that flies one begins the new one, or holds if it is empty. `number` is its checksum."""
+        """Replace the mission; a vehicle that flies one begins the new one, or holds if it is empty.
+        `number` is its checksum.
+        """
         self.catch_up(t_s)
         self.mission = FlightPlan(steps, number)
         self.mission.current = current
@@ -65,7 +69,11 @@ class Navigator:
         """Go on with another item of the mission, at once if it is being flown."""
         self.catch_up(t_s)
         if not 0 <= seq < len(self.mission.steps):
-            what = f"allowed is 0 to {len(self.mission.steps) - 1}" if self.mission.steps else "no mission on board"
+            what = (
+                f"allowed is 0 to {len(self.mission.steps) - 1}"
+                if self.mission.steps
+                else "no mission on board"
+            )
             return denied(f"Mission item {seq} refused: {what}")
         self.mission.set_current(seq)
         if self._mode is Mode.MISSION and self._armed:
@@ -74,7 +82,9 @@ class Navigator:
 
     @property
     def waiting(self) -> bool:
-        """True while the mission's current item waits for a time: the end of the wait is then one of the coming events."""
+        """True while the mission's current item waits for a time: the end of the wait is then one of the
+        coming events.
+        """
         return self._armed and self._settled and self._item_done_s() < math.inf
 
     @property
@@ -83,7 +93,9 @@ class Navigator:
         return self.mission.progress(self._mode is Mode.MISSION, self._armed)
 
     def _missing_mission(self) -> str:
-        """Why the mission cannot be flown, or nothing: the area or the fence may have changed since it was uploaded."""
+        """Why the mission cannot be flown, or nothing: the area or the fence may have changed since it was
+        uploaded.
+        """
         if not self.mission.steps:
             return "no mission on board"
         for seq, step in enumerate(self.mission.steps):
@@ -107,13 +119,17 @@ class Navigator:
             self._face(self._leg.step.yaw_rad)
 
     def _item_done_s(self) -> float:
-        """When the current item of the mission is done: after its flight, its turn and its wait; infinity if none is flown."""
+        """When the current item of the mission is done: after its flight, its turn and its wait; infinity
+        if none is flown.
+        """
         if self._mode is not Mode.MISSION or self._leg is None:
             return math.inf
         return max(self._path.end_s, self._turn.end_s) + self._leg.step.wait_s
 
     def _pass_item(self) -> None:
-        """Tell that the current item is done, and go on with the next. A return home is another mode's: nothing is reached, as in PX4."""
+        """Tell that the current item is done, and go on with the next. A return home is another mode's:
+        nothing is reached, as in PX4.
+        """
         assert self._leg is not None
         step, self._leg = self._leg.step, None
         if step.command != RETURN_ITEM:
@@ -131,14 +147,18 @@ class Navigator:
     # ---- the fence ----
 
     def _watch_fence(self, outside: bool = False) -> None:
-        """Find out when the path leaves the fence next. One that leads away from its edge, `outside`, has to come in first."""
+        """Find out when the path leaves the fence next. One that leads away from its edge, `outside`, has
+        to come in first.
+        """
         self._left_s = math.inf
         if self._armed and self.config.guards:
             outside = outside or not self.config.fence.allows(self._motion.position)
             self._left_s = self.config.fence.left_s(self._path, self._now, outside)
 
     def _breach(self) -> None:
-        """The path leaves the fence: do what GF_ACTION says. A vehicle that already returns or lands goes on with it, as in PX4."""
+        """The path leaves the fence: do what GF_ACTION says. A vehicle that already returns or lands goes
+        on with it, as in PX4.
+        """
         self._breaches = Breaches(True, self._breaches.times + 1, self._now)
         action = self.config.fence_action
         mode, doing = ACTIONS.get(action, (self._mode, ""))
@@ -146,7 +166,10 @@ class Navigator:
             doing = ""
         north, east, _ = self._motion.position
         does = "motors stopped" if action == TERMINATE else doing
-        self._say(mavlink.MAV_SEVERITY_CRITICAL, f"Fence breached at ({east:.2f}, {north:.2f}) m" + (does and f": {does}"))
+        self._say(
+            mavlink.MAV_SEVERITY_CRITICAL,
+            f"Fence breached at ({east:.2f}, {north:.2f}) m" + (does and f": {does}"),
+        )
         if action == TERMINATE:
             self._drop()
         elif doing:
@@ -211,7 +234,9 @@ class Navigator:
         path, limits = self._halted(), self.config.limits
         north, east, down = path.target
         down = min(down, -self.config.return_altitude_m)
-        self._fly(path.to((north, east, down), limits).to((*self.config.rally.nearest(path.target), down), limits))
+        self._fly(
+            path.to((north, east, down), limits).to((*self.config.rally.nearest(path.target), down), limits)
+        )
 
     def _descend(self) -> None:
         path = self._halted()

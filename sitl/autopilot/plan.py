@@ -25,40 +25,73 @@ ABOVE_SEA = {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
 ABOVE_HOME = {mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT}
 FRAMES = ABOVE_SEA | ABOVE_HOME | {mavlink.MAV_FRAME_MISSION}
 
-TAKEOFF, LAND, RETURN = mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_NAV_LAND, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH
-WAYPOINT, LOITER, LOITER_TIME = mavlink.MAV_CMD_NAV_WAYPOINT, mavlink.MAV_CMD_NAV_LOITER_UNLIM, mavlink.MAV_CMD_NAV_LOITER_TIME
+TAKEOFF, LAND, RETURN = (
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+    mavlink.MAV_CMD_NAV_LAND,
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
+)
+WAYPOINT, LOITER, LOITER_TIME = (
+    mavlink.MAV_CMD_NAV_WAYPOINT,
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM,
+    mavlink.MAV_CMD_NAV_LOITER_TIME,
+)
 DELAY, SPEED, JUMP = mavlink.MAV_CMD_NAV_DELAY, mavlink.MAV_CMD_DO_CHANGE_SPEED, mavlink.MAV_CMD_DO_JUMP
 FLOWN = {
     TAKEOFF: "climbs straight up, then flies to its position if it has one",
-    WAYPOINT: "flies there, turns to its yaw, waits the hold time; acceptance and pass radius are ignored: it comes to rest",
+    WAYPOINT: "flies there, turns to its yaw, waits the hold time; acceptance and pass radius are ignored: "
+    "it comes to rest",
     LOITER: "flies there and stays",
     LOITER_TIME: "flies there and stays the time of param 1",
     DELAY: "stays for the seconds of param 1",
     LAND: "flies above the place, then lands; without a position on the spot",
     RETURN: "RETURN, which ends the mission",
-    SPEED: f"sets the horizontal speed of the items that follow, up to {FASTEST_MPS:g} m/s; -1 keeps it, -2 restores it",
+    SPEED: f"sets the horizontal speed of the items that follow, up to {FASTEST_MPS:g} m/s; -1 keeps it, -2 "
+    "restores it",
     JUMP: f"goes on with item param 1, param 2 times, at most {MOST_JUMPS}",
 }
 """The items of a mission that are carried out, and how."""
 IGNORED = (
-    mavlink.MAV_CMD_DO_LAND_START, mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET,
-    mavlink.MAV_CMD_DO_SET_ROI_NONE, mavlink.MAV_CMD_DO_CONTROL_VIDEO, mavlink.MAV_CMD_DO_SET_ROI, mavlink.MAV_CMD_DO_DIGICAM_CONTROL,
-    mavlink.MAV_CMD_DO_MOUNT_CONFIGURE, mavlink.MAV_CMD_DO_MOUNT_CONTROL, mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST,
-    mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL, mavlink.MAV_CMD_SET_CAMERA_MODE, mavlink.MAV_CMD_SET_CAMERA_ZOOM,
-    mavlink.MAV_CMD_SET_CAMERA_FOCUS, mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE,
-    mavlink.MAV_CMD_IMAGE_START_CAPTURE, mavlink.MAV_CMD_IMAGE_STOP_CAPTURE, mavlink.MAV_CMD_DO_TRIGGER_CONTROL,
-    mavlink.MAV_CMD_VIDEO_START_CAPTURE, mavlink.MAV_CMD_VIDEO_STOP_CAPTURE,
-)  # fmt: skip
-"""Items for a camera or a gimbal, which stations put into plans: taken and passed over, as by a PX4 that has neither."""
+    mavlink.MAV_CMD_DO_LAND_START,
+    mavlink.MAV_CMD_DO_SET_ROI_LOCATION,
+    mavlink.MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET,
+    mavlink.MAV_CMD_DO_SET_ROI_NONE,
+    mavlink.MAV_CMD_DO_CONTROL_VIDEO,
+    mavlink.MAV_CMD_DO_SET_ROI,
+    mavlink.MAV_CMD_DO_DIGICAM_CONTROL,
+    mavlink.MAV_CMD_DO_MOUNT_CONFIGURE,
+    mavlink.MAV_CMD_DO_MOUNT_CONTROL,
+    mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST,
+    mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL,
+    mavlink.MAV_CMD_SET_CAMERA_MODE,
+    mavlink.MAV_CMD_SET_CAMERA_ZOOM,
+    mavlink.MAV_CMD_SET_CAMERA_FOCUS,
+    mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW,
+    mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE,
+    mavlink.MAV_CMD_IMAGE_START_CAPTURE,
+    mavlink.MAV_CMD_IMAGE_STOP_CAPTURE,
+    mavlink.MAV_CMD_DO_TRIGGER_CONTROL,
+    mavlink.MAV_CMD_VIDEO_START_CAPTURE,
+    mavlink.MAV_CMD_VIDEO_STOP_CAPTURE,
+)
+"""Items for a camera or a gimbal, which stations put into plans: taken and passed over, as by a PX4 that
+has neither.
+"""
 PLACED = {TAKEOFF, WAYPOINT, LOITER, LOITER_TIME, LAND}
 ANYWHERE = {TAKEOFF, LAND}
 """Items that may leave out their latitude and longitude."""
 INVALID_PARAM = (
-    mavlink.MAV_MISSION_INVALID_PARAM1, mavlink.MAV_MISSION_INVALID_PARAM2, mavlink.MAV_MISSION_INVALID_PARAM3,
-    mavlink.MAV_MISSION_INVALID_PARAM4, mavlink.MAV_MISSION_INVALID_PARAM5_X, mavlink.MAV_MISSION_INVALID_PARAM6_Y,
+    mavlink.MAV_MISSION_INVALID_PARAM1,
+    mavlink.MAV_MISSION_INVALID_PARAM2,
+    mavlink.MAV_MISSION_INVALID_PARAM3,
+    mavlink.MAV_MISSION_INVALID_PARAM4,
+    mavlink.MAV_MISSION_INVALID_PARAM5_X,
+    mavlink.MAV_MISSION_INVALID_PARAM6_Y,
     mavlink.MAV_MISSION_INVALID_PARAM7,
-)  # fmt: skip
-CORNER = {mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True, mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False}
+)
+CORNER = {
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
+}
 CIRCLE = {mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: True, mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: False}
 
 
@@ -88,7 +121,9 @@ class Item(NamedTuple):
     @property
     def packed(self) -> bytes:
         """The bytes that PX4 makes its checksum of."""
-        return struct.pack("<BHB4fiif", self.frame, self.command, self.autocontinue, *self.params, self.x, self.y, self.z)
+        return struct.pack(
+            "<BHB4fiif", self.frame, self.command, self.autocontinue, *self.params, self.x, self.y, self.z
+        )
 
 
 class MissionStep(NamedTuple):
@@ -141,8 +176,15 @@ def step(item: Item, count: int, config: VehicleConfig) -> MissionStep:
         raise BadItem(mavlink.MAV_MISSION_UNSUPPORTED_FRAME, f"frame {item.frame} is not supported")
     goes_on = bool(item.autocontinue)
     if command == SPEED:
-        _check(1, p1, p1 in (mavlink.SPEED_TYPE_AIRSPEED, mavlink.SPEED_TYPE_GROUNDSPEED), "0 or 1, a horizontal speed")
-        _check(2, p2, 0.0 < p2 <= FASTEST_MPS or p2 in (-1.0, -2.0), f"above 0 to {FASTEST_MPS:g} m/s, -1 or -2")
+        _check(
+            1,
+            p1,
+            p1 in (mavlink.SPEED_TYPE_AIRSPEED, mavlink.SPEED_TYPE_GROUNDSPEED),
+            "0 or 1, a horizontal speed",
+        )
+        _check(
+            2, p2, 0.0 < p2 <= FASTEST_MPS or p2 in (-1.0, -2.0), f"above 0 to {FASTEST_MPS:g} m/s, -1 or -2"
+        )
         return MissionStep(command, value=p2)
     if command == JUMP:
         _check(1, p1, p1 in range(count), f"0 to {count - 1}, an item")
@@ -153,7 +195,13 @@ def step(item: Item, count: int, config: VehicleConfig) -> MissionStep:
         return MissionStep(command, wait_s=p1, goes_on=goes_on)
     if command not in PLACED:
         return MissionStep(command, goes_on=goes_on)
-    wait_s = math.inf if command == LOITER else p1 if command in (WAYPOINT, LOITER_TIME) and not math.isnan(p1) else 0.0
+    wait_s = (
+        math.inf
+        if command == LOITER
+        else p1
+        if command in (WAYPOINT, LOITER_TIME) and not math.isnan(p1)
+        else 0.0
+    )
     _check(1, p1, wait_s >= 0.0 and (command == LOITER or wait_s < math.inf), "0 s and more")
     _check(4, p4, not math.isinf(p4), "a yaw in degrees, or NaN")
     yaw_rad = None if math.isnan(p4) else math.radians(p4)
@@ -181,30 +229,44 @@ def place(item: Item, config: VehicleConfig) -> Place:
     """Return (north, east) of an item; raises BadItem unless it has a latitude and a longitude."""
     for number, value, limit in ((5, item.x, 90), (6, item.y, 180)):
         if abs(value) > limit * 10_000_000:
-            raise BadItem(INVALID_PARAM[number - 1], f"param {number} is no {'latitude' if number == 5 else 'longitude'}")
+            raise BadItem(
+                INVALID_PARAM[number - 1],
+                f"param {number} is no {'latitude' if number == 5 else 'longitude'}",
+            )
     north, east = to_local(config.home_lat_deg, config.home_lon_deg, item.x / 1e7, item.y / 1e7)
     return snapped(north, config.area_m), snapped(east, config.area_m)
 
 
 def snapped(along_m: float, edge_m: float) -> float:
-    """Return the edge of the area if a coordinate is closer to it than latitudes and longitudes can tell: home lies on a corner."""
+    """Return the edge of the area if a coordinate is closer to it than latitudes and longitudes can tell:
+    home lies on a corner.
+    """
     nearest = 0.0 if along_m < edge_m / 2.0 else edge_m
     return nearest if abs(along_m - nearest) < GLOBAL_STEP_M else along_m
 
 
 def fence(items: tuple[Item, ...], number: int, config: VehicleConfig) -> Fence:
-    """Return the fence that items make; raises BadItem. The vertices of a polygon follow each other, each with their count."""
+    """Return the fence that items make; raises BadItem. The vertices of a polygon follow each other, each
+    with their count.
+    """
     shapes: list[Circle | Polygon] = []
     at = 0
     while at < len(items):
         item = items[at]
         size = int(item.params[0]) if item.command in CORNER else 1
         group = items[at : at + size]
-        if len(group) < size or any((other.command, other.params[0]) != (item.command, item.params[0]) for other in group):
-            raise BadItem(mavlink.MAV_MISSION_INVALID_PARAM1, f"Fence refused: item {at}: a polygon of {size} vertices is incomplete")
+        if len(group) < size or any(
+            (other.command, other.params[0]) != (item.command, item.params[0]) for other in group
+        ):
+            raise BadItem(
+                mavlink.MAV_MISSION_INVALID_PARAM1,
+                f"Fence refused: item {at}: a polygon of {size} vertices is incomplete",
+            )
         places = tuple(place(other, config) for other in group)
         shapes.append(
-            Polygon(CORNER[item.command], places) if item.command in CORNER else Circle(CIRCLE[item.command], places[0], item.params[0])
+            Polygon(CORNER[item.command], places)
+            if item.command in CORNER
+            else Circle(CIRCLE[item.command], places[0], item.params[0])
         )
         at += size
     return Fence(tuple(shapes), number)
@@ -251,7 +313,8 @@ class FlightPlan:
         self._speed_mps = self._speed_mps if seq else None
 
     def leg(self, t_s: float, at: Ned, grounded: bool, config: VehicleConfig) -> Leg | None:
-        """Carry out what needs no flight; return the leg of the first step that does, None at the end of the mission.
+        """Carry out what needs no flight; return the leg of the first step that does, None at the end of
+        the mission.
 
         at: where the vehicle is, or comes to rest; grounded: whether it stands on the ground.
         """
@@ -267,7 +330,9 @@ class FlightPlan:
                 self._jumps[self.current] = self._jumps.get(self.current, 0) + 1
                 self.current = now.jumps_to
             elif now.command == SPEED:
-                self._speed_mps = now.value if now.value > 0.0 else None if now.value == -2.0 else self._speed_mps
+                self._speed_mps = (
+                    now.value if now.value > 0.0 else None if now.value == -2.0 else self._speed_mps
+                )
                 self.current += 1
             elif now.command == JUMP or now.command in IGNORED:
                 self.current += 1
@@ -282,7 +347,9 @@ class FlightPlan:
         self.current, self.finished = len(self.steps) - 1, True
 
     def progress(self, active: bool, flying: bool) -> MissionProgress:
-        """Tell how far it is; `active` says whether the vehicle is in mission mode, `flying` whether it is also armed."""
+        """Tell how far it is; `active` says whether the vehicle is in mission mode, `flying` whether it is
+        also armed.
+        """
         if not self.steps:
             return MissionProgress(active=active)
         if self.finished:

@@ -25,7 +25,9 @@ class Breaches(NamedTuple):
 
 
 class State(NamedTuple):
-    """The vehicle at one instant. Vectors are NED from home, in m, m/s and m/s²; angles in rad, yaw clockwise from north."""
+    """The vehicle at one instant. Vectors are NED from home, in m, m/s and m/s²; angles in rad, yaw
+    clockwise from north.
+    """
 
     time_s: float
     position: Ned
@@ -47,7 +49,9 @@ class State(NamedTuple):
     target: Ned
     """Where the current path ends."""
     cruise: Ned | None = None
-    """The velocity that a companion asks for, within the limits; None on the way to a position or while it asks for an acceleration."""
+    """The velocity that a companion asks for, within the limits; None on the way to a position or while it
+    asks for an acceleration.
+    """
     mission: MissionProgress = MissionProgress()
     breaches: Breaches = Breaches()
 
@@ -86,7 +90,9 @@ class Arrived(NamedTuple):
     time_s: float
     position: Ned
     boot_ms: int | None = None
-    """A real autopilot's clock when it was at the position; None: the vehicle has no clock but that of the simulation."""
+    """A real autopilot's clock when it was at the position; None: the vehicle has no clock but that of the
+    simulation.
+    """
 
 
 class Said(NamedTuple):
@@ -108,7 +114,9 @@ class Reached(NamedTuple):
 
 
 class Led(NamedTuple):
-    """Someone else has changed the flight mode or the target of a real autopilot: a pilot, or the autopilot itself."""
+    """Someone else has changed the flight mode or the target of a real autopilot: a pilot, or the
+    autopilot itself.
+    """
 
     time_s: float
     mode: str

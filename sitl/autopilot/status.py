@@ -1,4 +1,6 @@
-"""Telemetry of the vehicle's status: mode, health, battery, home, version. Each message is built from one snapshot."""
+"""Telemetry of the vehicle's status: mode, health, battery, home, version. Each message is built from one
+snapshot.
+"""
 
 import math
 
@@ -14,9 +16,13 @@ UNKNOWN_U16 = 0xFFFF
 REACHED_S = 1.0
 """How long it is told that an item of the mission is done; PX4 tells it ten times, at 10 Hz."""
 FLIGHT_SW_VERSION = (1, 15, 0, mavlink.FIRMWARE_VERSION_TYPE_DEV)
-"""The PX4 release whose protocol the vehicle speaks: stations refuse or warn of older ones. "dev", for it is not a release of PX4."""
+"""The PX4 release whose protocol the vehicle speaks: stations refuse or warn of older ones. "dev", for it
+is not a release of PX4.
+"""
 OWN_NAME, OWN_VERSION = b"plume", (0, 1, 0)
-"""Who it really is. `flight_custom_version` has it: patch, minor, major, as PX4's vendors order them, and the name."""
+"""Who it really is. `flight_custom_version` has it: patch, minor, major, as PX4's vendors order them, and
+the name.
+"""
 
 
 def heartbeat(s: Snapshot) -> Message:
@@ -28,7 +34,12 @@ def heartbeat(s: Snapshot) -> Message:
         mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
         status = mavlink.MAV_STATE_CRITICAL if s.state.failsafe else mavlink.MAV_STATE_ACTIVE
     return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, mode, s.state.mode.custom_mode, status, mavlink_version=3
+        mavlink.MAV_TYPE_QUADROTOR,
+        mavlink.MAV_AUTOPILOT_PX4,
+        mode,
+        s.state.mode.custom_mode,
+        status,
+        mavlink_version=3,
     )
 
 
@@ -40,11 +51,15 @@ ALWAYS_HEALTHY = (
     | mavlink.MAV_SYS_STATUS_AHRS
     | mavlink.MAV_SYS_STATUS_GEOFENCE
 )
-"""Parts that the simulation models without faults. Parts that it does not model (barometer, receiver, logging) are not reported."""
+"""Parts that the simulation models without faults. Parts that it does not model (barometer, receiver,
+logging) are not reported.
+"""
 
 
 def sys_status(s: Snapshot) -> Message:
-    """SYS_STATUS (1): only simulated parts that work are reported healthy; PREARM_CHECK unless the battery is empty or it is falling."""
+    """SYS_STATUS (1): only simulated parts that work are reported healthy; PREARM_CHECK unless the battery
+    is empty or it is falling.
+    """
     simulated = ALWAYS_HEALTHY | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY | mavlink.MAV_SYS_STATUS_PREARM_CHECK
     healthy = ALWAYS_HEALTHY
     if s.state.battery > LOW_BATTERY:
@@ -69,12 +84,18 @@ def sys_status(s: Snapshot) -> Message:
 
 
 def battery_status(s: Snapshot) -> Message:
-    """BATTERY_STATUS (147): a battery that drains evenly while the motors are on; current is not simulated."""
+    """BATTERY_STATUS (147): a battery that drains evenly while the motors are on; current is not
+    simulated.
+    """
     left = s.state.battery
     if left <= 0.0:
         charge = mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL
     else:
-        charge = mavlink.MAV_BATTERY_CHARGE_STATE_OK if left > LOW_BATTERY else mavlink.MAV_BATTERY_CHARGE_STATE_LOW
+        charge = (
+            mavlink.MAV_BATTERY_CHARGE_STATE_OK
+            if left > LOW_BATTERY
+            else mavlink.MAV_BATTERY_CHARGE_STATE_LOW
+        )
     return mavlink.MAVLink_battery_status_message(
         id=0,
         battery_function=mavlink.MAV_BATTERY_FUNCTION_ALL,
@@ -85,7 +106,9 @@ def battery_status(s: Snapshot) -> Message:
         current_consumed=-1,
         energy_consumed=-1,
         battery_remaining=_percent(s),
-        time_remaining=round(left * s.config.endurance_s) if s.config.endurance_s < 0x7FFFFFFF else 0,  # 0: no estimate
+        time_remaining=round(left * s.config.endurance_s)
+        if s.config.endurance_s < 0x7FFFFFFF
+        else 0,  # 0: no estimate
         charge_state=charge,
     )
 
@@ -126,11 +149,15 @@ def system_time(s: Snapshot) -> Message:
 def current_mode(s: Snapshot) -> Message:
     """CURRENT_MODE (436): the flight mode by its standard and its PX4 number."""
     mode = s.state.mode
-    return CurrentMode(custom_mode=mode.custom_mode, intended_custom_mode=mode.custom_mode, standard_mode=mode.standard)
+    return CurrentMode(
+        custom_mode=mode.custom_mode, intended_custom_mode=mode.custom_mode, standard_mode=mode.standard
+    )
 
 
 def mission_current(s: Snapshot) -> Message:
-    """MISSION_CURRENT (42): the current item, how many there are, the mission's state, and the ids of mission, fence and rally points."""
+    """MISSION_CURRENT (42): the current item, how many there are, the mission's state, and the ids of
+    mission, fence and rally points.
+    """
     mission = s.state.mission
     return MissionCurrent(
         seq=mission.seq,
@@ -144,9 +171,13 @@ def mission_current(s: Snapshot) -> Message:
 
 
 def mission_item_reached(s: Snapshot) -> Message | None:
-    """MISSION_ITEM_REACHED (46): the item that was done within the last second; one datagram may be lost, ten hardly are."""
+    """MISSION_ITEM_REACHED (46): the item that was done within the last second; one datagram may be lost,
+    ten hardly are.
+    """
     seq, reached_s = s.state.mission.reached or (0, -math.inf)
-    return mavlink.MAVLink_mission_item_reached_message(seq) if s.state.time_s - reached_s <= REACHED_S else None
+    return (
+        mavlink.MAVLink_mission_item_reached_message(seq) if s.state.time_s - reached_s <= REACHED_S else None
+    )
 
 
 def fence_status(s: Snapshot) -> Message:
@@ -194,7 +225,11 @@ def autopilot_version(s: Snapshot) -> Message:
 
 def _home(s: Snapshot) -> tuple[int, int, int]:
     """Latitude and longitude in 1e-7 degrees, altitude above sea in mm."""
-    return round(s.config.home_lat_deg * 1e7), round(s.config.home_lon_deg * 1e7), round(s.config.home_alt_m * 1000.0)
+    return (
+        round(s.config.home_lat_deg * 1e7),
+        round(s.config.home_lon_deg * 1e7),
+        round(s.config.home_alt_m * 1000.0),
+    )
 
 
 def _voltage_mv(s: Snapshot) -> int:

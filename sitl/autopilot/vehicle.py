@@ -1,7 +1,9 @@
-"""The autopilot: a state machine in simulation time that flies, refuses commands and fails safe like a PX4 quadrotor.
+"""The autopilot: a state machine in simulation time that flies, refuses commands and fails safe like a PX4
+quadrotor.
 
-It is a deterministic function of its configuration, the commands with their times, and the time. `advance` handles each event at
-its exact, closed-form time: one jump and a thousand small steps give the same events and the same positions, bit for bit.
+It is a deterministic function of its configuration, the commands with their times, and the time. `advance`
+handles each event at its exact, closed-form time: one jump and a thousand small steps give the same events
+and the same positions, bit for bit.
 """
 
 import math
@@ -13,15 +15,26 @@ from sitl.autopilot.config import VehicleConfig, metres
 from sitl.autopilot.motion import Ned, Trajectory, as_float32, tilt
 from sitl.autopilot.navigator import Navigator
 from sitl.autopilot.setpoint import Companion, Setpoint, facing
-from sitl.autopilot.state import ACCEPTED, LOW_BATTERY, Arrived, Mode, Result, State, VehicleEvent, denied, not_now
+from sitl.autopilot.state import (
+    ACCEPTED,
+    LOW_BATTERY,
+    Arrived,
+    Mode,
+    Result,
+    State,
+    VehicleEvent,
+    denied,
+    not_now,
+)
 
 
 class Vehicle(Navigator):
     """One simulated multirotor with its autopilot.
 
-    Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`) takes the simulation time in s and first handles all
-    events due by then. Time that runs backwards raises ValueError. Programs call the commands directly; MAVLink clients reach them
-    through `sitl.protocol.protocol`. Positions are NED, in m from home.
+    Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`) takes the simulation time
+    in s and first handles all events due by then. Time that runs backwards raises ValueError. Programs
+    call the commands directly; MAVLink clients reach them through `sitl.protocol.protocol`. Positions are
+    NED, in m from home.
     """
 
     failure = ""
@@ -34,7 +47,9 @@ class Vehicle(Navigator):
         super().__init__(config)
         self.companion = Companion()
         """Who flies it in OFFBOARD, and the newest setpoint."""
-        self._alone_since_s = 0.0  # when OFFBOARD began to fly: a client's silence counts from here at the earliest
+        self._alone_since_s = (
+            0.0  # when OFFBOARD began to fly: a client's silence counts from here at the earliest
+        )
         self._climb_m, self._waits_since_s = 0.0, 0.0  # a take-off that waits for the motors
 
     # ---- time ----
@@ -46,7 +61,9 @@ class Vehicle(Navigator):
         return events
 
     def catch_up(self, t_s: float) -> None:
-        """Advance to a time; the next `advance` returns the events. Raises ValueError if the time runs backwards."""
+        """Advance to a time; the next `advance` returns the events. Raises ValueError if the time runs
+        backwards.
+        """
         if not t_s >= self._now:
             raise ValueError(f"time runs backwards: {t_s} s after {self._now} s")
         while upcoming := [(at, happen) for at, happen in self._upcoming() if at <= t_s]:
@@ -56,7 +73,9 @@ class Vehicle(Navigator):
         self._now = t_s
 
     def next_event_s(self) -> float | None:
-        """Time of the next event if no message comes (leg end, touchdown, setpoint timeout, battery); None if there is none."""
+        """Time of the next event if no message comes (leg end, touchdown, setpoint timeout, battery); None
+        if there is none.
+        """
         if self._events:
             return self._now
         return min((at for at, _ in self._upcoming() if at < math.inf), default=None)
@@ -131,13 +150,17 @@ class Vehicle(Navigator):
             battery=self._battery.charge(t_s, self.config.endurance_s),
             fit=not (self._battery.empty or self._falling),
             target=self._path.target,
-            cruise=self.companion.cruise(self.config) if self._armed and self._mode is Mode.OFFBOARD else None,
+            cruise=self.companion.cruise(self.config)
+            if self._armed and self._mode is Mode.OFFBOARD
+            else None,
             mission=self.progress,
             breaches=self._breaches._replace(outside=bool(self.config.fence_refusal(position))),
         )
 
     def _upcoming(self) -> list[tuple[float, Callable[[], None]]]:
-        """The coming events, each with its time and handler; of two at the same time, the first listed is handled first."""
+        """The coming events, each with its time and handler; of two at the same time, the first listed is
+        handled first.
+        """
         upcoming: list[tuple[float, Callable[[], None]]] = []
         if not self._settled:
             upcoming.append((self._path.end_s, self._settle))
@@ -146,7 +169,9 @@ class Vehicle(Navigator):
         if self._armed and self._settled:
             upcoming.append((self._item_done_s(), self._pass_item))
         if self._armed and self._mode is Mode.OFFBOARD:
-            upcoming.append((self.companion.lost_s(self._alone_since_s, self._path.end_s, self.config), self._lose_client))
+            upcoming.append(
+                (self.companion.lost_s(self._alone_since_s, self._path.end_s, self.config), self._lose_client)
+            )
         if not self._armed and self._mode is Mode.TAKEOFF:
             upcoming.append((self._waits_since_s + self.config.disarm_preflight_s, self._forget_take_off))
         if self._armed:
@@ -174,11 +199,16 @@ class Vehicle(Navigator):
 
     def _disarm_itself(self) -> None:
         if not self._has_flown:
-            self._say(mavlink.MAV_SEVERITY_INFO, f"Disarmed: no take-off for {self.config.disarm_preflight_s:g} s")
+            self._say(
+                mavlink.MAV_SEVERITY_INFO, f"Disarmed: no take-off for {self.config.disarm_preflight_s:g} s"
+            )
         self._stop_motors()
 
     def _forget_take_off(self) -> None:
-        self._say(mavlink.MAV_SEVERITY_INFO, f"Take-off given up: not armed for {self.config.disarm_preflight_s:g} s")
+        self._say(
+            mavlink.MAV_SEVERITY_INFO,
+            f"Take-off given up: not armed for {self.config.disarm_preflight_s:g} s",
+        )
         self._mode = Mode.HOLD
 
     def _lose_client(self) -> None:
@@ -209,13 +239,17 @@ class Vehicle(Navigator):
     # ---- commands: a refused command gives a reason and changes nothing ----
 
     def configure(self, t_s: float, config: VehicleConfig) -> None:
-        """Change the configuration. The leg under way goes on as it is; limits of motion act from the next leg on."""
+        """Change the configuration. The leg under way goes on as it is; limits of motion act from the next
+        leg on.
+        """
         self.catch_up(t_s)
         self.config = config
         self._watch_fence()
 
     def arm(self, t_s: float) -> Result:
-        """Arm: start the motors. A vehicle armed in OFFBOARD follows its setpoint, one armed in TAKEOFF takes off."""
+        """Arm: start the motors. A vehicle armed in OFFBOARD follows its setpoint, one armed in TAKEOFF
+        takes off.
+        """
         self.catch_up(t_s)
         if self._armed:
             return ACCEPTED
@@ -253,12 +287,16 @@ class Vehicle(Navigator):
     def take_off(self, t_s: float, altitude_m: float | None = None) -> Result:
         """Climb straight up to an altitude above home (default: `takeoff_altitude_m`), then hold.
 
-        A disarmed vehicle waits `disarm_preflight_s` to be armed, in mode TAKEOFF; then it takes off, or goes back to HOLD.
+        A disarmed vehicle waits `disarm_preflight_s` to be armed, in mode TAKEOFF; then it takes off, or
+        goes back to HOLD.
         """
         self.catch_up(t_s)
         altitude = self.config.takeoff_altitude_m if altitude_m is None else altitude_m
         if not 0.0 < altitude <= self.config.ceiling_m:
-            return denied(f"Take-off refused: altitude {metres(altitude)} m, allowed is above 0 and up to {self.config.ceiling_m:g} m")
+            return denied(
+                f"Take-off refused: altitude {metres(altitude)} m, allowed is above 0 and up to "
+                f"{self.config.ceiling_m:g} m"
+            )
         if self._mode is Mode.TAKEOFF and self._path.target[2] == -altitude:
             return ACCEPTED  # a client repeats the command if its acknowledgement was lost
         if self._falling or self._battery.empty:
@@ -289,7 +327,9 @@ class Vehicle(Navigator):
         return ACCEPTED
 
     def set_mode(self, t_s: float, mode: Mode) -> Result:
-        """Change the flight mode; OFFBOARD needs a setpoint that is at most `silence_s` old, or, if `stream_s` is finite, a stream."""
+        """Change the flight mode; OFFBOARD needs a setpoint that is at most `silence_s` old, or, if
+        `stream_s` is finite, a stream.
+        """
         self.catch_up(t_s)
         if mode is Mode.TAKEOFF:
             return self.take_off(t_s)
@@ -326,7 +366,9 @@ class Vehicle(Navigator):
         self._failsafe = False
         return ACCEPTED
 
-    def setpoint(self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, answers: bool = False) -> Result:
+    def setpoint(
+        self, t_s: float, wanted: Ned | Setpoint, yaw_rad: float | None = None, answers: bool = False
+    ) -> Result:
         """Take a waypoint or another setpoint: follow it in OFFBOARD, else remember it.
 
         answers: it answers a reading, so the vehicle arrives there even if it is there already.
@@ -367,7 +409,9 @@ class Vehicle(Navigator):
         self._turn = facing(self._turn, self._now, setpoint, self.config)
 
     def _steer_on(self) -> None:
-        """A velocity or an acceleration has come to rest: go on if it leads elsewhere, such as along the edge, else tell."""
+        """A velocity or an acceleration has come to rest: go on if it leads elsewhere, such as along the
+        edge, else tell.
+        """
         turn, on = self._turn, self.companion.goes_on(self._now, self._motion, self.config)
         if isinstance(on, Trajectory):
             self._fly(on)

@@ -1,5 +1,8 @@
-"""What a script does to processes and links: kills, restarts, cuts. Delays are real time: the speed-up does not apply to processes."""
+"""What a script does to processes and links: kills, restarts, cuts. Delays are real time: the speed-up
+does not apply to processes.
+"""
 
+import functools
 import heapq
 import itertools
 import time
@@ -22,7 +25,9 @@ class Disturbances:
         watchdog: Watchdog,
         say: Callable[[str], None],
     ) -> None:
-        """Take what can be disturbed, the watchdog that must not take it for a hang, and how to tell people."""
+        """Take what can be disturbed, the watchdog that must not take it for a hang, and how to tell
+        people.
+        """
         self._to_come = list(events)
         self._processes = processes
         self._relays = relays
@@ -39,12 +44,13 @@ class Disturbances:
                 case Kill(part=part, restart_after_s=delay_s):
                     self._watchdog.disturb(part)
                     self._processes.kill(part)
-                    self._mend_after(delay_s, lambda part=part: self._restart(part), f"{part} started again")  # type: ignore[misc]
+                    self._mend_after(delay_s, functools.partial(self._restart, part), f"{part} started again")
                     self._say(f"script: {part} killed at step {step}")
                 case Cut(part=part, for_s=delay_s):
                     self._watchdog.disturb(part)
                     self._relays[part].cut()
-                    self._mend_after(delay_s, lambda part=part: self._restore(part), f"link of {part} restored")  # type: ignore[misc]
+                    restored = f"link of {part} restored"
+                    self._mend_after(delay_s, functools.partial(self._restore, part), restored)
                     self._say(f"script: link of {part} cut at step {step} for {delay_s:g} s")
         self.mend()
 
@@ -73,4 +79,6 @@ class Disturbances:
 
 
 def _due(event: Kill | Cut, step: int, time_s: float) -> bool:
-    return step >= event.step if event.step is not None else event.time_s is not None and time_s >= event.time_s
+    return (
+        step >= event.step if event.step is not None else event.time_s is not None and time_s >= event.time_s
+    )

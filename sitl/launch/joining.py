@@ -1,4 +1,6 @@
-"""Missions whose router, estimator and agent run elsewhere: which scripts allow it, and waiting for the services."""
+"""Missions whose router, estimator and agent run elsewhere: which scripts allow it, and waiting for the
+services.
+"""
 
 import time
 from collections.abc import Callable, Collection
@@ -15,25 +17,35 @@ SAY_AFTER_S = 1.0
 
 
 def refusal(script: Script, given: Collection[str]) -> str | None:
-    """Return why a script cannot be flown with services that run elsewhere, or None. `given`: fields set by flags, such as agent.policy."""
+    """Return why a script cannot be flown with services that run elsewhere, or None. `given`: fields set
+    by flags, such as agent.policy.
+    """
     for part, usual in THEIRS.items():
         told = getattr(script, part)
-        changed = {f"{part}.{field}" for field in told.__struct_fields__ if getattr(told, field) != getattr(usual, field)}
+        changed = {
+            f"{part}.{field}"
+            for field in told.__struct_fields__
+            if getattr(told, field) != getattr(usual, field)
+        }
         # The launcher uses the budget too: it ends the mission.
-        for field in sorted((changed | {name for name in given if name.startswith(f"{part}.")}) - {"agent.budget"}):
+        for field in sorted(
+            (changed | {name for name in given if name.startswith(f"{part}.")}) - {"agent.budget"}
+        ):
             return f"--connect: {field} cannot be chosen: the {part} runs elsewhere, with its own flags"
     for number, event in enumerate(script.events):
         if isinstance(event, Kill | Cut | Waypoints | Lawnmower):
             tag = event.__struct_config__.tag
-            return f"--connect: events[{number}], {tag}, cannot happen: it needs parts that this command starts"
+            return (
+                f"--connect: events[{number}], {tag}, cannot happen: it needs parts that this command starts"
+            )
     return None
 
 
 def await_services(bus: Bus, namespace: str, say: Callable[[str], None], wait_s: float) -> str:
     """Wait until estimator and agent are there; returns the agent's policy.
 
-    `bus` has subscribed to HEALTH. Raises MissionFailed if one of them has already flown a mission or is not there after wait_s, or if
-    another vehicle is there.
+    `bus` has subscribed to HEALTH. Raises MissionFailed if one of them has already flown a mission or is
+    not there after wait_s, or if another vehicle is there.
     """
     if "uav" in bus.services():
         raise MissionFailed(f"another uav is already on {namespace}")
@@ -58,5 +70,7 @@ def await_services(bus: Bus, namespace: str, say: Callable[[str], None], wait_s:
                     health[said.service] = said
     for service in sorted(SEARCHERS):
         if health[service].step >= 0:
-            raise MissionFailed(f"the {service} has already flown a mission, to step {health[service].step}: restart it")
+            raise MissionFailed(
+                f"the {service} has already flown a mission, to step {health[service].step}: restart it"
+            )
     return health["agent"].about

@@ -45,7 +45,9 @@ LATE_STOP_S = 2.0
 SHOWN = re.compile("Script: |Check: ")
 """Lines that are shown whatever their level."""
 LAG_S = 5.0
-"""Real time that record and trace may lag behind the mission's end: who was cut off first receives what was missed."""
+"""Real time that record and trace may lag behind the mission's end: who was cut off first receives what
+was missed.
+"""
 
 
 class Flown(NamedTuple):
@@ -74,14 +76,18 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
     inbox = Inbox()
     with contextlib.ExitStack() as stack:
         starting = ["uav"] if mission.connect else ["router", "uav", "estimator", "agent"]
-        progress = stack.enter_context(Progress(mission.script.budget, ", ".join([*starting, *[PAYLOAD] * bool(mission.vehicle)])))
+        progress = stack.enter_context(
+            Progress(mission.script.budget, ", ".join([*starting, *[PAYLOAD] * bool(mission.vehicle)]))
+        )
         processes = stack.enter_context(Processes(inbox))
         if page:
             stack.callback(page.over, processes)
         relays: dict[str, Relay] = {}
 
         def join(endpoint: str) -> Bus:
-            bus = stack.enter_context(Bus("mission", endpoint, mission.namespace, inbox, announced=False, secure=mission.secure))
+            bus = stack.enter_context(
+                Bus("mission", endpoint, mission.namespace, inbox, announced=False, secure=mission.secure)
+            )
             bus.subscribe(READING, BELIEF, STOP, HEALTH)
             return bus
 
@@ -101,7 +107,13 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
             bus = join(endpoint)
         for relay in relays.values():
             stack.callback(relay.close)
-        parts = [ROUTER, "uav", *SEARCHERS, *[PAYLOAD] * bool(mission.vehicle), *[RECORDER] * bool(mission.record)]
+        parts = [
+            ROUTER,
+            "uav",
+            *SEARCHERS,
+            *[PAYLOAD] * bool(mission.vehicle),
+            *[RECORDER] * bool(mission.record),
+        ]
         watchdog = Watchdog(parts, mission.patience_s, time.monotonic(), progress.say, processes.tell_stacks)
         events = [event for event in mission.script.events if isinstance(event, Kill | Cut)]
         disturbances = Disturbances(events, processes, relays, watchdog, progress.say)
@@ -109,16 +121,24 @@ def fly(mission: Launch, files: RecordFiles | None = None, page: MissionPage | N
 
 
 def start_parts(
-    processes: Processes, mission: Launch, relays: dict[str, Relay], page: MissionPage | None = None, say: Callable[[str], None] = print
+    processes: Processes,
+    mission: Launch,
+    relays: dict[str, Relay],
+    page: MissionPage | None = None,
+    say: Callable[[str], None] = print,
 ) -> str:
-    """Start all parts that do not run elsewhere; returns the router's endpoint. Links that the script cuts get a relay.
+    """Start all parts that do not run elsewhere; returns the router's endpoint. Links that the script cuts
+    get a relay.
 
     Raises MissionFailed if the router or the recorder cannot start.
     """
     script = mission.script
     endpoint = mission.connect or processes.start_router(mission.listen, mission.secure)
     level = "debug" if mission.log_level == "debug" else "info"  # the launcher filters what it shows
-    relays |= {part: Relay(endpoint) for part in sorted({event.part for event in script.events if isinstance(event, Cut)})}
+    relays |= {
+        part: Relay(endpoint)
+        for part in sorted({event.part for event in script.events if isinstance(event, Cut)})
+    }
 
     secured = secure_words(mission.secure)
 
@@ -126,11 +146,19 @@ def start_parts(
         router = relays[part].endpoint if part in relays else endpoint
         return "--connect", router, "--namespace", mission.namespace, "--log-level", level, *secured
 
-    services = {} if mission.connect else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
+    services = (
+        {}
+        if mission.connect
+        else {"estimator": estimator_arguments(mission), "agent": agent_arguments(mission)}
+    )
     about = {
-        "namespace": mission.namespace, "mission": script, "seed": script.seed, "policy": script.agent.policy, "budget": script.budget,
+        "namespace": mission.namespace,
+        "mission": script,
+        "seed": script.seed,
+        "policy": script.agent.policy,
+        "budget": script.budget,
         "parts": services,
-    }  # fmt: skip
+    }
     if truth := mission.truth:
         about["scenario"] = truth
     if mission.vehicle:
@@ -138,7 +166,9 @@ def start_parts(
     about_json = msgspec.json.encode(about).decode()
     recording = None
     if mission.record:
-        recording = processes.start("recorder", "sitl", "record", str(mission.record), *joining("recorder"), "--about", about_json)
+        recording = processes.start(
+            "recorder", "sitl", "record", str(mission.record), *joining("recorder"), "--about", about_json
+        )
     if page:
         page.start(processes, ("--connect", endpoint, *secured), about_json)
     for service, words in services.items():
@@ -149,7 +179,15 @@ def start_parts(
         page.await_start(say)
     words = [*mission.uav_arguments, *joining("uav"), "-I", str(mission.instance)]
     if mission.vehicle:
-        processes.start(PAYLOAD, "sitl", "payload", "--payload", mission.payload, *mission.payload_arguments, *joining(PAYLOAD))
+        processes.start(
+            PAYLOAD,
+            "sitl",
+            "payload",
+            "--payload",
+            mission.payload,
+            *mission.payload_arguments,
+            *joining(PAYLOAD),
+        )
         processes.start("uav", "sitl", "uav", "--vehicle", mission.vehicle, *words).flies = True
     else:
         processes.start("uav", "sitl", "uav", *words)
@@ -160,10 +198,18 @@ class MissionWatch:
     """Watches one mission until its end."""
 
     def __init__(
-        self, mission: Launch, bus: Bus, progress: Progress, watchdog: Watchdog, disturbances: Disturbances, endpoint: str,
+        self,
+        mission: Launch,
+        bus: Bus,
+        progress: Progress,
+        watchdog: Watchdog,
+        disturbances: Disturbances,
+        endpoint: str,
         files: RecordFiles | None,
-    ) -> None:  # fmt: skip
-        """Take the mission, where it is heard and shown, what goes wrong on purpose, and the files of its record."""
+    ) -> None:
+        """Take the mission, where it is heard and shown, what goes wrong on purpose, and the files of its
+        record.
+        """
         self._mission = mission
         self._script = mission.script
         self._bus = bus
@@ -211,13 +257,17 @@ class MissionWatch:
         return self._flown(self._last)
 
     def _time_s(self, step: int) -> float:
-        """Return the time that a script's events count by, s: a reading's own, but a real vehicle's clock began before the mission."""
+        """Return the time that a script's events count by, s: a reading's own, but a real vehicle's clock
+        began before the mission.
+        """
         since_s = (time.monotonic() - self._began_at) * self._script.speedup
         return since_s if self._mission.vehicle else self._trace.time_s(step)
 
     @property
     def _over(self) -> bool:
-        """Whether the search is over and the last compute times, which follow the last belief, have arrived."""
+        """Whether the search is over and the last compute times, which follow the last belief, have
+        arrived.
+        """
         last, compute = self._last, self._compute
         if last is None or not self._ceased:
             return False
@@ -248,7 +298,11 @@ class MissionWatch:
         missing = sorted({*SEARCHERS, "uav", *[PAYLOAD] * bool(self._mission.vehicle)} - set(self._compute))
         if self._compiling and SEARCHERS & set(missing):
             return COMPILING
-        return f"waiting for {', '.join(missing)}" if missing or uav is None else "; ".join(uav.warnings) or "waiting for takeoff"
+        return (
+            f"waiting for {', '.join(missing)}"
+            if missing or uav is None
+            else "; ".join(uav.warnings) or "waiting for takeoff"
+        )
 
     def _take(self, item: Any) -> None:
         match item:
@@ -303,7 +357,9 @@ class MissionWatch:
 
     @property
     def _system(self) -> int:
-        """The vehicle's MAVLink system id, as its health tells it: a real autopilot has its own. 0: not known yet."""
+        """The vehicle's MAVLink system id, as its health tells it: a real autopilot has its own. 0: not
+        known yet.
+        """
         uav = self._compute.get("uav")
         return (uav.system if uav else 0) or self._mission.system or 0
 
@@ -315,7 +371,9 @@ class MissionWatch:
             if script.about:
                 self._progress.say(printable(script.about))
             where = "" if script.world == AS_MODELLED else f"world {script.world}, "
-            self._progress.say(f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}")
+            self._progress.say(
+                f"mission: seed {script.seed}, {script.agent.policy}, {where}{pace(script.speedup)}"
+            )
             self._progress.say(f"router at {self._endpoint}")
             if self._files and (trouble := self._files.take_place()):
                 self._progress.say(f"warning: {trouble}")
@@ -325,7 +383,9 @@ class MissionWatch:
         self._progress.show(belief, self._distance_m)
 
     def _await_landing(self, last: Belief) -> None:
-        """Wait until the vehicle has done what comes after the search. A stop sends it on its way; else it is told to, each second."""
+        """Wait until the vehicle has done what comes after the search. A stop sends it on its way; else it
+        is told to, each second.
+        """
         home, after = "returned home" in self._script.expectations, self._script.vehicle.after_stop
         if after == "hold":
             if not home and "landed" not in self._script.expectations:
@@ -355,7 +415,9 @@ class MissionWatch:
         if not self._mission.record:
             return
         deadline = time.monotonic() + LAG_S
-        while not self._record_ended and not ("recorder" in self._compute and self._compute["recorder"].step >= step):
+        while not self._record_ended and not (
+            "recorder" in self._compute and self._compute["recorder"].step >= step
+        ):
             if time.monotonic() >= deadline:
                 self._progress.say("warning: the record lacks the last readings: they came too late")
                 return
@@ -369,21 +431,34 @@ class MissionWatch:
 
     def _flown(self, last: Belief) -> Flown:
         script = self._script
-        points, lost = self._trace.points(), f"{self._trace.missing} of {last.step + 1} beliefs were not received"
+        points, lost = (
+            self._trace.points(),
+            f"{self._trace.missing} of {last.step + 1} beliefs were not received",
+        )
         if points is None:
             raise MissionFailed(f"{lost}: the trace has gaps")
         if self._trace.missing:
             self._progress.say(f"warning: {lost}: of these the trace has the readings")
         for number, event in enumerate(script.events):
             if event.step is not None and event.step > last.step:
-                self._progress.say(f"warning: events[{number}] of step {event.step} did not happen: the search ended at step {last.step}")
-        search_time_s = sum(self._compute[service].compute_s for service in ("estimator", "agent") if service in self._compute)
+                self._progress.say(
+                    f"warning: events[{number}] of step {event.step} did not happen: the search ended at "
+                    f"step {last.step}"
+                )
+        search_time_s = sum(
+            self._compute[service].compute_s for service in ("estimator", "agent") if service in self._compute
+        )
         said = last.ceased, search_time_s, last.assume, last.stop, script.world
         result = outcome(script.seed, script.agent.policy, self._mission.truth, points, *said)
         located = bool(result.located)
         so = {
-            "ceased": result.ceased, "not ceased": not result.ceased, "located": located, "not located": not located,
-            "false stop": result.ceased and not located, "warned": self._warned, "landed": self._landed,
+            "ceased": result.ceased,
+            "not ceased": not result.ceased,
+            "located": located,
+            "not located": not located,
+            "false stop": result.ceased and not located,
+            "warned": self._warned,
+            "landed": self._landed,
             "returned home": self._landed and math.hypot(*self._landed_at) < AT_HOME_M,
-        }  # fmt: skip
+        }
         return Flown(script, result, points, {expected: so[expected] for expected in script.expectations})

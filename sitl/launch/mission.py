@@ -61,25 +61,39 @@ class Launch(NamedTuple):
         return f"uav/{self.instance + 1}"
 
 
-def unfit_for_payload(script: Script, vehicle: str | None, payload: str, given: Collection[str]) -> str | None:
-    """Return why a script cannot be flown with a payload, or None. `given`: the names of the flags on the command line."""
+def unfit_for_payload(
+    script: Script, vehicle: str | None, payload: str, given: Collection[str]
+) -> str | None:
+    """Return why a script cannot be flown with a payload, or None. `given`: the names of the flags on the
+    command line.
+    """
     if vehicle is None:
-        return "--payload: only with --vehicle; the simulated vehicle has a sensor of its own" if "payload" in given else None
+        return (
+            "--payload: only with --vehicle; the simulated vehicle has a sensor of its own"
+            if "payload" in given
+            else None
+        )
     if payload == SIMULATED:
         return None
     real = f"--payload {payload}"
     if script.world != AS_MODELLED:
         return f"--world: {script.world!r} is not allowed with {real}: its plume is real"
     release = script.scenario
-    if drawn := [name for name in release.__struct_fields__ if name != "start" and getattr(release, name) is not None]:
-        return f"MISSION: scenario.{drawn[0]} is not allowed with {real}: its plume is real; what the estimator is told is in its own part"
+    if drawn := [
+        name for name in release.__struct_fields__ if name != "start" and getattr(release, name) is not None
+    ]:
+        return (
+            f"MISSION: scenario.{drawn[0]} is not allowed with {real}: its plume is real; what the "
+            "estimator is told is in its own part"
+        )
     if judged := sorted(TRUTH_NEEDED & {*script.expectations}):
         return f"MISSION: expect: {judged[0]!r} is not allowed with {real}: nobody knows where the source is"
     return None
 
 
 def estimator_arguments(mission: Launch) -> list[str]:
-    """Return the estimator's flags: what it is told and assumes, and a seed of its own. The mission's seed would reveal the source.
+    """Return the estimator's flags: what it is told and assumes, and a seed of its own. The mission's seed
+    would reveal the source.
 
     Of a real plume it is told what the script says, and takes its own defaults for the rest.
     """
@@ -87,12 +101,22 @@ def estimator_arguments(mission: Launch) -> list[str]:
     release = script.release() if mission.truth else None
     q, d, tau = (release.q, release.d, release.tau) if release else (None, None, None)
     flags = {
-        "--particles": told.particles, "--assume": told.assume, "--stop": told.criterion, "--sensor": script.sensor,
+        "--particles": told.particles,
+        "--assume": told.assume,
+        "--stop": told.criterion,
+        "--sensor": script.sensor,
         "--stop-on": told.stop_on,
-        "--rate": told.rate or q, "--diffusivity": told.diffusivity or d, "--lifetime": told.lifetime or tau,
-        "--seed": derived_seed(script.seed, "estimator"), "--sysid": mission.system,
-    }  # fmt: skip
-    priors = [word for name, prior in told.prior.items() for word in ("--prior", f"{name}={prior}" if prior else name)]
+        "--rate": told.rate or q,
+        "--diffusivity": told.diffusivity or d,
+        "--lifetime": told.lifetime or tau,
+        "--seed": derived_seed(script.seed, "estimator"),
+        "--sysid": mission.system,
+    }
+    priors = [
+        word
+        for name, prior in told.prior.items()
+        for word in ("--prior", f"{name}={prior}" if prior else name)
+    ]
     return [*_words(flags), *priors]
 
 
@@ -100,10 +124,14 @@ def agent_arguments(mission: Launch) -> list[str]:
     """Return the agent's flags."""
     script, agent = mission.script, mission.script.agent
     flags = {
-        "--policy": None if agent.policy == "none" else agent.policy, "--budget": script.budget, "--headings": agent.headings,
-        "--step": agent.step_m, "--measurements": agent.measurements, "--seed": derived_seed(script.seed, "agent"),
+        "--policy": None if agent.policy == "none" else agent.policy,
+        "--budget": script.budget,
+        "--headings": agent.headings,
+        "--step": agent.step_m,
+        "--measurements": agent.measurements,
+        "--seed": derived_seed(script.seed, "agent"),
         "--sysid": mission.system,
-    }  # fmt: skip
+    }
     scripted = script.scripted()
     starts = [step for step in scripted if step - 1 not in scripted]
     paths = [_path(scripted, step) for step in sorted(starts)]
@@ -113,7 +141,9 @@ def agent_arguments(mission: Launch) -> list[str]:
 def _path(scripted: Mapping[int, tuple[float, float]], start: int) -> str:
     """Format the waypoints from a step up to the first gap for the agent's --waypoints."""
     points = [scripted[step] for step in itertools.takewhile(scripted.__contains__, itertools.count(start))]
-    return f"{start}:" + ";".join(f"{x:.9g},{y:.9g}" for x, y in points)  # 9 digits tell one float32 from the next
+    return f"{start}:" + ";".join(
+        f"{x:.9g},{y:.9g}" for x, y in points
+    )  # 9 digits tell one float32 from the next
 
 
 def _words(flags: Mapping[str, Any]) -> list[str]:

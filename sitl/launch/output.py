@@ -13,7 +13,9 @@ class Lines:
         """The line that has begun."""
 
     def take(self, data: bytes) -> list[str]:
-        """Return the complete lines, without blank ones. Empty data means the end: an unfinished line is then complete."""
+        """Return the complete lines, without blank ones. Empty data means the end: an unfinished line is
+        then complete.
+        """
         *whole, begun = (self.begun + (data or b"\n")).split(b"\n")
         self.begun = begun[: LONGEST + 1]
         return [text for line in whole if (text := _text(line))]

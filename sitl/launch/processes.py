@@ -23,8 +23,8 @@ from link.interrupts import LAUNCHER, uninterrupted
 from sitl.launch.output import Lines
 
 STOP_TIMEOUT_S, RECORDER_STOP_TIMEOUT_S, FLYING_STOP_TIMEOUT_S = 1.0, 20.0, 10.0
-"""How long a part may take to end, and how much longer the recorder, which writes the end of the record at low priority, and a part
-that flies a real vehicle."""
+"""How long a part may take to end, and how much longer the recorder, which writes the end of the record at
+low priority, and a part that flies a real vehicle."""
 LAST = ("recorder", "router")
 """Ended after the others, in this order, so that the record holds their last words."""
 ROOT = Path(__file__).parents[2]
@@ -32,7 +32,9 @@ ROOT = Path(__file__).parents[2]
 ANSWERING = ("recorder", "router", "view")
 """Parts that print a first line on stdout for the launcher when they are ready."""
 START_WARN_S, START_LIMIT_S = 15.0, 300.0
-"""Time to a part's first message, until people are told and until it counts as hung: on a slow machine it may compile for minutes."""
+"""Time to a part's first message, until people are told and until it counts as hung: on a slow machine it
+may compile for minutes.
+"""
 LEFT_OPEN_S = 0.5
 """How long to read on after a part has ended: its own children may hold its stdout and stderr open."""
 CHUNK = 1 << 16
@@ -73,12 +75,16 @@ def raise_for(ended: Ended) -> NoReturn:
         raise KeyboardInterrupt  # an interrupted part ends the mission as Ctrl-C does
     if ended.status == BAD_INPUT:
         raise MissionFailed(ended.last_words.rpartition("error: ")[2], BAD_INPUT)
-    how = f"was killed by signal {-ended.status}" if ended.status < 0 else f"exited with status {ended.status}"
+    how = (
+        f"was killed by signal {-ended.status}" if ended.status < 0 else f"exited with status {ended.status}"
+    )
     raise MissionFailed(f"{ended.part} {how}; its last words: {ended.last_words}")
 
 
 def environment() -> dict[str, str]:
-    """Return the environment of a part: it finds our packages, and no file of the current folder that has their names."""
+    """Return the environment of a part: it finds our packages, and no file of the current folder that has
+    their names.
+    """
     found = {**os.environ, LAUNCHER: str(os.getpid()), "PYTHONSAFEPATH": "1"}
     if ROOT.name not in ("site-packages", "dist-packages"):  # in a checkout, which need not be installed
         found["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
@@ -91,7 +97,9 @@ def secure_words(secure: Path | None) -> tuple[str, ...]:
 
 
 class Child:
-    """One part as a process. It leads a process group: its children end with it, and a terminal's Ctrl-C reaches only the launcher."""
+    """One part as a process. It leads a process group: its children end with it, and a terminal's Ctrl-C
+    reaches only the launcher.
+    """
 
     def __init__(self, part: str, command: list[str], inbox: Inbox) -> None:
         """Start it. Its output and its end go into the inbox."""
@@ -99,21 +107,30 @@ class Child:
         self.killed = False
         """Whether its end is intended: then it is not reported."""
         self.flies = False
-        """Whether it flies a real vehicle: it then ends before all others, with the time to send it home, and is never suspended."""
+        """Whether it flies a real vehicle: it then ends before all others, with the time to send it home,
+        and is never suspended.
+        """
         self._inbox = inbox
         self._answer = Inbox()
         self._awaited = part in ANSWERING
         self._lines = inbox.lane(f"lines of the {part}")
         self._last_words = "no last words"
         self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0, process_group=0,
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            bufsize=0,
+            process_group=0,
             env=environment(),
-        )  # fmt: skip
+        )
         self._thread = threading.Thread(target=self._watch, name=part, daemon=True)
         self._thread.start()
 
     def readline(self) -> str:
-        """Wait for the answer of an ANSWERING part; empty if it ends without one. Raises MissionFailed if it hangs."""
+        """Wait for the answer of an ANSWERING part; empty if it ends without one. Raises MissionFailed if
+        it hangs.
+        """
         began, told = time.monotonic(), False
         while True:
             try:
@@ -121,7 +138,9 @@ class Child:
             except queue.Empty:
                 waited_s = time.monotonic() - began
             if waited_s >= START_LIMIT_S:
-                raise MissionFailed(f"the {self.part} has said nothing in {START_LIMIT_S:g} s since it was started")
+                raise MissionFailed(
+                    f"the {self.part} has said nothing in {START_LIMIT_S:g} s since it was started"
+                )
             if waited_s >= START_WARN_S and not told:
                 print(f"waiting for the {self.part} to start", file=sys.stderr)
                 told = True
@@ -131,7 +150,9 @@ class Child:
         self._process.send_signal(number)  # does nothing if it has ended
 
     def tell_stacks(self) -> None:
-        """Ask it, which hangs, to write where its threads are. They are shown at once; of one that is stopped once it continues."""
+        """Ask it, which hangs, to write where its threads are. They are shown at once; of one that is
+        stopped once it continues.
+        """
         ask_for_stacks(self._process.pid)
 
     def kill(self) -> None:
@@ -210,7 +231,9 @@ class Processes:
         return child
 
     def start_router(self, listen: str, secure: Path | None = None) -> str:
-        """Start a router; returns its endpoint, which a restart uses again. Raises MissionFailed if it cannot listen."""
+        """Start a router; returns its endpoint, which a restart uses again. Raises MissionFailed if it
+        cannot listen.
+        """
         words = ("sitl", "router", *secure_words(secure), "--listen")
         endpoint = self.answer(self.start("router", *words, listen))
         self._commands["router"] = (*words, endpoint)
@@ -274,7 +297,9 @@ class Processes:
             self._tell_what_the_recorder_lacks()
 
     def _tell_what_the_recorder_lacks(self) -> None:
-        """Tell what stopped the recording at the mission's end, when nobody reads the inbox any more: a full disk, for example."""
+        """Tell what stopped the recording at the mission's end, when nobody reads the inbox any more: a
+        full disk, for example.
+        """
         with contextlib.suppress(queue.Empty):
             while True:
                 item = self._inbox.get(timeout=0.0)
@@ -290,9 +315,16 @@ class Processes:
         for child in children:
             ended = child.wait(max(deadline - time.monotonic(), 0.0))
             if not ended and child.flies:
-                ended = _await_end(child, FLYING_STOP_TIMEOUT_S, "send the vehicle home", "its keeper has the vehicle")
+                ended = _await_end(
+                    child, FLYING_STOP_TIMEOUT_S, "send the vehicle home", "its keeper has the vehicle"
+                )
             elif not ended and child.part == "recorder":
-                ended = _await_end(child, RECORDER_STOP_TIMEOUT_S, "write the end of the record", "the record may lack its end")
+                ended = _await_end(
+                    child,
+                    RECORDER_STOP_TIMEOUT_S,
+                    "write the end of the record",
+                    "the record may lack its end",
+                )
             if not ended:
                 child.kill()
                 child.wait(STOP_TIMEOUT_S)

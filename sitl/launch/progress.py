@@ -27,7 +27,9 @@ class Progress:
         self._waiting_since = 0.0
         self._said = False
         self._console = Console(stderr=True, highlight=False)
-        self._live = Live(_line(f"starting {starting}"), console=self._console, refresh_per_second=10, transient=True)
+        self._live = Live(
+            _line(f"starting {starting}"), console=self._console, refresh_per_second=10, transient=True
+        )
 
     def __enter__(self) -> "Progress":
         """Begin to show."""
@@ -46,11 +48,16 @@ class Progress:
         self._console.print(broken(text, width), markup=False, soft_wrap=True)
 
     def wait(self, reason: str) -> None:
-        """Show what is waited for. Called again and again: without a live line it is printed once, if it lasts."""
+        """Show what is waited for. Called again and again: without a live line it is printed once, if it
+        lasts.
+        """
         if reason != self._reason:
             self._reason, self._waiting_since, self._said = reason, time.monotonic(), False
             self._live.update(_line(reason))
-        if not (self._said or self._console.is_terminal) and time.monotonic() - self._waiting_since >= SAY_AFTER_S:
+        if (
+            not (self._said or self._console.is_terminal)
+            and time.monotonic() - self._waiting_since >= SAY_AFTER_S
+        ):
             self._said = True
             self.say(reason)
 
@@ -58,9 +65,13 @@ class Progress:
         """Show how far the search is."""
         (x, y), (mean_x, mean_y) = belief.position, belief.mean
         fields = [
-            f"step {belief.step:3d}/{self._budget}", f"at ({x:5.2f}, {y:5.2f})", f"gas {belief.gas:6.2f}", f"spread {belief.spread:5.2f} m",
-            f"flown {distance_m:5.1f} m", f"estimate ({mean_x:5.2f}, {mean_y:5.2f})",
-        ]  # fmt: skip
+            f"step {belief.step:3d}/{self._budget}",
+            f"at ({x:5.2f}, {y:5.2f})",
+            f"gas {belief.gas:6.2f}",
+            f"spread {belief.spread:5.2f} m",
+            f"flown {distance_m:5.1f} m",
+            f"estimate ({mean_x:5.2f}, {mean_y:5.2f})",
+        ]
         if self._console.is_terminal:
             self._live.update(_line(fitting(fields, self._console.width)))
         elif belief.step % PLAIN_EVERY_STEPS == 0 or (belief.ceased and not self._ceased):

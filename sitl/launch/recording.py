@@ -19,7 +19,9 @@ class RecordFiles:
         """Whether the recorder has made the files."""
 
     def refusal(self, force: bool) -> str | None:
-        """Return why the files cannot be written, or None. With `force`, new files are first written beside older ones."""
+        """Return why the files cannot be written, or None. With `force`, new files are first written
+        beside older ones.
+        """
         wanted = both(self._wanted)
         if reason := cli.existing("--record", wanted, force):
             return reason
@@ -46,7 +48,9 @@ class RecordFiles:
         return ""
 
     def give_up(self, *, refused: bool) -> None:
-        """Clean up after a failed mission: delete the record if it was refused, or if older files are still in place."""
+        """Clean up after a failed mission: delete the record if it was refused, or if older files are
+        still in place.
+        """
         if self.made and (refused or self.path != self._wanted):
             for path in both(self.path):
                 path.unlink(missing_ok=True)

@@ -11,7 +11,8 @@ CHUNK = 1 << 16
 class Relay:
     """One part's link to the router, in its own thread.
 
-    While it is cut it forwards nothing and closes nothing, like a radio out of range: each side must notice by itself.
+    While it is cut it forwards nothing and closes nothing, like a radio out of range: each side must
+    notice by itself.
     """
 
     def __init__(self, router: str) -> None:

@@ -20,12 +20,14 @@ from link.bus.session import SIGNAL_POLL_S
 from link.bus.tally import Tally
 
 MORE_RECEIVERS = "(rx: (worker_threads: 8))"
-"""Zenoh's threads, read by the first session of a process. Each flood that waits for a full client holds a receiving one; by default there
-are two."""
+"""Zenoh's threads, read by the first session of a process. Each flood that waits for a full client holds a
+receiving one; by default there are two."""
 
 
 def _tell_stop(log: Log, sample: zenoh.Sample) -> None:
-    with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError):  # whoever it is for refuses and counts it
+    with contextlib.suppress(
+        msgspec.DecodeError, UnicodeDecodeError
+    ):  # whoever it is for refuses and counts it
         stop = msgspec.json.decode(sample.payload.to_bytes(), type=Stop)
         log.info(f"{str(sample.key_expr).removesuffix(f'/{STOP.name}')}: {stop_text(stop)}")
 
@@ -33,8 +35,8 @@ def _tell_stop(log: Log, sample: zenoh.Sample) -> None:
 def run(endpoint: str, secure: Path | None = None, connect: str | None = None) -> None:
     """Route until interrupted. Prints the endpoint on stdout; port 0 is replaced by the chosen port.
 
-    connect: the router of another site, whose parts then hear ours. With `secure`, the folder of its certificate, it says on stderr
-    who joins and what it refuses.
+    connect: the router of another site, whose parts then hear ours. With `secure`, the folder of its
+    certificate, it says on stderr who joins and what it refuses.
     """
     log = Log("router", "-", Tally())
     refusals = Refusals() if secure else None
@@ -45,7 +47,10 @@ def run(endpoint: str, secure: Path | None = None, connect: str | None = None) -
     with session:
         print(listening, flush=True)
         if not secure and endpoint_is_open(endpoint):
-            log.warning(f"{endpoint} is open to other machines: whoever reaches it can command the vehicle (--secure DIR admits by role)")
+            log.warning(
+                f"{endpoint} is open to other machines: whoever reaches it can command the vehicle (--secure "
+                "DIR admits by role)"
+            )
         crowds = Crowds(session)
         session.declare_subscriber(f"uav/*/{STOP.name}", lambda sample: _tell_stop(log, sample))
         while True:

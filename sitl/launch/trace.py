@@ -1,4 +1,6 @@
-"""The trace of a mission as the launcher hears it: a point of each belief, and of lost beliefs what their readings tell."""
+"""The trace of a mission as the launcher hears it: a point of each belief, and of lost beliefs what their
+readings tell.
+"""
 
 import math
 from bisect import bisect_left, bisect_right
@@ -22,13 +24,17 @@ class HeardTrace:
         self._points: dict[int, TracePoint] = {}
         self._times: dict[int, float] = {-1: -math.inf}
         self._near_ms: int | None = None
-        """The time of the newest belief, ms, which goes on where time_boot_ms wraps; before any, that of the first reading."""
+        """The time of the newest belief, ms, which goes on where time_boot_ms wraps; before any, that of
+        the first reading.
+        """
         self.kept: dict[int, tuple[tuple[float, float], float]] = {}
         """The readings whose beliefs are not all known, by time."""
         self._whole_to = -1
 
     def reading(self, payload: bytes, system: int | None) -> None:
-        """Take a reading of a system, or with None of any; one that cannot be read is left to the estimator, which refuses it."""
+        """Take a reading of a system, or with None of any; one that cannot be read is left to the
+        estimator, which refuses it.
+        """
         try:
             said = unpack_reading(payload, system)
         except BadFrame:
@@ -67,16 +73,23 @@ class HeardTrace:
     def points(self) -> list[TracePoint] | None:
         """Return the trace; None if it cannot be told.
 
-        Of a belief that has not come the position and gas are those of its reading, mean and spread are NaN. The readings between two
-        beliefs tell of those between if they are as many: the estimator may have refused some.
+        Of a belief that has not come the position and gas are those of its reading, mean and spread are
+        NaN.
+        The readings between two beliefs tell of those between if they are as many: the estimator may have
+        refused some.
         """
         trace: list[TracePoint] = []
         times = sorted(self.kept)
         for step in sorted(self._points):
             if lost := step - len(trace):
-                between = times[bisect_right(times, self._times[len(trace) - 1]) : bisect_left(times, self._times[step])]
+                between = times[
+                    bisect_right(times, self._times[len(trace) - 1]) : bisect_left(times, self._times[step])
+                ]
                 if len(between) != lost:
                     return None
-                trace += [TracePoint(*self.kept[time], mean=(math.nan, math.nan), spread=math.nan) for time in between]
+                trace += [
+                    TracePoint(*self.kept[time], mean=(math.nan, math.nan), spread=math.nan)
+                    for time in between
+                ]
             trace.append(self._points[step])
         return trace

@@ -1,4 +1,6 @@
-"""The page of a mission: a part that starts with the others, and stays for a while when the mission is over."""
+"""The page of a mission: a part that starts with the others, and stays for a while when the mission is
+over.
+"""
 
 import argparse
 import contextlib
@@ -17,20 +19,26 @@ LOOK_S = 0.2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `fly` that show its page."""
-    parser.add_argument("--view", action="store_true", help="show the mission on a page, which stays open until it is closed")
+    parser.add_argument(
+        "--view", action="store_true", help="show the mission on a page, which stays open until it is closed"
+    )
     parser.add_argument("--open", action="store_true", help="the same, and open it in a browser")
 
 
 def page_of(args: argparse.Namespace) -> "MissionPage":
     """Return the page that the flags ask for, if they do."""
-    return MissionPage(wanted=args.view or args.open, opened=args.open, attended=sys.stderr.isatty() and not args.json)
+    return MissionPage(
+        wanted=args.view or args.open, opened=args.open, attended=sys.stderr.isatty() and not args.json
+    )
 
 
 class MissionPage:
     """`plumeward view` beside a mission. The mission goes on without it."""
 
     def __init__(self, *, wanted: bool, opened: bool, attended: bool) -> None:
-        """Take whether to show it at all, whether to open it in a browser, and whether people wait at a terminal."""
+        """Take whether to show it at all, whether to open it in a browser, and whether people wait at a
+        terminal.
+        """
         self._wanted = wanted
         self._opened = opened
         self._attended = attended
@@ -54,7 +62,9 @@ class MissionPage:
             say(f"page at {self._address}")
 
     def over(self, processes: Processes) -> None:
-        """Tell it that the mission is over, and keep it from ending with the other parts. A page that was never served ends with them."""
+        """Tell it that the mission is over, and keep it from ending with the other parts. A page that was
+        never served ends with them.
+        """
         if self._child and self._address:
             processes.release(VIEW)
             self._child.signal(signal.SIGUSR1)

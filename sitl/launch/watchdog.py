@@ -1,4 +1,6 @@
-"""Notices which part of a mission has been silent for too long. It has no clock: callers pass the time, s, and who was heard."""
+"""Notices which part of a mission has been silent for too long. It has no clock: callers pass the time, s,
+and who was heard.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -6,10 +8,13 @@ from dataclasses import dataclass
 from sitl.launch.processes import START_LIMIT_S, START_WARN_S
 
 WARN_S = 5.0
-"""Each part publishes its health every second: one that is silent for this long hangs, or its link is cut."""
+"""Each part publishes its health every second: one that is silent for this long hangs, or its link is cut.
+"""
 PATIENCE_S = 30.0
 LOOK_S = 1.0
-"""How often to call `look`. A later call means that the launcher itself was held up: that time does not count as silence."""
+"""How often to call `look`. A later call means that the launcher itself was held up: that time does not
+count as silence.
+"""
 ROUTER, RECORDER = "router", "recorder"
 
 
@@ -30,10 +35,16 @@ class Watchdog:
     """When each part was last heard, and what its silence means."""
 
     def __init__(
-        self, parts: Iterable[str], patience_s: float, now_s: float, say: Callable[[str], None],
+        self,
+        parts: Iterable[str],
+        patience_s: float,
+        now_s: float,
+        say: Callable[[str], None],
         hangs: Callable[[str], None] = lambda _: None,
-    ) -> None:  # fmt: skip
-        """Take parts that have just been started, how long one may be silent, how to tell people, and what to do with one that hangs."""
+    ) -> None:
+        """Take parts that have just been started, how long one may be silent, how to tell people, and what
+        to do with one that hangs.
+        """
         self._parts = {part: _Watched(now_s) for part in parts}
         self._patience_s = patience_s
         self._looked_s = now_s
@@ -68,7 +79,9 @@ class Watchdog:
             known.since_s, known.told = now_s, False
 
     def look(self, now_s: float, connected: bool) -> str:
-        """Report silent parts; returns why the mission cannot go on, or an empty text. `connected`: the router is there."""
+        """Report silent parts; returns why the mission cannot go on, or an empty text. `connected`: the
+        router is there.
+        """
         held_up_s = max(now_s - self._looked_s - 2 * LOOK_S, 0.0)
         self._looked_s = now_s
         if connected:
@@ -78,12 +91,20 @@ class Watchdog:
             if known.disturbed or not (connected or part == ROUTER):
                 known.since_s = now_s  # it cannot be heard
             silent_s = now_s - known.since_s
-            warn_s, limit_s = (WARN_S, self._patience_s) if known.spoken else (START_WARN_S, max(START_LIMIT_S, self._patience_s))
+            warn_s, limit_s = (
+                (WARN_S, self._patience_s)
+                if known.spoken
+                else (START_WARN_S, max(START_LIMIT_S, self._patience_s))
+            )
             if silent_s >= limit_s and part != RECORDER:
                 self._hangs(part)
                 since = "" if known.spoken else " since it was started"
                 return f"the {part} has said nothing for {limit_s:g} s{since} (--patience S waits longer)"
             if silent_s >= warn_s and not known.told:
                 known.told = True
-                self._say(f"warning: the {part} has said nothing for {warn_s:g} s" if known.spoken else f"waiting for the {part} to start")
+                self._say(
+                    f"warning: the {part} has said nothing for {warn_s:g} s"
+                    if known.spoken
+                    else f"waiting for the {part} to start"
+                )
         return ""

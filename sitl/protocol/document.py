@@ -1,4 +1,6 @@
-"""The page of what the vehicle supports, refuses and lacks (`docs/mavlink.md`), made from the tables that the code runs by."""
+"""The page of what the vehicle supports, refuses and lacks (`docs/mavlink.md`), made from the tables that
+the code runs by.
+"""
 
 from collections.abc import Iterable, Sequence
 
@@ -229,18 +231,31 @@ def document() -> str:
     vehicle = Vehicle(VehicleConfig())
     services = MavlinkProtocol(vehicle).services.values()
     names = {number: entry.name for number, entry in mavlink.enums["MAV_CMD"].items()}
-    requested = [(LAYOUTS[number].kind, number, "on request", says.partition(": ")[2]) for number, says in REQUESTED.items()]
-    streams = [(LAYOUTS[row.message_id].kind, row.message_id, _rate(row.rate_hz), _says(row.build)) for row in STREAMS]
+    requested = [
+        (LAYOUTS[number].kind, number, "on request", says.partition(": ")[2])
+        for number, says in REQUESTED.items()
+    ]
+    streams = [
+        (LAYOUTS[row.message_id].kind, row.message_id, _rate(row.rate_hz), _says(row.build))
+        for row in STREAMS
+    ]
     values = Parameters(vehicle)
     return PAGE.format(
         example=EXAMPLE,
         tried=_table(("client", "version", "what"), TRIED),
         modes=_table(("mode", "PX4 main", "sub"), ((mode.name.capitalize(), *mode.value) for mode in Mode)),
-        commands=_table(("command", "number", "does"), ((f"{names[number]}", number, says) for number, says in COMMANDS.items())),
+        commands=_table(
+            ("command", "number", "does"),
+            ((f"{names[number]}", number, says) for number, says in COMMANDS.items()),
+        ),
         streams=_table(("message", "number", "rate", "says"), [*streams, *requested]),
         setpoints=_table(("message", "is"), setpoints.SAYS.items()),
-        answered=_table(("request", "answer"), ((row.request, row.says) for row in services if row.supported)),
-        refused=_table(("request", "answer"), ((row.request, row.says) for row in services if not row.supported)),
+        answered=_table(
+            ("request", "answer"), ((row.request, row.says) for row in services if row.supported)
+        ),
+        refused=_table(
+            ("request", "answer"), ((row.request, row.says) for row in services if not row.supported)
+        ),
         parameters=_table(
             ("parameter", "type", "default", "is", "may be set"),
             (
@@ -257,7 +272,9 @@ def document() -> str:
         limits=f"{MOST_ITEMS[0]}, {MOST_ITEMS[1]} and {MOST_ITEMS[2]}",
         retry=RETRY_S,
         action=ACTION_S,
-        items=_table(("item", "number", "does"), ((names[number], number, says) for number, says in FLOWN.items())),
+        items=_table(
+            ("item", "number", "does"), ((names[number], number, says) for number, says in FLOWN.items())
+        ),
         ignored=", ".join(names[number].removeprefix("MAV_CMD_") for number in sorted(IGNORED)),
         version=".".join(map(str, FLIGHT_SW_VERSION[:3])),
     )

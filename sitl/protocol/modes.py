@@ -8,7 +8,9 @@ MODES = tuple(Mode)
 
 
 def available_modes(index: int) -> list[Message]:
-    """Return AVAILABLE_MODES (435) of one mode, numbered from 1, or with 0 of all. Empty if there is no such mode."""
+    """Return AVAILABLE_MODES (435) of one mode, numbered from 1, or with 0 of all. Empty if there is no
+    such mode.
+    """
     return [
         AvailableModes(
             custom_mode=mode.custom_mode,

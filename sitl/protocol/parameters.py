@@ -1,4 +1,6 @@
-"""The service of parameters: names, types and meaning are PX4's. What is set lasts as long as the process runs."""
+"""The service of parameters: names, types and meaning are PX4's. What is set lasts as long as the process
+runs.
+"""
 
 import dataclasses
 import math
@@ -16,11 +18,15 @@ from sitl.protocol.service import Microservice, Reply, asker
 
 REAL, INT = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
 FORMS = {REAL: "<f", INT: "<i"}
-"""How a value lies in the four bytes of a message: PX4 packs integers bytewise, not as a number that is rounded to a float."""
+"""How a value lies in the four bytes of a message: PX4 packs integers bytewise, not as a number that is
+rounded to a float.
+"""
 NEVER = -1.0
 """PX4's value of a time that never comes; the vehicle's is infinite."""
 HASH = "_HASH_CHECK"
-"""PX4's pseudo-parameter: a checksum of all parameters. A station that holds them already need not read them."""
+"""PX4's pseudo-parameter: a checksum of all parameters. A station that holds them already need not read
+them.
+"""
 NO_INDEX = 0xFFFF
 
 
@@ -54,8 +60,12 @@ GF_ACTION = "on leaving the fence: 0 nothing, 1 warns, 2 holds, 3 returns, 4 mot
 PARAMETERS = tuple(
     sorted(
         (
-            _changed("MIS_TAKEOFF_ALT", "takeoff_altitude_m", 0.5, 80, "m", "altitude of a take-off above home"),
-            _changed("RTL_RETURN_ALT", "return_altitude_m", 0.5, 150, "m", "lowest altitude of a return above home"),
+            _changed(
+                "MIS_TAKEOFF_ALT", "takeoff_altitude_m", 0.5, 80, "m", "altitude of a take-off above home"
+            ),
+            _changed(
+                "RTL_RETURN_ALT", "return_altitude_m", 0.5, 150, "m", "lowest altitude of a return above home"
+            ),
             _changed("GF_MAX_VER_DIST", "ceiling_m", 1, 10_000, "m", "highest altitude above home"),
             Parameter("GF_MAX_HOR_DIST", REAL, "no circle around home is a fence", value=0),
             _changed("MPC_XY_CRUISE", "speed_mps", 0.5, 20, "m/s", "horizontal speed"),
@@ -72,7 +82,14 @@ PARAMETERS = tuple(
                 5,
             ),
             Parameter("RTL_TYPE", INT, "a return goes to the nearest of home and rally points", value=0),
-            _changed("COM_OF_LOSS_T", "silence_s", 0.5, 3600, "s", "time without a setpoint until OFFBOARD returns home"),
+            _changed(
+                "COM_OF_LOSS_T",
+                "silence_s",
+                0.5,
+                3600,
+                "s",
+                "time without a setpoint until OFFBOARD returns home",
+            ),
             Parameter("COM_OBL_RC_ACT", INT, "when OFFBOARD gets no setpoints: return home", value=3),
             Parameter("COM_LOW_BAT_ACT", INT, "at BAT_LOW_THR a warning, at BAT_CRIT_THR a landing", value=2),
             Parameter("BAT_LOW_THR", REAL, "charge at which the battery is low", value=LOW_BATTERY),
@@ -80,9 +97,21 @@ PARAMETERS = tuple(
             Parameter("EKF2_DRAG_CTRL", INT, "the wind is estimated: WIND_COV", value=1),
             Parameter("NAV_DLL_ACT", INT, "the loss of a ground station does nothing", value=0),
             Parameter("COM_RCL_EXCEPT", INT, "modes that fly on without RC: all", value=7),
-            _changed("COM_DISARM_LAND", "disarm_landed_s", NEVER, 20, "s", "time after a landing until the motors stop"),
             _changed(
-                "COM_DISARM_PRFLT", "disarm_preflight_s", NEVER, 60, "s", "time after arming without a take-off until the motors stop"
+                "COM_DISARM_LAND",
+                "disarm_landed_s",
+                NEVER,
+                20,
+                "s",
+                "time after a landing until the motors stop",
+            ),
+            _changed(
+                "COM_DISARM_PRFLT",
+                "disarm_preflight_s",
+                NEVER,
+                60,
+                "s",
+                "time after arming without a take-off until the motors stop",
             ),
             Parameter("MAV_SYS_ID", INT, "system id; set at start (`-I`)"),
             Parameter("SYS_AUTOSTART", INT, "airframe: generic quadcopter", value=4001),
@@ -96,7 +125,9 @@ PARAMETERS = tuple(
         )
     )
 )
-"""All parameters by name: the order of their indices. QGroundControl reads the fixed ones to see whether the vehicle is set up."""
+"""All parameters by name: the order of their indices. QGroundControl reads the fixed ones to see whether
+the vehicle is set up.
+"""
 INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 
 
@@ -110,8 +141,14 @@ class Parameters:
         self.services = (
             Microservice("PARAM_REQUEST_LIST", self._list, f"PARAM_VALUE of {HASH}, then of all parameters"),
             Microservice("PARAM_REQUEST_READ", self._read, f"PARAM_VALUE, by name or index; {HASH} by name"),
-            Microservice("PARAM_SET", self._set, "PARAM_VALUE; of a refused value the old one, and a STATUSTEXT with what is allowed"),
-            Microservice("PARAM_EXT_REQUEST_LIST", _no_extended, "PARAM_EXT_VALUE with a count of 0", supported=False),
+            Microservice(
+                "PARAM_SET",
+                self._set,
+                "PARAM_VALUE; of a refused value the old one, and a STATUSTEXT with what is allowed",
+            ),
+            Microservice(
+                "PARAM_EXT_REQUEST_LIST", _no_extended, "PARAM_EXT_VALUE with a count of 0", supported=False
+            ),
             Microservice("PARAM_EXT_REQUEST_READ", _extended_refused, extended, supported=False),
             Microservice("PARAM_EXT_SET", _extended_refused, extended, supported=False),
         )
@@ -125,7 +162,9 @@ class Parameters:
         return NEVER if parameter.low == NEVER and math.isinf(value) else value
 
     def hash(self) -> int:
-        """PX4's checksum of all names and values: CRC-32 that begins with 0 and is not inverted at its end."""
+        """PX4's checksum of all names and values: CRC-32 that begins with 0 and is not inverted at its
+        end.
+        """
         crc = 0
         for parameter in PARAMETERS:
             crc = crc32(parameter.name.encode(), crc)
@@ -144,7 +183,9 @@ class Parameters:
         return Reply([self._tell(PARAMETERS[index])])
 
     def _set(self, message: Message, t_s: float) -> Reply:
-        if message.param_id == HASH:  # the station holds all values already: there is nothing left to send, as in PX4
+        if (
+            message.param_id == HASH
+        ):  # the station holds all values already: there is nothing left to send, as in PX4
             return Reply([])
         if message.param_id not in INDEX:
             return _unknown(message, -1)
@@ -207,14 +248,24 @@ def crc32(data: bytes, crc: int) -> int:
 
 
 def _unknown(message: Message, index: int) -> Reply:
-    error = mavlink.MAVLink_param_error_message(*asker(message), message.param_id.encode(), index, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
+    error = mavlink.MAVLink_param_error_message(
+        *asker(message), message.param_id.encode(), index, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
+    )
     return Reply([error], f"No parameter {message.param_id if index < 0 else index}")
 
 
 def _no_extended(_message: Message, _: float) -> Reply:
-    return Reply([mavlink.MAVLink_param_ext_value_message(b"", b"", mavlink.MAV_PARAM_EXT_TYPE_REAL32, 0, NO_INDEX)])
+    return Reply(
+        [mavlink.MAVLink_param_ext_value_message(b"", b"", mavlink.MAV_PARAM_EXT_TYPE_REAL32, 0, NO_INDEX)]
+    )
 
 
 def _extended_refused(message: Message, _: float) -> Reply:
     kind = getattr(message, "param_type", mavlink.MAV_PARAM_EXT_TYPE_REAL32)
-    return Reply([mavlink.MAVLink_param_ext_ack_message(message.param_id.encode(), b"", kind, mavlink.PARAM_ACK_FAILED)])
+    return Reply(
+        [
+            mavlink.MAVLink_param_ext_ack_message(
+                message.param_id.encode(), b"", kind, mavlink.PARAM_ACK_FAILED
+            )
+        ]
+    )

@@ -1,4 +1,6 @@
-"""The autopilot's MAVLink protocol, compatible with PX4: commands and setpoints in; acknowledgements, messages, texts out."""
+"""The autopilot's MAVLink protocol, compatible with PX4: commands and setpoints in; acknowledgements,
+messages, texts out.
+"""
 
 import math
 import time
@@ -23,17 +25,22 @@ from sitl.protocol.service import Microservice
 
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 FORCE = 21196.0
-"""MAVLink's magic number: as param2 of MAV_CMD_COMPONENT_ARM_DISARM (400) it forces a disarm in the air."""
+"""MAVLink's magic number: as param2 of MAV_CMD_COMPONENT_ARM_DISARM (400) it forces a disarm in the air.
+"""
 COMMANDS = {
-    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: "arms and disarms; in the air only with param 2 = 21196, and the vehicle falls",
-    mavlink.MAV_CMD_NAV_TAKEOFF: "climbs to an altitude above sea, at least and with NaN to MIS_TAKEOFF_ALT; disarmed: once it is armed",
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: "arms and disarms; in the air only with param 2 = 21196, and the "
+    "vehicle falls",
+    mavlink.MAV_CMD_NAV_TAKEOFF: "climbs to an altitude above sea, at least and with NaN to MIS_TAKEOFF_ALT; "
+    "disarmed: once it is armed",
     mavlink.MAV_CMD_NAV_LAND: "lands on the spot",
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: "returns home and lands",
     mavlink.MAV_CMD_DO_SET_MODE: "changes to a mode by PX4's numbers",
-    mavlink.MAV_CMD_DO_CHANGE_SPEED: "sets MPC_XY_CRUISE (param 1 is 0 or 1), MPC_Z_VEL_MAX_UP (2) or MPC_Z_VEL_MAX_DN (3) to param 2",
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: "sets MPC_XY_CRUISE (param 1 is 0 or 1), MPC_Z_VEL_MAX_UP (2) or "
+    "MPC_Z_VEL_MAX_DN (3) to param 2",
     mavlink.MAV_CMD_DO_REPOSITION: "flies to a global position inside the area and holds there",
     mavlink.MAV_CMD_MISSION_START: "flies the mission from item param 1 on, -1: from the current one; arms",
-    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: "goes on with item param 1 of the mission; all its jumps count anew",
+    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: "goes on with item param 1 of the mission; all its jumps count "
+    "anew",
     mavlink.MAV_CMD_DO_PAUSE_CONTINUE: "param 1 = 0: holds; 1: goes on with the mission's current item",
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: "sets the rate of a stream of this link; HEARTBEAT stays on",
     mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: "MESSAGE_INTERVAL",
@@ -62,8 +69,10 @@ SPEEDS = {0.0: "MPC_XY_CRUISE", 1.0: "MPC_XY_CRUISE", 2.0: "MPC_Z_VEL_MAX_UP", 3
 UNCHANGED = -1.0
 """The speed that means: leave it as it is."""
 ASKED_OF_ALL = {
-    mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
-}  # fmt: skip
+    mavlink.MAV_CMD_REQUEST_MESSAGE,
+    mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION,
+    mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
+}
 """Commands that may be broadcast; PX4, too, obeys no other command that is sent to system 0."""
 
 BROADCAST = Result(mavlink.MAV_RESULT_FAILED, "Command refused: sent to all, wanted one vehicle")
@@ -94,17 +103,23 @@ class MavlinkProtocol(Words):
         self.services: dict[str, Microservice] = {
             service.request: service
             for services in (
-                self._parameters.services, clocks.SERVICES, self._missions.services, logs.SERVICES, files.SERVICES, refused.services(),
+                self._parameters.services,
+                clocks.SERVICES,
+                self._missions.services,
+                logs.SERVICES,
+                files.SERVICES,
+                refused.services(),
             )
             for service in services
-        }  # fmt: skip
+        }
         """By the type of message that each takes."""
 
     def receive(self, message: Message, t_s: float, streams: Telemetry | None = None) -> list[Message]:
-        """Handle one decoded message received at `t_s`; return the answers for the caller to send back over the same link.
+        """Handle one decoded message received at `t_s`; return the answers for the caller to send back
+        over the same link.
 
-        Messages to another system or component get no answer. `streams` is the telemetry of the link: requests for messages and
-        rates act on it; without it they are unsupported.
+        Messages to another system or component get no answer. `streams` is the telemetry of the link:
+        requests for messages and rates act on it; without it they are unsupported.
         """
         self._vehicle.catch_up(t_s)
         if not self.is_addressed(message):
@@ -117,7 +132,9 @@ class MavlinkProtocol(Words):
                 ack, *reason = self.answer(message, message.command, result)
                 return [ack, *answers, *reason]
             case "SET_MODE":
-                result = self._set_custom_mode(t_s, message.base_mode, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24)
+                result = self._set_custom_mode(
+                    t_s, message.base_mode, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24
+                )
                 return self.answer(message, mavlink.MAVLINK_MSG_ID_SET_MODE, result)
             case setpoints.LOCAL | setpoints.GLOBAL:
                 return self.refuse_setpoint(setpoints.take(self._vehicle, message, t_s), t_s)
@@ -133,20 +150,29 @@ class MavlinkProtocol(Words):
         return self._missions.next_s()
 
     def due(self, streams: Telemetry) -> list[Message]:
-        """Return what has to be sent again over a link, of the telemetry `streams`, because a client has not answered."""
+        """Return what has to be sent again over a link, of the telemetry `streams`, because a client has
+        not answered.
+        """
         reply = self._missions.due(streams)
         return [*reply.messages, *self.reason(denied(reply.reason))]
 
     def is_addressed(self, message: Message) -> bool:
-        """True unless a message is for another system or component, or comes from our own ids: PX4 ignores those, too."""
+        """True unless a message is for another system or component, or comes from our own ids: PX4 ignores
+        those, too.
+        """
         ours = self._vehicle.config.sysid, COMPONENT
         if (message.get_srcSystem(), message.get_srcComponent()) == ours:
             return False
-        return all(getattr(message, f"target_{name}", 0) in (0, own) for name, own in zip(("system", "component"), ours, strict=True))
+        return all(
+            getattr(message, f"target_{name}", 0) in (0, own)
+            for name, own in zip(("system", "component"), ours, strict=True)
+        )
 
     # ---- commands ----
 
-    def _command(self, command: int, p: Params, t_s: float, streams: Telemetry | None) -> tuple[Result, list[Message]]:
+    def _command(
+        self, command: int, p: Params, t_s: float, streams: Telemetry | None
+    ) -> tuple[Result, list[Message]]:
         for number, value in enumerate(p[: NUMBERED.get(command, 0)], start=1):
             if not math.isfinite(value):
                 return denied(f"Command {command} refused: param {number} is {value}"), []
@@ -162,7 +188,9 @@ class MavlinkProtocol(Words):
             case mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
                 return self._vehicle.set_mode(t_s, Mode.RETURN), []
             case mavlink.MAV_CMD_DO_SET_MODE:
-                return self._set_custom_mode(t_s, int(p.p1), int(p.p2), int(p.p3) if math.isfinite(p.p3) else 0), []
+                return self._set_custom_mode(
+                    t_s, int(p.p1), int(p.p2), int(p.p3) if math.isfinite(p.p3) else 0
+                ), []
             case mavlink.MAV_CMD_DO_CHANGE_SPEED:
                 return self._change_speed(p, t_s), []
             case mavlink.MAV_CMD_DO_REPOSITION:
@@ -201,7 +229,9 @@ class MavlinkProtocol(Words):
         return self._vehicle.set_mode(t_s, mode)
 
     def _take_off(self, p: Params, t_s: float) -> tuple[Result, list[Message]]:
-        """Take off. An altitude that is too low is raised with a word, as in PX4: stations type a height where it is above sea."""
+        """Take off. An altitude that is too low is raised with a word, as in PX4: stations type a height
+        where it is above sea.
+        """
         least_m = self._vehicle.config.takeoff_altitude_m
         altitude_m = self._above_home(p) if math.isfinite(p.alt_m) else least_m
         result = self._vehicle.take_off(t_s, max(altitude_m, least_m))
@@ -234,7 +264,9 @@ class MavlinkProtocol(Words):
         config = self._vehicle.config
         north, east, down = self._vehicle.state(t_s).position
         if math.isfinite(p.lat_deg) and math.isfinite(p.lon_deg):
-            north, east = setpoints.on_edge(to_local(config.home_lat_deg, config.home_lon_deg, p.lat_deg, p.lon_deg), config)
+            north, east = setpoints.on_edge(
+                to_local(config.home_lat_deg, config.home_lon_deg, p.lat_deg, p.lon_deg), config
+            )
         if math.isfinite(p.alt_m):
             down = -self._above_home(p)
         return self._vehicle.go_to(t_s, (north, east, down), p.p4 if math.isfinite(p.p4) else None)
@@ -245,8 +277,12 @@ class MavlinkProtocol(Words):
 
 def _params(m: Message) -> Params:
     if m.get_type() == "COMMAND_LONG":
-        return Params(m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7, mavlink.MAV_FRAME_GLOBAL)
-    lat, lon = (math.nan if degrees == 0x7FFFFFFF else degrees / 1e7 for degrees in (m.x, m.y))  # INT32_MAX: not given
+        return Params(
+            m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7, mavlink.MAV_FRAME_GLOBAL
+        )
+    lat, lon = (
+        math.nan if degrees == 0x7FFFFFFF else degrees / 1e7 for degrees in (m.x, m.y)
+    )  # INT32_MAX: not given
     return Params(m.param1, m.param2, m.param3, m.param4, lat, lon, m.z, m.frame)
 
 
@@ -258,7 +294,9 @@ REQUESTED = {
 """Messages that are sent on request and are no streams."""
 
 
-def _request(message_id: int, index: float, t_s: float, streams: Telemetry | None) -> tuple[Result, list[Message]]:
+def _request(
+    message_id: int, index: float, t_s: float, streams: Telemetry | None
+) -> tuple[Result, list[Message]]:
     """Build a message on request; `index` says which one where there are several."""
     if streams is None:
         return UNSUPPORTED, []
@@ -267,12 +305,20 @@ def _request(message_id: int, index: float, t_s: float, streams: Telemetry | Non
         case ProtocolVersion.id:
             nothing = [0] * 8
             messages = [
-                ProtocolVersion(version=200, min_version=100, max_version=200, spec_version_hash=nothing, library_version_hash=nothing)
+                ProtocolVersion(
+                    version=200,
+                    min_version=100,
+                    max_version=200,
+                    spec_version_hash=nothing,
+                    library_version_hash=nothing,
+                )
             ]
         case AvailableModes.id:
             messages = available_modes(number)
         case mavlink.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
-            messages = [mavlink.MAVLink_message_interval_message(number & 0xFFFF, streams.interval_us(number))]
+            messages = [
+                mavlink.MAVLink_message_interval_message(number & 0xFFFF, streams.interval_us(number))
+            ]
         case _:
             message = streams.build(message_id, t_s)
             messages = [] if message is None else [message]

@@ -1,4 +1,6 @@
-"""Messages that ask for what the vehicle does not do, and that have no acknowledgement of their own: refused in words."""
+"""Messages that ask for what the vehicle does not do, and that have no acknowledgement of their own:
+refused in words.
+"""
 
 from collections.abc import Callable
 
@@ -6,8 +8,10 @@ from link.bus.mavlink import Message
 from sitl.protocol.service import Microservice, Reply, asker
 
 REASONS = {
-    "SET_ATTITUDE_TARGET": "Attitude setpoint refused: only positions, velocities and accelerations are flown",
-    "SET_ACTUATOR_CONTROL_TARGET": "Actuator setpoint refused: only positions, velocities and accelerations are flown",
+    "SET_ATTITUDE_TARGET": "Attitude setpoint refused: only positions, velocities and accelerations are "
+    "flown",
+    "SET_ACTUATOR_CONTROL_TARGET": "Actuator setpoint refused: only positions, velocities and accelerations "
+    "are flown",
     "PARAM_MAP_RC": "Parameter map refused: there is no RC",
     "SERIAL_CONTROL": "Shell refused: there is none",
     "SET_GPS_GLOBAL_ORIGIN": "Origin refused: it is home, which is set at start",
@@ -44,9 +48,14 @@ def _told_once(reason: str) -> Callable[[Message, float], Reply]:
 def services() -> tuple[Microservice, ...]:
     """Return the services of one vehicle; it remembers whom it told what need not be told again."""
     return (
-        *(Microservice(kind, _refusal(kind, reason), f"a STATUSTEXT: {reason}", supported=False) for kind, reason in REASONS.items()),
         *(
-            Microservice(kind, _told_once(reason), f"a STATUSTEXT, once to each asker: {reason}", supported=False)
+            Microservice(kind, _refusal(kind, reason), f"a STATUSTEXT: {reason}", supported=False)
+            for kind, reason in REASONS.items()
+        ),
+        *(
+            Microservice(
+                kind, _told_once(reason), f"a STATUSTEXT, once to each asker: {reason}", supported=False
+            )
             for kind, reason in ONCE.items()
         ),
     )

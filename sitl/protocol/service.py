@@ -7,12 +7,16 @@ from link.bus.mavlink import Message
 
 
 class Reply(NamedTuple):
-    """The answer to a message: messages for its sender, and the reason if it was refused, for a STATUSTEXT (253)."""
+    """The answer to a message: messages for its sender, and the reason if it was refused, for a STATUSTEXT
+    (253).
+    """
 
     messages: list[Message]
     reason: str = ""
     kind: str = ""
-    """Kind of reason that is told at most once a second, since clients repeat such messages many times a second; empty: tell always."""
+    """Kind of reason that is told at most once a second, since clients repeat such messages many times a
+    second; empty: tell always.
+    """
 
 
 class Microservice(NamedTuple):

@@ -1,4 +1,5 @@
-"""The service of setpoints: SET_POSITION_TARGET_LOCAL_NED (84) and SET_POSITION_TARGET_GLOBAL_INT (86), read as PX4 1.15 does.
+"""The service of setpoints: SET_POSITION_TARGET_LOCAL_NED (84) and SET_POSITION_TARGET_GLOBAL_INT (86),
+read as PX4 1.15 does.
 
 They are never acknowledged. A refused one is reported by STATUSTEXT, an ignored one is not.
 """
@@ -28,15 +29,19 @@ FRAMES = {
     },
 }
 SAYS = {
-    LOCAL: "flown in OFFBOARD: a position, a velocity, a horizontal velocity at a height, or an acceleration, in LOCAL_NED or BODY_NED",
-    GLOBAL: "the same with a global position, its altitude above the sea, above home or above the ground, which is level",
+    LOCAL: "flown in OFFBOARD: a position, a velocity, a horizontal velocity at a height, or an "
+    "acceleration, in LOCAL_NED or BODY_NED",
+    GLOBAL: "the same with a global position, its altitude above the sea, above home or above the ground, "
+    "which is level",
 }
 """What becomes of each message, for the documentation."""
 
 ALL = 0b111
 """The bits of x, y and z, from the first on."""
 NOT_WHOLE = denied(
-    "Setpoint refused: wanted a position, a velocity, a velocity x, y with a position z, or an acceleration, each whole", "not whole"
+    "Setpoint refused: wanted a position, a velocity, a velocity x, y with a position z, or an acceleration, "
+    "each whole",
+    "not whole",
 )
 
 Parts = tuple[float | None, float | None, float | None]
@@ -52,20 +57,35 @@ def take(vehicle: Vehicle, message: Message, t_s: float) -> Result:
 
 
 def read(m: Message, config: VehicleConfig, yaw_rad: float) -> Setpoint | Result:
-    """Return the setpoint of a message, or why it is refused. Vectors in BODY_NED are turned by the vehicle's yaw."""
+    """Return the setpoint of a message, or why it is refused. Vectors in BODY_NED are turned by the
+    vehicle's yaw.
+    """
     frames = FRAMES[m.get_type()]
     if m.coordinate_frame not in frames:
         allowed = " or ".join(f"{name} ({number})" for number, name in frames.items())
         return denied(f"Setpoint refused: frame {m.coordinate_frame} is not {allowed}", "frame")
     position = _position(m, config)
-    velocity, acceleration = _parts(m, VELOCITY, (m.vx, m.vy, m.vz)), _parts(m, ACCELERATION, (m.afx, m.afy, m.afz))
+    velocity, acceleration = (
+        _parts(m, VELOCITY, (m.vx, m.vy, m.vz)),
+        _parts(m, ACCELERATION, (m.afx, m.afy, m.afz)),
+    )
     if m.type_mask & mavlink.POSITION_TARGET_TYPEMASK_FORCE_SET and acceleration != (None,) * 3:
         return denied("Setpoint refused: a force is not flown, only an acceleration", "force")
     if m.get_type() == LOCAL and m.coordinate_frame == mavlink.MAV_FRAME_BODY_NED:
-        position, velocity, acceleration = (None,) * 3, _turned(velocity, yaw_rad), _turned(acceleration, yaw_rad)
+        position, velocity, acceleration = (
+            (None,) * 3,
+            _turned(velocity, yaw_rad),
+            _turned(acceleration, yaw_rad),
+        )
     yaw = None if m.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_IGNORE or math.isnan(m.yaw) else m.yaw
-    rate = None if m.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE or math.isnan(m.yaw_rate) else m.yaw_rate
-    halves = [north for north, east, _ in (position, velocity, acceleration) if (north is None) != (east is None)]
+    rate = (
+        None
+        if m.type_mask & mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE or math.isnan(m.yaw_rate)
+        else m.yaw_rate
+    )
+    halves = [
+        north for north, east, _ in (position, velocity, acceleration) if (north is None) != (east is None)
+    ]
     if halves:
         return _not_whole(m, config)
     if whole := _whole(position):
@@ -75,7 +95,9 @@ def read(m: Message, config: VehicleConfig, yaw_rad: float) -> Setpoint | Result
         if down is None and (whole := _whole(velocity)):
             return Setpoint(velocity=whole, yaw_rad=yaw, yaw_rate_radps=rate)
         if down is not None and velocity[0] is not None and velocity[1] is not None:
-            return Setpoint(velocity=(velocity[0], velocity[1], 0.0), down_m=down, yaw_rad=yaw, yaw_rate_radps=rate)
+            return Setpoint(
+                velocity=(velocity[0], velocity[1], 0.0), down_m=down, yaw_rad=yaw, yaw_rate_radps=rate
+            )
         if down is None and velocity == (None,) * 3 and (whole := _whole(acceleration)):
             return Setpoint(acceleration=whole, yaw_rad=yaw, yaw_rate_radps=rate)
     return _not_whole(m, config)
@@ -91,17 +113,24 @@ def _not_whole(m: Message, config: VehicleConfig) -> Result:
 
 def _parts(m: Message, first_bit: int, values: tuple[float, float, float]) -> Parts:
     """The values that are not ignored: neither by the type mask nor, as in PX4, by being NaN."""
-    x, y, z = (None if m.type_mask >> (first_bit + n) & 1 or math.isnan(value) else value for n, value in enumerate(values))
+    x, y, z = (
+        None if m.type_mask >> (first_bit + n) & 1 or math.isnan(value) else value
+        for n, value in enumerate(values)
+    )
     return x, y, z
 
 
 def _position(m: Message, config: VehicleConfig) -> Parts:
     if m.get_type() == LOCAL:
         return _parts(m, POSITION, (m.x, m.y, m.z))
-    north, east = on_edge(to_local(config.home_lat_deg, config.home_lon_deg, m.lat_int / 1e7, m.lon_int / 1e7), config)
+    north, east = on_edge(
+        to_local(config.home_lat_deg, config.home_lon_deg, m.lat_int / 1e7, m.lon_int / 1e7), config
+    )
     above_sea = m.coordinate_frame == mavlink.MAV_FRAME_GLOBAL_INT
     given = _parts(m, POSITION, (north, east, (config.home_alt_m if above_sea else 0.0) - m.alt))
-    return given if None not in given else (None, None, None)  # PX4 takes a global position whole, or not at all
+    return (
+        given if None not in given else (None, None, None)
+    )  # PX4 takes a global position whole, or not at all
 
 
 def on_edge(place: tuple[float, float], config: VehicleConfig) -> tuple[float, float]:
@@ -114,7 +143,9 @@ def on_edge(place: tuple[float, float], config: VehicleConfig) -> tuple[float, f
 
 
 def _turned(parts: Parts, yaw_rad: float) -> Parts:
-    """A vector in the body's axes, forward, right, down, as NED. As in PX4, one of which a part is ignored is ignored."""
+    """A vector in the body's axes, forward, right, down, as NED. As in PX4, one of which a part is ignored
+    is ignored.
+    """
     whole = _whole(parts)
     if whole is None:
         return (None,) * 3

@@ -1,1 +1,3 @@
-"""Mission scripts: what is flown, which faults occur, and which outcome is expected. Imports: plume, link, sitl.autopilot."""
+"""Mission scripts: what is flown, which faults occur, and which outcome is expected. Imports: plume, link,
+sitl.autopilot.
+"""

@@ -26,14 +26,18 @@ Seconds = Annotated[float, Meta(ge=0)]
 Coordinate = Annotated[float, Meta(ge=0, le=AREA_M)]
 Point = tuple[Coordinate, Coordinate]
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
-StepNumber = Annotated[int, Meta(ge=0, description="a whole number from 0: number of the reading, 0 at the start")]
+StepNumber = Annotated[
+    int, Meta(ge=0, description="a whole number from 0: number of the reading, 0 at the start")
+]
 TimeS = Annotated[float, Meta(ge=0, description="a number from 0: simulation time, s")]
 Radians = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
 MOST_WAYPOINTS = 1000
 """The agent receives them in one command-line argument, which the system limits to 128 kB."""
 
 
-class ScriptEvent(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="do", omit_defaults=True):
+class ScriptEvent(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="do", omit_defaults=True
+):
     """An event that happens at a reading (`step`) or at a simulation time (`time_s`)."""
 
     step: StepNumber | None = None
@@ -68,7 +72,12 @@ class Spike(ScriptEvent, frozen=True, tag="spike"):
     """A number is added to the sensor's readings."""
 
     gas: Annotated[
-        float, Meta(ge=-MOST, le=MOST, description=f"a number up to ±{MOST:g} that is added to the reading, in the sensor's unit")
+        float,
+        Meta(
+            ge=-MOST,
+            le=MOST,
+            description=f"a number up to ±{MOST:g} that is added to the reading, in the sensor's unit",
+        ),
     ]
     readings: Count = 1
 
@@ -106,7 +115,9 @@ class Resume(ScriptEvent, frozen=True, tag="resume"):
     def __post_init__(self) -> None:
         """Require exactly one of time_s and after_s."""
         if self.step is not None or (self.time_s is None) == (self.after_s is None):
-            raise ValueError("wanted exactly one of time_s and after_s, and no step: a vehicle that holds takes no steps")
+            raise ValueError(
+                "wanted exactly one of time_s and after_s, and no step: a vehicle that holds takes no steps"
+            )
 
 
 class Return(ScriptEvent, frozen=True, tag="return"):
@@ -128,16 +139,27 @@ class Waypoints(ScriptEvent, frozen=True, tag="waypoints"):
 
 
 class Lawnmower(ScriptEvent, frozen=True, tag="lawnmower"):
-    """Waypoints that replace the agent's: rows west to east and back, from the south to the north edge of a rectangle."""
+    """Waypoints that replace the agent's: rows west to east and back, from the south to the north edge of
+    a rectangle.
+    """
 
     low: Point = (0.0, 0.0)
     high: Point = (AREA_M, AREA_M)
-    spacing_m: Annotated[float, Meta(ge=0.1, description="a number from 0.1: distance between two rows, m")] = 5.0
-    step_m: Annotated[float, Meta(ge=0.1, description="a number from 0.1: distance between two readings, m")] = STEP_M
+    spacing_m: Annotated[
+        float, Meta(ge=0.1, description="a number from 0.1: distance between two rows, m")
+    ] = 5.0
+    step_m: Annotated[
+        float, Meta(ge=0.1, description="a number from 0.1: distance between two readings, m")
+    ] = STEP_M
 
     def path(self) -> list[Point]:
-        """Return the waypoints, (x, y) in m; rows end on the rectangle's edges, and the last row lies on its north edge."""
-        xs, ys = (_steps(low, high, step) for low, high, step in zip(self.low, self.high, (self.step_m, self.spacing_m), strict=True))
+        """Return the waypoints, (x, y) in m; rows end on the rectangle's edges, and the last row lies on
+        its north edge.
+        """
+        xs, ys = (
+            _steps(low, high, step)
+            for low, high, step in zip(self.low, self.high, (self.step_m, self.spacing_m), strict=True)
+        )
         return [(x, y) for row, y in enumerate(ys) for x in (xs if row % 2 == 0 else xs[::-1])]
 
 

@@ -27,20 +27,27 @@ class Mistake(NamedTuple):
 
 
 def find(value: Any, kind: type, infinite: Collection[str] = ()) -> list[Mistake]:
-    """Return the mistakes in a value for a struct of this kind; empty if there are none, or none that its JSON schema can express.
+    """Return the mistakes in a value for a struct of this kind; empty if there are none, or none that its
+    JSON schema can express.
 
     Numbers must be finite, except in the fields that `infinite` names.
     """
     schema = msgspec.json.schema(kind)
     words = _Words(schema["$defs"])
-    errors = [error for error in _validator(schema, words).iter_errors(value) if not _may_be_infinite(error, infinite)]
+    errors = [
+        error
+        for error in _validator(schema, words).iter_errors(value)
+        if not _may_be_infinite(error, infinite)
+    ]
     found = [mistake for error in errors for mistake in _mistakes(error, words)]
     return found or [*islice(_own_checks(value, inspect.type_info(kind), []), 1)]
 
 
 def dotted(fields: Fields) -> str:
     """Write the path to a field: events[2].gas."""
-    return "".join(f"[{field}]" if isinstance(field, int) else f".{shown(field)}" for field in fields).lstrip(".")
+    return "".join(f"[{field}]" if isinstance(field, int) else f".{shown(field)}" for field in fields).lstrip(
+        "."
+    )
 
 
 def shown(name: str) -> str:
@@ -74,7 +81,9 @@ def _validator(schema: dict[str, Any], words: "_Words") -> "Validator":
         if not any(value == one and type(value) is type(one) for one in allowed):  # 8.0 is not 8
             yield jsonschema.ValidationError("not one of them")
 
-    def any_of(validator: "Validator", several: list[Any], value: Any, schema: dict[str, Any]) -> Iterator[jsonschema.ValidationError]:
+    def any_of(
+        validator: "Validator", several: list[Any], value: Any, schema: dict[str, Any]
+    ) -> Iterator[jsonschema.ValidationError]:
         meant = words.meant(schema, value)
         if meant is not None:  # report the errors of the intended alternative only
             yield from validator.descend(value, several[meant], schema_path=meant)
@@ -83,7 +92,9 @@ def _validator(schema: dict[str, Any], words: "_Words") -> "Validator":
 
     base = jsonschema.Draft202012Validator
     types = base.TYPE_CHECKER.redefine_many({"number": is_number, "integer": is_whole})
-    strict: Validator = jsonschema.validators.extend(base, {"enum": one_of, "anyOf": any_of}, type_checker=types)(schema)
+    strict: Validator = jsonschema.validators.extend(
+        base, {"enum": one_of, "anyOf": any_of}, type_checker=types
+    )(schema)
     return strict
 
 
@@ -91,7 +102,11 @@ def _validator(schema: dict[str, Any], words: "_Words") -> "Validator":
 
 
 def _may_be_infinite(error: "jsonschema.ValidationError", infinite: Collection[str]) -> bool:
-    return error.validator == "type" and error.instance == math.inf and dotted([*error.absolute_path]) in infinite
+    return (
+        error.validator == "type"
+        and error.instance == math.inf
+        and dotted([*error.absolute_path]) in infinite
+    )
 
 
 def _mistakes(error: "jsonschema.ValidationError", words: "_Words") -> Iterator[Mistake]:
@@ -107,11 +122,17 @@ def _mistakes(error: "jsonschema.ValidationError", words: "_Words") -> Iterator[
         case "additionalProperties":
             for name in value:
                 if name not in schema["properties"]:
-                    yield Mistake([*fields, name], f"unknown field; allowed: {', '.join(schema['properties'])}")
+                    yield Mistake(
+                        [*fields, name], f"unknown field; allowed: {', '.join(schema['properties'])}"
+                    )
         case "required":
             for name in schema["required"]:
                 if name not in value:
-                    yield Mistake(fields, f"{name} is missing; wanted {words.wanted(schema['properties'][name])}", missing=True)
+                    yield Mistake(
+                        fields,
+                        f"{name} is missing; wanted {words.wanted(schema['properties'][name])}",
+                        missing=True,
+                    )
         case _:
             yield Mistake(fields, f"{found} is not allowed; wanted {words.wanted(schema)}")
 
@@ -123,7 +144,11 @@ def _own_checks(value: Any, kind: inspect.Type, fields: Fields) -> Iterator[Mist
             yield from _own_checks(value, kind.type, fields)
         case inspect.UnionType():
             for one in kind.types:
-                if not isinstance(one, inspect.StructType) or one.tag_field is None or value.get(one.tag_field) == one.tag:
+                if (
+                    not isinstance(one, inspect.StructType)
+                    or one.tag_field is None
+                    or value.get(one.tag_field) == one.tag
+                ):
                     yield from _own_checks(value, one, fields)
         case inspect.ListType() if isinstance(value, list):
             for number, item in enumerate(value):
@@ -148,11 +173,17 @@ class _Words:
     def wanted(self, schema: dict[str, Any]) -> str:
         """Describe what a field may be: its own description, or a list of its fields, items or choices."""
         schema = self._resolved(schema)
-        listed = schema.get("type") in ("object", "array") or "enum" in schema or any("enum" in one for one in schema.get("anyOf", []))
+        listed = (
+            schema.get("type") in ("object", "array")
+            or "enum" in schema
+            or any("enum" in one for one in schema.get("anyOf", []))
+        )
         return self._words(schema) if listed else schema.get("description") or self._words(schema)
 
     def meant(self, schema: dict[str, Any], value: Any) -> int | None:
-        """Return the index of the alternative that is meant: by the tag of an object, else by whether the value is a list or an object."""
+        """Return the index of the alternative that is meant: by the tag of an object, else by whether the
+        value is a list or an object.
+        """
         if "discriminator" in schema:
             tag = value.get(schema["discriminator"]["propertyName"]) if isinstance(value, dict) else None
             reference = schema["discriminator"]["mapping"].get(tag) if isinstance(tag, str) else None
@@ -160,7 +191,10 @@ class _Words:
         if not isinstance(value, list | dict):
             return None
         kind = "array" if isinstance(value, list) else "object"
-        return next((number for number, one in enumerate(schema["anyOf"]) if self._resolved(one).get("type") == kind), None)
+        return next(
+            (number for number, one in enumerate(schema["anyOf"]) if self._resolved(one).get("type") == kind),
+            None,
+        )
 
     def kinds(self, schema: dict[str, Any]) -> dict[str, Any]:
         """Return the schema of the tag that tells several kinds of object apart."""
@@ -176,14 +210,21 @@ class _Words:
         if "discriminator" in schema:
             return f"fields with {schema['discriminator']['propertyName']}: {self._words(self.kinds(schema))}"
         if "anyOf" in schema:
-            return " or ".join(dict.fromkeys(self.wanted(one) for one in schema["anyOf"] if one.get("type") != "null"))
+            return " or ".join(
+                dict.fromkeys(self.wanted(one) for one in schema["anyOf"] if one.get("type") != "null")
+            )
         if "enum" in schema:
             return "one of " + ", ".join(map(str, schema["enum"]))
         kind = schema.get("type", "something else")
         if kind in ("number", "integer"):
             bounds = [
                 f"{word} {schema[name]:.12g}"
-                for name, word in (("minimum", "from"), ("exclusiveMinimum", "above"), ("maximum", "up to"), ("exclusiveMaximum", "below"))
+                for name, word in (
+                    ("minimum", "from"),
+                    ("exclusiveMinimum", "above"),
+                    ("maximum", "up to"),
+                    ("exclusiveMaximum", "below"),
+                )
                 if name in schema
             ]
             return " ".join(["a number" if kind == "number" else "a whole number", *bounds])
@@ -194,5 +235,9 @@ class _Words:
             least = f"at least {schema['minItems']}: " if "minItems" in schema else ""
             return f"a list of {least}{self._words(schema.get('items') or {})}"
         if kind == "object":
-            return "fields: " + ", ".join(schema["properties"]) if schema.get("properties") else "names with values"
+            return (
+                "fields: " + ", ".join(schema["properties"])
+                if schema.get("properties")
+                else "names with values"
+            )
         return {"string": "text", "boolean": "true or false"}.get(kind, str(kind))

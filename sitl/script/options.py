@@ -12,9 +12,12 @@ from sitl.script.script import shipped
 def add_mission_argument(parser: argparse.ArgumentParser) -> None:
     """Add the mission script."""
     mission = parser.add_argument(
-        "mission", nargs="?", metavar="MISSION",
-        help="a mission script, MISSION.yaml, or the name of a shipped one, such as wind-shift; flags override its fields",
-    )  # fmt: skip
+        "mission",
+        nargs="?",
+        metavar="MISSION",
+        help="a mission script, MISSION.yaml, or the name of a shipped one, such as wind-shift; flags "
+        "override its fields",
+    )
     cli.completed(mission, shipped, "yaml", "yml")
 
 
@@ -32,12 +35,20 @@ def add_seed_argument(parser: argparse.ArgumentParser) -> None:
 def add_world_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the sensor and the world."""
     kind = parser.add_argument(
-        "--sensor", type=cli.checked(sensor.parse, sensor.KINDS), default="gaussian", metavar="KIND[:NUMBERS]",
-        help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: threshold:0.5,0.3 (default: %(default)s)",
-    )  # fmt: skip
+        "--sensor",
+        type=cli.checked(sensor.parse, sensor.KINDS),
+        default="gaussian",
+        metavar="KIND[:NUMBERS]",
+        help="the gas sensor: gaussian, threshold or hits, with its numbers to change them: "
+        "threshold:0.5,0.3 (default: %(default)s)",
+    )
     cli.completed(kind, lambda: sensor.KINDS)
     world = parser.add_argument(
-        "--world", type=cli.checked(check, WORLDS), default=AS_MODELLED, metavar="NAME",
-        help="how the truth differs from what the estimator is told: a name of `plumeward list worlds` (default: %(default)s)",
-    )  # fmt: skip
+        "--world",
+        type=cli.checked(check, WORLDS),
+        default=AS_MODELLED,
+        metavar="NAME",
+        help="how the truth differs from what the estimator is told: a name of `plumeward list worlds` "
+        "(default: %(default)s)",
+    )
     cli.completed(world, lambda: WORLDS)

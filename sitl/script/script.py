@@ -53,11 +53,15 @@ def _says(name: str, words: str, unit: str) -> Meta:
 MAY_BE_INFINITE = ("vehicle.endurance_s", "vehicle.silence_s")
 STREAM_S = 1.0
 """Real time after which the stream of a companion's setpoints is lost, if strict: PX4's COM_OF_LOSS_T."""
-Expectation = Literal["ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"]
+Expectation = Literal[
+    "ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"
+]
 
 
 AfterStop = Literal["return", "land", "hold"]
-"""What the vehicle does once the search is over: return home and land, land on the spot, or hold until told."""
+"""What the vehicle does once the search is over: return home and land, land on the spot, or hold until
+told.
+"""
 
 
 class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -66,10 +70,15 @@ class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     source: Annotated[Point | None, Meta(description="(x, y) m, x east, y north, each from 0 to 30")] = None
     q: Annotated[Rate | None, _says("q", "release rate", "g/s")] = None
     u: Annotated[WindSpeed | None, _says("u", "wind speed", "m/s")] = None
-    phi: Annotated[Radians | None, Meta(description="direction the wind comes from, counter-clockwise from east, rad, -2π to 2π")] = None
+    phi: Annotated[
+        Radians | None,
+        Meta(description="direction the wind comes from, counter-clockwise from east, rad, -2π to 2π"),
+    ] = None
     d: Annotated[Diffusivity | None, _says("d", "effective diffusivity", "m²/s")] = None
     tau: Annotated[Lifetime | None, _says("tau", "lifetime of the gas", "s")] = None
-    start: Annotated[Point | None, Meta(description="where the search begins: (x, y) m, each from 0 to 30")] = None
+    start: Annotated[
+        Point | None, Meta(description="where the search begins: (x, y) m, each from 0 to 30")
+    ] = None
     height: Annotated[Height | None, _says("z", "height of the source above the search plane", "m")] = None
 
 
@@ -84,30 +93,57 @@ class VehiclePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     climb_mps: Positive = VehicleConfig.climb_mps
     descent_mps: Positive = VehicleConfig.descent_mps
     accel_mps2: Positive = VehicleConfig.accel_mps2
-    takeoff_altitude_m: Annotated[float, Meta(gt=0, le=VehicleConfig.ceiling_m)] = VehicleConfig.takeoff_altitude_m
-    return_altitude_m: Annotated[float, Meta(gt=0, le=VehicleConfig.ceiling_m)] = VehicleConfig.return_altitude_m
-    endurance_s: Annotated[float, Meta(gt=0, description="flight time of the battery, a number above 0, s")] = VehicleConfig.endurance_s
-    silence_s: Annotated[float, Meta(gt=0, description="real time without a waypoint before the return home, a number above 0, s")] = (
-        VehicleConfig.silence_s
+    takeoff_altitude_m: Annotated[float, Meta(gt=0, le=VehicleConfig.ceiling_m)] = (
+        VehicleConfig.takeoff_altitude_m
     )
-    strict: Annotated[bool, Meta(description="OFFBOARD as in PX4: setpoints at 2 Hz or more, lost after 1 s of real time")] = False
-    after_stop: Annotated[AfterStop, Meta(description="what follows the search: return home and land, land, or hold until told")] = "return"
+    return_altitude_m: Annotated[float, Meta(gt=0, le=VehicleConfig.ceiling_m)] = (
+        VehicleConfig.return_altitude_m
+    )
+    endurance_s: Annotated[
+        float, Meta(gt=0, description="flight time of the battery, a number above 0, s")
+    ] = VehicleConfig.endurance_s
+    silence_s: Annotated[
+        float,
+        Meta(gt=0, description="real time without a waypoint before the return home, a number above 0, s"),
+    ] = VehicleConfig.silence_s
+    strict: Annotated[
+        bool, Meta(description="OFFBOARD as in PX4: setpoints at 2 Hz or more, lost after 1 s of real time")
+    ] = False
+    after_stop: Annotated[
+        AfterStop, Meta(description="what follows the search: return home and land, land, or hold until told")
+    ] = "return"
 
 
 class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The particle filter, what it knows beforehand, and when it may stop."""
 
     particles: Annotated[int, Meta(ge=10, le=1_000_000)] = 1000
-    assume: Annotated[Literal["field", "paper"], Meta(description="what is taken to be known, as --assume")] = "field"
+    assume: Annotated[
+        Literal["field", "paper"], Meta(description="what is taken to be known, as --assume")
+    ] = "field"
     threshold_m: Annotated[
-        Annotated[float, Meta(gt=0, le=100)] | None, Meta(description="spread of a stop, a number above 0 up to 100, m: short for stop")
+        Annotated[float, Meta(gt=0, le=100)] | None,
+        Meta(description="spread of a stop, a number above 0 up to 100, m: short for stop"),
     ] = None
-    stop: Annotated[str | None, Meta(description="the stop criterion, in the format of --stop; default: spread:0.5")] = None
-    prior: Annotated[dict[str, str], Meta(description="priors by name, in the format of --prior: {q: 'gamma:2,150'}")] = {}
-    stop_on: Annotated[str, Meta(description="what must be known before a stop, in the format of --stop-on")] = "location"
-    rate: Annotated[Rate | None, _says("q", "release rate assumed by the estimator, by default the scenario's", "g/s")] = None
-    diffusivity: Annotated[Diffusivity | None, _says("d", "diffusivity assumed by the estimator, by default the scenario's", "m²/s")] = None
-    lifetime: Annotated[Lifetime | None, _says("tau", "lifetime assumed by the estimator, by default the scenario's", "s")] = None
+    stop: Annotated[
+        str | None, Meta(description="the stop criterion, in the format of --stop; default: spread:0.5")
+    ] = None
+    prior: Annotated[
+        dict[str, str], Meta(description="priors by name, in the format of --prior: {q: 'gamma:2,150'}")
+    ] = {}
+    stop_on: Annotated[
+        str, Meta(description="what must be known before a stop, in the format of --stop-on")
+    ] = "location"
+    rate: Annotated[
+        Rate | None, _says("q", "release rate assumed by the estimator, by default the scenario's", "g/s")
+    ] = None
+    diffusivity: Annotated[
+        Diffusivity | None,
+        _says("d", "diffusivity assumed by the estimator, by default the scenario's", "m²/s"),
+    ] = None
+    lifetime: Annotated[
+        Lifetime | None, _says("tau", "lifetime assumed by the estimator, by default the scenario's", "s")
+    ] = None
 
     def __post_init__(self) -> None:
         """Require at most one of threshold_m and stop."""
@@ -123,7 +159,9 @@ class EstimatorPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 class AgentPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The planner that chooses waypoints, and its step budget."""
 
-    policy: Annotated[str, Meta(description="a policy's name or a bundle; none: only the scripted waypoints are flown")] = "homing"
+    policy: Annotated[
+        str, Meta(description="a policy's name or a bundle; none: only the scripted waypoints are flown")
+    ] = "homing"
     budget: Count = BUDGET_STEPS
     headings: Literal[4, 8] | None = None
     step_m: Annotated[float, Meta(gt=0, le=10)] | None = None
@@ -134,22 +172,39 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """One mission."""
 
     about: Annotated[str, Meta(description="what the mission demonstrates")] = ""
-    seed: Annotated[int, Meta(ge=0, le=MAX_SEED, description="a whole number from 0: seed of the scenario and of all noise")] = 1
-    speedup: Annotated[float, Meta(ge=0, le=1000, description="a number from 0 up to 1000: 1 real time, 0 as fast as possible")] = 10.0
+    seed: Annotated[
+        int,
+        Meta(ge=0, le=MAX_SEED, description="a whole number from 0: seed of the scenario and of all noise"),
+    ] = 1
+    speedup: Annotated[
+        float,
+        Meta(ge=0, le=1000, description="a number from 0 up to 1000: 1 real time, 0 as fast as possible"),
+    ] = 10.0
     scenario: ScenarioPart = ScenarioPart()
     vehicle: VehiclePart = VehiclePart()
-    sensor: Annotated[str, Meta(description="gaussian, threshold or hits, with optional numbers: 'threshold:0.5,0.3'")] = "gaussian"
+    sensor: Annotated[
+        str, Meta(description="gaussian, threshold or hits, with optional numbers: 'threshold:0.5,0.3'")
+    ] = "gaussian"
     world: Annotated[
-        str, Meta(description="how the truth differs from what the estimator is told", extra_json_schema={"enum": list(WORLDS)})
+        str,
+        Meta(
+            description="how the truth differs from what the estimator is told",
+            extra_json_schema={"enum": list(WORLDS)},
+        ),
     ] = AS_MODELLED
     estimator: EstimatorPart = EstimatorPart()
     agent: AgentPart = AgentPart()
     events: list[OnBoard | Waypoints | Lawnmower | Kill | Cut] = []
-    expect: Annotated[Expectation | list[Expectation], Meta(description="what must hold at the end; decides the exit status")] = []
+    expect: Annotated[
+        Expectation | list[Expectation],
+        Meta(description="what must hold at the end; decides the exit status"),
+    ] = []
 
     def release(self) -> Scenario:
         """Return the scenario that the estimator is told: the fields given, the others drawn by the seed."""
-        given = {name: value for name, value in msgspec.structs.asdict(self.scenario).items() if value is not None}
+        given = {
+            name: value for name, value in msgspec.structs.asdict(self.scenario).items() if value is not None
+        }
         return msgspec.structs.replace(draw(self.seed), **given)
 
     def simulated(self) -> World:
@@ -157,15 +212,19 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return World(self.release(), self.seed, sensor.parse(self.sensor), self.world)
 
     def vehicle_config(self, sysid: int) -> VehicleConfig:
-        """Return the vehicle's configuration, with the times of a companion's silence converted from real to simulation time.
+        """Return the vehicle's configuration, with the times of a companion's silence converted from real
+        to simulation time.
 
-        At speed-up 0 a waiting vehicle runs in real time, so the factor is 1. PX4's simulations stretch their times likewise.
+        At speed-up 0 a waiting vehicle runs in real time, so the factor is 1. PX4's simulations stretch
+        their times likewise.
         """
         fields = msgspec.structs.asdict(self.vehicle)
         del fields["after_stop"], fields["strict"]
         factor = self.speedup or 1.0
         stream_s = STREAM_S * factor if self.vehicle.strict else math.inf
-        return VehicleConfig(sysid, **{**fields, "silence_s": self.vehicle.silence_s * factor, "stream_s": stream_s})
+        return VehicleConfig(
+            sysid, **{**fields, "silence_s": self.vehicle.silence_s * factor, "stream_s": stream_s}
+        )
 
     @property
     def expectations(self) -> list[Expectation]:
@@ -184,7 +243,11 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     @property
     def budget(self) -> int:
         """The greatest number of moves; without a policy, at most the number of scripted waypoints."""
-        return min(self.agent.budget, max(self.scripted()) + 1) if self.agent.policy == "none" else self.agent.budget
+        return (
+            min(self.agent.budget, max(self.scripted()) + 1)
+            if self.agent.policy == "none"
+            else self.agent.budget
+        )
 
     def changed(self, changes: Mapping[str, Any]) -> "Script":
         """Return a copy with fields replaced, such as {"seed": 2, "agent.policy": "homing"}."""
@@ -207,7 +270,9 @@ def shipped() -> dict[str, Path]:
 
 
 def find(mission: str | Path) -> Path:
-    """Return the path of a mission: a file of this name, else the shipped mission of this name. Raises FileError if there is neither."""
+    """Return the path of a mission: a file of this name, else the shipped mission of this name. Raises
+    FileError if there is neither.
+    """
     missions = shipped()
     if not os.path.isfile(mission) and (found := missions.get(str(mission).removesuffix(".yaml"))):
         return found
@@ -222,10 +287,15 @@ def find(mission: str | Path) -> Path:
 
 
 def load(mission: str | Path) -> Script:
-    """Read a mission script, or a shipped one by its name. Raises FileError with file, line, field and what is allowed, in one line."""
+    """Read a mission script, or a shipped one by its name. Raises FileError with file, line, field and
+    what is allowed, in one line.
+    """
     document = Document(find(mission))
     if old := _renamed(document.value):
-        _warn(f"{document.path}: " + ", ".join(f"{word!r} is an old word, read as {OLD_WORDS[word]!r}" for word in old))
+        _warn(
+            f"{document.path}: "
+            + ", ".join(f"{word!r} is an old word, read as {OLD_WORDS[word]!r}" for word in old)
+        )
     script = document.to(Script, MAY_BE_INFINITE)
     try:
         sensor.parse(script.sensor)
@@ -241,9 +311,15 @@ def load(mission: str | Path) -> Script:
         if isinstance(event, Waypoints | Lawnmower) and event.step is not None:
             for step in range(event.step, event.step + len(event.path())):
                 if (other := taken.setdefault(step, number)) != number:
-                    raise document.error(["events", number], f"events[{other}] already has a waypoint for step {step}; wanted one per step")
+                    raise document.error(
+                        ["events", number],
+                        f"events[{other}] already has a waypoint for step {step}; wanted one per step",
+                    )
     if len(taken) > MOST_WAYPOINTS:
-        raise document.error(["events"], f"{len(taken):,} scripted waypoints are not allowed; wanted {MOST_WAYPOINTS:,} at most")
+        raise document.error(
+            ["events"],
+            f"{len(taken):,} scripted waypoints are not allowed; wanted {MOST_WAYPOINTS:,} at most",
+        )
     if script.agent.policy == "none" and (not taken or max(taken) >= len(taken)):
         wanted = "a policy, or scripted waypoints from step 0 on without a gap"
         raise document.error(["agent", "policy"], f"'none' is not allowed; wanted {wanted}")
@@ -253,7 +329,11 @@ def load(mission: str | Path) -> Script:
 def _renamed(value: Any) -> list[str]:
     """Give the events of a script's value the names of today. Returns the old ones that it had."""
     events = value.get("events") if isinstance(value, dict) else None
-    named = [event for event in events if isinstance(event, dict) and isinstance(event.get("do"), str)] if isinstance(events, list) else []
+    named = (
+        [event for event in events if isinstance(event, dict) and isinstance(event.get("do"), str)]
+        if isinstance(events, list)
+        else []
+    )
     old = [word for word in OLD_WORDS if any(event["do"] == word for event in named)]
     for event in named:
         event["do"] = OLD_WORDS.get(event["do"], event["do"])
@@ -273,11 +353,20 @@ def _check(document: Document, number: int, event: ScriptEvent) -> None:
         case Wind(u=None, phi=None):
             raise document.error(field, "no change is given; wanted u, phi or both")
         case Waypoints(step=None) | Lawnmower(step=None):
-            raise document.error([*field, "time_s"], "not allowed for waypoints, which answer readings; wanted step")
+            raise document.error(
+                [*field, "time_s"], "not allowed for waypoints, which answer readings; wanted step"
+            )
         case Lawnmower(low=low, high=high) if not (low[0] < high[0] and low[1] < high[1]):
-            raise document.error([*field, "high"], f"{list(high)} is not allowed; wanted a corner north-east of low, {list(low)}")
+            raise document.error(
+                [*field, "high"],
+                f"{list(high)} is not allowed; wanted a corner north-east of low, {list(low)}",
+            )
 
 
 def schema() -> dict[str, Any]:
     """Return the JSON schema of mission scripts, for editors."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Plumeward mission", **msgspec.json.schema(Script)}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Plumeward mission",
+        **msgspec.json.schema(Script),
+    }

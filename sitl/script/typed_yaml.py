@@ -1,4 +1,6 @@
-"""Reads a YAML file into a typed struct; errors name file, line, field, what was found and what is allowed."""
+"""Reads a YAML file into a typed struct; errors name file, line, field, what was found and what is
+allowed.
+"""
 
 import os
 import stat
@@ -45,14 +47,18 @@ class Document:
             raise
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
-            raise self._at(mark.line + 1 if mark else 1, f"not valid YAML: {error.problem or error.context}") from None
+            raise self._at(
+                mark.line + 1 if mark else 1, f"not valid YAML: {error.problem or error.context}"
+            ) from None
         except (YAMLError, RecursionError, ValueError) as error:
             raise FileError(f"{path}: not valid YAML: {str(error).splitlines()[0]}") from None
         except LookupError:  # such as `!!bool perhaps`
             raise FileError(f"{path}: not valid YAML: a value does not match its tag") from None
 
     def to(self, kind: type[T], infinite: Collection[str] = ()) -> T:
-        """Return the value as a struct of this kind; raises FileError. Numbers must be finite, except in the fields `infinite` names."""
+        """Return the value as a struct of this kind; raises FileError. Numbers must be finite, except in
+        the fields `infinite` names.
+        """
         made, reason = None, ""
         try:
             made = msgspec.convert(self.value, kind)
@@ -61,7 +67,9 @@ class Document:
         except msgspec.ValidationError as error:
             reason = str(error)
         mistakes = find(self.value, kind, infinite)
-        if mistakes:  # the first in the file; missing fields last, because a misspelt name explains a missing field
+        if (
+            mistakes
+        ):  # the first in the file; missing fields last, because a misspelt name explains a missing field
             first = min(mistakes, key=lambda mistake: (mistake.missing, self._line(mistake.fields)))
             raise self.error(first.fields, first.text)
         if made is None:
@@ -83,14 +91,18 @@ class Document:
             node = nodes.pop()
             count += 1
             if count > MOST_VALUES:
-                raise FileError(f"{self.path}: more than {MOST_VALUES:,} values (with aliases expanded) are not allowed")
+                raise FileError(
+                    f"{self.path}: more than {MOST_VALUES:,} values (with aliases expanded) are not allowed"
+                )
             if isinstance(node, MappingNode):
                 self._check_names(node)
                 nodes += [part for pair in node.value for part in pair]
             elif isinstance(node, SequenceNode):
                 nodes += node.value
             elif node.tag == WHOLE and len(node.value) > MOST_DIGITS:
-                text = f"a number of {len(node.value):,} digits is not allowed; wanted {MOST_DIGITS:,} at most"
+                text = (
+                    f"a number of {len(node.value):,} digits is not allowed; wanted {MOST_DIGITS:,} at most"
+                )
                 raise self._at(node.start_mark.line + 1, text)
 
     def _check_names(self, node: MappingNode) -> None:
@@ -104,7 +116,9 @@ class Document:
                 raise self._at(line, f"{found} is not allowed as a field name; wanted text")
             if name.value in names:
                 first = names[name.value][0].start_mark.line + 1
-                raise self._at(line, f'found duplicate key "{shown(name.value)}"; the first one is in line {first}')
+                raise self._at(
+                    line, f'found duplicate key "{shown(name.value)}"; the first one is in line {first}'
+                )
             names[name.value] = name, value
 
     def _finite(self) -> bool:
@@ -120,7 +134,9 @@ class Document:
         return True
 
     def _line(self, fields: Fields) -> int:
-        """Return the line of a field; if it is missing, the line of the innermost object or list around it."""
+        """Return the line of a field; if it is missing, the line of the innermost object or list around
+        it.
+        """
         node, line = self._root, 1
         if node is not None:
             line = node.start_mark.line + 1
@@ -147,7 +163,10 @@ def _read(path: Path) -> str:
     except OSError as error:
         raise FileError(f"{path}: {error.strerror}") from None
     if len(content) > MOST_BYTES:
-        raise FileError(f"{path}: {max(about.st_size, len(content)):,} bytes are not allowed; wanted {MOST_BYTES:,} at most")
+        raise FileError(
+            f"{path}: {max(about.st_size, len(content)):,} bytes are not allowed; wanted {MOST_BYTES:,} at "
+            "most"
+        )
     try:
         return content.decode()
     except UnicodeDecodeError:

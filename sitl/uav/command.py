@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 
 def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> int:
-    """Fly until interrupted. given: the arguments on the command line; script: the mission, with the flags put in."""
+    """Fly until interrupted. given: the arguments on the command line; script: the mission, with the flags
+    put in.
+    """
     try:
         script = real_script(script, given)
     except ValueError as error:
@@ -42,21 +44,33 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
     log = Log("uav", namespace, Tally(), args.log_level)
     if not args.out and not args.connect and not args.vehicle:
         usual = parse_url("udpout:127.0.0.1", args.instance)
-        log.info(f"no client can connect by UDP without --out; --out {usual.text} is for {usual.counterpart}; QGroundControl: port 14550")
+        log.info(
+            f"no client can connect by UDP without --out; --out {usual.text} is for {usual.counterpart}; "
+            "QGroundControl: port 14550"
+        )
     with contextlib.ExitStack() as stack:
         bus = None
-        if args.connect or args.vehicle or not args.out:  # with --out alone it is a plain MAVLink vehicle, without a bus
+        if (
+            args.connect or args.vehicle or not args.out
+        ):  # with --out alone it is a plain MAVLink vehicle, without a bus
             endpoint = args.connect or DEFAULT_ROUTER
-            bus = stack.enter_context(Bus("uav", endpoint, namespace, inbox, args.log_level, secure=args.secure, sole=True))
+            bus = stack.enter_context(
+                Bus("uav", endpoint, namespace, inbox, args.log_level, secure=args.secure, sole=True)
+            )
             log = bus.log
             needed = "payload, estimator and agent" if args.vehicle else "estimator and agent"
             ends = f"; gives up after {args.wait:g} s (--wait)" if args.vehicle else ""
             log.info(f"on the bus at {endpoint} as {namespace}; takes off when {needed} are there{ends}")
-            joining = f"--connect {endpoint} --namespace {namespace}" + (f" --secure {args.secure}" if args.secure else "")
+            joining = f"--connect {endpoint} --namespace {namespace}" + (
+                f" --secure {args.secure}" if args.secure else ""
+            )
             chosen = "" if script.sensor == "gaussian" else f" --sensor {script.sensor}"
             chosen += "" if script.estimator.assume == "field" else f" --assume {script.estimator.assume}"
             who = "" if args.vehicle and not args.sysid else f" --sysid {config.sysid}"
-            log.info(f"its estimator: plumeward estimator {joining} --rate {release.q!r} --diffusivity {release.d!r}{chosen}{who}")
+            log.info(
+                f"its estimator: plumeward estimator {joining} --rate {release.q!r} --diffusivity "
+                f"{release.d!r}{chosen}{who}"
+            )
             log.info(f"its agent: plumeward agent {joining}{who}")
             if args.vehicle:
                 log.info(f"its payload: plumeward payload {joining}")
@@ -64,28 +78,46 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
         vehicle: Vehicle | RemoteVehicle = Vehicle(config)
         if args.vehicle:
             try:
-                vehicle, connection = real_vehicle(args.vehicle, config, script.speedup, args.sysid, args.wait, log)
+                vehicle, connection = real_vehicle(
+                    args.vehicle, config, script.speedup, args.sysid, args.wait, log
+                )
             except ValueError as error:
                 print(f"error: --vehicle: {error}", file=sys.stderr)
                 return cli.BAD_INPUT
             stack.callback(connection.close)
         try:
-            signing = stack.enter_context(contextlib.closing(Signing(args.sign, f"uav-{config.sysid}", log))) if args.sign else None
+            signing = (
+                stack.enter_context(contextlib.closing(Signing(args.sign, f"uav-{config.sysid}", log)))
+                if args.sign
+                else None
+            )
         except ValueError as error:
             print(f"error: --sign: {error}", file=sys.stderr)
             return cli.BAD_INPUT
         try:
             uav = Uav(
-                vehicle, script.simulated(), Clock(script.speedup), inbox, bus, [out.text for out in outs], log, events,
-                script.vehicle.after_stop, signing, parse_wind(args.wind) if args.wind else None,
-            )  # fmt: skip
+                vehicle,
+                script.simulated(),
+                Clock(script.speedup),
+                inbox,
+                bus,
+                [out.text for out in outs],
+                log,
+                events,
+                script.vehicle.after_stop,
+                signing,
+                parse_wind(args.wind) if args.wind else None,
+            )
         except ValueError as error:
             print(f"error: --out: {error}", file=sys.stderr)
             return cli.BAD_INPUT
         for out in outs:
             log.info(f"MAVLink to {out.text}; {out.counterpart}")
             if out.open and not args.sign:
-                log.warning(f"{out.text} is open to other machines: whoever reaches port {out.port} can command the vehicle")
+                log.warning(
+                    f"{out.text} is open to other machines: whoever reaches port {out.port} can command the "
+                    "vehicle"
+                )
         try:
             uav.run()
         except VehicleFailed as failure:

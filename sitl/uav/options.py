@@ -21,51 +21,79 @@ def add_vehicle_arguments(parser: argparse.ArgumentParser, speedup: float) -> No
     add_mission_argument(parser)
     add_seed_argument(parser)
     parser.add_argument(
-        "--speedup", type=cli.number(0, 1000), default=speedup, metavar="X",
+        "--speedup",
+        type=cli.number(0, 1000),
+        default=speedup,
+        metavar="X",
         help="times real time; 0 is as fast as possible (default: %(default)g)",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "-I",
         "--instance",
         type=cli.whole(0, 254),
         default=0,
         metavar="N",
-        help="number of the vehicle: its namespace is uav/N+1, and by it differ system id, home and ports (default: %(default)s)",
+        help="number of the vehicle: its namespace is uav/N+1, and by it differ system id, home and ports "
+        "(default: %(default)s)",
     )
-    parser.add_argument("--sysid", type=cli.whole(1, 255), metavar="N", help="its MAVLink system id (default: that of -I, plus 1)")
+    parser.add_argument(
+        "--sysid",
+        type=cli.whole(1, 255),
+        metavar="N",
+        help="its MAVLink system id (default: that of -I, plus 1)",
+    )
     add_world_arguments(parser)
     parser.add_argument(
         "--home",
         type=_home,
         metavar="LAT,LON,ALT,HEADING",
-        help="where home is, the south-west corner of the search area (default: Zurich, each -I 40 m further east)",
+        help="where home is, the south-west corner of the search area (default: Zurich, each -I 40 m further "
+        "east)",
     )
     parser.add_argument(
-        "--out", type=_udp_url, action="append", default=[], metavar="URL",
-        help="also speak MAVLink: udpout:HOST:PORT sends (14540 MAVSDK and MAVROS, 14550 ground stations), udpin:HOST:PORT waits; "
+        "--out",
+        type=_udp_url,
+        action="append",
+        default=[],
+        metavar="URL",
+        help="also speak MAVLink: udpout:HOST:PORT sends (14540 MAVSDK and MAVROS, 14550 ground stations), "
+        "udpin:HOST:PORT waits; "
         "without :PORT it is 14540 + N of -I, udpin: 14580 + N; may be given several times",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--sign", type=cli.checked(read_key), metavar="KEYFILE",
-        help="sign MAVLink on all --out links, and refuse frames without a valid signature; the file holds 64 hexadecimal digits or a "
+        "--sign",
+        type=cli.checked(read_key),
+        metavar="KEYFILE",
+        help="sign MAVLink on all --out links, and refuse frames without a valid signature; the file holds "
+        "64 hexadecimal digits or a "
         "passphrase",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--silence", type=cli.number(0, math.inf, above=True), default=30.0, metavar="S",
+        "--silence",
+        type=cli.number(0, math.inf, above=True),
+        default=30.0,
+        metavar="S",
         help="return home and land after S real seconds without a waypoint (default: %(default)g)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--strict", action="store_true",
-        help="OFFBOARD as in PX4, to test a companion: setpoints at 2 Hz or more, and a return home 1 s after the last",
-    )  # fmt: skip
+        "--strict",
+        action="store_true",
+        help="OFFBOARD as in PX4, to test a companion: setpoints at 2 Hz or more, and a return home 1 s "
+        "after the last",
+    )
     parser.add_argument(
-        "--after-stop", choices=get_args(AfterStop), default="return",
-        help="once the search is over: return home and land, land on the spot, or hold until told (default: %(default)s)",
-    )  # fmt: skip
+        "--after-stop",
+        choices=get_args(AfterStop),
+        default="return",
+        help="once the search is over: return home and land, land on the spot, or hold until told (default: "
+        "%(default)s)",
+    )
 
 
 def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:
-    """Return the configuration of vehicle `instance`, moved east of the default home, unless a home of its own was chosen."""
+    """Return the configuration of vehicle `instance`, moved east of the default home, unless a home of its
+    own was chosen.
+    """
     usual = VehicleConfig()
     if (config.home_lat_deg, config.home_lon_deg) != (usual.home_lat_deg, usual.home_lon_deg):
         return config
@@ -90,6 +118,7 @@ def _home(text: str) -> tuple[float, float, float, float]:
         raise argparse.ArgumentTypeError(f"{text!r} is not allowed; wanted LAT,LON,ALT,HEADING") from None
     if not (abs(lat) <= 90 and abs(lon) <= 180 and abs(alt) <= 10_000 and abs(heading) <= 360):
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not allowed; wanted LAT within ±90, LON within ±180, ALT within ±10000, HEADING within ±360"
+            f"{text!r} is not allowed; wanted LAT within ±90, LON within ±180, ALT within ±10000, HEADING "
+            "within ±360"
         )
     return lat, lon, alt, heading

@@ -1,4 +1,6 @@
-"""A simulated vehicle's clients: it is its own autopilot, which tells them its state and does what they ask."""
+"""A simulated vehicle's clients: it is its own autopilot, which tells them its state and does what they
+ask.
+"""
 
 import math
 import time
@@ -75,10 +77,20 @@ class SimulatedClients:
     component = COMPONENT
 
     def __init__(
-        self, vehicle: Vehicle, search: Search, bus: Bus | None, outs: Sequence[str], inbox: Inbox, clock: Clock,
-        handling: Handling, wind: Callable[[], tuple[float, float]], signing: Signing | None,
-    ) -> None:  # fmt: skip
-        """Open the links; raises ValueError for a UDP URL that cannot be used. wind: the wind that telemetry tells."""
+        self,
+        vehicle: Vehicle,
+        search: Search,
+        bus: Bus | None,
+        outs: Sequence[str],
+        inbox: Inbox,
+        clock: Clock,
+        handling: Handling,
+        wind: Callable[[], tuple[float, float]],
+        signing: Signing | None,
+    ) -> None:
+        """Open the links; raises ValueError for a UDP URL that cannot be used. wind: the wind that
+        telemetry tells.
+        """
         self.system = vehicle.config.sysid
         self._vehicle, self._bus, self._clock, self._wind = vehicle, bus, clock, wind
         self._handling, self._log = handling, handling.log
@@ -94,18 +106,30 @@ class SimulatedClients:
             index = len(self._ports)
             put = inbox.lane(url)
             signer = signing.link(url) if signing else None
-            link = UdpLink(url, lambda *said, index=index, put=put: put(FromUdp(index, *said), 0), self.system, COMPONENT, signer)
+            link = UdpLink(
+                url,
+                lambda *said, index=index, put=put: put(FromUdp(index, *said), 0),
+                self.system,
+                COMPONENT,
+                signer,
+            )
             self._udp.append(link)
             self._ports.append(Port(link, self._telemetry()))
 
     def _telemetry(self) -> Telemetry:
         # The vehicle's time, not the streams' time: at speed-up 0 they differ.
-        return Telemetry(lambda _: Snapshot(self._vehicle.config, self._vehicle.state(self._vehicle.now_s), self._wind(), self._gas))
+        return Telemetry(
+            lambda _: Snapshot(
+                self._vehicle.config, self._vehicle.state(self._vehicle.now_s), self._wind(), self._gas
+            )
+        )
 
     # ---- what they are told ----
 
     def serve(self) -> None:
-        """Tell what is due; and at once when the mission goes on: stations take it for finished before they see the next mode."""
+        """Tell what is due; and at once when the mission goes on: stations take it for finished before
+        they see the next mode.
+        """
         if (progress := self._vehicle.progress) != self._progress:
             self._progress = progress
             self._send_now(MissionCurrent.id)
@@ -155,7 +179,11 @@ class SimulatedClients:
                 self._bus.refuse(MAVLINK_IN, str(error), error.kind)
                 return
             for message in messages:
-                self._take(message, self._ports[0], "through a bridge" if item.attachment == BRIDGED else "on the bus")
+                self._take(
+                    message,
+                    self._ports[0],
+                    "through a bridge" if item.attachment == BRIDGED else "on the bus",
+                )
 
     def _take(self, message: Message, port: Port, whence: str) -> None:
         with self._handling.of(message):
@@ -193,7 +221,9 @@ class SimulatedClients:
 
 
 class Asked:
-    """Handles what clients ask. Anyone's change of mode takes the vehicle from the search; OFFBOARD gives it back."""
+    """Handles what clients ask. Anyone's change of mode takes the vehicle from the search; OFFBOARD gives
+    it back.
+    """
 
     def __init__(
         self,
@@ -206,8 +236,11 @@ class Asked:
         self._vehicle, self._protocol, self._search, self._clock = vehicle, protocol, search, clock
         self._streams: dict[Sender, float] = {}  # when each client last sent a setpoint
 
-    def receive(self, message: Message, t_s: float, whence: str, streams: Telemetry | None = None) -> list[Message]:
-        """Handle a message from any link as `MavlinkProtocol.receive` does, and see to it that only the leader leads.
+    def receive(
+        self, message: Message, t_s: float, whence: str, streams: Telemetry | None = None
+    ) -> list[Message]:
+        """Handle a message from any link as `MavlinkProtocol.receive` does, and see to it that only the
+        leader leads.
 
         whence: how it came, in words; anybody can write any ids into a frame.
         """
@@ -219,7 +252,9 @@ class Asked:
         if kind in SETPOINTS:
             self._streams[sender] = self._clock()
             if self._search.leads:
-                return self._protocol.refuse_setpoint(denied("Waypoint refused: the search leads, HOLD stops it", "not leading"), t_s)
+                return self._protocol.refuse_setpoint(
+                    denied("Waypoint refused: the search leads, HOLD stops it", "not leading"), t_s
+                )
             return self._protocol.receive(message, t_s, streams)
         if kind not in CHANGES:
             return self._protocol.receive(message, t_s, streams)
@@ -250,8 +285,14 @@ class Asked:
         return self._vehicle.mode, self._vehicle.armed
 
     def _is_streaming(self, sender: Sender | None) -> bool:
-        """Whether a client, or with None any client, streams setpoints of its own: then it leads in OFFBOARD."""
-        heard_s = max(self._streams.values(), default=-math.inf) if sender is None else self._streams.get(sender, -math.inf)
+        """Whether a client, or with None any client, streams setpoints of its own: then it leads in
+        OFFBOARD.
+        """
+        heard_s = (
+            max(self._streams.values(), default=-math.inf)
+            if sender is None
+            else self._streams.get(sender, -math.inf)
+        )
         return self._clock() - heard_s <= STREAM_S
 
 

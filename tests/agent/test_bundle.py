@@ -1,4 +1,6 @@
-"""Protects policies as data: a bundle flies its network's actions, and an invalid bundle is refused in one line."""
+"""Protects policies as data: a bundle flies its network's actions, and an invalid bundle is refused in one
+line.
+"""
 
 import math
 import struct
@@ -33,7 +35,10 @@ def layers(*widths: int, seed: int = 0) -> Layers:
     """Weights (out, in) and biases of a network with these widths."""
     draws = np.random.default_rng(seed)
     return [
-        (draws.normal(0, 1 / math.sqrt(a), (b, a)).astype(np.float32), draws.normal(0, 0.1, b).astype(np.float32))
+        (
+            draws.normal(0, 1 / math.sqrt(a), (b, a)).astype(np.float32),
+            draws.normal(0, 0.1, b).astype(np.float32),
+        )
         for a, b in pairwise(widths)
     ]
 
@@ -47,11 +52,18 @@ def said(network: Layers, observation: np.ndarray) -> np.ndarray:
     return flowing
 
 
-def onnx_of(nodes: Sequence[Any], takes: Sequence[int], gives: Sequence[int], weights: Sequence[Any] = ()) -> bytes:
+def onnx_of(
+    nodes: Sequence[Any], takes: Sequence[int], gives: Sequence[int], weights: Sequence[Any] = ()
+) -> bytes:
     """A graph from `observation` to `said`, not checked by onnx."""
-    ports = [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in (("observation", takes), ("said", gives))]
+    ports = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+        for name, shape in (("observation", takes), ("said", gives))
+    ]
     made = helper.make_graph(nodes, "policy", ports[:1], ports[1:], weights)
-    return helper.make_model(made, opset_imports=[helper.make_opsetid("", 17)], ir_version=8).SerializeToString()
+    return helper.make_model(
+        made, opset_imports=[helper.make_opsetid("", 17)], ir_version=8
+    ).SerializeToString()
 
 
 def onnx_of_layers(network: Layers) -> bytes:
@@ -60,7 +72,9 @@ def onnx_of_layers(network: Layers) -> bytes:
     for k, (weight, bias) in enumerate(network):
         last = k == len(network) - 1
         weights += [numpy_helper.from_array(weight, f"w{k}"), numpy_helper.from_array(bias, f"b{k}")]
-        nodes.append(helper.make_node("Gemm", [flowing, f"w{k}", f"b{k}"], ["said" if last else f"sum{k}"], transB=1))
+        nodes.append(
+            helper.make_node("Gemm", [flowing, f"w{k}", f"b{k}"], ["said" if last else f"sum{k}"], transB=1)
+        )
         if not last:
             nodes.append(helper.make_node("Relu", [f"sum{k}"], [f"layer{k}"]))
         flowing = f"layer{k}"
@@ -70,10 +84,17 @@ def onnx_of_layers(network: Layers) -> bytes:
 def page_of(schema: str = "paper", move: Move | None = None, **changes: Any) -> Page:
     """A valid page with these changes."""
     fields = {
-        "format": FORMAT, "algorithm": "by hand", "schema": schema, "schema_version": SCHEMAS[schema].version,
-        "observation": SCHEMAS[schema].size, "move": move or Headings(4), "seed": 3, "training": {"layers": [8]},
-        "curve": [Point(10, 0.5, 0.25, None), Point(20, 1.0, 1.0, 31.5)], "evaluation": {},
-    }  # fmt: skip
+        "format": FORMAT,
+        "algorithm": "by hand",
+        "schema": schema,
+        "schema_version": SCHEMAS[schema].version,
+        "observation": SCHEMAS[schema].size,
+        "move": move or Headings(4),
+        "seed": 3,
+        "training": {"layers": [8]},
+        "curve": [Point(10, 0.5, 0.25, None), Point(20, 1.0, 1.0, 31.5)],
+        "evaluation": {},
+    }
     return Page(**(fields | changes))
 
 
@@ -88,18 +109,28 @@ def a_bundle(path: Path, schema: str = "paper", move: Move | None = None, seed: 
 @pytest.fixture(scope="module")
 def beliefs() -> list[Seen]:
     """All beliefs of a few missions."""
-    return [(step.belief, step.particles) for seed in (1, 2) for step in mission(seed, "random", 200, 0.5, 12).steps]
+    return [
+        (step.belief, step.particles)
+        for seed in (1, 2)
+        for step in mission(seed, "random", 200, 0.5, 12).steps
+    ]
 
 
 def direction(frame: np.ndarray, angle: float) -> np.ndarray:
-    """The unit vector at an angle in a frame. Its y axis is left of its x axis, or right of it if the frame is mirrored."""
+    """The unit vector at an angle in a frame. Its y axis is left of its x axis, or right of it if the
+    frame is mirrored.
+    """
     ahead, left = frame[:2], np.array([-frame[1], frame[0]])
     return math.cos(angle) * ahead + math.sin(angle) * frame[2] * left
 
 
 @pytest.mark.parametrize("schema", SCHEMAS)
-@pytest.mark.parametrize("move", [Headings(4), Headings(16, 0.5), HeadingAndStep(), HeadingAndStep(2.0)], ids=repr)
-def test_a_bundle_flies_what_its_network_says(tmp_path: Path, beliefs: list[Seen], schema: str, move: Move) -> None:
+@pytest.mark.parametrize(
+    "move", [Headings(4), Headings(16, 0.5), HeadingAndStep(), HeadingAndStep(2.0)], ids=repr
+)
+def test_a_bundle_flies_what_its_network_says(
+    tmp_path: Path, beliefs: list[Seen], schema: str, move: Move
+) -> None:
     flown = set()
     for seed, (belief, particles) in product(range(4), beliefs):
         path = tmp_path / f"{seed}.zip"
@@ -114,7 +145,11 @@ def test_a_bundle_flies_what_its_network_says(tmp_path: Path, beliefs: list[Seen
         wanted = np.clip(np.add(belief.position, moved), 0, 30)
         waypoint = load(path).waypoint(belief, particles, Reach(), np.random.default_rng())
         assert waypoint == pytest.approx(wanted, abs=1e-5)
-        assert choose(str(path), belief, particles, 0, Reach()) == waypoint == tuple(np.float32(waypoint).tolist())
+        assert (
+            choose(str(path), belief, particles, 0, Reach())
+            == waypoint
+            == tuple(np.float32(waypoint).tolist())
+        )
         flown.add(tuple(np.round(moved, 3)))
     assert len(flown) > 1
 
@@ -172,14 +207,18 @@ def test_a_shipped_network_says_what_onnxruntime_makes_of_its_file(policy: str) 
     flown, session = load(SHIPPED[policy]), onnxruntime.InferenceSession(graph)
     for observation in np.random.default_rng(3).normal(0, 1, (100, page.observation)).astype(np.float32):
         (theirs,) = session.run(None, {session.get_inputs()[0].name: observation[None]})
-        # Both add float32 numbers, in different orders: 184 and 256 terms, each rounded to 6e-8 of the sum so far.
+        # Both add float32 numbers, in different orders: 184 and 256 terms, each rounded to 6e-8 of the sum so
+        # far.
         assert flown.said(observation) == pytest.approx(theirs, rel=1e-5, abs=1e-5 * float(abs(theirs).max()))
 
 
 def test_a_layer_adds_its_products_in_the_order_of_the_row() -> None:
     draws = np.random.default_rng(4)
     for takes, gives in ((1, 1), (3, 2), (4, 5), (11, 3), (64, 40)):
-        weights, biases = draws.normal(0, 1, (takes, gives)).astype(np.float32), draws.normal(0, 1, gives).astype(np.float32)
+        weights, biases = (
+            draws.normal(0, 1, (takes, gives)).astype(np.float32),
+            draws.normal(0, 1, gives).astype(np.float32),
+        )
         row = draws.normal(0, 1, takes).astype(np.float32)
         wanted = np.zeros(gives, np.float32)
         for number, its_weights in zip(row, weights, strict=True):
@@ -192,7 +231,9 @@ def test_tanh_is_right_to_a_float32() -> None:
     row = np.array([0.0, 1e-30, 1e-4, 0.1, 0.5, 1.0, 3.0, 9.0, 100.0, np.inf], np.float32)
     wanted = [math.tanh(x) for x in row.tolist()]
     assert network.said([network.Layer("Tanh")], row) == pytest.approx(wanted, rel=1e-7, abs=1e-16)
-    assert network.said([network.Layer("Tanh")], -row) == pytest.approx([-x for x in wanted], rel=1e-7, abs=1e-16)
+    assert network.said([network.Layer("Tanh")], -row) == pytest.approx(
+        [-x for x in wanted], rel=1e-7, abs=1e-16
+    )
     assert np.isnan(network.said([network.Layer("Tanh")], np.array([np.nan], np.float32))).all()
 
 
@@ -220,7 +261,13 @@ WANTED = f"wanted a zip file of {PAGE} and {GRAPH}"
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [(None, "there is no such file"), (b"", WANTED), (b"PK", WANTED), (b"steer north", WANTED), (b"\x80\x04\x95" * 100, WANTED)],
+    [
+        (None, "there is no such file"),
+        (b"", WANTED),
+        (b"PK", WANTED),
+        (b"steer north", WANTED),
+        (b"\x80\x04\x95" * 100, WANTED),
+    ],
     ids=["no file", "empty", "two bytes", "text", "a pickle"],
 )
 def test_what_is_no_zip_is_refused(tmp_path: Path, content: bytes | None, words: str) -> None:
@@ -280,21 +327,50 @@ def test_a_missing_part_is_named(tmp_path: Path, member: str, missing: str) -> N
         (lambda page: page | {"format": 2}, f"bundle format 2; wanted {FORMAT}"),
         (lambda page: page | {"format": 2, "colour": "red"}, f"bundle format 2; wanted {FORMAT}"),
         (lambda page: page | {"format": "one"}, "Expected `int`, got `str` - at `$.format`"),
-        (lambda page: {name: value for name, value in page.items() if name != "seed"}, "missing required field `seed`"),
+        (
+            lambda page: {name: value for name, value in page.items() if name != "seed"},
+            "missing required field `seed`",
+        ),
         (lambda page: page | {"move": {"kind": "teleport"}}, "Invalid value 'teleport' - at `$.move.kind`"),
-        (lambda page: page | {"move": {"kind": "headings", "count": 4.5}}, "Expected `int`, got `float` - at `$.move.count`"),
-        (lambda page: page | {"move": {"kind": "headings", "count": 4, "speed": 3}}, "unknown field `speed` - at `$.move`"),
-        (lambda page: page | {"move": {"kind": "headings", "count": 0}}, "move of 0 headings; wanted from 2 to 1024"),
-        (lambda page: page | {"move": {"kind": "headings", "count": 4, "step_m": -1}}, "move of -1 m; wanted above 0 up to 10"),
-        (lambda page: page | {"move": {"kind": "heading and step", "step_m": 1e9}}, "move of 1e+09 m; wanted above 0 up to 10"),
-        (lambda page: page | {"schema": "crystal ball"}, "observation 'crystal ball' is not known; wanted paper or polar"),
-        (lambda page: page | {"schema_version": 7}, "observation 'paper' version 7 of 5 numbers; wanted version 1 of 5"),
-        (lambda page: page | {"observation": 6}, "observation 'paper' version 1 of 6 numbers; wanted version 1 of 5"),
+        (
+            lambda page: page | {"move": {"kind": "headings", "count": 4.5}},
+            "Expected `int`, got `float` - at `$.move.count`",
+        ),
+        (
+            lambda page: page | {"move": {"kind": "headings", "count": 4, "speed": 3}},
+            "unknown field `speed` - at `$.move`",
+        ),
+        (
+            lambda page: page | {"move": {"kind": "headings", "count": 0}},
+            "move of 0 headings; wanted from 2 to 1024",
+        ),
+        (
+            lambda page: page | {"move": {"kind": "headings", "count": 4, "step_m": -1}},
+            "move of -1 m; wanted above 0 up to 10",
+        ),
+        (
+            lambda page: page | {"move": {"kind": "heading and step", "step_m": 1e9}},
+            "move of 1e+09 m; wanted above 0 up to 10",
+        ),
+        (
+            lambda page: page | {"schema": "crystal ball"},
+            "observation 'crystal ball' is not known; wanted paper or polar",
+        ),
+        (
+            lambda page: page | {"schema_version": 7},
+            "observation 'paper' version 7 of 5 numbers; wanted version 1 of 5",
+        ),
+        (
+            lambda page: page | {"observation": 6},
+            "observation 'paper' version 1 of 6 numbers; wanted version 1 of 5",
+        ),
         (lambda page: page | {"observation": 0}, "Expected `int` >= 1 - at `$.observation`"),
         (lambda page: page | {"curve": [{"steps": 1}]}, "missing required field `ceased` - at `$.curve[0]`"),
     ],
-)  # fmt: skip
-def test_a_page_that_does_not_fit_is_refused(tmp_path: Path, change: Callable[[Any], Any], words: str) -> None:
+)
+def test_a_page_that_does_not_fit_is_refused(
+    tmp_path: Path, change: Callable[[Any], Any], words: str
+) -> None:
     page = msgspec.to_builtins(page_of())
     zipped(tmp_path / "a.zip", page=msgspec.json.encode(change(page)), graph=onnx_of_layers(layers(5, 8, 4)))
     assert words in refusal(tmp_path / "a.zip")
@@ -318,7 +394,13 @@ GEMM = helper.make_node("Gemm", ["observation", "w"], ["said"], transB=1)
 def elsewhere(name: str) -> Any:
     """Weights stored in another file."""
     said = onnx.StringStringEntryProto(key="location", value=name)
-    return onnx.TensorProto(name="w", data_type=TensorProto.FLOAT, dims=[4, 5], data_location=TensorProto.EXTERNAL, external_data=[said])
+    return onnx.TensorProto(
+        name="w",
+        data_type=TensorProto.FLOAT,
+        dims=[4, 5],
+        data_location=TensorProto.EXTERNAL,
+        external_data=[said],
+    )
 
 
 @pytest.mark.parametrize(
@@ -327,31 +409,74 @@ def elsewhere(name: str) -> Any:
         (b"", "is not an ONNX graph"),
         (b"steer north", "is not an ONNX graph"),
         (onnx_of_layers(layers(5, 8, 4))[:200], "is not an ONNX graph"),
-        (onnx_of([helper.make_node("Relu", ["observation"], ["other"])], [1, 5], [1, 5]), "gives 'said'; wanted what its last node"),
-        (onnx_of([helper.make_node("Clairvoyance", ["observation"], ["said"])], [1, 5], [1, 4]), f"'Clairvoyance'; {ALLOWED}"),
-        (onnx_of([helper.make_node("Relu", ["observation"], ["said"], domain="a.b")], [1, 5], [1, 5]), f"'a.b.Relu'; {ALLOWED}"),
-        (onnx_of([GEMM], [1, 5], [1, 4], [elsewhere("/etc/passwd")]), "weights 'w' lie in another file; wanted all of them in the graph"),
+        (
+            onnx_of([helper.make_node("Relu", ["observation"], ["other"])], [1, 5], [1, 5]),
+            "gives 'said'; wanted what its last node",
+        ),
+        (
+            onnx_of([helper.make_node("Clairvoyance", ["observation"], ["said"])], [1, 5], [1, 4]),
+            f"'Clairvoyance'; {ALLOWED}",
+        ),
+        (
+            onnx_of([helper.make_node("Relu", ["observation"], ["said"], domain="a.b")], [1, 5], [1, 5]),
+            f"'a.b.Relu'; {ALLOWED}",
+        ),
+        (
+            onnx_of([GEMM], [1, 5], [1, 4], [elsewhere("/etc/passwd")]),
+            "weights 'w' lie in another file; wanted all of them in the graph",
+        ),
         (onnx_of_layers(layers(6, 8, 4)), "takes arrays of [[1, 6]]; wanted one, of [1, 5]"),
         (onnx_of_layers(layers(5, 8, 3)), "gives arrays of [[1, 3]]; wanted one, of [1, 4]"),
-        (onnx_of([helper.make_node("Relu", ["observation"], ["said"])], [5], [5]), "takes arrays of [[5]]; wanted one, of [1, 5]"),
-        (onnx_of([helper.make_node("Relu", ["observation"], ["said"])], ["many", "wide"], ["many", 4]), "['many', 'wide']"),
-        (onnx_of([GEMM], [1, 5], [1, 4], [numpy_helper.from_array(np.zeros((4, 6), np.float32), "w")]), "of 5 numbers with weights for 6"),
-        (onnx_of([GEMM], [1, 5], [1, 4], [numpy_helper.from_array(np.zeros(20, np.float32), "w")]), "weights of [20]; wanted a matrix"),
         (
-            onnx_of([helper.make_node("Gemm", ["observation", "w", "b"], ["said"], transB=1)], [1, 5], [1, 4],
-                    [ZEROS, numpy_helper.from_array(np.zeros(3, np.float32), "b")]), "biases of [3]; wanted [4]",
+            onnx_of([helper.make_node("Relu", ["observation"], ["said"])], [5], [5]),
+            "takes arrays of [[5]]; wanted one, of [1, 5]",
         ),
-        (onnx_of([helper.make_node("Gemm", ["observation"], ["said"])], [1, 5], [1, 4]), "a Gemm with 0 weights and 1 outputs"),
-        (onnx_of([helper.make_node("Gemm", ["observation", "", "w"], ["said"])], [1, 5], [1, 4], [ZEROS]), "a Gemm of other things than"),
-        (onnx_of([GEMM], [1, 5], [1, 4], [numpy_helper.from_array(np.zeros((1, 4, 5), np.float32), "w")]), "have 3 dimensions; wanted 2"),
+        (
+            onnx_of([helper.make_node("Relu", ["observation"], ["said"])], ["many", "wide"], ["many", 4]),
+            "['many', 'wide']",
+        ),
+        (
+            onnx_of([GEMM], [1, 5], [1, 4], [numpy_helper.from_array(np.zeros((4, 6), np.float32), "w")]),
+            "of 5 numbers with weights for 6",
+        ),
+        (
+            onnx_of([GEMM], [1, 5], [1, 4], [numpy_helper.from_array(np.zeros(20, np.float32), "w")]),
+            "weights of [20]; wanted a matrix",
+        ),
+        (
+            onnx_of(
+                [helper.make_node("Gemm", ["observation", "w", "b"], ["said"], transB=1)],
+                [1, 5],
+                [1, 4],
+                [ZEROS, numpy_helper.from_array(np.zeros(3, np.float32), "b")],
+            ),
+            "biases of [3]; wanted [4]",
+        ),
+        (
+            onnx_of([helper.make_node("Gemm", ["observation"], ["said"])], [1, 5], [1, 4]),
+            "a Gemm with 0 weights and 1 outputs",
+        ),
+        (
+            onnx_of([helper.make_node("Gemm", ["observation", "", "w"], ["said"])], [1, 5], [1, 4], [ZEROS]),
+            "a Gemm of other things than",
+        ),
+        (
+            onnx_of([GEMM], [1, 5], [1, 4], [numpy_helper.from_array(np.zeros((1, 4, 5), np.float32), "w")]),
+            "have 3 dimensions; wanted 2",
+        ),
         (onnx_of([GEMM], [1] * 1000, [1, 4], [ZEROS]), "takes arrays of [[1, 1, 1, 1"),
         (onnx_of([GEMM], [2, 5], [2, 4], [ZEROS]), "takes arrays of [[2, 5]]; wanted one, of [1, 5]"),
         (onnx_of([helper.make_node("Shape", ["observation"], ["said"])], [1, 5], [1, 4]), ALLOWED),
-        (onnx_of_layers([(np.full((4, 5), np.nan, np.float32), np.zeros(4, np.float32))]), "gives NaN; wanted numbers"),
+        (
+            onnx_of_layers([(np.full((4, 5), np.nan, np.float32), np.zeros(4, np.float32))]),
+            "gives NaN; wanted numbers",
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else "graph",
-)  # fmt: skip
-def test_a_graph_that_does_not_fit_is_refused(tmp_path: Path, graph: bytes, words: str, capfd: pytest.CaptureFixture[str]) -> None:
+)
+def test_a_graph_that_does_not_fit_is_refused(
+    tmp_path: Path, graph: bytes, words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     write(tmp_path / "a.zip", page_of(), graph)
     line = refusal(tmp_path / "a.zip")
     assert line.startswith(GRAPH)
@@ -359,7 +484,9 @@ def test_a_graph_that_does_not_fit_is_refused(tmp_path: Path, graph: bytes, word
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_graph_takes_no_weights_from_a_file_that_happens_to_lie_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_graph_takes_no_weights_from_a_file_that_happens_to_lie_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "weights.bin").write_bytes(bytes(4 * 4 * 5))
     write(tmp_path / "a.zip", page_of(), onnx_of([GEMM], [1, 5], [1, 4], [elsewhere("weights.bin")]))
@@ -372,26 +499,40 @@ def test_a_graph_takes_no_weights_from_a_file_that_happens_to_lie_there(tmp_path
 def endless() -> bytes:
     """A graph whose only node is a loop that never ends: well below a kilobyte."""
     true = helper.make_tensor("true", TensorProto.BOOL, [], [True])
-    ports = [helper.make_tensor_value_info(name, kind, []) for name, kind in (("i", TensorProto.INT64), ("go", TensorProto.BOOL))]
+    ports = [
+        helper.make_tensor_value_info(name, kind, [])
+        for name, kind in (("i", TensorProto.INT64), ("go", TensorProto.BOOL))
+    ]
     onward = helper.make_tensor_value_info("on", TensorProto.BOOL, [])
     body = helper.make_graph([helper.make_node("Identity", ["go"], ["on"])], "body", ports, [onward])
-    return onnx_of([helper.make_node("Loop", ["", "true"], [], body=body), GEMM], [1, 5], [1, 4], [true, ZEROS])
+    return onnx_of(
+        [helper.make_node("Loop", ["", "true"], [], body=body), GEMM], [1, 5], [1, 4], [true, ZEROS]
+    )
 
 
 def of_function() -> bytes:
     """A graph with a function of its own that takes the name of an allowed operator."""
     model = onnx.load_from_string(onnx_of([GEMM], [1, 5], [1, 4], [ZEROS]))
     inside = [helper.make_node("Loop", ["x"], ["y"])]
-    model.functions.append(helper.make_function("", "Gemm", ["x"], ["y"], inside, [helper.make_opsetid("", 17)]))
+    model.functions.append(
+        helper.make_function("", "Gemm", ["x"], ["y"], inside, [helper.make_opsetid("", 17)])
+    )
     return bytes(model.SerializeToString())
 
 
 def attributed(**attributes: Any) -> bytes:
-    return onnx_of([helper.make_node("Gemm", ["observation", "w"], ["said"], **attributes)], [1, 5], [1, 4], [ZEROS])
+    return onnx_of(
+        [helper.make_node("Gemm", ["observation", "w"], ["said"], **attributes)], [1, 5], [1, 4], [ZEROS]
+    )
 
 
 def claiming_shape(*shape: int) -> bytes:
-    return onnx_of([GEMM], [1, 5], [1, 4], [onnx.TensorProto(name="w", data_type=TensorProto.FLOAT, dims=shape, raw_data=bytes(80))])
+    return onnx_of(
+        [GEMM],
+        [1, 5],
+        [1, 4],
+        [onnx.TensorProto(name="w", data_type=TensorProto.FLOAT, dims=shape, raw_data=bytes(80))],
+    )
 
 
 WIDE = numpy_helper.from_array(np.zeros((2**16, 1), np.float32), "wide")
@@ -402,19 +543,27 @@ CONSTANT = "of other things than the layer before it, with weights and biases of
     ("graph", "words"),
     [
         (endless(), f"uses the operator 'Loop'; {ALLOWED}"),
-        (onnx_of([helper.make_node("ConstantOfShape", ["w"], ["said"])], [1, 5], [1, 4], [ZEROS]), f"'ConstantOfShape'; {ALLOWED}"),
+        (
+            onnx_of([helper.make_node("ConstantOfShape", ["w"], ["said"])], [1, 5], [1, 4], [ZEROS]),
+            f"'ConstantOfShape'; {ALLOWED}",
+        ),
         (of_function(), "has functions of its own, which are not allowed"),
         (attributed(transA=1), "has 'transA' at a Gemm; allowed are transB, alpha and beta"),
         (attributed(transB=helper.make_graph([], "hidden", [], [])), "has 'transB' at a Gemm"),
         (claiming_shape(2**40, 2**40), "weights 'w' are not the float32 array that they claim to be"),
         (claiming_shape(-4, -5), "weights 'w' are not the float32 array that they claim to be"),
-        (onnx_of([helper.make_node("Gemm", ["wide", "wide"], ["said"], transB=1)], [1, 5], [1, 4], [WIDE]), CONSTANT),
+        (
+            onnx_of([helper.make_node("Gemm", ["wide", "wide"], ["said"], transB=1)], [1, 5], [1, 4], [WIDE]),
+            CONSTANT,
+        ),
         (onnx_of([helper.make_node("Relu", ["wide"], ["h"]), GEMM], [1, 5], [1, 4], [WIDE, ZEROS]), CONSTANT),
         (onnx_of([GEMM] * 101, [1, 5], [1, 4], [ZEROS]), "has 101 nodes; wanted 100 at most"),
     ],
     ids=lambda value: value if isinstance(value, str) else "graph",
-)  # fmt: skip
-def test_a_graph_that_could_take_all_time_or_memory_is_not_opened(tmp_path: Path, graph: bytes, words: str) -> None:
+)
+def test_a_graph_that_could_take_all_time_or_memory_is_not_opened(
+    tmp_path: Path, graph: bytes, words: str
+) -> None:
     assert len(graph) < 300_000
     write(tmp_path / "a.zip", page_of(), graph)
     line = refusal(tmp_path / "a.zip")
@@ -429,9 +578,15 @@ def test_small_weights_that_are_used_again_and_again_count_each_time(tmp_path: P
         numpy_helper.from_array(np.zeros((600, 4), np.float32), "w2"),
     )
     names = ["observation", *(f"h{k}" for k in range(50)), "said"]
-    nodes = [helper.make_node("Gemm", [a, f"w{(k > 0) + (k == 50)}"], [b]) for k, (a, b) in enumerate(pairwise(names[:51] + names[-1:]))]
+    nodes = [
+        helper.make_node("Gemm", [a, f"w{(k > 0) + (k == 50)}"], [b])
+        for k, (a, b) in enumerate(pairwise(names[:51] + names[-1:]))
+    ]
     write(tmp_path / "a.zip", page_of(), onnx_of(nodes, [1, 5], [1, 4], [wide, square, narrow]))
-    assert f"needs {600 * (5 + 49 * 600 + 4):,} multiplications for a decision; wanted 16,777,216 at most" in refusal(tmp_path / "a.zip")
+    assert (
+        f"needs {600 * (5 + 49 * 600 + 4):,} multiplications for a decision; wanted 16,777,216 at most"
+        in refusal(tmp_path / "a.zip")
+    )
 
 
 def test_weights_that_are_used_again_and_again_fill_no_memory(tmp_path: Path) -> None:
@@ -453,12 +608,16 @@ def test_a_graph_may_leave_the_number_of_rows_open(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("move", [Headings(5), HeadingAndStep()], ids=repr)
-def test_a_network_that_says_nan_in_flight_flies_nowhere(tmp_path: Path, beliefs: list[Seen], move: Move) -> None:
+def test_a_network_that_says_nan_in_flight_flies_nowhere(
+    tmp_path: Path, beliefs: list[Seen], move: Move
+) -> None:
     """Infinity less infinity, of numbers that are zero in the trial run."""
     huge = np.full((2, 5), 3e38, np.float32), np.tile(np.float32([3e38, -3e38]), (move.outputs, 1))
     network = [(weight, np.zeros(len(weight), np.float32)) for weight in huge]
     write(tmp_path / "a.zip", page_of(move=move), onnx_of_layers(network))
-    with pytest.raises(ValueError, match=f"policy .*a.zip failed: BundleError: {GRAPH} gives NaN; wanted numbers"):
+    with pytest.raises(
+        ValueError, match=f"policy .*a.zip failed: BundleError: {GRAPH} gives NaN; wanted numbers"
+    ):
         choose(str(tmp_path / "a.zip"), *beliefs[0], 0, Reach())
 
 
@@ -526,7 +685,9 @@ for path in sys.argv[1:]:
 @pytest.mark.slow
 def test_flying_a_bundle_needs_nothing_that_training_needs(tmp_path: Path) -> None:
     a_bundle(tmp_path / "policy.zip", "polar", Headings(16))
-    ended = subprocess.run([sys.executable, "-c", FLY, str(tmp_path / "policy.zip")], capture_output=True, text=True, timeout=100)
+    ended = subprocess.run(
+        [sys.executable, "-c", FLY, str(tmp_path / "policy.zip")], capture_output=True, text=True, timeout=100
+    )
     assert (ended.returncode, ended.stdout) == (0, "10\n"), ended.stderr
 
 
@@ -535,5 +696,7 @@ def test_flying_a_bundle_unpickles_and_executes_nothing(tmp_path: Path) -> None:
     bundles = [str(tmp_path / "a.zip"), str(tmp_path / "b.zip")]
     for path in bundles:
         a_bundle(Path(path), "polar", HeadingAndStep())
-    ended = subprocess.run([sys.executable, "-c", LOAD, *bundles], capture_output=True, text=True, timeout=100)
+    ended = subprocess.run(
+        [sys.executable, "-c", LOAD, *bundles], capture_output=True, text=True, timeout=100
+    )
     assert (ended.returncode, ended.stdout) == (0, "flown\nflown\n"), ended.stderr

@@ -1,4 +1,6 @@
-"""Protects the observations of learned policies: each number against an independent computation, and rotation and mirror symmetry."""
+"""Protects the observations of learned policies: each number against an independent computation, and
+rotation and mirror symmetry.
+"""
 
 import cmath
 import math
@@ -26,10 +28,27 @@ MIDDLE = 17.5
 
 def belief_at(position: tuple[float, float] = (14.0, 13.0), **said: object) -> Belief:
     usual: dict[str, object] = dict(
-        time_boot_ms=0, step=0, position=position, altitude_m=5.0, gas=0.0, wind=(1.5, -1.0), rate=270.0, diffusivity=4.2, lifetime=10.0,
-        z=5.0, sensor="gaussian", unknowns=("x", "y"), means=(15.0, 15.0), stds=(1.0, 1.0), mean=(15.0, 15.0),
-        covariance=(1.0, 0.0, 1.0), spread=1.4, effective_sample_size=10.0, p_value=0.5, ceased=False,
-    )  # fmt: skip
+        time_boot_ms=0,
+        step=0,
+        position=position,
+        altitude_m=5.0,
+        gas=0.0,
+        wind=(1.5, -1.0),
+        rate=270.0,
+        diffusivity=4.2,
+        lifetime=10.0,
+        z=5.0,
+        sensor="gaussian",
+        unknowns=("x", "y"),
+        means=(15.0, 15.0),
+        stds=(1.0, 1.0),
+        mean=(15.0, 15.0),
+        covariance=(1.0, 0.0, 1.0),
+        spread=1.4,
+        effective_sample_size=10.0,
+        p_value=0.5,
+        ceased=False,
+    )
     return Belief(**(usual | said))  # type: ignore[arg-type]
 
 
@@ -49,7 +68,9 @@ def polar(belief: Belief, particles: np.ndarray) -> np.ndarray:
 
 
 class Plain:
-    """The parts of `polar` in plain NumPy. Places are complex numbers: a product rotates them, a conjugate mirrors them."""
+    """The parts of `polar` in plain NumPy. Places are complex numbers: a product rotates them, a conjugate
+    mirrors them.
+    """
 
     def __init__(self, belief: Belief, particles: np.ndarray) -> None:
         x, y, said = particles.astype(float).T
@@ -78,7 +99,9 @@ class Plain:
         """½ log(1 + Var g(m)) of all the particles."""
         b, result = self.belief, []
         wind = complex(*b.wind)
-        decay = math.sqrt(b.diffusivity * b.lifetime / (1 + abs(wind) ** 2 * b.lifetime / (4 * b.diffusivity)))
+        decay = math.sqrt(
+            b.diffusivity * b.lifetime / (1 + abs(wind) ** 2 * b.lifetime / (4 * b.diffusivity))
+        )
         for ahead in (2.0, 5.0):
             for heading in range(HEADINGS):
                 arrow = cmath.rect(ahead, 2 * math.pi * heading / HEADINGS)
@@ -87,7 +110,11 @@ class Plain:
                 off = there - self.places
                 r = np.maximum(np.abs(off), 0.1)
                 downwind = -(off * wind.conjugate()).real
-                m = b.rate / (4 * np.pi * b.diffusivity * r) * np.exp(-r / decay + downwind / (2 * b.diffusivity))
+                m = (
+                    b.rate
+                    / (4 * np.pi * b.diffusivity * r)
+                    * np.exp(-r / decay + downwind / (2 * b.diffusivity))
+                )
                 steady = np.arcsinh(SENSOR_NOISE * m / ENVIRONMENT_NOISE) / SENSOR_NOISE
                 variance = self.weights @ (steady - self.weights @ steady) ** 2
                 result.append(0.5 * math.log1p(variance))
@@ -104,13 +131,29 @@ class Plain:
         swapped = slice(None, None, -1 if self.mirrored else 1)
         away = abs(self.mean - self.here)
         return [
-            away / 15, math.log(away + 0.1) / 3, math.log(said + 0.05) / 3, said / 8, math.log(spread + 0.05) / 3, spread / 8,
-            2 * (self.weights @ off.real**2) / square - 1, 2 * (self.weights @ (off.real * off.imag)) / square,
-            wind.real / 4, wind.imag / 4, wind.real / u, wind.imag / u, u / (2 * d), math.log(d) / 2, length / 10, math.log(length),
-            math.log(b.rate / (4 * math.pi * d)) / 3, middle.real / 15, middle.imag / 15,
-            *(self.turn.real, self.turn.imag)[swapped], *(self.here.real / AREA_M, self.here.imag / AREA_M)[swapped],
+            away / 15,
+            math.log(away + 0.1) / 3,
+            math.log(said + 0.05) / 3,
+            said / 8,
+            math.log(spread + 0.05) / 3,
+            spread / 8,
+            2 * (self.weights @ off.real**2) / square - 1,
+            2 * (self.weights @ (off.real * off.imag)) / square,
+            wind.real / 4,
+            wind.imag / 4,
+            wind.real / u,
+            wind.imag / u,
+            u / (2 * d),
+            math.log(d) / 2,
+            length / 10,
+            math.log(length),
+            math.log(b.rate / (4 * math.pi * d)) / 3,
+            middle.real / 15,
+            middle.imag / 15,
+            *(self.turn.real, self.turn.imag)[swapped],
+            *(self.here.real / AREA_M, self.here.imag / AREA_M)[swapped],
             math.log(self.inside + 0.001) / 3,
-        ]  # fmt: skip
+        ]
 
 
 def test_the_papers_observation_is_position_reading_and_estimate() -> None:
@@ -123,25 +166,42 @@ def test_the_papers_observation_is_position_reading_and_estimate() -> None:
 
 
 def test_an_observation_has_the_size_that_its_schema_says() -> None:
-    assert {name: (schema.version, schema.size) for name, schema in SCHEMAS.items()} == {"paper": (1, 5), "polar": (1, 184)}
+    assert {name: (schema.version, schema.size) for name, schema in SCHEMAS.items()} == {
+        "paper": (1, 5),
+        "polar": (1, 184),
+    }
     for schema in SCHEMAS.values():
         seen, frame = schema.see(belief_at(), scattered(0))
         assert (seen.shape, seen.dtype, frame.shape) == ((schema.size,), np.float32, (3,))
 
 
-# (sector, metres, ring, mass) in the frame. The masses left and right of its x axis balance, so that the estimate lies on the axis.
+# (sector, metres, ring, mass) in the frame. The masses left and right of its x axis balance, so that the
+# estimate lies on the axis.
 BALANCING_M = 2 * math.sin(math.pi / 4) / math.cos(math.pi / 8)
-LAID_OUT = [(2, 4.0, 2, 0.3), (14, 6.0, 3, 0.2), (0, 1.0, 0, 0.1), (6, 2.0, 1, 0.2), (13, BALANCING_M, 1, 0.2)]
+LAID_OUT = [
+    (2, 4.0, 2, 0.3),
+    (14, 6.0, 3, 0.2),
+    (0, 1.0, 0, 0.1),
+    (6, 2.0, 1, 0.2),
+    (13, BALANCING_M, 1, 0.2),
+]
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("towards", [0.0, 0.3, 2.0, -2.6])
-def test_particles_fall_into_the_cells_of_a_frame_that_looks_at_the_estimate(towards: float, mirrored: bool) -> None:
+def test_particles_fall_into_the_cells_of_a_frame_that_looks_at_the_estimate(
+    towards: float, mirrored: bool
+) -> None:
     side = -1 if mirrored else 1
     here, turn = complex(MIDDLE, MIDDLE), cmath.rect(1, towards)
-    spots = [here + turn * cmath.rect(metres, side * 2 * math.pi * sector / SECTORS) for sector, metres, _, _ in LAID_OUT]
+    spots = [
+        here + turn * cmath.rect(metres, side * 2 * math.pi * sector / SECTORS)
+        for sector, metres, _, _ in LAID_OUT
+    ]
     wind = 2 * turn * cmath.rect(1, side * 1.0)
-    cloud = particles_of(np.array([[spot.real, spot.imag] for spot in spots]), np.array([mass for *_, mass in LAID_OUT]))
+    cloud = particles_of(
+        np.array([[spot.real, spot.imag] for spot in spots]), np.array([mass for *_, mass in LAID_OUT])
+    )
     seen, frame = SCHEMAS["polar"].see(belief_at((MIDDLE, MIDDLE), wind=(wind.real, wind.imag)), cloud)
     assert frame == pytest.approx([turn.real, turn.imag, side], abs=1e-6)
     expected = np.zeros(CELLS.stop)
@@ -166,7 +226,9 @@ def test_what_lies_where_no_sources_are_drawn_counts_a_twentieth() -> None:
     mean = complex(25 + 0.1 / 21, 15 + 12 / 21)
     assert complex(frame[0], frame[1]) == pytest.approx((mean - 15 - 15j) / abs(mean - 15 - 15j), abs=1e-6)
     assert sorted(seen[CELLS])[-2:] == pytest.approx([2 * math.sqrt(1 / 21), 2 * math.sqrt(20 / 21)])
-    assert seen[-1] == pytest.approx(math.log(0.501) / 3)  # the mass inside the square, by the estimator's own weights
+    assert seen[-1] == pytest.approx(
+        math.log(0.501) / 3
+    )  # the mass inside the square, by the estimator's own weights
 
 
 def test_without_any_particle_where_sources_are_drawn_the_others_are_all_there_is() -> None:
@@ -179,16 +241,22 @@ def test_without_any_particle_where_sources_are_drawn_the_others_are_all_there_i
 def test_cells_and_numbers_are_those_of_plain_numpy(seed: int) -> None:
     rng = np.random.default_rng(100 + seed)
     said = belief_at(
-        tuple(rng.uniform(0, AREA_M, 2).tolist()), wind=tuple(rng.uniform(-3, 3, 2).tolist()), rate=rng.uniform(100, 500),
-        diffusivity=rng.uniform(1, 8), lifetime=rng.uniform(5, 20), covariance=(rng.uniform(0, 9), 0.1, rng.uniform(0, 9)),
-    )  # fmt: skip
+        tuple(rng.uniform(0, AREA_M, 2).tolist()),
+        wind=tuple(rng.uniform(-3, 3, 2).tolist()),
+        rate=rng.uniform(100, 500),
+        diffusivity=rng.uniform(1, 8),
+        lifetime=rng.uniform(5, 20),
+        covariance=(rng.uniform(0, 9), 0.1, rng.uniform(0, 9)),
+    )
     cloud = scattered(seed, low=5.0)
     seen, plain = polar(said, cloud), Plain(said, cloud)
     assert seen[CELLS] == pytest.approx(plain.cells(), abs=1e-5)
     assert seen[NUMBERS] == pytest.approx(plain.numbers(), abs=1e-5)
 
 
-@pytest.mark.parametrize("position", [(14.0, 13.0), (0.5, 2.0), (29.0, 12.0)], ids=["amid", "in a corner", "at a side"])
+@pytest.mark.parametrize(
+    "position", [(14.0, 13.0), (0.5, 2.0), (29.0, 12.0)], ids=["amid", "in a corner", "at a side"]
+)
 @pytest.mark.parametrize("seed", range(3))
 def test_what_readings_would_tell_is_what_plain_numpy_says(seed: int, position: tuple[float, float]) -> None:
     # Of 128 systematic draws, a particle with weight k/128 gets exactly k, so the sum is exact.
@@ -205,7 +273,8 @@ def test_what_readings_would_tell_is_what_plain_numpy_says(seed: int, position: 
 
 
 def test_a_few_particles_tell_what_all_would() -> None:
-    # A variance from 128 particles is off by a tenth, or more if few of them matter; half its logarithm by half of that: 0.05 nats.
+    # A variance from 128 particles is off by a tenth, or more if few of them matter; half its logarithm by
+    # half of that: 0.05 nats.
     clouds = [scattered(seed, 5000, 10.5, 24.5) for seed in range(5)]
     off = [polar(belief_at(), cloud)[GAINS] - Plain(belief_at(), cloud).gains() for cloud in clouds]
     assert np.abs(off).mean() < 0.1
@@ -217,7 +286,9 @@ def test_where_the_source_is_known_no_reading_tells_anything() -> None:
 
 
 def turned(said: Belief, cloud: np.ndarray, turn: complex, mirrored: bool) -> tuple[Belief, np.ndarray]:
-    """The same search, mirrored at the east-west line through MIDDLE if `mirrored`, then rotated about (MIDDLE, MIDDLE)."""
+    """The same search, mirrored at the east-west line through MIDDLE if `mirrored`, then rotated about
+    (MIDDLE, MIDDLE).
+    """
     centre = complex(MIDDLE, MIDDLE)
 
     def arrow(x: float, y: float) -> complex:
@@ -234,14 +305,21 @@ def turned(said: Belief, cloud: np.ndarray, turn: complex, mirrored: bool) -> tu
     (xx, xy), (_, yy) = (matrix @ np.array([[xx, xy], [xy, yy]]) @ matrix.T).tolist()
     moved = np.column_stack([[spot(x, y) for x, y, _ in cloud], cloud[:, 2]]).astype(np.float32)
     where = msgspec.structs.replace(
-        said, position=spot(*said.position), wind=(wind.real, wind.imag), mean=spot(*said.mean), covariance=(xx, xy, yy)
+        said,
+        position=spot(*said.position),
+        wind=(wind.real, wind.imag),
+        mean=spot(*said.mean),
+        covariance=(xx, xy, yy),
     )
     return where, moved
 
 
 @given(st.integers(0, 5), st.floats(-math.pi, math.pi), st.booleans())
-def test_a_turn_or_a_mirror_changes_nothing_but_where_the_frame_points(seed: int, angle: float, mirrored: bool) -> None:
-    # Within 4 m of the middle no gain is computed beyond the area's sides; within 7.5 m all particles are in the sources' square.
+def test_a_turn_or_a_mirror_changes_nothing_but_where_the_frame_points(
+    seed: int, angle: float, mirrored: bool
+) -> None:
+    # Within 4 m of the middle no gain is computed beyond the area's sides; within 7.5 m all particles are in
+    # the sources' square.
     cloud = scattered(seed, 60, MIDDLE - 5, MIDDLE + 5)
     said = belief_at((15.5, 16.0), covariance=(2.0, 0.5, 1.0))
     seen, other = polar(said, cloud), polar(*turned(said, cloud, cmath.rect(1, angle), mirrored))
@@ -251,13 +329,19 @@ def test_a_turn_or_a_mirror_changes_nothing_but_where_the_frame_points(seed: int
 
 
 @given(st.integers(0, 20), st.floats(0, AREA_M), st.floats(0, AREA_M), st.floats(-4, 4), st.floats(-4, 4))
-def test_mirrored_at_the_areas_diagonal_a_search_looks_the_same(seed: int, x: float, y: float, wind_x: float, wind_y: float) -> None:
+def test_mirrored_at_the_areas_diagonal_a_search_looks_the_same(
+    seed: int, x: float, y: float, wind_x: float, wind_y: float
+) -> None:
     cloud = scattered(seed, 60)
     said = belief_at((x, y), wind=(wind_x, wind_y), mean=(12.0, 19.0), covariance=(2.0, 0.5, 1.0))
-    mirror = msgspec.structs.replace(said, position=(y, x), wind=(wind_y, wind_x), mean=(19.0, 12.0), covariance=(1.0, 0.5, 2.0))
+    mirror = msgspec.structs.replace(
+        said, position=(y, x), wind=(wind_y, wind_x), mean=(19.0, 12.0), covariance=(1.0, 0.5, 2.0)
+    )
     seen, frame = SCHEMAS["polar"].see(said, cloud)
     other, mirrored_frame = SCHEMAS["polar"].see(mirror, cloud[:, [1, 0, 2]])
-    if abs((complex(wind_x, wind_y) / complex(frame[0], frame[1])).imag) > 1e-9:  # otherwise mirrored and plain are equally valid
+    if (
+        abs((complex(wind_x, wind_y) / complex(frame[0], frame[1])).imag) > 1e-9
+    ):  # otherwise mirrored and plain are equally valid
         assert mirrored_frame == pytest.approx([frame[1], frame[0], -frame[2]], abs=1e-9)
         assert other == pytest.approx(seen, abs=1e-5)
 
@@ -268,15 +352,39 @@ POSITIVE = st.floats(1e-6, 1e6)
 
 @pytest.mark.parametrize("name", SCHEMAS)
 @given(
-    position=ANYWHERE, wind=ANYWHERE, mean=ANYWHERE, gas=st.floats(-1e38, 1e38), rate=POSITIVE, diffusivity=POSITIVE, lifetime=POSITIVE,
-    square=st.floats(0, 1e6), seed=st.integers(0, 3), size=st.sampled_from([0.0, 1e-6, 1.0, 1e4]),
-)  # fmt: skip
+    position=ANYWHERE,
+    wind=ANYWHERE,
+    mean=ANYWHERE,
+    gas=st.floats(-1e38, 1e38),
+    rate=POSITIVE,
+    diffusivity=POSITIVE,
+    lifetime=POSITIVE,
+    square=st.floats(0, 1e6),
+    seed=st.integers(0, 3),
+    size=st.sampled_from([0.0, 1e-6, 1.0, 1e4]),
+)
 def test_no_number_is_out_of_bounds_in_any_world(
-    name: str, position: tuple[float, float], wind: tuple[float, float], mean: tuple[float, float], gas: float, rate: float,
-    diffusivity: float, lifetime: float, square: float, seed: int, size: float,
-) -> None:  # fmt: skip
+    name: str,
+    position: tuple[float, float],
+    wind: tuple[float, float],
+    mean: tuple[float, float],
+    gas: float,
+    rate: float,
+    diffusivity: float,
+    lifetime: float,
+    square: float,
+    seed: int,
+    size: float,
+) -> None:
     said = belief_at(
-        position, wind=wind, mean=mean, gas=gas, rate=rate, diffusivity=diffusivity, lifetime=lifetime, covariance=(square, 0.0, square)
+        position,
+        wind=wind,
+        mean=mean,
+        gas=gas,
+        rate=rate,
+        diffusivity=diffusivity,
+        lifetime=lifetime,
+        covariance=(square, 0.0, square),
     )
     seen, frame = SCHEMAS[name].see(said, scattered(seed, 30, 15.0 - size, 15.0 + size))
     assert np.isfinite(frame).all()
@@ -285,7 +393,9 @@ def test_no_number_is_out_of_bounds_in_any_world(
 
 
 def test_in_still_air_at_the_estimate_an_observation_is_still_finite() -> None:
-    seen, frame = SCHEMAS["polar"].see(belief_at((15.0, 15.0), wind=(0.0, 0.0)), particles_of(np.tile([15.0, 15.0], (20, 1))))
+    seen, frame = SCHEMAS["polar"].see(
+        belief_at((15.0, 15.0), wind=(0.0, 0.0)), particles_of(np.tile([15.0, 15.0], (20, 1)))
+    )
     assert frame.tolist() == [1.0, 0.0, 1.0]
     assert np.isfinite(seen).all()
 
@@ -305,7 +415,9 @@ def test_x_and_y_are_found_among_other_unknowns_by_name(name: str) -> None:
     plain = SCHEMAS[name].see(said, cloud)[0]
     other = np.random.default_rng(2).uniform(100, 500, (2, len(cloud))).astype(np.float32)
     more = np.column_stack([cloud[:, 0], cloud[:, 1], *other, cloud[:, 2]])
-    named = msgspec.structs.replace(said, unknowns=("x", "y", "q", "tau"), means=(15.0, 15.0, 270.0, 10.0), stds=(1.0, 1.0, 9.0, 1.0))
+    named = msgspec.structs.replace(
+        said, unknowns=("x", "y", "q", "tau"), means=(15.0, 15.0, 270.0, 10.0), stds=(1.0, 1.0, 9.0, 1.0)
+    )
     assert SCHEMAS[name].see(named, more)[0].tobytes() == plain.tobytes()
 
 

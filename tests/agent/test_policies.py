@@ -1,4 +1,6 @@
-"""Protects the lookup of policies by name, file and package, the checks on their answers, and the examples of docs/policies.md."""
+"""Protects the lookup of policies by name, file and package, the checks on their answers, and the examples
+of docs/policies.md.
+"""
 
 import json
 import math
@@ -68,7 +70,14 @@ def plug(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plug:
 def command(*arguments: str, cwd: Path, packages: Path | None = None) -> "subprocess.CompletedProcess[str]":
     """Run `python -m arguments`, with other packages installed."""
     path = {"PYTHONPATH": str(packages)} if packages else {}
-    return subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=300, cwd=cwd, env=os.environ | path)
+    return subprocess.run(
+        [sys.executable, "-m", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        cwd=cwd,
+        env=os.environ | path,
+    )
 
 
 def flown(*arguments: str, cwd: Path, packages: Path | None = None) -> dict:
@@ -102,15 +111,21 @@ def test_an_unknown_name_is_answered_with_the_nearest_and_all_that_is_allowed(na
         assert allowed in str(refused.value)
 
 
-def test_a_bundle_is_named_by_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seen: tuple[Belief, Particles]) -> None:
+def test_a_bundle_is_named_by_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seen: tuple[Belief, Particles]
+) -> None:
     monkeypatch.chdir(tmp_path)
     a_bundle(tmp_path / "a.zip")
     waypoint = choose("a.zip", *seen, 0, Reach())
-    assert waypoint == choose(str(tmp_path / "a.zip"), *seen, 5, Reach())  # a learned policy draws no random numbers
+    assert waypoint == choose(
+        str(tmp_path / "a.zip"), *seen, 5, Reach()
+    )  # a learned policy draws no random numbers
     assert math.dist(waypoint, seen[0].position) <= 1 + 1e-5
 
 
-def test_what_ships_is_a_bundle_under_a_short_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seen: tuple[Belief, Particles]) -> None:
+def test_what_ships_is_a_bundle_under_a_short_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seen: tuple[Belief, Particles]
+) -> None:
     a_bundle(tmp_path / "a.zip")
     monkeypatch.setitem(SHIPPED, "dqn", tmp_path / "a.zip")
     assert choose("dqn", *seen, 0, Reach()) == choose(str(tmp_path / "a.zip"), *seen, 0, Reach())
@@ -125,36 +140,71 @@ def test_only_planners_take_flags_that_say_how_to_move(tmp_path: Path, plug: Plu
     plug("def theirs(*_): return 1, 2")
     bundle = str(tmp_path / "a.zip")
     assert reach(bundle) == Reach()
-    with pytest.raises(ValueError, match=r"^--headings, --step is for planners; .*a.zip moves as it was trained to$"):
+    with pytest.raises(
+        ValueError, match=r"^--headings, --step is for planners; .*a.zip moves as it was trained to$"
+    ):
         reach(bundle, {"headings": 8, "step": 0.5})
-    assert reach("theirs", {"headings": 8, "step": 0.5}) == Reach(headings=8, step=0.5)  # the policy may use them or not
+    assert reach("theirs", {"headings": 8, "step": 0.5}) == Reach(
+        headings=8, step=0.5
+    )  # the policy may use them or not
 
 
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (("rollout", "--policy", "clairvoyance"), "--policy: 'clairvoyance' is not allowed; wanted infotaxis, "),
+        (
+            ("rollout", "--policy", "clairvoyance"),
+            "--policy: 'clairvoyance' is not allowed; wanted infotaxis, ",
+        ),
         (("--policy", "nowhere.zip"), "--policy: nowhere.zip: there is no such file"),
-        (("evaluate", "--policy", "random,empty.zip"), "--policy: empty.zip: not a bundle: File is not a zip file; wanted a zip file of "),
-        (("rollout", "--policy", "a.zip", "--headings", "8"), "--headings is for planners; a.zip moves as it was trained to"),
-        (("evaluate", "--policy", "random,a.zip", "--step", "2"), "--step is for planners; a.zip moves as it was trained to"),
-        (("--policy", "a.zip", "--measurements", "9"), "--measurements is for planners; a.zip moves as it was trained to"),
+        (
+            ("evaluate", "--policy", "random,empty.zip"),
+            "--policy: empty.zip: not a bundle: File is not a zip file; wanted a zip file of ",
+        ),
+        (
+            ("rollout", "--policy", "a.zip", "--headings", "8"),
+            "--headings is for planners; a.zip moves as it was trained to",
+        ),
+        (
+            ("evaluate", "--policy", "random,a.zip", "--step", "2"),
+            "--step is for planners; a.zip moves as it was trained to",
+        ),
+        (
+            ("--policy", "a.zip", "--measurements", "9"),
+            "--measurements is for planners; a.zip moves as it was trained to",
+        ),
         (("--area", "0"), "--area: '0' is not allowed; wanted a number above 0 up to 100000"),
-        (("--area", "50", "--policy", "a.zip"), "--area: 50 is not allowed with a.zip; learned policies see the area that they were"),
+        (
+            ("--area", "50", "--policy", "a.zip"),
+            "--area: 50 is not allowed with a.zip; learned policies see the area that they were",
+        ),
         (
             ("--area", "10", "--policy", "ppo"),
             "--area: 10 is not allowed with ppo; learned policies see the area that they were trained in, 30 m",
         ),
-        (("--waypoints", "0:1,30.5"), "--waypoints: '0:1,30.5' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 30 m"),
-        (("--area", "50", "--waypoints", "0:1,50.5"), "'0:1,50.5' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 50 m"),
-        (("--area", "20", "--waypoints", "0:1,25"), "'0:1,25' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 20 m"),
+        (
+            ("--waypoints", "0:1,30.5"),
+            "--waypoints: '0:1,30.5' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 30 m",
+        ),
+        (
+            ("--area", "50", "--waypoints", "0:1,50.5"),
+            "'0:1,50.5' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 50 m",
+        ),
+        (
+            ("--area", "20", "--waypoints", "0:1,25"),
+            "'0:1,25' is not allowed; wanted STEP:X,Y;X,Y;... with numbers from 0 to 20 m",
+        ),
         (("--waypoints", "0:nan,1"), "--waypoints: '0:nan,1' is not allowed"),
         (("--waypoints=-1:2,1",), "--waypoints: '-1:2,1' is not allowed"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
 def test_bad_input_is_one_clear_line_and_status_2(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], line: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    line: str,
 ) -> None:
     a_bundle(tmp_path / "a.zip")
     (tmp_path / "empty.zip").write_bytes(b"")
@@ -171,9 +221,13 @@ def test_bad_input_is_one_clear_line_and_status_2(
 
 
 @pytest.mark.parametrize("name", [name for name in PLANNERS if name != "random"])
-def test_the_agent_searches_all_of_the_area_that_it_is_told_of(seen: tuple[Belief, Particles], name: str) -> None:
+def test_the_agent_searches_all_of_the_area_that_it_is_told_of(
+    seen: tuple[Belief, Particles], name: str
+) -> None:
     belief, particles = seen
-    away = replace(belief, position=(45.0, 45.0), mean=(58.0, 45.0))  # outside the default area, where no move exists
+    away = replace(
+        belief, position=(45.0, 45.0), mean=(58.0, 45.0)
+    )  # outside the default area, where no move exists
     there = np.array(particles)
     there[:, :2] = np.random.default_rng(1).normal((58.0, 45.0), 0.5, (len(there), 2))
     x, y = choose(name, away, there, 0, parse("agent", ["--policy", name, "--area", "60"]).reach)
@@ -182,7 +236,10 @@ def test_the_agent_searches_all_of_the_area_that_it_is_told_of(seen: tuple[Belie
 
 
 def test_scripted_waypoints_may_lie_in_all_of_the_area() -> None:
-    assert parse("agent", ["--area", "60", "--waypoints", "3:59.5,0;60,1"]).scripted == {3: (59.5, 0.0), 4: (60.0, 1.0)}
+    assert parse("agent", ["--area", "60", "--waypoints", "3:59.5,0;60,1"]).scripted == {
+        3: (59.5, 0.0),
+        4: (60.0, 1.0),
+    }
     assert parse("agent", ["--waypoints", "0:30,0.1", "--waypoints", "4:2,3"]).scripted == {
         0: (30.0, float(np.float32(0.1))),
         4: (2.0, 3.0),
@@ -207,7 +264,9 @@ def test_no_waypoint_is_rounded_out_of_the_area(plug: Plug, seen: tuple[Belief, 
     ],
     ids=["empty", "headings"],
 )
-def test_a_mission_with_what_the_agent_refuses_ends_in_the_agents_line(tmp_path: Path, flags: tuple[str, ...], line: str) -> None:
+def test_a_mission_with_what_the_agent_refuses_ends_in_the_agents_line(
+    tmp_path: Path, flags: tuple[str, ...], line: str
+) -> None:
     a_bundle(tmp_path / "a.zip")
     (tmp_path / "empty.zip").write_bytes(b"")
     ended = command("sitl", "fly", *flags, "--speedup", "0", cwd=tmp_path)
@@ -237,13 +296,26 @@ def test_a_waypoint_is_moved_into_the_area_and_made_float32(
 @pytest.mark.parametrize(
     "said",
     [
-        "'north'", "None", "(1, float('nan'))", "(float('inf'), 1)", "(1, 2, 3)", "5", "[[1, 2]]", "(1, 'b')", "{1: 2}", "(1j, 2)",
+        "'north'",
+        "None",
+        "(1, float('nan'))",
+        "(float('inf'), 1)",
+        "(1, 2, 3)",
+        "5",
+        "[[1, 2]]",
+        "(1, 'b')",
+        "{1: 2}",
+        "(1j, 2)",
         "(1, (2, 3))",
     ],
-)  # fmt: skip
-def test_what_is_no_place_is_refused_in_one_line(plug: Plug, seen: tuple[Belief, Particles], said: str) -> None:
+)
+def test_what_is_no_place_is_refused_in_one_line(
+    plug: Plug, seen: tuple[Belief, Particles], said: str
+) -> None:
     plug(f"def theirs(belief, particles, reach, rng): return {said}")
-    with pytest.raises(PolicyError, match=r"^policy theirs said .*; wanted a waypoint \(x, y\) in metres$") as refused:
+    with pytest.raises(
+        PolicyError, match=r"^policy theirs said .*; wanted a waypoint \(x, y\) in metres$"
+    ) as refused:
         choose("theirs", *seen, 0, Reach())
     assert repr(eval(said, {})) in str(refused.value)
 
@@ -260,7 +332,10 @@ def test_a_decision_that_raises_is_told_with_its_place(plug: Plug, seen: tuple[B
     module = plug("def theirs(belief, particles, reach, rng):\n    far = 0\n    return 1 / far, 2")
     with pytest.raises(PolicyError) as refused:
         choose("theirs", *seen, 0, Reach())
-    assert str(refused.value) == f"policy theirs failed: ZeroDivisionError: division by zero ({module}.py, line 3)"
+    assert (
+        str(refused.value)
+        == f"policy theirs failed: ZeroDivisionError: division by zero ({module}.py, line 3)"
+    )
     assert isinstance(refused.value.__cause__, ZeroDivisionError)  # a developer needs its traceback
 
 
@@ -270,11 +345,22 @@ def test_a_decision_that_raises_is_told_with_its_place(plug: Plug, seen: tuple[B
         ("raise OSError('no\\nmap')", "theirs", "theirs of {module}:theirs does not load: OSError: no map"),
         ("def theirs(:", "theirs", "does not load: SyntaxError: invalid syntax"),
         ("", "theirs", "does not load: AttributeError: module '{module}' has no attribute 'theirs'"),
-        ("", "no.such.module:theirs", "theirs of no.such.module:theirs does not load: ModuleNotFoundError: No module named 'no'"),
-        ("theirs = 5", "theirs", "theirs is {module}:theirs, which cannot be called; wanted a function (belief, particles, reach, rng)"),
+        (
+            "",
+            "no.such.module:theirs",
+            "theirs of no.such.module:theirs does not load: ModuleNotFoundError: No module named 'no'",
+        ),
+        (
+            "theirs = 5",
+            "theirs",
+            "theirs is {module}:theirs, which cannot be called; wanted a function (belief, particles, reach, "
+            "rng)",
+        ),
     ],
-)  # fmt: skip
-def test_a_package_that_does_not_load_is_refused_in_one_line(plug: Plug, source: str, value: str, words: str) -> None:
+)
+def test_a_package_that_does_not_load_is_refused_in_one_line(
+    plug: Plug, source: str, value: str, words: str
+) -> None:
     module = plug(source, value)
     with pytest.raises(ValueError, match="theirs") as refused:
         policy("theirs")
@@ -306,7 +392,9 @@ def test_a_policy_draws_by_seed_and_step_alone(plug: Plug) -> None:
     assert places[1:] != [point.position for point in rollout(2, "theirs", 100, budget=4)[1]][1:]
 
 
-def test_a_policy_cannot_change_what_the_estimator_believes(plug: Plug, seen: tuple[Belief, Particles]) -> None:
+def test_a_policy_cannot_change_what_the_estimator_believes(
+    plug: Plug, seen: tuple[Belief, Particles]
+) -> None:
     plug("def theirs(belief, particles, reach, rng):\n    particles[:, 2] = 1\n    return 1, 2")
     before = seen[1].copy()
     with pytest.raises(PolicyError, match="read-only"):
@@ -316,7 +404,10 @@ def test_a_policy_cannot_change_what_the_estimator_believes(plug: Plug, seen: tu
 
 def test_particles_lie_in_memory_alike_however_they_came(plug: Plug, seen: tuple[Belief, Particles]) -> None:
     """The memory layout sets the order of summation, which changes the last bits."""
-    plug("def theirs(belief, particles, reach, rng): return particles.flags.f_contiguous, particles.flags.writeable")
+    plug(
+        "def theirs(belief, particles, reach, rng): return particles.flags.f_contiguous, "
+        "particles.flags.writeable"
+    )
     belief, particles = seen
     for order in "CF":
         assert choose("theirs", belief, np.array(particles, order=order), 0, Reach()) == (1, 0)
@@ -361,7 +452,10 @@ def test_a_policy_of_another_package_flies_the_same_over_the_bus(tmp_path: Path,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("schema", "move"), [("paper", HeadingAndStep()), pytest.param("polar", Headings(16), marks=pytest.mark.full)])
+@pytest.mark.parametrize(
+    ("schema", "move"),
+    [("paper", HeadingAndStep()), pytest.param("polar", Headings(16), marks=pytest.mark.full)],
+)
 def test_a_bundle_flies_the_same_over_the_bus(tmp_path: Path, schema: str, move: Move) -> None:
     a_bundle(tmp_path / "a.zip", schema, move, seed=1)
     chosen = ("--policy", "a.zip", "--seed", "5", "--budget", "10", "--particles", "100")
@@ -372,7 +466,18 @@ def test_a_bundle_flies_the_same_over_the_bus(tmp_path: Path, schema: str, move:
 
 @pytest.mark.slow
 def test_a_policy_of_another_package_is_evaluated_by_all_workers(tmp_path: Path, packages: Path) -> None:
-    chosen = ("--policy", "drawn,random", "--scenarios", "3", "--particles", "100", "--budget", "10", "--workers", "2")
+    chosen = (
+        "--policy",
+        "drawn,random",
+        "--scenarios",
+        "3",
+        "--particles",
+        "100",
+        "--budget",
+        "10",
+        "--workers",
+        "2",
+    )
     done = command("agent", "evaluate", *chosen, "--json", cwd=tmp_path, packages=packages)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1])["drawn"]["missions"] == 3
@@ -386,7 +491,9 @@ def test_a_policy_of_another_package_is_evaluated_by_all_workers(tmp_path: Path,
         ("absent", "--policy: absent of stranger:absent does not load: "),
     ],
 )
-def test_a_package_that_does_not_fit_is_refused_before_anything_flies(tmp_path: Path, packages: Path, name: str, words: str) -> None:
+def test_a_package_that_does_not_fit_is_refused_before_anything_flies(
+    tmp_path: Path, packages: Path, name: str, words: str
+) -> None:
     for program in (("agent", "rollout"), ("sitl", "fly", "--speedup", "0")):
         ended = command(*program, "--policy", name, cwd=tmp_path, packages=packages)
         assert (ended.returncode, ended.stdout) == (2, "")
@@ -398,7 +505,9 @@ def test_a_package_that_does_not_fit_is_refused_before_anything_flies(tmp_path: 
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        pytest.param("word", "policy word said 'north'; wanted a waypoint (x, y) in metres", marks=pytest.mark.full),
+        pytest.param(
+            "word", "policy word said 'north'; wanted a waypoint (x, y) in metres", marks=pytest.mark.full
+        ),
         ("crash", "policy crash failed: LookupError: lost (stranger.py, line 14)"),
     ],
 )
@@ -406,7 +515,11 @@ def test_a_policy_that_fails_in_flight_ends_the_mission_with_a_line_that_names_i
     tmp_path: Path, packages: Path, name: str, words: str
 ) -> None:
     chosen = ("--policy", name, "--budget", "5", "--particles", "100")
-    for program in (("agent", "rollout"), ("sitl", "fly", "--speedup", "0"), ("agent", "evaluate", "--scenarios", "1")):
+    for program in (
+        ("agent", "rollout"),
+        ("sitl", "fly", "--speedup", "0"),
+        ("agent", "evaluate", "--scenarios", "1"),
+    ):
         ended = command(*program, *chosen, cwd=tmp_path, packages=packages)
         assert (ended.returncode, ended.stdout) == (1, "")
         assert words in ended.stderr.splitlines()[-1]
@@ -414,7 +527,9 @@ def test_a_policy_that_fails_in_flight_ends_the_mission_with_a_line_that_names_i
 
 def examples() -> dict[str, str]:
     """The files in docs/policies.md: code blocks whose first line is the file's name."""
-    blocks = re.findall(r"^```\w+\n(# (\S+)\n.*?)^```$", (ROOT / "docs" / "policies.md").read_text(), re.DOTALL | re.MULTILINE)
+    blocks = re.findall(
+        r"^```\w+\n(# (\S+)\n.*?)^```$", (ROOT / "docs" / "policies.md").read_text(), re.DOTALL | re.MULTILINE
+    )
     return {name: text for text, name in blocks}
 
 
@@ -424,7 +539,9 @@ def test_the_documented_bundle_is_made_without_our_code_and_flies_where_it_says(
     assert not re.search(r"^(from|import) (agent|link|plume|estimator)\b", source, re.MULTILINE)
     (tmp_path / "beeline.py").write_text(source)
     subprocess.run([sys.executable, "beeline.py"], check=True, cwd=tmp_path, timeout=300)
-    trace = flown("agent", "rollout", "--policy", "beeline.zip", "--seed", "3", "--particles", "200", cwd=tmp_path)["trace"]
+    trace = flown(
+        "agent", "rollout", "--policy", "beeline.zip", "--seed", "3", "--particles", "200", cwd=tmp_path
+    )["trace"]
     assert len(trace) > 10
     angles = 2 * math.pi * np.arange(8) / 8
     steps = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -455,13 +572,36 @@ def test_the_documented_package_installs_and_flies(tmp_path: Path) -> None:
     ]
     subprocess.run([*pip, str(source)], check=True, timeout=300)
     done = command(
-        "agent", "evaluate", "--policy", "weave", "--scenarios", "8", "--particles", "300", "--workers", "1", "--json",
-        cwd=tmp_path, packages=packages,
-    )  # fmt: skip
+        "agent",
+        "evaluate",
+        "--policy",
+        "weave",
+        "--scenarios",
+        "8",
+        "--particles",
+        "300",
+        "--workers",
+        "1",
+        "--json",
+        cwd=tmp_path,
+        packages=packages,
+    )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1])["weave"]["ceased"] >= 0.5
     over_the_bus, in_process = (
-        flown(*program, "--policy", "weave", "--budget", "10", "--particles", "100", "--seed", "2", cwd=tmp_path, packages=packages)
+        flown(
+            *program,
+            "--policy",
+            "weave",
+            "--budget",
+            "10",
+            "--particles",
+            "100",
+            "--seed",
+            "2",
+            cwd=tmp_path,
+            packages=packages,
+        )
         for program in (("sitl", "fly", "--speedup", "0"), ("agent", "rollout"))
     )
     assert over_the_bus["trace"] == in_process["trace"]

@@ -1,4 +1,6 @@
-"""Protects the agent from beliefs that no estimator can mean: each is refused for its own reason, and the next one is answered."""
+"""Protects the agent from beliefs that no estimator can mean: each is refused for its own reason, and the
+next one is answered.
+"""
 
 import msgspec
 import numpy as np
@@ -35,7 +37,9 @@ def said(**changed: object) -> bytes:
         ({"diffusivity": 1e-300}, "one within 1e-12 of 0 that must be above 0"),
     ],
 )
-def test_a_belief_that_no_estimator_can_mean_is_refused_and_the_next_one_answered(changed: dict[str, object], reason: str) -> None:
+def test_a_belief_that_no_estimator_can_mean_is_refused_and_the_next_one_answered(
+    changed: dict[str, object], reason: str
+) -> None:
     bus = answered("ppo", said(**changed), said())
     assert reason in bus.tally.last_error
     assert bus.tally.refused == {"malformed": 1}
@@ -69,4 +73,8 @@ def test_an_agent_that_was_told_no_system_id_takes_the_one_of_the_vehicles_healt
     bus = QuietBus(one, health("uav", 0), health("recorder", 9), one, health("uav", 32), one)
     until_all_are_taken(lambda: service.run(bus, "homing", 3, 300, None, reach("homing")))
     waypoints = [message for _, answer, _ in bus.published for message in unpack(answer)]
-    assert [(waypoint.get_srcSystem(), waypoint.target_system) for waypoint in waypoints] == [(1, 1), (1, 1), (32, 32)]
+    assert [(waypoint.get_srcSystem(), waypoint.target_system) for waypoint in waypoints] == [
+        (1, 1),
+        (1, 1),
+        (32, 32),
+    ]

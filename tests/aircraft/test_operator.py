@@ -1,4 +1,6 @@
-"""Protects a command on a link that loses messages: it is sent until it is done, carried out once, and answered."""
+"""Protects a command on a link that loses messages: it is sent until it is done, carried out once, and
+answered.
+"""
 
 from collections.abc import Callable, Iterator
 from itertools import count
@@ -18,7 +20,9 @@ TRIES, EVERY_S, STEP_S = 5, 0.5, 0.1
 
 
 class Flight:
-    """The built-in vehicle in the air, on a link that loses what a test says, and what is seen of it once a second."""
+    """The built-in vehicle in the air, on a link that loses what a test says, and what is seen of it once
+    a second.
+    """
 
     def __init__(self) -> None:
         self.vehicle = Vehicle(VehicleConfig())
@@ -30,8 +34,12 @@ class Flight:
         self.sent: list[Message] = []
         self.run = CommandRun(command(1, RETURN), lambda: self.seen == "RETURN", lambda: self.reason, EVERY_S)
 
-    def answer(self, loses: Callable[[int], bool] = lambda _: False, deaf: Callable[[int], bool] = lambda _: False) -> Result:
-        """What becomes of the command. loses: whether the link loses copy n; deaf: whether it loses the answer to copy n."""
+    def answer(
+        self, loses: Callable[[int], bool] = lambda _: False, deaf: Callable[[int], bool] = lambda _: False
+    ) -> Result:
+        """What becomes of the command. loses: whether the link loses copy n; deaf: whether it loses the
+        answer to copy n.
+        """
         for step in count():
             now_s = 20.0 + STEP_S * step
             if copy := self.run.send(now_s):

@@ -5,12 +5,32 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from tests.autopilots.autopilot import ACCEPTED, CRITICAL, DENIED, FAILED, INFO, NOTICE, WARNING, Autopilot, Result
+from tests.autopilots.autopilot import (
+    ACCEPTED,
+    CRITICAL,
+    DENIED,
+    FAILED,
+    INFO,
+    NOTICE,
+    WARNING,
+    Autopilot,
+    Result,
+)
 from tests.autopilots.body import FREE, STILL, Vector
 from tests.autopilots.faults import Fault
 from tests.autopilots.telemetry import ARDUPILOT
 
-MODES = {"STABILIZE": 0, "ALT_HOLD": 2, "AUTO": 3, "GUIDED": 4, "LOITER": 5, "RTL": 6, "LAND": 9, "POSHOLD": 16, "BRAKE": 17}
+MODES = {
+    "STABILIZE": 0,
+    "ALT_HOLD": 2,
+    "AUTO": 3,
+    "GUIDED": 4,
+    "LOITER": 5,
+    "RTL": 6,
+    "LAND": 9,
+    "POSHOLD": 16,
+    "BRAKE": 17,
+}
 NAMES = {number: name for name, number in MODES.items()}
 NEED_POSITION = {"AUTO", "GUIDED", "LOITER", "RTL", "POSHOLD", "BRAKE"}
 MANUAL = {"STABILIZE", "ALT_HOLD", "LOITER", "POSHOLD"}
@@ -21,11 +41,22 @@ GCS_ACTIONS = {1: "RTL", 5: "LAND", 7: "BRAKE"}
 FENCE_ACTIONS = {1: "RTL", 2: "LAND", 4: "BRAKE"}
 BATTERY_ACTIONS = {1: "LAND", 2: "RTL"}
 DEFAULTS = {
-    "SYSID_MYGCS": 255.0, "FS_GCS_ENABLE": 0.0, "FS_GCS_TIMEOUT": 5.0, "RTL_ALT": 1500.0, "GUID_TIMEOUT": 3.0,
-    "BATT_FS_LOW_ACT": 2.0, "BATT_FS_CRT_ACT": 1.0,  # the real ones are 0 until someone sets them
-    "EK3_DRAG_BCOEF_X": 0.0, "EK3_DRAG_BCOEF_Y": 0.0, "EK3_DRAG_MCOEF": 0.0,
-    "FENCE_ENABLE": 0.0, "FENCE_TYPE": 7.0, "FENCE_ACTION": 1.0, "FENCE_RADIUS": 300.0, "FENCE_ALT_MAX": 100.0,
-}  # fmt: skip
+    "SYSID_MYGCS": 255.0,
+    "FS_GCS_ENABLE": 0.0,
+    "FS_GCS_TIMEOUT": 5.0,
+    "RTL_ALT": 1500.0,
+    "GUID_TIMEOUT": 3.0,
+    "BATT_FS_LOW_ACT": 2.0,
+    "BATT_FS_CRT_ACT": 1.0,  # the real ones are 0 until someone sets them
+    "EK3_DRAG_BCOEF_X": 0.0,
+    "EK3_DRAG_BCOEF_Y": 0.0,
+    "EK3_DRAG_MCOEF": 0.0,
+    "FENCE_ENABLE": 0.0,
+    "FENCE_TYPE": 7.0,
+    "FENCE_ACTION": 1.0,
+    "FENCE_RADIUS": 300.0,
+    "FENCE_ALT_MAX": 100.0,
+}
 
 
 class ArduCopter(Autopilot):
@@ -90,7 +121,12 @@ class ArduCopter(Autopilot):
             return None
         if self.aim == "velocity":
             return 0x0C07, STILL, self.velocity, 0.0
-        return 0x0DF8, self.last_place, STILL, 0.0  # a take-off has no target of its own: what is read back is older
+        return (
+            0x0DF8,
+            self.last_place,
+            STILL,
+            0.0,
+        )  # a take-off has no target of its own: what is read back is older
 
     def landing(self) -> bool:
         """In LAND, or at the end of RTL."""
@@ -167,7 +203,13 @@ class ArduCopter(Autopilot):
 
     def _take_off(self, above_home_m: float) -> Result:
         """Refused unless armed, on the ground, in GUIDED, with a home to measure the height from."""
-        ready = self.armed and self.landed and self.mode == "GUIDED" and self.origin_set and not self.faults.on("takeoff")
+        ready = (
+            self.armed
+            and self.landed
+            and self.mode == "GUIDED"
+            and self.origin_set
+            and not self.faults.on("takeoff")
+        )
         if not ready or not above_home_m > self.home[2] - self.body.position[2]:
             return FAILED
         north, east, _ = self.body.position
@@ -178,7 +220,9 @@ class ArduCopter(Autopilot):
 
     def hear_heartbeat(self, message: Any) -> None:
         """The station that FS_GCS watches."""
-        station = self.parameters.get("MAV_GCS_SYSID", self.parameters.get("SYSID_MYGCS"))  # as 4.7 and 4.6 call it
+        station = self.parameters.get(
+            "MAV_GCS_SYSID", self.parameters.get("SYSID_MYGCS")
+        )  # as 4.7 and 4.6 call it
         if message.get_srcSystem() == station:
             self.station_seen_s = self.now_s
 
@@ -188,7 +232,10 @@ class ArduCopter(Autopilot):
             return
         mask, frame = message.type_mask, message.coordinate_frame
         ignored = tuple(bool(mask & bits) for bits in (POSITION_MASK, VELOCITY_MASK, ACCELERATION_MASK))
-        if frame not in (LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED) or ignored in ((False, True, False), (True, True, True)):
+        if frame not in (LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED) or ignored in (
+            (False, True, False),
+            (True, True, True),
+        ):
             self._stop()
             return
         place, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
@@ -210,7 +257,13 @@ class ArduCopter(Autopilot):
         self._aim_at(place)
 
     def _aim_at(self, place: Vector) -> None:
-        self.aim, self.place, self.velocity, self.aimed_s, self.last_place = "position", place, STILL, self.now_s, place
+        self.aim, self.place, self.velocity, self.aimed_s, self.last_place = (
+            "position",
+            place,
+            STILL,
+            self.now_s,
+            place,
+        )
 
     def go_to(self, place: Vector) -> None:
         """MAV_CMD_DO_REPOSITION of a ground station, with the flag that changes the mode."""
@@ -224,7 +277,10 @@ class ArduCopter(Autopilot):
 
     def _outside(self, place: Vector) -> bool:
         north, east, down = (p - h for p, h in zip(place, self.home, strict=True))
-        far = math.hypot(north, east) > self.parameters["FENCE_RADIUS"] or -down > self.parameters["FENCE_ALT_MAX"]
+        far = (
+            math.hypot(north, east) > self.parameters["FENCE_RADIUS"]
+            or -down > self.parameters["FENCE_ALT_MAX"]
+        )
         return bool(self.parameters["FENCE_ENABLE"]) and far
 
     # ---- flight
@@ -249,7 +305,11 @@ class ArduCopter(Autopilot):
             self.hold()
 
     def _guided(self) -> None:
-        if self.aim == "takeoff" and self.landed and (self.faults.on("stuck") or self.now_s - self.aimed_s < SPOOL_S):
+        if (
+            self.aim == "takeoff"
+            and self.landed
+            and (self.faults.on("stuck") or self.now_s - self.aimed_s < SPOOL_S)
+        ):
             self.body.rest()
             self.disarm_on_ground()
             return

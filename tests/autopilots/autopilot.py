@@ -1,4 +1,6 @@
-"""What both autopilot doubles share: the clock, the streams, commands and parameters, landing, returning and the failsafes' triggers."""
+"""What both autopilot doubles share: the clock, the streams, commands and parameters, landing, returning
+and the failsafes' triggers.
+"""
 
 import math
 import random
@@ -33,7 +35,9 @@ class Return:
 
 
 class Autopilot:
-    """A state machine: `hear` messages, `step` the clock, take what it says from `out`. It knows no wall clock."""
+    """A state machine: `hear` messages, `step` the clock, take what it says from `out`. It knows no wall
+    clock.
+    """
 
     autopilot: int
     is_ardupilot: bool
@@ -169,7 +173,9 @@ class Autopilot:
         chunks = [words[at : at + 50].encode() for at in range(0, len(words), 50)]
         self.texts = self.texts + 1 if len(chunks) > 1 else self.texts
         number = self.texts if len(chunks) > 1 else 0
-        self.out += [mavlink.MAVLink_statustext_message(severity, chunk, number, n) for n, chunk in enumerate(chunks)]
+        self.out += [
+            mavlink.MAVLink_statustext_message(severity, chunk, number, n) for n, chunk in enumerate(chunks)
+        ]
 
     # ---- what it hears
 
@@ -185,7 +191,15 @@ class Autopilot:
 
     def hear_command_int(self, message: Message) -> None:
         """COMMAND_INT: param5 and param6 are integers."""
-        values = [message.param1, message.param2, message.param3, message.param4, message.x, message.y, message.z]
+        values = [
+            message.param1,
+            message.param2,
+            message.param3,
+            message.param4,
+            message.x,
+            message.y,
+            message.z,
+        ]
         self._answer(message, values)
 
     def hear_command_long(self, message: Message) -> None:
@@ -194,7 +208,9 @@ class Autopilot:
 
     def _answer(self, message: Message, values: list[float]) -> None:
         def ack(result: Result) -> Message:
-            return mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent())
+            return mavlink.MAVLink_command_ack_message(
+                message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
+            )
 
         if self.faults.on("busy"):
             self.out.append(ack(REJECTED))
@@ -214,7 +230,9 @@ class Autopilot:
                 wanted, interval = int(values[0]), int(values[1])
                 if wanted not in self.says:
                     return DENIED if self.is_ardupilot else FAILED
-                self.interval_us[wanted] = interval if interval > 0 else self.unasked_us.get(wanted, -1) if interval == 0 else -1
+                self.interval_us[wanted] = (
+                    interval if interval > 0 else self.unasked_us.get(wanted, -1) if interval == 0 else -1
+                )
                 return ACCEPTED
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
                 if (say := self.says.get(int(values[0]))) is None:
@@ -261,7 +279,11 @@ class Autopilot:
     def hear_param_request_read(self, message: Message) -> None:
         """PARAM_REQUEST_READ, by name or index."""
         names = list(self.parameters)
-        name = names[message.param_index] if 0 <= message.param_index < len(names) else message.param_id.rstrip("\0")
+        name = (
+            names[message.param_index]
+            if 0 <= message.param_index < len(names)
+            else message.param_id.rstrip("\0")
+        )
         if name in self.parameters:
             self._say_parameter(name)
 
@@ -275,7 +297,11 @@ class Autopilot:
         name = message.param_id.rstrip("\0")
         if name in self.parameters:
             whole = self._is_integer(name)
-            raw = struct.unpack("<i", struct.pack("<f", message.param_value))[0] if whole else message.param_value
+            raw = (
+                struct.unpack("<i", struct.pack("<f", message.param_value))[0]
+                if whole
+                else message.param_value
+            )
             self.parameters[name] = float(raw)
             self._say_parameter(name)
 
@@ -288,7 +314,9 @@ class Autopilot:
         if self._is_integer(name):
             value, kind = struct.unpack("<f", struct.pack("<i", int(value)))[0], mavlink.MAV_PARAM_TYPE_INT32
         place = list(self.parameters).index(name)
-        self.out.append(mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), place))
+        self.out.append(
+            mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), place)
+        )
 
     # ---- flight that both know
 

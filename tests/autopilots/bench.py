@@ -1,4 +1,6 @@
-"""A companion in step with a double: it speaks pymavlink's frames, and time passes only when a test says so."""
+"""A companion in step with a double: it speaks pymavlink's frames, and time passes only when a test says
+so.
+"""
 
 from typing import Any
 
@@ -17,11 +19,17 @@ STATION = 255
 class Bench:
     """A double and its companion. `heard` holds every (simulation time in s, message)."""
 
-    def __init__(self, kind: str, *faults: str, parameters: dict[str, float] | None = None, **settings: Any) -> None:
-        self.wire = Wire(kind, Settings(faults=faults, parameters=tuple((parameters or {}).items()), **settings))
+    def __init__(
+        self, kind: str, *faults: str, parameters: dict[str, float] | None = None, **settings: Any
+    ) -> None:
+        self.wire = Wire(
+            kind, Settings(faults=faults, parameters=tuple((parameters or {}).items()), **settings)
+        )
         self.heard: list[tuple[float, Message]] = []
         self._newest: dict[str, Message] = {}
-        self._mav = {system: mavlink.MAVLink(None, srcSystem=system, srcComponent=191) for system in (1, STATION)}
+        self._mav = {
+            system: mavlink.MAVLink(None, srcSystem=system, srcComponent=191) for system in (1, STATION)
+        }
         self._parser = mavlink.MAVLink(None)
         self.stream: Message | None = None
         """A message that is sent at 20 Hz all the time."""
@@ -54,7 +62,11 @@ class Bench:
         values = (*values, *[0.0] * (7 - len(values)))
         self.send(mavlink.MAVLink_command_long_message(target, 1, number, 0, *values))
         self.run(DT_S)
-        acks = [one.result for _, one in self.heard[before:] if one.get_type() == "COMMAND_ACK" and one.command == number]
+        acks = [
+            one.result
+            for _, one in self.heard[before:]
+            if one.get_type() == "COMMAND_ACK" and one.command == number
+        ]
         return acks[0] if acks else None
 
     def ask(self, *numbers: int, hz: float = 50.0) -> None:
@@ -102,10 +114,14 @@ class Bench:
         return one.x, one.y, one.z
 
 
-def target(place: tuple[float, float, float], mask: int = POSITION, frame: int = 1, system: int = 1) -> Message:
+def target(
+    place: tuple[float, float, float], mask: int = POSITION, frame: int = 1, system: int = 1
+) -> Message:
     """SET_POSITION_TARGET_LOCAL_NED; with the VELOCITY mask `place` is a velocity."""
     values = (0.0, 0.0, 0.0, *place) if mask == VELOCITY else (*place, 0.0, 0.0, 0.0)
-    return mavlink.MAVLink_set_position_target_local_ned_message(0, system, 1, frame, mask, *values, 0, 0, 0, 0, 0)
+    return mavlink.MAVLink_set_position_target_local_ned_message(
+        0, system, 1, frame, mask, *values, 0, 0, 0, 0, 0
+    )
 
 
 def heartbeat(kind: int = mavlink.MAV_TYPE_ONBOARD_CONTROLLER) -> Message:

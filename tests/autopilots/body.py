@@ -1,4 +1,5 @@
-"""How the double's vehicle moves: second order, with limits, so that a long leg ends with an overshoot of about 0.4 m.
+"""How the double's vehicle moves: second order, with limits, so that a long leg ends with an overshoot of
+about 0.4 m.
 
 A step of 1 m is within 0.3 m after 1.6 s and within 0.1 m after 2.0 s, as measured on ArduCopter 4.6.3.
 """
@@ -23,7 +24,9 @@ STILL: Vector = (0.0, 0.0, 0.0)
 
 @dataclass
 class Body:
-    """A multirotor: position (m) from the EKF's origin and velocity (m/s), north, east, down. The ground is flat."""
+    """A multirotor: position (m) from the EKF's origin and velocity (m/s), north, east, down. The ground
+    is flat.
+    """
 
     position: list[float]
     velocity: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
@@ -45,10 +48,15 @@ class Body:
 
     def fly(self, place: Vector, velocity: Vector, speed: float, climb: float, descent: float) -> None:
         """Fly for one time step to a place; where the place is NaN, the velocity leads. Limits in m/s."""
-        wanted = [v if math.isnan(p) else POSITION_GAIN * (p - at) for p, v, at in zip(place, velocity, self.position, strict=True)]
+        wanted = [
+            v if math.isnan(p) else POSITION_GAIN * (p - at)
+            for p, v, at in zip(place, velocity, self.position, strict=True)
+        ]
         north, east = _within(wanted[0], wanted[1], speed)
         down = max(-climb, min(descent, wanted[2]))
-        a_north, a_east = _within(VELOCITY_GAIN * (north - self.velocity[0]), VELOCITY_GAIN * (east - self.velocity[1]), ACCEL_MPS2)
+        a_north, a_east = _within(
+            VELOCITY_GAIN * (north - self.velocity[0]), VELOCITY_GAIN * (east - self.velocity[1]), ACCEL_MPS2
+        )
         a_down = max(-ACCEL_Z_MPS2, min(ACCEL_Z_MPS2, VELOCITY_GAIN * (down - self.velocity[2])))
         self._move([a_north, a_east, a_down])
 

@@ -1,7 +1,8 @@
 """What can go wrong with an autopilot double: one table, and when each fault strikes.
 
-A fault is written `NAME[@WHEN][:ARGUMENT]`. WHEN is `12` (s after boot), `+12` (s after take-off) or `#3` (with the third accepted target);
-without it the fault is there from boot.  Examples: `gps@+20:15`, `pilot@#3:LOITER`, `drop:5`.
+A fault is written `NAME[@WHEN][:ARGUMENT]`. WHEN is `12` (s after boot), `+12` (s after take-off) or `#3`
+(with the third accepted target); without it the fault is there from boot.  Examples: `gps@+20:15`,
+`pilot@#3:LOITER`, `drop:5`.
 """
 
 from dataclasses import dataclass
@@ -26,7 +27,11 @@ FAULTS = {
     "progress": Kind("seconds", FOREVER, "a command is answered IN_PROGRESS first, and finally after 1 s"),
     "ignore": Kind("seconds", FOREVER, "targets are ignored silently"),
     "gps": Kind("seconds", FOREVER, "GPS is lost: the position flows on, the EKF flags drop, LAND follows"),
-    "glitch": Kind("seconds", FOREVER, "GPS is 33 m off: the EKF rejects it for 10 s (PX4: 7), then follows, and so back again"),
+    "glitch": Kind(
+        "seconds",
+        FOREVER,
+        "GPS is 33 m off: the EKF rejects it for 10 s (PX4: 7), then follows, and so back again",
+    ),
     "jump": Kind("seconds", FOREVER, "the EKF's position is 33 m off at once, without a word"),
     "ekf": Kind("seconds", FOREVER, "the EKF's variances are too large"),
     "low": Kind("", "", "the battery is low"),
@@ -44,7 +49,9 @@ FAULTS = {
 
 @dataclass
 class Fault:
-    """One fault of a run: its name, when it strikes, its argument, and the simulation time (s) at which it struck."""
+    """One fault of a run: its name, when it strikes, its argument, and the simulation time (s) at which it
+    struck.
+    """
 
     name: str
     when: float = 0.0
@@ -53,7 +60,9 @@ class Fault:
     struck_s: float | None = None
 
     def due(self, now_s: float, airborne_s: float | None, targets: int) -> bool:
-        """Whether it strikes now; `airborne_s` is the time since take-off, `targets` counts the accepted targets."""
+        """Whether it strikes now; `airborne_s` is the time since take-off, `targets` counts the accepted
+        targets.
+        """
         if self.clock == "boot":
             return now_s >= self.when
         if self.clock == "takeoff":
@@ -62,7 +71,9 @@ class Fault:
 
     def lasts(self, now_s: float) -> bool:
         """Whether it has struck and is not over."""
-        return self.struck_s is not None and (FAULTS[self.name].argument != "seconds" or now_s < self.struck_s + float(self.argument))
+        return self.struck_s is not None and (
+            FAULTS[self.name].argument != "seconds" or now_s < self.struck_s + float(self.argument)
+        )
 
 
 def fault(text: str) -> Fault:
@@ -78,7 +89,10 @@ def fault(text: str) -> Fault:
             float(argument or kind.default)
         return Fault(name, float(when.lstrip("+#") or 0.0), clock, argument or kind.default)
     except ValueError:
-        raise ValueError(f"fault {text!r}: must be NAME[@WHEN][:{kind.argument.upper() or 'nothing'}], WHEN like 12, +12 or #3") from None
+        raise ValueError(
+            f"fault {text!r}: must be NAME[@WHEN][:{kind.argument.upper() or 'nothing'}], WHEN like 12, +12 "
+            "or #3"
+        ) from None
 
 
 class Faults:
@@ -106,4 +120,7 @@ class Faults:
 
     def drop_share(self) -> float:
         """The share of frames that the link loses now."""
-        return max((float(one.argument) / 100.0 for one in self.all if one.name == "drop" and one.lasts(self.now_s)), default=0.0)
+        return max(
+            (float(one.argument) / 100.0 for one in self.all if one.name == "drop" and one.lasts(self.now_s)),
+            default=0.0,
+        )

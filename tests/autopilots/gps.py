@@ -1,4 +1,6 @@
-"""A GPS whose place jumps, and what the EKF makes of it: it rejects the new place for some seconds, then takes it for the truth."""
+"""A GPS whose place jumps, and what the EKF makes of it: it rejects the new place for some seconds, then
+takes it for the truth.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -12,9 +14,13 @@ if TYPE_CHECKING:
 JUMP_M = (-20.0, 26.0)
 """North and east: 32.8 m, far outside the area."""
 FOLLOWS_S = {True: 10.0, False: 7.0}
-"""How long the EKF rejects another place, by whether it is ArduPilot: posRetryTimeUseVel_ms, reset_timeout_max."""
+"""How long the EKF rejects another place, by whether it is ArduPilot: posRetryTimeUseVel_ms,
+reset_timeout_max.
+"""
 FLAGGED_S, CLEARED_S = 1.0, 10.0
-"""ArduPilot flags a glitch when the EKF has rejected GPS for 1 s, and no longer when it has agreed for 10 s. PX4 does at once."""
+"""ArduPilot flags a glitch when the EKF has rejected GPS for 1 s, and no longer when it has agreed for 10
+s. PX4 does at once.
+"""
 
 
 class Gps:
@@ -39,9 +45,15 @@ class Gps:
             self.apart_s, self._agreed_s = self.apart_s + seconds, 0.0
         if ap.faults.knows("jump") or self.apart_s > FOLLOWS_S[ap.is_ardupilot]:
             self.shift = said
-        flagged = self.apart_s > FLAGGED_S or (self.flagged and self._agreed_s < CLEARED_S) if ap.is_ardupilot else self.apart_s > 0.0
+        flagged = (
+            self.apart_s > FLAGGED_S or (self.flagged and self._agreed_s < CLEARED_S)
+            if ap.is_ardupilot
+            else self.apart_s > 0.0
+        )
         if ap.is_ardupilot and flagged != self.flagged:
-            ap.text(mavlink.MAV_SEVERITY_CRITICAL, "GPS Glitch or Compass error" if flagged else "Glitch cleared")
+            ap.text(
+                mavlink.MAV_SEVERITY_CRITICAL, "GPS Glitch or Compass error" if flagged else "Glitch cleared"
+            )
         self.flagged = flagged
 
     def truly(self, place: Vector) -> Vector:
@@ -54,5 +66,7 @@ class Gps:
         return int(bit) if self.flagged else 0
 
     def ratios(self) -> tuple[float, float, float, float]:
-        """Velocity, horizontal and vertical position, compass: what the EKF thinks of GPS. From 1 on it rejects it."""
+        """Velocity, horizontal and vertical position, compass: what the EKF thinks of GPS. From 1 on it
+        rejects it.
+        """
         return (0.02, 3.0 if self.apart_s else 0.03, 0.02, 0.05)

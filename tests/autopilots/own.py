@@ -1,4 +1,6 @@
-"""The project's own simulated vehicle in a double's place: a PX4 of its own kind, as `plumeward uav --out` is without a bus."""
+"""The project's own simulated vehicle in a double's place: a PX4 of its own kind, as `plumeward uav --out`
+is without a bus.
+"""
 
 from typing import Any
 
@@ -21,7 +23,9 @@ WIND = (1.5, -2.0)
 
 
 class Own:
-    """The vehicle and its protocol on the doubles' clock. Of the faults it knows those of the link, `ignore`, `pilot` and `reboot`."""
+    """The vehicle and its protocol on the doubles' clock. Of the faults it knows those of the link,
+    `ignore`, `pilot` and `reboot`.
+    """
 
     home: Vector = (0.0, 0.0, 0.0)
 

@@ -12,11 +12,26 @@ from tests.autopilots.telemetry import PX4 as SAYS
 from tests.autopilots.telemetry import amsl_m
 
 MODES = {
-    "MANUAL": (1, 0), "ALTCTL": (2, 0), "POSCTL": (3, 0), "TAKEOFF": (4, 2), "HOLD": (4, 3), "RTL": (4, 5), "LAND": (4, 6),
-    "OFFBOARD": (6, 0), "STABILIZED": (7, 0), "DESCEND": (4, 6),
-}  # fmt: skip
+    "MANUAL": (1, 0),
+    "ALTCTL": (2, 0),
+    "POSCTL": (3, 0),
+    "TAKEOFF": (4, 2),
+    "HOLD": (4, 3),
+    "RTL": (4, 5),
+    "LAND": (4, 6),
+    "OFFBOARD": (6, 0),
+    "STABILIZED": (7, 0),
+    "DESCEND": (4, 6),
+}
 """(main, sub) mode. DESCEND is what is left without a position; it shows as LAND."""
-WORDS = {"OFFBOARD": "Offboard", "HOLD": "Hold", "RTL": "Return", "LAND": "Land", "TAKEOFF": "Takeoff", "POSCTL": "Position"}
+WORDS = {
+    "OFFBOARD": "Offboard",
+    "HOLD": "Hold",
+    "RTL": "Return",
+    "LAND": "Land",
+    "TAKEOFF": "Takeoff",
+    "POSCTL": "Position",
+}
 BY_NUMBERS = {numbers: name for name, numbers in MODES.items() if name != "DESCEND"}
 BY_HAND = {"MANUAL", "ALTCTL", "POSCTL", "STABILIZED"}
 NEED_POSITION = {"POSCTL", "TAKEOFF", "HOLD", "RTL", "LAND", "OFFBOARD"}
@@ -28,11 +43,23 @@ SLOWEST_GAP_S, STREAM_FOR_S = 0.5, 1.0
 """Before OFFBOARD, targets must come at more than 2 Hz for a second."""
 SPOOL_S = 1.0
 DEFAULTS: dict[str, float] = {
-    "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RCL_EXCEPT": 0, "NAV_DLL_ACT": 0, "NAV_RCL_ACT": 2, "COM_DL_LOSS_T": 10,
-    "COM_FAIL_ACT_T": 5.0, "COM_LOW_BAT_ACT": 3, "COM_DISARM_PRFLT": 10.0, "COM_DISARM_LAND": 2.0, "MIS_TAKEOFF_ALT": 2.5,
-    "RTL_RETURN_ALT": 60.0, "GF_ACTION": 2, "GF_MAX_HOR_DIST": 0.0, "GF_MAX_VER_DIST": 0.0,
+    "COM_OF_LOSS_T": 1.0,
+    "COM_OBL_RC_ACT": 0,
+    "COM_RCL_EXCEPT": 0,
+    "NAV_DLL_ACT": 0,
+    "NAV_RCL_ACT": 2,
+    "COM_DL_LOSS_T": 10,
+    "COM_FAIL_ACT_T": 5.0,
+    "COM_LOW_BAT_ACT": 3,
+    "COM_DISARM_PRFLT": 10.0,
+    "COM_DISARM_LAND": 2.0,
+    "MIS_TAKEOFF_ALT": 2.5,
+    "RTL_RETURN_ALT": 60.0,
+    "GF_ACTION": 2,
+    "GF_MAX_HOR_DIST": 0.0,
+    "GF_MAX_VER_DIST": 0.0,
     "EKF2_DRAG_CTRL": 0,
-}  # fmt: skip
+}
 """An int is an INT32 on the wire."""
 
 
@@ -44,9 +71,20 @@ class Px4(Autopilot):
     ready_after_s = 12.0
     says = SAYS
     unasked_us = {  # noqa: RUF012
-        1: 1_000_000, 24: 200_000, 30: 50_000, 32: 33_000, 33: 50_000, 49: 1_000_000, 74: 200_000, 85: 100_000, 147: 1_000_000,
-        230: 1_000_000, 231: 500_000, 242: 1_000_000, 245: 200_000,
-    }  # fmt: skip
+        1: 1_000_000,
+        24: 200_000,
+        30: 50_000,
+        32: 33_000,
+        33: 50_000,
+        49: 1_000_000,
+        74: 200_000,
+        85: 100_000,
+        147: 1_000_000,
+        230: 1_000_000,
+        231: 500_000,
+        242: 1_000_000,
+        245: 200_000,
+    }
     defaults = DEFAULTS
 
     def boot(self) -> None:
@@ -111,7 +149,10 @@ class Px4(Autopilot):
     @property
     def station(self) -> bool:
         """Whether a ground station is heard."""
-        return self.station_seen_s is not None and self.now_s - self.station_seen_s < self.parameters["COM_DL_LOSS_T"]
+        return (
+            self.station_seen_s is not None
+            and self.now_s - self.station_seen_s < self.parameters["COM_DL_LOSS_T"]
+        )
 
     def can_run(self, mode: str) -> bool:
         """Whether the mode can fly now."""
@@ -182,7 +223,9 @@ class Px4(Autopilot):
             self.out.append(self.says[0](self))
 
     def _take_off(self, altitude_amsl_m: float) -> Result:
-        """The altitude is above mean sea level: one that is meant above home is below the ground, and the vehicle stays."""
+        """The altitude is above mean sea level: one that is meant above home is below the ground, and the
+        vehicle stays.
+        """
         if self.faults.on("takeoff"):
             self.text(CRITICAL, "Switching to Takeoff is currently not available")
             return REJECTED
@@ -218,8 +261,12 @@ class Px4(Autopilot):
             self.text(CRITICAL, f"SET_POSITION_TARGET_LOCAL_NED frame {message.coordinate_frame} unsupported")
             return
         mask = message.type_mask
-        place = tuple(NAN if mask & 1 << n else value for n, value in enumerate((message.x, message.y, message.z)))
-        velocity = tuple(NAN if mask & 8 << n else value for n, value in enumerate((message.vx, message.vy, message.vz)))
+        place = tuple(
+            NAN if mask & 1 << n else value for n, value in enumerate((message.x, message.y, message.z))
+        )
+        velocity = tuple(
+            NAN if mask & 8 << n else value for n, value in enumerate((message.vx, message.vy, message.vz))
+        )
         if all(map(math.isnan, place + velocity)):
             return
         if self.now_s - self.target_s > SLOWEST_GAP_S:
@@ -274,7 +321,9 @@ class Px4(Autopilot):
                 self.change({"LOITER": "POSCTL"}.get(one.argument, one.argument))
             case "rc":
                 self.radio = False
-                excepted = self.mode == "OFFBOARD" and int(self.parameters["COM_RCL_EXCEPT"]) & OFFBOARD_EXCEPTED
+                excepted = (
+                    self.mode == "OFFBOARD" and int(self.parameters["COM_RCL_EXCEPT"]) & OFFBOARD_EXCEPTED
+                )
                 if self.armed and self.had_radio and not excepted:
                     self._failsafe("Manual control lost", LINK_LOSS.get(int(self.parameters["NAV_RCL_ACT"])))
             case "low":
@@ -312,7 +361,9 @@ class Px4(Autopilot):
             self._fall_back()
         if self.parameters["NAV_DLL_ACT"] > 0 and self.station_seen_s is not None:
             if not self.station and not self.station_lost:
-                self._failsafe("Connection to ground station lost", LINK_LOSS.get(int(self.parameters["NAV_DLL_ACT"])))
+                self._failsafe(
+                    "Connection to ground station lost", LINK_LOSS.get(int(self.parameters["NAV_DLL_ACT"]))
+                )
             self.station_lost = not self.station
         self._watch_fence()
 
@@ -320,13 +371,23 @@ class Px4(Autopilot):
         """A mode that cannot run gives way: OFFBOARD as COM_OBL_RC_ACT says, then RTL, at last DESCEND."""
         if self.mode == "DESCEND":
             return
-        if self.fallen_back and self.wished == "OFFBOARD" and not self.landed and self._fresh() and self.position_good:
+        if (
+            self.fallen_back
+            and self.wished == "OFFBOARD"
+            and not self.landed
+            and self._fresh()
+            and self.position_good
+        ):
             self.fallen_back, self.failsafe = False, False
             self._enter("OFFBOARD")
             return
         if self.can_run(self.mode):
             return
-        wish = OFFBOARD_LOSS.get(int(self.parameters["COM_OBL_RC_ACT"]), "RTL") if self.mode == "OFFBOARD" else "RTL"
+        wish = (
+            OFFBOARD_LOSS.get(int(self.parameters["COM_OBL_RC_ACT"]), "RTL")
+            if self.mode == "OFFBOARD"
+            else "RTL"
+        )
         self.fallen_back, self.failsafe = True, True
         self.text(CRITICAL, "Failsafe activated")
         self._enter(next((mode for mode in (wish, "RTL", "LAND") if self.can_run(mode)), "DESCEND"))

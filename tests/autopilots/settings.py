@@ -16,7 +16,9 @@ class Settings:
     home: Vector = (1.2, -0.7, -0.4)
     """Where the vehicle stands, north, east, down (m) from the EKF's origin."""
     wind: tuple[float, float] = (0.0, 0.0)
-    """What it says of the wind: the direction that it comes from (deg), its speed (m/s). ArduCopter may say 0."""
+    """What it says of the wind: the direction that it comes from (deg), its speed (m/s). ArduCopter may
+    say 0.
+    """
     radio: bool = False
     """Whether a pilot with a radio is there."""
     parameters: tuple[tuple[str, float], ...] = ()

@@ -1,4 +1,6 @@
-"""What an autopilot double says of itself: one function for each message. None means that it has nothing to say yet."""
+"""What an autopilot double says of itself: one function for each message. None means that it has nothing
+to say yet.
+"""
 
 import math
 from typing import TYPE_CHECKING, Any
@@ -29,7 +31,9 @@ def degrees_e7(north: float, east: float) -> tuple[int, int]:
 
 def heartbeat(ap: "Autopilot") -> Message:
     """HEARTBEAT (0)."""
-    return mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, ap.autopilot, ap.base_mode, ap.custom_mode, ap.system_status, 3)
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_QUADROTOR, ap.autopilot, ap.base_mode, ap.custom_mode, ap.system_status, 3
+    )
 
 
 def sys_status(ap: "Autopilot") -> Message:
@@ -37,7 +41,9 @@ def sys_status(ap: "Autopilot") -> Message:
     health = mavlink.MAV_SYS_STATUS_PREARM_CHECK if ap.why_not_arm() is None else 0
     present = mavlink.MAV_SYS_STATUS_PREARM_CHECK
     voltage = round(ap.battery_v * 1000)
-    return mavlink.MAVLink_sys_status_message(present, present, health, 300, voltage, 1500, ap.battery_percent, 0, 0, 0, 0, 0, 0)
+    return mavlink.MAVLink_sys_status_message(
+        present, present, health, 300, voltage, 1500, ap.battery_percent, 0, 0, 0, 0, 0, 0
+    )
 
 
 def gps_raw(ap: "Autopilot") -> Message:
@@ -45,10 +51,17 @@ def gps_raw(ap: "Autopilot") -> Message:
     fixed = ap.gps_good
     latitude, longitude = degrees_e7(*ap.body.position[:2]) if fixed else (0, 0)
     return mavlink.MAVLink_gps_raw_int_message(
-        round(ap.now_s * 1e6), (6 if ap.is_ardupilot else 3) if fixed else 0 if ap.faults.on("gps") else 1, latitude, longitude,
-        round(amsl_m(ap.body.position[2]) * 1000) if fixed else 0, 121 if fixed else 9999, 200 if fixed else 65535, 0, 0,
+        round(ap.now_s * 1e6),
+        (6 if ap.is_ardupilot else 3) if fixed else 0 if ap.faults.on("gps") else 1,
+        latitude,
+        longitude,
+        round(amsl_m(ap.body.position[2]) * 1000) if fixed else 0,
+        121 if fixed else 9999,
+        200 if fixed else 65535,
+        0,
+        0,
         10 if fixed else 0,
-    )  # fmt: skip
+    )
 
 
 def attitude(ap: "Autopilot") -> Message:
@@ -62,7 +75,11 @@ def attitude(ap: "Autopilot") -> Message:
 def local_position(ap: "Autopilot") -> Message | None:
     """LOCAL_POSITION_NED (32): from the EKF's origin, not from home."""
     if not ap.origin_set:  # PX4 says zeros, ArduPilot nothing
-        return None if ap.is_ardupilot else mavlink.MAVLink_local_position_ned_message(ap.now_ms, 0, 0, 0, 0, 0, 0)
+        return (
+            None
+            if ap.is_ardupilot
+            else mavlink.MAVLink_local_position_ned_message(ap.now_ms, 0, 0, 0, 0, 0, 0)
+        )
     return mavlink.MAVLink_local_position_ned_message(ap.now_ms, *ap.reported(), *ap.body.velocity)
 
 
@@ -84,13 +101,17 @@ def origin(ap: "Autopilot") -> Message | None:
     """GPS_GLOBAL_ORIGIN (49)."""
     if not ap.origin_set:
         return None
-    return mavlink.MAVLink_gps_global_origin_message(*degrees_e7(0.0, 0.0), round(ALTITUDE_M * 1000), round(ap.now_s * 1e6))
+    return mavlink.MAVLink_gps_global_origin_message(
+        *degrees_e7(0.0, 0.0), round(ALTITUDE_M * 1000), round(ap.now_s * 1e6)
+    )
 
 
 def vfr_hud(ap: "Autopilot") -> Message:
     """VFR_HUD (74)."""
     speed = math.hypot(*ap.body.velocity[:2])
-    return mavlink.MAVLink_vfr_hud_message(speed, speed, 0, 30, amsl_m(ap.reported()[2]), -ap.body.velocity[2])
+    return mavlink.MAVLink_vfr_hud_message(
+        speed, speed, 0, 30, amsl_m(ap.reported()[2]), -ap.body.velocity[2]
+    )
 
 
 def target(ap: "Autopilot") -> Message | None:
@@ -99,7 +120,9 @@ def target(ap: "Autopilot") -> Message | None:
     if said is None:
         return None
     mask, place, velocity, other = said
-    return mavlink.MAVLink_position_target_local_ned_message(ap.now_ms, 1, mask, *place, *velocity, other, other, other, other, other)
+    return mavlink.MAVLink_position_target_local_ned_message(
+        ap.now_ms, 1, mask, *place, *velocity, other, other, other, other, other
+    )
 
 
 def battery(ap: "Autopilot") -> Message:
@@ -117,7 +140,9 @@ def version(ap: "Autopilot") -> Message:
 
 
 def wind(ap: "Autopilot") -> Message:
-    """WIND (168), ArduPilot's: the direction that it comes from (deg). Without the model of its drag, and on the ground, it reads 0."""
+    """WIND (168), ArduPilot's: the direction that it comes from (deg). Without the model of its drag, and
+    on the ground, it reads 0.
+    """
     if ap.landed or not any(value for name, value in ap.parameters.items() if name.startswith("EK3_DRAG")):
         return mavlink.MAVLink_wind_message(-180.0, 0.0, 0.0)
     return mavlink.MAVLink_wind_message(*ap.settings.wind, 0.0)
@@ -126,7 +151,9 @@ def wind(ap: "Autopilot") -> Message:
 def fence_status(ap: "Autopilot") -> Message:
     """FENCE_STATUS (162), ArduPilot's."""
     breached, count = getattr(ap, "breached", False), getattr(ap, "breaches", 0)
-    return mavlink.MAVLink_fence_status_message(int(breached), count, mavlink.FENCE_BREACH_BOUNDARY if breached else 0, 0)
+    return mavlink.MAVLink_fence_status_message(
+        int(breached), count, mavlink.FENCE_BREACH_BOUNDARY if breached else 0, 0
+    )
 
 
 def ekf_status(ap: "Autopilot") -> Message:
@@ -138,14 +165,18 @@ def ekf_status(ap: "Autopilot") -> Message:
 def estimator_status(ap: "Autopilot") -> Message:
     """ESTIMATOR_STATUS (230), PX4's."""
     ratios = (1.8, 1.4, 0.3, 0.9) if ap.faults.on("ekf") else ap.gps.ratios()
-    return mavlink.MAVLink_estimator_status_message(round(ap.now_s * 1e6), ap.ekf_flags() | ap.gps.flag(False), *ratios, NAN, NAN, 0.3, 0.4)
+    return mavlink.MAVLink_estimator_status_message(
+        round(ap.now_s * 1e6), ap.ekf_flags() | ap.gps.flag(False), *ratios, NAN, NAN, 0.3, 0.4
+    )
 
 
 def wind_cov(ap: "Autopilot") -> Message:
     """WIND_COV (231), PX4's: where the air goes, NED; what it does not know is NaN."""
     direction, speed = math.radians(ap.settings.wind[0]), ap.settings.wind[1]
     air = -speed * math.cos(direction), -speed * math.sin(direction)
-    return mavlink.MAVLink_wind_cov_message(round(ap.now_s * 1e6), *air, NAN, 0.1, NAN, amsl_m(ap.body.position[2]), NAN, NAN)
+    return mavlink.MAVLink_wind_cov_message(
+        round(ap.now_s * 1e6), *air, NAN, 0.1, NAN, amsl_m(ap.body.position[2]), NAN, NAN
+    )
 
 
 def home(ap: "Autopilot") -> Message | None:
@@ -155,7 +186,14 @@ def home(ap: "Autopilot") -> Message | None:
     unknown = 0.0 if ap.is_ardupilot else NAN
     latitude, longitude = degrees_e7(*ap.home[:2])
     return mavlink.MAVLink_home_position_message(
-        latitude, longitude, round(amsl_m(ap.home[2]) * 1000), *ap.home, [1.0, 0.0, 0.0, 0.0], unknown, unknown, unknown
+        latitude,
+        longitude,
+        round(amsl_m(ap.home[2]) * 1000),
+        *ap.home,
+        [1.0, 0.0, 0.0, 0.0],
+        unknown,
+        unknown,
+        unknown,
     )
 
 
@@ -165,8 +203,19 @@ def extended(ap: "Autopilot") -> Message:
 
 
 COMMON = {
-    0: heartbeat, 1: sys_status, 24: gps_raw, 30: attitude, 32: local_position, 33: global_position, 49: origin, 74: vfr_hud, 85: target,
-    147: battery, 148: version, 242: home, 245: extended,
-}  # fmt: skip
+    0: heartbeat,
+    1: sys_status,
+    24: gps_raw,
+    30: attitude,
+    32: local_position,
+    33: global_position,
+    49: origin,
+    74: vfr_hud,
+    85: target,
+    147: battery,
+    148: version,
+    242: home,
+    245: extended,
+}
 ARDUPILOT = {**COMMON, 162: fence_status, 168: wind, 193: ekf_status}
 PX4 = {**COMMON, 230: estimator_status, 231: wind_cov}

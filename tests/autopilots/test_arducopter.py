@@ -1,4 +1,6 @@
-"""Protects the ArduCopter double: it does what ArduCopter 4.6.3 was seen to do, also what surprises a companion."""
+"""Protects the ArduCopter double: it does what ArduCopter 4.6.3 was seen to do, also what surprises a
+companion.
+"""
 
 import math
 from typing import Any
@@ -9,7 +11,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.autopilots.autopilot import ACCEPTED, DENIED, FAILED, REJECTED, UNSUPPORTED
 from tests.autopilots.bench import POSITION, STATION, VELOCITY, Bench, heartbeat, target
 
-SET_MODE, ARM, TAKE_OFF = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF
+SET_MODE, ARM, TAKE_OFF = (
+    mavlink.MAV_CMD_DO_SET_MODE,
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+)
 STABILIZE, GUIDED, LOITER, RTL, LAND, BRAKE = (0,), (4,), (5,), (6,), (9,), (17,)
 STREAMS = (32, 30, 33, 24, 193, 1, 245, 85)
 
@@ -22,7 +28,9 @@ def hovering(*faults: str, **settings: Any) -> Bench:
     """In GUIDED, 5 m above home, 60 s after boot."""
     bench = Bench("ardupilot", *faults, **settings)
     bench.run(45)
-    assert [set_mode(bench, 4), bench.command(ARM, 1), bench.command(TAKE_OFF, 0, 0, 0, 0, 0, 0, 5)] == [ACCEPTED] * 3
+    assert [set_mode(bench, 4), bench.command(ARM, 1), bench.command(TAKE_OFF, 0, 0, 0, 0, 0, 0, 5)] == [
+        ACCEPTED
+    ] * 3
     bench.ask(*STREAMS, hz=10)
     bench.run(60 - bench.wire.autopilot.now_s)
     return bench
@@ -280,7 +288,10 @@ def test_parameters_are_floats_that_can_be_set() -> None:
     bench = Bench("ardupilot")
     bench.send(mavlink.MAVLink_param_set_message(1, 1, b"FS_GCS_ENABLE", 5.0, 9))
     bench.run(0.1)
-    assert (bench.last("PARAM_VALUE").param_id, bench.last("PARAM_VALUE").param_value) == ("FS_GCS_ENABLE", 5.0)
+    assert (bench.last("PARAM_VALUE").param_id, bench.last("PARAM_VALUE").param_value) == (
+        "FS_GCS_ENABLE",
+        5.0,
+    )
 
 
 def test_the_same_seed_and_the_same_messages_give_the_same_bytes() -> None:

@@ -8,7 +8,18 @@ import pytest
 from tests.autopilots.autopilot import ACCEPTED, FAILED
 from tests.autopilots.bench import Bench, target
 from tests.autopilots.faults import FAULTS, fault
-from tests.autopilots.test_arducopter import ARM, GUIDED, LAND, LOITER, RTL, STABILIZE, TAKE_OFF, above_home, hovering, set_mode
+from tests.autopilots.test_arducopter import (
+    ARM,
+    GUIDED,
+    LAND,
+    LOITER,
+    RTL,
+    STABILIZE,
+    TAKE_OFF,
+    above_home,
+    hovering,
+    set_mode,
+)
 
 
 def test_without_gps_the_position_flows_on_the_flags_drop_and_it_lands() -> None:
@@ -43,7 +54,9 @@ def test_a_failed_ekf_lands_and_guided_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("name", "mode", "volts"), [("low", RTL, 10.4), ("critical", LAND, 9.9)])
-def test_a_low_battery_brings_it_home_and_a_critical_one_down(name: str, mode: tuple[int], volts: float) -> None:
+def test_a_low_battery_brings_it_home_and_a_critical_one_down(
+    name: str, mode: tuple[int], volts: float
+) -> None:
     bench = hovering(f"{name}@+20")
     bench.run(20)
     assert bench.mode == mode
@@ -141,5 +154,11 @@ def test_a_wrong_fault_is_refused_with_one_line(text: str) -> None:
 
 
 def test_the_help_lists_every_fault() -> None:
-    said = subprocess.run([sys.executable, "-m", "tests.autopilots", "--help"], capture_output=True, text=True, check=True, timeout=60)
+    said = subprocess.run(
+        [sys.executable, "-m", "tests.autopilots", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
     assert all(f"\n  {name} " in said.stdout for name in FAULTS)

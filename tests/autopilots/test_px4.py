@@ -10,7 +10,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.autopilots.autopilot import ACCEPTED, REJECTED
 from tests.autopilots.bench import STATION, Bench, heartbeat, target
 
-SET_MODE, ARM, TAKE_OFF = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF
+SET_MODE, ARM, TAKE_OFF = (
+    mavlink.MAV_CMD_DO_SET_MODE,
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+)
 POSCTL, HOLD, RTL, LAND, OFFBOARD = (3, 0), (4, 3), (4, 5), (4, 6), (6, 0)
 HOME = (1.2, -0.7, -0.4)
 ABOVE = (HOME[0], HOME[1], HOME[2] - 5.0)
@@ -39,7 +43,9 @@ def flying(*faults: str, **settings: Any) -> Bench:
 
 def test_telemetry_streams_unasked() -> None:
     bench = ready()
-    assert {"HEARTBEAT", "LOCAL_POSITION_NED", "ATTITUDE", "EXTENDED_SYS_STATE", "SYS_STATUS"} <= {one.get_type() for _, one in bench.heard}
+    assert {"HEARTBEAT", "LOCAL_POSITION_NED", "ATTITUDE", "EXTENDED_SYS_STATE", "SYS_STATUS"} <= {
+        one.get_type() for _, one in bench.heard
+    }
     assert bench.last("HEARTBEAT").autopilot == mavlink.MAV_AUTOPILOT_PX4
 
 
@@ -47,7 +53,10 @@ def test_before_the_ekf_is_ready_arming_is_refused_and_the_local_position_is_zer
     bench = Bench("px4")
     bench.run(5)
     assert bench.command(ARM, 1) == REJECTED
-    assert bench.texts == ["Preflight Fail: ekf2 missing data", "Arming denied: Resolve system health failures first"]
+    assert bench.texts == [
+        "Preflight Fail: ekf2 missing data",
+        "Arming denied: Resolve system health failures first",
+    ]
     assert bench.at == (0.0, 0.0, 0.0)
 
 
@@ -117,7 +126,9 @@ def test_with_a_radio_it_falls_back_to_position_mode_and_com_of_loss_t_says_when
 
 
 @pytest.mark.parametrize(("exceptions", "stays"), [(0, False), (4, True)])
-def test_a_lost_radio_ends_offboard_unless_com_rcl_except_has_the_bit_of_value_4(exceptions: int, stays: bool) -> None:
+def test_a_lost_radio_ends_offboard_unless_com_rcl_except_has_the_bit_of_value_4(
+    exceptions: int, stays: bool
+) -> None:
     bench = flying("rc@40", radio=True, parameters={"COM_RCL_EXCEPT": exceptions})
     bench.run(6)
     assert bench.mode == (OFFBOARD if stays else HOLD)
@@ -139,7 +150,9 @@ def test_with_nav_dll_act_it_does_not_arm_without_a_station() -> None:
 def test_take_off_is_told_the_altitude_above_sea_level() -> None:
     bench = ready()
     bench.command(ARM, 1)
-    assert bench.command(TAKE_OFF, 0, 0, 0, 0, 0, 0, 5.0) == ACCEPTED  # meant above home: 483 m below the ground
+    assert (
+        bench.command(TAKE_OFF, 0, 0, 0, 0, 0, 0, 5.0) == ACCEPTED
+    )  # meant above home: 483 m below the ground
     assert "Already higher than takeoff altitude" in bench.texts
     bench.run(12)
     assert not bench.armed
@@ -152,7 +165,10 @@ def test_take_off_is_told_the_altitude_above_sea_level() -> None:
 
 
 def test_land_and_return_end_on_the_ground_disarmed() -> None:
-    for command, place in ((mavlink.MAV_CMD_NAV_LAND, (8.0, 3.0)), (mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, HOME[:2])):
+    for command, place in (
+        (mavlink.MAV_CMD_NAV_LAND, (8.0, 3.0)),
+        (mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, HOME[:2]),
+    ):
         bench = flying()
         bench.stream = target((8.0, 3.0, ABOVE[2]))
         bench.run(10)
@@ -190,7 +206,9 @@ def test_a_pilot_a_battery_and_a_fence_change_the_mode() -> None:
 def test_an_integer_parameter_travels_as_its_bytes() -> None:
     bench = ready()
     (as_float,) = struct.unpack("<f", struct.pack("<i", 4))
-    bench.send(mavlink.MAVLink_param_set_message(1, 1, b"COM_RCL_EXCEPT", as_float, mavlink.MAV_PARAM_TYPE_INT32))
+    bench.send(
+        mavlink.MAVLink_param_set_message(1, 1, b"COM_RCL_EXCEPT", as_float, mavlink.MAV_PARAM_TYPE_INT32)
+    )
     bench.run(0.1)
     said = bench.last("PARAM_VALUE")
     assert said.param_type == mavlink.MAV_PARAM_TYPE_INT32

@@ -20,7 +20,9 @@ def hear(link: Any, kind: str, timeout_s: float = 20.0) -> Any:
     return message
 
 
-@pytest.mark.parametrize(("kind", "listen", "autopilot"), [("ardupilot", "tcp:127.0.0.1:0", 3), ("px4", "tcp:127.0.0.1:0", 12)])
+@pytest.mark.parametrize(
+    ("kind", "listen", "autopilot"), [("ardupilot", "tcp:127.0.0.1:0", 3), ("px4", "tcp:127.0.0.1:0", 12)]
+)
 def test_a_client_over_tcp_may_come_again(kind: str, listen: str, autopilot: int) -> None:
     with Double(kind, listen, speedup=10) as double:
         for _ in range(2):
@@ -42,7 +44,9 @@ def test_udp_answers_whoever_spoke() -> None:
 
 def test_px4_speaks_from_14580_to_14540_plus_its_instance() -> None:
     instance = 37
-    link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{14540 + instance}", source_system=1, source_component=191)
+    link = mavutil.mavlink_connection(
+        f"udpin:127.0.0.1:{14540 + instance}", source_system=1, source_component=191
+    )
     with Double("px4", "udp", Settings(instance=instance), speedup=10) as double:
         assert double.url == f"udpin:127.0.0.1:{14540 + instance}"
         assert hear(link, "HEARTBEAT").get_srcSystem() == instance + 1
@@ -89,7 +93,9 @@ def test_a_flight_over_tcp_with_5_percent_of_the_frames_lost_needs_retries_alone
         until(command(400, 1), lambda: bool(seen["HEARTBEAT"].base_mode & 128))
         until(command(22, 0, 0, 0, 0, 0, 0, 5), lambda: seen["LOCAL_POSITION_NED"].z < -5.0)
         until(
-            lambda: link.mav.set_position_target_local_ned_send(0, 1, 1, 1, 0x0DF8, 4.2, -0.7, -5.4, 0, 0, 0, 0, 0, 0, 0, 0),
+            lambda: link.mav.set_position_target_local_ned_send(
+                0, 1, 1, 1, 0x0DF8, 4.2, -0.7, -5.4, 0, 0, 0, 0, 0, 0, 0, 0
+            ),
             lambda: abs(seen["LOCAL_POSITION_NED"].x - 4.2) < 0.2,
         )
         until(command(20), lambda: not seen["HEARTBEAT"].base_mode & 128)
@@ -107,10 +113,23 @@ def test_garbage_does_not_stop_it(wait_until: Callable[..., None]) -> None:
 
 
 def test_as_a_process_it_prints_where_it_listens() -> None:
-    command = [sys.executable, "-m", "tests.autopilots", "ardupilot", "--listen", "tcp:127.0.0.1:0", "--speedup", "10", "--fault", "drop:5"]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.autopilots",
+        "ardupilot",
+        "--listen",
+        "tcp:127.0.0.1:0",
+        "--speedup",
+        "10",
+        "--fault",
+        "drop:5",
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        link = mavutil.mavlink_connection(process.stdout.readline().strip(), source_system=1, source_component=191)
+        link = mavutil.mavlink_connection(
+            process.stdout.readline().strip(), source_system=1, source_component=191
+        )
         assert hear(link, "HEARTBEAT").get_srcComponent() == 1
         link.close()
         process.terminate()

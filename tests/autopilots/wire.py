@@ -1,4 +1,6 @@
-"""A double's link: frames in, frames out, and what the link loses. `Double` serves it over TCP or UDP in a thread."""
+"""A double's link: frames in, frames out, and what the link loses. `Double` serves it over TCP or UDP in a
+thread.
+"""
 
 import contextlib
 import random
@@ -24,11 +26,15 @@ MOST_STEPS = 50
 
 
 class Wire:
-    """A double with MAVLink 2 frames as bytes. The same bytes at the same simulation times give the same bytes."""
+    """A double with MAVLink 2 frames as bytes. The same bytes at the same simulation times give the same
+    bytes.
+    """
 
     def __init__(self, kind: str, settings: Settings) -> None:
         self.autopilot = KINDS[kind](settings)
-        self._mav = mavlink.MAVLink(None, srcSystem=self.autopilot.system, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._mav = mavlink.MAVLink(
+            None, srcSystem=self.autopilot.system, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1
+        )
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
         self.said: list[bytes] = []
@@ -63,11 +69,18 @@ class Wire:
 class Double:
     """A double on a socket, in a thread; use it in a `with`.
 
-    `listen` is `tcp:HOST:PORT` (it waits for one client at a time; port 0 takes a free one), `udpin:HOST:PORT` (it answers whoever spoke
-    last), `udp:HOST:PORT` (it sends there at once), or `udp`, PX4's own: from port 14580 + instance to 14540 + instance.
+    `listen` is `tcp:HOST:PORT` (it waits for one client at a time; port 0 takes a free one),
+    `udpin:HOST:PORT` (it answers whoever spoke last), `udp:HOST:PORT` (it sends there at once), or `udp`,
+    PX4's own: from port 14580 + instance to 14540 + instance.
     """
 
-    def __init__(self, kind: str, listen: str = "tcp:127.0.0.1:0", settings: Settings | None = None, speedup: float = 1.0) -> None:
+    def __init__(
+        self,
+        kind: str,
+        listen: str = "tcp:127.0.0.1:0",
+        settings: Settings | None = None,
+        speedup: float = 1.0,
+    ) -> None:
         settings = settings or Settings()
         self.wire, self.speedup = Wire(kind, settings), speedup
         own = 0
@@ -77,9 +90,13 @@ class Double:
             self._way, host, port = listen.split(":")
             address = (host, int(port))
         except ValueError:
-            raise ValueError(f"listen {listen!r}: must be tcp:HOST:PORT, udpin:HOST:PORT, udp:HOST:PORT or udp") from None
+            raise ValueError(
+                f"listen {listen!r}: must be tcp:HOST:PORT, udpin:HOST:PORT, udp:HOST:PORT or udp"
+            ) from None
         if self._way not in ("tcp", "udpin", "udp") or speedup <= 0.0:
-            raise ValueError(f"listen {listen!r}, speedup {speedup:g}: must be tcp, udpin or udp, and above 0")
+            raise ValueError(
+                f"listen {listen!r}, speedup {speedup:g}: must be tcp, udpin or udp, and above 0"
+            )
         self._socket = socket.socket(type=socket.SOCK_STREAM if self._way == "tcp" else socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._socket.bind((host, own) if self._way == "udp" else address)
@@ -88,7 +105,11 @@ class Double:
         if self._way == "tcp":
             self._socket.listen()
         host, port = self._socket.getsockname()
-        self.url = {"tcp": f"tcp:{host}:{port}", "udpin": f"udpout:{host}:{port}", "udp": f"udpin:{':'.join(map(str, address))}"}[self._way]
+        self.url = {
+            "tcp": f"tcp:{host}:{port}",
+            "udpin": f"udpout:{host}:{port}",
+            "udp": f"udpin:{':'.join(map(str, address))}",
+        }[self._way]
         """What a client connects to, as pymavlink writes it."""
         self._stop, self._asked_to_hang_up = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"{kind} double", daemon=True)
@@ -97,7 +118,9 @@ class Double:
         self._thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._stop.set()
         self._thread.join(10.0)
         for one in (self._client, self._socket):

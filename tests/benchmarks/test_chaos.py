@@ -1,4 +1,6 @@
-"""Protects the fault campaign: a seed gives its faults, and the judge passes nothing that breaks a promise."""
+"""Protects the fault campaign: a seed gives its faults, and the judge passes nothing that breaks a
+promise.
+"""
 
 import json
 from collections.abc import Callable
@@ -22,7 +24,10 @@ from link.record.writer import Writer
 
 SEED = 5
 """Its search takes 18 steps."""
-GAVE_UP = "error: the uav landed before the search was over; its last words: uav: warning: No setpoint for 600 s: returning home\n"
+GAVE_UP = (
+    "error: the uav landed before the search was over; its last words: uav: warning: No setpoint for "
+    "600 s: returning home\n"
+)
 
 
 @cache
@@ -31,7 +36,10 @@ def steps() -> tuple[tuple[Step, ...], list[dict], object]:
     flown = mission(SEED, "homing", 1000, 0.5, 300, assume="field")
     taken = tuple(flown.steps)
     said = [step.belief for step in taken]
-    trace = [{"position": list(b.position), "reading": b.gas, "mean": list(b.mean), "spread": b.spread} for b in said]
+    trace = [
+        {"position": list(b.position), "reading": b.gas, "mean": list(b.mean), "spread": b.spread}
+        for b in said
+    ]
     return taken, trace, stop(said[-1], flown.config)
 
 
@@ -39,7 +47,9 @@ Change = Callable[[list[tuple[str, bytes, bytes]]], None]
 
 
 def record(path: Path, change: Change | None = None, more: tuple[tuple[str, bytes, bytes], ...] = ()) -> Path:
-    """Write the record of the mission, each reading taken at 1000 ms times its step; `change` edits its messages."""
+    """Write the record of the mission, each reading taken at 1000 ms times its step; `change` edits its
+    messages.
+    """
     taken, _, said_stop = steps()
     vehicle, agent = Codec(1, 1), Codec(1, ONBOARD_COMPUTER)
     messages: list[tuple[str, bytes, bytes]] = []
@@ -48,12 +58,16 @@ def record(path: Path, change: Change | None = None, more: tuple[tuple[str, byte
         reading = Reading(at, belief.position, belief.altitude_m, (1.0, 2.0), belief.gas)
         messages.append((READING.name, pack_reading(vehicle, reading), b""))
         if belief.ceased:
-            messages.append((STOP.name, msgspec.json.encode(msgspec.structs.replace(said_stop, time_boot_ms=at)), b""))
+            messages.append(
+                (STOP.name, msgspec.json.encode(msgspec.structs.replace(said_stop, time_boot_ms=at)), b"")
+            )
         timed = msgspec.structs.replace(belief, time_boot_ms=at)
         messages.append((BELIEF.name, msgspec.json.encode(timed), pack_particles(cloud)))
         if not belief.ceased:
             towards = taken[number + 1].belief.position
-            messages.append((WAYPOINT.name, agent.pack(waypoint_message(1, at, towards, belief.altitude_m)), b""))
+            messages.append(
+                (WAYPOINT.name, agent.pack(waypoint_message(1, at, towards, belief.altitude_m)), b"")
+            )
     if change:
         change(messages)
     writer = Writer(path, {})
@@ -67,9 +81,19 @@ def evidence(tmp_path: Path, change: Change | None = None, more: tuple = (), **f
     """What an undisturbed mission leaves, with changes."""
     _, trace, _ = steps()
     usual = Evidence(
-        seed=SEED, faults=(), done=(), status=0, out=(json.dumps({"ceased": True, "trace": trace}) + "\n",), err=("record run.mcap\n",),
-        others={}, statuses={}, beside_s={}, record=record(tmp_path / "run.mcap", change, more), left=(), wall_s=1.0,
-    )  # fmt: skip
+        seed=SEED,
+        faults=(),
+        done=(),
+        status=0,
+        out=(json.dumps({"ceased": True, "trace": trace}) + "\n",),
+        err=("record run.mcap\n",),
+        others={},
+        statuses={},
+        beside_s={},
+        record=record(tmp_path / "run.mcap", change, more),
+        left=(),
+        wall_s=1.0,
+    )
     return msgspec.structs.replace(usual, **fields)
 
 
@@ -108,7 +132,10 @@ WRONG_WAY = Codec(1, ONBOARD_COMPUTER).pack(waypoint_message(1, 4000, (1.0, 1.0)
     [
         (without(READING.name, -1), "the record has 18 of 19 readings"),
         (without(READING.name, 4), "reading 4 is not that of the undisturbed mission"),
-        (lambda said: said.append((READING.name, ELSEWHERE, b"")), "reading 5 is not that of the undisturbed mission"),
+        (
+            lambda said: said.append((READING.name, ELSEWHERE, b"")),
+            "reading 5 is not that of the undisturbed mission",
+        ),
         (changed(3, WAYPOINT.name, WRONG_WAY), "a waypoint of step 3 is not that of the undisturbed mission"),
     ],
     ids=["the last reading is lost", "a reading is lost", "a reading too many", "another waypoint"],
@@ -120,10 +147,18 @@ def test_a_record_of_another_flight_is_broken(tmp_path: Path, change: Change, re
 
 
 def test_a_record_may_lack_readings_where_that_is_told(tmp_path: Path) -> None:
-    told = {"err": ("recorder: warning: 1 messages of reading are lost: no publisher has kept them\n", "record run.mcap\n")}
+    told = {
+        "err": (
+            "recorder: warning: 1 messages of reading are lost: no publisher has kept them\n",
+            "record run.mcap\n",
+        )
+    }
     assert judge(evidence(tmp_path, without(READING.name, 4), **told)).reasons == ()
     verdict = judge(evidence(tmp_path, lambda said: said.append((READING.name, ELSEWHERE, b"")), **told))
-    assert verdict.reasons[0] == "reading 5 is not that of the undisturbed mission: a waypoint was lost or flown twice"
+    assert (
+        verdict.reasons[0]
+        == "reading 5 is not that of the undisturbed mission: a waypoint was lost or flown twice"
+    )
     verdict = judge(evidence(tmp_path, changed(3, WAYPOINT.name, WRONG_WAY), **told))
     assert verdict.reasons == ("a waypoint of step 3 is not that of the undisturbed mission",)
 
@@ -135,14 +170,22 @@ def test_a_message_on_a_wrong_key_is_a_breach_unless_a_link_was_lost(tmp_path: P
         verdict = judge(evidence(tmp_path, **stray))
         assert verdict.outcome == BROKEN
         assert verdict.reasons[0].startswith(f"a message on {key} cannot be read: ")
-        assert judge(evidence(tmp_path, done=(Fault("unplug", 15, "uav", 1.5),), **stray)).outcome == AS_UNDISTURBED
+        assert (
+            judge(evidence(tmp_path, done=(Fault("unplug", 15, "uav", 1.5),), **stray)).outcome
+            == AS_UNDISTURBED
+        )
 
 
 def test_a_trace_may_stand_on_readings_where_beliefs_were_lost_and_that_is_told(tmp_path: Path) -> None:
     trace = [dict(point) for point in steps()[1]]
     trace[4] |= {"mean": [None, None], "spread": None}
     out = {"out": (json.dumps({"ceased": True, "trace": trace}) + "\n",)}
-    told = {"err": ("warning: 1 of 19 beliefs were not received: of these the trace has the readings\n", "record run.mcap\n")}
+    told = {
+        "err": (
+            "warning: 1 of 19 beliefs were not received: of these the trace has the readings\n",
+            "record run.mcap\n",
+        )
+    }
     assert judge(evidence(tmp_path, **out, **told)).outcome == AS_UNDISTURBED
     assert judge(evidence(tmp_path, **out)).reasons == ("the trace differs from step 4 on",)
     trace[4] |= {"reading": 9.0}
@@ -151,7 +194,10 @@ def test_a_trace_may_stand_on_readings_where_beliefs_were_lost_and_that_is_told(
 
 
 def test_who_cannot_join_over_a_bad_link_says_so(tmp_path: Path) -> None:
-    said = {"status": 2, "err": ("error: --connect: no router at tcp/10.99.0.1:7447 (start one with: plumeward router)\n",)}
+    said = {
+        "status": 2,
+        "err": ("error: --connect: no router at tcp/10.99.0.1:7447 (start one with: plumeward router)\n",),
+    }
     nowhere = tmp_path / "nothing" / "run.mcap"
     bad_link = Fault("loss", -1, "uav", 0.0, 0.275)
     assert judge(evidence(tmp_path, done=(bad_link,), record=nowhere, **said)).outcome == TOLD
@@ -177,7 +223,9 @@ def test_another_trace_is_broken(tmp_path: Path) -> None:
 
 
 def test_what_is_left_behind_is_broken(tmp_path: Path) -> None:
-    assert judge(evidence(tmp_path, left=("process python -m agent",))).reasons == ("left: process python -m agent",)
+    assert judge(evidence(tmp_path, left=("process python -m agent",))).reasons == (
+        "left: process python -m agent",
+    )
 
 
 def test_a_failsafe_needs_its_reason_on_record(tmp_path: Path) -> None:
@@ -191,10 +239,19 @@ def test_a_failsafe_needs_its_reason_on_record(tmp_path: Path) -> None:
 def test_a_failed_mission_must_name_a_part_that_a_fault_has_hit(tmp_path: Path) -> None:
     said = ("error: uav was killed by signal 9; its last words: none\n",)
     assert judge(evidence(tmp_path, status=1, err=said, done=(Fault("kill", 3, "uav"),))).outcome == TOLD
-    assert judge(evidence(tmp_path, status=1, err=said, done=(Fault("kill", 3, "station"),))).outcome == BROKEN
+    assert (
+        judge(evidence(tmp_path, status=1, err=said, done=(Fault("kill", 3, "station"),))).outcome == BROKEN
+    )
     silent = ("error: the agent has said nothing for 30 s (--patience S waits longer)\n",)
-    assert judge(evidence(tmp_path, status=1, err=silent, done=(Fault("hang", 3, "agent", 20.0),))).outcome == TOLD
-    assert judge(evidence(tmp_path, status=1, err=silent, done=(Fault("deaf", 3),))).reasons[0].startswith("a part hangs by itself")
+    assert (
+        judge(evidence(tmp_path, status=1, err=silent, done=(Fault("hang", 3, "agent", 20.0),))).outcome
+        == TOLD
+    )
+    assert (
+        judge(evidence(tmp_path, status=1, err=silent, done=(Fault("deaf", 3),)))
+        .reasons[0]
+        .startswith("a part hangs by itself")
+    )
 
 
 def test_a_mission_that_does_not_end_is_broken(tmp_path: Path) -> None:
@@ -206,9 +263,13 @@ def test_a_second_service_that_is_not_refused_is_broken(tmp_path: Path) -> None:
     refused = {"second agent": ("error: another agent is already on uav/1\n",)}
     assert judge(evidence(tmp_path, done=done, others=refused, statuses={"second agent": 2})).reasons == ()
     served = {"second agent": ("ready: random\n",)}
-    long, short = ({"statuses": {"second agent": 130}, "beside_s": {"second agent": beside_s}} for beside_s in (5.1, 4.9))
+    long, short = (
+        {"statuses": {"second agent": 130}, "beside_s": {"second agent": beside_s}} for beside_s in (5.1, 4.9)
+    )
     assert judge(evidence(tmp_path, done=done, others=served, **long)).outcome == BROKEN
-    assert judge(evidence(tmp_path, done=done, others=served, **short)).reasons == ()  # the mission ended while it started
+    assert (
+        judge(evidence(tmp_path, done=done, others=served, **short)).reasons == ()
+    )  # the mission ended while it started
 
 
 def test_a_seed_gives_its_faults_and_two_hundred_give_every_kind_and_part() -> None:
@@ -244,7 +305,11 @@ def test_the_table_counts_a_mission_in_the_row_of_each_fault_that_happened() -> 
         Row(2, "", "hang uav at 3 2 s", "hang uav", FAILSAFE, 20, 9.0),
         Row(3, "", "hang agent at 9 2 s", "", AS_UNDISTURBED, 8, 9.0),
     ]
-    lines = {line.split("|")[1].strip(): line.split("|")[-6:-1] for line in table(rows).splitlines() if line.startswith("|")}
+    lines = {
+        line.split("|")[1].strip(): line.split("|")[-6:-1]
+        for line in table(rows).splitlines()
+        if line.startswith("|")
+    }
     assert [int(cell) for cell in lines["`hang` uav"]] == [2, 1, 1, 0, 0]
     assert [int(cell) for cell in lines["`deaf`"]] == [1, 1, 0, 0, 0]
     assert [int(cell) for cell in lines["`hang` agent"]] == [0, 0, 0, 0, 0]

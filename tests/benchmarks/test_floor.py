@@ -17,7 +17,11 @@ from plume.scenario import Scenario, draw
 ROOT = Path(__file__).parents[2]
 CALM = Scenario(source=(15.0, 15.0), q=300.0, u=0.0, phi=0.0, d=4.5, tau=10.0, start=(12.0, 15.0))
 WINDY = Scenario(source=(15.0, 15.0), q=300.0, u=2.0, phi=2.5, d=3.0, tau=10.0, start=(13.0, 13.5))
-SHORT = [CALM, WINDY, Scenario(source=(14.0, 12.0), q=120.0, u=3.5, phi=5.0, d=1.5, tau=10.0, start=(13.0, 14.0))]
+SHORT = [
+    CALM,
+    WINDY,
+    Scenario(source=(14.0, 12.0), q=120.0, u=3.5, phi=5.0, d=1.5, tau=10.0, start=(13.0, 14.0)),
+]
 
 
 def test_the_floor_bends_where_straight_would_not_do() -> None:
@@ -49,7 +53,9 @@ def test_nothing_is_excluded_that_a_wandering_oracle_reaches() -> None:
 
 def test_the_lower_bracket_is_not_above_the_floor_and_both_fall_as_the_threshold_grows() -> None:
     for seed in range(1_000_000, 1_000_008):
-        brackets = [floor.brackets(draw(seed), [0.9, 0.2, 0.5])[threshold_m] for threshold_m in (0.2, 0.5, 0.9)]
+        brackets = [
+            floor.brackets(draw(seed), [0.9, 0.2, 0.5])[threshold_m] for threshold_m in (0.2, 0.5, 0.9)
+        ]
         assert all(bracket.lower_m <= bracket.found_m for bracket in brackets)
         assert sorted((b.found_m for b in brackets), reverse=True) == [b.found_m for b in brackets]
         assert sorted((b.lower_m for b in brackets), reverse=True) == [b.lower_m for b in brackets]
@@ -76,7 +82,8 @@ def test_the_quick_search_finds_what_the_thorough_one_does(seed: int) -> None:
 
 
 def test_the_flown_spread_comes_below_a_threshold_near_the_floor() -> None:
-    # Over ten missions, the filter's spread is compared with its expectation; a mean difference of 2 m is allowed.
+    # Over ten missions, the filter's spread is compared with its expectation; a mean difference of 2 m is
+    # allowed.
     differences = []
     for seed in range(1_000_000, 1_000_010):
         found = floor.brackets(draw(seed), [0.5])[0.5]
@@ -85,8 +92,19 @@ def test_the_flown_spread_comes_below_a_threshold_near_the_floor() -> None:
 
 
 def test_the_command_prints_one_json_object_as_its_last_line() -> None:
-    command = [sys.executable, "benchmarks/floor.py", "--missions", "3", "--threshold", "0.5", "0.9", "--json"]
-    done = subprocess.run(command, cwd=ROOT, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True)
+    command = [
+        sys.executable,
+        "benchmarks/floor.py",
+        "--missions",
+        "3",
+        "--threshold",
+        "0.5",
+        "0.9",
+        "--json",
+    ]
+    done = subprocess.run(
+        command, cwd=ROOT, env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True
+    )
     rows = json.loads(done.stdout.splitlines()[-1])
     assert rows["0.5"]["missions"] == 3
     assert rows["0.9"]["lower_bracket_m"] <= rows["0.9"]["floor_m"] <= rows["0.5"]["floor_m"]

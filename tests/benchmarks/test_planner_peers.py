@@ -1,4 +1,6 @@
-"""Protects the fast planners' results: scores and moves equal those of plain NumPy on beliefs of whole missions."""
+"""Protects the fast planners' results: scores and moves equal those of plain NumPy on beliefs of whole
+missions.
+"""
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ from plume.sensor import parse
 
 @pytest.fixture(scope="module")
 def cases() -> list[Case]:
-    """Beliefs from the first to the last before the stop, from missions with different numbers of particles."""
+    """Beliefs from the first to the last before the stop, from missions with different numbers of
+    particles.
+    """
     flown = [beliefs(FIRST_SEED + i, count, kept=6) for i, count in enumerate((300, 500, 700, 1000))]
     assert min(mission[-1][0].spread for mission in flown) < 0.6  # nearly ceased
     return [case for mission in flown for case in mission]
@@ -29,7 +33,8 @@ def ours(name: str, case: Case, reach: Reach, rng: np.random.Generator) -> np.nd
     imagined = imagine(belief, hypotheses, moves, reach.measurements, rng, squared[:, None])
     return {
         "infotaxis": imagined.gains.mean(axis=1),
-        "entrotaxis": imagined.gains.mean(axis=1) + parse(belief.sensor).entropy(imagined.means) @ hypotheses.weights,
+        "entrotaxis": imagined.gains.mean(axis=1)
+        + parse(belief.sensor).entropy(imagined.means) @ hypotheses.weights,
         "dcee": -imagined.expectations.mean(axis=(1, 2)),
     }[name]
 
@@ -40,7 +45,9 @@ def test_scores_are_those_of_plain_numpy(name: str, headings: int, cases: list[C
     reach = Reach(headings=headings)
     for case in cases:
         expected = NUMPY[name](*case, reach, np.random.default_rng(1))
-        assert ours(name, case, reach, np.random.default_rng(1)) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        assert ours(name, case, reach, np.random.default_rng(1)) == pytest.approx(
+            expected, rel=1e-9, abs=1e-9
+        )
 
 
 @pytest.mark.parametrize("headings", [4, 8])

@@ -1,4 +1,6 @@
-"""Protects the page on trust: tables say what is counted by hand, prose stays, a resumed run flies only what is missing."""
+"""Protects the page on trust: tables say what is counted by hand, prose stays, a resumed run flies only
+what is missing.
+"""
 
 import csv
 import os
@@ -12,29 +14,73 @@ from msgspec.structs import replace
 from agent.trials.evaluate import read_csv
 from agent.trials.figures import MissionRow, figures
 from agent.trials.rollout import rollout
-from benchmarks.trust import HOLDS, STOPS, is_there, keep, page, planners, promise, read, worlds, write_figures
+from benchmarks.trust import (
+    HOLDS,
+    STOPS,
+    is_there,
+    keep,
+    page,
+    planners,
+    promise,
+    read,
+    worlds,
+    write_figures,
+)
 from plume.worlds import WORLDS
 
 ROOT = Path(__file__).parents[2]
 CRITERIA = ("spread:0.5", "within:1,0.95", "within:1,0.99")
 
 
-def row(seed: int, ceased: bool = True, error_m: float = 0.5, distance_m: float = 40.0, warned: bool = False) -> MissionRow:
+def row(
+    seed: int, ceased: bool = True, error_m: float = 0.5, distance_m: float = 40.0, warned: bool = False
+) -> MissionRow:
     return MissionRow(
-        policy="homing", particles=1000, threshold_m=0.5, seed=seed, budget=600, headings=8, step_m=1.0, measurements=100, ceased=ceased,
-        located=ceased and error_m <= 1, estimate_x=error_m, estimate_y=0.0, source_x=0.0, source_y=0.0, error_m=error_m, spread_m=0.4,
-        nees=2.0 * error_m, steps=int(distance_m), distance_m=distance_m, floor_m=None, search_time_s=0.5, decision_ms=2.0, update_ms=1.0,
-        assume="field", warned=warned,
-    )  # fmt: skip
+        policy="homing",
+        particles=1000,
+        threshold_m=0.5,
+        seed=seed,
+        budget=600,
+        headings=8,
+        step_m=1.0,
+        measurements=100,
+        ceased=ceased,
+        located=ceased and error_m <= 1,
+        estimate_x=error_m,
+        estimate_y=0.0,
+        source_x=0.0,
+        source_y=0.0,
+        error_m=error_m,
+        spread_m=0.4,
+        nees=2.0 * error_m,
+        steps=int(distance_m),
+        distance_m=distance_m,
+        floor_m=None,
+        search_time_s=0.5,
+        decision_ms=2.0,
+        update_ms=1.0,
+        assume="field",
+        warned=warned,
+    )
 
 
-FOUR = [row(1, True, 0.5, 30.0), row(2, True, 1.5, 50.0, True), row(3, True, 0.1, 40.0), row(4, False, 9.0, 600.0)]
+FOUR = [
+    row(1, True, 0.5, 30.0),
+    row(2, True, 1.5, 50.0, True),
+    row(3, True, 0.1, 40.0),
+    row(4, False, 9.0, 600.0),
+]
 """Four missions: three ceased, two of them within 1 m; a warning preceded the false stop."""
 
 
 def rows_of(*worlds: str, assume: str = "field", policy: str = "homing") -> dict:
-    told = {world: [replace(it, world=world, assume=assume, policy=policy) for it in FOUR] for world in worlds}
-    return {(assume, policy, world): {"spread:0.5": of, "within:1,0.95": of, "within:1,0.99": of} for world, of in told.items()}
+    told = {
+        world: [replace(it, world=world, assume=assume, policy=policy) for it in FOUR] for world in worlds
+    }
+    return {
+        (assume, policy, world): {"spread:0.5": of, "within:1,0.95": of, "within:1,0.99": of}
+        for world, of in told.items()
+    }
 
 
 def said(rows: dict) -> dict:
@@ -49,22 +95,35 @@ def test_the_worlds_of_a_promise_are_those_whose_truth_lies_in_the_assumption() 
 
 def test_the_promise_is_judged_over_all_worlds_of_the_assumption_and_no_others() -> None:
     rows = rows_of("wind-10", "cv-1", "stuck")
-    better = [replace(it, error_m=0.5, located=it.ceased) for it in rows["field", "homing", "cv-1"]["within:1,0.99"]]
+    better = [
+        replace(it, error_m=0.5, located=it.ceased) for it in rows["field", "homing", "cv-1"]["within:1,0.99"]
+    ]
     rows["field", "homing", "cv-1"]["within:1,0.99"] = better
     rows |= rows_of("wind-10", assume="paper") | rows_of("wind-10", policy="ppo")
     head, _, *lines = promise(rows).splitlines()
     assert head.count("|") == lines[0].count("|")
-    # Wilson of 4 in 6 and 5 in 6, with z = 1.96. Errors of the stops: 0.1, 0.1, 0.5, 0.5, 1.5, 1.5; then 0.1, three or four of 0.5, 1.5.
+    # Wilson of 4 in 6 and 5 in 6, with z = 1.96. Errors of the stops: 0.1, 0.1, 0.5, 0.5, 1.5, 1.5; then 0.1,
+    # three or four of 0.5, 1.5.
     assert lines == [
-        "| field | `spread:0.5` | 2 of 21 | 75.0 | about 98 | 66.7 [30.0, 90.3] | 66.7, wind-10 | 0.50 / 1.50 | 1.40 |",
-        "| field | `within:1,0.95` | 2 of 21 | 75.0 | 94.5 | 66.7 [30.0, 90.3] | 66.7, wind-10 | 0.50 / 1.50 | 1.40 |",
-        "| field | `within:1,0.99` | 2 of 21 | 75.0 | 98.5 | 83.3 [43.6, 97.0] | 66.7, wind-10 | 0.50 / 1.25 | 1.40 |",
+        "| field | `spread:0.5` | 2 of 21 | 75.0 | about 98 | 66.7 [30.0, 90.3] | 66.7, wind-10 | 0.50 / "
+        "1.50 | 1.40 |",
+        "| field | `within:1,0.95` | 2 of 21 | 75.0 | 94.5 | 66.7 [30.0, 90.3] | 66.7, wind-10 | 0.50 / 1.50 "
+        "| 1.40 |",
+        "| field | `within:1,0.99` | 2 of 21 | 75.0 | 98.5 | 83.3 [43.6, 97.0] | 66.7, wind-10 | 0.50 / 1.25 "
+        "| 1.40 |",
     ]
 
 
 def test_the_table_of_worlds_says_what_is_counted_by_hand() -> None:
-    rows = rows_of("wind-10", "as-modelled") | rows_of("wind-10", assume="paper") | rows_of("wind-10", policy="ppo")
-    none = [replace(it, ceased=False, located=False) for it in rows["field", "homing", "as-modelled"]["spread:0.5"]]
+    rows = (
+        rows_of("wind-10", "as-modelled")
+        | rows_of("wind-10", assume="paper")
+        | rows_of("wind-10", policy="ppo")
+    )
+    none = [
+        replace(it, ceased=False, located=False)
+        for it in rows["field", "homing", "as-modelled"]["spread:0.5"]
+    ]
     rows["field", "homing", "as-modelled"]["spread:0.5"] = none
     head, _, *lines = worlds(said(rows)).splitlines()
     assert head.count("|") == lines[0].count("|")
@@ -77,16 +136,26 @@ def test_the_table_of_worlds_says_what_is_counted_by_hand() -> None:
 
 
 def test_policies_are_compared_over_the_missions_that_all_have_flown() -> None:
-    rows = rows_of("wind-10", "cv-1") | rows_of("cv-1", policy="ppo") | rows_of("cv-1", policy="dcee") | rows_of("cv-1", assume="paper")
+    rows = (
+        rows_of("wind-10", "cv-1")
+        | rows_of("cv-1", policy="ppo")
+        | rows_of("cv-1", policy="dcee")
+        | rows_of("cv-1", assume="paper")
+    )
     rows["field", "dcee", "cv-1"] = {"spread:0.5": FOUR[:3]}  # without the fourth, which never ceased
-    rows["field", "ppo", "cv-1"] = {"spread:0.5": [row(seed, distance_m=20.0 * seed) for seed in (1, 2, 3, 5)]}
+    rows["field", "ppo", "cv-1"] = {
+        "spread:0.5": [row(seed, distance_m=20.0 * seed) for seed in (1, 2, 3, 5)]
+    }
     head, _, *lines = planners(rows).splitlines()
     assert head == "| world | homing, m | dcee, m | ppo, m |"
     assert lines == ["| cv-1 | 40.0 (67%) | 40.0 (67%) | 40.0 |"]
 
 
 def test_the_page_keeps_its_prose_and_gets_its_tables_anew() -> None:
-    places = [f"<!-- {name} -->\n{old}<!-- end -->" for name, old in (("promise", "old\n"), ("worlds", ""), ("planners", ""))]
+    places = [
+        f"<!-- {name} -->\n{old}<!-- end -->"
+        for name, old in (("promise", "old\n"), ("worlds", ""), ("planners", ""))
+    ]
     before = "\n\n".join(["# Trust", "Words.", places[0], "More words.", *places[1:], "Last words.\n"])
     rows = rows_of("wind-10")
     once = page(before, rows, said(rows))
@@ -100,15 +169,20 @@ def test_the_page_keeps_its_prose_and_gets_its_tables_anew() -> None:
 
 
 def test_what_is_flown_again_takes_its_old_place_and_leaves_the_rest(tmp_path: Path) -> None:
-    rows = {cell: stops["spread:0.5"] for cell, stops in (rows_of("wind-10", "stuck") | rows_of("wind-10", policy="ppo")).items()}
+    rows = {
+        cell: stops["spread:0.5"]
+        for cell, stops in (rows_of("wind-10", "stuck") | rows_of("wind-10", policy="ppo")).items()
+    }
     for cell, of in rows.items():
         keep(tmp_path, cell, of)
     keep(tmp_path, ("field", "homing", "wind-10"), rows["field", "homing", "wind-10"][:2])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["field-homing.csv.gz", "field-ppo.csv.gz"]
     again = read(tmp_path)
     assert {cell: len(stops["spread:0.5"]) for cell, stops in again.items()} == {
-        ("field", "homing", "wind-10"): 2, ("field", "homing", "stuck"): 4, ("field", "ppo", "wind-10"): 4,
-    }  # fmt: skip
+        ("field", "homing", "wind-10"): 2,
+        ("field", "homing", "stuck"): 4,
+        ("field", "ppo", "wind-10"): 4,
+    }
     assert not is_there(again, ("field", "homing", "stuck"), range(1, 5))  # the other criteria are missing
     assert is_there(rows_of("stuck"), ("field", "homing", "stuck"), range(1, 5))
     assert not is_there(rows_of("stuck"), ("field", "homing", "stuck"), range(1, 6))
@@ -127,13 +201,17 @@ def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     flags = ("--results", str(folder / "rows"), "--page", str(folder / "page.md"), "--workers", "1")
     python = (sys.executable, "-m", "benchmarks.trust")
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.run([*python, *flags, *arguments], cwd=folder, env=environment, capture_output=True, text=True)
+    return subprocess.run(
+        [*python, *flags, *arguments], cwd=folder, env=environment, capture_output=True, text=True
+    )
 
 
 @pytest.mark.full
 def test_the_command_flies_what_is_asked_for_and_then_only_what_is_missing(tmp_path: Path) -> None:
     document = tmp_path / "page.md"
-    document.write_text("<!-- promise -->\n<!-- end -->\n<!-- worlds -->\n<!-- end -->\n<!-- planners -->\n<!-- end -->\n")
+    document.write_text(
+        "<!-- promise -->\n<!-- end -->\n<!-- worlds -->\n<!-- end -->\n<!-- planners -->\n<!-- end -->\n"
+    )
     asked = ("--assume", "paper", "--world", "as-modelled,gain-halved", "--policy", "ppo", "--missions", "1")
     first = command(tmp_path, *asked)
     assert (first.returncode, first.stdout) == (0, f"{document}\n"), first.stderr
@@ -154,7 +232,9 @@ def test_the_command_flies_what_is_asked_for_and_then_only_what_is_missing(tmp_p
     assert "| gain-halved |" in document.read_text()
 
 
-@pytest.mark.parametrize("flag", ["--world", *(pytest.param(flag, marks=pytest.mark.full) for flag in ("--assume", "--policy"))])
+@pytest.mark.parametrize(
+    "flag", ["--world", *(pytest.param(flag, marks=pytest.mark.full) for flag in ("--assume", "--policy"))]
+)
 def test_what_it_does_not_know_it_says_in_one_line(flag: str, tmp_path: Path) -> None:
     refused = command(tmp_path, flag, "nonsense")
     assert refused.returncode == 2

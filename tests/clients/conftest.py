@@ -7,8 +7,9 @@
 | test_qgroundcontrol.py | the request sequence of QGroundControl, from its source; qgroundcontrol.py plays it |
 | test_lossy.py | MAVSDK 4 and QGroundControl over a link that loses frames; lossy.py is the link |
 
-MAVSDK 3 is part of `.venv`: tests/system/test_mavsdk.py. `make test-all` makes the other environments with install.sh, from the exact
-versions in mavsdk4.txt and mavproxy.txt. A test whose client is not installed is skipped; in CI it fails.
+MAVSDK 3 is part of `.venv`: tests/system/test_mavsdk.py. `make test-all` makes the other environments with
+install.sh, from the exact versions in mavsdk4.txt and mavproxy.txt. A test whose client is not installed
+is skipped; in CI it fails.
 """
 
 from collections.abc import Callable

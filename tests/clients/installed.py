@@ -11,7 +11,9 @@ HERE = Path(__file__).parent
 
 
 def python_of(client: str) -> str:
-    """The Python of a client's environment; skips the test if it is not installed, or not from the requirements here."""
+    """The Python of a client's environment; skips the test if it is not installed, or not from the
+    requirements here.
+    """
     there, wanted = Path(sys.prefix) / "clients" / client, HERE / f"{client}.txt"
     made_from = there / "requirements.txt"
     if not made_from.is_file() or made_from.read_text() != wanted.read_text():

@@ -1,7 +1,9 @@
-"""A radio between a vehicle and its client that loses frames: 5% of each kind, in both directions, the same ones in every run.
+"""A radio between a vehicle and its client that loses frames: 5% of each kind, in both directions, the
+same ones in every run.
 
-The idea is MAVSDK's (mission_transfer_lossy.cpp). There chance decides; here it is the seed and how many frames of a kind have passed, so
-that neither the telemetry between them nor the load of the machine changes which frames are lost.
+The idea is MAVSDK's (mission_transfer_lossy.cpp). There chance decides; here it is the seed and how many
+frames of a kind have passed, so that neither the telemetry between them nor the load of the machine
+changes which frames are lost.
 """
 
 import hashlib
@@ -14,8 +16,8 @@ from typing import Self
 
 LOST = 0.05
 SPARED = {0, 47}
-"""Types that pass, as in MAVSDK's test: a lost HEARTBEAT only delays the connection, and neither MAVSDK nor QGroundControl asks again for
-the MISSION_ACK that ends an upload."""
+"""Types that pass, as in MAVSDK's test: a lost HEARTBEAT only delays the connection, and neither MAVSDK
+nor QGroundControl asks again for the MISSION_ACK that ends an upload."""
 
 
 def kind_of(frame: bytes) -> int:

@@ -1,4 +1,5 @@
-"""What a companion computer does with MAVSDK 4: `python mavsdk4.py PORT SCENARIO` does it and prints what it saw, as JSON.
+"""What a companion computer does with MAVSDK 4: `python mavsdk4.py PORT SCENARIO` does it and prints what
+it saw, as JSON.
 
 It runs in an environment of its own and imports nothing of ours. The tests judge what it saw.
 """
@@ -67,7 +68,18 @@ def items(kind: int, *rows: tuple[int, float, float, float, float]) -> list[Miss
     """Items of a mission, a fence or rally points, of rows (command, param 1, north, east, up), m."""
     return [
         MissionItem(
-            number, RELATIVE_INT, command, int(kind == MISSION and number == 0), 1, p1, 0.0, 0.0, math.nan, *at(north, east), up, kind
+            number,
+            RELATIVE_INT,
+            command,
+            int(kind == MISSION and number == 0),
+            1,
+            p1,
+            0.0,
+            0.0,
+            math.nan,
+            *at(north, east),
+            up,
+            kind,
         )
         for number, (command, p1, north, east, up) in enumerate(rows)
     ]
@@ -75,14 +87,24 @@ def items(kind: int, *rows: tuple[int, float, float, float, float]) -> list[Miss
 
 def told(plan: list[MissionItem]) -> list[list[float]]:
     """What is compared of items."""
-    return [[item.seq, item.frame, item.command, item.param1, item.x, item.y, item.z, item.mission_type] for item in plan]
+    return [
+        [item.seq, item.frame, item.command, item.param1, item.x, item.y, item.z, item.mission_type]
+        for item in plan
+    ]
 
 
 ROUND = items(
-    MISSION, (TAKE_OFF, 0, 0, 0, 5), (WAYPOINT, 0, 8, 4, 6), (WAYPOINT, 0, 12, 15, 7), (WAYPOINT, 0, 4, 10, 5), (LAND, 0, 4, 10, 0)
+    MISSION,
+    (TAKE_OFF, 0, 0, 0, 5),
+    (WAYPOINT, 0, 8, 4, 6),
+    (WAYPOINT, 0, 12, 15, 7),
+    (WAYPOINT, 0, 4, 10, 5),
+    (LAND, 0, 4, 10, 0),
 )
 FIELD = items(
-    FENCE, *((INSIDE, 4, north, east, 0) for north, east in ((-30, -30), (-30, 60), (60, 60), (60, -30))), (CIRCLE_INSIDE, 100, 10, 10, 0)
+    FENCE,
+    *((INSIDE, 4, north, east, 0) for north, east in ((-30, -30), (-30, 60), (60, 60), (60, -30))),
+    (CIRCLE_INSIDE, 100, 10, 10, 0),
 )
 CAMP = items(RALLY_POINTS, (RALLY, 0, 5, 5, 6), (RALLY, 0, 15, 20, 8))
 
@@ -103,7 +125,10 @@ async def fly(drone: System) -> dict:
 
     for target in ((6.0, 3.0, -5.0), (6.0, 12.0, -8.0)):
         await offboard.set_position_ned(PositionNedYaw(*target, 90.0))
-        await until(telemetry.subscribe_position_velocity_ned(), lambda p, target=target: math.dist(there(p), target) < 0.3)
+        await until(
+            telemetry.subscribe_position_velocity_ned(),
+            lambda p, target=target: math.dist(there(p), target) < 0.3,
+        )
     await offboard.set_velocity_ned(VelocityNedYaw(2.0, 0.0, 0.0, 0.0))
     moving = await until(telemetry.subscribe_position_velocity_ned(), lambda p: there(p)[0] > 9.0)
     seen["velocity"] = [moving.velocity.north_m_s, moving.velocity.east_m_s, moving.velocity.down_m_s]
@@ -139,7 +164,10 @@ async def fly_a_mission(drone: System) -> dict:
     for task in watching:
         task.cancel()
     finished = await mission.is_mission_finished()
-    nearest = [min(math.dist(place, target) for place in places) for target in ((8, 4, -6), (12, 15, -7), (4, 10, -5))]
+    nearest = [
+        min(math.dist(place, target) for place in places)
+        for target in ((8, 4, -6), (12, 15, -7), (4, 10, -5))
+    ]
     return {"progress": sorted(set(passed)), "nearest_m": nearest, "landed": places[-1], "finished": finished}
 
 
@@ -149,7 +177,11 @@ async def plan(drone: System) -> dict:
     await mission.upload_mission(ROUND)
     await mission.upload_geofence(FIELD)
     await mission.upload_rally_points(CAMP)
-    loaded = [await mission.download_mission(), await mission.download_geofence(), await mission.download_rallypoints()]
+    loaded = [
+        await mission.download_mission(),
+        await mission.download_geofence(),
+        await mission.download_rallypoints(),
+    ]
     await mission.clear_mission()
     return {
         "sent": [told(ROUND), told(FIELD), told(CAMP)],
@@ -198,7 +230,10 @@ async def ask(drone: System) -> dict:
 async def lossy(drone: System) -> dict:
     """Everything that is said in several messages, for a link that loses some of them."""
     seen = await plan(drone) | await configure(drone)
-    return seen | {"files": (await ask(drone))["answers"]["files"], "arm": await answer(ActionAsync(drone).arm())}
+    return seen | {
+        "files": (await ask(drone))["answers"]["files"],
+        "arm": await answer(ActionAsync(drone).arm()),
+    }
 
 
 async def main(port: str, scenario: str) -> None:

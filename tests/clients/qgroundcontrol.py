@@ -1,6 +1,8 @@
-"""QGroundControl as a script: the requests that it sends, in its order, with its retries (its Vehicle, ParameterManager, PlanManager).
+"""QGroundControl as a script: the requests that it sends, in its order, with its retries (its Vehicle,
+ParameterManager, PlanManager).
 
-It has a socket and a dialect of its own, so that it decodes what the vehicle says without the vehicle's code.
+It has a socket and a dialect of its own, so that it decodes what the vehicle says without the vehicle's
+code.
 """
 
 import math
@@ -16,7 +18,9 @@ from pymavlink.dialects.v20 import development as mavlink
 STATION, COMPONENT, AUTOPILOT = 255, 190, 1
 PATIENCE_S = 30.0
 ACK_S, ITEM_S, TRIES = 0.6, 0.25, 6
-"""How long it waits for an answer and for an item of a plan, and how often it asks. QGroundControl waits 1.5 s and more for an answer."""
+"""How long it waits for an answer and for an item of a plan, and how often it asks. QGroundControl waits
+1.5 s and more for an answer.
+"""
 NO_PARAMETER = 0xFFFF
 UINT32 = 5
 MISSION, FENCE, RALLY = 0, 1, 2
@@ -73,7 +77,11 @@ class QGroundControl:
     def receive(self) -> list[Any]:
         """Return the messages of the next datagram; none if there is none for a moment."""
         if time.monotonic() > self.beat_at:
-            self.send(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 192, 0, 4, 3))
+            self.send(
+                mavlink.MAVLink_heartbeat_message(
+                    mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 192, 0, 4, 3
+                )
+            )
             self.beat_at = time.monotonic() + 1
         try:
             datagram, self.vehicle = self.socket.recvfrom(65535)
@@ -111,11 +119,17 @@ class QGroundControl:
     def command(self, number: int, *params: float, component: int = AUTOPILOT) -> int:
         """Send a COMMAND_LONG, again if need be; returns its MAV_RESULT."""
         padded = (*params, *[0.0] * (7 - len(params)))
-        return self.acknowledged(number, lambda n: mavlink.MAVLink_command_long_message(self.system, component, number, n, *padded))
+        return self.acknowledged(
+            number, lambda n: mavlink.MAVLink_command_long_message(self.system, component, number, n, *padded)
+        )
 
-    def command_int(self, number: int, frame: int, p1: float, p2: float, p3: float, p4: float, x: int, y: int, z: float) -> int:
+    def command_int(
+        self, number: int, frame: int, p1: float, p2: float, p3: float, p4: float, x: int, y: int, z: float
+    ) -> int:
         """Send a COMMAND_INT, again if need be; returns its MAV_RESULT."""
-        message = mavlink.MAVLink_command_int_message(self.system, AUTOPILOT, frame, number, 0, 0, p1, p2, p3, p4, x, y, z)
+        message = mavlink.MAVLink_command_int_message(
+            self.system, AUTOPILOT, frame, number, 0, 0, p1, p2, p3, p4, x, y, z
+        )
         return self.acknowledged(number, lambda _: message)
 
     def acknowledged(self, number: int, message: Callable[[int], Any]) -> int:
@@ -150,7 +164,11 @@ class QGroundControl:
 
     def set_mode(self, custom_mode: int) -> None:
         """Change the mode with SET_MODE, as QGroundControl does with PX4, and wait for it."""
-        self.send(mavlink.MAVLink_set_mode_message(self.system, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, custom_mode))
+        self.send(
+            mavlink.MAVLink_set_mode_message(
+                self.system, mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, custom_mode
+            )
+        )
         self.until("HEARTBEAT", lambda beat: beat.custom_mode == custom_mode)
 
     # ---- parameters ----
@@ -184,12 +202,18 @@ class QGroundControl:
         for _, m in sorted(found.items()):
             computed = crc32(m.param_id.encode(), computed)
             computed = crc32(struct.pack("<f", m.param_value), computed)
-        return Parameters(checksum, computed, {m.param_id: as_number(m.param_value, m.param_type) for m in found.values()})
+        return Parameters(
+            checksum, computed, {m.param_id: as_number(m.param_value, m.param_type) for m in found.values()}
+        )
 
     def set_parameter(self, name: str, value: float) -> float:
         """Set a float parameter; returns the value that the vehicle tells back."""
         for _ in range(TRIES):
-            self.send(mavlink.MAVLink_param_set_message(self.system, AUTOPILOT, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32))
+            self.send(
+                mavlink.MAVLink_param_set_message(
+                    self.system, AUTOPILOT, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32
+                )
+            )
             if told := self.wait(lambda m: m.get_type() == "PARAM_VALUE" and m.param_id == name, ACK_S):
                 return float(told.param_value)
         raise AssertionError(f"{name}: no answer")
@@ -210,25 +234,39 @@ class QGroundControl:
             else:
                 left, item = TRIES, items[answer.seq]
                 head = (self.system, AUTOPILOT, answer.seq, item.frame, item.command, int(answer.seq == 0), 1)
-                message = mavlink.MAVLink_mission_item_int_message(*head, *item.params, item.x, item.y, item.z, kind)
+                message = mavlink.MAVLink_mission_item_int_message(
+                    *head, *item.params, item.x, item.y, item.z, kind
+                )
         raise AssertionError(f"plan {kind}: the vehicle fell silent")
 
     def download(self, kind: int) -> list[Item]:
         """Load a plan."""
         ask = mavlink.MAVLink_mission_request_list_message(self.system, AUTOPILOT, kind)
-        count = self.repeated(ask, lambda m: m.get_type() == "MISSION_COUNT" and m.mission_type == kind, ACK_S).count
+        count = self.repeated(
+            ask, lambda m: m.get_type() == "MISSION_COUNT" and m.mission_type == kind, ACK_S
+        ).count
         items = []
         for number in range(count):
             ask = mavlink.MAVLink_mission_request_int_message(self.system, AUTOPILOT, number, kind)
-            m = self.repeated(ask, lambda m, n=number: m.get_type() == "MISSION_ITEM_INT" and (m.mission_type, m.seq) == (kind, n), ITEM_S)
+            m = self.repeated(
+                ask,
+                lambda m, n=number: (
+                    m.get_type() == "MISSION_ITEM_INT" and (m.mission_type, m.seq) == (kind, n)
+                ),
+                ITEM_S,
+            )
             items.append(Item(m.frame, m.command, (m.param1, m.param2, m.param3, m.param4), m.x, m.y, m.z))
-        self.send(mavlink.MAVLink_mission_ack_message(self.system, AUTOPILOT, mavlink.MAV_MISSION_ACCEPTED, kind))
+        self.send(
+            mavlink.MAVLink_mission_ack_message(self.system, AUTOPILOT, mavlink.MAV_MISSION_ACCEPTED, kind)
+        )
         return items
 
     def clear(self, kind: int) -> int:
         """Remove a plan; returns the MAV_MISSION_RESULT."""
         ask = mavlink.MAVLink_mission_clear_all_message(self.system, AUTOPILOT, kind)
-        return int(self.repeated(ask, lambda m: m.get_type() == "MISSION_ACK" and m.mission_type == kind, ACK_S).type)
+        return int(
+            self.repeated(ask, lambda m: m.get_type() == "MISSION_ACK" and m.mission_type == kind, ACK_S).type
+        )
 
     def repeated(self, ask: Any, holds: Callable[[Any], object], wait_s: float) -> Any:
         """Ask until there is an answer."""
@@ -260,12 +298,21 @@ def place(north_m: float, east_m: float) -> tuple[int, int]:
 
 def waypoint(command: int, north_m: float, east_m: float, up_m: float, p1: float = 0.0) -> Item:
     """An item at a place relative to home."""
-    return Item(mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, command, (p1, 0.0, 0.0, math.nan), *place(north_m, east_m), up_m)
+    return Item(
+        mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+        command,
+        (p1, 0.0, 0.0, math.nan),
+        *place(north_m, east_m),
+        up_m,
+    )
 
 
 def polygon(command: int, *corners: tuple[float, float]) -> list[Item]:
     """The corners of a fence."""
-    return [Item(mavlink.MAV_FRAME_GLOBAL, command, (float(len(corners)), 0.0, 0.0, 0.0), *place(*corner), 0.0) for corner in corners]
+    return [
+        Item(mavlink.MAV_FRAME_GLOBAL, command, (float(len(corners)), 0.0, 0.0, 0.0), *place(*corner), 0.0)
+        for corner in corners
+    ]
 
 
 def same(one: Sequence[Item], other: Sequence[Item]) -> bool:

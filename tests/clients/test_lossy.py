@@ -1,4 +1,6 @@
-"""Protects every service that takes several messages against a radio that loses 5% of the frames in both directions."""
+"""Protects every service that takes several messages against a radio that loses 5% of the frames in both
+directions.
+"""
 
 import json
 import math
@@ -36,12 +38,23 @@ def lossy(vehicle: Callable[..., int]) -> Iterator[Callable[..., tuple[LossyLink
         yield begin
 
 
-def test_no_item_is_lost_of_a_mission_a_fence_and_rally_points(lossy: Callable[..., tuple[LossyLink, QGroundControl]]) -> None:
+def test_no_item_is_lost_of_a_mission_a_fence_and_rally_points(
+    lossy: Callable[..., tuple[LossyLink, QGroundControl]],
+) -> None:
     link, station = lossy(seed=1, lost=0.05)
-    commands = {MISSION: mavlink.MAV_CMD_NAV_WAYPOINT, FENCE: mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, RALLY: 5100}
+    commands = {
+        MISSION: mavlink.MAV_CMD_NAV_WAYPOINT,
+        FENCE: mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION,
+        RALLY: 5100,
+    }
     for kind, command in commands.items():
         angles = [2 * math.pi * number / 20 for number in range(20)]
-        plan = [waypoint(command, 12 + 8 * math.cos(a), 12 + 8 * math.sin(a), 6, p1=60.0 if kind == FENCE else 0.0) for a in angles]
+        plan = [
+            waypoint(
+                command, 12 + 8 * math.cos(a), 12 + 8 * math.sin(a), 6, p1=60.0 if kind == FENCE else 0.0
+            )
+            for a in angles
+        ]
         assert station.upload(kind, plan) == mavlink.MAV_MISSION_ACCEPTED
         assert same(station.download(kind), plan)
         assert station.clear(kind) == mavlink.MAV_MISSION_ACCEPTED
@@ -49,7 +62,9 @@ def test_no_item_is_lost_of_a_mission_a_fence_and_rally_points(lossy: Callable[.
     assert lost >= 5
 
 
-def test_every_command_is_answered_and_every_parameter_arrives(lossy: Callable[..., tuple[LossyLink, QGroundControl]]) -> None:
+def test_every_command_is_answered_and_every_parameter_arrives(
+    lossy: Callable[..., tuple[LossyLink, QGroundControl]],
+) -> None:
     link, station = lossy(seed=2, lost=0.05)
     for command, result in COMMANDS * 15:
         assert station.command(command) == result
@@ -65,7 +80,9 @@ def test_the_clock_is_still_told(lossy: Callable[..., tuple[LossyLink, QGroundCo
     _, station = lossy(seed=3, lost=0.05)
     for number in range(1, 31):
         asked = mavlink.MAVLink_timesync_message(0, number * 1_000_000)
-        told = station.repeated(asked, lambda m, n=number: m.get_type() == "TIMESYNC" and m.ts1 == n * 1_000_000, 0.2)
+        told = station.repeated(
+            asked, lambda m, n=number: m.get_type() == "TIMESYNC" and m.ts1 == n * 1_000_000, 0.2
+        )
         assert told.tc1 > 0
 
 
@@ -74,7 +91,11 @@ def test_mavsdk_4_transfers_plans_and_parameters(vehicle: Callable[..., int]) ->
     with LossyLink(client, seed=4) as link:
         vehicle(port=link.port)
         ended = subprocess.run(
-            [python, str(HERE / "mavsdk4.py"), str(client), "lossy"], capture_output=True, text=True, check=False, timeout=300
+            [python, str(HERE / "mavsdk4.py"), str(client), "lossy"],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
         )
     assert ended.returncode == 0, ended.stderr
     seen = json.loads(ended.stdout)

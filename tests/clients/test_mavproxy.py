@@ -1,4 +1,6 @@
-"""Protects the vehicle against MAVProxy: what its users type works, and what the vehicle lacks is refused on their console."""
+"""Protects the vehicle against MAVProxy: what its users type works, and what the vehicle lacks is refused
+on their console.
+"""
 
 import subprocess
 import threading
@@ -14,9 +16,12 @@ pytestmark = pytest.mark.full
 
 MODULES = "arm,cmdlong,fence,ftp,log,misc,mode,param,rally,wp"
 FASTEST = (30, 32, 33)
-"""The messages that come most often. At the speed-up of a test MAVProxy, which is Python, could not read them all on a busy machine."""
+"""The messages that come most often. At the speed-up of a test MAVProxy, which is Python, could not read
+them all on a busy machine.
+"""
 HEAD = "QGC WPL 110"
-# Rows as MAVProxy saves them: number, current, frame, command, four parameters, latitude, longitude, altitude, autocontinue.
+# Rows as MAVProxy saves them: number, current, frame, command, four parameters, latitude, longitude,
+# altitude, autocontinue.
 HOME = "0	1	0	16	0	0	0	0	47.397742	8.545594	488.000000	1"
 WAYPOINTS = (
     "1	0	3	22	0	0	0	0	47.397742	8.545594	5.000000	1",
@@ -43,9 +48,14 @@ class MavProxy:
         words = (f"--master=udpin:127.0.0.1:{port}", "--no-state", f"--default-modules={modules}")
         self.process = subprocess.Popen(
             [python, "-u", str(Path(python).with_name("mavproxy.py")), *words],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, bufsize=1, cwd=folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            bufsize=1,
+            cwd=folder,
             env={"HOME": str(folder), "PATH": "/usr/bin:/bin"},
-        )  # fmt: skip
+        )
         self.reader = threading.Thread(target=self.read)
         self.reader.start()
 
@@ -86,7 +96,9 @@ class MavProxy:
 
 
 @pytest.fixture
-def mavproxy(vehicle: Callable[..., int], tmp_path: Path, wait_until: Callable) -> Iterator[Callable[..., MavProxy]]:
+def mavproxy(
+    vehicle: Callable[..., int], tmp_path: Path, wait_until: Callable
+) -> Iterator[Callable[..., MavProxy]]:
     """Start a vehicle and MAVProxy, and wait until that has read the parameters, as it does first."""
     opened: list[MavProxy] = []
 
@@ -110,11 +122,15 @@ def rows(path: Path) -> list[list[float]]:
     return [[float(word) for word in line.split()] for line in lines]
 
 
-def test_mavproxy_reads_and_sets_parameters_and_shows_why_one_is_refused(mavproxy: Callable[..., MavProxy]) -> None:
+def test_mavproxy_reads_and_sets_parameters_and_shows_why_one_is_refused(
+    mavproxy: Callable[..., MavProxy],
+) -> None:
     station = mavproxy()
     station.type("param set MIS_TAKEOFF_ALT 7")
     station.repeat("param fetch MIS_TAKEOFF_ALT", "MIS_TAKEOFF_ALT = 7.0")  # what is set waits in a queue
-    station.type("param set MIS_TAKEOFF_ALT 1000", "allowed is 0.5 to 80 m", "Failed to set MIS_TAKEOFF_ALT to 1000")
+    station.type(
+        "param set MIS_TAKEOFF_ALT 1000", "allowed is 0.5 to 80 m", "Failed to set MIS_TAKEOFF_ALT to 1000"
+    )
     station.type("param show MIS_TAKEOFF_ALT", "MIS_TAKEOFF_ALT  7.0")
     station.type("param fetch", "Requested parameter list", "Received ")
 
@@ -124,7 +140,9 @@ def test_what_mavproxy_loads_it_lists_again(mavproxy: Callable[..., MavProxy]) -
     for kind, lines in (("wp", (HOME, *WAYPOINTS)), ("fence", FENCE), ("rally", RALLY)):
         sent, got = station.folder / f"{kind}.txt", station.folder / f"{kind}-saved.txt"
         sent.write_text("\n".join((HEAD, *lines, "")))
-        station.repeat(f"{kind} load {sent.name}", f"Sent all {len(lines)} ")  # a list that is asked for earlier would end the upload
+        station.repeat(
+            f"{kind} load {sent.name}", f"Sent all {len(lines)} "
+        )  # a list that is asked for earlier would end the upload
         station.repeat(f"{kind} list", f"Requesting {len(lines)} ")
         station.type(f"{kind} save {got.name}", f"Saved {len(lines)} ")
         assert rows(got) == rows(sent)

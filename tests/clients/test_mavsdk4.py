@@ -1,4 +1,6 @@
-"""Protects the vehicle against MAVSDK 4, which speaks MAVLink itself: flights, missions, parameters, and what is refused."""
+"""Protects the vehicle against MAVSDK 4, which speaks MAVLink itself: flights, missions, parameters, and
+what is refused.
+"""
 
 import json
 import subprocess
@@ -18,7 +20,11 @@ def mavsdk(vehicle: Callable[..., int]) -> Callable[..., dict]:
     def play(scenario: str, *words: str) -> dict:
         python = python_of("mavsdk4")
         ended = subprocess.run(
-            [python, str(HERE / "mavsdk4.py"), str(vehicle(*words)), scenario], capture_output=True, text=True, check=False, timeout=300
+            [python, str(HERE / "mavsdk4.py"), str(vehicle(*words)), scenario],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
         )
         assert ended.returncode == 0, ended.stderr
         return json.loads(ended.stdout)
@@ -26,7 +32,9 @@ def mavsdk(vehicle: Callable[..., int]) -> Callable[..., dict]:
     return play
 
 
-def test_mavsdk_4_arms_takes_off_flies_setpoints_of_position_and_velocity_and_lands(mavsdk: Callable[..., dict]) -> None:
+def test_mavsdk_4_arms_takes_off_flies_setpoints_of_position_and_velocity_and_lands(
+    mavsdk: Callable[..., dict],
+) -> None:
     seen = mavsdk("fly", "--speedup", "4")
     assert seen["disarm in the air"] == "COMMAND_DENIED"
     assert seen["velocity"] == pytest.approx([2.0, 0.0, 0.0], abs=0.1)
@@ -40,7 +48,9 @@ def test_mavsdk_4_flies_a_mission_and_is_told_its_progress(mavsdk: Callable[...,
     assert seen["progress"] == [0, 1, 2, 3, 4, 5]
 
 
-def test_mavsdk_4_reads_back_the_mission_fence_and_rally_points_that_it_sent(mavsdk: Callable[..., dict]) -> None:
+def test_mavsdk_4_reads_back_the_mission_fence_and_rally_points_that_it_sent(
+    mavsdk: Callable[..., dict],
+) -> None:
     seen = mavsdk("plan")
     assert seen["loaded"] == seen["sent"]
     assert seen["after the clear"] == []

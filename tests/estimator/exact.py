@@ -1,7 +1,9 @@
-"""The exact posterior of the source's position, on a grid that zooms in as the posterior shrinks. It shares no code with the filter.
+"""The exact posterior of the source's position, on a grid that zooms in as the posterior shrinks. It
+shares no code with the filter.
 
-The plume is derived in other terms than in plume/dispersion.py: m = exp(-v·offset) g, with v = wind/(2d), turns the steady equation of
-advection, diffusion and decay into Helmholtz's, ∇²g = k² g, k² = |v|² + 1/(d τ), and around a point source g = q/(4π d) exp(-k r)/r.
+The plume is derived in other terms than in plume/dispersion.py: m = exp(-v·offset) g, with v = wind/(2d),
+turns the steady equation of advection, diffusion and decay into Helmholtz's, ∇²g = k² g, k² = |v|² + 1/(d
+τ), and around a point source g = q/(4π d) exp(-k r)/r.
 """
 
 import math
@@ -16,10 +18,13 @@ CELLS = 64
 """Initial number of cells along a side; doubled while they do not resolve the posterior."""
 MOST_CELLS = 2048
 UNEVEN = 0.02
-"""Largest allowed mass difference between the four grids of every second cell. The full grid's error is about the fourth power of theirs:
-that of a midpoint sum over a Gaussian falls as exp(-2 π² σ²/h²) with the cell h."""
+"""Largest allowed mass difference between the four grids of every second cell. The full grid's error is
+about the fourth power of theirs: that of a midpoint sum over a Gaussian falls as exp(-2 π² σ²/h²) with the
+cell h."""
 CUT = 1e-9
-"""Mass that a zoom may leave outside. By Ville's inequality, later readings raise it to a share s with probability at most CUT / s."""
+"""Mass that a zoom may leave outside. By Ville's inequality, later readings raise it to a share s with
+probability at most CUT / s.
+"""
 
 
 def log_likelihood(x: Array, y: Array, reading: tuple[float, ...], q: float, d: float, tau: float) -> Array:
@@ -34,7 +39,9 @@ def log_likelihood(x: Array, y: Array, reading: tuple[float, ...], q: float, d: 
 
 
 class GridPosterior:
-    """Mean (2,), covariance (2, 2) and spread given all readings so far; the prior is uniform over the area."""
+    """Mean (2,), covariance (2, 2) and spread given all readings so far; the prior is uniform over the
+    area.
+    """
 
     def __init__(self, q: float, d: float, tau: float) -> None:
         self.plume = (q, d, tau)

@@ -1,7 +1,9 @@
-"""The exact posterior of the source's position and a third unknown, on cells that follow its mass. It shares no code with the filter.
+"""The exact posterior of the source's position and a third unknown, on cells that follow its mass. It
+shares no code with the filter.
 
-The plume is derived as in exact.py. Gas of intermittency cv is cut into cells of concentration; each is replaced by a normal variable of
-the same mass, mean and variance, so that a reading's density is a sum of normal densities.
+The plume is derived as in exact.py. Gas of intermittency cv is cut into cells of concentration; each is
+replaced by a normal variable of the same mass, mean and variance, so that a reading's density is a sum of
+normal densities.
 """
 
 import math
@@ -15,14 +17,25 @@ Array = NDArray[np.float64]
 
 AREA_M = 30.0
 UNEVEN = 0.02
-"""Largest allowed difference in mass between cells of even and odd number along a dimension, as in exact.py."""
+"""Largest allowed difference in mass between cells of even and odd number along a dimension, as in
+exact.py.
+"""
 CUT = 1e-8
 """A cell of less mass than this, relative to the greatest, is dropped."""
 MOST_CELLS = 2_000_000
 
 
-def plume_mean(x: Array, y: Array, at: tuple[float, float], wind_x: Array, wind_y: Array, release: tuple[float, float, float]) -> Array:
-    """Concentration at a place for sources at x, y: the screened point source of exact.py, in a wind of its own for each."""
+def plume_mean(
+    x: Array,
+    y: Array,
+    at: tuple[float, float],
+    wind_x: Array,
+    wind_y: Array,
+    release: tuple[float, float, float],
+) -> Array:
+    """Concentration at a place for sources at x, y: the screened point source of exact.py, in a wind of
+    its own for each.
+    """
     q, d, tau = release
     vx, vy = wind_x / (2 * d), wind_y / (2 * d)
     r = np.maximum(np.sqrt((at[0] - x) ** 2 + (at[1] - y) ** 2), 0.1)
@@ -37,7 +50,9 @@ def normal_log_density(gas: float, mean: Array) -> Array:
 
 @cache
 def gas_cells(cv: float) -> tuple[Array, Array, Array]:
-    """Mass, mean and variance of a gamma variable of mean 1 in cells: narrow ones where it is dense, none wider than the noise allows."""
+    """Mass, mean and variance of a gamma variable of mean 1 in cells: narrow ones where it is dense, none
+    wider than the noise allows.
+    """
     from scipy import special
 
     k = 1 / cv**2
@@ -78,28 +93,42 @@ def _log_densities(gas: float, cv: float) -> Array:
 
 
 Likelihood = Callable[[Array, Array, Array, tuple[float, ...], tuple[float, float, float]], Array]
-"""Log-likelihood of a reading (x, y, wind_x, wind_y, gas) for sources x, y and a third unknown, given (q, d, τ)."""
+"""Log-likelihood of a reading (x, y, wind_x, wind_y, gas) for sources x, y and a third unknown, given (q,
+d, τ).
+"""
 
 
-def with_wind_direction(x: Array, y: Array, degrees: Array, reading: tuple[float, ...], release: tuple[float, float, float]) -> Array:
+def with_wind_direction(
+    x: Array, y: Array, degrees: Array, reading: tuple[float, ...], release: tuple[float, float, float]
+) -> Array:
     at_x, at_y, wind_x, wind_y, gas = reading
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     turned = wind_x * cosine - wind_y * sine, wind_x * sine + wind_y * cosine
     return normal_log_density(gas, plume_mean(x, y, (at_x, at_y), *turned, release))
 
 
-def with_log_gain(x: Array, y: Array, log_gain: Array, reading: tuple[float, ...], release: tuple[float, float, float]) -> Array:
+def with_log_gain(
+    x: Array, y: Array, log_gain: Array, reading: tuple[float, ...], release: tuple[float, float, float]
+) -> Array:
     at_x, at_y, wind_x, wind_y, gas = reading
-    return normal_log_density(gas, np.exp(log_gain) * plume_mean(x, y, (at_x, at_y), np.array(wind_x), np.array(wind_y), release))
+    return normal_log_density(
+        gas, np.exp(log_gain) * plume_mean(x, y, (at_x, at_y), np.array(wind_x), np.array(wind_y), release)
+    )
 
 
-def with_cv(x: Array, y: Array, cv: Array, reading: tuple[float, ...], release: tuple[float, float, float]) -> Array:
+def with_cv(
+    x: Array, y: Array, cv: Array, reading: tuple[float, ...], release: tuple[float, float, float]
+) -> Array:
     at_x, at_y, wind_x, wind_y, gas = reading
-    return intermittent_log_density(gas, plume_mean(x, y, (at_x, at_y), np.array(wind_x), np.array(wind_y), release), cv)
+    return intermittent_log_density(
+        gas, plume_mean(x, y, (at_x, at_y), np.array(wind_x), np.array(wind_y), release), cv
+    )
 
 
 class CellPosterior:
-    """The posterior given all readings so far: normal prior of the third unknown within `low` to `high`, place uniform over the area."""
+    """The posterior given all readings so far: normal prior of the third unknown within `low` to `high`,
+    place uniform over the area.
+    """
 
     def __init__(
         self,
@@ -111,8 +140,15 @@ class CellPosterior:
         cells: tuple[int, int, int],
         uneven: float = UNEVEN,
     ) -> None:
-        """`uneven`: as UNEVEN, of the third unknown. If its density ends abruptly, even and odd cells differ more than their sum errs."""
-        self.likelihood, self.release, self.std, self.uneven = likelihood, release, std, (UNEVEN, UNEVEN, uneven)
+        """`uneven`: as UNEVEN, of the third unknown. If its density ends abruptly, even and odd cells
+        differ more than their sum errs.
+        """
+        self.likelihood, self.release, self.std, self.uneven = (
+            likelihood,
+            release,
+            std,
+            (UNEVEN, UNEVEN, uneven),
+        )
         self.low = np.array([0.0, 0.0, low])
         self.size = np.array([AREA_M, AREA_M, high - low]) / cells
         self.readings: list[tuple[float, ...]] = []
@@ -132,13 +168,22 @@ class CellPosterior:
             self.log_density += self.likelihood(*self.at, reading, self.release)
 
     def settle(self) -> None:
-        """Drop cells without mass, and halve all cells along each dimension in which they do not resolve the posterior."""
+        """Drop cells without mass, and halve all cells along each dimension in which they do not resolve
+        the posterior.
+        """
         while True:
             kept = self.log_density > self.log_density.max() + math.log(CUT)
-            self.numbers, self.at, self.log_density = self.numbers[:, kept], self.at[:, kept], self.log_density[kept]
+            self.numbers, self.at, self.log_density = (
+                self.numbers[:, kept],
+                self.at[:, kept],
+                self.log_density[kept],
+            )
             self.mass = np.exp(self.log_density - self.log_density.max())
             self.mass /= self.mass.sum()
-            uneven = [abs(1 - 2 * self.mass[row % 2 == 0].sum()) > most for row, most in zip(self.numbers, self.uneven, strict=True)]
+            uneven = [
+                abs(1 - 2 * self.mass[row % 2 == 0].sum()) > most
+                for row, most in zip(self.numbers, self.uneven, strict=True)
+            ]
             if not any(uneven):
                 return
             numbers = self.numbers

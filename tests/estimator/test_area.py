@@ -35,23 +35,36 @@ def test_it_is_30_m_or_what_the_command_line_says(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("side", ["0", "-5", "nan", "wide", "1e6"])
-def test_a_side_that_cannot_be_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], side: str) -> None:
+def test_a_side_that_cannot_be_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], side: str
+) -> None:
     with pytest.raises(SystemExit, match="2"):
         chosen(monkeypatch, f"--area={side}")
     assert f"--area: {side!r} is not allowed; wanted a number above 0 up to 100000" in capsys.readouterr().err
 
 
-def test_a_prior_of_the_location_must_leave_something_of_it(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    assert chosen(monkeypatch, "--area", "80", "--prior", "x=uniform:50,70").prior_rows[0].tolist()[1:] == [50.0, 70.0, 50.0, 70.0]
+def test_a_prior_of_the_location_must_leave_something_of_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert chosen(monkeypatch, "--area", "80", "--prior", "x=uniform:50,70").prior_rows[0].tolist()[1:] == [
+        50.0,
+        70.0,
+        50.0,
+        70.0,
+    ]
     with pytest.raises(SystemExit, match="2"):
         chosen(monkeypatch, "--prior", "x=uniform:50,70")
     assert "--prior: the prior of x excludes every possible value" in capsys.readouterr().err
 
 
 def test_the_prior_fills_it() -> None:
-    counts, _, _ = np.histogram2d(*prior(Config(particles=4000, area_m=SIDE_M)).particles, bins=4, range=[[0, SIDE_M], [0, SIDE_M]])
+    counts, _, _ = np.histogram2d(
+        *prior(Config(particles=4000, area_m=SIDE_M)).particles, bins=4, range=[[0, SIDE_M], [0, SIDE_M]]
+    )
     assert counts.sum() == 4000
-    assert np.abs(counts - 250).max() < 16  # 16 is one standard deviation of independent draws; the lattice is more even
+    assert (
+        np.abs(counts - 250).max() < 16
+    )  # 16 is one standard deviation of independent draws; the lattice is more even
 
 
 @pytest.mark.parametrize(("x", "kind"), [(79.9, None), (80.1, "outside"), (-0.1, "outside")])
@@ -66,7 +79,9 @@ def test_a_source_far_off_in_it_is_found_and_no_particle_leaves_it() -> None:
     posterior = prior(config)
     path = [(x, y) for y in (70.0, 74.0, 77.0, 79.0) for x in np.linspace(50.0, 80.0, 31).tolist()]
     for step, place in enumerate(path):
-        posterior = assimilate(posterior, Reading(step, place, 5.0, world.wind, world.gas(place, step)), config)
+        posterior = assimilate(
+            posterior, Reading(step, place, 5.0, world.wind, world.gas(place, step)), config
+        )
         assert posterior.particles.min() >= 0.0
         assert posterior.particles.max() <= SIDE_M
     summary, _ = belief(posterior, Reading(step, place, 5.0, world.wind, 0.0), config)

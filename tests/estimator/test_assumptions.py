@@ -1,4 +1,6 @@
-"""Protects the named assumptions: which priors they give, how given priors replace them, and what is refused."""
+"""Protects the named assumptions: which priors they give, how given priors replace them, and what is
+refused.
+"""
 
 import math
 from typing import get_args, get_type_hints
@@ -31,14 +33,20 @@ def test_in_the_field_what_is_told_is_the_middle_of_a_prior() -> None:
     assert config.unknowns == FIELD
     rows = config.prior_rows
     assert rows.shape == (13, 5)
-    assert [math.exp(rows[index, 1]) for index in (Q, TAU, WIND_SPEED, NOISE)] == pytest.approx([250.0, 8.0, 1.0, 1.0])
+    assert [math.exp(rows[index, 1]) for index in (Q, TAU, WIND_SPEED, NOISE)] == pytest.approx(
+        [250.0, 8.0, 1.0, 1.0]
+    )
     assert rows[WIND_DIRECTION, 1] == 0.0
     assert (rows[CV, 3], rows[CV, 4]) == (0.0, 3.0)  # a normal prior around 0 that cannot go below it
     assert rows[D, :2].tolist() == [0.0, 4.5]  # known: it is redundant to the others
 
 
-@pytest.mark.parametrize(("sensor", "lacks"), [(GAUSSIAN, set()), (Threshold(), {"cv"}), (Hits(), {"noise", "cv"})])
-def test_noise_and_intermittency_are_unknown_for_the_sensors_that_have_them(sensor: Sensor, lacks: set[str]) -> None:
+@pytest.mark.parametrize(
+    ("sensor", "lacks"), [(GAUSSIAN, set()), (Threshold(), {"cv"}), (Hits(), {"noise", "cv"})]
+)
+def test_noise_and_intermittency_are_unknown_for_the_sensors_that_have_them(
+    sensor: Sensor, lacks: set[str]
+) -> None:
     assert set(Config(assume="field", sensor=sensor).unknowns) == set(FIELD) - lacks
 
 
@@ -46,8 +54,12 @@ def test_what_is_known_has_the_value_of_a_faultless_measurement() -> None:
     for sensor, cv in ((GAUSSIAN, 0.0), (Gaussian(cv=0.5), 0.5), (Threshold(), 0.0), (Hits(), 0.0)):
         rows = Config(sensor=sensor).prior_rows
         assert dict(zip(PARAMETERS[8:], rows[8:, :2].tolist(), strict=True)) == {
-            "wind-direction": [0.0, 0.0], "wind-speed": [0.0, 1.0], "gain": [0.0, 1.0], "noise": [0.0, 1.0], "cv": [0.0, cv],
-        }  # fmt: skip
+            "wind-direction": [0.0, 0.0],
+            "wind-speed": [0.0, 1.0],
+            "gain": [0.0, 1.0],
+            "noise": [0.0, 1.0],
+            "cv": [0.0, cv],
+        }
 
 
 @pytest.mark.parametrize(
@@ -61,15 +73,21 @@ def test_what_is_known_has_the_value_of_a_faultless_measurement() -> None:
     ],
     ids=str,
 )
-def test_a_given_prior_replaces_the_assumptions_and_leaves_the_others(given: dict[str, Prior], name: str, prior: Prior) -> None:
+def test_a_given_prior_replaces_the_assumptions_and_leaves_the_others(
+    given: dict[str, Prior], name: str, prior: Prior
+) -> None:
     usual = effective_priors("field", {}, 300.0, 10.0, GAUSSIAN)
     assert effective_priors("field", given, 300.0, 10.0, GAUSSIAN) == {**usual, name: prior}
     unknown = set(Config(assume="field", priors=given).unknowns)
     assert unknown ^ set(FIELD) == ({name} & set(FIELD) if isinstance(prior, Fixed) else {name} - set(FIELD))
 
 
-@pytest.mark.parametrize(("absolute", "index", "relative"), [("u", U, "wind-speed"), ("phi", PHI, "wind-direction")])
-def test_an_absolute_prior_of_the_wind_stands_for_that_of_its_measurement(absolute: str, index: int, relative: str) -> None:
+@pytest.mark.parametrize(
+    ("absolute", "index", "relative"), [("u", U, "wind-speed"), ("phi", PHI, "wind-direction")]
+)
+def test_an_absolute_prior_of_the_wind_stands_for_that_of_its_measurement(
+    absolute: str, index: int, relative: str
+) -> None:
     config = Config(assume="field", priors={absolute: Normal(2.0, 0.5)})
     assert set(config.unknowns) == set(FIELD) - {relative} | {absolute}
     assert config.prior_rows[index, 1:3].tolist() == [2.0, 0.5]
@@ -80,11 +98,23 @@ def test_an_absolute_prior_of_the_wind_stands_for_that_of_its_measurement(absolu
     [
         ({"assume": "feild"}, "assume 'feild' is not allowed; wanted paper or field"),
         ({"priors": {"wind": Fixed(1.0)}}, "a prior of 'wind' is not allowed; wanted x, y, z, q, "),
-        ({"priors": {"u": Fixed(2.0), "wind-speed": Fixed(1.1)}}, "a prior of wind-speed is not allowed with one of u, which ignores"),
-        ({"priors": {"phi": Normal(0, 1), "wind-direction": Normal(0, 9)}}, "a prior of wind-direction is not allowed with one of phi"),
-        ({"priors": {"noise": Fixed(2.0)}, "sensor": Hits()}, "a prior of noise is not allowed with the hits sensor"),
+        (
+            {"priors": {"u": Fixed(2.0), "wind-speed": Fixed(1.1)}},
+            "a prior of wind-speed is not allowed with one of u, which ignores",
+        ),
+        (
+            {"priors": {"phi": Normal(0, 1), "wind-direction": Normal(0, 9)}},
+            "a prior of wind-direction is not allowed with one of phi",
+        ),
+        (
+            {"priors": {"noise": Fixed(2.0)}, "sensor": Hits()},
+            "a prior of noise is not allowed with the hits sensor",
+        ),
         ({"priors": {"cv": Fixed(0.5)}, "sensor": Hits()}, "a prior of cv is not allowed with this sensor"),
-        ({"priors": {"cv": Normal(0, 1)}, "sensor": Threshold()}, "a prior of cv is not allowed with this sensor"),
+        (
+            {"priors": {"cv": Normal(0, 1)}, "sensor": Threshold()},
+            "a prior of cv is not allowed with this sensor",
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

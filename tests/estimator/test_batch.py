@@ -23,14 +23,18 @@ def missions(**knowledge: object) -> tuple[list[Config], list[list[Reading]]]:
         world = World(s, seed, config.sensor)
         ways = np.linspace(world.start, s.source, STEPS).astype(np.float32).tolist()
         configs.append(config)
-        flights.append([Reading(k, (x, y), 5.0, world.wind, world.gas((x, y), k)) for k, (x, y) in enumerate(ways)])
+        flights.append(
+            [Reading(k, (x, y), 5.0, world.wind, world.gas((x, y), k)) for k, (x, y) in enumerate(ways)]
+        )
     return configs, flights
 
 
 def together(configs: list[Config], flights: list[list[Reading]], threads: int) -> Batch:
     batch = Batch(configs, threads)
     for k in range(STEPS):
-        batch.assimilate(np.array([config.row(flight[k]) for config, flight in zip(configs, flights, strict=True)]))
+        batch.assimilate(
+            np.array([config.row(flight[k]) for config, flight in zip(configs, flights, strict=True)])
+        )
     return batch
 
 
@@ -39,7 +43,9 @@ def bits(posterior: Posterior) -> list[bytes]:
 
 
 @pytest.mark.parametrize(
-    "knowledge", [{}, {"priors": {"q": Gamma(2.0, 150.0), "phi": Normal(1.0, 2.0)}, "sensor": Hits()}], ids=["default", "more"]
+    "knowledge",
+    [{}, {"priors": {"q": Gamma(2.0, 150.0), "phi": Normal(1.0, 2.0)}, "sensor": Hits()}],
+    ids=["default", "more"],
 )
 def test_each_mission_of_a_batch_is_bit_identical_to_the_mission_alone(knowledge: dict) -> None:
     configs, flights = missions(**knowledge)
@@ -60,7 +66,9 @@ def test_a_batch_tells_the_moments_of_each_mission() -> None:
     batch = together(configs, flights, 2)
     posterior = batch.posterior(3)
     assert batch.means[3] == pytest.approx(np.average(posterior.particles, axis=1, weights=posterior.weights))
-    assert batch.covariances[3] == pytest.approx(np.cov(posterior.particles, aweights=posterior.weights, ddof=0))
+    assert batch.covariances[3] == pytest.approx(
+        np.cov(posterior.particles, aweights=posterior.weights, ddof=0)
+    )
 
 
 def test_missions_that_do_not_fit_together_are_refused() -> None:

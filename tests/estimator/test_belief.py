@@ -1,4 +1,6 @@
-"""Protects the estimator's messages: the summary of its particles, the stop criterion, and the check that readings fit the model."""
+"""Protects the estimator's messages: the summary of its particles, the stop criterion, and the check that
+readings fit the model.
+"""
 
 import math
 
@@ -15,11 +17,15 @@ from plume.sensor import Hits, Threshold
 READING = Reading(77, (1.0, 2.0), 5.0, (1.0, 0.0), 0.5)
 
 
-def posterior_of(particles: list[list[float]], weights: list[float], ranks: list[float] | None = None) -> Posterior:
+def posterior_of(
+    particles: list[list[float]], weights: list[float], ranks: list[float] | None = None
+) -> Posterior:
     """A posterior after three readings, which its particles explain far better than one value does."""
     w, readings = np.array(weights), np.zeros((3, 7))
     readings[:, 5] = 0.5, 0.25, 0.125
-    return Posterior(np.array(particles), np.log(w), w / w.max(), np.full(len(w), 50.0), readings, np.array(ranks or [0.5]))
+    return Posterior(
+        np.array(particles), np.log(w), w / w.max(), np.full(len(w), 50.0), readings, np.array(ranks or [0.5])
+    )
 
 
 TWO = posterior_of([[1.0, 3.0], [2.0, 2.0]], [0.75, 0.25])
@@ -34,7 +40,13 @@ def test_what_is_published_is_what_the_particles_say() -> None:
     assert summary.effective_sample_size == pytest.approx(1 / (0.5625 + 0.0625))
     assert particles.tolist() == [[1.0, 2.0, 0.75], [3.0, 2.0, 0.25]]
     assert (summary.time_boot_ms, summary.step) == (77, 2)
-    assert (summary.rate, summary.diffusivity, summary.lifetime, summary.z, summary.wind) == (300.0, 4.5, 10.0, 5.0, (1.0, 0.0))
+    assert (summary.rate, summary.diffusivity, summary.lifetime, summary.z, summary.wind) == (
+        300.0,
+        4.5,
+        10.0,
+        5.0,
+        (1.0, 0.0),
+    )
 
 
 def test_it_stops_when_the_spread_is_below_the_threshold() -> None:
@@ -75,7 +87,9 @@ def test_a_stop_can_be_asked_on_chosen_parameters(asked: dict, ceased: bool) -> 
         ({"u": Fixed(2.0), "phi": Fixed(math.pi)}, (-2.0, 0.0)),
     ],
 )
-def test_what_is_known_of_the_wind_is_not_taken_from_the_reading(priors: dict[str, Prior], wind: tuple[float, float]) -> None:
+def test_what_is_known_of_the_wind_is_not_taken_from_the_reading(
+    priors: dict[str, Prior], wind: tuple[float, float]
+) -> None:
     summary, _ = belief(TWO, READING._replace(wind=(4.0, 3.0)), Config(priors=priors))
     assert summary.wind == pytest.approx(wind, abs=1e-12)
 
@@ -106,7 +120,14 @@ def after(gases: list[float], **knowledge: object) -> float:
     """The p-value after readings of these gas values."""
     readings = np.zeros((len(gases), 7))
     readings[:, 5] = gases
-    posterior = Posterior(np.array([[1.0, 3.0], [2.0, 2.0]]), np.zeros(2), np.ones(2), np.zeros(2), readings, np.full(len(gases), 0.5))
+    posterior = Posterior(
+        np.array([[1.0, 3.0], [2.0, 2.0]]),
+        np.zeros(2),
+        np.ones(2),
+        np.zeros(2),
+        readings,
+        np.full(len(gases), 0.5),
+    )
     return belief(posterior, READING, Config(threshold_m=2.0, **knowledge))[0].p_value
 
 
@@ -127,7 +148,9 @@ def test_nothing_is_claimed_while_the_readings_do_not_fit_the_model() -> None:
 
 
 def test_nothing_is_claimed_before_as_many_readings_as_would_show_a_stuck_sensor() -> None:
-    two_readings = Posterior(TWO.particles, TWO.log_weights, TWO.weights, TWO.log_targets, TWO.readings[:2], TWO.ranks)
+    two_readings = Posterior(
+        TWO.particles, TWO.log_weights, TWO.weights, TWO.log_targets, TWO.readings[:2], TWO.ranks
+    )
     summary, _ = belief(two_readings, READING, Config(threshold_m=0.9))
     assert summary.spread < 0.9
     assert not summary.ceased
@@ -138,7 +161,9 @@ def test_a_batch_judges_as_a_single_mission_does() -> None:
     config = Config(particles=1000, threshold_m=100.0)
     posterior, batch = prior(config), Batch([config])
     said = []
-    for step, (place, gas) in enumerate((((3.0, 3.0), 0.0), ((8.0, 8.0), 5.0), ((9.0, 9.0), 30.0), ((20.0, 20.0), 0.1))):
+    for step, (place, gas) in enumerate(
+        (((3.0, 3.0), 0.0), ((8.0, 8.0), 5.0), ((9.0, 9.0), 30.0), ((20.0, 20.0), 0.1))
+    ):
         reading = Reading(step, place, 5.0, (1.0, 0.0), gas)
         posterior = assimilate(posterior, reading, config)
         batch.assimilate(config.row(reading)[None])
@@ -149,16 +174,26 @@ def test_a_batch_judges_as_a_single_mission_does() -> None:
     assert said == [False, False, True, True]
 
 
-def test_what_may_be_claimed_hangs_on_the_number_of_readings_their_fit_and_what_else_could_explain_them() -> None:
+def test_what_may_be_claimed_hangs_on_the_number_of_readings_their_fit_and_what_else_could_explain_them() -> (
+    None
+):
     assert [may_claim(1.0, 50.0, readings) for readings in (1, 2, 3, 4)] == [False, False, True, True]
-    assert [may_claim(p_value, 50.0, 50) for p_value in (0.0, 0.99e-4, 1e-4, 1.01e-4)] == [False, False, True, True]
+    assert [may_claim(p_value, 50.0, 50) for p_value in (0.0, 0.99e-4, 1e-4, 1.01e-4)] == [
+        False,
+        False,
+        True,
+        True,
+    ]
     assert [may_claim(1.0, better, 50) for better in (-3.0, 4.99, 5.0)] == [False, False, True]
 
 
 def test_evidence_is_the_mean_log_likelihood_less_that_of_the_best_single_value() -> None:
-    # Under the normal distribution with their own mean, 7/24, and variance, 7/288: three readings have -3/2 (log 2π·7/288 + 1).
+    # Under the normal distribution with their own mean, 7/24, and variance, 7/288: three readings have -3/2
+    # (log 2π·7/288 + 1).
     one_value = -1.5 * (math.log(2 * math.pi * 7 / 288) + 1)
-    uneven = Posterior(TWO.particles, TWO.log_weights, TWO.weights, np.array([8.0, 4.0]), TWO.readings, TWO.ranks)
+    uneven = Posterior(
+        TWO.particles, TWO.log_weights, TWO.weights, np.array([8.0, 4.0]), TWO.readings, TWO.ranks
+    )
     summary, _ = belief(uneven, READING, Config())
     assert summary.evidence == pytest.approx(0.75 * 8.0 + 0.25 * 4.0 - one_value)
     # A log-normal prior of q is no likelihood: log N(log 100; log 300, 1) without its constant is taken off.
@@ -170,7 +205,9 @@ def test_evidence_is_the_mean_log_likelihood_less_that_of_the_best_single_value(
 
 @pytest.mark.parametrize("assume", ["paper", "field"])
 def test_a_sensor_that_hums_at_one_value_is_never_believed(assume: str) -> None:
-    """A narrow belief far from any source: 60 readings of 1 g/m³ with noise of 0.2, along a lawnmower's rows."""
+    """A narrow belief far from any source: 60 readings of 1 g/m³ with noise of 0.2, along a lawnmower's
+    rows.
+    """
     rng = np.random.default_rng(8)
     config = Config(particles=300, threshold_m=100.0, assume=assume)
     posterior = prior(config)

@@ -1,4 +1,6 @@
-"""Protects the stop criterion: its text form, and what within:R,P asks of a belief, one alone and in a batch."""
+"""Protects the stop criterion: its text form, and what within:R,P asks of a belief, one alone and in a
+batch.
+"""
 
 import math
 
@@ -24,7 +26,9 @@ def posterior_of(particles: list[list[float]], weights: list[float]) -> Posterio
     """A posterior after three readings, which its particles explain far better than one value does."""
     w, readings = np.array(weights), np.zeros((3, 7))
     readings[:, 5] = 0.5, 0.25, 0.125
-    return Posterior(np.array(particles), np.log(w), w / w.max(), np.full(len(w), 50.0), readings, np.array([0.5]))
+    return Posterior(
+        np.array(particles), np.log(w), w / w.max(), np.full(len(w), 50.0), readings, np.array([0.5])
+    )
 
 
 @pytest.mark.parametrize(
@@ -44,10 +48,26 @@ def test_a_criterion_is_read_and_written_in_the_form_of_the_flag(text: str, crit
 @pytest.mark.parametrize(
     "text",
     [
-        "", "spread", "spread:", "spread:0", "spread:-1", "spread:nan", "spread:inf", "spread:0.5,1", "near:1", "within:1", "within:0,0.9",
-        "within:1,0", "within:1,1.01", "within:1,99", "within:x,0.9", "within:1,0.9,3", "within:101,0.9", "0.5",
+        "",
+        "spread",
+        "spread:",
+        "spread:0",
+        "spread:-1",
+        "spread:nan",
+        "spread:inf",
+        "spread:0.5,1",
+        "near:1",
+        "within:1",
+        "within:0,0.9",
+        "within:1,0",
+        "within:1,1.01",
+        "within:1,99",
+        "within:x,0.9",
+        "within:1,0.9,3",
+        "within:101,0.9",
+        "0.5",
     ],
-)  # fmt: skip
+)
 def test_other_criteria_are_refused_with_what_is_wanted(text: str) -> None:
     with pytest.raises(ValueError, match="is not allowed; wanted "):
         parse(text)
@@ -56,19 +76,31 @@ def test_other_criteria_are_refused_with_what_is_wanted(text: str) -> None:
 def test_one_of_a_threshold_and_a_criterion_can_be_given() -> None:
     assert chosen(0.3, None) == Criterion(0.3)
     assert chosen(0.5, "within:2,0.9") == Criterion(within=(2.0, 0.9))
-    with pytest.raises(ValueError, match=r"stop 'spread:1' is not allowed with threshold_m 0.3; wanted one of them"):
+    with pytest.raises(
+        ValueError, match=r"stop 'spread:1' is not allowed with threshold_m 0.3; wanted one of them"
+    ):
         chosen(0.3, "spread:1")
 
 
-# Weights 0.7, 0.2, 0.1 at x = 10, 11, 14, y = 5: the mean is x = 10.6, so they lie 0.6, 0.4 and 3.4 m from the estimate.
+# Weights 0.7, 0.2, 0.1 at x = 10, 11, 14, y = 5: the mean is x = 10.6, so they lie 0.6, 0.4 and 3.4 m from
+# the estimate.
 THREE = posterior_of([[10.0, 11.0, 14.0], [5.0, 5.0, 5.0]], [0.7, 0.2, 0.1])
 
 
 @pytest.mark.parametrize(
     ("within", "ceased"),
-    [((0.5, 0.15), True), ((0.5, 0.25), False), ((1.0, 0.89), True), ((1.0, 0.91), False), ((3.5, 1.0), True), ((3.3, 0.95), False)],
+    [
+        ((0.5, 0.15), True),
+        ((0.5, 0.25), False),
+        ((1.0, 0.89), True),
+        ((1.0, 0.91), False),
+        ((3.5, 1.0), True),
+        ((3.3, 0.95), False),
+    ],
 )
-def test_it_stops_when_the_share_of_the_belief_near_the_estimate_is_large_enough(within: tuple[float, float], ceased: bool) -> None:
+def test_it_stops_when_the_share_of_the_belief_near_the_estimate_is_large_enough(
+    within: tuple[float, float], ceased: bool
+) -> None:
     config = Config(threshold_m=1e-9, within=within)
     said, _ = belief(THREE, READING, config)
     assert said.ceased == ceased
@@ -82,7 +114,12 @@ def test_by_default_it_is_the_spread_and_the_messages_say_so() -> None:
     said, _ = belief(THREE, READING, config)
     assert (said.assume, said.stop) == ("paper", "spread:2")
     assert (stop(said, config).stop, stop(said, config).threshold) == ("spread:2", 2.0)
-    assert belief(posterior_of([[10.0, 11.0]] * 2 + [[1.0, 1.0]] * 6, [1.0, 1.0]), READING, Config(assume="field"))[0].assume == "field"
+    assert (
+        belief(
+            posterior_of([[10.0, 11.0]] * 2 + [[1.0, 1.0]] * 6, [1.0, 1.0]), READING, Config(assume="field")
+        )[0].assume
+        == "field"
+    )
 
 
 def test_limits_and_the_fit_of_the_readings_still_apply() -> None:
@@ -97,7 +134,8 @@ def test_limits_and_the_fit_of_the_readings_still_apply() -> None:
     assert not belief(misfit, READING, Config(within=(5.0, 0.5)))[0].ceased
 
 
-# The ranks rise from 0.025 to 0.975 in steps of 0.05: neighbours have a correlation of 0.85, so errors may be √(1.85 / 0.15) = 3.512 times
+# The ranks rise from 0.025 to 0.975 in steps of 0.05: neighbours have a correlation of 0.85, so errors may be
+# √(1.85 / 0.15) = 3.512 times
 # wider. With every other rank from the upper half it is negative.
 RISING = (np.arange(20) + 0.5) / 20
 JUMPING = np.column_stack([RISING[:10], RISING[10:]]).ravel()
@@ -114,7 +152,8 @@ JUMPING = np.column_stack([RISING[:10], RISING[10:]]).ravel()
         (1.0, np.append(JUMPING, RISING), {"threshold_m": 4.21}, False),  # only the last twenty count
         (1.0, np.append(RISING, JUMPING), {"threshold_m": 1.21}, True),
         (1.0, RISING[:7], {"threshold_m": 1.21}, True),  # too few to tell
-        # Its shares lie 0.4, 0.6 and 3.4 m from the estimate: 1.4, 2.1 and 11.94 m where errors may be 3.512 times wider.
+        # Its shares lie 0.4, 0.6 and 3.4 m from the estimate: 1.4, 2.1 and 11.94 m where errors may be 3.512
+        # times wider.
         (1.0, RISING, {"within": (2.0, 0.5)}, False),
         (1.0, RISING, {"within": (2.2, 0.89)}, True),
         (1.0, RISING, {"within": (11.9, 0.95)}, False),
@@ -122,8 +161,12 @@ JUMPING = np.column_stack([RISING[:10], RISING[10:]]).ravel()
         (0.0, RISING, {"within": (3.5, 1.0)}, True),
     ],
 )
-def test_in_gas_that_comes_in_gusts_a_stop_waits_until_the_belief_is_narrower(cv: float, ranks, criterion: dict, ceased: bool) -> None:
-    posterior = Posterior(THREE.particles, THREE.log_weights, THREE.weights, THREE.log_targets, THREE.readings, ranks)
+def test_in_gas_that_comes_in_gusts_a_stop_waits_until_the_belief_is_narrower(
+    cv: float, ranks, criterion: dict, ceased: bool
+) -> None:
+    posterior = Posterior(
+        THREE.particles, THREE.log_weights, THREE.weights, THREE.log_targets, THREE.readings, ranks
+    )
     config = Config(priors={"cv": Fixed(cv)}, **criterion)
     said, _ = belief(posterior, READING, config)
     assert said.ceased == ceased
@@ -139,19 +182,30 @@ def test_a_known_coordinate_is_where_the_estimate_is() -> None:
 
 
 def test_a_batch_ceases_at_the_same_readings_as_its_missions_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With both criteria, and missions of different seeds; the shares differ in few places, so any difference would show."""
-    monkeypatch.setattr("estimator.belief.CLEAR", -np.inf)  # no plume is needed, so that the criterion alone decides
+    """With both criteria, and missions of different seeds; the shares differ in few places, so any
+    difference would show.
+    """
+    monkeypatch.setattr(
+        "estimator.belief.CLEAR", -np.inf
+    )  # no plume is needed, so that the criterion alone decides
     rng = keyed(5, "places")
     release = Scenario((10.0, 10.0), q=300.0, u=0.7, phi=math.pi / 4, d=4.5, tau=10.0, start=(0.0, 0.0))
     world = World(release, 1, GAUSSIAN)
-    for criterion in ({"within": (3.0, 0.8)}, {"threshold_m": 3.0}, {"within": (3.0, 0.7), "stop_limits": {"x": 1.5}}, GUSTS):
+    for criterion in (
+        {"within": (3.0, 0.8)},
+        {"threshold_m": 3.0},
+        {"within": (3.0, 0.7), "stop_limits": {"x": 1.5}},
+        GUSTS,
+    ):
         configs = [Config(particles=60, seed=seed, **criterion) for seed in range(6)]
         batch, alone = Batch(configs), [prior(config) for config in configs]
         ceased = []
         for step in range(15):
             places = [(8 + 4 * rng.random(), 8 + 4 * rng.random()) for _ in configs]
             readings = [Reading(step, place, 5.0, world.wind, world.gas(place, step)) for place in places]
-            batch.assimilate(np.array([config.row(reading) for config, reading in zip(configs, readings, strict=True)]))
+            batch.assimilate(
+                np.array([config.row(reading) for config, reading in zip(configs, readings, strict=True)])
+            )
             alone = [assimilate(*each) for each in zip(alone, readings, configs, strict=True)]
             said = [belief(*each)[0].ceased for each in zip(alone, readings, configs, strict=True)]
             assert [batch.has_ceased(mission) for mission in range(len(configs))] == said

@@ -1,4 +1,6 @@
-"""Protects the filter: over 200 missions, each belief of 100, 1,000 and 4,000 particles is compared with the exact posterior."""
+"""Protects the filter: over 200 missions, each belief of 100, 1,000 and 4,000 particles is compared with
+the exact posterior.
+"""
 
 import math
 from collections.abc import Iterator
@@ -18,7 +20,9 @@ pytestmark = pytest.mark.slow
 STEPS = 45
 WANDERING = 20
 NARROW_M = 5.0
-"""Above this spread a posterior is close to the prior. Its lattice of particles is more even than chance and would flatter the filter."""
+"""Above this spread a posterior is close to the prior. Its lattice of particles is more even than chance
+and would flatter the filter.
+"""
 
 
 def readings(s: Scenario, seed: int) -> Iterator[Reading]:
@@ -38,27 +42,45 @@ def readings(s: Scenario, seed: int) -> Iterator[Reading]:
 
 
 def compare(seeds: range, particle_counts: tuple[int, ...]) -> tuple[np.ndarray, ...]:
-    """Exact spread (steps,), the filter's error of mean (in spreads) and of covariance (relative), and ratio of spreads (counts, steps)."""
+    """Exact spread (steps,), the filter's error of mean (in spreads) and of covariance (relative), and
+    ratio of spreads (counts, steps).
+    """
     spreads, rows = [], []
     for seed in seeds:
         s = draw(seed)
         grid = GridPosterior(s.q, s.d, s.tau)
-        configs = [Config(particles=n, seed=seed, rate=s.q, diffusivity=s.d, lifetime=s.tau) for n in particle_counts]
+        configs = [
+            Config(particles=n, seed=seed, rate=s.q, diffusivity=s.d, lifetime=s.tau) for n in particle_counts
+        ]
         posteriors = [prior(config) for config in configs]
         for reading in readings(s, seed):
             grid.add(reading.position, reading.wind, reading.gas)
-            posteriors = [assimilate(posterior, reading, config) for posterior, config in zip(posteriors, configs, strict=True)]
+            posteriors = [
+                assimilate(posterior, reading, config)
+                for posterior, config in zip(posteriors, configs, strict=True)
+            ]
             spreads.append(grid.spread)
             for posterior, config in zip(posteriors, configs, strict=True):
                 said, _ = belief(posterior, reading, config)
                 xx, xy, yy = said.covariance
-                covariance_error = np.linalg.norm(np.array([[xx, xy], [xy, yy]]) - grid.covariance) / np.linalg.norm(grid.covariance)
-                rows.append((math.dist(said.mean, grid.mean) / grid.spread, covariance_error, said.spread / grid.spread))
-    return np.array(spreads), *np.array(rows).reshape(len(spreads), len(particle_counts), 3).transpose(2, 1, 0)
+                covariance_error = np.linalg.norm(
+                    np.array([[xx, xy], [xy, yy]]) - grid.covariance
+                ) / np.linalg.norm(grid.covariance)
+                rows.append(
+                    (
+                        math.dist(said.mean, grid.mean) / grid.spread,
+                        covariance_error,
+                        said.spread / grid.spread,
+                    )
+                )
+    return np.array(spreads), *np.array(rows).reshape(len(spreads), len(particle_counts), 3).transpose(
+        2, 1, 0
+    )
 
 
 @pytest.mark.parametrize(
-    "first_seed", [1_000_000, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(1_000_050, 1_000_200, 50))]
+    "first_seed",
+    [1_000_000, *(pytest.param(seed, marks=pytest.mark.full) for seed in range(1_000_050, 1_000_200, 50))],
 )
 def test_every_belief_is_the_exact_posterior_to_within_what_its_particles_can_tell(first_seed: int) -> None:
     counts = (100, 1000, 4000)
@@ -68,23 +90,28 @@ def test_every_belief_is_the_exact_posterior_to_within_what_its_particles_can_te
     assert narrow.sum() > 500
     assert spread.min() < 0.2
     for n, mean_error, covariance_error, ratio in zip(counts, *errors, strict=True):
-        # Resampling and moves correlate the particles: n of them must be worth at least n/10 independent draws.
-        # n/10 draws of a round Gaussian miss its mean by a median of 0.83/√(n/10) spreads (Rayleigh): 0.04 at 4,000.
+        # Resampling and moves correlate the particles: n of them must be worth at least n/10 independent
+        # draws.
+        # n/10 draws of a round Gaussian miss its mean by a median of 0.83/√(n/10) spreads (Rayleigh): 0.04 at
+        # 4,000.
         assert np.median(mean_error[narrow]) < 2.6 / math.sqrt(n), n
         # n/10 draws along a line miss their variance by a median of 0.67 √2/√(n/10): 0.05 at 4,000.
         assert np.median(covariance_error[narrow]) < 3.0 / math.sqrt(n), n
         # The bound for 4,000 particles, widened as 1/√n for fewer: 5% becomes 10% at 1,000 and 32% at 100.
         assert np.mean(np.abs(ratio[narrow] - 1) < 0.05 * math.sqrt(4000 / n)) > 0.9, n
-        # Random errors cancel. An honest filter's bias falls as 1/n and is 2% at 100; the bound is 1% at 4,000 and 6% at 100.
+        # Random errors cancel. An honest filter's bias falls as 1/n and is 2% at 100; the bound is 1% at
+        # 4,000 and 6% at 100.
         assert abs(np.median(ratio[narrow]) - 1) < 0.01 * math.sqrt(4000 / n), n
-        # False stops begin with a spread of less than half the true one, or a mean more than one spread away. A hundred particles
+        # False stops begin with a spread of less than half the true one, or a mean more than one spread away.
+        # A hundred particles
         # sometimes lose a distant mode: in 0.6% of their steps.
         lost = (ratio < 0.5) | (mean_error > 1)
         assert np.mean(lost) <= (0.02 if n == 100 else 0), n
 
 
 def test_a_likelihood_worked_by_hand() -> None:
-    # d = 1, wind 3 from the east: |v| = 1.5; τ = 1/4: k = √(1.5² + 4) = 2.5. With q = 4π, 1 m downwind m = exp(-2.5 + 1.5), upwind exp(-4).
+    # d = 1, wind 3 from the east: |v| = 1.5; τ = 1/4: k = √(1.5² + 4) = 2.5. With q = 4π, 1 m downwind m =
+    # exp(-2.5 + 1.5), upwind exp(-4).
     x, y = np.array([[11.0], [9.0]]), np.array([[10.0]])
     down, up = log_likelihood(x, y, (10.0, 10.0, 3.0, 0.0, 0.5), 4 * math.pi, 1.0, 0.25)[:, 0]
     assert down == pytest.approx(-0.5 * ((0.5 - 0.367879) / 0.228430) ** 2 - math.log(0.228430), abs=1e-5)
@@ -99,7 +126,8 @@ def test_before_any_reading_the_grid_knows_the_area_alone() -> None:
 
 @pytest.mark.parametrize("repeats", [1, 40])
 def test_readings_at_one_place_in_still_air_leave_a_ring(repeats: int) -> None:
-    # An integral over the distance alone remains: E r² = ∫ r³ L(r) dr / ∫ r L(r) dr; the variances along x and y are half of it each.
+    # An integral over the distance alone remains: E r² = ∫ r³ L(r) dr / ∫ r L(r) dr; the variances along x
+    # and y are half of it each.
     grid = GridPosterior(300.0, 4.0, 10.0)
     for _ in range(repeats):
         grid.add((13.3, 14.2), (0.0, 0.0), 1.3)
@@ -133,4 +161,6 @@ def test_the_zooming_grid_agrees_with_a_fine_one_over_the_whole_area(seed: int) 
         xx, xy, yy = p.sum(axis=1) @ dx**2, dx @ p @ dy, p.sum(axis=0) @ dy**2
         assert math.dist(zooming.mean, mean) < 0.005 * math.sqrt(xx + yy)
         assert zooming.spread == pytest.approx(math.sqrt(xx + yy), rel=0.005)
-        assert zooming.covariance == pytest.approx(np.array([[xx, xy], [xy, yy]]), rel=0, abs=0.01 * (xx + yy))  # the fine grid's own error
+        assert zooming.covariance == pytest.approx(
+            np.array([[xx, xy], [xy, yy]]), rel=0, abs=0.01 * (xx + yy)
+        )  # the fine grid's own error

@@ -1,4 +1,6 @@
-"""Protects the filter in its hardest cases: readings that outweigh all before them, absurd readings, harsh missions, repeatability."""
+"""Protects the filter in its hardest cases: readings that outweigh all before them, absurd readings, harsh
+missions, repeatability.
+"""
 
 import math
 from collections.abc import Iterator
@@ -21,7 +23,9 @@ def config_for(s: Scenario, seed: int, particles: int = 4000) -> Config:
     return Config(particles=particles, seed=seed, rate=s.q, diffusivity=s.d, lifetime=s.tau)
 
 
-def posteriors(s: Scenario, seed: int, path: list[tuple[float, float]], config: Config) -> Iterator[tuple[Reading, Posterior]]:
+def posteriors(
+    s: Scenario, seed: int, path: list[tuple[float, float]], config: Config
+) -> Iterator[tuple[Reading, Posterior]]:
     """The readings of a path and the posterior after each."""
     world, posterior = World(s, seed), prior(config)
     for step, position in enumerate(path):
@@ -35,9 +39,13 @@ def test_a_reading_that_would_crush_the_weights_is_taken_in_stages() -> None:
     config = config_for(s, 1, 1000)
     ((reading, posterior),) = posteriors(s, 1, [(19.5, 19.875)], config)
     before = prior(config)
-    log_weights = log_likelihoods(before.particles, config.unknown_indices, config.prior_rows, config.sensor_row, config.row(reading))
+    log_weights = log_likelihoods(
+        before.particles, config.unknown_indices, config.prior_rows, config.sensor_row, config.row(reading)
+    )
     weights = np.exp(log_weights - log_weights.max())
-    assert weights.sum() ** 2 / (weights**2).sum() < 20  # the effective sample size of plain reweighting, of 1,000
+    assert (
+        weights.sum() ** 2 / (weights**2).sum() < 20
+    )  # the effective sample size of plain reweighting, of 1,000
     assert effective_sample_size(posterior.weights) >= 500
     assert len(np.unique(posterior.particles, axis=1).T) > 500
     exact = GridPosterior(s.q, s.d, s.tau)
@@ -48,14 +56,18 @@ def test_a_reading_that_would_crush_the_weights_is_taken_in_stages() -> None:
 
 
 def harsh(seed: int) -> tuple[Scenario, list[tuple[float, float]]]:
-    """A scenario from a wider distribution than Table 1, and a straight path to its source from nearby or far away."""
+    """A scenario from a wider distribution than Table 1, and a straight path to its source from nearby or
+    far away.
+    """
     rng = keyed(seed, "harsh")
     x, y = rng.uniform(0, AREA_M, 2).tolist()
     q, d = np.exp(rng.uniform(np.log([50, 0.2]), np.log([5000, 8]))).tolist()
     u, phi, tau = rng.uniform([0, 0, 2], [6, 2 * math.pi, 30]).tolist()
     bearing, distance = rng.uniform(0, 2 * math.pi), rng.choice([0.0, 0.3, 2.0, AREA_M])
     begin = np.clip([x + distance * math.cos(bearing), y + distance * math.sin(bearing)], 0, AREA_M)
-    path = np.concatenate([np.linspace(begin, (x, y), 2 + int(math.dist(begin, (x, y)))), np.full((5, 2), (x, y))])
+    path = np.concatenate(
+        [np.linspace(begin, (x, y), 2 + int(math.dist(begin, (x, y)))), np.full((5, 2), (x, y))]
+    )
     places = [(a, b) for a, b in path.astype(np.float32).astype(float).clip(0, AREA_M).tolist()]
     return Scenario(source=(x, y), q=q, u=u, phi=phi, d=d, tau=tau, start=places[0]), places
 
@@ -74,13 +86,16 @@ def test_harsh_missions_leave_a_sound_posterior() -> None:
             mean, covariance = moments(posterior.particles, posterior.weights)
             nees = max(nees, float((mean - s.source) @ np.linalg.solve(covariance, mean - s.source)))
         worst.append(nees)
-    # Allowed in at most 0.1% of missions. At that rate, two among 150 occur by chance in one of 100 such tests.
+    # Allowed in at most 0.1% of missions. At that rate, two among 150 occur by chance in one of 100 such
+    # tests.
     assert sum(nees > 50 for nees in worst) <= 1
 
 
 @pytest.mark.parametrize("gas", [50.0, 125.0, 400.0])
 @pytest.mark.parametrize("offset_m", [1.0, 2.0, 4.0])
-def test_a_reading_far_from_all_that_is_believed_leaves_a_cloud_not_a_point(offset_m: float, gas: float) -> None:
+def test_a_reading_far_from_all_that_is_believed_leaves_a_cloud_not_a_point(
+    offset_m: float, gas: float
+) -> None:
     """A spike of hundreds of standard deviations hits a belief with a spread of a few centimetres."""
     s = Scenario(source=(17.0, 22.0), q=322.7, u=1.26, phi=0.995, d=3.1, tau=10.0, start=(0.0, 0.0))
     config, angles = config_for(s, 1, 1000), np.linspace(0, 4 * math.pi, 24, endpoint=False)

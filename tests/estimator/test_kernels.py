@@ -22,20 +22,38 @@ from plume.sensor import GAUSSIAN, Gaussian, Hits, Sensor, Threshold, sensor_row
 CONFIG = Config(rate=270.0, diffusivity=4.2)
 READING = np.array([14.0, 13.0, 0.0, 1.9, 2.6, 3.75])
 EIGHT: dict[str, Prior] = {
-    "z": Uniform(0.0, 5.0), "q": Gamma(2.0, 150.0), "u": Normal(2.5, 0.5), "phi": Normal(1.0, 0.2), "d": Uniform(1.0, 8.0),
+    "z": Uniform(0.0, 5.0),
+    "q": Gamma(2.0, 150.0),
+    "u": Normal(2.5, 0.5),
+    "phi": Normal(1.0, 0.2),
+    "d": Uniform(1.0, 8.0),
     "tau": Uniform(5.0, 20.0),
-}  # fmt: skip
+}
 ERRORS: dict[str, Prior] = {
-    "wind-direction": Normal(0.0, 20.0), "wind-speed": LogNormal(1.0, 0.5), "gain": LogNormal(1.0, 0.5), "noise": LogNormal(1.0, 0.5),
-}  # fmt: skip
+    "wind-direction": Normal(0.0, 20.0),
+    "wind-speed": LogNormal(1.0, 0.5),
+    "gain": LogNormal(1.0, 0.5),
+    "noise": LogNormal(1.0, 0.5),
+}
 
 
 def draws(config: Config, count: int, seed: int = 1) -> np.ndarray:
     """Particles (D, count) spread widely over the unknowns."""
     ranges = {
-        "x": (0, 30), "y": (0, 30), "z": (0, 5), "q": (50, 900), "u": (0.5, 4), "phi": (-7, 7), "d": (1, 8), "tau": (5, 20),
-        "wind-direction": (-400, 400), "wind-speed": (0.3, 3), "gain": (0.3, 3), "noise": (0.3, 3), "cv": (0.1, 3),
-    }  # fmt: skip
+        "x": (0, 30),
+        "y": (0, 30),
+        "z": (0, 5),
+        "q": (50, 900),
+        "u": (0.5, 4),
+        "phi": (-7, 7),
+        "d": (1, 8),
+        "tau": (5, 20),
+        "wind-direction": (-400, 400),
+        "wind-speed": (0.3, 3),
+        "gain": (0.3, 3),
+        "noise": (0.3, 3),
+        "cv": (0.1, 3),
+    }
     rng = np.random.default_rng(seed)
     return np.array([rng.uniform(*ranges[name], count) for name in config.unknowns])
 
@@ -45,18 +63,29 @@ def readable(config: Config, particles: np.ndarray, reading: np.ndarray) -> np.n
     value = dict(zip(config.unknowns, particles, strict=True))
     x, y, z = np.broadcast_arrays(value["x"], value["y"], value.get("z", 0.0))
     speed = value.get("u", value.get("wind-speed", 1.0) * math.hypot(reading[3], reading[4]))
-    direction = value.get("phi", math.atan2(reading[4], reading[3]) + np.radians(value.get("wind-direction", 0.0)))
+    direction = value.get(
+        "phi", math.atan2(reading[4], reading[3]) + np.radians(value.get("wind-direction", 0.0))
+    )
     wind = np.stack(np.broadcast_arrays(speed * np.cos(direction), speed * np.sin(direction)), axis=-1)
     mean = concentration(
-        reading[:3], np.stack([x, y, z], axis=-1), wind, rate=value.get("q", config.rate), diffusivity=value.get("d", config.diffusivity),
+        reading[:3],
+        np.stack([x, y, z], axis=-1),
+        wind,
+        rate=value.get("q", config.rate),
+        diffusivity=value.get("d", config.diffusivity),
         lifetime=value.get("tau", config.lifetime),
-    )  # fmt: skip
+    )
     mean = mean * value.get("gain", 1.0)
     if not {"noise", "cv"} & set(value):
         return config.sensor.log_likelihood(reading[5], mean)
-    noise, cv = (np.broadcast_to(value.get(name, default), mean.shape) for name, default in (("noise", 1.0), ("cv", 0.0)))
+    noise, cv = (
+        np.broadcast_to(value.get(name, default), mean.shape)
+        for name, default in (("noise", 1.0), ("cv", 0.0))
+    )
     sensors = [noisier(config.sensor, *each) for each in zip(noise.tolist(), cv.tolist(), strict=True)]
-    return np.array([float(sensor.log_likelihood(reading[5], m)) for sensor, m in zip(sensors, mean, strict=True)])
+    return np.array(
+        [float(sensor.log_likelihood(reading[5], m)) for sensor, m in zip(sensors, mean, strict=True)]
+    )
 
 
 def noisier(sensor: Sensor, noise: float, cv: float) -> Sensor:
@@ -104,7 +133,13 @@ def fused(config: Config, particles: np.ndarray, reading: np.ndarray) -> np.ndar
 
 @pytest.mark.slow
 def test_the_polynomials_are_exp_and_log() -> None:
-    values = np.concatenate([np.linspace(-700, 700, 200_001), np.geomspace(1e-300, 1e300, 100_001), -np.geomspace(1e-12, 1, 10_001)])
+    values = np.concatenate(
+        [
+            np.linspace(-700, 700, 200_001),
+            np.geomspace(1e-300, 1e300, 100_001),
+            -np.geomspace(1e-12, 1, 10_001),
+        ]
+    )
     exp, log = exp_and_log(values)
     inside = np.abs(values) <= 700
     assert np.abs(exp[inside] / np.exp(values[inside]) - 1).max() < 4.5e-16  # two units in the last place
@@ -134,20 +169,34 @@ def test_what_is_drawn_is_uniform_and_uncorrelated() -> None:
 
 
 KNOWLEDGE: list[dict[str, Prior]] = [
-    {}, {"q": Gamma(2.0, 150.0)}, {"u": Normal(2.5, 0.5)}, {"phi": Uniform(0, 6.2)}, EIGHT, ERRORS, {"noise": LogNormal(1.0, 0.5)},
-    {"wind-direction": Normal(0.0, 20.0), "u": Normal(2.5, 0.5)}, {"wind-speed": LogNormal(1.0, 0.5), "z": Uniform(0.0, 5.0)},
-]  # fmt: skip
+    {},
+    {"q": Gamma(2.0, 150.0)},
+    {"u": Normal(2.5, 0.5)},
+    {"phi": Uniform(0, 6.2)},
+    EIGHT,
+    ERRORS,
+    {"noise": LogNormal(1.0, 0.5)},
+    {"wind-direction": Normal(0.0, 20.0), "u": Normal(2.5, 0.5)},
+    {"wind-speed": LogNormal(1.0, 0.5), "z": Uniform(0.0, 5.0)},
+]
 
 
 @pytest.mark.parametrize("priors", KNOWLEDGE, ids=lambda priors: ",".join(priors))
-@pytest.mark.parametrize(("sensor", "gas"), [(GAUSSIAN, 3.75), (Threshold(), 3.75), (Threshold(), 0.0), (Hits(), 11.0), (Hits(), 0.0)])
-def test_the_fused_likelihood_equals_the_readable_one(priors: dict[str, Prior], sensor: Sensor, gas: float) -> None:
+@pytest.mark.parametrize(
+    ("sensor", "gas"),
+    [(GAUSSIAN, 3.75), (Threshold(), 3.75), (Threshold(), 0.0), (Hits(), 11.0), (Hits(), 0.0)],
+)
+def test_the_fused_likelihood_equals_the_readable_one(
+    priors: dict[str, Prior], sensor: Sensor, gas: float
+) -> None:
     if isinstance(sensor, Hits):  # their noise is Poisson's
         priors = {name: prior for name, prior in priors.items() if name != "noise"}
     config = Config(rate=270.0, diffusivity=4.2, priors=priors, sensor=sensor)
     particles = draws(config, 1000)
     reading = np.array([14.0, 13.0, 5.0 if "z" in priors else 0.0, 1.9, 2.6, gas])
-    assert fused(config, particles, reading) == pytest.approx(readable(config, particles, reading), rel=1e-11, abs=1e-11)
+    assert fused(config, particles, reading) == pytest.approx(
+        readable(config, particles, reading), rel=1e-11, abs=1e-11
+    )
 
 
 @pytest.mark.parametrize("cv", [Normal(0.0, 1.2), LogNormal(1.0, 0.5)], ids=["normal", "lognormal"])
@@ -164,15 +213,24 @@ def test_the_fused_likelihood_in_intermittent_gas_equals_the_readable_one(cv: Pr
 
 
 def test_a_known_error_of_what_measures_is_corrected() -> None:
-    """The place alone is unknown, but the anemometer is off by 30° and a third, the sensor reads half, in gas of known intermittency."""
-    off: dict[str, Prior] = {"wind-direction": Fixed(30.0), "wind-speed": Fixed(1.5), "gain": Fixed(0.5), "noise": Fixed(2.0)}
+    """The place alone is unknown, but the anemometer is off by 30° and a third, the sensor reads half, in
+    gas of known intermittency.
+    """
+    off: dict[str, Prior] = {
+        "wind-direction": Fixed(30.0),
+        "wind-speed": Fixed(1.5),
+        "gain": Fixed(0.5),
+        "noise": Fixed(2.0),
+    }
     for sensor, tolerance in ((GAUSSIAN, 1e-10), (Gaussian(cv=0.8), 0.002)):
         config = Config(rate=270.0, diffusivity=4.2, priors=off, sensor=sensor)
         assert config.unknowns == ("x", "y")
         particles = draws(config, 200)
         turned, faster = math.atan2(2.6, 1.9) + math.pi / 6, 1.5 * math.hypot(1.9, 2.6)
         wind = faster * np.array([math.cos(turned), math.sin(turned)])
-        mean = 0.5 * concentration((14.0, 13.0), particles.T, wind, rate=270.0, diffusivity=4.2, lifetime=10.0)
+        mean = 0.5 * concentration(
+            (14.0, 13.0), particles.T, wind, rate=270.0, diffusivity=4.2, lifetime=10.0
+        )
         expected = noisier(sensor, 2.0, sensor.cv).log_likelihood(3.75, mean)
         assert fused(config, particles, READING) == pytest.approx(expected, rel=tolerance, abs=tolerance)
 
@@ -182,13 +240,20 @@ def test_a_known_error_of_what_measures_is_corrected() -> None:
 def test_no_likelihood_exceeds_its_bound(sensor: Sensor, noise: float | None) -> None:
     """The bound that early rejection relies on, for a known or an unknown factor on the noise."""
     noise = None if isinstance(sensor, Hits) else noise  # theirs is Poisson's
-    config = Config(rate=270.0, diffusivity=4.2, priors={} if noise is None else {"noise": LogNormal(1.0, 0.5)}, sensor=sensor)
+    config = Config(
+        rate=270.0,
+        diffusivity=4.2,
+        priors={} if noise is None else {"noise": LogNormal(1.0, 0.5)},
+        sensor=sensor,
+    )
     particles = np.vstack([draws(CONFIG, 4000), np.full((len(config.priors), 4000), noise or 1.0)])
     places = [(14.0, 13.0), (2.0, 28.0)]
     for gas in (0.0, 1.0, 3.0, 20.0) if isinstance(sensor, Hits) else (0.0, 0.6, 3.0, 20.0, 60.0):
         bound = greatest_log_density(gas, sensor_row(sensor), config.prior_rows)
         bound -= is_a_normal_density(gas, sensor_row(sensor)) * math.log(noise or 1.0)
-        greatest = max(fused(config, particles, np.array([*place, 0.0, 1.9, 2.6, gas])).max() for place in places)
+        greatest = max(
+            fused(config, particles, np.array([*place, 0.0, 1.9, 2.6, gas])).max() for place in places
+        )
         assert greatest <= bound + 1e-9
         if gas == 0.0:
             assert greatest > bound - 0.5  # and it says something
@@ -196,7 +261,9 @@ def test_no_likelihood_exceeds_its_bound(sensor: Sensor, noise: float | None) ->
 
 def test_the_fused_likelihood_clamps_the_distance_too() -> None:
     at_the_source = np.array([[14.0, 14.0], [13.0, 13.1]])
-    assert fused(CONFIG, at_the_source, READING) == pytest.approx(readable(CONFIG, at_the_source, READING), rel=1e-12)
+    assert fused(CONFIG, at_the_source, READING) == pytest.approx(
+        readable(CONFIG, at_the_source, READING), rel=1e-12
+    )
 
 
 def test_effective_sample_size_counts_equal_weights_and_ignores_a_common_factor() -> None:
@@ -242,7 +309,9 @@ def test_a_rank_is_uniform_where_the_model_is_right() -> None:
     for count in (8, 30):
         p_values = np.array([uniformity_p_value(rng.random(count)) for _ in range(20_000)])
         for level in (0.5, 0.1, 0.01, 0.001):
-            margin = 4 * math.sqrt(level * (1 - level) / 20_000) + 0.003 * (level > 0.05)  # 4 standard deviations, the formula's own error
+            margin = 4 * math.sqrt(level * (1 - level) / 20_000) + 0.003 * (
+                level > 0.05
+            )  # 4 standard deviations, the formula's own error
             assert np.mean(p_values < level) == pytest.approx(level, abs=margin)
     for count in range(FEWEST, RECENT + 1):  # evenly spread: nothing can fit better
         assert 0.99 < uniformity_p_value((np.arange(count) + 0.5) / count) <= 1.0

@@ -9,15 +9,22 @@ from estimator.filter import Config, prior
 from estimator.priors import Fixed, Gamma, LogNormal, Normal, Prior, Uniform, parse, text
 
 EIGHT: dict[str, Prior] = {
-    "z": Uniform(0.0, 5.0), "q": Gamma(2.0, 150.0), "u": Normal(2.5, 0.5), "phi": Normal(1.0, 0.2), "d": Uniform(1.0, 8.0),
+    "z": Uniform(0.0, 5.0),
+    "q": Gamma(2.0, 150.0),
+    "u": Normal(2.5, 0.5),
+    "phi": Normal(1.0, 0.2),
+    "d": Uniform(1.0, 8.0),
     "tau": Uniform(5.0, 20.0),
-}  # fmt: skip
+}
 
 
 FIELD: dict[str, Prior] = {
-    "wind-direction": Normal(0.0, 20.0), "wind-speed": LogNormal(1.0, 0.5), "gain": LogNormal(2.0, 0.3), "noise": LogNormal(1.0, 0.4),
+    "wind-direction": Normal(0.0, 20.0),
+    "wind-speed": LogNormal(1.0, 0.5),
+    "gain": LogNormal(2.0, 0.3),
+    "noise": LogNormal(1.0, 0.4),
     "cv": Normal(0.0, 1.2),
-}  # fmt: skip
+}
 
 
 def drawn(config: Config) -> dict[str, np.ndarray]:
@@ -29,7 +36,8 @@ def test_by_default_x_and_y_are_unknown_and_uniform_over_the_area() -> None:
     assert config.unknowns == ("x", "y")
     counts, _, _ = np.histogram2d(*prior(config).particles, bins=5, range=[[0, 30], [0, 30]])
     assert counts.sum() == 4000
-    # A low-discrepancy lattice is more even than chance: 160 expected per cell; independent draws would have a standard deviation of 12.
+    # A low-discrepancy lattice is more even than chance: 160 expected per cell; independent draws would have
+    # a standard deviation of 12.
     assert np.abs(counts - 160).max() < 12
 
 
@@ -38,9 +46,14 @@ def test_all_eight_are_drawn_from_their_priors() -> None:
     assert tuple(values) == ("x", "y", "z", "q", "u", "phi", "d", "tau")
     # name: mean and standard deviation, by hand: uniform (a + b)/2, (b − a)/√12; gamma kθ, √k θ
     expected = {
-        "x": (15, 30 / math.sqrt(12)), "z": (2.5, 5 / math.sqrt(12)), "q": (300, math.sqrt(2) * 150), "u": (2.5, 0.5), "phi": (1.0, 0.2),
-        "d": (4.5, 7 / math.sqrt(12)), "tau": (12.5, 15 / math.sqrt(12)),
-    }  # fmt: skip
+        "x": (15, 30 / math.sqrt(12)),
+        "z": (2.5, 5 / math.sqrt(12)),
+        "q": (300, math.sqrt(2) * 150),
+        "u": (2.5, 0.5),
+        "phi": (1.0, 0.2),
+        "d": (4.5, 7 / math.sqrt(12)),
+        "tau": (12.5, 15 / math.sqrt(12)),
+    }
     for name, (mean, std) in expected.items():
         # 4 standard errors; that of a standard deviation is at most σ/√n here (gamma, kurtosis 6).
         assert values[name].mean() == pytest.approx(mean, abs=4 * std / 200)
@@ -55,13 +68,15 @@ def test_what_a_measurement_gets_wrong_is_drawn_from_its_priors() -> None:
     assert values["wind-direction"].std() == pytest.approx(20.0, abs=4 * 20 / math.sqrt(2 * 40_000))
     for name, median, sigma in (("wind-speed", 1.0, 0.5), ("gain", 2.0, 0.3), ("noise", 1.0, 0.4)):
         logarithms = np.log(values[name] / median)
-        # 4 standard errors: σ/√n of the mean, σ/√(2n) of the standard deviation; half lie below the median: ½/√n.
+        # 4 standard errors: σ/√n of the mean, σ/√(2n) of the standard deviation; half lie below the median:
+        # ½/√n.
         assert logarithms.mean() == pytest.approx(0.0, abs=4 * sigma / 200)
         assert logarithms.std() == pytest.approx(sigma, abs=4 * sigma / math.sqrt(2 * 40_000))
         assert np.mean(values[name] < median) == pytest.approx(0.5, abs=4 * 0.5 / 200)
         # The mean is that of a log-normal variable, median · exp(σ²/2), not the median.
         assert values[name].mean() == pytest.approx(median * math.exp(sigma**2 / 2), rel=4 * 0.6 / 200)
-    # Half-normal, cut off at 3, which is 2.5 standard deviations: mean 1.2 √(2/π) (1 − exp(−3.125))/(2 Φ(2.5) − 1) = 0.92690
+    # Half-normal, cut off at 3, which is 2.5 standard deviations: mean 1.2 √(2/π) (1 − exp(−3.125))/(2 Φ(2.5)
+    # − 1) = 0.92690
     assert 0 <= values["cv"].min() < values["cv"].max() <= 3.0
     assert values["cv"].mean() == pytest.approx(0.92690, abs=4 * 0.7 / 200)
 
@@ -76,12 +91,22 @@ def test_a_log_normal_intermittency_is_cut_off_too() -> None:
 def test_the_kernels_table_holds_the_logarithm_of_a_log_normals_median() -> None:
     rows = Config(priors={"q": LogNormal(300.0, 0.7)}).prior_rows
     # 300 exp(±8 · 0.7) = 300 · 270.4264 and its inverse
-    assert rows[3].tolist() == pytest.approx([5.0, math.log(300.0), 0.7, 300 / 270.4264, 300 * 270.4264], rel=1e-6)
-    assert rows[8:, :2].tolist() == [[0, 0], [0, 1], [0, 1], [0, 1], [0, 0]]  # a faultless anemometer and sensor, steady gas
+    assert rows[3].tolist() == pytest.approx(
+        [5.0, math.log(300.0), 0.7, 300 / 270.4264, 300 * 270.4264], rel=1e-6
+    )
+    assert rows[8:, :2].tolist() == [
+        [0, 0],
+        [0, 1],
+        [0, 1],
+        [0, 1],
+        [0, 0],
+    ]  # a faultless anemometer and sensor, steady gas
 
 
 def test_a_prior_is_cut_off_where_the_parameter_makes_no_sense() -> None:
-    values = drawn(Config(particles=4000, priors={"u": Normal(0.2, 1.0), "d": Normal(0.5, 1.0), "x": Normal(1.0, 5.0)}))
+    values = drawn(
+        Config(particles=4000, priors={"u": Normal(0.2, 1.0), "d": Normal(0.5, 1.0), "x": Normal(1.0, 5.0)})
+    )
     assert values["u"].min() >= 0
     assert values["d"].min() > 0
     assert 0 <= values["x"].min() < values["x"].max() <= 30
@@ -95,7 +120,9 @@ def test_what_is_fixed_is_known() -> None:
     assert config.prior_rows[3, 1] == 250.0
 
 
-@pytest.mark.parametrize("prior", [Uniform(0.0, 1 / 3), Normal(2.0, 0.1), Gamma(2.0, 150.0), LogNormal(3.0, 1 / 3), Fixed(3.0)])
+@pytest.mark.parametrize(
+    "prior", [Uniform(0.0, 1 / 3), Normal(2.0, 0.1), Gamma(2.0, 150.0), LogNormal(3.0, 1 / 3), Fixed(3.0)]
+)
 def test_a_priors_text_reads_back_as_the_prior(prior: Prior) -> None:
     for name in ("q", "wind-speed", "gain", "noise"):
         assert parse(text(name, prior)) == (name, prior)
@@ -121,7 +148,10 @@ def test_a_priors_text_reads_back_as_the_prior(prior: Prior) -> None:
         ("noise=fixed:0", "VALUE from 1e-06 for q, d, tau, wind-speed, gain, noise"),
         ("cv=fixed:3.1", "VALUE from 0 to 3 for cv"),
         ("cv=uniform:0,9", "0 ≤ LOW < HIGH ≤ 3 for cv"),
-        ("direction=fixed:1", "NAME of x, y, z, q, u, phi, d, tau, wind-direction, wind-speed, gain, noise, cv"),
+        (
+            "direction=fixed:1",
+            "NAME of x, y, z, q, u, phi, d, tau, wind-direction, wind-speed, gain, noise, cv",
+        ),
     ],
 )
 def test_a_bad_prior_is_named_with_what_is_allowed(bad: str, reason: str) -> None:

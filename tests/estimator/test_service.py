@@ -9,7 +9,9 @@ from tests.fuzz.services import QuietBus, until_all_are_taken
 
 
 def reading(system: int, time_boot_ms: int, x: float = 2.0) -> Arrival:
-    return Arrival(READING, pack_reading(Codec(system, 1), Reading(time_boot_ms, (x, 3.0), 5.0, (1.5, 0.5), 0.5)), b"")
+    return Arrival(
+        READING, pack_reading(Codec(system, 1), Reading(time_boot_ms, (x, 3.0), 5.0, (1.5, 0.5), 0.5)), b""
+    )
 
 
 def estimated(*readings: Arrival) -> QuietBus:
@@ -18,7 +20,9 @@ def estimated(*readings: Arrival) -> QuietBus:
     return bus
 
 
-def test_it_keeps_to_the_system_of_the_first_reading_that_it_takes_and_does_so_again_after_a_restart() -> None:
+def test_it_keeps_to_the_system_of_the_first_reading_that_it_takes_and_does_so_again_after_a_restart() -> (
+    None
+):
     outside = reading(7, 500, x=-4.0)
     said = outside, reading(32, 1000), reading(7, 2000), reading(32, 3000)
     bus = estimated(*said)

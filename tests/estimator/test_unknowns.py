@@ -1,4 +1,6 @@
-"""Protects the filter with further unknowns: wind direction and height against exact grids, targets against formulas."""
+"""Protects the filter with further unknowns: wind direction and height against exact grids, targets
+against formulas.
+"""
 
 import math
 
@@ -22,7 +24,9 @@ ROUND = [(13 + 4 * math.cos(a), 12 + 4 * math.sin(a)) for a in np.arange(6)]
 
 
 def mean_at(place: tuple[float, float], phi: float, height: float = 0.0) -> float:
-    """Concentration at a place, at a `height` above or below the source: the paper's section 2, with λ and ψ."""
+    """Concentration at a place, at a `height` above or below the source: the paper's section 2, with λ and
+    ψ.
+    """
     dx, dy = place[0] - SOURCE[0], place[1] - SOURCE[1]
     r = math.sqrt(dx * dx + dy * dy + height * height)
     lam = math.sqrt(D * TAU / (1 + SPEED**2 * TAU / (4 * D)))
@@ -33,7 +37,14 @@ def mean_at(place: tuple[float, float], phi: float, height: float = 0.0) -> floa
 def around(low: float) -> Config:
     """The source's place is known, the wind direction is unknown; angles start at `low`."""
     known = {"x": Fixed(SOURCE[0]), "y": Fixed(SOURCE[1])}
-    return Config(particles=4000, seed=3, rate=Q, diffusivity=D, lifetime=TAU, priors={**known, "phi": Uniform(low, low + TURN)})
+    return Config(
+        particles=4000,
+        seed=3,
+        rate=Q,
+        diffusivity=D,
+        lifetime=TAU,
+        priors={**known, "phi": Uniform(low, low + TURN)},
+    )
 
 
 def readings_of(phi: float) -> list[Reading]:
@@ -47,7 +58,12 @@ def exact_directions(low: float, readings: list[Reading]) -> tuple[Array, Array]
     x, y = np.array([[SOURCE[0]]]), np.array([[SOURCE[1]]])
     log_density = np.array(
         [
-            sum(log_likelihood(x, y, (*r.position, SPEED * math.cos(p), SPEED * math.sin(p), r.gas), Q, D, TAU)[0, 0] for r in readings)
+            sum(
+                log_likelihood(
+                    x, y, (*r.position, SPEED * math.cos(p), SPEED * math.sin(p), r.gas), Q, D, TAU
+                )[0, 0]
+                for r in readings
+            )
             for p in phi
         ]
     )
@@ -56,7 +72,9 @@ def exact_directions(low: float, readings: list[Reading]) -> tuple[Array, Array]
 
 
 SEAMS = [(0.0, 0.05), (1.0, TURN + 0.95), (-math.pi, math.pi - 0.05), (0.0, 2.0)]
-"""Pairs of the angle where the range starts and the true wind direction: just before, just after or far from the start."""
+"""Pairs of the angle where the range starts and the true wind direction: just before, just after or far
+from the start.
+"""
 
 
 @pytest.mark.parametrize(("low", "truth"), SEAMS)
@@ -85,24 +103,38 @@ def test_a_direction_is_moved_across_the_seam_of_its_circle(low: float, truth: f
     rows = np.array([config.row(reading) for reading in readings])
     for start in (low + 0.2, low + TURN - 0.2):
         particles = np.random.default_rng(1).uniform(start - 0.2, start + 0.2, (1, 4000))
-        targets = sum(log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, row) for row in rows)
+        targets = sum(
+            log_likelihoods(particles, config.unknown_indices, config.prior_rows, config.sensor_row, row)
+            for row in rows
+        )
         model = (rows, config.unknown_indices, config.prior_rows, config.sensor_row)
         for stage in range(60):
             resample_move(particles, targets, np.arange(4000), 3, *model, 5, 5, stage)
         assert low <= particles.min() <= particles.max() <= low + TURN
-        # Steps depend on the population, so the chains are not quite independent: twice the 4 standard errors.
+        # Steps depend on the population, so the chains are not quite independent: twice the 4 standard
+        # errors.
         assert np.mean(particles < low + math.pi) == pytest.approx(other, abs=8 * 0.5 / math.sqrt(4000))
 
 
 def test_a_direction_that_is_known_to_a_part_of_the_circle_stays_there() -> None:
     known = {"x": Fixed(SOURCE[0]), "y": Fixed(SOURCE[1])}
-    config = Config(particles=1000, seed=3, rate=Q, diffusivity=D, lifetime=TAU, priors={**known, "phi": Uniform(0.5, 3.0)})
+    config = Config(
+        particles=1000,
+        seed=3,
+        rate=Q,
+        diffusivity=D,
+        lifetime=TAU,
+        priors={**known, "phi": Uniform(0.5, 3.0)},
+    )
     posterior, readings = prior(config), readings_of(0.4)
     for reading in readings:
         posterior = assimilate(posterior, reading, config)
     assert 0.5 <= posterior.particles.min() <= posterior.particles.max() <= 3.0
     phi, probability = exact_directions(0.0, readings)
-    phi, probability = phi[(phi > 0.5) & (phi < 3.0)], probability[(phi > 0.5) & (phi < 3.0)] / probability[(phi > 0.5) & (phi < 3.0)].sum()
+    phi, probability = (
+        phi[(phi > 0.5) & (phi < 3.0)],
+        probability[(phi > 0.5) & (phi < 3.0)] / probability[(phi > 0.5) & (phi < 3.0)].sum(),
+    )
     mean = phi @ probability
     assert posterior.particles[0] @ posterior.weights / posterior.weights.sum() == pytest.approx(
         mean, abs=4 * math.sqrt((phi - mean) ** 2 @ probability / 100)
@@ -110,9 +142,13 @@ def test_a_direction_that_is_known_to_a_part_of_the_circle_stays_there() -> None
 
 
 def test_an_unknown_height_is_believed_as_on_an_exact_grid() -> None:
-    """The source is 3.5 m above home; two flights at different altitudes resolve whether it is above or below."""
+    """The source is 3.5 m above home; two flights at different altitudes resolve whether it is above or
+    below.
+    """
     known = {"x": Fixed(SOURCE[0]), "y": Fixed(SOURCE[1])}
-    config = Config(particles=4000, seed=3, rate=Q, diffusivity=D, lifetime=TAU, priors={**known, "z": Uniform(0.0, 10.0)})
+    config = Config(
+        particles=4000, seed=3, rate=Q, diffusivity=D, lifetime=TAU, priors={**known, "z": Uniform(0.0, 10.0)}
+    )
     wind = (SPEED * math.cos(1.0), SPEED * math.sin(1.0))
     altitudes = (2.0, 6.0, 2.0, 6.0, 2.0)
     readings = [
@@ -139,11 +175,14 @@ def test_an_unknown_height_is_believed_as_on_an_exact_grid() -> None:
 
 
 def test_a_known_height_is_not_the_one_that_is_flown_at() -> None:
-    # 3.5 m below the vehicle, with q = 270, d = 4.2 and the wind from (1.2, 1.6), u = 2: the expected value is mean_at's.
+    # 3.5 m below the vehicle, with q = 270, d = 4.2 and the wind from (1.2, 1.6), u = 2: the expected value
+    # is mean_at's.
     config = Config(rate=Q, diffusivity=D, lifetime=TAU, priors={"z": Fixed(1.5)})
     row = config.row(Reading(0, (14.0, 13.5), 5.0, (1.2, 1.6), 1.0))
     assert row.tolist() == [14.0, 13.5, 5.0, 1.2, 1.6, 1.0, 1.0]
-    said = log_likelihoods(np.array([[13.0], [12.0]]), config.unknown_indices, config.prior_rows, config.sensor_row, row)
+    said = log_likelihoods(
+        np.array([[13.0], [12.0]]), config.unknown_indices, config.prior_rows, config.sensor_row, row
+    )
     mean = mean_at((14.0, 13.5), math.atan2(1.6, 1.2), 3.5)
     assert said[0] == pytest.approx(float(GAUSSIAN.log_likelihood(1.0, mean)), rel=1e-12)
     # By default the source lies in the flight plane.
@@ -153,11 +192,18 @@ def test_a_known_height_is_not_the_one_that_is_flown_at() -> None:
 def test_more_unknowns_take_more_sweeps() -> None:
     one = {"x": Fixed(13.0)}
     eight: dict[str, Prior] = {name: Uniform(1.0, 2.0) for name in ("z", "q", "u", "phi", "d", "tau")}
-    assert [Config(priors=priors).sweeps for priors in (one, {}, {"q": Gamma(2.0, 150.0)}, eight)] == [3, 3, 6, 21]
+    assert [Config(priors=priors).sweeps for priors in (one, {}, {"q": Gamma(2.0, 150.0)}, eight)] == [
+        3,
+        3,
+        6,
+        21,
+    ]
 
 
 def targets_by_formula(posterior: Posterior, config: Config) -> Array:
-    """Log posterior density at each particle: Σ share · log-likelihood + log prior, by the formulas of plume/, up to a constant."""
+    """Log posterior density at each particle: Σ share · log-likelihood + log prior, by the formulas of
+    plume/, up to a constant.
+    """
     values = dict(zip(config.unknowns, posterior.particles, strict=True))
     total = np.zeros(config.particles)
     for name, prior_of in config.priors.items():
@@ -167,11 +213,16 @@ def targets_by_formula(posterior: Posterior, config: Config) -> Array:
             case Gamma(shape, scale):
                 total += (shape - 1) * np.log(values[name]) - values[name] / scale
     for x, y, height, wind_x, wind_y, gas, share in posterior.readings:
-        speed, direction = values.get("u", math.hypot(wind_x, wind_y)), values.get("phi", math.atan2(wind_y, wind_x))
+        speed, direction = (
+            values.get("u", math.hypot(wind_x, wind_y)),
+            values.get("phi", math.atan2(wind_y, wind_x)),
+        )
         wind = np.stack(np.broadcast_arrays(speed * np.cos(direction), speed * np.sin(direction)), axis=-1)
         source = np.stack(np.broadcast_arrays(values["x"], values["y"], values.get("z", 0.0)), axis=-1)
         rate, diffusivity, lifetime = values.get("q", Q), values.get("d", D), values.get("tau", TAU)
-        mean = concentration((x, y, height), source, wind, rate=rate, diffusivity=diffusivity, lifetime=lifetime)
+        mean = concentration(
+            (x, y, height), source, wind, rate=rate, diffusivity=diffusivity, lifetime=lifetime
+        )
         total += share * config.sensor.log_likelihood(gas, mean)
     return total
 
@@ -181,32 +232,47 @@ def flight(config: Config, gases: dict[int, float] | None = None, steps: int = 2
     posterior, rng = prior(config), np.random.default_rng(8)
     for k, (x, y) in enumerate(np.linspace((4.0, 5.0), (12.0, 12.5), steps).tolist()):
         gas = float(config.sensor.measure(mean_at((x, y), 0.7), rng))
-        reading = Reading(k, (x, y), 3.0, (SPEED * math.cos(0.7), SPEED * math.sin(0.7)), (gases or {}).get(k, gas))
+        reading = Reading(
+            k, (x, y), 3.0, (SPEED * math.cos(0.7), SPEED * math.sin(0.7)), (gases or {}).get(k, gas)
+        )
         posterior = assimilate(posterior, reading, config)
     return posterior
 
 
 EIGHT: dict[str, Prior] = {
-    "z": Uniform(0.0, 5.0), "q": Gamma(2.0, 150.0), "u": Normal(2.0, 0.5), "phi": Normal(0.7, 0.2), "d": Uniform(1.0, 8.0),
+    "z": Uniform(0.0, 5.0),
+    "q": Gamma(2.0, 150.0),
+    "u": Normal(2.0, 0.5),
+    "phi": Normal(0.7, 0.2),
+    "d": Uniform(1.0, 8.0),
     "tau": Uniform(5.0, 20.0),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(
     ("priors", "sensor"),
     [
-        ({}, GAUSSIAN), ({}, Threshold(2.0)), ({}, Hits()), ({"z": Normal(2.0, 1.0)}, GAUSSIAN), (EIGHT, GAUSSIAN), (EIGHT, Hits()),
+        ({}, GAUSSIAN),
+        ({}, Threshold(2.0)),
+        ({}, Hits()),
+        ({"z": Normal(2.0, 1.0)}, GAUSSIAN),
+        (EIGHT, GAUSSIAN),
+        (EIGHT, Hits()),
         ({"phi": Uniform(0.0, TURN), "q": Normal(250.0, 60.0)}, Threshold(0.5)),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_every_particle_knows_its_posterior_density(priors: dict[str, Prior], sensor: Sensor) -> None:
     config = Config(particles=500, seed=4, rate=Q, diffusivity=D, lifetime=TAU, priors=priors, sensor=sensor)
     posterior = flight(config)
     assert (posterior.readings[:, 6] == 1.0).all()
     expected = targets_by_formula(posterior, config)
-    assert posterior.log_targets - posterior.log_targets[0] == pytest.approx(expected - expected[0], rel=1e-9, abs=1e-7)
-    assert posterior.weights == pytest.approx(np.exp(posterior.log_weights - posterior.log_weights.max()), rel=1e-12)
+    assert posterior.log_targets - posterior.log_targets[0] == pytest.approx(
+        expected - expected[0], rel=1e-9, abs=1e-7
+    )
+    assert posterior.weights == pytest.approx(
+        np.exp(posterior.log_weights - posterior.log_weights.max()), rel=1e-12
+    )
 
 
 def test_weights_before_any_move_are_the_likelihoods() -> None:
@@ -217,17 +283,25 @@ def test_weights_before_any_move_are_the_likelihoods() -> None:
     assert np.array_equal(posterior.particles, prior(config).particles)
     assert posterior.log_weights == pytest.approx(targets_by_formula(posterior, config), abs=1e-9)
     assert np.array_equal(posterior.log_weights, posterior.log_targets)
-    assert posterior.weights == pytest.approx(np.exp(posterior.log_weights - posterior.log_weights.max()), rel=1e-12)
+    assert posterior.weights == pytest.approx(
+        np.exp(posterior.log_weights - posterior.log_weights.max()), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("gas", [1e4, -1e6])
 def test_an_absurd_reading_is_taken_in_part_for_good(gas: float) -> None:
-    """The part of a reading that is left after forty stages is never assimilated: later moves use the same share."""
-    config = Config(particles=500, seed=4, rate=Q, diffusivity=D, lifetime=TAU, priors={"q": Gamma(2.0, 150.0)})
+    """The part of a reading that is left after forty stages is never assimilated: later moves use the same
+    share.
+    """
+    config = Config(
+        particles=500, seed=4, rate=Q, diffusivity=D, lifetime=TAU, priors={"q": Gamma(2.0, 150.0)}
+    )
     posterior = flight(config, {12: gas})
     shares = posterior.readings[:, 6]
     assert 0 < shares[12] < 0.1
     assert np.delete(shares, 12).tolist() == [1.0] * 24
     expected = targets_by_formula(posterior, config)
-    assert posterior.log_targets - posterior.log_targets[0] == pytest.approx(expected - expected[0], rel=1e-6, abs=1e-4)
+    assert posterior.log_targets - posterior.log_targets[0] == pytest.approx(
+        expected - expected[0], rel=1e-6, abs=1e-4
+    )
     assert posterior.weights.sum() ** 2 / (posterior.weights**2).sum() >= 250

@@ -1,4 +1,6 @@
-"""What is read from files: records, telemetry logs, mission scripts, bundles and rows of results. Each decoder has one exception."""
+"""What is read from files: records, telemetry logs, mission scripts, bundles and rows of results. Each
+decoder has one exception.
+"""
 
 import gzip
 import io
@@ -72,26 +74,61 @@ def _record(*records: McapRecord) -> bytes:
 
 @cache
 def record_seeds() -> list[bytes]:
-    """Return small records of real messages: in plain chunks, whose bytes can be changed, and in one packed with zstd."""
+    """Return small records of real messages: in plain chunks, whose bytes can be changed, and in one
+    packed with zstd.
+    """
     import zstandard
 
     said = recorded("greedy-gaussian")
     about = {
-        "format": "1", "seed": "3", "policy": "greedy", "budget": "300", "namespace": "uav/1",
-        "mission": json.dumps({"events": [{"do": "wind", "step": 2, "u": 2.0}, {"do": "wind", "time_s": 9.5, "phi": 1.0}]}),
-        "scenario": json.dumps({"source": [12.0, 14.0], "q": 300.0, "u": 2.0, "phi": 1.0, "d": 4.0, "tau": 10.0, "start": [1.0, 2.0]}),
-    }  # fmt: skip
-    topics = ("reading", "belief", "belief/particles", "mavlink/out", "mavlink/in", "agdc/stop", "health/uav", "health/uav/malformed")
+        "format": "1",
+        "seed": "3",
+        "policy": "greedy",
+        "budget": "300",
+        "namespace": "uav/1",
+        "mission": json.dumps(
+            {"events": [{"do": "wind", "step": 2, "u": 2.0}, {"do": "wind", "time_s": 9.5, "phi": 1.0}]}
+        ),
+        "scenario": json.dumps(
+            {
+                "source": [12.0, 14.0],
+                "q": 300.0,
+                "u": 2.0,
+                "phi": 1.0,
+                "d": 4.0,
+                "tau": 10.0,
+                "start": [1.0, 2.0],
+            }
+        ),
+    }
+    topics = (
+        "reading",
+        "belief",
+        "belief/particles",
+        "mavlink/out",
+        "mavlink/in",
+        "agdc/stop",
+        "health/uav",
+        "health/uav/malformed",
+    )
     channels = [Channel(number, topic, "", {}, 0) for number, topic in enumerate(topics)]
     belief, _, particles = said["belief"][2].partition(BETWEEN)
     timed = b',"simulation_s":1.5}'
     bodies = [
-        said["reading"][0], belief[:-1] + timed, particles[:120], said["mavlink/out"][0], said["waypoint"][0],
-        said["agdc/stop"][0][:-1] + timed, next(said[key][0] for key in said if key.startswith("health/"))[:-1] + timed,
+        said["reading"][0],
+        belief[:-1] + timed,
+        particles[:120],
+        said["mavlink/out"][0],
+        said["waypoint"][0],
+        said["agdc/stop"][0][:-1] + timed,
+        next(said[key][0] for key in said if key.startswith("health/"))[:-1] + timed,
         b'{"reason":"r","payload":"AAAA"' + timed,
-    ]  # fmt: skip
+    ]
     numbers = (0, 1, 1, 2, 3, 4, 5, 6)
-    messages = [Message(channel, 5, body, 5, number) for channel, (body, number) in enumerate(zip(bodies, numbers, strict=True))]
+    messages = [
+        Message(channel, 5, body, 5, number)
+        for channel, (body, number) in enumerate(zip(bodies, numbers, strict=True))
+    ]
     inside = _record(*channels, *messages)
     head = MCAP0_MAGIC + _record(Metadata("plumeward", about))
     frame = zstandard.ZstdCompressor().compress(inside)
@@ -132,7 +169,9 @@ def tlog_seeds() -> list[bytes]:
             for message in (
                 mavlink.MAVLink_heartbeat_message(2, 12, 128, 0, 4, 3),
                 mavlink.MAVLink_local_position_ned_message(boot_ms, time_s, 2.0, -5.0, 0, 0, 0),
-                mavlink.MAVLink_global_position_int_message(boot_ms, 473977420 + boot_ms, 85455940, 493000, 5000, 0, 0, 0, 0),
+                mavlink.MAVLink_global_position_int_message(
+                    boot_ms, 473977420 + boot_ms, 85455940, 493000, 5000, 0, 0, 0, 0
+                ),
                 mavlink.MAVLink_wind_cov_message(boot_ms * 1000, 1.0, 1.0, 0, 0, 0, 0, 0, 0),
                 mavlink.MAVLink_named_value_float_message(boot_ms, b"gas", 0.5),
             ):
@@ -161,10 +200,12 @@ def script_seeds() -> list[bytes]:
     """Return short scripts, with all kinds of events among them; reading a long one takes long."""
     seeds = [
         b"seed: 3\nagent: {policy: homing}\nexpect: [located, returned home]\n",
-        b"seed: 2\nevents:\n  - {step: 2, do: lose, readings: 3}\n  - {time_s: 6, do: wind, u: 1e0}\nexpect: located\n",
+        b"seed: 2\nevents:\n  - {step: 2, do: lose, readings: 3}\n  - {time_s: 6, do: wind, u: 1e0}\nexpect: "
+        b"located\n",
         b"release: {source: [12.0, 9.5], q: 300}\nsensor: gaussian:0.3,0.2\nworld: as-modelled\nbudget: 40\n",
         b"a: &a [1, 2]\nb: *a\nc: {<<: {d: 1}}\n",
-        b"events:\n  - {step: 0, do: lawnmower, low: [1, 1], high: [9, 9], spacing: 2}\nagent: {policy: none}\n",
+        b"events:\n  - {step: 0, do: lawnmower, low: [1, 1], high: [9, 9], spacing: 2}\nagent: {policy: "
+        b"none}\n",
     ]
     root = Path(__file__).parents[2] / "missions"
     return seeds + [text for name in shipped() if len(text := (root / f"{name}.yaml").read_bytes()) < 300]
@@ -184,7 +225,16 @@ def script(data: bytes) -> None:
 
 def _page() -> bytes:
     page = bundle.Page(
-        1, "by hand", "paper", SCHEMAS["paper"].version, 5, Headings(4), 3, {"a": [1]}, [bundle.Point(1, 0.5, 0.5, None)], {}
+        1,
+        "by hand",
+        "paper",
+        SCHEMAS["paper"].version,
+        5,
+        Headings(4),
+        3,
+        {"a": [1]},
+        [bundle.Point(1, 0.5, 0.5, None)],
+        {},
     )
     return msgspec.json.encode(page)
 
@@ -197,19 +247,37 @@ def graph_seeds() -> list[bytes]:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
 
     def of(nodes: list[onnx.NodeProto], functions: list[onnx.FunctionProto] | None = None) -> bytes:
-        weights = [numpy_helper.from_array(np.ones(shape, np.float32), name) for name, shape in (("w", (3, 5)), ("v", (4, 3)), ("c", (4,)))]
+        weights = [
+            numpy_helper.from_array(np.ones(shape, np.float32), name)
+            for name, shape in (("w", (3, 5)), ("v", (4, 3)), ("c", (4,)))
+        ]
         graph = helper.make_graph(nodes, "g", [port("o", 1, 5)], [port("s", 1, 4)], weights)
         imports = [helper.make_opsetid("", 17)]
-        return bytes(helper.make_model(graph, opset_imports=imports, ir_version=8, functions=functions or []).SerializeToString())
+        return bytes(
+            helper.make_model(
+                graph, opset_imports=imports, ir_version=8, functions=functions or []
+            ).SerializeToString()
+        )
 
     node = helper.make_node
-    shipped_one = [node("Gemm", ["o", "w"], ["h"], transB=1), node("Tanh", ["h"], ["t"]), node("Gemm", ["t", "v", "c"], ["s"], transB=1)]
+    shipped_one = [
+        node("Gemm", ["o", "w"], ["h"], transB=1),
+        node("Tanh", ["h"], ["t"]),
+        node("Gemm", ["t", "v", "c"], ["s"], transB=1),
+    ]
     body = helper.make_graph([], "b", [], [])
     return [
         of(shipped_one),
         of([node("Gemm", ["o", "w"], ["h"], transA=1), node("ConstantOfShape", ["h"], ["s"])]),
         of([node("Loop", ["", "", "o"], ["s"], body=body), *shipped_one]),
-        of(shipped_one, [helper.make_function("", "Relu", ["x"], ["y"], [node("Tanh", ["x"], ["y"])], [helper.make_opsetid("", 17)])]),
+        of(
+            shipped_one,
+            [
+                helper.make_function(
+                    "", "Relu", ["x"], ["y"], [node("Tanh", ["x"], ["y"])], [helper.make_opsetid("", 17)]
+                )
+            ],
+        ),
     ]
 
 
@@ -227,11 +295,16 @@ def _loads(data: bytes) -> None:
     except bundle.BundleError as error:
         _is_one_line(error)
     else:
-        assert loaded.said(np.full(loaded.page.observation, 0.5, np.float32)).shape == (1, loaded.page.move.outputs)
+        assert loaded.said(np.full(loaded.page.observation, 0.5, np.float32)).shape == (
+            1,
+            loaded.page.move.outputs,
+        )
 
 
 def bundle_seeds() -> list[bytes]:
-    return [_zipped(_page(), graph_seeds()[0], method) for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)]
+    return [
+        _zipped(_page(), graph_seeds()[0], method) for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+    ]
 
 
 def graph(data: bytes) -> None:

@@ -7,16 +7,68 @@ import zlib
 from link.bus.frames import LAYOUTS, crc16, frame_at, frame_length
 
 WORDS = (
-    b"\0" * 4, b"\xff" * 4, b"\xff" * 8, b"\x7f\xff\xff\xff", b"\0\0\0\x80", b"\0\0\xc0\x7f", b"\0\0\x80\x7f", b"\xff\xff\x7f\x7f",
-    b"1e308", b"-1e308", b"1e999", b"4294967296", b"9" * 30, b"9" * 5000, b"-1", b"NaN", b"null", b"0.5", b"true", b'""', b"\xff\xfe",
-    b"[" * 200, b'{"":' * 200, b"]", b"}", b",", b"\n", b": ", b"\xfd", b"\xfe", b"&a [*a]", b"<<: *a", b"!!int ", b"\0" * 300,
-)  # fmt: skip
-"""What decoders stumble over: edges of whole numbers, NaN and infinity as floats, and pieces of JSON and YAML."""
+    b"\0" * 4,
+    b"\xff" * 4,
+    b"\xff" * 8,
+    b"\x7f\xff\xff\xff",
+    b"\0\0\0\x80",
+    b"\0\0\xc0\x7f",
+    b"\0\0\x80\x7f",
+    b"\xff\xff\x7f\x7f",
+    b"1e308",
+    b"-1e308",
+    b"1e999",
+    b"4294967296",
+    b"9" * 30,
+    b"9" * 5000,
+    b"-1",
+    b"NaN",
+    b"null",
+    b"0.5",
+    b"true",
+    b'""',
+    b"\xff\xfe",
+    b"[" * 200,
+    b'{"":' * 200,
+    b"]",
+    b"}",
+    b",",
+    b"\n",
+    b": ",
+    b"\xfd",
+    b"\xfe",
+    b"&a [*a]",
+    b"<<: *a",
+    b"!!int ",
+    b"\0" * 300,
+)
+"""What decoders stumble over: edges of whole numbers, NaN and infinity as floats, and pieces of JSON and
+YAML.
+"""
 NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 NUMBERS = (
-    b"0", b"-1", b"1e308", b"-1e308", b"1e-320", b"4294967295", b"4294967296", b"9223372036854775808", b"9" * 30, b"9" * 5000, b"0.5",
-    b"3.5e38", b"1e7", b"null", b"true", b'"1"', b"[]", b"{}", b"[1,2]", b".inf", b"NaN",
-)  # fmt: skip
+    b"0",
+    b"-1",
+    b"1e308",
+    b"-1e308",
+    b"1e-320",
+    b"4294967295",
+    b"4294967296",
+    b"9223372036854775808",
+    b"9" * 30,
+    b"9" * 5000,
+    b"0.5",
+    b"3.5e38",
+    b"1e7",
+    b"null",
+    b"true",
+    b'"1"',
+    b"[]",
+    b"{}",
+    b"[1,2]",
+    b".inf",
+    b"NaN",
+)
 FLOATS = (0.0, -0.0, 1e-45, 1e30, 3.4e38, -3.4e38, float("inf"), float("nan"), 1e6, -1.0)
 MAGIC = re.compile(rb"[\xfd\xfe]")
 """The first byte of a frame."""
@@ -59,7 +111,8 @@ def edited(seed: bytes, edits: bytes) -> bytes:
 
 
 def as_sent(data: bytes, stamp: int = 0) -> bytes:
-    """Return MAVLink frames with the checksums that their receivers want, else nothing of a changed one is read; one in eight stays.
+    """Return MAVLink frames with the checksums that their receivers want, else nothing of a changed one is
+    read; one in eight stays.
 
     stamp: how many bytes precede each frame.
     """

@@ -1,4 +1,6 @@
-"""What services read from the bus and from UDP: hostile bytes go through the services' own loops, which must go on as before."""
+"""What services read from the bus and from UDP: hostile bytes go through the services' own loops, which
+must go on as before.
+"""
 
 import contextlib
 import logging
@@ -18,6 +20,7 @@ from agent.policies import OURS, reach
 from aircraft.bridge.routing import Routes
 from aircraft.bridge.stream import FrameStream
 from aircraft.operator import OPERATOR, SEARCH, WANTED, change_mode, command, order
+from aircraft.search import udp
 from aircraft.search.clock import Clock
 from aircraft.search.search import RETURNING, SEARCHING
 from aircraft.search.uav import Uav
@@ -37,7 +40,6 @@ from plume.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.state import Mode
 from sitl.autopilot.vehicle import Vehicle
-from aircraft.search import udp
 from sitl.uav.simulated import FromUdp
 from tests.fuzz.mutants import as_sent
 
@@ -88,13 +90,17 @@ def recorded(name: str = "homing-gaussian-field") -> dict[str, list[bytes]]:
     """Return real messages by key, each with its attachment."""
     said: dict[str, list[bytes]] = {}
     for entry in read(GOLDEN / f"{name}.mcap").entries:
-        said.setdefault(entry.key, []).append(entry.payload + (BETWEEN + entry.attachment if entry.attachment else b""))
+        said.setdefault(entry.key, []).append(
+            entry.payload + (BETWEEN + entry.attachment if entry.attachment else b"")
+        )
     return said
 
 
 def health() -> bytes:
     """Return a health message as services publish it."""
-    return msgspec.json.encode(Health("estimator", "ready", 3, 0.1, 9.0, {"malformed": 2}, ("w",), 1, "e", 1.0, 0.1, "20 particles"))
+    return msgspec.json.encode(
+        Health("estimator", "ready", 3, 0.1, 9.0, {"malformed": 2}, ("w",), 1, "e", 1.0, 0.1, "20 particles")
+    )
 
 
 # ---- readings: the estimator ----
@@ -104,7 +110,10 @@ LAST = pack_reading(Codec(1, 1), Reading(9000, (3.0, 3.0), 5.0, (1.5, 0.5), 0.25
 
 
 def reading_seeds() -> list[bytes]:
-    return [pack_reading(Codec(1, 1), Reading(5000, (2.5, 3.5), 5.0, (1.0, 0.5), 0.75)), *recorded()["reading"][:3]]
+    return [
+        pack_reading(Codec(1, 1), Reading(5000, (2.5, 3.5), 5.0, (1.0, 0.5), 0.75)),
+        *recorded()["reading"][:3],
+    ]
 
 
 @cache
@@ -125,11 +134,17 @@ def _undisturbed(assume: str) -> list[tuple[Key, bytes, bytes]]:
 
 
 def reading(data: bytes) -> None:
-    """A refused reading leaves the belief as it is, to the last bit; after any other, beliefs are valid, and the service goes on."""
+    """A refused reading leaves the belief as it is, to the last bit; after any other, beliefs are valid,
+    and the service goes on.
+    """
     assume = "field" if len(data) % 8 == 0 else "paper"
     bus = _estimated(assume, FIRST, as_sent(data), LAST)
     refused = set(bus.tally.refused)
-    if refused and not refused & {REPEATED, "late", "conflicting"}:  # else it was an honest reading, and the last one came late
+    if refused and not refused & {
+        REPEATED,
+        "late",
+        "conflicting",
+    }:  # else it was an honest reading, and the last one came late
         assert bus.published == _undisturbed(assume)
     answers = [(said, attachment) for key, said, attachment in bus.published if key is BELIEF]
     assert len(answers) + bus.tally.refused.total() - bus.tally.refused[REPEATED] == 3
@@ -163,7 +178,9 @@ def answered(policy: str, *messages: bytes) -> QuietBus:
 
 
 QUARTERS = [quarter * 2**30 + 2**30 - 1 for quarter in range(4)]
-"""Times all around the circle of time_boot_ms: whichever comes before, the last one is later than what is then the newest."""
+"""Times all around the circle of time_boot_ms: whichever comes before, the last one is later than what is
+then the newest.
+"""
 
 
 @cache
@@ -171,12 +188,17 @@ def _last_answer(policy: str) -> tuple[list[bytes], bytes]:
     """Return beliefs whose last one comes after all others, and its waypoint."""
     payload, _, particles = belief_seeds()[0][1:].partition(BETWEEN)
     said = msgspec.structs.replace(msgspec.json.decode(payload, type=Belief), ceased=False)
-    messages = [msgspec.json.encode(msgspec.structs.replace(said, time_boot_ms=time)) + BETWEEN + particles for time in QUARTERS]
+    messages = [
+        msgspec.json.encode(msgspec.structs.replace(said, time_boot_ms=time)) + BETWEEN + particles
+        for time in QUARTERS
+    ]
     return messages, answered(policy, messages[-1]).published[-1][1]
 
 
 def belief(data: bytes) -> None:
-    """Whatever came before, the agent answers the next belief as always; a waypoint that it gives lies in the area."""
+    """Whatever came before, the agent answers the next belief as always; a waypoint that it gives lies in
+    the area.
+    """
     policy = OURS[data[0] % len(OURS)] if data else OURS[0]
     messages, answer = _last_answer(policy)
     bus = answered(policy, data[1:], *messages)
@@ -185,7 +207,10 @@ def belief(data: bytes) -> None:
         assert bus.published[-1][1][place] == answer[place]
     for key, frames, _ in bus.published:
         assert key is WAYPOINT
-        (waypoint,) = (mavlink.MAVLink(None).decode(bytearray(frames[frame.start : frame.end])) for frame in split(frames))
+        (waypoint,) = (
+            mavlink.MAVLink(None).decode(bytearray(frames[frame.start : frame.end]))
+            for frame in split(frames)
+        )
         assert 0.0 <= waypoint.x <= AREA_M
         assert 0.0 <= waypoint.y <= AREA_M
         assert math.isfinite(waypoint.z)
@@ -217,7 +242,9 @@ class _SetClock(Clock):
 
 
 class _Told(Inbox):
-    """An inbox of what is put into it; a number among it is a time to pass, s. At its end the loop that takes from it ends."""
+    """An inbox of what is put into it; a number among it is a time to pass, s. At its end the loop that
+    takes from it ends.
+    """
 
     def __init__(self, clock: _SetClock) -> None:
         super().__init__()
@@ -261,7 +288,12 @@ def _lives_on(flight: _Flight) -> None:
     assert all(map(math.isfinite, (*state.position, *state.velocity)))
     flight.bus.published.clear()
     flight.goes_on(Arrival(MAVLINK_IN, Codec(*OPERATOR).pack(ASKED), b""))
-    ids = {frame.message_id for key, payload, _ in flight.bus.published if key is MAVLINK_OUT for frame in split(payload)}
+    ids = {
+        frame.message_id
+        for key, payload, _ in flight.bus.published
+        if key is MAVLINK_OUT
+        for frame in split(payload)
+    }
     assert mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION in ids
 
 
@@ -272,28 +304,45 @@ def mavlink_in_seeds() -> list[bytes]:
     numbers = (400, 22, 176, 178, 192, 300, 224, 193, 511, 510, 512, 520, 519, 410)
     orders = [said(command(1, number, 1.0)) for number in numbers]
     whole = [
-        mavlink.MAVLink_command_int_message(1, 1, 3, 192, 0, 0, -1.0, 1.0, 0.0, math.nan, 473977420, 85455940, 10.0),
+        mavlink.MAVLink_command_int_message(
+            1, 1, 3, 192, 0, 0, -1.0, 1.0, 0.0, math.nan, 473977420, 85455940, 10.0
+        ),
         mavlink.MAVLink_mission_count_message(1, 1, 1, 0),
-        mavlink.MAVLink_mission_item_int_message(1, 1, 0, 6, 16, 0, 1, 0.0, 0.0, 0.0, math.nan, 473977420, 85455940, 10.0, 0),
+        mavlink.MAVLink_mission_item_int_message(
+            1, 1, 0, 6, 16, 0, 1, 0.0, 0.0, 0.0, math.nan, 473977420, 85455940, 10.0, 0
+        ),
         mavlink.MAVLink_mission_request_list_message(1, 1, 0),
         mavlink.MAVLink_param_set_message(1, 1, b"MPC_XY_CRUISE", 3.0, 9),
         mavlink.MAVLink_param_request_read_message(1, 1, b"MPC_XY_CRUISE", -1),
         mavlink.MAVLink_param_request_list_message(1, 1),
-        mavlink.MAVLink_set_position_target_global_int_message(0, 1, 1, 6, 0x0DF8, 473977420, 85455940, 10.0, 0, 0, 0, 0, 0, 0, 0, 0),
+        mavlink.MAVLink_set_position_target_global_int_message(
+            0, 1, 1, 6, 0x0DF8, 473977420, 85455940, 10.0, 0, 0, 0, 0, 0, 0, 0, 0
+        ),
         mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, [0] * 251),
         mavlink.MAVLink_timesync_message(0, 5),
         mavlink.MAVLink_manual_control_message(1, 100, 100, 500, 0, 1),
     ]
     waypoint = said(waypoint_message(1, 0, (5.0, 6.0), 5.0))
     upload = said(*whole[1:3]) + orders[5]
-    return [*orders, *modes, waypoint, upload, *map(said, whole), orders[0] + orders[1] + modes[1], *recorded()["waypoint"][:2]]
+    return [
+        *orders,
+        *modes,
+        waypoint,
+        upload,
+        *map(said, whole),
+        orders[0] + orders[1] + modes[1],
+        *recorded()["waypoint"][:2],
+    ]
 
 
 def mavlink_in(data: bytes) -> None:
     """The vehicle takes any payload, from the bus or decoded from UDP, flies on and answers."""
     payload = as_sent(data)
     flight = _Flight(searching=len(data) % 2 == 0)
-    flight.goes_on(Arrival(MAVLINK_IN, payload, b""), *(FromUdp(0, message, "127.0.0.1:14550") for message in udp.decode(payload).messages))
+    flight.goes_on(
+        Arrival(MAVLINK_IN, payload, b""),
+        *(FromUdp(0, message, "127.0.0.1:14550") for message in udp.decode(payload).messages),
+    )
     assert FAULT not in flight.bus.tally.refused
     _lives_on(flight)
 
@@ -301,7 +350,11 @@ def mavlink_in(data: bytes) -> None:
 def clients_seeds() -> list[bytes]:
     said = Codec(*OPERATOR).pack
     to_search = [said(order(name, 1, SEARCH)) for name in WANTED]
-    return [*to_search, said(mavlink.MAVLink_command_int_message(1, SEARCH, 0, 21, 0, 0, 0, 0, 0, 0, 0, 0, 0)), *mavlink_in_seeds()]
+    return [
+        *to_search,
+        said(mavlink.MAVLink_command_int_message(1, SEARCH, 0, 21, 0, 0, 0, 0, 0, 0, 0, 0, 0)),
+        *mavlink_in_seeds(),
+    ]
 
 
 @cache
@@ -315,13 +368,17 @@ def _beside_an_autopilot() -> Any:
 
 
 def clients(data: bytes) -> None:
-    """Clients of a real vehicle may say anything: nothing is handed on in the vehicle's own name, and the search goes on answering."""
+    """Clients of a real vehicle may say anything: nothing is handed on in the vehicle's own name, and the
+    search goes on answering.
+    """
     cockpit = _beside_an_autopilot()
     cockpit.hear(as_sent(data))
     assert FAULT not in cockpit.bus.tally.refused
     senders = {(frame.system, frame.component) for one in cockpit.radio.forwarded for frame in split(one)}
     assert not senders & {(1, 1), (1, SEARCH)}
-    assert [said.result for said in cockpit.tell(order("hold", 1, SEARCH)) if said.get_type() == "COMMAND_ACK"] == [1]
+    assert [
+        said.result for said in cockpit.tell(order("hold", 1, SEARCH)) if said.get_type() == "COMMAND_ACK"
+    ] == [1]
     cockpit.radio.forwarded.clear()
     cockpit.bus.published.clear()
 
@@ -330,13 +387,20 @@ def waypoint(data: bytes) -> None:
     """Whatever comes on the key of waypoints, nobody takes the vehicle from the search by it."""
     flight = _Flight(searching=True)
     flight.goes_on(Arrival(WAYPOINT, as_sent(data), b""), 0.0)
-    assert (flight.vehicle.mode, flight.vehicle.armed, flight.bus.tally.state) == (Mode.OFFBOARD, True, SEARCHING)
+    assert (flight.vehicle.mode, flight.vehicle.armed, flight.bus.tally.state) == (
+        Mode.OFFBOARD,
+        True,
+        SEARCHING,
+    )
     assert FAULT not in flight.bus.tally.refused
     _lives_on(flight)
 
 
 def stop_seeds() -> list[bytes]:
-    return [recorded("greedy-gaussian")["agdc/stop"][0], msgspec.json.encode(Stop(5, 1, (1.0, 2.0), (0.1, 0.0, 0.1), 0.4, 0.5, "spread"))]
+    return [
+        recorded("greedy-gaussian")["agdc/stop"][0],
+        msgspec.json.encode(Stop(5, 1, (1.0, 2.0), (0.1, 0.0, 0.1), 0.4, 0.5, "spread")),
+    ]
 
 
 def stop(data: bytes) -> None:
@@ -354,7 +418,12 @@ def stop(data: bytes) -> None:
 def frames_seeds() -> list[bytes]:
     unknown = bytes([0xFD, 1, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0x7F, 5, 0, 0])
     one = mavlink_in_seeds()
-    return [*recorded()["mavlink/out"][:4], one[0] + one[3] + unknown + one[14], b"\xfd" * 40 + one[2], one[1][:-3] + one[2]]
+    return [
+        *recorded()["mavlink/out"][:4],
+        one[0] + one[3] + unknown + one[14],
+        b"\xfd" * 40 + one[2],
+        one[1][:-3] + one[2],
+    ]
 
 
 GOOD = Codec(7, 7).pack(mavlink.MAVLink_system_time_message(1, 1))
@@ -373,7 +442,11 @@ def frames(data: bytes) -> None:
         stream, routes = FrameStream(), Routes()
         routes.join(1)
         half = len(payload) // 2
-        letters = [letter for part in (payload[:half], payload[half:]) for letter in stream.take(part, datagram=datagram)]
+        letters = [
+            letter
+            for part in (payload[:half], payload[half:])
+            for letter in stream.take(part, datagram=datagram)
+        ]
         assert sum(len(letter.data) for letter in letters) + stream.garbage + len(stream.rest) == len(payload)
         assert len(stream.rest) <= 280
         for letter in letters:

@@ -1,4 +1,6 @@
-"""Protects every decoder from hostile bytes: mutants of real messages break no promise, take no time, and leave nothing in memory."""
+"""Protects every decoder from hostile bytes: mutants of real messages break no promise, take no time, and
+leave nothing in memory.
+"""
 
 import gc
 import logging
@@ -27,7 +29,9 @@ KEPT = 64 * 1024
 
 @pytest.fixture(autouse=True)
 def quiet() -> Iterator[None]:
-    """Keep the services from writing a line for most inputs; other tests in this process look at these lines."""
+    """Keep the services from writing a line for most inputs; other tests in this process look at these
+    lines.
+    """
     before = [logger.level for logger in QUIET]
     for logger in QUIET:
         logger.setLevel(logging.CRITICAL)
@@ -63,7 +67,9 @@ def test_mutants_of_real_messages_break_no_promise(name: str, count: int) -> Non
         assert time.process_time() - began_s < LONGEST_S, data
 
 
-@pytest.mark.parametrize("path", sorted(FINDS.glob("*/*")), ids=lambda path: f"{path.parent.name} {path.name}")
+@pytest.mark.parametrize(
+    "path", sorted(FINDS.glob("*/*")), ids=lambda path: f"{path.parent.name} {path.name}"
+)
 def test_what_has_once_broken_a_promise_breaks_none(path: Path) -> None:
     DECODERS[path.parent.name].check(path.read_bytes())
 

@@ -1,4 +1,6 @@
-"""What watches the bus, and what watches the watchers: recorder, status and page, and the requests of browsers."""
+"""What watches the bus, and what watches the watchers: recorder, status and page, and the requests of
+browsers.
+"""
 
 import asyncio
 import contextlib
@@ -52,9 +54,19 @@ def messages(data: bytes) -> None:
     payload = data[:1] + as_sent(data[1:])
     key = KEYS[payload[0] % len(KEYS)] if payload else KEYS[0]
     payload, _, attachment = payload[1:].partition(BETWEEN)
-    said = [Entry(key, 5, 0.0, payload, attachment), Entry("belief", 6, 0.0, *recorded()["belief"][-1].split(BETWEEN, 1))]
-    clock, history, scene = SimulationClock(), History(Backdrop("uav/1"), whole=False), RecordedScene({}, "uav/1")
-    entries = [entry._replace(simulation_s=clock.time_s(entry.key, entry.payload, entry.published_ns)) for entry in said]
+    said = [
+        Entry(key, 5, 0.0, payload, attachment),
+        Entry("belief", 6, 0.0, *recorded()["belief"][-1].split(BETWEEN, 1)),
+    ]
+    clock, history, scene = (
+        SimulationClock(),
+        History(Backdrop("uav/1"), whole=False),
+        RecordedScene({}, "uav/1"),
+    )
+    entries = [
+        entry._replace(simulation_s=clock.time_s(entry.key, entry.payload, entry.published_ns))
+        for entry in said
+    ]
     for entry in entries:
         history.take(entry.key, entry.payload, entry.attachment, entry.simulation_s, entry.published_ns / 1e9)
         scene.take(entry, entry.published_ns)
@@ -140,16 +152,35 @@ def browser(data: bytes) -> None:
 async def _both(*hostile: Any) -> None:
     app = PageServer(_shown(), AccessRules("127.0.0.1", 8447, "secret")).app()
     await _asked(app, *hostile)
-    await _asked(app, b"127.0.0.1:8447", b"http://127.0.0.1:8447", b"word.c2VjcmV0", b"/", [b'{"show":["uav/1"]}'], fine=True)
+    await _asked(
+        app,
+        b"127.0.0.1:8447",
+        b"http://127.0.0.1:8447",
+        b"word.c2VjcmV0",
+        b"/",
+        [b'{"show":["uav/1"]}'],
+        fine=True,
+    )
 
 
-async def _asked(app: Asgi, host: bytes, origin: bytes, protocol: bytes, path: bytes, said: list[bytes], fine: bool = False) -> None:
+async def _asked(
+    app: Asgi, host: bytes, origin: bytes, protocol: bytes, path: bytes, said: list[bytes], fine: bool = False
+) -> None:
     scope = {
-        "path": path.decode("latin-1"), "raw_path": path, "query_string": protocol, "root_path": "",
-        "http_version": "1.1", "headers": [(b"host", host), (b"origin", origin)], "scheme": "http", "client": ("127.0.0.1", 1),
-        "server": ("127.0.0.1", 8447), "method": "GET", "subprotocols": [protocol.decode("latin-1")], "asgi": {"version": "3.0"},
+        "path": path.decode("latin-1"),
+        "raw_path": path,
+        "query_string": protocol,
+        "root_path": "",
+        "http_version": "1.1",
+        "headers": [(b"host", host), (b"origin", origin)],
+        "scheme": "http",
+        "client": ("127.0.0.1", 1),
+        "server": ("127.0.0.1", 8447),
+        "method": "GET",
+        "subprotocols": [protocol.decode("latin-1")],
+        "asgi": {"version": "3.0"},
         "extensions": {"websocket.http.response": {}},
-    }  # fmt: skip
+    }
     answers: list[dict[str, Any]] = []
     waiting = [{"type": "websocket.connect"}]
     for number, each in enumerate(said):

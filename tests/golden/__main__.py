@@ -1,4 +1,6 @@
-"""`python -m tests.golden` flies the golden missions again, replaces the records whose answers changed, and lists the changes."""
+"""`python -m tests.golden` flies the golden missions again, replaces the records whose answers changed,
+and lists the changes.
+"""
 
 import json
 import os
@@ -12,23 +14,28 @@ from pathlib import Path
 from typing import Any
 
 from agent.policies import OURS
-from link.record.reader import Recording, read
 from ground.replay import verify
+from link.record.reader import Recording, read
 
 FOLDER = Path(__file__).parent
 SENSORS = ("gaussian", "threshold", "hits")
 FLAGS = ("--seed", "26", "--particles", "100", "--budget", "45", "--speedup", "0")
 """A small mission in which nearly all policies cease; the others use up their budget."""
 PAPER = {
-    f"{policy}-{sensor}": ("--policy", policy, "--sensor", sensor, "--assume", "paper", *FLAGS) for policy in OURS for sensor in SENSORS
+    f"{policy}-{sensor}": ("--policy", policy, "--sensor", sensor, "--assume", "paper", *FLAGS)
+    for policy in OURS
+    for sensor in SENSORS
 }
 """Every policy with every sensor."""
 FIELD = {
     f"{policy}-{sensor}-field": ("--policy", policy, "--sensor", sensor, "--assume", "field", *FLAGS)
     for policy, sensor in (
-        *(("homing", sensor) for sensor in SENSORS), ("infotaxis", "gaussian"), ("ppo", "gaussian"), ("ddpg", "gaussian"),
+        *(("homing", sensor) for sensor in SENSORS),
+        ("infotaxis", "gaussian"),
+        ("ppo", "gaussian"),
+        ("ddpg", "gaussian"),
     )
-}  # fmt: skip
+}
 """A few with little known: these take longer."""
 GOLDEN: Mapping[str, tuple[str, ...]] = PAPER | FIELD
 
@@ -44,11 +51,15 @@ def beliefs(log: Recording) -> list[dict[str, Any]]:
 
 
 def lacks(log: Recording, result: Mapping[str, Any]) -> str:
-    """What a record lacks: its end, a belief for each step, a waypoint between any two steps, the stop; empty if complete."""
+    """What a record lacks: its end, a belief for each step, a waypoint between any two steps, the stop;
+    empty if complete.
+    """
     if not log.complete:
         return "its end"
     there = Counter(kind for _, kind in verify.said(log.entries))
-    missing = Counter(belief=result["steps"] + 1, waypoint=result["steps"], stop=int(result["ceased"])) - there
+    missing = (
+        Counter(belief=result["steps"] + 1, waypoint=result["steps"], stop=int(result["ceased"])) - there
+    )
     return ", ".join(f"{n} {kind}" for kind, n in missing.items())
 
 
@@ -56,7 +67,10 @@ def outcome(log: Recording) -> str:
     """The outcome of a mission, in one line."""
     last = beliefs(log)[-1]
     ceased = "ceased" if last["ceased"] else "not ceased"
-    return f"{ceased} after {last['step']} steps at ({last['mean'][0]:.2f}, {last['mean'][1]:.2f}) ± {last['spread']:.2f} m"
+    return (
+        f"{ceased} after {last['step']} steps at ({last['mean'][0]:.2f}, {last['mean'][1]:.2f}) ± "
+        f"{last['spread']:.2f} m"
+    )
 
 
 def changes(then: Recording, now: Recording) -> str:

@@ -19,9 +19,11 @@ def test_it_says_what_it_made_and_what_it_kept(tmp_path: Path, capsys: pytest.Ca
     assert status == 0
     assert [line.split("  ")[0] for line in lines[:-1]] == ["made"] * 4
     assert [line.partition(f"{folder}")[2] for line in lines[:4]] == [
-        ": ca", ": router, operator, observer", "/uav/1: vehicle, estimator, agent, payload, bridge",
+        ": ca",
+        ": router, operator, observer",
+        "/uav/1: vehicle, estimator, agent, payload, bridge",
         "/uav/3: vehicle, estimator, agent, payload, bridge",
-    ]  # fmt: skip
+    ]
     assert lines[-1].endswith("never ca.key.")
     _, lines, _ = made(capsys, str(folder), "--vehicles", "1,2")
     assert [line.split("  ")[0] for line in lines[:-1]] == ["kept", "kept", "kept", "made"]
@@ -47,13 +49,18 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest
     assert err.splitlines() == [f"error: DIR: cannot write {tmp_path / 'file'}: File exists"]
 
 
-def test_a_folder_behind_a_link_or_open_to_everybody_is_made_with_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_behind_a_link_or_open_to_everybody_is_made_with_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "there")
     (tmp_path / "there").mkdir()
     status, lines, err = made(capsys, str(tmp_path / "link" / "certs"))
     assert (status, len(lines)) == (0, 4)
     (line,) = err.splitlines()
-    assert line.startswith(f"warning: DIR: {tmp_path / 'link' / 'certs'} leads through a link to {tmp_path / 'there' / 'certs'}: ")
+    assert line.startswith(
+        f"warning: DIR: {tmp_path / 'link' / 'certs'} leads through a link to "
+        f"{tmp_path / 'there' / 'certs'}: "
+    )
     assert made(capsys, str(tmp_path / "there" / "certs"))[2] == ""
     for mode, risky in ((0o1777, tmp_path / "there" / "certs"), (0o777, tmp_path / "there"), (0o1777, None)):
         place = risky or tmp_path / "there"
@@ -61,7 +68,8 @@ def test_a_folder_behind_a_link_or_open_to_everybody_is_made_with_a_warning(tmp_
         _, lines, err = made(capsys, str(tmp_path / "there" / "certs"))
         assert err.splitlines() == (
             [
-                f"warning: DIR: {place} may be written by everybody, who can so replace certificates and keys "
+                f"warning: DIR: {place} may be written by everybody, who can so replace certificates and "
+                "keys "
                 f"(forbid it with: chmod o-w {place})"
             ]
             if risky

@@ -1,4 +1,6 @@
-"""Protects the command line: bad input gives one line that names the flag, the value and what is allowed, and status 2."""
+"""Protects the command line: bad input gives one line that names the flag, the value and what is allowed,
+and status 2.
+"""
 
 import os
 import signal
@@ -13,7 +15,10 @@ from link.early import INTERRUPTED
 from link.interrupts import uninterrupted
 
 COMMANDS = [
-    (["agent", "rollout", "--policy", "clairvoyance"], ["--policy", "'clairvoyance'", "wanted infotaxis, entrotaxis"]),
+    (
+        ["agent", "rollout", "--policy", "clairvoyance"],
+        ["--policy", "'clairvoyance'", "wanted infotaxis, entrotaxis"],
+    ),
     (["agent", "rollout", "--particles", "-5"], ["--particles", "'-5'", "from 10 to 1000000"]),
     (["agent", "rollout", "--seed", "x"], ["--seed", "'x'", "whole number"]),
     (["agent", "--budget", "0"], ["--budget", "'0'", "from 1"]),
@@ -28,11 +33,20 @@ COMMANDS = [
     (["sitl", "juggle"], ["'juggle'", "fly", "uav", "router"]),
     (["sitl", "fyl"], ["python -m sitl: error: no command 'fyl'; did you mean 'fly'?"]),
     (["sitl", "fly", "--sed", "3"], ["python -m sitl fly: error: no flag '--sed'; did you mean '--seed'?"]),
-    (["sitl", "fly", "--policy", "hommer", "--no-record"], ["'hommer'", "did you mean 'homing'?", "Wanted infotaxis, "]),
-    (["estimator", "--sensor", "hit:1,2"], ["'hit:1,2'", "did you mean 'hits'?", "Wanted gaussian, threshold, hits"]),
+    (
+        ["sitl", "fly", "--policy", "hommer", "--no-record"],
+        ["'hommer'", "did you mean 'homing'?", "Wanted infotaxis, "],
+    ),
+    (
+        ["estimator", "--sensor", "hit:1,2"],
+        ["'hit:1,2'", "did you mean 'hits'?", "Wanted gaussian, threshold, hits"],
+    ),
     (["agent", "--polcy", "homing", "rollout"], ["no flag '--polcy'", "did you mean '--policy'?"]),
     (["agent", "evalute"], ["no command 'evalute'", "did you mean 'evaluate'?"]),
-    (["agent", "--log-level", "inf"], ["--log-level: 'inf'", "did you mean 'info'?", "Wanted debug, info, warning or error"]),
+    (
+        ["agent", "--log-level", "inf"],
+        ["--log-level: 'inf'", "did you mean 'info'?", "Wanted debug, info, warning or error"],
+    ),
 ]
 
 
@@ -41,7 +55,9 @@ COMMANDS = [
 def test_bad_input_is_one_clear_line_and_status_2(arguments: list[str], named: list[str]) -> None:
     ended = subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=60)
     assert (ended.returncode, ended.stdout) == (2, "")
-    said = [line for line in ended.stderr.splitlines() if not line.startswith("waiting for")]  # progress, where the start is slow
+    said = [
+        line for line in ended.stderr.splitlines() if not line.startswith("waiting for")
+    ]  # progress, where the start is slow
     assert len(said) == 1, ended.stderr
     for words in named:
         assert words in said[0]
@@ -49,10 +65,21 @@ def test_bad_input_is_one_clear_line_and_status_2(arguments: list[str], named: l
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "arguments", [["sitl"], ["sitl", "fly"], ["sitl", "uav"], ["sitl", "router"], ["estimator"], ["agent"], ["agent", "rollout"]]
+    "arguments",
+    [
+        ["sitl"],
+        ["sitl", "fly"],
+        ["sitl", "uav"],
+        ["sitl", "router"],
+        ["estimator"],
+        ["agent"],
+        ["agent", "rollout"],
+    ],
 )
 def test_every_command_explains_itself(arguments: list[str]) -> None:
-    ended = subprocess.run([sys.executable, "-m", *arguments, "--help"], capture_output=True, text=True, timeout=60)
+    ended = subprocess.run(
+        [sys.executable, "-m", *arguments, "--help"], capture_output=True, text=True, timeout=60
+    )
     assert ended.returncode == 0
     assert "usage: python -m " + " ".join(arguments) in " ".join(ended.stdout.split())
 
@@ -93,7 +120,9 @@ cli.run(command)
 def test_an_interrupt_while_a_session_opens_ends_the_command() -> None:
     router, endpoint = open_router("tcp/127.0.0.1:0")
     try:
-        ended = subprocess.run([sys.executable, "-c", OPENING, endpoint], capture_output=True, text=True, timeout=30)
+        ended = subprocess.run(
+            [sys.executable, "-c", OPENING, endpoint], capture_output=True, text=True, timeout=30
+        )
     finally:
         router.close()  # type: ignore[no-untyped-call]
     assert (ended.returncode, ended.stderr) == (INTERRUPTED, "")
@@ -113,7 +142,9 @@ def twice():
 cli.leave = twice
 cli.run(lambda: os.kill(os.getpid(), signal.SIGTERM))
 """
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
     assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "")
 
 
@@ -143,7 +174,9 @@ cli.run(command)
 @pytest.mark.parametrize("lost", [0, 1, 1000])
 def test_a_part_ends_with_its_launcher_however_often_the_signal_is_lost(lost: int) -> None:
     """An exception of a signal's handler is lost where Python ignores exceptions, as in a destructor."""
-    launcher = subprocess.Popen([sys.executable, "-c", LAUNCHER, LOSES.format(lost=lost)], stdout=subprocess.PIPE, text=True)
+    launcher = subprocess.Popen(
+        [sys.executable, "-c", LAUNCHER, LOSES.format(lost=lost)], stdout=subprocess.PIPE, text=True
+    )
     assert launcher.stdout
     with launcher:
         assert launcher.stdout.readline() == "begun\n"

@@ -1,4 +1,6 @@
-"""Protects that one signal, or the death of a thread, ends a command, whatever it does just then, without a word of Python's."""
+"""Protects that one signal, or the death of a thread, ends a command, whatever it does just then, without
+a word of Python's.
+"""
 
 import os
 import pty
@@ -16,8 +18,13 @@ pytestmark = pytest.mark.slow
 
 def run(program: str, folder: Path) -> tuple[int, str, str]:
     """Run a program that finds modules in a folder; returns its status, stdout and stderr."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))}
-    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=60)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH")))),
+    }
+    ran = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=60
+    )
     return ran.returncode, ran.stdout, ran.stderr
 
 
@@ -44,15 +51,25 @@ cli.run(command)
 @pytest.mark.parametrize("then", ["", "time.sleep(600)"], ids=["a moment", "for ever"])
 def test_an_interrupt_while_a_module_is_loaded_is_not_lost(tmp_path: Path, then: str) -> None:
     (tmp_path / "swallows.py").write_text(
-        f"import os, signal, time\ntry:\n    os.kill(os.getpid(), signal.SIGTERM)\n    time.sleep(0)\nexcept:\n    pass\n{then}\n"
+        "import os, signal, time\ntry:\n    os.kill(os.getpid(), signal.SIGTERM)\n    "
+        f"time.sleep(0)\nexcept:\n    pass\n{then}\n"
     )
-    program = "import time\nfrom link import cli\ndef command():\n    import swallows\n    time.sleep(600)\ncli.run(command)"
+    program = (
+        "import time\nfrom link import cli\ndef command():\n    import swallows\n    "
+        "time.sleep(600)\ncli.run(command)"
+    )
     assert run(program, tmp_path) == (INTERRUPTED, "", "")
 
 
-def test_a_command_that_was_interrupted_while_it_loaded_its_last_module_has_not_succeeded(tmp_path: Path) -> None:
+def test_a_command_that_was_interrupted_while_it_loaded_its_last_module_has_not_succeeded(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "last.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
-    assert run("from link import cli\ndef command():\n    import last\ncli.run(command)", tmp_path) == (INTERRUPTED, "", "")
+    assert run("from link import cli\ndef command():\n    import last\ncli.run(command)", tmp_path) == (
+        INTERRUPTED,
+        "",
+        "",
+    )
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -131,12 +148,15 @@ cli.run(command)
 WAITS = {
     "for ever": "time.sleep(600)",
     "for signals of its own": "ends = []; on_end(ends.append)\n    while not ends: time.sleep(0.01)",
-    "where nothing may interrupt it": "with uninterrupted() as ends:\n        while not ends: time.sleep(0.01)",
+    "where nothing may interrupt it": "with uninterrupted() as ends:\n        while not ends: "
+    "time.sleep(0.01)",
 }
 
 
 @pytest.mark.parametrize("wait", WAITS.values(), ids=WAITS)
-def test_a_command_one_of_whose_threads_dies_cleans_up_and_fails_with_a_line_that_says_which_and_why(tmp_path: Path, wait: str) -> None:
+def test_a_command_one_of_whose_threads_dies_cleans_up_and_fails_with_a_line_that_says_which_and_why(
+    tmp_path: Path, wait: str
+) -> None:
     program = f"""
 import threading, time
 from link import cli
@@ -180,16 +200,27 @@ cli.run(command)
 
 
 COMMANDS = [
-    [str(Path(sys.executable).parent / "plumeward"), "--help"], [str(Path(sys.executable).parent / "plumeward"), "status"],
-    *([sys.executable, "-m", package, "--help"] for package in ("plumeward", "sitl", "agent", "estimator", "link")),
-]  # fmt: skip
+    [str(Path(sys.executable).parent / "plumeward"), "--help"],
+    [str(Path(sys.executable).parent / "plumeward"), "status"],
+    *(
+        [sys.executable, "-m", package, "--help"]
+        for package in ("plumeward", "sitl", "agent", "estimator", "link")
+    ),
+]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda words: " ".join(words[-2:]))
-def test_a_command_answers_signals_before_it_loads_what_takes_long(tmp_path: Path, command: list[str], number: signal.Signals) -> None:
+def test_a_command_answers_signals_before_it_loads_what_takes_long(
+    tmp_path: Path, command: list[str], number: signal.Signals
+) -> None:
     """argparse is the first of it: each command loads it, and this one is a trap."""
-    (tmp_path / "argparse.py").write_text(f"import os, time\nos.kill(os.getpid(), {int(number)})\ntime.sleep(600)\n")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))}
+    (tmp_path / "argparse.py").write_text(
+        f"import os, time\nos.kill(os.getpid(), {int(number)})\ntime.sleep(600)\n"
+    )
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH")))),
+    }
     ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     assert (ran.returncode, ran.stdout, ran.stderr) == (INTERRUPTED, "", "")

@@ -1,4 +1,6 @@
-"""Protects the machine's shared memory: no part of a mission uses it, so none can leave a file there, however it ends."""
+"""Protects the machine's shared memory: no part of a mission uses it, so none can leave a file there,
+however it ends.
+"""
 
 import os
 import subprocess

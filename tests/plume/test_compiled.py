@@ -1,4 +1,6 @@
-"""Protects the cache of compiled kernels: no change in what a kernel is made of goes unseen, and what is unchanged is not compiled."""
+"""Protects the cache of compiled kernels: no change in what a kernel is made of goes unseen, and what is
+unchanged is not compiled.
+"""
 
 import importlib
 import itertools
@@ -33,7 +35,9 @@ JITTED = "from numba import njit\n"
 
 @pytest.fixture(autouse=True)
 def no_bytecode(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Python's own cache knows sources by their time, to a second: too coarse for sources that a test writes twice."""
+    """Python's own cache knows sources by their time, to a second: too coarse for sources that a test
+    writes twice.
+    """
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     monkeypatch.setattr(config, "CACHE_DIR", "")
     yield
@@ -70,39 +74,91 @@ HELPERS = {
     "a constant": ("RATE = 3.0\n@njit\ndef use(x): return RATE * x", "3.0", "5.0", 6.0, 10.0),
     "a constant's type": ("RATE = 3\n@njit\ndef use(x): return 7 // RATE * x", "3", "3.5", 4.0, 4.0),
     "a body": ("@njit\ndef use(x): return x + 1", "x + 1", "x - 1", 3.0, 1.0),
-    "a body two calls down": ("@njit\ndef low(x): return x + 1\n@njit\ndef use(x): return low(x)", "x + 1", "x - 1", 3.0, 1.0),
+    "a body two calls down": (
+        "@njit\ndef low(x): return x + 1\n@njit\ndef use(x): return low(x)",
+        "x + 1",
+        "x - 1",
+        3.0,
+        1.0,
+    ),
     "a default": ("@njit\ndef use(x, by=3.0): return x * by", "3.0", "5.0", 6.0, 10.0),
-    "an array": ("import numpy as np\nTABLE = np.array([3.0, 4.0])\n@njit\ndef use(x): return TABLE[0] * x", "3.0", "5.0", 6.0, 10.0),
-    "a numpy number": ("import numpy as np\nWORD = np.uint64(3)\n@njit\ndef use(x): return float(WORD) * x", "(3)", "(5)", 6.0, 10.0),
+    "an array": (
+        "import numpy as np\nTABLE = np.array([3.0, 4.0])\n@njit\ndef use(x): return TABLE[0] * x",
+        "3.0",
+        "5.0",
+        6.0,
+        10.0,
+    ),
+    "a numpy number": (
+        "import numpy as np\nWORD = np.uint64(3)\n@njit\ndef use(x): return float(WORD) * x",
+        "(3)",
+        "(5)",
+        6.0,
+        10.0,
+    ),
     "a tuple": ("PAIR = (1.0, 3.0)\n@njit\ndef use(x): return PAIR[1] * x", "3.0", "5.0", 6.0, 10.0),
     "which of two functions has a name": (
-        "@njit\ndef one(x): return x\n@njit\ndef two(x): return 2 * x\nzero = one\n@njit\ndef use(x): return one(x) - two(x) + zero(x)",
-        "zero = one", "zero = two", 0.0, 2.0,
+        "@njit\ndef one(x): return x\n@njit\ndef two(x): return 2 * x\nzero = one\n@njit\ndef use(x): return "
+        "one(x) - two(x) + zero(x)",
+        "zero = one",
+        "zero = two",
+        0.0,
+        2.0,
     ),
     "a closure": (
-        "def times(by):\n    @njit\n    def use(x): return by * x\n    return use\nuse = times(3.0)", "3.0", "5.0", 6.0, 10.0,
+        "def times(by):\n    @njit\n    def use(x): return by * x\n    return use\nuse = times(3.0)",
+        "3.0",
+        "5.0",
+        6.0,
+        10.0,
     ),
     "a function within a function": (
-        "@njit\ndef use(x):\n    def inner(y): return y + 1\n    return inner(x)", "y + 1", "y - 1", 3.0, 1.0,
+        "@njit\ndef use(x):\n    def inner(y): return y + 1\n    return inner(x)",
+        "y + 1",
+        "y - 1",
+        3.0,
+        1.0,
     ),
-    "a recursive function": ("@njit\ndef use(x): return x if x > 9 else use(x * 3.0)", "3.0", "4.0", 18.0, 32.0),
+    "a recursive function": (
+        "@njit\ndef use(x): return x if x > 9 else use(x * 3.0)",
+        "3.0",
+        "4.0",
+        18.0,
+        32.0,
+    ),
     "options of a function": (
-        "@njit(error_model='numpy')\ndef inverse(x): return 1 / x\n@njit\ndef use(x):\n    try:\n        return inverse(x - 2)\n"
-        "    except Exception:\n        return 1.0", "error_model='numpy'", "error_model='python'", float("inf"), 1.0,
+        "@njit(error_model='numpy')\ndef inverse(x): return 1 / x\n@njit\ndef use(x):\n    try:\n        "
+        "return inverse(x - 2)\n"
+        "    except Exception:\n        return 1.0",
+        "error_model='numpy'",
+        "error_model='python'",
+        float("inf"),
+        1.0,
     ),
     "the signature of another kernel": (
-        "from plume.compiled import kernel\n@kernel('float64(float64)')\ndef use(x): return x / 3", "('float64(", "('float32(", 2 / 3,
+        "from plume.compiled import kernel\n@kernel('float64(float64)')\ndef use(x): return x / 3",
+        "('float64(",
+        "('float32(",
+        2 / 3,
         pytest.approx(2 / 3, rel=1e-7),
     ),
     "a function that is compiled wherever it is used": (
-        "from numba.extending import register_jitable\n@register_jitable\ndef use(x): return x + 1", "x + 1", "x - 1", 3.0, 1.0,
+        "from numba.extending import register_jitable\n@register_jitable\ndef use(x): return x + 1",
+        "x + 1",
+        "x - 1",
+        3.0,
+        1.0,
     ),
     "an intrinsic": (
         "import numba\nfrom numba.extending import intrinsic\n@intrinsic\ndef use(_context, x):\n"
-        "    return numba.float64(numba.float64), lambda _c, builder, _s, args: builder.fadd(args[0], args[0])",
-        "builder.fadd", "builder.fmul", 4.0, 4.0,
+        "    return numba.float64(numba.float64), lambda _c, builder, _s, args: builder.fadd(args[0], "
+        "args[0])",
+        "builder.fadd",
+        "builder.fmul",
+        4.0,
+        4.0,
     ),
-}  # fmt: skip
+}
 """Name: a helper, what is changed in it, and what it says of 2 before and after."""
 
 
@@ -124,18 +180,32 @@ HEAD = "from plume.compiled import kernel\nfrom tiny import helper\nimport tiny.
 KERNELS = {
     "a constant of a module": ("RATE = 3.0", "3.0", "5.0", "return helper.RATE * x"),
     "a constant of a module of a package": ("RATE = 3.0", "3.0", "5.0", "return tiny.helper.RATE * x"),
-    "a function of a module": (JITTED + "@njit\ndef use(x): return 3.0 * x", "3.0", "5.0", "return helper.use(x)"),
-    "an array of a module": ("import numpy as np\nTABLE = np.array([3.0])", "3.0", "5.0", "return helper.TABLE[0] * x"),
+    "a function of a module": (
+        JITTED + "@njit\ndef use(x): return 3.0 * x",
+        "3.0",
+        "5.0",
+        "return helper.use(x)",
+    ),
+    "an array of a module": (
+        "import numpy as np\nTABLE = np.array([3.0])",
+        "3.0",
+        "5.0",
+        "return helper.TABLE[0] * x",
+    ),
     "an intrinsic of a module": (
         "import numba\nfrom numba.extending import intrinsic\n@intrinsic\ndef use(_context, x):\n"
         "    return numba.float64(numba.float64), lambda _c, b, _s, args: b.fmul(args[0], args[0].type(3.0))",
-        "3.0", "5.0", "return helper.use(x)",
+        "3.0",
+        "5.0",
+        "return helper.use(x)",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("helper", "old", "new", "body"), KERNELS.values(), ids=KERNELS)
-def test_a_change_of_what_a_kernel_takes_from_a_module_is_seen(tmp_path: Path, helper: str, old: str, new: str, body: str) -> None:
+def test_a_change_of_what_a_kernel_takes_from_a_module_is_seen(
+    tmp_path: Path, helper: str, old: str, new: str, body: str
+) -> None:
     loops = f"{HEAD}\n@kernel('float64(float64)')\ndef said(x):\n    {body}\n"
     write(tmp_path, helper, loops)
     assert run(tmp_path) == (6.0, False)
@@ -145,7 +215,10 @@ def test_a_change_of_what_a_kernel_takes_from_a_module_is_seen(tmp_path: Path, h
 
 
 def test_a_change_of_a_kernels_own_options_is_seen(tmp_path: Path) -> None:
-    loops = "from plume.compiled import kernel\n@kernel('float64(float64)', error_model='numpy')\ndef said(x): return 1 / (x - 2)\n"
+    loops = (
+        "from plume.compiled import kernel\n@kernel('float64(float64)', error_model='numpy')\ndef "
+        "said(x): return 1 / (x - 2)\n"
+    )
     write(tmp_path, "", loops)
     assert run(tmp_path) == (float("inf"), False)
     write(tmp_path, "", loops.replace("'numpy'", "'python'"))
@@ -156,7 +229,10 @@ def test_a_change_of_a_kernels_own_options_is_seen(tmp_path: Path) -> None:
 
 
 def test_a_kernel_that_calls_itself_is_kept_too(tmp_path: Path) -> None:
-    loops = "from plume.compiled import kernel\n@kernel('int64(int64)')\ndef said(n): return 1 if n < 2 else n * said(n - 1)\n"
+    loops = (
+        "from plume.compiled import kernel\n@kernel('int64(int64)')\ndef said(n): return 1 if n < 2 "
+        "else n * said(n - 1)\n"
+    )
     write(tmp_path, "", loops)
     assert [run(tmp_path, 5), run(tmp_path, 5)] == [(120, False), (120, True)]
     write(tmp_path, "", loops.replace("n * said", "n + said"))
@@ -170,12 +246,25 @@ TWO_KERNELS = f"{PLAIN}\n@kernel('float64(float64)')\ndef more(x): return x\n"
 
 def test_a_process_that_compiles_says_so_once_and_one_that_need_not_says_nothing(tmp_path: Path) -> None:
     write(tmp_path, USE, TWO_KERNELS)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT))), "NUMBA_CACHE_DIR": ""}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT))),
+        "NUMBA_CACHE_DIR": "",
+    }
     said = [
-        subprocess.run([sys.executable, "-c", "import tiny.loops"], env=environment, capture_output=True, text=True, check=True)
+        subprocess.run(
+            [sys.executable, "-c", "import tiny.loops"],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         for _ in range(2)
     ]
-    assert [(process.stdout, process.stderr.count("compiling kernels, once")) for process in said] == [("", 1), ("", 0)]
+    assert [(process.stdout, process.stderr.count("compiling kernels, once")) for process in said] == [
+        ("", 1),
+        ("", 0),
+    ]
     assert said[0].stderr.count("\n") == 1
 
 
@@ -219,7 +308,9 @@ def test_kernels_are_kept_where_one_says_else_beside_the_code_else_with_the_user
     assert [run(code), run(code)] == [(3.0, False), (3.0, False)]
 
 
-def test_kernels_of_a_zipped_package_are_kept_with_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_of_a_zipped_package_are_kept_with_the_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
     write(tmp_path, USE)
     with zipfile.ZipFile(tmp_path / "all.zip", "w") as archive:
@@ -254,12 +345,22 @@ SETS = """
 NAMES = frozenset(("x", "y", "z", "tau", "phi"))
 def odd(name): return name in {"north", "east", "south", "west", "up"} or name in NAMES
 """
-ELSEWHERE = "from plume.compiled import fingerprint; from tiny import helper, loops; print(fingerprint(helper.odd), loops.said(2.0), sum(loops.said.stats.cache_hits.values()))"  # noqa: E501
+ELSEWHERE = (
+    "from plume.compiled import fingerprint; from tiny import helper, loops; "
+    "print(fingerprint(helper.odd), loops.said(2.0), sum(loops.said.stats.cache_hits.values()))"
+)
 
 
 def started(folder: Path, hash_seed: str) -> subprocess.Popen[str]:
-    """Another process that loads the kernel, and says a fingerprint, a value and whether the kernel came from the cache."""
-    env = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
+    """Another process that loads the kernel, and says a fingerprint, a value and whether the kernel came
+    from the cache.
+    """
+    env = {
+        **os.environ,
+        "PYTHONHASHSEED": hash_seed,
+        "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}",
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     env.pop("NUMBA_CACHE_DIR", None)
     return subprocess.Popen([sys.executable, "-c", ELSEWHERE], env=env, stdout=subprocess.PIPE, text=True)
 
@@ -294,7 +395,15 @@ def test_a_fingerprint_takes_in_what_else_decides() -> None:
 
     assert fingerprint(f) == fingerprint(f)
     assert (
-        len({fingerprint(f), fingerprint(f, "float64(float64)"), fingerprint(f, "float32(float32)"), fingerprint(f, {"nogil": True})}) == 4
+        len(
+            {
+                fingerprint(f),
+                fingerprint(f, "float64(float64)"),
+                fingerprint(f, "float32(float32)"),
+                fingerprint(f, {"nogil": True}),
+            }
+        )
+        == 4
     )
 
 
@@ -305,5 +414,7 @@ def test_what_is_kept_is_loaded_without_what_only_compiling_needs(tmp_path: Path
     code = "import sys; from tiny.loops import said; print(said(2.0), 'numba.np.linalg' in sys.modules)"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
     for compiles in (True, False):
-        told = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
+        told = subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+        ).stdout
         assert told == f"3.0 {compiles}\n"

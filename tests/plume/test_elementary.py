@@ -1,4 +1,6 @@
-"""Protects the functions that replace those of the C library and NumPy: right to the last bits, and made of IEEE operations alone."""
+"""Protects the functions that replace those of the C library and NumPy: right to the last bits, and made
+of IEEE operations alone.
+"""
 
 import math
 from fractions import Fraction
@@ -37,7 +39,9 @@ def test_exp_and_log_are_right_to_the_last_bits() -> None:
         assert exp(x) == pytest.approx(np.exp(x), rel=5e-16)
         assert exp([[0.0, -1000.0]]) == pytest.approx(np.array([[1.0, math.exp(-708)]]))
         assert np.isnan(exp([np.nan])).all()
-    positive = np.concatenate([np.exp(DRAWS.uniform(-300, 300, 2000)), 1 + DRAWS.uniform(-0.4, 0.4, 2000), [1.0]])
+    positive = np.concatenate(
+        [np.exp(DRAWS.uniform(-300, 300, 2000)), 1 + DRAWS.uniform(-0.4, 0.4, 2000), [1.0]]
+    )
     for log in (elementary.log, numerics.log_each):
         assert log(positive) == pytest.approx(np.log(positive), rel=5e-16, abs=1e-300)
 
@@ -56,7 +60,9 @@ def test_the_functions_of_compiled_loops_are_right() -> None:
     small = np.concatenate([DRAWS.uniform(-0.99, 2, 1000), DRAWS.normal(0, 1e-9, 1000)])
     assert compiled(0, small) == pytest.approx(np.log1p(small), rel=1e-15, abs=1e-30)
     counts = np.concatenate([np.arange(1.0, 30.0), np.exp(DRAWS.uniform(0, 30, 1000))])
-    assert compiled(1, counts) == pytest.approx([math.lgamma(count) for count in counts.tolist()], rel=1e-14, abs=1e-14)
+    assert compiled(1, counts) == pytest.approx(
+        [math.lgamma(count) for count in counts.tolist()], rel=1e-14, abs=1e-14
+    )
     angles = np.concatenate([DRAWS.uniform(-9, 9, 2000), [0.0, -1e-18, 1e-18]])
     assert compiled(2, angles) == pytest.approx(np.cos(angles), abs=4e-15)
     assert compiled(3, angles) == pytest.approx(np.sin(angles), abs=4e-15)

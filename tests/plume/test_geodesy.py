@@ -17,7 +17,9 @@ def test_home_is_the_origin():
 
 
 def test_a_degree_north_is_a_360th_of_the_circumference():
-    assert to_local(*HOME, HOME[0] + 1.0, HOME[1]) == pytest.approx((math.pi * EARTH_RADIUS_M / 180.0, 0.0), abs=1e-6)
+    assert to_local(*HOME, HOME[0] + 1.0, HOME[1]) == pytest.approx(
+        (math.pi * EARTH_RADIUS_M / 180.0, 0.0), abs=1e-6
+    )
 
 
 def test_east_shrinks_with_the_cosine_of_the_latitude():
@@ -42,5 +44,7 @@ def test_the_distance_is_the_great_circles(lat0, north, east):
 
 
 def test_longitude_wraps_at_the_date_line():
-    assert to_global(0.0, 179.9999, 0.0, 100.0)[1] == pytest.approx(-180.0 + math.degrees(100.0 / EARTH_RADIUS_M) - 0.0001)
+    assert to_global(0.0, 179.9999, 0.0, 100.0)[1] == pytest.approx(
+        -180.0 + math.degrees(100.0 / EARTH_RADIUS_M) - 0.0001
+    )
     assert to_local(0.0, 179.9999, 0.0, -179.9999)[1] == pytest.approx(math.radians(0.0002) * EARTH_RADIUS_M)

@@ -1,4 +1,6 @@
-"""Protects intermittent gas: draws, likelihood and compiled loops share one definition, gamma gas plus normal noise."""
+"""Protects intermittent gas: draws, likelihood and compiled loops share one definition, gamma gas plus
+normal noise.
+"""
 
 import itertools
 import math
@@ -20,7 +22,9 @@ PROBABLE = -60.0
 
 
 def exact(gas: float, mean: float, std: float, cv: float) -> float:
-    """Log of ∫ Gamma(c; k, m/k) N(z − c; 0, σ²) dc by adaptive quadrature over log c, from its one mode outwards."""
+    """Log of ∫ Gamma(c; k, m/k) N(z − c; 0, σ²) dc by adaptive quadrature over log c, from its one mode
+    outwards.
+    """
     from scipy import integrate, optimize
 
     k = 1 / cv**2
@@ -37,10 +41,20 @@ def exact(gas: float, mean: float, std: float, cv: float) -> float:
         far = 1e-6
         while exponent(mode + side * far) > exponent(mode) - 40 and far < 600:
             far *= 1.6
-        total += integrate.quad(lambda off, side=side: math.exp(exponent(mode + side * off) - exponent(mode)), 0, far, epsabs=0, limit=300)[
-            0
-        ]
-    return exponent(mode) + math.log(total) - math.lgamma(k) - k * math.log(mean / k) - math.log(std * math.sqrt(2 * math.pi))
+        total += integrate.quad(
+            lambda off, side=side: math.exp(exponent(mode + side * off) - exponent(mode)),
+            0,
+            far,
+            epsabs=0,
+            limit=300,
+        )[0]
+    return (
+        exponent(mode)
+        + math.log(total)
+        - math.lgamma(k)
+        - k * math.log(mean / k)
+        - math.log(std * math.sqrt(2 * math.pi))
+    )
 
 
 @njit
@@ -52,7 +66,9 @@ def kernel_densities(gas: np.ndarray, mean: np.ndarray, variance: np.ndarray, cv
 
 
 @njit
-def kernel_distributions(gas: np.ndarray, mean: np.ndarray, variance: np.ndarray, cv: np.ndarray) -> np.ndarray:
+def kernel_distributions(
+    gas: np.ndarray, mean: np.ndarray, variance: np.ndarray, cv: np.ndarray
+) -> np.ndarray:
     result, cells = np.empty(len(gas)), np.empty(intermittency.BODY + intermittency.TAIL)
     for i in range(len(gas)):
         result[i] = intermittency.distribution(gas[i], mean[i], variance[i], cv[i], cells)
@@ -60,7 +76,9 @@ def kernel_distributions(gas: np.ndarray, mean: np.ndarray, variance: np.ndarray
 
 
 def cases(cv: float) -> np.ndarray:
-    """(4, M): gas, mean, std, cv; means over seven decades, noise a third, one and three times the sensor's, readings on all sides."""
+    """(4, M): gas, mean, std, cv; means over seven decades, noise a third, one and three times the
+    sensor's, readings on all sides.
+    """
     rows = []
     for mean in np.geomspace(1e-4, 1e3, 8).tolist():
         for factor in (0.3, 1.0, 3.0):
@@ -79,7 +97,8 @@ def test_the_compiled_density_is_the_integral_over_the_gas(cv: float) -> None:
     error = np.abs(kernel_densities(gas, mean, std**2, cvs) - expected)
     probable = expected > PROBABLE
     assert probable.sum() > 100
-    # The table is linear between its nodes. What it interpolates bends with the intermittency: the error grows with the fourth power.
+    # The table is linear between its nodes. What it interpolates bends with the intermittency: the error
+    # grows with the fourth power.
     assert error[probable].max() < (0.005 if cv > 2 else 0.0015 if cv > 1.2 else 0.0003)
 
 
@@ -99,15 +118,20 @@ def test_nearly_steady_gas_is_steady_gas() -> None:
     std = Gaussian().noise_std(mean)
     gas = mean + np.tile([-3.0, -1.0, 0.0, 1.0, 3.0], 8) * std
     steady = Gaussian().log_likelihood(gas, mean)
-    # The gas's own variance, cv² m², is at most 1e-4/0.09 of the noise's: at 3 standard deviations ½ (9 − 1) of that, and its skew.
+    # The gas's own variance, cv² m², is at most 1e-4/0.09 of the noise's: at 3 standard deviations ½ (9 − 1)
+    # of that, and its skew.
     assert kernel_densities(gas, mean, std**2, np.zeros(40)) == pytest.approx(steady, abs=0.006)
     assert Gaussian(cv=0.0).log_likelihood(gas, mean) == pytest.approx(steady, abs=0)
 
 
 def test_the_worked_case_of_exponential_gas() -> None:
-    # cv = 1: gas is exponential with mean m. Completing the square, p(z) = Φ(z/σ − σ/m) exp(σ²/(2m²) − z/m)/m. With m = 2, z = 1:
-    # σ² = 0.36 + 0.04 = 0.4; z/σ − σ/m = 1.581139 − 0.316228 = 1.264911; Φ = 0.8970484; exp(0.05 − 0.5)/2 = 0.3188141.
-    assert Gaussian(cv=1.0).log_likelihood(1.0, 2.0) == pytest.approx(math.log(0.8970484 * 0.3188141), abs=1e-4)
+    # cv = 1: gas is exponential with mean m. Completing the square, p(z) = Φ(z/σ − σ/m) exp(σ²/(2m²) −
+    # z/m)/m. With m = 2, z = 1:
+    # σ² = 0.36 + 0.04 = 0.4; z/σ − σ/m = 1.581139 − 0.316228 = 1.264911; Φ = 0.8970484; exp(0.05 − 0.5)/2 =
+    # 0.3188141.
+    assert Gaussian(cv=1.0).log_likelihood(1.0, 2.0) == pytest.approx(
+        math.log(0.8970484 * 0.3188141), abs=1e-4
+    )
     assert exact(1.0, 2.0, math.sqrt(0.4), 1.0) == pytest.approx(math.log(0.8970484 * 0.3188141), abs=1e-6)
 
 
@@ -124,7 +148,9 @@ def test_the_compiled_distribution_is_the_integral_over_the_noise(cv: float) -> 
         gas = np.array([-2 * std, 0.0, 0.5 * mean, mean, 2 * mean, mean + 3 * math.hypot(std, cv * mean)])
         expected = [weight @ stats.gamma.cdf(z - std * noise, 1 / cv**2, scale=mean * cv**2) for z in gas]
         ones = np.ones(len(gas))
-        assert kernel_distributions(gas, mean * ones, std**2 * ones, cv * ones) == pytest.approx(expected, abs=0.01)
+        assert kernel_distributions(gas, mean * ones, std**2 * ones, cv * ones) == pytest.approx(
+            expected, abs=0.01
+        )
 
 
 @pytest.mark.parametrize("mean", [0.0, 0.5, 8.0])
@@ -133,7 +159,8 @@ def test_readings_follow_the_density(cv: float, mean: float) -> None:
     sensor, count = Gaussian(cv=cv), 100_000
     readings = sensor.measure(np.full(count, mean), np.random.default_rng(3))
     std = math.hypot(cv * mean, math.hypot(0.3 * mean, 0.2))  # of the gas and of the noise, independent
-    # 4 standard errors. A gamma variable's fourth moment is (3 + 6 cv²) std⁴, so a variance errs by √((2 + 6 cv²)/n).
+    # 4 standard errors. A gamma variable's fourth moment is (3 + 6 cv²) std⁴, so a variance errs by √((2 + 6
+    # cv²)/n).
     assert readings.mean() == pytest.approx(mean, abs=4 * std / math.sqrt(count))
     assert readings.var() == pytest.approx(std**2, rel=4 * math.sqrt((2 + 6 * cv**2) / count))
     noise = math.hypot(0.3 * mean, 0.2)
@@ -145,7 +172,9 @@ def test_readings_follow_the_density(cv: float, mean: float) -> None:
         assert share == pytest.approx(0.04, abs=5 * math.sqrt(0.04 / count) + 1e-4)
     if mean > 0:
         below = np.mean(readings <= 0.5 * mean)
-        expected = kernel_distributions(np.array([0.5 * mean]), np.array([mean]), np.array([noise**2]), np.array([cv]))[0]
+        expected = kernel_distributions(
+            np.array([0.5 * mean]), np.array([mean]), np.array([noise**2]), np.array([cv])
+        )[0]
         assert below == pytest.approx(expected, abs=4 * 0.5 / math.sqrt(count) + 0.01)
 
 
@@ -153,7 +182,9 @@ def test_the_simulated_sensor_reads_the_gas_that_it_is_told() -> None:
     gas = np.array([1.0, 5.0])
     said = Gaussian(1e-9, 1e-9, 1.0).measure(np.full(2, 3.0), np.random.default_rng(1), gas)
     assert said == pytest.approx(gas, abs=1e-6)
-    assert Threshold(0.5, 0.0, 1e-9, 1e-9).measure(np.full(2, 3.0), np.random.default_rng(1), gas) == pytest.approx(gas, abs=1e-6)
+    assert Threshold(0.5, 0.0, 1e-9, 1e-9).measure(
+        np.full(2, 3.0), np.random.default_rng(1), gas
+    ) == pytest.approx(gas, abs=1e-6)
 
 
 def test_gamma_variables_side_by_side_are_those_drawn_alone() -> None:
@@ -169,7 +200,13 @@ def test_worlds_in_intermittent_gas_read_the_same_together_as_alone() -> None:
     worlds = [World(draw(seed), seed, Gaussian(cv=1.5)) for seed in (3, 4, 5)]
     places = np.array([[12.0, 15.0], [14.0, 13.0], [20.0, 20.0]])
     together = gas_of(worlds, places, [7, 8, 9], Keyed())
-    alone = [world.gas((x, y), step) for world, (x, y), step in zip(worlds, places.tolist(), (7, 8, 9), strict=True)]
+    alone = [
+        world.gas((x, y), step)
+        for world, (x, y), step in zip(worlds, places.tolist(), (7, 8, 9), strict=True)
+    ]
     assert together.tolist() == alone
-    steady = [World(draw(seed), seed).gas((x, y), step) for seed, (x, y), step in zip((3, 4, 5), places.tolist(), (7, 8, 9), strict=True)]
+    steady = [
+        World(draw(seed), seed).gas((x, y), step)
+        for seed, (x, y), step in zip((3, 4, 5), places.tolist(), (7, 8, 9), strict=True)
+    ]
     assert together.tolist() != steady

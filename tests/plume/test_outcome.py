@@ -32,11 +32,27 @@ def test_steps_and_distance_count_moves_not_readings() -> None:
 
 def test_the_json_has_the_fields_that_others_rely_on() -> None:
     trace = flown((3.0, 4.0))
-    fields = json.loads(outcome_json(outcome(1, "random", SCENARIO, trace, True, 0.1, "field", "spread:0.5"), trace))
+    fields = json.loads(
+        outcome_json(outcome(1, "random", SCENARIO, trace, True, 0.1, "field", "spread:0.5"), trace)
+    )
     assert set(fields) == {
-        "seed", "policy", "ceased", "located", "estimate", "source", "scenario", "error_m", "spread_m", "steps", "distance_m",
-        "search_time_s", "assume", "stop", "world", "trace",
-    }  # fmt: skip
+        "seed",
+        "policy",
+        "ceased",
+        "located",
+        "estimate",
+        "source",
+        "scenario",
+        "error_m",
+        "spread_m",
+        "steps",
+        "distance_m",
+        "search_time_s",
+        "assume",
+        "stop",
+        "world",
+        "trace",
+    }
     assert set(fields["scenario"]) == {"q", "u", "phi", "d", "tau", "start"}
     assert set(fields["trace"][0]) == {"position", "reading", "mean", "spread"}
 
@@ -45,8 +61,12 @@ def test_the_json_has_the_fields_that_others_rely_on() -> None:
     ("estimate", "ceased", "verdict"),
     [((3.0, 3.1), True, "located"), ((3.0, 2.0), True, "FALSE STOP"), ((3.0, 3.1), False, "not ceased")],
 )
-def test_the_text_names_verdict_estimate_and_source(estimate: tuple[float, float], ceased: bool, verdict: str) -> None:
-    told = outcome_text(outcome(1, "random", SCENARIO, flown(estimate), ceased, 0.1, "field", "spread:0.5")).splitlines()
+def test_the_text_names_verdict_estimate_and_source(
+    estimate: tuple[float, float], ceased: bool, verdict: str
+) -> None:
+    told = outcome_text(
+        outcome(1, "random", SCENARIO, flown(estimate), ceased, 0.1, "field", "spread:0.5")
+    ).splitlines()
     assert told[0] == f"{verdict} after 2 steps, 2.0 m"
     assert told[1] == f"estimate (3.00, {estimate[1]:.2f}) ± 0.40 m"
     assert told[2] == f"source   (3.00, 4.00), error {4 - estimate[1]:.2f} m"
@@ -65,4 +85,8 @@ def test_of_a_source_that_nobody_knows_nothing_is_claimed(ceased: bool, verdict:
     assert [fields[name] for name in ("located", "error_m", "source", "scenario")] == [None] * 4
     assert fields["ceased"] is ceased
     lines = outcome_text(result).splitlines()
-    assert lines == [f"{verdict} after 2 steps, 2.0 m", "estimate (3.00, 4.00) ± 0.40 m", "assumed  field, stop spread:0.5"]
+    assert lines == [
+        f"{verdict} after 2 steps, 2.0 m",
+        "estimate (3.00, 4.00) ± 0.40 m",
+        "assumed  field, stop spread:0.5",
+    ]

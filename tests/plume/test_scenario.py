@@ -28,7 +28,9 @@ def scenarios() -> list[Scenario]:
         ("start_y", 0, 5),
     ],
 )
-def test_every_quantity_is_uniform_over_its_range_of_table_1(scenarios: list[Scenario], name: str, low: float, high: float) -> None:
+def test_every_quantity_is_uniform_over_its_range_of_table_1(
+    scenarios: list[Scenario], name: str, low: float, high: float
+) -> None:
     pick = {
         "x": lambda s: s.source[0],
         "y": lambda s: s.source[1],

@@ -20,7 +20,9 @@ def test_the_noise_has_the_moments_that_the_two_noises_add_up_to(mean: float, st
 
 
 def kolmogorov_smirnov(readings: np.ndarray, sensor: Sensor, mean: float, low: float, high: float) -> float:
-    """√n times the greatest distance between the empirical distribution and the integrated likelihood, from `low` to `high`."""
+    """√n times the greatest distance between the empirical distribution and the integrated likelihood,
+    from `low` to `high`.
+    """
     grid = np.linspace(low, high, 400_001)
     density = np.exp(sensor.log_likelihood(grid, mean))
     cumulative = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(grid))])
@@ -29,7 +31,9 @@ def kolmogorov_smirnov(readings: np.ndarray, sensor: Sensor, mean: float, low: f
 
 
 @pytest.mark.parametrize("mean", [0.0, 0.4, 1.0, 3.9, 4.1, 10.0, 100.0])
-@pytest.mark.parametrize("sensor", [GAUSSIAN, Threshold(), Threshold(2.0, 0.0), Hits(), Hits(1.0, 5.0)], ids=text)
+@pytest.mark.parametrize(
+    "sensor", [GAUSSIAN, Threshold(), Threshold(2.0, 0.0), Hits(), Hits(1.0, 5.0)], ids=text
+)
 def test_the_entropy_is_the_expected_log_likelihood_with_its_sign_turned(sensor: Sensor, mean: float) -> None:
     if isinstance(sensor, Hits):
         values, steps = np.arange(0.0, 1000.0), np.ones(1000)
@@ -41,7 +45,9 @@ def test_the_entropy_is_the_expected_log_likelihood_with_its_sign_turned(sensor:
     if isinstance(sensor, Threshold):
         values, steps = np.append(values, 0.0), np.append(steps, 1.0)
     log_likelihood = sensor.log_likelihood(values, mean)
-    assert sensor.entropy(mean) == pytest.approx(-float(steps @ (np.exp(log_likelihood) * log_likelihood)), abs=2e-5)
+    assert sensor.entropy(mean) == pytest.approx(
+        -float(steps @ (np.exp(log_likelihood) * log_likelihood)), abs=2e-5
+    )
 
 
 @pytest.mark.parametrize("mean", MEANS)
@@ -57,7 +63,9 @@ def test_the_threshold_likelihood_is_the_density_of_its_readings(mean: float) ->
     readings = sensor.measure(np.full(DRAWS, mean), np.random.default_rng(3))
     silent = float(np.exp(sensor.log_likelihood(0.0, mean)))
     share = float(np.mean(readings == 0.0))
-    assert share == pytest.approx(silent, abs=4 * math.sqrt(silent * (1 - silent) / DRAWS))  # 4 standard deviations
+    assert share == pytest.approx(
+        silent, abs=4 * math.sqrt(silent * (1 - silent) / DRAWS)
+    )  # 4 standard deviations
     heard = readings[readings > 0]
     assert heard.min() >= 0.5
     assert kolmogorov_smirnov(heard, sensor, mean, 0.5, mean + 40) < 2.0
@@ -66,7 +74,9 @@ def test_the_threshold_likelihood_is_the_density_of_its_readings(mean: float) ->
 @pytest.mark.parametrize("mean", MEANS)
 def test_the_likelihood_of_hits_is_the_frequency_of_its_counts(mean: float) -> None:
     sensor = Hits(efficiency=3.0, background=0.1)
-    counts = np.bincount(sensor.measure(np.full(DRAWS, mean), np.random.default_rng(4)).astype(int), minlength=100)
+    counts = np.bincount(
+        sensor.measure(np.full(DRAWS, mean), np.random.default_rng(4)).astype(int), minlength=100
+    )
     probability = np.exp(sensor.log_likelihood(np.arange(len(counts)), mean))
     often = probability * DRAWS > 10
     chi_square = np.sum((counts[often] - DRAWS * probability[often]) ** 2 / (DRAWS * probability[often]))
@@ -75,13 +85,17 @@ def test_the_likelihood_of_hits_is_the_frequency_of_its_counts(mean: float) -> N
 
 
 @pytest.mark.parametrize("mean", MEANS)
-@pytest.mark.parametrize("sensor", [GAUSSIAN, Gaussian(0.1, 1.0), Threshold(), Threshold(0.2, 0.0), Hits(), Hits(0.5, 2.0)])
+@pytest.mark.parametrize(
+    "sensor", [GAUSSIAN, Gaussian(0.1, 1.0), Threshold(), Threshold(0.2, 0.0), Hits(), Hits(0.5, 2.0)]
+)
 def test_every_likelihood_sums_to_one(sensor: Sensor, mean: float) -> None:
     if isinstance(sensor, Hits):
         total = np.exp(sensor.log_likelihood(np.arange(500), mean)).sum()
     elif isinstance(sensor, Threshold):
         readings = np.linspace(sensor.threshold, 80.0, 2_000_001)
-        total = np.exp(sensor.log_likelihood(0.0, mean)) + np.trapezoid(np.exp(sensor.log_likelihood(readings, mean)), readings)
+        total = np.exp(sensor.log_likelihood(0.0, mean)) + np.trapezoid(
+            np.exp(sensor.log_likelihood(readings, mean)), readings
+        )
     else:
         readings = np.linspace(-60.0, 80.0, 2_000_001)
         total = np.trapezoid(np.exp(sensor.log_likelihood(readings, mean)), readings)
@@ -89,7 +103,8 @@ def test_every_likelihood_sums_to_one(sensor: Sensor, mean: float) -> None:
 
 
 def test_the_likelihoods_equal_hand_worked_values() -> None:
-    # m = 2, z = 3: σ² = 0.36 + 0.04 = 0.4;  log p = −1/0.8 − ½ log(0.4) − ½ log(2π) = −1.25 + 0.4581454 − 0.9189385
+    # m = 2, z = 3: σ² = 0.36 + 0.04 = 0.4;  log p = −1/0.8 − ½ log(0.4) − ½ log(2π) = −1.25 + 0.4581454 −
+    # 0.9189385
     assert GAUSSIAN.log_likelihood(3.0, 2.0) == pytest.approx(-1.7107932, abs=1e-7)
     assert GAUSSIAN.noise_std(2.0) == pytest.approx(math.sqrt(0.4))
     # The same reading, not missed: plus log 0.7.  P(0) at m = 0.5, the threshold: 0.3 + 0.7 · ½ = 0.65
@@ -102,13 +117,19 @@ def test_the_likelihoods_equal_hand_worked_values() -> None:
 @pytest.mark.parametrize(
     ("sensor", "allowed", "refused"),
     [
-        (GAUSSIAN, [-6.2, 0.0, 5.0, 12.2], [-6.3, 12.3, 1e3, 3e38]),  # 3 ± 10 sqrt((0.3 · 3)² + 0.2²) = 3 ± 9.22
+        (
+            GAUSSIAN,
+            [-6.2, 0.0, 5.0, 12.2],
+            [-6.3, 12.3, 1e3, 3e38],
+        ),  # 3 ± 10 sqrt((0.3 · 3)² + 0.2²) = 3 ± 9.22
         (Threshold(0.5), [0.0, 0.5, 5.0], [0.3, -0.1, 1e3]),
         (Hits(), [0.0, 1.0, 20.0], [-1.0, 0.5, 1e3, 3e38]),
     ],
     ids=["gaussian", "threshold", "hits"],
 )
-def test_a_reading_that_the_sensor_cannot_have_given_is_refused(sensor: Sensor, allowed: list[float], refused: list[float]) -> None:
+def test_a_reading_that_the_sensor_cannot_have_given_is_refused(
+    sensor: Sensor, allowed: list[float], refused: list[float]
+) -> None:
     assert [sensor.refusal(gas, 3.0) for gas in allowed] == [None] * len(allowed)
     assert all("absurd" in str(sensor.refusal(gas, 3.0)) for gas in refused)
 
@@ -136,7 +157,18 @@ def test_a_sensors_name_alone_means_its_defaults() -> None:
 
 
 @pytest.mark.parametrize(
-    "bad", ["", "laser", "hits:0", "hits:1,2,3", "hits:x", "gaussian:0.3,0", "threshold:0.5,1", "threshold:nan", "gaussian:inf,1"]
+    "bad",
+    [
+        "",
+        "laser",
+        "hits:0",
+        "hits:1,2,3",
+        "hits:x",
+        "gaussian:0.3,0",
+        "threshold:0.5,1",
+        "threshold:nan",
+        "gaussian:inf,1",
+    ],
 )
 def test_a_bad_sensor_is_named_with_what_is_allowed(bad: str) -> None:
     with pytest.raises(ValueError, match="is not allowed"):

@@ -27,7 +27,9 @@ def test_readings_scatter_around_the_concentration_at_the_position() -> None:
     position = (s.source[0] - 1.0, s.source[1])
     mean = float(concentration(position, s.source, s.wind, rate=s.q, diffusivity=s.d, lifetime=s.tau))
     readings = np.array([World(s, seed).gas(position, 0) for seed in range(4000)])
-    assert readings.mean() == pytest.approx(mean, abs=4 * float(GAUSSIAN.noise_std(mean)) / np.sqrt(4000))  # 4 standard errors
+    assert readings.mean() == pytest.approx(
+        mean, abs=4 * float(GAUSSIAN.noise_std(mean)) / np.sqrt(4000)
+    )  # 4 standard errors
 
 
 def test_readings_start_and_wind_are_exact_float32_values() -> None:
@@ -36,12 +38,17 @@ def test_readings_start_and_wind_are_exact_float32_values() -> None:
         assert value == float(np.float32(value))
 
 
-@pytest.mark.parametrize("sensor", [GAUSSIAN, Gaussian(0.6, 0.1), Threshold(0.3, 0.4), Hits(50.0, 3.0)], ids=text)
+@pytest.mark.parametrize(
+    "sensor", [GAUSSIAN, Gaussian(0.6, 0.1), Threshold(0.3, 0.4), Hits(50.0, 3.0)], ids=text
+)
 def test_a_reading_among_others_is_the_reading_alone_to_the_bit(sensor: Sensor) -> None:
     seeds, steps = [*range(12), 2**63 - 1], [7 * seed % 5 for seed in range(13)]
     worlds = [World(draw(seed % 50), seed, sensor) for seed in seeds]
     places = np.array([draw(seed % 50).source for seed in seeds]) + np.linspace(0, 9, 26).reshape(13, 2)
-    alone = [World(draw(seed % 50), seed, sensor).gas((x, y), k) for seed, (x, y), k in zip(seeds, places.tolist(), steps, strict=True)]
+    alone = [
+        World(draw(seed % 50), seed, sensor).gas((x, y), k)
+        for seed, (x, y), k in zip(seeds, places.tolist(), steps, strict=True)
+    ]
     assert gas_of(worlds, places, steps, Keyed()).tolist() == alone
     assert gas_of(worlds[::-1], places[::-1], steps[::-1], Keyed()).tolist() == alone[::-1]
     assert len(set(alone)) > 4  # not all of them read 0
@@ -67,7 +74,12 @@ def test_services_get_seeds_that_differ_from_the_missions_and_from_each_other() 
 
 
 def test_one_generator_set_from_place_to_place_draws_as_a_new_one_each() -> None:
-    places = [(seed, stream, step) for seed in (0, 5, 2**63 - 1) for stream in ("sensor", "scenario") for step in (0, 1, 299)]
+    places = [
+        (seed, stream, step)
+        for seed in (0, 5, 2**63 - 1)
+        for stream in ("sensor", "scenario")
+        for step in (0, 1, 299)
+    ]
     one = Keyed()
     for place in places + places[::-1]:
         drawn = one.at(*place)

@@ -1,4 +1,6 @@
-"""Protects the worlds: each differs from what the estimator is told as its name says and in nothing else, by formulas written anew here."""
+"""Protects the worlds: each differs from what the estimator is told as its name says and in nothing else,
+by formulas written anew here.
+"""
 
 import math
 import re
@@ -21,23 +23,33 @@ MANY = 40_000
 SEEDS = range(2000)
 
 FACTORS = {
-    "speed-low": ("u", 0.7), "speed-high": ("u", 1.4), "rate-halved": ("q", 0.5), "rate-doubled": ("q", 2.0), "tau-halved": ("tau", 0.5),
-    "tau-doubled": ("tau", 2.0), "d-halved": ("d", 0.5), "d-doubled": ("d", 2.0),
-}  # fmt: skip
+    "speed-low": ("u", 0.7),
+    "speed-high": ("u", 1.4),
+    "rate-halved": ("q", 0.5),
+    "rate-doubled": ("q", 2.0),
+    "tau-halved": ("tau", 0.5),
+    "tau-doubled": ("tau", 2.0),
+    "d-halved": ("d", 0.5),
+    "d-doubled": ("d", 2.0),
+}
 """Worlds in which one number of the release is wrong."""
 TURNED = {"wind-10": 10.0, "wind-30": 30.0}
 ELSEWHERE = {"all-at-once", "source-outside"}
 """Worlds with tests of their own."""
 
 
-def formula(at: tuple[float, float], source: tuple[float, float], q: float, u: float, phi: float, d: float, tau: float) -> float:
+def formula(
+    at: tuple[float, float], source: tuple[float, float], q: float, u: float, phi: float, d: float, tau: float
+) -> float:
     """The paper's concentration, written independently of the code."""
     r = max(math.dist(at, source), 0.1)
     psi = -((at[0] - source[0]) * u * math.cos(phi) + (at[1] - source[1]) * u * math.sin(phi)) / (2 * d)
     return q / (4 * math.pi * d * r) * math.exp(-r / math.sqrt(d * tau / (1 + u**2 * tau / (4 * d))) + psi)
 
 
-def readings(name: str, sensor: Sensor = GAUSSIAN, count: int = MANY, first: int = 0, seed: int = 1) -> np.ndarray:
+def readings(
+    name: str, sensor: Sensor = GAUSSIAN, count: int = MANY, first: int = 0, seed: int = 1
+) -> np.ndarray:
     """So many readings of one mission at PLACE, from reading `first` on."""
     world = World(RELEASE, seed, sensor, name)
     return gas_of([world] * count, np.tile(PLACE, (count, 1)), range(first, first + count), Keyed())
@@ -49,14 +61,18 @@ def turned(a: tuple[float, float], b: tuple[float, float]) -> float:
 
 
 def within(samples: np.ndarray, mean: float, std: float) -> bool:
-    """Whether independent samples have this mean and standard deviation, within five standard errors; the fourth moment is theirs."""
+    """Whether independent samples have this mean and standard deviation, within five standard errors; the
+    fourth moment is theirs.
+    """
     centred = np.square(samples - mean)
     of_mean, of_variance = std / math.sqrt(len(samples)), float(centred.std()) / math.sqrt(len(samples))
     return abs(samples.mean() - mean) < 5 * of_mean and abs(centred.mean() - std**2) < 5 * of_variance
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_what_is_told_is_the_same_in_every_world_and_the_truth_differs_only_as_the_name_says(name: str) -> None:
+def test_what_is_told_is_the_same_in_every_world_and_the_truth_differs_only_as_the_name_says(
+    name: str,
+) -> None:
     for seed in range(50):
         told = draw(seed)
         world = World(told, seed, name=name)
@@ -65,7 +81,10 @@ def test_what_is_told_is_the_same_in_every_world_and_the_truth_differs_only_as_t
         assert world.start == tuple(np.float32(told.start).tolist())
         field, factor = FACTORS.get(name, ("", 1.0))
         if name not in ELSEWHERE and name not in TURNED:
-            assert asdict(world.truth) == {**asdict(told), **({field: factor * getattr(told, field)} if field else {})}
+            assert asdict(world.truth) == {
+                **asdict(told),
+                **({field: factor * getattr(told, field)} if field else {}),
+            }
 
 
 def test_the_true_wind_is_to_either_side_of_the_measured_one_by_the_angle_and_as_strong() -> None:
@@ -74,7 +93,10 @@ def test_the_true_wind_is_to_either_side_of_the_measured_one_by_the_angle_and_as
         angles = np.array([turned(world.scenario.wind, world.truth.wind) for world in worlds])
         assert np.abs(angles) == pytest.approx(np.full(len(SEEDS), angle))
         assert np.mean(angles > 0) == pytest.approx(0.5, abs=4 * math.sqrt(0.25 / len(SEEDS)))
-        assert all(world.truth.u == world.scenario.u and world.truth.source == world.scenario.source for world in worlds)
+        assert all(
+            world.truth.u == world.scenario.u and world.truth.source == world.scenario.source
+            for world in worlds
+        )
 
 
 @pytest.mark.parametrize("name", [name for name in WORLDS if not name.startswith(("cv", "stuck", "all"))])
@@ -93,11 +115,19 @@ def test_a_reading_is_of_the_true_gas_with_the_true_noise_of_its_step(name: str)
 @pytest.mark.parametrize(
     ("name", "gain", "noise", "cv"),
     [
-        ("as-modelled", 1, 1, 0), ("noise-doubled", 1, 2, 0), ("noise-halved", 1, 0.5, 0), ("gain-halved", 0.5, 1, 0),
-        ("gain-doubled", 2, 1, 0), ("cv-0.6", 1, 1, 0.6), ("cv-1", 1, 1, 1), ("cv-2", 1, 1, 2),
+        ("as-modelled", 1, 1, 0),
+        ("noise-doubled", 1, 2, 0),
+        ("noise-halved", 1, 0.5, 0),
+        ("gain-halved", 0.5, 1, 0),
+        ("gain-doubled", 2, 1, 0),
+        ("cv-0.6", 1, 1, 0.6),
+        ("cv-1", 1, 1, 1),
+        ("cv-2", 1, 1, 2),
     ],
-)  # fmt: skip
-def test_readings_have_the_mean_and_the_variance_of_their_world(name: str, gain: float, noise: float, cv: float) -> None:
+)
+def test_readings_have_the_mean_and_the_variance_of_their_world(
+    name: str, gain: float, noise: float, cv: float
+) -> None:
     m = gain * formula(PLACE, RELEASE.source, RELEASE.q, RELEASE.u, RELEASE.phi, RELEASE.d, RELEASE.tau)
     assert within(readings(name), m, math.sqrt((noise * 0.3 * m) ** 2 + (noise * 0.2) ** 2 + (cv * m) ** 2))
     # Counts: Poisson around the gas, whose noise has no factor.
@@ -119,7 +149,9 @@ def test_a_threshold_meets_intermittent_gas_too() -> None:
     # Exponential gas plus normal noise: the exponentially modified Gaussian distribution.
     below = normal(2 / std) - math.exp(-2 / m + std**2 / (2 * m**2)) * normal(2 / std - std / m)
     silent = 0.2 + 0.8 * below
-    assert np.mean(readings("cv-1", sensor) == 0) == pytest.approx(silent, abs=4 * math.sqrt(silent * (1 - silent) / MANY))
+    assert np.mean(readings("cv-1", sensor) == 0) == pytest.approx(
+        silent, abs=4 * math.sqrt(silent * (1 - silent) / MANY)
+    )
     assert np.mean(readings("as-modelled", sensor) == 0) != pytest.approx(silent, abs=0.02)
 
 
@@ -127,7 +159,9 @@ def test_an_intermittent_sensor_meets_its_own_gas_where_the_world_says_nothing_o
     sensor = Gaussian(0.3, 0.2, 1.5)
     m = formula(PLACE, RELEASE.source, RELEASE.q, RELEASE.u, RELEASE.phi, RELEASE.d, RELEASE.tau)
     for name, cv, noise in (("as-modelled", 1.5, 1), ("noise-doubled", 1.5, 2), ("cv-0.6", 0.6, 1)):
-        assert within(readings(name, sensor), m, math.sqrt((noise * 0.3 * m) ** 2 + (noise * 0.2) ** 2 + (cv * m) ** 2))
+        assert within(
+            readings(name, sensor), m, math.sqrt((noise * 0.3 * m) ** 2 + (noise * 0.2) ** 2 + (cv * m) ** 2)
+        )
     expected = float(sensor.measure(m, keyed(1, "sensor", 0)))
     assert readings("as-modelled", sensor, 1)[0] == pytest.approx(expected, rel=1e-6)
 
@@ -143,7 +177,9 @@ def test_correlated_gas_is_exponential_and_its_correlation_is_0_7_to_the_power_o
     exact = Gaussian(0.0, 1e-9)
     gas = readings("cv-1-correlated", exact) / m
     for lag in range(1, 6):
-        assert np.corrcoef(gas[:-lag], gas[lag:])[0, 1] == pytest.approx(0.7**lag, abs=0.04)  # about five standard errors
+        assert np.corrcoef(gas[:-lag], gas[lag:])[0, 1] == pytest.approx(
+            0.7**lag, abs=0.04
+        )  # about five standard errors
     # 1.95/√n is exceeded once in a thousand; correlation leaves (1 − 0.7)/(1 + 0.7) of the readings' number.
     assert exponential_gap(gas) < 1.95 / math.sqrt(MANY * 0.3 / 1.7)
     # Of many missions the readings are independent.
@@ -166,7 +202,10 @@ def test_all_at_once_draws_each_error_from_its_range_and_none_with_another() -> 
     numbers = {
         "direction": [it.direction_deg / 30 for it in drawn],
         "speed": [2 * math.log(it.speed / 0.7) / math.log(2) - 1 for it in drawn],
-        **{name: [math.log2(getattr(it, name)) for it in drawn] for name in ("noise", "gain", "q", "tau", "d")},
+        **{
+            name: [math.log2(getattr(it, name)) for it in drawn]
+            for name in ("noise", "gain", "q", "tau", "d")
+        },
         "cv": [2 * (it.cv or 0.0) - 1 for it in drawn],
     }
     for name, values in numbers.items():  # each is uniform from −1 to 1, with variance 1/3
@@ -198,14 +237,19 @@ def test_the_source_is_uniform_over_the_area_outside_table_1() -> None:
     assert ((sources >= 0) & (sources <= 30)).all()
     assert not ((sources >= 10) & (sources <= 25)).all(axis=1).any()
     for axis in (0, 1):  # of the area of 675 m²: 300 m² below 10 m, 150 m² above 25 m
-        for share, sought in ((np.mean(sources[:, axis] < 10), 300 / 675), (np.mean(sources[:, axis] > 25), 150 / 675)):
+        for share, sought in (
+            (np.mean(sources[:, axis] < 10), 300 / 675),
+            (np.mean(sources[:, axis] > 25), 150 / 675),
+        ):
             assert share == pytest.approx(sought, abs=4 * math.sqrt(sought * (1 - sought) / len(SEEDS)))
     assert World(draw(7), 7, name="source-outside").scenario.source == draw(7).source
 
 
 def test_a_fifth_of_the_readings_is_lost_but_not_the_first_and_what_is_then_taken_is_the_same() -> None:
     lost, modelled = (World(draw(3), 3, name=name) for name in ("readings-lost", "as-modelled"))
-    assert np.mean([lost.loses(step) for step in range(1, 5001)]) == pytest.approx(0.2, abs=4 * math.sqrt(0.16 / 5000))
+    assert np.mean([lost.loses(step) for step in range(1, 5001)]) == pytest.approx(
+        0.2, abs=4 * math.sqrt(0.16 / 5000)
+    )
     assert not any(World(draw(seed), seed, name="readings-lost").loses(0) for seed in range(200))
     assert not any(modelled.loses(step) for step in range(200))
     assert [lost.gas(PLACE, step) for step in range(50)] == [modelled.gas(PLACE, step) for step in range(50)]
@@ -216,7 +260,9 @@ def test_a_stuck_sensor_repeats_one_value_from_reading_10_on_wherever_it_is() ->
     assert [world.gas(PLACE, step) for step in range(10)] == [modelled.gas(PLACE, step) for step in range(10)]
     (value,) = {world.gas((float(step % 30), 5.0), step) for step in range(10, 60)}
     assert 0 <= value <= 3
-    assert within(np.array([World(RELEASE, seed, name="stuck").gas(PLACE, 10) for seed in SEEDS]), 1.5, math.sqrt(0.75))
+    assert within(
+        np.array([World(RELEASE, seed, name="stuck").gas(PLACE, 10) for seed in SEEDS]), 1.5, math.sqrt(0.75)
+    )
 
 
 def test_a_noisy_stuck_sensor_reads_about_1_from_the_start_wherever_it_is() -> None:
@@ -235,14 +281,20 @@ def test_a_stuck_sensor_says_only_what_its_kind_can_say(sensor: Sensor) -> None:
 
 
 def test_a_reading_among_others_is_the_reading_alone_to_the_bit_whatever_their_worlds_and_sensors() -> None:
-    kinds = [(name, sensor) for name in WORLDS for sensor in (GAUSSIAN, Threshold(0.1, 0.2), Hits(), Gaussian(0.1, 0.3, 0.8))]
+    kinds = [
+        (name, sensor)
+        for name in WORLDS
+        for sensor in (GAUSSIAN, Threshold(0.1, 0.2), Hits(), Gaussian(0.1, 0.3, 0.8))
+    ]
     steps = [(7 * number) % 31 for number in range(len(kinds))]
     places = np.array([np.add(draw(number).source, (-1.0, 0.5)) for number in range(len(kinds))])
 
     def worlds() -> list[World]:
         return [World(draw(number), number, sensor, name) for number, (name, sensor) in enumerate(kinds)]
 
-    alone = [world.gas((x, y), step) for world, (x, y), step in zip(worlds(), places.tolist(), steps, strict=True)]
+    alone = [
+        world.gas((x, y), step) for world, (x, y), step in zip(worlds(), places.tolist(), steps, strict=True)
+    ]
     assert gas_of(worlds(), places, steps, Keyed()).tolist() == alone
     assert gas_of(worlds()[::-1], places[::-1], steps[::-1], Keyed()).tolist() == alone[::-1]
     assert all(value == np.float32(value) for value in alone)
@@ -256,5 +308,7 @@ def test_the_page_on_physics_lists_the_worlds() -> None:
 
 
 def test_a_name_that_is_none_is_told_with_those_that_are() -> None:
-    with pytest.raises(ValueError, match=r"^no world 'wind-3'; wanted as-modelled, wind-10, wind-30, .*, stuck-noisy$"):
+    with pytest.raises(
+        ValueError, match=r"^no world 'wind-3'; wanted as-modelled, wind-10, wind-30, .*, stuck-noisy$"
+    ):
         World(draw(1), 1, name="wind-3")

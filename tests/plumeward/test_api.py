@@ -1,4 +1,6 @@
-"""Protects the names that `import plumeward` gives: each does what its docstring says, against truths derived here or elsewhere."""
+"""Protects the names that `import plumeward` gives: each does what its docstring says, against truths
+derived here or elsewhere.
+"""
 
 import ast
 import json
@@ -26,7 +28,12 @@ def run(code: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 def mean_gas(
-    position: tuple[float, float], source: tuple[float, float], wind: tuple[float, float], q: float, d: float, tau: float
+    position: tuple[float, float],
+    source: tuple[float, float],
+    wind: tuple[float, float],
+    q: float,
+    d: float,
+    tau: float,
 ) -> float:
     """The paper's equation: m = q/(4π d r) · exp(−r/λ + ψ)."""
     dx, dy = position[0] - source[0], position[1] - source[1]
@@ -37,8 +44,15 @@ def mean_gas(
 
 def test_every_name_of_the_api_is_there_and_typed_and_listed() -> None:
     tree = ast.parse((ROOT / "plumeward" / "__init__.py").read_text())
-    (typed,) = (node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
-    names = {alias.asname or alias.name for node in typed.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    (typed,) = (
+        node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    )
+    names = {
+        alias.asname or alias.name
+        for node in typed.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
     assert names | {"__version__"} == set(plumeward.__all__) <= set(dir(plumeward))
     for name in names:
         assert getattr(plumeward, name).__doc__
@@ -75,7 +89,9 @@ def test_a_rollout_by_default_is_homings_and_its_outcome_is_that_of_its_trace() 
     assert (outcome.policy, outcome.steps) == ("homing", len(trace) - 1)
     assert outcome.source == plumeward.draw(3).source
     assert outcome.error_m == pytest.approx(math.dist(trace[-1].mean, outcome.source))
-    assert outcome.distance_m == pytest.approx(sum(math.dist(a.position, b.position) for a, b in pairwise(trace)))
+    assert outcome.distance_m == pytest.approx(
+        sum(math.dist(a.position, b.position) for a, b in pairwise(trace))
+    )
     assert outcome.ceased == (trace[-1].spread < 0.5)
     assert trace == plumeward.rollout(3, "homing")[1]
 
@@ -83,14 +99,18 @@ def test_a_rollout_by_default_is_homings_and_its_outcome_is_that_of_its_trace() 
 def test_scenarios_are_of_table_1() -> None:
     drawn = [plumeward.draw(seed) for seed in range(2000)]
     values = np.array([(*it.source, it.q, it.u, it.phi, it.d, *it.start) for it in drawn])
-    low, high = np.array([(10, 25), (10, 25), (100, 500), (1, 4), (0, 2 * math.pi), (1, 8), (0, 5), (0, 5)], float).T
+    low, high = np.array(
+        [(10, 25), (10, 25), (100, 500), (1, 4), (0, 2 * math.pi), (1, 8), (0, 5), (0, 5)], float
+    ).T
     assert ((values >= low) & (values <= high)).all()
     # The mean of 2,000 uniform draws scatters by a width of 1/√12/√2000, 0.0065.
     assert ((values.mean(axis=0) - low) / (high - low)) == pytest.approx(0.5, abs=5 * 0.0065)
 
 
 def test_a_world_answers_with_the_papers_gas_and_noise() -> None:
-    scenario = plumeward.Scenario(source=(12.0, 15.0), q=250.0, u=2.0, phi=0.7, d=3.0, tau=10.0, start=(1.0, 2.0))
+    scenario = plumeward.Scenario(
+        source=(12.0, 15.0), q=250.0, u=2.0, phi=0.7, d=3.0, tau=10.0, start=(1.0, 2.0)
+    )
     world = plumeward.World(scenario, seed=4)
     assert world.start == (1.0, 2.0)
     assert world.wind == pytest.approx((2 * math.cos(0.7), 2 * math.sin(0.7)))
@@ -126,7 +146,9 @@ def test_two_readings_give_the_posterior_that_a_grid_gives() -> None:
     places = (np.arange(300) + 0.5) / 10
     log_density = np.zeros((300, 300))
     for position, gas in taken:
-        means = np.array([[mean_gas(position, (x, y), wind, rate, diffusivity, 10.0) for y in places] for x in places])
+        means = np.array(
+            [[mean_gas(position, (x, y), wind, rate, diffusivity, 10.0) for y in places] for x in places]
+        )
         variance = (0.3 * means) ** 2 + 0.2**2
         log_density += -0.5 * np.log(variance) - (gas - means) ** 2 / (2 * variance)
     density = np.exp(log_density - log_density.max())
@@ -148,7 +170,9 @@ def test_readings_of_ones_own_give_the_beliefs_of_a_mission() -> None:
     config = plumeward.Config(300, seed=derived_seed(5, "estimator"), rate=scenario.q, diffusivity=scenario.d)
     posterior = plumeward.prior(config)
     for step, point in enumerate(trace):
-        reading = plumeward.Reading(step, point.position, 5.0, plumeward.World(scenario, 5).wind, point.reading)
+        reading = plumeward.Reading(
+            step, point.position, 5.0, plumeward.World(scenario, 5).wind, point.reading
+        )
         posterior = plumeward.assimilate(posterior, reading, config)
         said, _ = plumeward.belief(posterior, reading, config)
         assert (said.mean, said.spread) == (point.mean, point.spread)
@@ -167,7 +191,10 @@ def test_figures_are_those_of_the_missions_one_by_one() -> None:
         assert figures["located"] == pytest.approx(sum(outcome.located for outcome in flown) / 6)
         if ceased:
             assert figures["mtd_m"] == pytest.approx(np.mean([outcome.distance_m for outcome in ceased]))
-    assert plumeward.evaluate("homing", 6, particles=200, budget=60)["homing"]["mtd_m"] == said["homing"]["mtd_m"]
+    assert (
+        plumeward.evaluate("homing", 6, particles=200, budget=60)["homing"]["mtd_m"]
+        == said["homing"]["mtd_m"]
+    )
 
 
 @pytest.mark.slow
@@ -181,7 +208,15 @@ def test_policies_are_compared_in_several_worlds() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"policies": []}, {"policies": "hommer"}, {"scenarios": 0}, {"workers": 0}, {"world": []}, {"world": "windy"}]
+    "wrong",
+    [
+        {"policies": []},
+        {"policies": "hommer"},
+        {"scenarios": 0},
+        {"workers": 0},
+        {"world": []},
+        {"world": "windy"},
+    ],
 )
 def test_what_cannot_be_evaluated_is_a_value_error(wrong: dict) -> None:
     with pytest.raises(ValueError, match=r"wanted|Wanted"):
@@ -191,28 +226,47 @@ def test_what_cannot_be_evaluated_is_a_value_error(wrong: dict) -> None:
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"rate": 250.0}, "argument rate=250.0 is not allowed; wanted further knowledge of area_m, priors, sensor, "),
+        (
+            {"rate": 250.0},
+            "argument rate=250.0 is not allowed; wanted further knowledge of area_m, priors, sensor, ",
+        ),
         ({"ends": False}, "argument ends=False is not allowed; wanted further knowledge of "),
-        ({"sensor": "hits:3,0.1"}, "sensor 'hits:3,0.1' is not allowed; wanted a sensor, such as plume.sensor.parse"),
-        ({"priors": {"q": "gamma:2,150"}}, "the prior 'gamma:2,150' of q is not allowed; wanted one such as estimator.priors.Gamma"),
+        (
+            {"sensor": "hits:3,0.1"},
+            "sensor 'hits:3,0.1' is not allowed; wanted a sensor, such as plume.sensor.parse",
+        ),
+        (
+            {"priors": {"q": "gamma:2,150"}},
+            "the prior 'gamma:2,150' of q is not allowed; wanted one such as estimator.priors.Gamma",
+        ),
     ],
 )
-def test_an_argument_that_a_mission_cannot_take_is_named_with_those_that_it_can(wrong: dict, said: str) -> None:
+def test_an_argument_that_a_mission_cannot_take_is_named_with_those_that_it_can(
+    wrong: dict, said: str
+) -> None:
     for flown in (partial(plumeward.rollout, 1), partial(plumeward.evaluate, "homing", 1)):
         with pytest.raises(TypeError, match=f"^{re.escape(said)}"):
             flown(**wrong)
 
 
 def test_the_policies_are_the_planners_the_learned_ones_and_plug_ins(tmp_path: Path) -> None:
-    files = {path.stem.replace("_", "-") for path in (ROOT / "agent" / "planners").glob("*.py")} - {"--init--", "registry"}
+    files = {path.stem.replace("_", "-") for path in (ROOT / "agent" / "planners").glob("*.py")} - {
+        "--init--",
+        "registry",
+    }
     assert set(plumeward.policies()) == files | {"ppo", "dqn", "ddpg"}
     assert all(plumeward.policies().values())
     (tmp_path / "theirs.py").write_text('def fly(belief, particles, reach, rng):\n    """Fly north."""\n')
     about = tmp_path / "theirs-1.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1\n")
-    (about / "entry_points.txt").write_text("[plumeward.policies]\ntheirs = theirs:fly\nbroken = nowhere:fly\n")
-    code = f"import sys; sys.path.append({str(tmp_path)!r}); import plumeward, json; print(json.dumps(plumeward.policies()))"
+    (about / "entry_points.txt").write_text(
+        "[plumeward.policies]\ntheirs = theirs:fly\nbroken = nowhere:fly\n"
+    )
+    code = (
+        f"import sys; sys.path.append({str(tmp_path)!r}); import plumeward, json; "
+        "print(json.dumps(plumeward.policies()))"
+    )
     said = json.loads(run(code, tmp_path).stdout)
     assert said["theirs"] == "Fly north. [plug-in theirs:fly]"
     assert said["broken"].startswith("does not load: ModuleNotFoundError: ")
@@ -222,7 +276,12 @@ def test_a_record_is_read_back_as_it_was_written() -> None:
     recording = plumeward.read_record(str(GOLDEN))
     assert isinstance(recording, plumeward.Recording)
     with GOLDEN.open("rb") as file:
-        written = [json.loads(message.data)["spread"] for _, channel, message in make_reader(file).iter_messages(topics=["belief"])]
-    assert [json.loads(entry.payload)["spread"] for entry in recording.entries if entry.key == "belief"] == written
+        written = [
+            json.loads(message.data)["spread"]
+            for _, channel, message in make_reader(file).iter_messages(topics=["belief"])
+        ]
+    assert [
+        json.loads(entry.payload)["spread"] for entry in recording.entries if entry.key == "belief"
+    ] == written
     assert len(written) > 5
     assert (recording.complete, recording.about["policy"]) == (True, "homing")

@@ -20,7 +20,9 @@ MISSIONS = {path.stem: path.read_text() for path in (ROOT / "missions").glob("*.
 HEAVY = ("gymnasium", "numba", "torch", "onnxruntime", "matplotlib", "ray", "onnx", "stable_baselines3")
 
 
-def said(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: str) -> tuple[int, str, str]:
+def said(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *words: str
+) -> tuple[int, str, str]:
     """Run the command in this process; returns its status, stdout and stderr."""
     monkeypatch.setattr(sys, "argv", ["plumeward", *words])
     try:
@@ -37,7 +39,9 @@ def test_the_help_lists_every_command_in_a_group_within_80_columns(
     assert (status, err) == (0, "")
     assert max(map(len, out.splitlines())) <= 80
     assert re.findall(r"^  (\w+)  ", out, re.MULTILINE) == list(COMMANDS)
-    assert [line for line in out.splitlines() if line.removesuffix(":") in GROUPS] == [f"{group}:" for group in GROUPS]
+    assert [line for line in out.splitlines() if line.removesuffix(":") in GROUPS] == [
+        f"{group}:" for group in GROUPS
+    ]
     assert 'eval "$(register-python-argcomplete plumeward)"' in out
     assert said(capsys, monkeypatch)[1] == out
     assert said(capsys, monkeypatch, "--version") == (0, f"plumeward {__version__}\n", "")
@@ -49,9 +53,12 @@ def test_help_loads_nothing_that_takes_long(tmp_path: Path, command: str) -> Non
     words = ["plumeward", *([command] if command else []), "--help"]
     code = (
         f"import atexit, sys; sys.argv = {words}; loaded = lambda: sorted(set({HEAVY}) & set(sys.modules))\n"
-        "atexit.register(lambda: print('loaded', loaded())); from plumeward.__main__ import command; command()"
+        "atexit.register(lambda: print('loaded', loaded())); from plumeward.__main__ import command; "
+        "command()"
     )
-    ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
     assert (ran.returncode, ran.stderr) == (0, "")
     assert ran.stdout.startswith(f"usage: {' '.join(words[:-1])} ")
     assert ran.stdout.endswith("loaded []\n")
@@ -60,21 +67,28 @@ def test_help_loads_nothing_that_takes_long(tmp_path: Path, command: str) -> Non
 def test_the_commands_own_help_loads_not_even_the_bus(tmp_path: Path) -> None:
     code = (
         "import atexit, sys; sys.argv = ['plumeward', '--help']\n"
-        "atexit.register(lambda: print(sorted({'numpy', 'gymnasium', 'zenoh', 'msgspec', 'logging', 'asyncio'} & set(sys.modules))))\n"
+        "atexit.register(lambda: print(sorted({'numpy', 'gymnasium', 'zenoh', 'msgspec', 'logging', "
+        "'asyncio'} & set(sys.modules))))\n"
         "from plumeward.__main__ import command; command()"
     )
-    ran = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True
+    )
     assert ran.stdout.endswith("\n[]\n")
 
 
-def test_what_there_is_to_choose_from_is_listed_by_name(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_there_is_to_choose_from_is_listed_by_name(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     status, everything, _ = said(capsys, monkeypatch, "list")
     assert status == 0
     assert max(map(len, everything.splitlines())) <= 80
     kinds = ("missions", "policies", "sensors", "assumptions", "worlds")
     lists = [said(capsys, monkeypatch, "list", what)[1] for what in kinds]
     assert "\n".join(lists) == everything
-    missions, policies, sensors, assumptions, worlds = (dict(re.findall(r"^  (\S+) +(.+)$", text, re.MULTILINE)) for text in lists)
+    missions, policies, sensors, assumptions, worlds = (
+        dict(re.findall(r"^  (\S+) +(.+)$", text, re.MULTILINE)) for text in lists
+    )
     assert set(missions) == set(MISSIONS)
     for name, about in missions.items():
         assert f"about: {about}" in MISSIONS[name]
@@ -88,7 +102,9 @@ def test_what_there_is_to_choose_from_is_listed_by_name(capsys: pytest.CaptureFi
 def test_what_a_terminal_cannot_show_is_printed_in_ascii() -> None:
     environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
     command = [sys.executable, "-m", "plumeward", "list", "sensors"]
-    ran = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=60, encoding="ascii")
+    ran = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=60, encoding="ascii"
+    )
     assert (ran.returncode, ran.stderr) == (0, "")
     assert "Gaussian noise, g/m\\xb3" in ran.stdout
 
@@ -97,15 +113,35 @@ def test_what_a_terminal_cannot_show_is_printed_in_ascii() -> None:
 @pytest.mark.parametrize(
     ("most", "words", "status", "said"),
     [
-        (30, "fly", 2, "error: only 30 files may be open at a time; wanted 64 at least (set it with: ulimit -n 1024)"),
-        (8, "fly", 1, "error: Too many open files: wanted more than the 8 that may be open at a time (set it with: ulimit"),
-        (20, "evaluate --scenarios 8 --policy random --budget 1 --workers 8", 1, "error: Too many open files: wanted more than the 20 "),
+        (
+            30,
+            "fly",
+            2,
+            "error: only 30 files may be open at a time; wanted 64 at least (set it with: ulimit -n 1024)",
+        ),
+        (
+            8,
+            "fly",
+            1,
+            "error: Too many open files: wanted more than the 8 that may be open at a time (set it with: "
+            "ulimit",
+        ),
+        (
+            20,
+            "evaluate --scenarios 8 --policy random --budget 1 --workers 8",
+            1,
+            "error: Too many open files: wanted more than the 20 ",
+        ),
     ],
 )
-def test_too_few_open_files_are_told_in_one_line_with_what_to_set(tmp_path: Path, most: int, words: str, status: int, said: str) -> None:
+def test_too_few_open_files_are_told_in_one_line_with_what_to_set(
+    tmp_path: Path, most: int, words: str, status: int, said: str
+) -> None:
     command = f"ulimit -n {most}; exec {sys.executable} -m plumeward {words}"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    ran = subprocess.run(["bash", "-c", command], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    ran = subprocess.run(
+        ["bash", "-c", command], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
+    )
     assert (ran.returncode, ran.stdout) == (status, "")
     assert ran.stderr.splitlines()[-1].startswith(said)
     assert "Traceback" not in ran.stderr
@@ -114,39 +150,86 @@ def test_too_few_open_files_are_told_in_one_line_with_what_to_set(tmp_path: Path
 WRONG = [
     (["flyy"], "plumeward: error: no command 'flyy'; did you mean 'fly'?"),
     (["juggle"], "plumeward: error: no command 'juggle'; wanted fly, rollout, list, "),
-    (["list", "mission"], "plumeward list: error: what: 'mission' is not allowed; did you mean 'missions'? Wanted missions, policies, "),
+    (
+        ["list", "mission"],
+        "plumeward list: error: what: 'mission' is not allowed; did you mean 'missions'? Wanted missions, "
+        "policies, ",
+    ),
     (["fly", "--polcy", "homing"], "plumeward fly: error: no flag '--polcy'; did you mean '--policy'?"),
     (
         ["fly", "--world", "wind-3"],
-        "plumeward fly: error: --world: no world 'wind-3'; did you mean 'wind-30'? Wanted as-modelled, wind-10, ",
+        "plumeward fly: error: --world: no world 'wind-3'; did you mean 'wind-30'? Wanted as-modelled, "
+        "wind-10, ",
     ),
-    (["rollout", "--world", "wind"], "plumeward rollout: error: --world: no world 'wind'; did you mean 'wind-"),
-    (["evaluate", "--world", "cv-1,x"], "plumeward evaluate: error: --world: no world 'x'; wanted as-modelled, wind-10, wind-30, "),
+    (
+        ["rollout", "--world", "wind"],
+        "plumeward rollout: error: --world: no world 'wind'; did you mean 'wind-",
+    ),
+    (
+        ["evaluate", "--world", "cv-1,x"],
+        "plumeward evaluate: error: --world: no world 'x'; wanted as-modelled, wind-10, wind-30, ",
+    ),
     (["fly", "--qqq=3"], "plumeward fly: error: no flag '--qqq'; plumeward fly --help lists them"),
     (["agent", "--polcy", "homing"], "plumeward agent: error: no flag '--polcy'; did you mean '--policy'?"),
-    (["estimator", "--particels", "5"], "plumeward estimator: error: no flag '--particels'; did you mean '--particles'?"),
-    (["replay", "--speed-up", "3"], "plumeward replay: error: no flag '--speed-up'; did you mean '--speedup'?"),
+    (
+        ["estimator", "--particels", "5"],
+        "plumeward estimator: error: no flag '--particels'; did you mean '--particles'?",
+    ),
+    (
+        ["replay", "--speed-up", "3"],
+        "plumeward replay: error: no flag '--speed-up'; did you mean '--speedup'?",
+    ),
     (["fly", "wind-shift", "now"], "plumeward fly: error: 'now' is not expected here"),
-    (["fly", "--policy", "hommer"], "plumeward fly: error: --policy: 'hommer' is not allowed; did you mean 'homing'? Wanted infotaxis, "),
-    (["fly", "--policy", "missing.zip"], "plumeward fly: error: --policy: missing.zip: there is no such file"),
+    (
+        ["fly", "--policy", "hommer"],
+        "plumeward fly: error: --policy: 'hommer' is not allowed; did you mean 'homing'? Wanted infotaxis, ",
+    ),
+    (
+        ["fly", "--policy", "missing.zip"],
+        "plumeward fly: error: --policy: missing.zip: there is no such file",
+    ),
     (["fly", "--policy", "empty.zip"], "plumeward fly: error: --policy: empty.zip: no"),
-    (["fly", "--policy", "none"], "error: --policy: 'none' is not allowed; wanted a policy, or a mission that scripts all its waypoints"),
-    (["fly", "hommer.yaml"], "error: hommer.yaml:2: agent.policy: 'hommer' is not allowed; did you mean 'homing'? Wanted infotaxis, "),
+    (
+        ["fly", "--policy", "none"],
+        "error: --policy: 'none' is not allowed; wanted a policy, or a mission that scripts all its "
+        "waypoints",
+    ),
+    (
+        ["fly", "hommer.yaml"],
+        "error: hommer.yaml:2: agent.policy: 'hommer' is not allowed; did you mean 'homing'? Wanted "
+        "infotaxis, ",
+    ),
     (
         ["fly", "wnd-shift"],
         "error: wnd-shift: no such file and no shipped mission; did you mean 'wind-shift'? Wanted a mission ",
     ),
     (["fly", "list.yaml"], "error: list.yaml:1: "),
-    (["fly", "--sensor", "gausian"], "plumeward fly: error: --sensor: 'gausian' is not allowed; did you mean 'gaussian'? Wanted "),
+    (
+        ["fly", "--sensor", "gausian"],
+        "plumeward fly: error: --sensor: 'gausian' is not allowed; did you mean 'gaussian'? Wanted ",
+    ),
     (["fly", "--sensor", "hits:0"], "plumeward fly: error: --sensor: 'hits:0' is not allowed; "),
-    (["fly", "--assume", "feild"], "plumeward fly: error: --assume: 'feild' is not allowed; did you mean 'field'? Wanted field or paper"),
-    (["evaluate", "--assume", "all"], "plumeward evaluate: error: --assume: 'all' is not allowed; wanted field or paper"),
-    (["fly", "--stop", "spread:1", "--threshold", "0.5"], "plumeward fly: error: --threshold: not allowed with argument --stop"),
+    (
+        ["fly", "--assume", "feild"],
+        "plumeward fly: error: --assume: 'feild' is not allowed; did you mean 'field'? Wanted field or paper",
+    ),
+    (
+        ["evaluate", "--assume", "all"],
+        "plumeward evaluate: error: --assume: 'all' is not allowed; wanted field or paper",
+    ),
+    (
+        ["fly", "--stop", "spread:1", "--threshold", "0.5"],
+        "plumeward fly: error: --threshold: not allowed with argument --stop",
+    ),
     (
         ["rollout", "--stop", "within:1"],
-        "plumeward rollout: error: --stop: 'within:1' is not allowed; wanted spread:Z, metres, or within:R,P, metres and a share",
+        "plumeward rollout: error: --stop: 'within:1' is not allowed; wanted spread:Z, metres, or "
+        "within:R,P, metres and a share",
     ),
-    (["estimator", "--stop", "within:1,1.5"], "plumeward estimator: error: --stop: 'within:1,1.5' is not allowed; wanted R above 0 up to "),
+    (
+        ["estimator", "--stop", "within:1,1.5"],
+        "plumeward estimator: error: --stop: 'within:1,1.5' is not allowed; wanted R above 0 up to ",
+    ),
     (
         ["estimator", "--prior", "u=fixed:2", "--prior", "wind-speed=fixed:1"],
         "plumeward estimator: error: --prior: a prior of wind-speed is ",
@@ -165,23 +248,37 @@ WRONG = [
     ),
     (
         ["rollout", "--prior", "q=uniform:0,1e308"],
-        "plumeward rollout: error: --prior: 'q=uniform:0,1e308' is not allowed; wanted LOW below HIGH, and numbers up to 1e+12",
+        "plumeward rollout: error: --prior: 'q=uniform:0,1e308' is not allowed; wanted LOW below HIGH, and "
+        "numbers up to 1e+12",
     ),
     (
         ["evaluate", "--prior", "q=normal:-7.9,1"],
         "plumeward evaluate: error: --prior: the prior of q excludes nearly every possible value",
     ),
     (["fly", "--headings", "5"], "plumeward fly: error: --headings: 5 is not allowed; wanted 4 or 8"),
-    (["rollout", "--policy", "hommer"], "plumeward rollout: error: --policy: 'hommer' is not allowed; did you mean 'homing'? Wanted "),
-    (["evaluate", "--policy", "homing,gredy"], "plumeward evaluate: error: --policy: 'gredy' is not allowed; did you mean 'greedy'? "),
-    (["train", "pp"], "plumeward train: error: algorithm: 'pp' is not allowed; did you mean 'ppo'? Wanted ppo, dqn or ddpg"),
+    (
+        ["rollout", "--policy", "hommer"],
+        "plumeward rollout: error: --policy: 'hommer' is not allowed; did you mean 'homing'? Wanted ",
+    ),
+    (
+        ["evaluate", "--policy", "homing,gredy"],
+        "plumeward evaluate: error: --policy: 'gredy' is not allowed; did you mean 'greedy'? ",
+    ),
+    (
+        ["train", "pp"],
+        "plumeward train: error: algorithm: 'pp' is not allowed; did you mean 'ppo'? Wanted ppo, dqn or ddpg",
+    ),
 ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("words", "line"), WRONG, ids=[" ".join(words) for words, _ in WRONG])
 def test_what_is_wrong_is_one_line_before_anything_starts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], line: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    line: str,
 ) -> None:
     (tmp_path / "empty.zip").write_bytes(b"")
     (tmp_path / "hommer.yaml").write_text("seed: 3\nagent: {policy: hommer}\n")
@@ -202,12 +299,16 @@ def test_a_flag_wins_over_the_policy_of_a_script_that_is_wrong(
 ) -> None:
     (tmp_path / "hommer.yaml").write_text("seed: 3\nagent: {policy: hommer, budget: 2}\n")
     monkeypatch.chdir(tmp_path)
-    status, _, err = said(capsys, monkeypatch, "fly", "hommer.yaml", "--policy", "random", "--speedup", "0", "--no-record")
+    status, _, err = said(
+        capsys, monkeypatch, "fly", "hommer.yaml", "--policy", "random", "--speedup", "0", "--no-record"
+    )
     assert status == 0, err
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mission", ["default-release", pytest.param("default-release.yaml", marks=pytest.mark.full)])
+@pytest.mark.parametrize(
+    "mission", ["default-release", pytest.param("default-release.yaml", marks=pytest.mark.full)]
+)
 def test_a_shipped_mission_is_flown_by_its_name_from_anywhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], mission: str
 ) -> None:
@@ -228,7 +329,18 @@ def test_a_plug_in_may_make_our_environments_also_in_the_workers_of_a_sweep(tmp_
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1\n")
     (about / "entry_points.txt").write_text("[plumeward.policies]\ntheirs = theirs:fly\n")
-    words = ["evaluate", "--policy", "theirs", "--scenarios", "2", "--workers", "2", "--budget", "1", "--json"]
+    words = [
+        "evaluate",
+        "--policy",
+        "theirs",
+        "--scenarios",
+        "2",
+        "--workers",
+        "2",
+        "--budget",
+        "1",
+        "--json",
+    ]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     command = [str(Path(sys.executable).parent / "plumeward"), *words]
     ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=110)

@@ -1,4 +1,6 @@
-"""Protects completion in a shell, by the protocol that bash speaks with argcomplete: the line in, choices out on file descriptor 8."""
+"""Protects completion in a shell, by the protocol that bash speaks with argcomplete: the line in, choices
+out on file descriptor 8.
+"""
 
 import os
 import subprocess
@@ -14,10 +16,18 @@ COMMAND = Path(sys.executable).parent / "plumeward"
 
 def completed(line: str, cwd: Path) -> set[str]:
     """What a shell would offer at the end of a line."""
-    asked = {"_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line, "COMP_POINT": str(len(line)), "COMP_TYPE": "9"}
+    asked = {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_IFS": "\n",
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+        "COMP_TYPE": "9",
+    }
     read, write = os.pipe()
     shell = ["bash", "-c", f'exec "$0" 8>&{write} 9>/dev/null', str(COMMAND)]
-    ran = subprocess.run(shell, cwd=cwd, env=os.environ | asked, pass_fds=[write], capture_output=True, text=True, timeout=300)
+    ran = subprocess.run(
+        shell, cwd=cwd, env=os.environ | asked, pass_fds=[write], capture_output=True, text=True, timeout=300
+    )
     os.close(write)
     with os.fdopen(read) as offered:
         assert (ran.stdout, ran.stderr) == ("", "")
@@ -60,4 +70,15 @@ def test_names_flags_and_files_are_completed(tmp_path: Path, line: str, offered:
 
 def test_all_commands_are_offered(tmp_path: Path) -> None:
     offered = completed("plumeward ", tmp_path)
-    assert {"fly", "rollout", "list", "status", "log", "evaluate", "train", "router", "--help", "--version"} <= offered
+    assert {
+        "fly",
+        "rollout",
+        "list",
+        "status",
+        "log",
+        "evaluate",
+        "train",
+        "router",
+        "--help",
+        "--version",
+    } <= offered

@@ -40,7 +40,9 @@ def test_the_command_flies_beside_files_with_the_names_of_its_packages(tmp_path:
 @pytest.mark.full
 def test_so_do_the_workers_of_a_sweep(tmp_path: Path) -> None:
     folder(tmp_path, *PACKAGES, "random", "pickle")
-    said = result(run(tmp_path, COMMAND, "evaluate", "--scenarios", "3", "--workers", "2", "--budget", "2", "--json"))
+    said = result(
+        run(tmp_path, COMMAND, "evaluate", "--scenarios", "3", "--workers", "2", "--budget", "2", "--json")
+    )
     assert said["homing"]["missions"] == 3
 
 
@@ -54,7 +56,20 @@ def test_as_a_module_it_flies_beside_all_but_a_file_of_its_own_name(tmp_path: Pa
     folder(tmp_path, *PACKAGES[:-1])
     assert result(run(tmp_path, sys.executable, "-m", "plumeward", "fly", *BRIEF))["steps"] == 2
     said = result(
-        run(tmp_path, sys.executable, "-m", "plumeward", "evaluate", "--scenarios", "2", "--workers", "2", "--budget", "2", "--json")
+        run(
+            tmp_path,
+            sys.executable,
+            "-m",
+            "plumeward",
+            "evaluate",
+            "--scenarios",
+            "2",
+            "--workers",
+            "2",
+            "--budget",
+            "2",
+            "--json",
+        )
     )
     assert said["homing"]["missions"] == 2
 
@@ -65,20 +80,28 @@ def test_an_import_names_the_file_that_is_in_the_way(tmp_path: Path, package: st
     script = tmp_path / "mine.py"
     script.write_text("import plumeward, gymnasium\ngymnasium.make('plumeward/SourceSearch-v0')\n")
     ran = run(tmp_path, sys.executable, str(script))
-    wanted = f"ImportError: {tmp_path / package}.py hides plumeward's own package {package!r}: rename this file or folder"
+    wanted = (
+        f"ImportError: {tmp_path / package}.py hides plumeward's own package {package!r}: rename this "
+        "file or folder"
+    )
     assert (ran.returncode, ran.stderr.splitlines()[-1]) == (1, wanted)
 
 
 def test_so_it_does_for_a_folder_a_module_loaded_before_and_the_script_itself(tmp_path: Path) -> None:
     script = tmp_path / "agent.py"
     script.write_text("import plumeward\n")
-    assert f"ImportError: {script} hides plumeward's own package 'agent'" in run(tmp_path, sys.executable, "agent.py").stderr
+    assert (
+        f"ImportError: {script} hides plumeward's own package 'agent'"
+        in run(tmp_path, sys.executable, "agent.py").stderr
+    )
     package = tmp_path / "other" / "link" / "__init__.py"
     package.parent.mkdir(parents=True)
     package.write_text("")
     for code in ("import plumeward", "import link, sys; sys.path.remove(''); import plumeward"):
         ran = run(tmp_path / "other", sys.executable, "-c", code)
-        assert ran.stderr.splitlines()[-1].startswith(f"ImportError: {package} hides plumeward's own package 'link'")
+        assert ran.stderr.splitlines()[-1].startswith(
+            f"ImportError: {package} hides plumeward's own package 'link'"
+        )
 
 
 def test_a_folder_that_is_no_package_is_not_in_the_way(tmp_path: Path) -> None:

@@ -39,9 +39,13 @@ def test_an_animation_of_nothing_is_refused(tmp_path: Path, write) -> None:
 
 
 def ffmpeg_that(does: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Put a program of this name in the place of ffmpeg. It finds its last argument, the file to write, in $to."""
+    """Put a program of this name in the place of ffmpeg. It finds its last argument, the file to write, in
+    $to.
+    """
     (folder / "bin").mkdir()
-    (folder / "bin" / "ffmpeg").write_text(f'#!/bin/sh\nfor to; do :; done\necho "$@" > {folder}/words\n{does}\n')
+    (folder / "bin" / "ffmpeg").write_text(
+        f'#!/bin/sh\nfor to; do :; done\necho "$@" > {folder}/words\n{does}\n'
+    )
     (folder / "bin" / "ffmpeg").chmod(0o755)
     monkeypatch.setenv("PATH", f"{folder / 'bin'}:/usr/bin:/bin")
 

@@ -1,4 +1,6 @@
-"""Protects the drawing: what a scene says is where it should be, as artists' data and as pixels, and the same scene is the same file."""
+"""Protects the drawing: what a scene says is where it should be, as artists' data and as pixels, and the
+same scene is the same file.
+"""
 
 import math
 from dataclasses import replace
@@ -18,7 +20,9 @@ RELEASE = Release(SOURCE, wind=(2.0, 0.0), q=300.0, d=2.0, tau=10.0)
 PLACES = [(3.0, 4.0), (4.0, 4.0), (4.0, 5.0), (5.0, 9.0)]
 TAKEN = [
     Measurement(step, float(step), place, gas, spread_m, (11.0, 13.0), (4.0, 0.0, 1.0))
-    for step, (place, gas, spread_m) in enumerate(zip(PLACES, (0.1, -0.2, 7.0, 31.0), (9.0, 4.0, 2.0, 0.4), strict=True))
+    for step, (place, gas, spread_m) in enumerate(
+        zip(PLACES, (0.1, -0.2, 7.0, 31.0), (9.0, 4.0, 2.0, 0.4), strict=True)
+    )
 ]
 
 
@@ -26,9 +30,13 @@ def scene(steps: int = 4, release: Release | None = RELEASE) -> Scene:
     taken = TAKEN[:steps]
     places = np.array([[8.0, 2.0], [26.0, 2.0]], np.float32)
     return Scene(
-        Backdrop("uav/1", title="homing, seed 3", release=release), craft=Craft(0.0, taken[-1].position, heading=math.pi / 2),
-        measurements=taken, scatter=Scatter(places, np.array([0.75, 0.25], np.float32)), wind=(2.0, 0.0), stop="spread:0.5",
-    )  # fmt: skip
+        Backdrop("uav/1", title="homing, seed 3", release=release),
+        craft=Craft(0.0, taken[-1].position, heading=math.pi / 2),
+        measurements=taken,
+        scatter=Scatter(places, np.array([0.75, 0.25], np.float32)),
+        wind=(2.0, 0.0),
+        stop="spread:0.5",
+    )
 
 
 def blank(*of: Any, **settings: Any) -> Any:
@@ -68,14 +76,21 @@ def test_path_readings_and_curves_are_those_of_the_measurements(drawing: Any) ->
         assert all(left < x < right and low < y < high for x, y in curve.get_xydata())
 
 
-def test_the_belief_is_its_particles_with_area_by_weight_and_its_ellipse_of_two_deviations(drawing: Any) -> None:
+def test_the_belief_is_its_particles_with_area_by_weight_and_its_ellipse_of_two_deviations(
+    drawing: Any,
+) -> None:
     drawing.show(scene())
     (dots,) = (it for it in drawing.map.collections if len(it.get_offsets()) == 2)
     assert dots.get_offsets().tolist() == [[8.0, 2.0], [26.0, 2.0]]
     one, other = dots.get_sizes()
     assert one == pytest.approx(3 * other)
     (ring,) = drawing.map.patches
-    assert (ring.get_center(), ring.get_width(), ring.get_height(), ring.get_angle()) == ((11.0, 13.0), 8.0, 4.0, 0.0)
+    assert (ring.get_center(), ring.get_width(), ring.get_height(), ring.get_angle()) == (
+        (11.0, 13.0),
+        8.0,
+        4.0,
+        0.0,
+    )
 
 
 def test_gas_is_seen_downwind_of_the_source_and_nowhere_without_the_truth(drawing: Any) -> None:
@@ -133,7 +148,9 @@ def test_a_picture_shows_beliefs_in_colours_of_their_own_and_says_of_which_step(
     rings = [patch.get_edgecolor() for patch in picture.map.patches if patch.get_visible()]
     assert len(set(rings)) == 3
     said = [text.get_text() for text in picture.figure.legends[0].get_texts()]
-    assert [words for words in said if "belief" in words] == [f"belief at step {step}: particles, 2 σ" for step in (0, 1, 3)]
+    assert [words for words in said if "belief" in words] == [
+        f"belief at step {step}: particles, 2 σ" for step in (0, 1, 3)
+    ]
     assert "vehicle" not in said
     assert len(set(BELIEFS)) == len(BELIEFS) == 5
     for form in ("svg", "png"):

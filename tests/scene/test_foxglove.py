@@ -23,19 +23,41 @@ FIRST = Measurement(0, 10.0, (3.0, 4.0), 0.5, 2.0, (12.0, 9.0), (3.0, 1.0, 3.0))
 SCENE = Scene(
     Backdrop("uav/1", area_m=30.0, release=RELEASE),
     time_s=10.0,
-    craft=Craft(10.0, (3.0, 4.0), 5.0, heading=math.pi / 2, fix=(60.0 + 4.0 * METRE_DEG, 10.0 + 6.0 * METRE_DEG, 105.0)),
+    craft=Craft(
+        10.0,
+        (3.0, 4.0),
+        5.0,
+        heading=math.pi / 2,
+        fix=(60.0 + 4.0 * METRE_DEG, 10.0 + 6.0 * METRE_DEG, 105.0),
+    ),
     measurements=(FIRST,),
     scatter=Scatter(np.array([[1.5, 2.5], [3.0, -4.0]], np.float32), np.array([0.25, 0.75], np.float32)),
     waypoint=(4.0, 4.0),
-    happenings=(Happening(9.0, WARNING, "estimator", "odd readings"), Happening(10.0, STOP, "estimator", "source found")),
+    happenings=(
+        Happening(9.0, WARNING, "estimator", "odd readings"),
+        Happening(10.0, STOP, "estimator", "source found"),
+    ),
 )
 ALL = {
-    "transforms", "vehicle", "area", "path", "particles", "estimate", "waypoint", "fix/vehicle", "fix/estimate", "log", "source", "plume",
-}  # fmt: skip
+    "transforms",
+    "vehicle",
+    "area",
+    "path",
+    "particles",
+    "estimate",
+    "waypoint",
+    "fix/vehicle",
+    "fix/estimate",
+    "log",
+    "source",
+    "plume",
+}
 
 
 def decoded(messages: list[Encoded]) -> dict[str, Any]:
-    """The messages by topic, each decoded with nothing but the schema that would stand in a record; of several the last."""
+    """The messages by topic, each decoded with nothing but the schema that would stand in a record; of
+    several the last.
+    """
     return {topic.removeprefix("scene/"): decode(kind, data) for topic, kind, data in messages}
 
 
@@ -72,7 +94,9 @@ def test_the_schemas_are_the_official_ones() -> None:
 
 
 def files(schema: bytes) -> dict[str, FileDescriptorProto]:
-    """The files of a schema, without the names of their fields in JSON, which follow from the fields' own and may be left out."""
+    """The files of a schema, without the names of their fields in JSON, which follow from the fields' own
+    and may be left out.
+    """
     described = FileDescriptorSet.FromString(schema)
     for file in described.file:
         for message in file.message_type:
@@ -99,7 +123,8 @@ def test_an_unknown_heading_is_no_turn() -> None:
 
 
 def test_the_fixes_are_in_degrees_about_the_home_that_the_vehicle_tells(said: dict[str, Any]) -> None:
-    # 4 m north and 3 m east of home at 60° north, where a metre east is two of a metre's degrees: home is at 60°, 10°.
+    # 4 m north and 3 m east of home at 60° north, where a metre east is two of a metre's degrees: home is at
+    # 60°, 10°.
     vehicle, estimate = said["fix/vehicle"], said["fix/estimate"]
     assert (vehicle.latitude, vehicle.longitude, vehicle.altitude) == SCENE.craft.fix
     assert vehicle.position_covariance_type == 0  # unknown
@@ -118,24 +143,38 @@ def test_without_a_fix_there_is_no_place_on_the_globe() -> None:
 def test_a_particle_is_four_floats(said: dict[str, Any]) -> None:
     cloud = said["particles"]
     assert (cloud.frame_id, cloud.point_stride) == ("map", 16)
-    assert [(field.name, field.offset, field.type) for field in cloud.fields] == [("x", 0, 7), ("y", 4, 7), ("z", 8, 7), ("weight", 12, 7)]
+    assert [(field.name, field.offset, field.type) for field in cloud.fields] == [
+        ("x", 0, 7),
+        ("y", 4, 7),
+        ("z", 8, 7),
+        ("weight", 12, 7),
+    ]
     assert cloud.data == struct.pack("<8f", 1.5, 2.5, 0.0, 0.25, 3.0, -4.0, 0.0, 0.75)
     assert cloud.pose.orientation.w == 1.0
 
 
-def test_the_ellipse_is_two_standard_deviations_along_the_axes_of_the_covariance(said: dict[str, Any]) -> None:
+def test_the_ellipse_is_two_standard_deviations_along_the_axes_of_the_covariance(
+    said: dict[str, Any],
+) -> None:
     estimate, covariance = said["estimate"].entities
     (ball,), (disc,) = estimate.spheres, covariance.cylinders
     for mark in (ball, disc):
         assert (mark.pose.position.x, mark.pose.position.y) == (12.0, 9.0)
     # The deviations are 2 and √2 m; an axis has four of them.
     assert (disc.size.x, disc.size.y) == pytest.approx((8.0, 4.0 * math.sqrt(2.0)))
-    assert (disc.pose.orientation.z, disc.pose.orientation.w) == pytest.approx((math.sin(math.pi / 8), math.cos(math.pi / 8)))  # 45°
+    assert (disc.pose.orientation.z, disc.pose.orientation.w) == pytest.approx(
+        (math.sin(math.pi / 8), math.cos(math.pi / 8))
+    )  # 45°
 
 
 def test_the_area_is_a_closed_square_and_the_marks_stand_in_the_map(said: dict[str, Any]) -> None:
     (line,) = said["area"].entities[0].lines
-    assert [(point.x, point.y) for point in line.points] == [(0.0, 0.0), (30.0, 0.0), (30.0, 30.0), (0.0, 30.0)]
+    assert [(point.x, point.y) for point in line.points] == [
+        (0.0, 0.0),
+        (30.0, 0.0),
+        (30.0, 30.0),
+        (0.0, 30.0),
+    ]
     assert line.type == 1  # LINE_LOOP
     for topic, place in (("waypoint", (4.0, 4.0)), ("source", (15.0, 20.0))):
         (entity,) = said[topic].entities
@@ -158,7 +197,11 @@ def test_the_plume_has_its_first_cell_in_the_south_west(said: dict[str, Any]) ->
 
 
 def test_happenings_are_lines_of_a_log() -> None:
-    lines = [decode(kind, data) for topic, kind, data in SceneEncoder().encode(SCENE, STAMP_NS) if topic == "scene/log"]
+    lines = [
+        decode(kind, data)
+        for topic, kind, data in SceneEncoder().encode(SCENE, STAMP_NS)
+        if topic == "scene/log"
+    ]
     told = [(line.level, line.name, line.message) for line in lines]
     assert told == [(3, "estimator", "odd readings"), (2, "estimator", "source found")]  # WARNING, INFO
 
@@ -166,7 +209,12 @@ def test_happenings_are_lines_of_a_log() -> None:
 def test_a_scene_is_not_said_twice() -> None:
     encoder = SceneEncoder()
     encoder.encode(SCENE, STAMP_NS)
-    assert encoder.encode(replace(SCENE, scatter=Scatter(SCENE.scatter.places.copy(), SCENE.scatter.weights)), STAMP_NS + 1) == []
+    assert (
+        encoder.encode(
+            replace(SCENE, scatter=Scatter(SCENE.scatter.places.copy(), SCENE.scatter.weights)), STAMP_NS + 1
+        )
+        == []
+    )
 
 
 def test_only_what_changed_is_said() -> None:
@@ -177,12 +225,19 @@ def test_only_what_changed_is_said() -> None:
     scene = replace(SCENE, measurements=(FIRST, second), waypoint=(5.0, 4.0))
     said = decoded(encoder.encode(scene, STAMP_NS))
     assert set(said) == {"path"}  # the estimate is the same
-    assert [(pose.position.x, pose.position.y, pose.orientation.w) for pose in said["path"].poses] == [(3.0, 4.0, 1.0), (4.0, 4.0, 1.0)]
+    assert [(pose.position.x, pose.position.y, pose.orientation.w) for pose in said["path"].poses] == [
+        (3.0, 4.0, 1.0),
+        (4.0, 4.0, 1.0),
+    ]
 
 
 def test_the_pose_is_said_ten_times_a_second_of_simulation_time() -> None:
     encoder = SceneEncoder()
-    times = [time_s for time_s in (n / 100 for n in range(200)) if [*encoder.encode_pose(Craft(time_s, (time_s, 0.0)), STAMP_NS)]]
+    times = [
+        time_s
+        for time_s in (n / 100 for n in range(200))
+        if [*encoder.encode_pose(Craft(time_s, (time_s, 0.0)), STAMP_NS)]
+    ]
     assert times == [n / 10 for n in range(20)]
 
 
@@ -200,7 +255,10 @@ def test_what_is_gone_is_deleted() -> None:
     encoder.encode(SCENE, STAMP_NS)
     said = decoded(encoder.encode(Scene(Backdrop("uav/1")), STAMP_NS))
     for topic in ("estimate", "waypoint", "source"):
-        assert (len(said[topic].entities), [deletion.type for deletion in said[topic].deletions]) == (0, [1])  # all of the topic
+        assert (len(said[topic].entities), [deletion.type for deletion in said[topic].deletions]) == (
+            0,
+            [1],
+        )  # all of the topic
     assert (said["particles"].data, said["plume"].data, len(said["path"].poses)) == (b"", b"", 0)
 
 
@@ -212,5 +270,7 @@ def test_an_operator_of_a_real_flight_sees_no_truth() -> None:
 def test_a_prefix_keeps_vehicles_apart() -> None:
     messages = SceneEncoder("uav/2/").encode(SCENE, STAMP_NS)
     assert all(topic.startswith("uav/2/scene/") for topic, _, _ in messages)
-    (transform,) = next(decode(kind, data) for topic, kind, data in messages if topic.endswith("transforms")).transforms
+    (transform,) = next(
+        decode(kind, data) for topic, kind, data in messages if topic.endswith("transforms")
+    ).transforms
     assert (transform.parent_frame_id, transform.child_frame_id) == ("uav/2/map", "uav/2/vehicle")

@@ -24,11 +24,15 @@ def test_a_covariance_along_north_points_up_and_one_without_width_has_none() -> 
 
 
 def test_the_true_plume_has_its_rows_from_south_to_north_and_its_gas_downwind() -> None:
-    release = Release((10.0, 20.0), (3.0, 0.0), 300.0, 4.0, 10.0, height=1.0)  # wind from the east: gas lies in the west
+    release = Release(
+        (10.0, 20.0), (3.0, 0.0), 300.0, 4.0, 10.0, height=1.0
+    )  # wind from the east: gas lies in the west
     gas = release.gas(30.0, 60)
     assert gas.shape == (60, 60)
     assert gas[40, 10] > 10 * gas[40, 29]  # y = 20.25: x = 5.25, downwind, and x = 14.75
-    at = concentration((5.25, 20.25, 0.0), (10.0, 20.0, 1.0), (3.0, 0.0), rate=300.0, diffusivity=4.0, lifetime=10.0)
+    at = concentration(
+        (5.25, 20.25, 0.0), (10.0, 20.0, 1.0), (3.0, 0.0), rate=300.0, diffusivity=4.0, lifetime=10.0
+    )
     assert gas[40, 10] == pytest.approx(float(at), rel=1e-6)
 
 

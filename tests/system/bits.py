@@ -1,7 +1,9 @@
-"""`python -m tests.system.bits [NAME...]` prints a line `NAME DIGEST` for each thing that must have the same bits on every machine.
+"""`python -m tests.system.bits [NAME...]` prints a line `NAME DIGEST` for each thing that must have the
+same bits on every machine.
 
-NAME is a check, or the beginning of several: `golden`, `flight/ppo`. It needs no router and no packages but a flight's. After the
-digest comes `DIFFERS` and why where an answer is not as a golden record has it, or a rebuilt belief not as it was flown.
+NAME is a check, or the beginning of several: `golden`, `flight/ppo`. It needs no router and no packages
+but a flight's. After the digest comes `DIFFERS` and why where an answer is not as a golden record has it,
+or a rebuilt belief not as it was flown.
 """
 
 import argparse
@@ -83,11 +85,22 @@ def told(words: list[str]) -> Config:
     args = parser.parse_args(words)
     (stops,) = criteria(args)
     knows = knowledge(args)
-    return Config(args.particles, stops.threshold_m, args.seed, args.rate, args.diffusivity, args.lifetime, within=stops.within, **knows)
+    return Config(
+        args.particles,
+        stops.threshold_m,
+        args.seed,
+        args.rate,
+        args.diffusivity,
+        args.lifetime,
+        within=stops.within,
+        **knows,
+    )
 
 
 def golden(name: str) -> str:
-    """Answer the readings of a golden record as the services do; returns their digest, and the first value that is not as recorded."""
+    """Answer the readings of a golden record as the services do; returns their digest, and the first value
+    that is not as recorded.
+    """
     log = read(path(name))
     config = told(log.about["parts"]["estimator"])
     words = log.about["parts"]["agent"]
@@ -122,7 +135,9 @@ def golden(name: str) -> str:
 
 LITTLE = {"particles": 300, "threshold_m": 0.5}
 FAMILIES = ("homing", "infotaxis", "thompson", *SHIPPED)
-"""A policy of each kind: a planner of one move, one of hypothetical readings, one that draws, and the learned ones."""
+"""A policy of each kind: a planner of one move, one of hypothetical readings, one that draws, and the
+learned ones.
+"""
 
 
 def computed(step: Step) -> tuple[Any, ...]:
@@ -136,27 +151,55 @@ def flown(ready: Mission) -> str:
 
 def flight(policy: str, sensor: str, assume: str, world: str, budget: int) -> str:
     within = criterion("within:1,0.99").within
-    return flown(mission(7, policy, budget=budget, world=world, sensor=parse(sensor), assume=assume, within=within, **LITTLE))
+    return flown(
+        mission(
+            7,
+            policy,
+            budget=budget,
+            world=world,
+            sensor=parse(sensor),
+            assume=assume,
+            within=within,
+            **LITTLE,
+        )
+    )
 
 
 def unusual() -> str:
     """A mission whose every assumption is its own, in four headings."""
-    known = {"phi": priors.Uniform(0.0, 6.28), "u": priors.Normal(2.5, 1.0), "q": priors.Gamma(2.0, 150.0), "z": priors.Fixed(4.0)}
+    known = {
+        "phi": priors.Uniform(0.0, 6.28),
+        "u": priors.Normal(2.5, 1.0),
+        "q": priors.Gamma(2.0, 150.0),
+        "z": priors.Fixed(4.0),
+    }
     known["tau"] = priors.LogNormal(10.0, 0.3)
     moves = {"headings": 4, "step": 0.5, "measurements": 9}
-    return flown(mission(5, "lookahead", budget=40, moves=moves, priors=known, stop_limits={"q": 90.0}, **LITTLE))
+    return flown(
+        mission(5, "lookahead", budget=40, moves=moves, priors=known, stop_limits={"q": 90.0}, **LITTLE)
+    )
 
 
 def recovery(assume: str, sensor: str) -> str:
-    """Rebuild each tenth belief from the readings alone, as a restarted estimator does, and compare it with the flown one."""
+    """Rebuild each tenth belief from the readings alone, as a restarted estimator does, and compare it
+    with the flown one.
+    """
     ready = mission(1, "homing", budget=30, assume=assume, sensor=parse(sensor), ends=False, **LITTLE)
     steps = list(ready.steps)
     for last in steps[::10]:
         rebuilt = prior(ready.config)
         for step in steps[: last.belief.step + 1]:
             said = step.belief
-            rebuilt = assimilate(rebuilt, Reading(said.time_boot_ms, said.position, said.altitude_m, said.wind, said.gas), ready.config)
-        again = belief(rebuilt, Reading(said.time_boot_ms, said.position, said.altitude_m, said.wind, said.gas), ready.config)
+            rebuilt = assimilate(
+                rebuilt,
+                Reading(said.time_boot_ms, said.position, said.altitude_m, said.wind, said.gas),
+                ready.config,
+            )
+        again = belief(
+            rebuilt,
+            Reading(said.time_boot_ms, said.position, said.altitude_m, said.wind, said.gas),
+            ready.config,
+        )
         if digest_of([*again, rebuilt]) != digest_of(computed(last)):
             return f"{digest_of([rebuilt])} DIFFERS from what was flown at step {said.step}"
     return digest_of(map(computed, steps))
@@ -166,16 +209,29 @@ def side_by_side(assume: str) -> str:
     """Missions in one batch, on two threads."""
     seeds, steps = range(12), 40
     scenarios = [draw(seed) for seed in seeds]
-    configs = [Config(100, 0.5, seed, s.q, s.d, s.tau, assume=assume) for seed, s in zip(seeds, scenarios, strict=True)]
+    configs = [
+        Config(100, 0.5, seed, s.q, s.d, s.tau, assume=assume)
+        for seed, s in zip(seeds, scenarios, strict=True)
+    ]
     worlds = [World(s, seed) for seed, s in zip(seeds, scenarios, strict=True)]
-    ways = np.array([np.linspace(world.start, s.source, steps) for world, s in zip(worlds, scenarios, strict=True)])
+    ways = np.array(
+        [np.linspace(world.start, s.source, steps) for world, s in zip(worlds, scenarios, strict=True)]
+    )
     batch, noise, computed = Batch(configs, 2), Keyed(), []
     for k in range(steps):
         gas = gas_of(worlds, ways[:, k], [k] * len(seeds), noise).tolist()
-        readings = [Reading(k, tuple(ways[i, k].tolist()), 5.0, worlds[i].wind, gas[i]) for i in range(len(seeds))]
-        batch.assimilate(np.array([config.row(reading) for config, reading in zip(configs, readings, strict=True)]))
+        readings = [
+            Reading(k, tuple(ways[i, k].tolist()), 5.0, worlds[i].wind, gas[i]) for i in range(len(seeds))
+        ]
+        batch.assimilate(
+            np.array([config.row(reading) for config, reading in zip(configs, readings, strict=True)])
+        )
         computed.append(
-            (batch.means.copy(), batch.covariances.copy(), [(batch.may_claim(i), batch.has_ceased(i)) for i in range(len(seeds))])
+            (
+                batch.means.copy(),
+                batch.covariances.copy(),
+                [(batch.may_claim(i), batch.has_ceased(i)) for i in range(len(seeds))],
+            )
         )
     return digest_of([*computed, *(batch.posterior(i) for i in range(len(seeds)))])
 
@@ -184,9 +240,15 @@ def table() -> str:
     """The rows and figures of a small sweep, but for the times."""
     stops = (criterion("spread:1"), criterion("spread:0.5"), criterion("within:1,0.9"))
     sweep = Sweep(("homing", "greedy"), range(1_000_000, 1_000_006), (100,), stops, budget=60)
-    rows = [row for policy, *rest in sweep.flights for mission in fly(sweep, [(policy, *rest)]) for row in mission]
+    rows = [
+        row for policy, *rest in sweep.flights for mission in fly(sweep, [(policy, *rest)]) for row in mission
+    ]
     rows = [msgspec.structs.replace(row, search_time_s=0.0, decision_ms=0.0, update_ms=0.0) for row in rows]
-    told = [figures([row for row in rows if row.policy == policy and row.criterion == s.text]) for policy in sweep.policies for s in stops]
+    told = [
+        figures([row for row in rows if row.policy == policy and row.criterion == s.text])
+        for policy in sweep.policies
+        for s in stops
+    ]
     return digest_of([*rows, *told])
 
 
@@ -224,7 +286,13 @@ def drawn(kind: str) -> str:
     """Particles of a prior, and its row."""
     config = Config(20_000, priors={"q": PRIORS[kind]})
     return digest_of(
-        [config.prior_rows, *(priors.draw(config.prior_rows, config.unknown_indices, 20_000, keyed(s, "prior")) for s in range(5))]
+        [
+            config.prior_rows,
+            *(
+                priors.draw(config.prior_rows, config.unknown_indices, 20_000, keyed(s, "prior"))
+                for s in range(5)
+            ),
+        ]
     )
 
 
@@ -234,13 +302,28 @@ def checks() -> dict[str, Callable[[], str]]:
     found |= {f"prior/{kind}": partial(drawn, kind) for kind in PRIORS}
     found |= {f"readings/{world}": partial(readings, world) for world in WORLDS}
     found |= {f"golden/{name}": partial(golden, name) for name in GOLDEN}
-    found |= {f"flight/{policy}-paper": partial(flight, policy, "gaussian", "paper", "as-modelled", 60) for policy in OURS}
-    found |= {f"flight/{policy}-field": partial(flight, policy, "gaussian", "field", "as-modelled", 25) for policy in OURS}
+    found |= {
+        f"flight/{policy}-paper": partial(flight, policy, "gaussian", "paper", "as-modelled", 60)
+        for policy in OURS
+    }
+    found |= {
+        f"flight/{policy}-field": partial(flight, policy, "gaussian", "field", "as-modelled", 25)
+        for policy in OURS
+    }
     for policy in FAMILIES:
-        found |= {f"flight/{policy}-{kind}": partial(flight, policy, kind, "field", "all-at-once", 25) for kind in ("threshold", "hits")}
-        found[f"flight/{policy}-gusts"] = partial(flight, policy, "gaussian:0.3,0.2,1.0", "paper", "cv-1-correlated", 25)
+        found |= {
+            f"flight/{policy}-{kind}": partial(flight, policy, kind, "field", "all-at-once", 25)
+            for kind in ("threshold", "hits")
+        }
+        found[f"flight/{policy}-gusts"] = partial(
+            flight, policy, "gaussian:0.3,0.2,1.0", "paper", "cv-1-correlated", 25
+        )
     found["flight/unusual"] = unusual
-    found |= {f"recovery/{assume}-{kind}": partial(recovery, assume, kind) for assume in ("paper", "field") for kind in SENSORS}
+    found |= {
+        f"recovery/{assume}-{kind}": partial(recovery, assume, kind)
+        for assume in ("paper", "field")
+        for kind in SENSORS
+    }
     found |= {f"batch/{assume}": partial(side_by_side, assume) for assume in ("paper", "field")}
     found["figures"] = table
     return found
@@ -248,9 +331,12 @@ def checks() -> dict[str, Callable[[], str]]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(
-        prog="python -m tests.system.bits", description="Print a digest of everything that must have the same bits."
+        prog="python -m tests.system.bits",
+        description="Print a digest of everything that must have the same bits.",
     )
-    parser.add_argument("names", nargs="*", metavar="NAME", help="only checks whose names begin so (default: all)")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help="only checks whose names begin so (default: all)"
+    )
     wanted = tuple(parser.parse_args().names)
     for name, check in checks().items():
         if not wanted or name.startswith(wanted):

@@ -14,7 +14,12 @@ class Part:
 
     def __init__(self, *arguments: str, cwd: Path | None = None) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", *arguments], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd
+            [sys.executable, "-m", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=cwd,
         )
         self.out: list[str] = []
         self.err: list[str] = []
@@ -33,7 +38,9 @@ class Part:
         return any(text in line for line in self.err)
 
     def ended(self, timeout_s: float = 400.0) -> int:
-        """Wait for the process to end; returns its exit status. `timeout_s` is for what never ends: a busy machine must not reach it."""
+        """Wait for the process to end; returns its exit status. `timeout_s` is for what never ends: a busy
+        machine must not reach it.
+        """
         try:
             status = self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:

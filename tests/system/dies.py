@@ -1,8 +1,10 @@
-"""A service that kills a process at given points: `python -m tests.system.dies WHOM POINT,… MODULE ARGUMENTS`.
+"""A service that kills a process at given points: `python -m tests.system.dies WHOM POINT,… MODULE
+ARGUMENTS`.
 
-It runs `python -m MODULE ARGUMENTS` with one change: the first time that it publishes `key` at `step` or later, a point `before:key:step`
-sends SIGKILL just before the message is handed to Zenoh, and a point `after:key:step` just after. Whether that message still leaves the
-dying process depends on Zenoh's threads. WHOM is `self`, or a file with the id of the process to kill.
+It runs `python -m MODULE ARGUMENTS` with one change: the first time that it publishes `key` at `step` or
+later, a point `before:key:step` sends SIGKILL just before the message is handed to Zenoh, and a point
+`after:key:step` just after. Whether that message still leaves the dying process depends on Zenoh's
+threads. WHOM is `self`, or a file with the id of the process to kill.
 """
 
 import os
@@ -21,7 +23,11 @@ def main(whom: str, points: list[str], module: str, *arguments: str) -> None:
     publish = Bus.publish
 
     def strike(when: str, key: Key, step: int) -> None:
-        for point in [point for point in points if point.startswith(f"{when}:{key.name}:") and step >= int(point.rpartition(":")[2])]:
+        for point in [
+            point
+            for point in points
+            if point.startswith(f"{when}:{key.name}:") and step >= int(point.rpartition(":")[2])
+        ]:
             points.remove(point)
             os.kill(os.getpid() if whom == "self" else int(Path(whom).read_text()), signal.SIGKILL)
 

@@ -1,4 +1,6 @@
-"""Services as threads of the test's process: real command lines on a real bus, without the start-up time of processes."""
+"""Services as threads of the test's process: real command lines on a real bus, without the start-up time
+of processes.
+"""
 
 import contextlib
 import importlib
@@ -76,18 +78,29 @@ def _serve(main: Callable[[], object]) -> None:
         main()
 
 
-def run_sitl(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[str], list[str]]:
-    """Run `python -m sitl arguments` in this process; returns its status and the lines of its stdout and stderr."""
+def run_sitl(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str
+) -> tuple[int, list[str], list[str]]:
+    """Run `python -m sitl arguments` in this process; returns its status and the lines of its stdout and
+    stderr.
+    """
     return _run(sitl.__main__.main, monkeypatch, capsys, "sitl", *arguments)
 
 
-def run_agent(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[str], list[str]]:
-    """Run `python -m agent arguments` in this process; returns its status and the lines of its stdout and stderr."""
+def run_agent(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str
+) -> tuple[int, list[str], list[str]]:
+    """Run `python -m agent arguments` in this process; returns its status and the lines of its stdout and
+    stderr.
+    """
     return _run(agent.__main__.main, monkeypatch, capsys, "agent", *arguments)
 
 
 def _run(
-    main: Callable[[], int | None], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str
+    main: Callable[[], int | None],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    *words: str,
 ) -> tuple[int, list[str], list[str]]:
     capsys.readouterr()
     monkeypatch.setattr(sys, "argv", [*words])

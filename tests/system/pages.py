@@ -1,4 +1,6 @@
-"""A browser's stand-in: connects to the page's WebSocket, acknowledges scenes and keeps what a page would keep."""
+"""A browser's stand-in: connects to the page's WebSocket, acknowledges scenes and keeps what a page would
+keep.
+"""
 
 import json
 import socket
@@ -19,11 +21,15 @@ class Browser:
 
     def __init__(self, port: int, word: str = "", host: str = "", **how: Any) -> None:
         self.port = port
-        offered = ["plumeward", f"word.{urlsafe_b64encode(word.encode()).decode().rstrip('=')}"] if word else None
+        offered = (
+            ["plumeward", f"word.{urlsafe_b64encode(word.encode()).decode().rstrip('=')}"] if word else None
+        )
         how = {"origin": f"http://127.0.0.1:{port}", "max_size": None, "subprotocols": offered, **how}
         self._open = ExitStack()
         plain = socket.create_connection(("127.0.0.1", port))
-        self.socket: ClientConnection = self._open.enter_context(connect(f"ws://{host or f'127.0.0.1:{port}'}/scenes", sock=plain, **how))
+        self.socket: ClientConnection = self._open.enter_context(
+            connect(f"ws://{host or f'127.0.0.1:{port}'}/scenes", sock=plain, **how)
+        )
         self.hello: dict[str, Any] = {}
         self.vehicles: dict[str, dict[str, Any]] = {}
         self.notice = ""
@@ -66,7 +72,9 @@ class Browser:
         """Take messages until something holds."""
         deadline = time.monotonic() + timeout_s
         while not holds():
-            assert time.monotonic() < deadline, f"not within {timeout_s:g} s; the newest scenes are {self.scenes}"
+            assert time.monotonic() < deadline, (
+                f"not within {timeout_s:g} s; the newest scenes are {self.scenes}"
+            )
             try:
                 self._take(self.socket.recv(0.5))
             except TimeoutError:
@@ -88,11 +96,15 @@ class Browser:
         (length,) = struct.unpack_from("<I", message)
         scene = json.loads(message[4 : 4 + length])
         name = scene["vehicle"]
-        for kept, new in ((self.steps, [row[0] for row in scene["measurements"]["rows"]]),
-                          (self.happened, [f"{row[2]}: {row[3]}" for row in scene["happenings"]["rows"]])):  # fmt: skip
+        for kept, new in (
+            (self.steps, [row[0] for row in scene["measurements"]["rows"]]),
+            (self.happened, [f"{row[2]}: {row[3]}" for row in scene["happenings"]["rows"]]),
+        ):
             begin = scene["measurements" if kept is self.steps else "happenings"]["from"]
             kept[name] = [*kept.get(name, [])[:begin], *new]
-        self.particles.update((name, array["shape"][0]) for array in scene["arrays"] if array["name"] == "particles")
+        self.particles.update(
+            (name, array["shape"][0]) for array in scene["arrays"] if array["name"] == "particles"
+        )
         self.scenes[name] = scene
         self.received += 1
         if scene["published_ms"]:
@@ -101,7 +113,9 @@ class Browser:
 
     def verdicts(self, name: str = "uav/1") -> dict[str, str]:
         """The verdict on each service of a vehicle."""
-        return {service["name"]: service["verdict"] for service in self.scenes.get(name, {}).get("services", [])}
+        return {
+            service["name"]: service["verdict"] for service in self.scenes.get(name, {}).get("services", [])
+        }
 
 
 def port_of(part: Part, wait_until: Callable[..., None]) -> int:

@@ -42,34 +42,61 @@ class Stranger:
         return samples
 
     def publisher(self, key: str) -> Callable[..., None]:
-        publisher = self.session.declare_publisher(f"uav/1/{key}", congestion_control=zenoh.CongestionControl.BLOCK, express=True)
+        publisher = self.session.declare_publisher(
+            f"uav/1/{key}", congestion_control=zenoh.CongestionControl.BLOCK, express=True
+        )
         self._held.append(publisher)
-        wait_until(lambda: publisher.matching_status.matching)  # a message sent before the subscription is known reaches nobody
+        wait_until(
+            lambda: publisher.matching_status.matching
+        )  # a message sent before the subscription is known reaches nobody
         return publisher.put
 
     def frames(self, *messages: object) -> bytes:
         return b"".join(bytes(message.pack(self.mav)) for message in messages)
 
-    def reading(self, time_boot_ms: int, north: float = 4.0, east: float = 3.0, gas: float = 0.5, system: int = 1) -> bytes:
+    def reading(
+        self, time_boot_ms: int, north: float = 4.0, east: float = 3.0, gas: float = 0.5, system: int = 1
+    ) -> bytes:
         self.mav.srcSystem = system
         frames = self.frames(
             mavlink.MAVLink_local_position_ned_message(time_boot_ms, north, east, -5.0, 0.0, 0.0, 0.0),
-            mavlink.MAVLink_wind_cov_message(time_boot_ms * 1000, -1.0, -2.0, 0.0, 0.0, 0.0, math.nan, 0.0, 0.0),
+            mavlink.MAVLink_wind_cov_message(
+                time_boot_ms * 1000, -1.0, -2.0, 0.0, 0.0, 0.0, math.nan, 0.0, 0.0
+            ),
             mavlink.MAVLink_named_value_float_message(time_boot_ms, b"gas", gas),
         )
         self.mav.srcSystem = 1
         return frames
 
-    def waypoint(self, time_boot_ms: int, north: float, east: float, down: float = -5.0, system: int = 1) -> bytes:
+    def waypoint(
+        self, time_boot_ms: int, north: float, east: float, down: float = -5.0, system: int = 1
+    ) -> bytes:
         return self.frames(
             mavlink.MAVLink_set_position_target_local_ned_message(
-                time_boot_ms, system, 1, mavlink.MAV_FRAME_LOCAL_NED, 0xDF8, north, east, down, 0, 0, 0, 0, 0, 0, 0, 0
+                time_boot_ms,
+                system,
+                1,
+                mavlink.MAV_FRAME_LOCAL_NED,
+                0xDF8,
+                north,
+                east,
+                down,
+                0,
+                0,
+                0,
+                0,
+                0,
+                0,
+                0,
+                0,
             )
         )
 
     def announced(self) -> list[str]:
         """The liveliness tokens that are known here."""
-        return [str(reply.ok.key_expr) for reply in self.session.liveliness().get("**") if reply.ok is not None]
+        return [
+            str(reply.ok.key_expr) for reply in self.session.liveliness().get("**") if reply.ok is not None
+        ]
 
     def has_service(self, service: str) -> bool:
         return any(reply.ok is not None for reply in self.session.liveliness().get(f"uav/1/health/{service}"))

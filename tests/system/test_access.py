@@ -1,4 +1,6 @@
-"""Protects secured missions: with certificates the same is flown, replayed and shown, and compose.secure.yaml flies."""
+"""Protects secured missions: with certificates the same is flown, replayed and shown, and
+compose.secure.yaml flies.
+"""
 
 import json
 import os
@@ -17,7 +19,9 @@ from link.access.authority import make
 from tests.system.live import run_agent
 
 ROOT = Path(__file__).parents[2]
-PLAIN, SECURE = (YAML(typ="safe").load(ROOT / name)["services"] for name in ("compose.yaml", "compose.secure.yaml"))
+PLAIN, SECURE = (
+    YAML(typ="safe").load(ROOT / name)["services"] for name in ("compose.yaml", "compose.secure.yaml")
+)
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +41,19 @@ def test_a_secured_mission_is_the_same_also_when_the_router_restarts(
     tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     script = str(ROOT / "missions" / "router-restart.yaml")
-    flown = run(tmp_path, "sitl", "fly", script, "--speedup", "0", "--secure", str(folder), "--no-record", "--json", "--trace")
+    flown = run(
+        tmp_path,
+        "sitl",
+        "fly",
+        script,
+        "--speedup",
+        "0",
+        "--secure",
+        str(folder),
+        "--no-record",
+        "--json",
+        "--trace",
+    )
     secured = json.loads(flown.stdout.splitlines()[-1])
     assert "router killed at step 7" in flown.stderr
     assert "no right to" not in flown.stderr
@@ -55,18 +71,38 @@ def test_a_secured_replay_gives_the_recorded_answers(tmp_path: Path, folder: Pat
 @pytest.mark.full
 def test_another_vehicle_joins_with_its_own_certificates(tmp_path: Path, folder: Path) -> None:
     flown = run(
-        tmp_path, "sitl", "fly", "--instance", "1", "--seed", "11", "--speedup", "0", "--secure", str(folder), "--no-record", "--json",
-        "--budget", "8", "--policy", "homing",
-    )  # fmt: skip
+        tmp_path,
+        "sitl",
+        "fly",
+        "--instance",
+        "1",
+        "--seed",
+        "11",
+        "--speedup",
+        "0",
+        "--secure",
+        str(folder),
+        "--no-record",
+        "--json",
+        "--budget",
+        "8",
+        "--policy",
+        "homing",
+    )
     assert json.loads(flown.stdout.splitlines()[-1])["steps"] == 8
 
 
 @pytest.mark.parametrize("command", ["fly", "uav", "status", "record", "bridge", "view", "router"])
 def test_a_missing_certificate_is_one_line(tmp_path: Path, command: str) -> None:
-    words = {"record": ["bus.mcap"], "bridge": ["udpin:127.0.0.1:1"], "view": ["--port", "0"]}.get(command, [])
+    words = {"record": ["bus.mcap"], "bridge": ["udpin:127.0.0.1:1"], "view": ["--port", "0"]}.get(
+        command, []
+    )
     ran = run(tmp_path, "sitl", command, *words, "--secure", "none", status=2)
     (line,) = [line for line in ran.stderr.splitlines() if "error: " in line]
-    assert re.search(r"--secure: cannot read none/\S+: No such file or directory \(make it with: plumeward certs none", line)
+    assert re.search(
+        r"--secure: cannot read none/\S+: No such file or directory \(make it with: plumeward certs none",
+        line,
+    )
 
 
 # ---- compose.secure.yaml ----
@@ -76,7 +112,11 @@ def test_the_compose_file_is_one() -> None:
     tool = Path(sys.executable).with_name("check-jsonschema")
     if not tool.exists():
         pytest.skip("check-jsonschema is not installed")
-    subprocess.run([tool, "--builtin-schema", "vendor.compose-spec", ROOT / "compose.secure.yaml"], check=True, capture_output=True)
+    subprocess.run(
+        [tool, "--builtin-schema", "vendor.compose-spec", ROOT / "compose.secure.yaml"],
+        check=True,
+        capture_output=True,
+    )
 
 
 def test_every_part_of_the_mission_is_secured() -> None:
@@ -85,7 +125,9 @@ def test_every_part_of_the_mission_is_secured() -> None:
         if name != "certs":
             assert service["command"][service["command"].index("--secure") + 1] == "/data/certs"
             assert service["volumes"] == ["certs:/data/certs:ro"]
-            assert not any(word.startswith("tcp/") for word in (*service["command"], *service["healthcheck"]["test"]))
+            assert not any(
+                word.startswith("tcp/") for word in (*service["command"], *service["healthcheck"]["test"])
+            )
     for name in ("estimator", "agent", "uav"):
         plain = [word.replace("tcp/router", "tls/router") for word in PLAIN[name]["command"]]
         secured = SECURE[name]["command"]
@@ -97,25 +139,38 @@ def test_every_part_of_the_mission_is_secured() -> None:
 
 def test_nobody_who_makes_keys_is_root_or_gains_rights() -> None:
     certs = SECURE["certs"]
-    assert (certs["read_only"], certs["cap_drop"], certs["security_opt"]) == (True, ["ALL"], ["no-new-privileges:true"])
+    assert (certs["read_only"], certs["cap_drop"], certs["security_opt"]) == (
+        True,
+        ["ALL"],
+        ["no-new-privileges:true"],
+    )
     assert not SECURE["router"]["user"].startswith("0")
 
 
 def words_of(command: list[str], folder: Path, endpoint: str) -> list[str]:
     """A command of the compose file as it runs here: its folder and its router's address are ours."""
-    words = [str(folder) if word == "/data/certs" else re.sub(r"^tls/router:7447$", endpoint, word) for word in command]
-    words = words[2:] if words[:2] == ["python", "-m"] else [{"certs": "link"}.get(words[1], "sitl"), *words[1:]]
+    words = [
+        str(folder) if word == "/data/certs" else re.sub(r"^tls/router:7447$", endpoint, word)
+        for word in command
+    ]
+    words = (
+        words[2:] if words[:2] == ["python", "-m"] else [{"certs": "link"}.get(words[1], "sitl"), *words[1:]]
+    )
     return [sys.executable, "-m", *words]
 
 
 @pytest.mark.full
-def test_the_commands_of_the_compose_file_fly_a_mission(tmp_path: Path, wait_until: Callable[..., None]) -> None:
+def test_the_commands_of_the_compose_file_fly_a_mission(
+    tmp_path: Path, wait_until: Callable[..., None]
+) -> None:
     folder, running = tmp_path / "certs", []
     environment: dict[str, Any] = {**os.environ, "PYTHONPATH": str(ROOT)}
 
     def start(name: str, endpoint: str, *more: str) -> subprocess.Popen[str]:
         words = [*words_of(SECURE[name]["command"], folder, endpoint), *more]
-        part = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=environment)
+        part = subprocess.Popen(
+            words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=environment
+        )
         running.append(part)
         return part
 
@@ -131,11 +186,20 @@ def test_the_commands_of_the_compose_file_fly_a_mission(tmp_path: Path, wait_unt
         for name in ("estimator", "agent"):
             start(name, endpoint)
             check = words_of(SECURE[name]["healthcheck"]["test"][1:], folder, endpoint)
-            wait_until(lambda check=check: subprocess.run(check, capture_output=True, cwd=tmp_path, env=environment).returncode == 0)
+            wait_until(
+                lambda check=check: (
+                    subprocess.run(check, capture_output=True, cwd=tmp_path, env=environment).returncode == 0
+                )
+            )
         command = words_of(SECURE["uav"]["command"], folder, endpoint)
         at = command.index("--out")
         flown = subprocess.run(
-            [*command[:at], "--speedup", "0", "--json"], capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=100
+            [*command[:at], "--speedup", "0", "--json"],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env=environment,
+            timeout=100,
         )
         assert flown.returncode == 0, flown.stderr
         assert json.loads(flown.stdout.splitlines()[-1])["located"] is True

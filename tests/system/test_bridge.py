@@ -1,4 +1,6 @@
-"""Protects the bridge as a process: real UDP, TCP and serial endpoints, both directions, reconnects, loops, floods, and a real client."""
+"""Protects the bridge as a process: real UDP, TCP and serial endpoints, both directions, reconnects,
+loops, floods, and a real client.
+"""
 
 import asyncio
 import signal
@@ -41,7 +43,10 @@ class Five:
     """A bridge with an endpoint of each kind, and a peer on each."""
 
     def __init__(self, start, router: str, folder: Path, stack: ExitStack, wait_until: Callable) -> None:
-        out, server = stack.enter_context(UdpWire()), stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+        out, server = (
+            stack.enter_context(UdpWire()),
+            stack.enter_context(socket.create_server(("127.0.0.1", 0))),
+        )
         serial = stack.enter_context(SerialWire(folder / "tty"))
         udp, tcp = free_port(UDP), free_port(TCP)
         urls = [f"udpin:127.0.0.1:{udp}", f"udpout:127.0.0.1:{out.port}", f"tcpin:127.0.0.1:{tcp}"]
@@ -56,7 +61,9 @@ class Five:
 
 @pytest.fixture
 def five(start, router: str, bus: BusWire, tmp_path: Path, wait_until: Callable) -> Iterator[Five]:
-    with ExitStack() as stack:  # after the bus has joined: what a bridge says that knows of no receiver is not sent
+    with (
+        ExitStack() as stack
+    ):  # after the bus has joined: what a bridge says that knows of no receiver is not sent
         yield Five(start, router, tmp_path, stack, wait_until)
 
 
@@ -67,7 +74,11 @@ def test_stations_on_each_kind_of_endpoint_reach_a_vehicle_on_the_bus_and_only_t
     stations = [Speaker(250 + at, 190, version=1 + at % 2) for at in range(5)]
     for station, wire in zip(stations, five.wires, strict=True):
         if wire is five.wires[1]:  # it waits to be called, which the first heartbeat of the vehicle does
-            beats_until(wait_until, lambda: bus.say(MAVLINK_OUT, drone.beat(autopilot=True)), lambda: five.wires[1].heard)
+            beats_until(
+                wait_until,
+                lambda: bus.say(MAVLINK_OUT, drone.beat(autopilot=True)),
+                lambda: five.wires[1].heard,
+            )
         beat = station.beat()
         wire.say(beat)
         wait_until(lambda beat=beat: count(bus.into, beat) == 1)
@@ -106,7 +117,9 @@ def test_autopilots_on_each_kind_of_endpoint_become_the_vehicles_output_and_get_
     assert bus.into == []  # nothing of an autopilot is taken for a command
 
 
-def test_garbage_and_a_flood_of_markers_hold_nothing_up_and_are_counted(five: Five, bus: BusWire, wait_until: Callable) -> None:
+def test_garbage_and_a_flood_of_markers_hold_nothing_up_and_are_counted(
+    five: Five, bus: BusWire, wait_until: Callable
+) -> None:
     station = Speaker(255, 190)
     udp, tcp = five.wires[0], five.wires[2]
     for wire in (udp, tcp):
@@ -137,11 +150,15 @@ def test_a_peer_that_reads_nothing_holds_nobody_up_and_what_it_misses_is_counted
         bus.say(MAVLINK_OUT, text * 4000)  # each of 248 kB
         beat = drone.beat(autopilot=True)
         bus.say(MAVLINK_OUT, beat)
-        wait_until(lambda beat=beat: udp.has(beat) or any(letter.data == beat for letter in five.wires[3].heard))
+        wait_until(
+            lambda beat=beat: udp.has(beat) or any(letter.data == beat for letter in five.wires[3].heard)
+        )
     wait_until(lambda: five.bridge.says("that came too fast"))
 
 
-def test_it_comes_back_to_a_tcp_server_that_comes_goes_and_returns(start, router: str, bus: BusWire, wait_until: Callable) -> None:
+def test_it_comes_back_to_a_tcp_server_that_comes_goes_and_returns(
+    start, router: str, bus: BusWire, wait_until: Callable
+) -> None:
     port, drone, agent = free_port(TCP), Speaker(1, 1), Speaker(1, 191)
     bridge = start("sitl", "bridge", f"tcp:127.0.0.1:{port}", "--connect", router)
     wait_until(lambda: bridge.says("Connection refused; it is tried again"))
@@ -158,7 +175,9 @@ def test_it_comes_back_to_a_tcp_server_that_comes_goes_and_returns(start, router
 
 
 @pytest.mark.full
-def test_it_comes_back_to_a_serial_device_that_is_unplugged(start, router: str, bus: BusWire, tmp_path: Path, wait_until: Callable) -> None:
+def test_it_comes_back_to_a_serial_device_that_is_unplugged(
+    start, router: str, bus: BusWire, tmp_path: Path, wait_until: Callable
+) -> None:
     device, drone, agent = tmp_path / "ttyACM0", Speaker(1, 1), Speaker(1, 191)
     bridge = start("sitl", "bridge", f"serial:{device}", "--connect", router)
     wait_until(lambda: bridge.says("No such file or directory; it is tried again"))
@@ -199,7 +218,9 @@ def test_it_comes_back_to_a_router_that_is_started_again(start, wait_until: Call
 
 
 @pytest.mark.full
-def test_two_bridges_between_the_same_two_points_do_not_storm(start, router: str, bus: BusWire, wait_until: Callable) -> None:
+def test_two_bridges_between_the_same_two_points_do_not_storm(
+    start, router: str, bus: BusWire, wait_until: Callable
+) -> None:
     port, other = free_port(UDP), free_port(UDP)
     one = start("sitl", "bridge", f"udpin:127.0.0.1:{port}", f"udpin:127.0.0.1:{other}", "--connect", router)
     wait_until(lambda: one.says("on the bus"))
@@ -209,14 +230,21 @@ def test_two_bridges_between_the_same_two_points_do_not_storm(start, router: str
     with UdpWire(other) as wire:
         beats = [drone.beat(autopilot=True) for _ in range(50)]
         calls = [station.beat() for _ in range(50)]
-        beats_until(wait_until, lambda: bus.say(MAVLINK_OUT, drone.beat(autopilot=True)), lambda: one.says(f":{port}: 127.0.0.1"))
+        beats_until(
+            wait_until,
+            lambda: bus.say(MAVLINK_OUT, drone.beat(autopilot=True)),
+            lambda: one.says(f":{port}: 127.0.0.1"),
+        )
         for beat, call in zip(beats, calls, strict=True):
             wire.say(call)
             bus.say(MAVLINK_OUT, beat)
-        wait_until(lambda: all(wire.has(beat) for beat in beats) and all(count(bus.into, call) for call in calls))
+        wait_until(
+            lambda: all(wire.has(beat) for beat in beats) and all(count(bus.into, call) for call in calls)
+        )
         bus.settle()
         assert all(count(bus.into, call) <= 2 for call in calls)  # each bridge may bring it, once
-        # Nothing of the vehicle comes back to the bus, except what overtakes its first frames to a bridge that has not heard it there yet.
+        # Nothing of the vehicle comes back to the bus, except what overtakes its first frames to a bridge
+        # that has not heard it there yet.
         assert sum(letter.autopilot for letter in bus.out) <= 5
     for bridge in (one, two):
         bridge.process.send_signal(signal.SIGINT)
@@ -227,7 +255,9 @@ def test_two_bridges_between_the_same_two_points_do_not_storm(start, router: str
                 assert received < 5 * 110, line  # a storm has thousands
 
 
-def test_two_vehicles_on_a_bus_and_a_wire_and_two_stations(start, router: str, bus: BusWire, wait_until: Callable) -> None:
+def test_two_vehicles_on_a_bus_and_a_wire_and_two_stations(
+    start, router: str, bus: BusWire, wait_until: Callable
+) -> None:
     udp, tcp = free_port(UDP), free_port(TCP)
     bridge = start("sitl", "bridge", f"udpin:127.0.0.1:{udp}", f"tcpin:127.0.0.1:{tcp}", "--connect", router)
     wait_until(lambda: bridge.says("on the bus"))
@@ -267,13 +297,20 @@ def test_two_vehicles_on_a_bus_and_a_wire_and_two_stations(start, router: str, b
     ],
 )
 def test_bad_urls_get_one_line_and_status_2(router: str, urls: list[str], said: str) -> None:
-    ended = subprocess.run([sys.executable, "-m", "sitl", "bridge", *urls, "--connect", router], capture_output=True, text=True, timeout=60)
+    ended = subprocess.run(
+        [sys.executable, "-m", "sitl", "bridge", *urls, "--connect", router],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert ended.returncode == 2
     (line,) = [line for line in ended.stderr.splitlines() if "error" in line]
     assert said in line
 
 
-def test_a_port_in_use_is_refused_and_all_interfaces_are_warned_of(start, router: str, wait_until: Callable) -> None:
+def test_a_port_in_use_is_refused_and_all_interfaces_are_warned_of(
+    start, router: str, wait_until: Callable
+) -> None:
     port = free_port(TCP)
     first = start("sitl", "bridge", f"tcpin:0.0.0.0:{port}", "--connect", router)
     wait_until(lambda: first.says(f"whoever reaches port {port} can command the vehicle"))
@@ -284,7 +321,9 @@ def test_a_port_in_use_is_refused_and_all_interfaces_are_warned_of(start, router
 
 @pytest.mark.full
 @pytest.mark.parametrize("kind", ["tcp", "udp"])
-def test_mavsdk_flies_the_vehicle_of_the_bus_through_the_bridge(kind: str, start, router: str, wait_until: Callable) -> None:
+def test_mavsdk_flies_the_vehicle_of_the_bus_through_the_bridge(
+    kind: str, start, router: str, wait_until: Callable
+) -> None:
     port = free_port(TCP if kind == "tcp" else UDP)
     url, calls = {
         "tcp": (f"tcpin:127.0.0.1:{port}", f"tcpout://127.0.0.1:{port}"),
@@ -308,9 +347,15 @@ def test_mavsdk_flies_the_vehicle_of_the_bus_through_the_bridge(kind: str, start
 
 @pytest.mark.parametrize(
     ("words", "may"),
-    [(("bridge",), "command the vehicle"), (("uav", "--out"), "command the vehicle"), (("uav", "--vehicle"), "speak as the vehicle")],
+    [
+        (("bridge",), "command the vehicle"),
+        (("uav", "--out"), "command the vehicle"),
+        (("uav", "--vehicle"), "speak as the vehicle"),
+    ],
 )
-def test_whatever_listens_beside_the_loopback_warns(start, router: str, wait_until: Callable, words: tuple[str, ...], may: str) -> None:
+def test_whatever_listens_beside_the_loopback_warns(
+    start, router: str, wait_until: Callable, words: tuple[str, ...], may: str
+) -> None:
     port = free_port(UDP)
     url = f"udpin:{socket.gethostname()}:{port}"  # a name may point anywhere
     part = start("sitl", *words, url, *(() if "--out" in words else ("--connect", router)))

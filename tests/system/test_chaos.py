@@ -1,4 +1,6 @@
-"""Protects missions from faults: twelve runs of the fault campaign, each judged as the campaign does. `make chaos` flies the others."""
+"""Protects missions from faults: twelve runs of the fault campaign, each judged as the campaign does.
+`make chaos` flies the others.
+"""
 
 from functools import cache
 

@@ -28,16 +28,23 @@ def mission(tmp_path: Path) -> str:
     return "mission.yaml"
 
 
-def test_it_is_the_mission_that_a_launcher_of_all_parts_flies_to_the_last_bit(start, router: str, mission: str, tmp_path: Path) -> None:
+def test_it_is_the_mission_that_a_launcher_of_all_parts_flies_to_the_last_bit(
+    start, router: str, mission: str, tmp_path: Path
+) -> None:
     whole = start("sitl", "fly", mission, "--policy", "homing", "--json", "--trace", cwd=tmp_path)
     assert whole.ended() == 0
     script = load(tmp_path / mission).changed({"agent.policy": "homing"})
-    for service, words in (("estimator", estimator_arguments(Launch(script))), ("agent", agent_arguments(Launch(script)))):
+    for service, words in (
+        ("estimator", estimator_arguments(Launch(script))),
+        ("agent", agent_arguments(Launch(script))),
+    ):
         start(service, "--connect", router, *words)
     joined = start("sitl", "fly", mission, "--connect", router, "--json", "--trace", cwd=tmp_path)
     assert joined.ended() == 0, joined.err
     one, other = (json.loads(part.out[-1]) for part in (whole, joined))
-    assert one["policy"] == other["policy"] == "homing"  # reported by the agent: this command line does not name it
+    assert (
+        one["policy"] == other["policy"] == "homing"
+    )  # reported by the agent: this command line does not name it
     assert {**one, "search_time_s": 0} == {**other, "search_time_s": 0}
     (summary,) = (tmp_path / "runs").glob("*-connected-*.json")
     assert json.loads(summary.read_text())["mission"]["agent"]["policy"] == "homing"
@@ -77,7 +84,12 @@ def test_a_service_that_is_lost_is_told_and_the_mission_goes_on_when_it_is_back(
 ) -> None:
     start("estimator", "--connect", router)
     agent = start("agent", "--connect", router)
-    patient = ("--patience", "300", "--silence", "300")  # where the machine is busy, an agent takes its time to start
+    patient = (
+        "--patience",
+        "300",
+        "--silence",
+        "300",
+    )  # where the machine is busy, an agent takes its time to start
     flight = start("sitl", "fly", mission, "--connect", router, "--speedup", "20", *patient, cwd=tmp_path)
     wait_until(lambda: flight.says("step   0"))
     agent.kill()
@@ -88,7 +100,9 @@ def test_a_service_that_is_lost_is_told_and_the_mission_goes_on_when_it_is_back(
 
 
 @pytest.mark.full
-def test_ctrl_c_ends_the_vehicle_and_leaves_the_services(start, router: str, mission: str, wait_until: Callable, tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_vehicle_and_leaves_the_services(
+    start, router: str, mission: str, wait_until: Callable, tmp_path: Path
+) -> None:
     services = [start("estimator", "--connect", router), start("agent", "--connect", router)]
     flight = start("sitl", "fly", mission, "--connect", router, "--speedup", "1", cwd=tmp_path)
     wait_until(lambda: flight.says("step   0"))
@@ -97,7 +111,9 @@ def test_ctrl_c_ends_the_vehicle_and_leaves_the_services(start, router: str, mis
     assert all(service.process.poll() is None for service in services)
 
 
-def test_a_second_vehicle_in_the_same_namespace_is_refused(start, router: str, mission: str, tmp_path: Path) -> None:
+def test_a_second_vehicle_in_the_same_namespace_is_refused(
+    start, router: str, mission: str, tmp_path: Path
+) -> None:
     with Bus("uav", router):
         flight = start("sitl", "fly", mission, "--connect", router, cwd=tmp_path)
         assert flight.ended() == 1
@@ -107,26 +123,45 @@ def test_a_second_vehicle_in_the_same_namespace_is_refused(start, router: str, m
 @pytest.mark.parametrize(
     ("flags", "line"),
     [
-        (["--policy", "ppo"], "--connect: agent.policy cannot be chosen: the agent runs elsewhere, with its own flags"),
-        (["--particles", "500"], "--connect: estimator.particles cannot be chosen: the estimator runs elsewhere, with its own flags"),
+        (
+            ["--policy", "ppo"],
+            "--connect: agent.policy cannot be chosen: the agent runs elsewhere, with its own flags",
+        ),
+        (
+            ["--particles", "500"],
+            "--connect: estimator.particles cannot be chosen: the estimator runs elsewhere, with its own "
+            "flags",
+        ),
         (["--listen", "tcp/127.0.0.1:0"], "--listen: not with --connect, whose router runs elsewhere"),
-        (["missions/link-cut.yaml"], "--connect: events[0], cut, cannot happen: it needs parts that this command starts"),
+        (
+            ["missions/link-cut.yaml"],
+            "--connect: events[0], cut, cannot happen: it needs parts that this command starts",
+        ),
         (
             ["missions/unknown-rate.yaml"],
             "--connect: estimator.assume cannot be chosen: the estimator runs elsewhere, with its own flags",
         ),
-        (["--stop", "within:1,0.9"], "--connect: estimator.stop cannot be chosen: the estimator runs elsewhere, with its own flags"),
+        (
+            ["--stop", "within:1,0.9"],
+            "--connect: estimator.stop cannot be chosen: the estimator runs elsewhere, with its own flags",
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_what_only_own_services_can_do_is_refused_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], flags: list[str], line: str
 ) -> None:
-    assert run_sitl(monkeypatch, capsys, "fly", "--connect", "tcp/127.0.0.1:1", *flags) == (2, [], [f"error: {line}"])
+    assert run_sitl(monkeypatch, capsys, "fly", "--connect", "tcp/127.0.0.1:1", *flags) == (
+        2,
+        [],
+        [f"error: {line}"],
+    )
 
 
 def test_without_a_router_it_is_one_line_and_status_2(start, tmp_path: Path) -> None:
     refused = start("sitl", "fly", "--connect", "tcp/127.0.0.1:1", cwd=tmp_path)
     assert refused.ended() == 2
-    assert refused.err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: plumeward router)\n"]
+    assert refused.err == [
+        "error: --connect: no router at tcp/127.0.0.1:1 (start one with: plumeward router)\n"
+    ]
     assert not (tmp_path / "runs").exists()

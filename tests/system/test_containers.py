@@ -1,4 +1,6 @@
-"""Protects the containers: the claims of Dockerfile and compose file, and a mission flown in containers of the built image."""
+"""Protects the containers: the claims of Dockerfile and compose file, and a mission flown in containers of
+the built image.
+"""
 
 import ast
 import json
@@ -27,8 +29,15 @@ PODMAN = ("podman", "--runtime", "runc")
 OURS = f"plumeward-test-{os.getpid()}"
 """What the names of all begin with that the tests make: images, containers, a volume."""
 BASE, IMAGE = f"localhost/{OURS}-base", f"localhost/{OURS}"
-HOST = ("--network=host", "--add-host=router:127.0.0.1", "--ulimit=nofile=4096:4096", "--ulimit=nproc=4096:4096")
-"""In place of compose's network; and the limits, as a machine that is itself a container lets podman raise none."""
+HOST = (
+    "--network=host",
+    "--add-host=router:127.0.0.1",
+    "--ulimit=nofile=4096:4096",
+    "--ulimit=nproc=4096:4096",
+)
+"""In place of compose's network; and the limits, as a machine that is itself a container lets podman raise
+none.
+"""
 OPTIONS: dict[str, Callable[[Any], list[str]]] = {
     "init": lambda _: ["--init"],
     "read_only": lambda _: ["--read-only", "--read-only-tmpfs=false"],
@@ -50,13 +59,20 @@ class TestTheFiles:
         return shutil.which(name, path=Path(sys.executable).parent) or pytest.skip(f"{name} is not installed")
 
     def test_the_compose_file_is_one(self) -> None:
-        said(self.tool("check-jsonschema"), "--builtin-schema", "vendor.compose-spec", str(ROOT / "compose.yaml"))
+        said(
+            self.tool("check-jsonschema"),
+            "--builtin-schema",
+            "vendor.compose-spec",
+            str(ROOT / "compose.yaml"),
+        )
 
     def test_the_dockerfile_has_no_known_faults(self) -> None:
         said(self.tool("hadolint"), str(ROOT / "Dockerfile"))
 
     def test_the_router_is_of_the_minor_version_that_the_tests_are_run_with(self) -> None:
-        (pinned,) = re.findall(r"^eclipse-zenoh==(\d+\.\d+)\.", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
+        (pinned,) = re.findall(
+            r"^eclipse-zenoh==(\d+\.\d+)\.", (ROOT / "constraints.txt").read_text(), re.MULTILINE
+        )
         assert re.fullmatch(rf"eclipse/zenoh:{re.escape(pinned)}\.\d+", SERVICES["router"]["image"])
 
     def test_all_parts_are_told_where_the_router_is_and_nobody_searches(self) -> None:
@@ -70,9 +86,16 @@ class TestTheFiles:
     def test_a_part_begins_when_those_before_it_are_healthy(self) -> None:
         waited_for = {name: service.get("depends_on", {}) for name, service in SERVICES.items()}
         assert {name: set(others) for name, others in waited_for.items()} == {
-            "router": set(), "estimator": {"router"}, "agent": {"router"}, "uav": {"estimator", "agent"},
-        }  # fmt: skip
-        assert all(condition == {"condition": "service_healthy"} for others in waited_for.values() for condition in others.values())
+            "router": set(),
+            "estimator": {"router"},
+            "agent": {"router"},
+            "uav": {"estimator", "agent"},
+        }
+        assert all(
+            condition == {"condition": "service_healthy"}
+            for others in waited_for.values()
+            for condition in others.values()
+        )
         assert all(service["healthcheck"]["test"][0] == "CMD" for service in SERVICES.values())
 
     def test_nobody_is_root_writes_to_the_image_or_gains_rights(self) -> None:
@@ -87,8 +110,11 @@ class TestTheFiles:
 
     def test_plain_up_has_the_vehicle_in_it_and_the_services_profile_has_not(self) -> None:
         assert {name: service.get("profiles") for name, service in SERVICES.items()} == {
-            "router": None, "estimator": None, "agent": None, "uav": ["mission"],
-        }  # fmt: skip
+            "router": None,
+            "estimator": None,
+            "agent": None,
+            "uav": ["mission"],
+        }
         assert "COMPOSE_PROFILES=mission" in (ROOT / ".env").read_text().splitlines()
 
     def test_the_port_that_a_ground_station_calls_is_the_vehicles(self) -> None:
@@ -106,7 +132,13 @@ def said(*command: str, **more: Any) -> str:
 def mirror() -> str:
     """The Debian mirror of this machine."""
     if shutil.which("apt-get"):
-        targets = said("apt-get", "indextargets", "--format", "$(REPO_URI) $(ORIGIN) $(COMPONENT)", "Created-By: Packages").splitlines()
+        targets = said(
+            "apt-get",
+            "indextargets",
+            "--format",
+            "$(REPO_URI) $(ORIGIN) $(COMPONENT)",
+            "Created-By: Packages",
+        ).splitlines()
         for target in targets:
             if target.endswith(" Debian main"):
                 return target.split()[0]
@@ -115,7 +147,9 @@ def mirror() -> str:
 
 @pytest.fixture(scope="module")
 def base() -> Iterator[str]:
-    """A Debian image with Python in place of the Dockerfile's base image, because a Debian mirror is easier to reach than a registry."""
+    """A Debian image with Python in place of the Dockerfile's base image, because a Debian mirror is
+    easier to reach than a registry.
+    """
     if missing := [tool for tool in TOOLS if not shutil.which(tool)]:
         pytest.skip(f"no container can be built and run: {', '.join(missing)} not installed")
     if os.geteuid() != 0:
@@ -147,12 +181,18 @@ def remove() -> None:
 
 
 def pip_settings(folder: Path) -> list[str]:
-    """Mount options for this machine's pip.conf and certificates, which the build needs to reach PyPI and the Dockerfile does not have."""
+    """Mount options for this machine's pip.conf and certificates, which the build needs to reach PyPI and
+    the Dockerfile does not have.
+    """
     settings = {}
     for line in said(sys.executable, "-m", "pip", "config", "list").splitlines():
         name, _, value = line.partition("=")
         settings[name.rpartition(".")[2]] = ast.literal_eval(value)
-    wanted = {name: settings[name] for name in ("index-url", "cert", "proxy", "trusted-host", "default-timeout") if name in settings}
+    wanted = {
+        name: settings[name]
+        for name in ("index-url", "cert", "proxy", "trusted-host", "default-timeout")
+        if name in settings
+    }
     conf = folder / "pip.conf"
     conf.write_text("\n".join(["[global]", *(f"{name} = {value}" for name, value in wanted.items())]) + "\n")
     mounts = [f"{conf}:/etc/pip.conf:ro", *(f"{cert}:{cert}:ro" for cert in [wanted.get("cert")] if cert)]
@@ -163,8 +203,13 @@ def pip_settings(folder: Path) -> list[str]:
 def image(base: str, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The image, built from this checkout."""
     settings = pip_settings(tmp_path_factory.mktemp("pip"))
-    environment = {**os.environ, "BUILDAH_ISOLATION": "chroot"}  # the isolation that works on a machine which is itself a container
-    said("buildah", "bud", *settings, "--build-arg", f"BASE={base}", "--tag", IMAGE, str(ROOT), env=environment)
+    environment = {
+        **os.environ,
+        "BUILDAH_ISOLATION": "chroot",
+    }  # the isolation that works on a machine which is itself a container
+    said(
+        "buildah", "bud", *settings, "--build-arg", f"BASE={base}", "--tag", IMAGE, str(ROOT), env=environment
+    )
     return IMAGE
 
 
@@ -198,7 +243,17 @@ class Containers:
         assert set(service) <= OPTIONS.keys() | ELSEWHERE, "the compose file says what this test does not do"
         options = [word for key, option in OPTIONS.items() if key in service for word in option(service[key])]
         command = [*self._words(service["command"]), *more]
-        said(*PODMAN, "run", "--detach", "--replace", f"--name={OURS}-{name}", *HOST, *options, self._image, *command)
+        said(
+            *PODMAN,
+            "run",
+            "--detach",
+            "--replace",
+            f"--name={OURS}-{name}",
+            *HOST,
+            *options,
+            self._image,
+            *command,
+        )
 
     def start_router(self) -> None:
         """Start our own router in place of the compose file's image."""
@@ -209,7 +264,12 @@ class Containers:
     def healthy(self, name: str) -> bool:
         """True if a service's health check passes now."""
         check = self._words(SERVICES[name]["healthcheck"]["test"][1:])
-        return subprocess.run(("podman", "exec", f"{OURS}-{name}", *check), capture_output=True, check=False).returncode == 0
+        return (
+            subprocess.run(
+                ("podman", "exec", f"{OURS}-{name}", *check), capture_output=True, check=False
+            ).returncode
+            == 0
+        )
 
     def start_services(self) -> None:
         """Start the services that the vehicle waits for, and wait until they are healthy."""
@@ -229,14 +289,18 @@ class Containers:
     def log(self, name: str) -> str:
         """A service's output so far."""
         command = ("podman", "logs", f"{OURS}-{name}")
-        return subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True).stdout
+        return subprocess.run(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True
+        ).stdout
 
 
 def hears_the_vehicle(port: int) -> bool:
     """True if a ground station that connects to the port receives heartbeats."""
     station = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=255)
     try:
-        station.mav.heartbeat_send(mavutil.mavlink.MAV_TYPE_GCS, mavutil.mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0)
+        station.mav.heartbeat_send(
+            mavutil.mavlink.MAV_TYPE_GCS, mavutil.mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0
+        )
         heartbeat = station.recv_match(type="HEARTBEAT", blocking=True, timeout=1)
         return heartbeat is not None and heartbeat.get_srcSystem() == 1
     except ConnectionError:
@@ -247,13 +311,32 @@ def hears_the_vehicle(port: int) -> bool:
 
 @pytest.mark.full
 @pytest.mark.timeout(3600)
-def test_the_image_is_small_and_without_torch_and_flies_missions_that_exit_with_their_status(image: str, wait_until: Callable) -> None:
+def test_the_image_is_small_and_without_torch_and_flies_missions_that_exit_with_their_status(
+    image: str, wait_until: Callable
+) -> None:
     assert int(said("podman", "image", "inspect", image, "--format", "{{.Size}}")) < MOST_BYTES
     within = [*PODMAN, "run", "--rm", *HOST, "--read-only", "--tmpfs=/tmp", image]
     user = said(*within, "id", "--user")
     assert user != "0"
-    assert said(*within, "stat", "--format=%u", "/data/runs") == user  # so a new volume there belongs to the user too
-    assert said(*within[:-1], "--user=0", image, "find", "/", "-xdev", "-name", "torch", "-o", "-name", "libtorch*") == ""
+    assert (
+        said(*within, "stat", "--format=%u", "/data/runs") == user
+    )  # so a new volume there belongs to the user too
+    assert (
+        said(
+            *within[:-1],
+            "--user=0",
+            image,
+            "find",
+            "/",
+            "-xdev",
+            "-name",
+            "torch",
+            "-o",
+            "-name",
+            "libtorch*",
+        )
+        == ""
+    )
 
     containers = Containers(image, wait_until)
     containers.start_router()
@@ -266,10 +349,14 @@ def test_the_image_is_small_and_without_torch_and_flies_missions_that_exit_with_
     assert json.loads(summary.read_text())["outcome"]["located"]
     assert [record.stat().st_size > 0 for record in runs.glob("*.mcap")] == [True]
     for service in ("estimator", "agent"):
-        containers.execute(service, "diff", "-r", "/opt/kernels", "/tmp/kernels")  # no kernel had to be compiled
+        containers.execute(
+            service, "diff", "-r", "/opt/kernels", "/tmp/kernels"
+        )  # no kernel had to be compiled
 
     containers.start_services()  # restart: these have already flown a mission
-    containers.start("uav", "--speedup", "3", "--silence", "1")  # slow enough to observe, and soon home without an estimator
+    containers.start(
+        "uav", "--speedup", "3", "--silence", "1"
+    )  # slow enough to observe, and soon home without an estimator
     wait_until(lambda: hears_the_vehicle(containers.mavlink_port))
     wait_until(lambda: containers.healthy("uav"))
     wait_until(lambda: "step " in containers.log("uav"))

@@ -11,7 +11,20 @@ import pytest
 
 from tests.system.live import run_agent
 
-QUICK = ("agent", "evaluate", "--policy", "greedy,thompson", "--first-seed", "7", "--particles", "100", "--budget", "40", "--workers", "2")
+QUICK = (
+    "agent",
+    "evaluate",
+    "--policy",
+    "greedy,thompson",
+    "--first-seed",
+    "7",
+    "--particles",
+    "100",
+    "--budget",
+    "40",
+    "--workers",
+    "2",
+)
 
 
 def test_it_prints_the_figures_as_json_and_writes_a_row_a_mission(start, tmp_path: Path) -> None:
@@ -33,7 +46,9 @@ def test_it_prints_the_figures_as_json_and_writes_a_row_a_mission(start, tmp_pat
     }
     assert wanted < set(figures["greedy"])
     rows = list(csv.DictReader((tmp_path / "missions.csv").read_text().splitlines()))
-    assert [(row["policy"], row["seed"]) for row in rows] == [(name, seed) for name in figures for seed in "789"]
+    assert [(row["policy"], row["seed"]) for row in rows] == [
+        (name, seed) for name in figures for seed in "789"
+    ]
     assert figures["greedy"]["ceased"] == pytest.approx(sum(row["ceased"] == "True" for row in rows[:3]) / 3)
     assert not list((tmp_path / "runs").iterdir())  # a completed sweep removes its journal
 
@@ -70,11 +85,15 @@ def gone(pid: int) -> bool:
 
 def flying(sweep, folder: Path) -> bool:
     """True if some missions have been flown."""
-    return len(workers(sweep.process.pid)) == 2 and any(path.read_bytes().count(b"\n") > 5 for path in folder.glob("runs/*.jsonl"))
+    return len(workers(sweep.process.pid)) == 2 and any(
+        path.read_bytes().count(b"\n") > 5 for path in folder.glob("runs/*.jsonl")
+    )
 
 
 @pytest.mark.full
-def test_a_killed_worker_ends_the_sweep_with_a_line_and_nothing_is_lost(start, tmp_path: Path, wait_until: Callable) -> None:
+def test_a_killed_worker_ends_the_sweep_with_a_line_and_nothing_is_lost(
+    start, tmp_path: Path, wait_until: Callable
+) -> None:
     command = (*QUICK, "--scenarios", "5000")
     sweep = start(*command, cwd=tmp_path)
     wait_until(lambda: flying(sweep, tmp_path))
@@ -98,7 +117,9 @@ def test_a_killed_worker_ends_the_sweep_with_a_line_and_nothing_is_lost(start, t
 
 
 @pytest.mark.parametrize("when", ["as it flies", pytest.param("as it starts", marks=pytest.mark.full)])
-def test_an_interrupt_from_the_terminal_is_one_line_and_leaves_no_worker(start, tmp_path: Path, wait_until: Callable, when: str) -> None:
+def test_an_interrupt_from_the_terminal_is_one_line_and_leaves_no_worker(
+    start, tmp_path: Path, wait_until: Callable, when: str
+) -> None:
     sweep = start(*QUICK, "--scenarios", "5000", cwd=tmp_path)
     wait_until(lambda: flying(sweep, tmp_path) if when == "as it flies" else workers(sweep.process.pid))
     pids = workers(sweep.process.pid)
@@ -158,18 +179,31 @@ def test_a_table_that_cannot_be_written_loses_nothing(start, tmp_path: Path) -> 
     ("flags", "error"),
     [
         (("--policy", "greedy,clairvoyance"), "--policy: 'clairvoyance' is not allowed; wanted infotaxis, "),
-        (("--particles", "100,3"), "--particles: '3' is not allowed; wanted a whole number from 10 to 1000000"),
+        (
+            ("--particles", "100,3"),
+            "--particles: '3' is not allowed; wanted a whole number from 10 to 1000000",
+        ),
         (("--threshold", "0.5,"), "--threshold: '' is not allowed; wanted a number above 0 up to 100"),
         (("--scenarios", "0"), "--scenarios: '0' is not allowed"),
         (("--headings", "5"), "--headings: 5 is not allowed; wanted 4 or 8"),
         (("--missions", "/tmp"), "--missions: '/tmp' is a folder; wanted a file"),
-        (("--missions", "nowhere/missions.csv"), "--missions: 'nowhere/missions.csv' cannot be written: No such file or directory"),
-        (("--missions", "/proc/missions.csv"), "--missions: '/proc/missions.csv' cannot be written: No such file or directory"),
+        (
+            ("--missions", "nowhere/missions.csv"),
+            "--missions: 'nowhere/missions.csv' cannot be written: No such file or directory",
+        ),
+        (
+            ("--missions", "/proc/missions.csv"),
+            "--missions: '/proc/missions.csv' cannot be written: No such file or directory",
+        ),
         (("--assume", "paper", "--stop-on", "q=3"), "--stop-on: 'q=3' is not allowed"),
     ],
 )
 def test_bad_input_is_one_line_that_says_what_is_allowed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, flags: tuple[str, str], error: str
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    flags: tuple[str, str],
+    error: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     status, _, err = run_agent(monkeypatch, capsys, *QUICK[1:], *flags)

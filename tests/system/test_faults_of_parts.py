@@ -1,4 +1,6 @@
-"""Protects missions from parts that hang, print without end or leave processes behind, and parts from a launcher that is gone."""
+"""Protects missions from parts that hang, print without end or leave processes behind, and parts from a
+launcher that is gone.
+"""
 
 import contextlib
 import json
@@ -34,7 +36,10 @@ def state(pid: int) -> str:
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
-@pytest.mark.parametrize("part", ["agent", *(pytest.param(part, marks=pytest.mark.full) for part in ("router", "uav", "estimator"))])
+@pytest.mark.parametrize(
+    "part",
+    ["agent", *(pytest.param(part, marks=pytest.mark.full) for part in ("router", "uav", "estimator"))],
+)
 def test_a_part_that_hangs_is_told_and_ends_the_mission_with_a_line(
     start, family: Callable, wait_until: Callable, tmp_path: Path, part: str
 ) -> None:
@@ -49,8 +54,22 @@ def test_a_part_that_hangs_is_told_and_ends_the_mission_with_a_line(
 
 
 @pytest.mark.full
-def test_a_part_that_comes_back_is_told_and_the_mission_goes_on(start, family: Callable, wait_until: Callable, tmp_path: Path) -> None:
-    mission = start("sitl", "fly", "--policy", "random", "--budget", "12", "--silence", "600", "--patience", "inf", cwd=tmp_path)
+def test_a_part_that_comes_back_is_told_and_the_mission_goes_on(
+    start, family: Callable, wait_until: Callable, tmp_path: Path
+) -> None:
+    mission = start(
+        "sitl",
+        "fly",
+        "--policy",
+        "random",
+        "--budget",
+        "12",
+        "--silence",
+        "600",
+        "--patience",
+        "inf",
+        cwd=tmp_path,
+    )
     wait_until(lambda: mission.says("step   0"))
     agent = family(mission.process.pid)["agent"]
     os.kill(agent, signal.SIGSTOP)
@@ -76,10 +95,23 @@ def test_a_recorder_that_hangs_is_told_and_the_mission_ends_without_it(
 
 
 @pytest.mark.full
-def test_a_remote_service_that_hangs_ends_the_mission_too(start, router: str, wait_until: Callable, tmp_path: Path) -> None:
+def test_a_remote_service_that_hangs_ends_the_mission_too(
+    start, router: str, wait_until: Callable, tmp_path: Path
+) -> None:
     start("estimator", "--connect", router)
     agent = start("agent", "--connect", router, "--policy", "random")
-    mission = start("sitl", "fly", "default-release", "--connect", router, "--speedup", "1", "--patience", "10", cwd=tmp_path)
+    mission = start(
+        "sitl",
+        "fly",
+        "default-release",
+        "--connect",
+        router,
+        "--speedup",
+        "1",
+        "--patience",
+        "10",
+        cwd=tmp_path,
+    )
     wait_until(lambda: mission.says("step   0"))
     agent.process.send_signal(signal.SIGSTOP)
     assert mission.ended() == 1
@@ -91,7 +123,8 @@ def test_what_a_script_cuts_off_for_longer_than_the_patience_is_no_hang(start, t
     script = tmp_path / "mission.yaml"
     script.write_text(
         "speedup: 0\nvehicle: {silence_s: 600}\nagent: {policy: random, budget: 4}\n"
-        "events: [{step: 1, do: cut, part: agent, for_s: 14}, {step: 3, do: kill, part: estimator, restart_after_s: 13}]\n"
+        "events: [{step: 1, do: cut, part: agent, for_s: 14}, {step: 3, do: kill, part: estimator, "
+        "restart_after_s: 13}]\n"
     )
     mission = start("sitl", "fly", str(script), "--patience", "12", cwd=tmp_path)
     assert mission.ended() == 0, mission.err
@@ -108,8 +141,23 @@ def plugged_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("plugged_in")
-def test_a_policy_that_prints_much_neither_stops_its_mission_nor_mixes_with_the_outcome(start, tmp_path: Path) -> None:
-    mission = start("sitl", "fly", "--policy", "loud", "--budget", "3", "--speedup", "0", "--json", "--log-level", "info", cwd=tmp_path)
+def test_a_policy_that_prints_much_neither_stops_its_mission_nor_mixes_with_the_outcome(
+    start, tmp_path: Path
+) -> None:
+    mission = start(
+        "sitl",
+        "fly",
+        "--policy",
+        "loud",
+        "--budget",
+        "3",
+        "--speedup",
+        "0",
+        "--json",
+        "--log-level",
+        "info",
+        cwd=tmp_path,
+    )
     assert mission.ended() == 0
     (outcome,) = mission.out
     assert json.loads(outcome)["steps"] == 3
@@ -117,7 +165,9 @@ def test_a_policy_that_prints_much_neither_stops_its_mission_nor_mixes_with_the_
 
 
 @pytest.mark.usefixtures("plugged_in")
-def test_processes_that_a_policy_leaves_behind_end_with_the_mission(start, wait_until: Callable, tmp_path: Path) -> None:
+def test_processes_that_a_policy_leaves_behind_end_with_the_mission(
+    start, wait_until: Callable, tmp_path: Path
+) -> None:
     mission = start("sitl", "fly", "--policy", "messy", "--budget", "3", "--speedup", "0", cwd=tmp_path)
     try:
         assert mission.ended() == 0
@@ -142,7 +192,9 @@ def test_parts_that_have_only_been_started_do_not_outlive_a_launcher_that_is_kil
 
 
 @pytest.mark.full
-def test_ctrl_z_stops_all_of_it_and_it_goes_on_together(start, family: Callable, wait_until: Callable, tmp_path: Path) -> None:
+def test_ctrl_z_stops_all_of_it_and_it_goes_on_together(
+    start, family: Callable, wait_until: Callable, tmp_path: Path
+) -> None:
     mission = start(*LONG, cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
     pids = family(mission.process.pid) | {"launcher": mission.process.pid}
@@ -156,7 +208,9 @@ def test_ctrl_z_stops_all_of_it_and_it_goes_on_together(start, family: Callable,
 
 
 @pytest.mark.full
-def test_ctrl_c_in_a_terminal_ends_all_of_it_in_order(family: Callable, wait_until: Callable, tmp_path: Path) -> None:
+def test_ctrl_c_in_a_terminal_ends_all_of_it_in_order(
+    family: Callable, wait_until: Callable, tmp_path: Path
+) -> None:
     pid, terminal = pty.fork()
     if pid == 0:
         os.chdir(tmp_path)

@@ -1,4 +1,6 @@
-"""Protects `python -m sitl`: what it prints, what it leaves behind, and how it ends when a part dies or somebody interrupts."""
+"""Protects `python -m sitl`: what it prints, what it leaves behind, and how it ends when a part dies or
+somebody interrupts.
+"""
 
 import json
 import os
@@ -36,7 +38,9 @@ def fly(folder: Path, *words: str) -> Flight:
 
 
 def runs(pid: int) -> bool:
-    """True if a process still runs; an ended one whose parent was killed may stay for a while until init collects it."""
+    """True if a process still runs; an ended one whose parent was killed may stay for a while until init
+    collects it.
+    """
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except (FileNotFoundError, ProcessLookupError):
@@ -62,22 +66,47 @@ def in_vain(tmp_path_factory: pytest.TempPathFactory) -> Flight:
 @pytest.fixture(scope="module")
 def talkative(tmp_path_factory: pytest.TempPathFactory) -> Flight:
     """A short mission at the log level debug, without a record."""
-    return fly(tmp_path_factory.mktemp("debug"), "--policy", "random", "--budget", "5", "--no-record", "--log-level", "debug", "--json")
+    return fly(
+        tmp_path_factory.mktemp("debug"),
+        "--policy",
+        "random",
+        "--budget",
+        "5",
+        "--no-record",
+        "--log-level",
+        "debug",
+        "--json",
+    )
 
 
 def test_it_flies_to_a_stop_and_says_what_it_found(to_the_stop: Flight) -> None:
     said = "".join(to_the_stop.err)
-    for words in ("router at tcp/127.0.0.1:", "step   0/300", "spread", "located after", "estimate (", "source   (14.85, 14.67), error"):
+    for words in (
+        "router at tcp/127.0.0.1:",
+        "step   0/300",
+        "spread",
+        "located after",
+        "estimate (",
+        "source   (14.85, 14.67), error",
+    ):
         assert words in said
     result = json.loads(to_the_stop.out[-1])
     assert result["ceased"]
     assert result["error_m"] == pytest.approx(
-        ((result["estimate"][0] - result["source"][0]) ** 2 + (result["estimate"][1] - result["source"][1]) ** 2) ** 0.5
+        (
+            (result["estimate"][0] - result["source"][0]) ** 2
+            + (result["estimate"][1] - result["source"][1]) ** 2
+        )
+        ** 0.5
     )
 
 
 def test_it_leaves_a_summary_a_record_and_a_telemetry_log(to_the_stop: Flight) -> None:
-    assert sorted(path.suffix for path in (to_the_stop.folder / "runs").iterdir()) == [".json", ".mcap", ".tlog"]
+    assert sorted(path.suffix for path in (to_the_stop.folder / "runs").iterdir()) == [
+        ".json",
+        ".mcap",
+        ".tlog",
+    ]
     (summary,) = (to_the_stop.folder / "runs").glob("*.json")
     result, written = json.loads(to_the_stop.out[-1]), json.loads(summary.read_text())
     assert written["outcome"]["estimate"] == result["estimate"]
@@ -87,13 +116,31 @@ def test_it_leaves_a_summary_a_record_and_a_telemetry_log(to_the_stop: Flight) -
 
 @pytest.mark.full
 @pytest.mark.timeout(2 * COMPILES_S)
-def test_the_first_flight_says_once_that_it_compiles(start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))  # empty; estimator and agent compile at the same time
-    brief = ("sitl", "fly", "--policy", "infotaxis", "--budget", "1", "--speedup", "0", "--no-record", "--patience", f"{COMPILES_S}")
+def test_the_first_flight_says_once_that_it_compiles(
+    start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(
+        "NUMBA_CACHE_DIR", str(tmp_path / "kernels")
+    )  # empty; estimator and agent compile at the same time
+    brief = (
+        "sitl",
+        "fly",
+        "--policy",
+        "infotaxis",
+        "--budget",
+        "1",
+        "--speedup",
+        "0",
+        "--no-record",
+        "--patience",
+        f"{COMPILES_S}",
+    )
     for expected in (1, 0):
         mission = start(*brief, cwd=tmp_path)
         assert mission.ended(COMPILES_S) == 0
-        before = mission.err[: next(number for number, line in enumerate(mission.err) if line.startswith("mission: "))]
+        before = mission.err[
+            : next(number for number, line in enumerate(mission.err) if line.startswith("mission: "))
+        ]
         assert sum("compiling kernels" in line for line in mission.err) == expected
         assert sum(line == "compiling kernels, once, about 15 s\n" for line in before) == expected
 
@@ -103,12 +150,21 @@ def test_a_spent_budget_is_an_outcome_not_a_failure(talkative: Flight) -> None:
     assert (result["ceased"], result["located"], result["steps"]) == (False, False, 5)
 
 
-def test_results_go_to_stdout_unless_json_does_and_no_line_wraps_at_60_columns(in_vain: Flight, to_the_stop: Flight) -> None:
+def test_results_go_to_stdout_unless_json_does_and_no_line_wraps_at_60_columns(
+    in_vain: Flight, to_the_stop: Flight
+) -> None:
     for mission, results, progress, verdict in (
         (in_vain, in_vain.out, in_vain.err, "not"),
         (to_the_stop, to_the_stop.err[-6:], to_the_stop.err[:-6], "located"),
     ):
-        assert [line.split()[0] for line in results] == [verdict, "estimate", "source", "assumed", "summary", "record"]
+        assert [line.split()[0] for line in results] == [
+            verdict,
+            "estimate",
+            "source",
+            "assumed",
+            "summary",
+            "record",
+        ]
         heads = [line.split()[0] for line in progress if line.startswith(("mission", "router", "step"))]
         assert heads[:3] == ["mission:", "router", "step"]
         assert set(heads[3:]) == {"step"}
@@ -117,8 +173,13 @@ def test_results_go_to_stdout_unless_json_does_and_no_line_wraps_at_60_columns(i
     assert (len(in_vain.out), len(to_the_stop.out)) == (6, 1)
 
 
-@pytest.mark.parametrize("part", ["uav", *(pytest.param(part, marks=pytest.mark.full) for part in ("router", "estimator", "agent"))])
-def test_a_part_that_dies_is_named_and_ends_the_mission(start, family, wait_until: Callable, tmp_path: Path, part: str) -> None:
+@pytest.mark.parametrize(
+    "part",
+    ["uav", *(pytest.param(part, marks=pytest.mark.full) for part in ("router", "estimator", "agent"))],
+)
+def test_a_part_that_dies_is_named_and_ends_the_mission(
+    start, family, wait_until: Callable, tmp_path: Path, part: str
+) -> None:
     mission = start(*LONG, cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
     pids = family(mission.process.pid)
@@ -128,7 +189,9 @@ def test_a_part_that_dies_is_named_and_ends_the_mission(start, family, wait_unti
     assert nothing_is_left(pids)
 
 
-def test_a_recorder_that_dies_is_told_and_the_mission_goes_on(start, family, wait_until: Callable, tmp_path: Path) -> None:
+def test_a_recorder_that_dies_is_told_and_the_mission_goes_on(
+    start, family, wait_until: Callable, tmp_path: Path
+) -> None:
     mission = start("sitl", "fly", "--policy", "random", "--budget", "12", cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
     os.kill(family(mission.process.pid)["record"], signal.SIGKILL)
@@ -138,7 +201,9 @@ def test_a_recorder_that_dies_is_told_and_the_mission_goes_on(start, family, wai
 
 
 @pytest.mark.parametrize("hit", ["launcher", *(pytest.param(part, marks=pytest.mark.full) for part in PARTS)])
-def test_ctrl_c_ends_all_of_it_whichever_process_it_hits(start, family, wait_until: Callable, tmp_path: Path, hit: str) -> None:
+def test_ctrl_c_ends_all_of_it_whichever_process_it_hits(
+    start, family, wait_until: Callable, tmp_path: Path, hit: str
+) -> None:
     mission = start(*LONG, cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
     pids = family(mission.process.pid)
@@ -147,13 +212,18 @@ def test_ctrl_c_ends_all_of_it_whichever_process_it_hits(start, family, wait_unt
     os.kill(mission.process.pid if hit == "launcher" else pids[hit], signal.SIGINT)
     assert mission.ended() == 130
     assert nothing_is_left(pids)
-    assert {path.suffix for path in (tmp_path / "runs").iterdir()} == {".mcap", ".tlog"}  # the flown part is recorded
+    assert {path.suffix for path in (tmp_path / "runs").iterdir()} == {
+        ".mcap",
+        ".tlog",
+    }  # the flown part is recorded
     assert "Traceback" not in "".join(mission.err)
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
 
 
-def test_parts_do_not_outlive_a_launcher_that_is_killed(start, family, wait_until: Callable, tmp_path: Path) -> None:
+def test_parts_do_not_outlive_a_launcher_that_is_killed(
+    start, family, wait_until: Callable, tmp_path: Path
+) -> None:
     mission = start(*LONG, cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
     pids = family(mission.process.pid)
@@ -161,7 +231,9 @@ def test_parts_do_not_outlive_a_launcher_that_is_killed(start, family, wait_unti
     wait_until(lambda: nothing_is_left(pids))
 
 
-def test_an_interrupt_while_it_starts_leaves_nothing_behind(start, family, wait_until: Callable, tmp_path: Path) -> None:
+def test_an_interrupt_while_it_starts_leaves_nothing_behind(
+    start, family, wait_until: Callable, tmp_path: Path
+) -> None:
     mission = start(*LONG, cwd=tmp_path)
     wait_until(lambda: "router" in family(mission.process.pid))
     pids = family(mission.process.pid)
@@ -170,7 +242,9 @@ def test_an_interrupt_while_it_starts_leaves_nothing_behind(start, family, wait_
     assert nothing_is_left(pids)
 
 
-def test_an_unknown_policy_is_one_line_and_status_2(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_policy_is_one_line_and_status_2(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     status, out, (line,) = run_sitl(monkeypatch, capsys, "fly", "--policy", "clairvoyance")
     assert (status, out) == (2, [])
     assert line.startswith("error: --policy: 'clairvoyance' is not allowed; wanted infotaxis, entrotaxis, ")
@@ -186,9 +260,13 @@ def test_an_occupied_port_is_one_line_and_status_2(start, router: str, tmp_path:
 @pytest.mark.full
 def test_an_unreachable_router_is_one_line_and_status_2(start) -> None:
     services = ("sitl", "uav"), ("estimator",), ("agent",)
-    for ended in [start(*service, "--connect", "tcp/127.0.0.1:1") for service in services]:  # all parts wait for the router at once
+    for ended in [
+        start(*service, "--connect", "tcp/127.0.0.1:1") for service in services
+    ]:  # all parts wait for the router at once
         assert ended.ended() == 2
-        assert ended.err == ["error: --connect: no router at tcp/127.0.0.1:1 (start one with: plumeward router)\n"]
+        assert ended.err == [
+            "error: --connect: no router at tcp/127.0.0.1:1 (start one with: plumeward router)\n"
+        ]
 
 
 def test_a_place_that_cannot_be_written_is_one_line_and_status_2_and_nothing_flies(
@@ -197,14 +275,21 @@ def test_a_place_that_cannot_be_written_is_one_line_and_status_2_and_nothing_fli
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("in the way")
     (tmp_path / "folder.mcap").mkdir()
-    for place, why in (("file/flight.mcap", "cannot write 'file/flight.mcap': "), ("folder.mcap", "'folder.mcap' is a folder")):
-        status, _, (line,) = run_sitl(monkeypatch, capsys, "fly", "--speedup", "0", "--record", place, "--force")
+    for place, why in (
+        ("file/flight.mcap", "cannot write 'file/flight.mcap': "),
+        ("folder.mcap", "'folder.mcap' is a folder"),
+    ):
+        status, _, (line,) = run_sitl(
+            monkeypatch, capsys, "fly", "--speedup", "0", "--record", place, "--force"
+        )
         assert status == 2
         assert line.startswith(f"error: --record: {why}")
 
 
 @pytest.mark.full
-def test_where_runs_cannot_be_written_a_mission_without_a_record_is_flown_and_lacks_its_summary(start, tmp_path: Path) -> None:
+def test_where_runs_cannot_be_written_a_mission_without_a_record_is_flown_and_lacks_its_summary(
+    start, tmp_path: Path
+) -> None:
     (tmp_path / "runs").write_text("in the way")
     brief = ("sitl", "fly", "--budget", "2", "--speedup", "0", "--json")
     assert start(*brief, cwd=tmp_path).ended() == 2
@@ -225,17 +310,24 @@ def test_what_exists_is_not_overwritten_without_force(
     assert refused == (2, [], ["error: --record: 'good.mcap' exists; wanted another name, or --force"])
     for flags in ((), ("--force",)):
         assert run_sitl(monkeypatch, capsys, *brief, *flags, "--prior", "nonsense")[0] == 2
-        assert {path.name: path.read_text() for path in tmp_path.iterdir() if path.is_file()} == {"good.mcap": "old", "good.tlog": "old"}
+        assert {path.name: path.read_text() for path in tmp_path.iterdir() if path.is_file()} == {
+            "good.mcap": "old",
+            "good.tlog": "old",
+        }
     forced = start("sitl", *brief, "--force", cwd=tmp_path)
     assert forced.ended() == 0
     assert forced.out[-1] == "record   good.mcap\n"
     assert read(tmp_path / "good.mcap").complete
     assert (tmp_path / "good.tlog").stat().st_size > 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["good.mcap", "good.tlog", "runs"]
-    assert [path.suffix for path in (tmp_path / "runs").iterdir()] == [".json"]  # the record is where it was wanted
+    assert [path.suffix for path in (tmp_path / "runs").iterdir()] == [
+        ".json"
+    ]  # the record is where it was wanted
 
 
-def test_a_second_launch_of_the_same_record_is_refused_and_leaves_the_firsts(start, wait_until: Callable, tmp_path: Path) -> None:
+def test_a_second_launch_of_the_same_record_is_refused_and_leaves_the_firsts(
+    start, wait_until: Callable, tmp_path: Path
+) -> None:
     first = start(*LONG, "--record", "flight.mcap", cwd=tmp_path)
     wait_until(lambda: first.says("step   0"))
     second = start(*LONG, "--record", "flight.mcap", cwd=tmp_path)
@@ -250,8 +342,14 @@ def test_without_a_record_there_is_none(talkative: Flight) -> None:
     assert [path.suffix for path in (talkative.folder / "runs").iterdir()] == [".json"]
 
 
-def test_at_log_level_debug_each_service_tells_each_step_and_otherwise_only_what_goes_wrong(in_vain: Flight, talkative: Flight) -> None:
+def test_at_log_level_debug_each_service_tells_each_step_and_otherwise_only_what_goes_wrong(
+    in_vain: Flight, talkative: Flight
+) -> None:
     assert not any("ready" in line for line in in_vain.err)
     assert any("estimator: ready: 1000 particles" in line for line in talkative.err)
-    for line in ("estimator: answered after ", "agent: answered after ", "uav: reading "):  # the last ones may be cut off by the end
+    for line in (
+        "estimator: answered after ",
+        "agent: answered after ",
+        "uav: reading ",
+    ):  # the last ones may be cut off by the end
         assert any(said.startswith(line) for said in talkative.err)

@@ -1,4 +1,6 @@
-"""Protects the answers of every policy with every sensor, and of a few with little known: they must be as they were recorded."""
+"""Protects the answers of every policy with every sensor, and of a few with little known: they must be as
+they were recorded.
+"""
 
 import subprocess
 import sys
@@ -31,10 +33,16 @@ def test_there_is_a_small_golden_record_of_every_policy_with_every_sensor() -> N
 
 @pytest.mark.parametrize("name", GOLDEN)
 def test_a_golden_mission_is_answered_as_it_was(
-    name: str, router: str, services: Services, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str,
+    router: str,
+    services: Services,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     services.start(read(path(name)).about["parts"])
-    status, out, err = run_sitl(monkeypatch, capsys, "replay", str(path(name)), "--verify", "--speedup", "0", "--connect", router)
+    status, out, err = run_sitl(
+        monkeypatch, capsys, "replay", str(path(name)), "--verify", "--speedup", "0", "--connect", router
+    )
     assert status == 0, (out, err)
     assert out[-1].startswith("verified: ")
 
@@ -53,11 +61,15 @@ def test_the_golden_missions_cover_stops_and_spent_budgets() -> None:
     assert set(GOLDEN) - stopped
 
 
-def test_one_that_says_something_else_now_is_recorded_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_says_something_else_now_is_recorded_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     golden = read(path("greedy-gaussian"))
     writer = Writer(tmp_path / "greedy-gaussian.mcap", golden.about)
     for entry in golden.entries:
-        writer.write(entry._replace(payload=entry.payload.replace(b'"step":3,', b'"step":33,')), entry.published_ns)
+        writer.write(
+            entry._replace(payload=entry.payload.replace(b'"step":3,', b'"step":33,')), entry.published_ns
+        )
     writer.close()
     monkeypatch.setattr("tests.golden.__main__.FOLDER", tmp_path)
     told = renew("greedy-gaussian")
@@ -73,7 +85,9 @@ def test_making_them_anew_tells_what_changed() -> None:
     assert ": it was estimate [" in changes(then, fewer)
     assert changes(then, fewer).count("ceased after ") == 2
     words = [*then.about["parts"]["agent"], "--headings", "8"]
-    told = changes(then, then._replace(about={**then.about, "parts": {**then.about["parts"], "agent": words}}))
+    told = changes(
+        then, then._replace(about={**then.about, "parts": {**then.about["parts"], "agent": words}})
+    )
     assert told.startswith("agent was started with --policy greedy ")
     assert told.endswith(" --headings 8")
 

@@ -1,4 +1,6 @@
-"""Protects the install: the contents of a release, and that its wheel flies in a fresh environment without torch or the checkout."""
+"""Protects the install: the contents of a release, and that its wheel flies in a fresh environment without
+torch or the checkout.
+"""
 
 import email
 import functools
@@ -29,7 +31,11 @@ PACKAGES = ("plume", "link", "scene", "sitl", "estimator", "agent", "plumeward")
 CONSTRAINTS, HASHED = ROOT / "constraints.txt", ROOT / "requirements.txt"
 OWN = f"{sys.version_info.major}.{sys.version_info.minor}"
 VERSIONS = ("3.11", "3.12", "3.13")
-ENVIRONMENT = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL_ENV", "NUMBA_"))}
+ENVIRONMENT = {
+    name: value
+    for name, value in os.environ.items()
+    if not name.startswith(("PYTHON", "VIRTUAL_ENV", "NUMBA_"))
+}
 """Without what would show the checkout, or its environment, to another Python."""
 
 
@@ -74,12 +80,19 @@ def contents(wheel: Path) -> dict[str, bytes]:
 
 def about(wheel: Path, name: str) -> str:
     """A file of the wheel's metadata."""
-    (text,) = (content for path, content in contents(wheel).items() if re.fullmatch(rf"plumeward-[^/]+\.dist-info/{name}", path))
+    (text,) = (
+        content
+        for path, content in contents(wheel).items()
+        if re.fullmatch(rf"plumeward-[^/]+\.dist-info/{name}", path)
+    )
     return text.decode()
 
 
 def requirements(wheel: Path) -> list[Requirement]:
-    return [Requirement(line) for line in email.message_from_string(about(wheel, "METADATA")).get_all("Requires-Dist", [])]
+    return [
+        Requirement(line)
+        for line in email.message_from_string(about(wheel, "METADATA")).get_all("Requires-Dist", [])
+    ]
 
 
 def test_a_wheel_has_the_packages_the_missions_and_nothing_else(wheel: Path) -> None:
@@ -95,12 +108,23 @@ def test_a_wheel_has_the_packages_the_missions_and_nothing_else(wheel: Path) -> 
 
 def test_an_sdist_has_what_the_wheel_is_made_of_and_no_records(sdist: Path) -> None:
     pages = {"README.md", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "docs", "mkdocs.yml"}
-    ours = {*PACKAGES, *pages, "missions", "pyproject.toml", "constraints.txt", "requirements.txt", "Makefile", "LICENSE"}
+    ours = {
+        *PACKAGES,
+        *pages,
+        "missions",
+        "pyproject.toml",
+        "constraints.txt",
+        "requirements.txt",
+        "Makefile",
+        "LICENSE",
+    }
     assert {path.name for path in sdist.iterdir()} == ours | {"PKG-INFO", ".gitignore"}
     assert sum(path.stat().st_size for path in files(sdist)) < 5_000_000
 
 
-def test_a_wheel_made_from_the_sdist_is_the_wheel_made_from_the_checkout(wheel: Path, sdist: Path, tmp_path: Path) -> None:
+def test_a_wheel_made_from_the_sdist_is_the_wheel_made_from_the_checkout(
+    wheel: Path, sdist: Path, tmp_path: Path
+) -> None:
     (other,) = build(sdist, tmp_path, "-t", "wheel").glob("*.whl")
     assert other.name == wheel.name
     assert contents(other) == contents(wheel)
@@ -109,19 +133,27 @@ def test_a_wheel_made_from_the_sdist_is_the_wheel_made_from_the_checkout(wheel: 
 def test_an_install_needs_no_torch_but_with_the_extra_that_trains(wheel: Path) -> None:
     extras = {name: set() for name in ("", "train", "view", "ray", "bench", "docs", "test")}
     for requirement in requirements(wheel):
-        extras[next((extra for extra in extras if extra and f'extra == "{extra}"' in str(requirement)), "")].add(requirement.name)
+        extras[
+            next((extra for extra in extras if extra and f'extra == "{extra}"' in str(requirement)), "")
+        ].add(requirement.name)
     learning = {"torch", "stable-baselines3", "gymnasium", "onnx", "tensorboard"}
     assert extras["train"] == learning
     assert extras["view"] == {"matplotlib", "pillow"}
     assert extras["ray"] == {"ray"}
     assert "stonesoup" in extras["bench"]
     assert extras["docs"] == {"mkdocs-material", "mkdocstrings"}
-    assert extras["test"] > extras["train"] | extras["view"] | extras["ray"] | extras["bench"] | extras["docs"]
+    assert (
+        extras["test"] > extras["train"] | extras["view"] | extras["ray"] | extras["bench"] | extras["docs"]
+    )
     assert not extras[""] & extras["test"]
 
 
 def test_the_wheel_names_ranges_and_the_repository_pins_a_version_in_each(wheel: Path) -> None:
-    pins = dict(line.split("#")[0].strip().split("==") for line in CONSTRAINTS.read_text().splitlines() if not line.startswith("#"))
+    pins = dict(
+        line.split("#")[0].strip().split("==")
+        for line in CONSTRAINTS.read_text().splitlines()
+        if not line.startswith("#")
+    )
     pinned = {canonicalize_name(name): version for name, version in pins.items()}
     for requirement in requirements(wheel):
         assert {each.operator for each in requirement.specifier} in ({">="}, {">=", "<"}), requirement
@@ -129,10 +161,16 @@ def test_the_wheel_names_ranges_and_the_repository_pins_a_version_in_each(wheel:
 
 
 def test_the_wheel_gives_one_command_and_says_which_pythons_it_is_for(wheel: Path) -> None:
-    assert about(wheel, "entry_points.txt").split("\n") == ["[console_scripts]", "plumeward = plumeward.__main__:command", ""]
+    assert about(wheel, "entry_points.txt").split("\n") == [
+        "[console_scripts]",
+        "plumeward = plumeward.__main__:command",
+        "",
+    ]
     metadata = email.message_from_string(about(wheel, "METADATA"))
     assert metadata["Requires-Python"] == ">=3.11"
-    assert {f"Programming Language :: Python :: {version}" for version in VERSIONS} <= set(metadata.get_all("Classifier"))
+    assert {f"Programming Language :: Python :: {version}" for version in VERSIONS} <= set(
+        metadata.get_all("Classifier")
+    )
     assert metadata["Version"] == __version__
 
 
@@ -142,7 +180,17 @@ class Installed:
     def __init__(self, python: str, wheel: Path, folder: Path) -> None:
         self.folder = folder
         subprocess.run([python, "-m", "venv", folder], env=ENVIRONMENT, check=True)
-        pip = ("python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile", "--only-binary", ":all:")
+        pip = (
+            "python",
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--no-compile",
+            "--only-binary",
+            ":all:",
+        )
         self.pip = self(folder, *pip, "--require-hashes", "-r", str(HASHED))
         if self.pip.returncode == 0:
             self.pip = self(folder, *pip, "--no-deps", str(wheel))
@@ -156,16 +204,28 @@ class Installed:
 def interpreter(version: str) -> str | None:
     """A Python of this version that can create environments, if the machine has one."""
     elsewhere = sorted(map(str, Path.home().glob(f".pyenv/versions/{version}.*/bin/python")))
-    for candidate in (sys.executable if version == OWN else None, shutil.which(f"python{version}"), *elsewhere):
+    for candidate in (
+        sys.executable if version == OWN else None,
+        shutil.which(f"python{version}"),
+        *elsewhere,
+    ):
         usable = f"import sys, venv, ensurepip; sys.exit('%d.%d' % sys.version_info[:2] != {version!r})"
-        if candidate and subprocess.run([candidate, "-c", usable], env=ENVIRONMENT, capture_output=True, check=False).returncode == 0:
+        if (
+            candidate
+            and subprocess.run(
+                [candidate, "-c", usable], env=ENVIRONMENT, capture_output=True, check=False
+            ).returncode
+            == 0
+        ):
             return candidate
     return None
 
 
 @pytest.fixture(scope="module")
 def install(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Installed]]:
-    """Install the wheel for a version of Python, once; skips if the machine lacks it, or if a dependency has no wheel for it."""
+    """Install the wheel for a version of Python, once; skips if the machine lacks it, or if a dependency
+    has no wheel for it.
+    """
     folders: list[Path] = []
 
     @functools.cache
@@ -212,7 +272,9 @@ def in_process() -> dict:
     return result
 
 
-@pytest.mark.parametrize("version", [VERSIONS[0], *(pytest.param(version, marks=pytest.mark.full) for version in VERSIONS[1:])])
+@pytest.mark.parametrize(
+    "version", [VERSIONS[0], *(pytest.param(version, marks=pytest.mark.full) for version in VERSIONS[1:])]
+)
 def test_the_wheel_flies_a_shipped_policy_in_a_fresh_environment(
     install: Callable[[str], Installed], in_process: dict, tmp_path: Path, version: str
 ) -> None:
@@ -225,21 +287,32 @@ def test_the_wheel_flies_a_shipped_policy_in_a_fresh_environment(
     if version == OWN:
         assert flown == in_process
 
-    where = f"import {', '.join(PACKAGES)}; print(*({', '.join(f'{package}.__file__' for package in PACKAGES)}), sep='\\n')"
+    where = (
+        f"import {', '.join(PACKAGES)}; "
+        f"print(*({', '.join(f'{package}.__file__' for package in PACKAGES)}), sep='\\n')"
+    )
     places = installed(tmp_path, "python", "-c", where).stdout.splitlines()
     assert [Path(place).is_relative_to(installed.folder) for place in places] == [True] * len(PACKAGES)
     for module in ("torch", "stable_baselines3", "gymnasium", "matplotlib", "ray", "pytest", "onnxruntime"):
-        assert installed(tmp_path, "python", "-c", f"import {module}").stderr.endswith(f"ModuleNotFoundError: No module named '{module}'\n")
+        assert installed(tmp_path, "python", "-c", f"import {module}").stderr.endswith(
+            f"ModuleNotFoundError: No module named '{module}'\n"
+        )
 
 
-@pytest.mark.parametrize("version", [VERSIONS[0], *(pytest.param(version, marks=pytest.mark.full) for version in VERSIONS[1:])])
-def test_the_pinned_files_are_all_that_the_wheel_needs(install: Callable[[str], Installed], tmp_path: Path, version: str) -> None:
+@pytest.mark.parametrize(
+    "version", [VERSIONS[0], *(pytest.param(version, marks=pytest.mark.full) for version in VERSIONS[1:])]
+)
+def test_the_pinned_files_are_all_that_the_wheel_needs(
+    install: Callable[[str], Installed], tmp_path: Path, version: str
+) -> None:
     checked = install(version)(tmp_path, "python", "-m", "pip", "--disable-pip-version-check", "check")
     assert (checked.returncode, checked.stdout) == (0, "No broken requirements found.\n")
 
 
 def test_without_zenoh_it_flies_the_same_mission(own: Installed, in_process: dict, tmp_path: Path) -> None:
-    rolled = own(tmp_path, "python", "-m", "agent", "rollout", "--policy", "ppo", "--seed", "7", "--json", "--trace")
+    rolled = own(
+        tmp_path, "python", "-m", "agent", "rollout", "--policy", "ppo", "--seed", "7", "--json", "--trace"
+    )
     assert outcome(rolled) == in_process
 
 
@@ -247,11 +320,21 @@ def test_a_shipped_mission_is_flown_by_its_name(own: Installed, tmp_path: Path) 
     ran = own(tmp_path, "plumeward", "fly", "default-release", "--speedup", "0", "--json")
     flown = outcome(ran)
     assert flown["expectations"] == {"located": True}
-    assert (flown["seed"], flown["scenario"]["q"], flown["scenario"]["d"], flown["scenario"]["tau"]) == (7, 300, 4.5, 10)
-    assert "a release with the estimator's default rate, diffusivity and lifetime\nmission: seed 7, homing, " in ran.stderr
+    assert (flown["seed"], flown["scenario"]["q"], flown["scenario"]["d"], flown["scenario"]["tau"]) == (
+        7,
+        300,
+        4.5,
+        10,
+    )
+    assert (
+        "a release with the estimator's default rate, diffusivity and lifetime\nmission: seed 7, homing, "
+        in ran.stderr
+    )
 
 
-def test_files_of_the_folder_that_it_is_run_in_are_not_taken_for_parts_of_it(own: Installed, tmp_path: Path) -> None:
+def test_files_of_the_folder_that_it_is_run_in_are_not_taken_for_parts_of_it(
+    own: Installed, tmp_path: Path
+) -> None:
     for package in PACKAGES:
         (tmp_path / f"{package}.py").write_text("raise SystemExit('not ours')")
     ran = own(tmp_path, "plumeward", "fly", "--budget", "2", "--speedup", "0", "--json")
@@ -261,11 +344,20 @@ def test_files_of_the_folder_that_it_is_run_in_are_not_taken_for_parts_of_it(own
     script = tmp_path / "mine.py"
     script.write_text("import plumeward")
     told = own(tmp_path, "python", "mine.py").stderr.splitlines()[-1]
-    assert told == f"ImportError: {tmp_path / 'plume.py'} hides plumeward's own package 'plume': rename this file or folder"
+    assert (
+        told
+        == f"ImportError: {tmp_path / 'plume.py'} hides plumeward's own package 'plume': rename this file or "
+        "folder"
+    )
 
 
-def test_the_api_and_its_lists_work_where_nothing_but_a_flight_is_installed(own: Installed, tmp_path: Path) -> None:
-    code = "import plumeward; print(plumeward.rollout(1, particles=100, budget=2)[0].steps, len(plumeward.evaluate('random', 1, budget=2)))"
+def test_the_api_and_its_lists_work_where_nothing_but_a_flight_is_installed(
+    own: Installed, tmp_path: Path
+) -> None:
+    code = (
+        "import plumeward; print(plumeward.rollout(1, particles=100, budget=2)[0].steps, "
+        "len(plumeward.evaluate('random', 1, budget=2)))"
+    )
     assert own(tmp_path, "python", "-c", code).stdout == "2 1\n"
     listed = own(tmp_path, "plumeward", "list")
     assert (listed.returncode, listed.stderr) == (0, "")
@@ -276,17 +368,29 @@ def test_a_mission_that_is_none_is_one_line_with_those_that_ship(own: Installed,
     ran = own(tmp_path, "plumeward", "fly", "wnd-shift")
     missions = ", ".join(sorted(path.stem for path in (ROOT / "missions").glob("*.yaml")))
     assert ran.returncode == 2
-    told = f"no such file and no shipped mission; did you mean 'wind-shift'? Wanted a mission script, or one of {missions}"
+    told = (
+        "no such file and no shipped mission; did you mean 'wind-shift'? Wanted a mission script, or "
+        f"one of {missions}"
+    )
     assert ran.stderr == f"error: wnd-shift: {told}\n"
 
 
 def test_the_command_and_the_module_take_the_same_command_lines(own: Installed, tmp_path: Path) -> None:
     for name in ("fly", "uav", "router", "status", "replay", "log", "record"):
-        command, module = own(tmp_path, "plumeward", name, "--help"), own(tmp_path, "python", "-m", "sitl", name, "--help")
+        command, module = (
+            own(tmp_path, "plumeward", name, "--help"),
+            own(tmp_path, "python", "-m", "sitl", name, "--help"),
+        )
         assert command.returncode == module.returncode == 0
         assert command.stdout.startswith(f"usage: plumeward {name} ")
-        assert command.stdout.split() == module.stdout.replace("usage: python -m sitl", "usage: plumeward").split()
-    command, module = own(tmp_path, "plumeward", "fly", "--seed", "x"), own(tmp_path, "python", "-m", "sitl", "fly", "--seed", "x")
+        assert (
+            command.stdout.split()
+            == module.stdout.replace("usage: python -m sitl", "usage: plumeward").split()
+        )
+    command, module = (
+        own(tmp_path, "plumeward", "fly", "--seed", "x"),
+        own(tmp_path, "python", "-m", "sitl", "fly", "--seed", "x"),
+    )
     assert command.returncode == module.returncode == 2
     assert command.stderr.startswith("plumeward fly: error: --seed: 'x' is not allowed; wanted ")
     assert command.stderr.replace("plumeward", "python -m sitl") == module.stderr
@@ -296,11 +400,18 @@ def test_the_command_and_the_module_take_the_same_command_lines(own: Installed, 
     ("words", "status", "told"),
     [
         (("report",), 1, "report needs matplotlib: pip install 'plumeward[view]'"),
-        (("train", "ppo"), 2, "training needs torch, stable_baselines3, gymnasium, onnx, tensorboard: pip install 'plumeward[train]'"),
+        (
+            ("train", "ppo"),
+            2,
+            "training needs torch, stable_baselines3, gymnasium, onnx, tensorboard: pip install "
+            "'plumeward[train]'",
+        ),
         (("evaluate", "--ray", "auto"), 2, "--ray: Ray is not installed; pip install 'plumeward[ray]'"),
     ],
     ids=["view", "train", "ray"],
 )
-def test_an_extra_that_is_missing_is_one_line(own: Installed, tmp_path: Path, words: tuple[str, ...], status: int, told: str) -> None:
+def test_an_extra_that_is_missing_is_one_line(
+    own: Installed, tmp_path: Path, words: tuple[str, ...], status: int, told: str
+) -> None:
     ran = own(tmp_path, "python", "-m", "agent", *words)
     assert (ran.returncode, ran.stderr.splitlines()[-1]) == (status, f"error: {told}")

@@ -1,4 +1,6 @@
-"""Protects that several vehicles fly side by side as PX4's instances do: each with ports, a system id and a home of its own."""
+"""Protects that several vehicles fly side by side as PX4's instances do: each with ports, a system id and
+a home of its own.
+"""
 
 import itertools
 import math
@@ -30,7 +32,9 @@ def test_three_vehicles_at_once_are_each_found_by_a_client_of_their_own(start) -
 
 def test_a_link_speaks_to_several_places_and_a_home_that_is_chosen_stays(start) -> None:
     clients = [mavutil.mavlink_connection("udpin:127.0.0.1:0") for _ in range(2)]
-    outs = [word for client in clients for word in ("--out", f"udpout:127.0.0.1:{client.port.getsockname()[1]}")]
+    outs = [
+        word for client in clients for word in ("--out", f"udpout:127.0.0.1:{client.port.getsockname()[1]}")
+    ]
     start("sitl", "uav", "-I", "5", "--home=-35.36,149.16,584,90", *outs)
     for client in clients:
         at = client.recv_match(type="GLOBAL_POSITION_INT", blocking=True, timeout=60)
@@ -41,5 +45,7 @@ def test_a_link_speaks_to_several_places_and_a_home_that_is_chosen_stays(start) 
 def test_a_vehicle_that_no_client_can_reach_says_first_how_one_could(start, wait_until) -> None:
     uav = start("sitl", "uav", "-I", str(FIRST))
     wait_until(lambda: uav.err)
-    assert f"--out udpout:127.0.0.1:{14540 + FIRST} is for MAVSDK: udpin://0.0.0.0:{14540 + FIRST}" in uav.err[0]
+    assert (
+        f"--out udpout:127.0.0.1:{14540 + FIRST} is for MAVSDK: udpin://0.0.0.0:{14540 + FIRST}" in uav.err[0]
+    )
     assert "QGroundControl: port 14550" in uav.err[0]

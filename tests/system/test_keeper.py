@@ -1,4 +1,6 @@
-"""Protects a vehicle in the air from a uav that is stopped, killed or runs in circles, with real processes."""
+"""Protects a vehicle in the air from a uav that is stopped, killed or runs in circles, with real
+processes.
+"""
 
 import os
 import signal
@@ -37,9 +39,16 @@ def keeper_of(uav: int) -> int:
 
 
 def end(
-    number: signal.Signals, start: type[Part], family: Callable, double: Double, cwd: Path, wait_until: Callable[..., None]
+    number: signal.Signals,
+    start: type[Part],
+    family: Callable,
+    double: Double,
+    cwd: Path,
+    wait_until: Callable[..., None],
 ) -> tuple[Part, int, int]:
-    """Fly, and give the uav a signal in mid-air; returns the mission, the uav and its keeper when the vehicle has landed."""
+    """Fly, and give the uav a signal in mid-air; returns the mission, the uav and its keeper when the
+    vehicle has landed.
+    """
     mission = start("sitl", "fly", "--vehicle", double.url, *WORDS, cwd=cwd)
     wait_until(lambda: mission.says("step   0/300"), 120.0)
     uav = family(mission.process.pid)["uav"]
@@ -55,8 +64,13 @@ def test_a_uav_that_is_killed_has_its_vehicle_sent_home_by_its_keeper_which_then
 ) -> None:
     mission, _, keeper = end(signal.SIGKILL, start, family, double, tmp_path, wait_until)
     assert mission.ended() == 1
-    words = ("The keeper sends the vehicle home: the uav has ended", "The vehicle is left in RTL")  # the second comes within a second
-    assert mission.err[-1] in [f"error: uav was killed by signal 9; its last words: keeper: warning: {said}\n" for said in words]
+    words = (
+        "The keeper sends the vehicle home: the uav has ended",
+        "The vehicle is left in RTL",
+    )  # the second comes within a second
+    assert mission.err[-1] in [
+        f"error: uav was killed by signal 9; its last words: keeper: warning: {said}\n" for said in words
+    ]
     wait_until(lambda: not Path(f"/proc/{keeper}").exists(), 60.0)
 
 
@@ -86,7 +100,12 @@ def test_a_uav_that_was_stopped_finds_its_search_over_and_says_why(
 
 @pytest.mark.full
 def test_a_uav_that_runs_in_circles_tells_where_and_its_vehicle_is_sent_home(
-    start: type[Part], family: Callable, double: Double, tmp_path: Path, wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+    start: type[Part],
+    family: Callable,
+    double: Double,
+    tmp_path: Path,
+    wait_until: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     (tmp_path / "planted").mkdir()
     (tmp_path / "planted" / "sitecustomize.py").write_text(IN_CIRCLES)
@@ -101,11 +120,26 @@ def test_a_uav_that_runs_in_circles_tells_where_and_its_vehicle_is_sent_home(
 @pytest.mark.full
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_keeper_that_dies_or_hangs_is_replaced_and_the_search_goes_on(
-    start: type[Part], family: Callable, tmp_path: Path, wait_until: Callable[..., None], number: signal.Signals
+    start: type[Part],
+    family: Callable,
+    tmp_path: Path,
+    wait_until: Callable[..., None],
+    number: signal.Signals,
 ) -> None:
     slow = "2"  # times count by the clock of the vehicle
     with Double("ardupilot", settings=Settings(ready_s=5.0), speedup=float(slow)) as double:
-        mission = start("sitl", "fly", "--vehicle", double.url, *WORDS, "--speedup", slow, "--patience", "60", cwd=tmp_path)
+        mission = start(
+            "sitl",
+            "fly",
+            "--vehicle",
+            double.url,
+            *WORDS,
+            "--speedup",
+            slow,
+            "--patience",
+            "60",
+            cwd=tmp_path,
+        )
         wait_until(lambda: mission.says("step   0/300"), 120.0)
         uav = family(mission.process.pid)["uav"]
         keeper = keeper_of(uav)

@@ -84,13 +84,21 @@ def test_mavsdk_is_told_why_a_setpoint_is_refused_and_can_return_home(port: int)
             await until(drone.telemetry.position(), lambda p: p.relative_altitude_m > 4.7)
             await drone.offboard.set_position_ned(PositionNedYaw(3.0, 2.0, -5.0, 0.0))
             await drone.offboard.start()
-            await until(drone.telemetry.position_velocity_ned(), lambda p: math.dist((p.position.north_m, p.position.east_m), (3, 2)) < 0.3)
+            await until(
+                drone.telemetry.position_velocity_ned(),
+                lambda p: math.dist((p.position.north_m, p.position.east_m), (3, 2)) < 0.3,
+            )
             await drone.offboard.set_position_ned(PositionNedYaw(-5.0, 2.0, -5.0, 0.0))
-            await until(drone.telemetry.status_text(), lambda text: "(2.0, -5.0) m is outside the area" in text.text)
+            await until(
+                drone.telemetry.status_text(), lambda text: "(2.0, -5.0) m is outside the area" in text.text
+            )
             await drone.action.return_to_launch()
             await until(drone.telemetry.armed(), lambda armed: not armed)
             home = await until(drone.telemetry.position_velocity_ned(), lambda p: True)
-            assert math.dist((home.position.north_m, home.position.east_m, home.position.down_m), (0, 0, 0)) < 0.01
+            assert (
+                math.dist((home.position.north_m, home.position.east_m, home.position.down_m), (0, 0, 0))
+                < 0.01
+            )
 
     asyncio.run(fly())
 
@@ -107,7 +115,14 @@ async def ned(drone: System, holds: Callable):
     """Return the first (north, east, down, and their velocities) that is as wanted."""
 
     def flat(p):
-        return p.position.north_m, p.position.east_m, p.position.down_m, p.velocity.north_m_s, p.velocity.east_m_s, p.velocity.down_m_s
+        return (
+            p.position.north_m,
+            p.position.east_m,
+            p.position.down_m,
+            p.velocity.north_m_s,
+            p.velocity.east_m_s,
+            p.velocity.down_m_s,
+        )
 
     return flat(await until(drone.telemetry.position_velocity_ned(), lambda p: holds(*flat(p))))
 
@@ -118,10 +133,14 @@ def test_mavsdk_flies_by_velocity_in_both_frames(port: int) -> None:
             await hovering(drone)
             await drone.offboard.set_velocity_ned(VelocityNedYaw(1.0, 2.0, -0.5, 90.0))
             await drone.offboard.start()
-            north, east, *_ = await ned(drone, lambda n, e, d, *v: math.dist(v, (1.0, 2.0, -0.5)) < 1e-3 and e > 4.0)
+            north, east, *_ = await ned(
+                drone, lambda n, e, d, *v: math.dist(v, (1.0, 2.0, -0.5)) < 1e-3 and e > 4.0
+            )
             assert north == pytest.approx(east / 2.0, abs=1e-2)
             await until(drone.telemetry.attitude_euler(), lambda attitude: abs(attitude.yaw_deg - 90.0) < 0.1)
-            await drone.offboard.set_velocity_body(VelocityBodyYawspeed(0.0, -2.0, 0.5, 0.0))  # nose to the east, left is north
+            await drone.offboard.set_velocity_body(
+                VelocityBodyYawspeed(0.0, -2.0, 0.5, 0.0)
+            )  # nose to the east, left is north
             await ned(drone, lambda n, e, d, *v: math.dist(v, (2.0, 0.0, 0.5)) < 1e-3)
             await drone.offboard.set_velocity_body(VelocityBodyYawspeed(0.0, 0.0, 0.0, 20.0))
             yaw = await until(drone.telemetry.attitude_euler(), lambda attitude: attitude.yaw_deg < -90.0)
@@ -150,11 +169,21 @@ def test_mavsdk_flies_by_acceleration_and_to_positions_of_every_kind(port: int) 
                 PositionNedYaw(4.0, 8.0, -5.0, 0.0), still, AccelerationNed(0.0, 0.0, 0.0)
             )
             await ned(drone, lambda n, e, d, *v: math.dist((n, e, d), (4.0, 8.0, -5.0)) < 0.01)
-            lat_deg, lon_deg = to_global(VehicleConfig().home_lat_deg, VehicleConfig().home_lon_deg, 10.0, 12.0)
+            lat_deg, lon_deg = to_global(
+                VehicleConfig().home_lat_deg, VehicleConfig().home_lon_deg, 10.0, 12.0
+            )
             kinds = PositionGlobalYaw.AltitudeType
-            for kind, altitude_m, down in ((kinds.REL_HOME, 7.0, -7.0), (kinds.AMSL, 488.0 + 5.0, -5.0), (kinds.AGL, 6.0, -6.0)):
-                await drone.offboard.set_position_global(PositionGlobalYaw(lat_deg, lon_deg, altitude_m, 0.0, kind))
-                await ned(drone, lambda n, e, d, *v, down=down: math.dist((n, e, d), (10.0, 12.0, down)) < 0.02)
+            for kind, altitude_m, down in (
+                (kinds.REL_HOME, 7.0, -7.0),
+                (kinds.AMSL, 488.0 + 5.0, -5.0),
+                (kinds.AGL, 6.0, -6.0),
+            ):
+                await drone.offboard.set_position_global(
+                    PositionGlobalYaw(lat_deg, lon_deg, altitude_m, 0.0, kind)
+                )
+                await ned(
+                    drone, lambda n, e, d, *v, down=down: math.dist((n, e, d), (10.0, 12.0, down)) < 0.02
+                )
 
     asyncio.run(fly())
 
@@ -165,8 +194,14 @@ def test_mavsdk_is_told_what_is_not_flown(port: int) -> None:
             await hovering(drone)
             nothing = ActuatorControl([ActuatorControlGroup([0.0] * 8)])
             for send, told in (
-                (lambda: drone.offboard.set_attitude(Attitude(0.0, 0.0, 0.0, 0.5)), "Attitude setpoint refused"),
-                (lambda: drone.offboard.set_attitude_rate(AttitudeRate(0.0, 0.0, 0.0, 0.5)), "Attitude setpoint refused"),
+                (
+                    lambda: drone.offboard.set_attitude(Attitude(0.0, 0.0, 0.0, 0.5)),
+                    "Attitude setpoint refused",
+                ),
+                (
+                    lambda: drone.offboard.set_attitude_rate(AttitudeRate(0.0, 0.0, 0.0, 0.5)),
+                    "Attitude setpoint refused",
+                ),
                 (lambda: drone.offboard.set_actuator_control(nothing), "Actuator setpoint refused"),
             ):
                 texts = drone.telemetry.status_text()
@@ -178,7 +213,9 @@ def test_mavsdk_is_told_what_is_not_flown(port: int) -> None:
     asyncio.run(ask())
 
 
-def test_mavsdk_flies_a_strict_vehicle_and_loses_it_a_second_after_its_stream(start, wait_until: Callable) -> None:
+def test_mavsdk_flies_a_strict_vehicle_and_loses_it_a_second_after_its_stream(
+    start, wait_until: Callable
+) -> None:
     udp_port = free_port(socket.SOCK_DGRAM)
     uav = start("sitl", "uav", "--out", f"udpout:127.0.0.1:{udp_port}", "--speedup", "3", "--strict")
     wait_until(lambda: uav.says(f"udpin://0.0.0.0:{udp_port}"))
@@ -198,7 +235,9 @@ def test_mavsdk_reads_and_sets_parameters_and_what_it_sets_acts(port: int) -> No
     async def configure() -> None:
         async with connected(f"udpin://127.0.0.1:{port}") as drone, asyncio.timeout(TIMEOUT_S):
             every = await drone.param.get_all_params()
-            floats, ints = ({p.name: p.value for p in kind} for kind in (every.float_params, every.int_params))
+            floats, ints = (
+                {p.name: p.value for p in kind} for kind in (every.float_params, every.int_params)
+            )
             assert (floats["MPC_Z_VEL_MAX_DN"], ints["SYS_AUTOSTART"]) == (1.5, 4001)
             await drone.param.set_param_float("MIS_TAKEOFF_ALT", 8.0)
             assert await drone.param.get_param_float("MIS_TAKEOFF_ALT") == 8.0
@@ -238,7 +277,20 @@ def test_mavsdk_plans_a_mission_with_a_fence_and_flies_it(port: int) -> None:
         lat, lon = to_global(CONFIG.home_lat_deg, CONFIG.home_lon_deg, north, east)
         nan = math.nan
         return MissionItem(
-            lat, lon, 5.0, 5.0, True, nan, nan, MissionItem.CameraAction.NONE, nan, nan, nan, nan, nan, MissionItem.VehicleAction.NONE
+            lat,
+            lon,
+            5.0,
+            5.0,
+            True,
+            nan,
+            nan,
+            MissionItem.CameraAction.NONE,
+            nan,
+            nan,
+            nan,
+            nan,
+            nan,
+            MissionItem.VehicleAction.NONE,
         )
 
     async def fly() -> None:

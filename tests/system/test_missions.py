@@ -1,4 +1,6 @@
-"""Protects mission scripts end to end: every shipped mission meets its expectations, and events change only what they state."""
+"""Protects mission scripts end to end: every shipped mission meets its expectations, and events change
+only what they state.
+"""
 
 import json
 import math
@@ -23,12 +25,21 @@ from tests.system.conftest import Part
 from tests.system.live import run_sitl
 
 MISSIONS = Path(__file__).parents[2] / "missions"
-UNDISTURBED = ("bad-radio", "crashing-services", "link-cut", "operator-hold", "router-restart", "sensor-dropout")
+UNDISTURBED = (
+    "bad-radio",
+    "crashing-services",
+    "link-cut",
+    "operator-hold",
+    "router-restart",
+    "sensor-dropout",
+)
 """Missions of seed 2 whose events cost time and nothing else."""
 
 
 class Flown(NamedTuple):
-    """A mission that was flown as processes: its exit status, its result, the lines of its stderr, its record and its script."""
+    """A mission that was flown as processes: its exit status, its result, the lines of its stderr, its
+    record and its script.
+    """
 
     status: int
     result: dict[str, Any]
@@ -43,13 +54,17 @@ class Flown(NamedTuple):
     def readings(self) -> list[Reading]:
         """The recorded readings by time, each once."""
         readings = [unpack(entry.payload) for entry in self.record.entries if entry.key == "reading"]
-        return [reading for _, reading in sorted({reading.time_boot_ms: reading for reading in readings}.items())]
+        return [
+            reading for _, reading in sorted({reading.time_boot_ms: reading for reading in readings}.items())
+        ]
 
 
 def unpack(payload: bytes) -> Reading:
     """The contents of a reading, also of one without a value."""
     position, wind, gas = mavlink.MAVLink(None).parse_buffer(payload)
-    return Reading(position.time_boot_ms, (position.y, position.x), -position.z, (-wind.wind_y, -wind.wind_x), gas.value)
+    return Reading(
+        position.time_boot_ms, (position.y, position.x), -position.z, (-wind.wind_y, -wind.wind_x), gas.value
+    )
 
 
 def flown(folder: Path, mission: Path | str, *flags: str) -> Flown:
@@ -68,13 +83,20 @@ def flown(folder: Path, mission: Path | str, *flags: str) -> Flown:
 def undisturbed() -> list[dict]:
     """The trace of seed 2 in-process."""
     return [
-        {"position": list(point.position), "reading": point.reading, "mean": list(point.mean), "spread": point.spread}
+        {
+            "position": list(point.position),
+            "reading": point.reading,
+            "mean": list(point.mean),
+            "spread": point.spread,
+        }
         for point in rollout(2, "homing")[1]
     ]
 
 
 QUICK = ("crashing-services", "survey-then-search")
-"""Of the shipped missions those that `make test` flies: one with faults, one that is led by an operator first."""
+"""Of the shipped missions those that `make test` flies: one with faults, one that is led by an operator
+first.
+"""
 
 
 @pytest.mark.parametrize(
@@ -84,7 +106,9 @@ QUICK = ("crashing-services", "survey-then-search")
         for stem in sorted(path.stem for path in MISSIONS.glob("*.yaml"))
     ],
 )
-def test_every_mission_of_ours_meets_what_it_expects(tmp_path: Path, undisturbed: list[dict], mission: str) -> None:
+def test_every_mission_of_ours_meets_what_it_expects(
+    tmp_path: Path, undisturbed: list[dict], mission: str
+) -> None:
     flight = flown(tmp_path, MISSIONS / f"{mission}.yaml")
     assert flight.status == 0, flight.said
     assert flight.result["expectations"]
@@ -99,7 +123,9 @@ def test_every_mission_of_ours_meets_what_it_expects(tmp_path: Path, undisturbed
 
 @pytest.fixture(scope="module")
 def missed(tmp_path_factory: pytest.TempPathFactory) -> Flown:
-    """A mission with flags beside its script, an event that comes too late and an expectation that does not hold."""
+    """A mission with flags beside its script, an event that comes too late and an expectation that does
+    not hold.
+    """
     script = (
         "seed: 5\nagent: {policy: random, budget: 7}\nestimator: {particles: 50}\n"
         "events: [{step: 5, do: spike, gas: 1}]\nexpect: [not ceased, located]\n"
@@ -126,11 +152,20 @@ def test_an_event_that_comes_too_late_is_told(missed: Flown) -> None:
 # ---- what the operator does ----
 
 
-@pytest.mark.parametrize(("word", "ends"), [("return", "returned home"), ("abort", "returned home"), ("land", "landed")])
+@pytest.mark.parametrize(
+    ("word", "ends"), [("return", "returned home"), ("abort", "returned home"), ("land", "landed")]
+)
 def test_the_operators_words_end_the_search_where_they_say(tmp_path: Path, word: str, ends: str) -> None:
-    script = f"seed: 2\nagent: {{policy: random}}\nevents: [{{step: 5, do: {word}}}]\nexpect: [not ceased, landed, returned home]\n"
+    script = (
+        f"seed: 2\nagent: {{policy: random}}\nevents: [{{step: 5, do: {word}}}]\nexpect: [not ceased, "
+        "landed, returned home]\n"
+    )
     flight = flown(tmp_path, script)
-    assert flight.result["expectations"] == {"not ceased": True, "landed": True, "returned home": ends == "returned home"}
+    assert flight.result["expectations"] == {
+        "not ceased": True,
+        "landed": True,
+        "returned home": ends == "returned home",
+    }
     assert flight.result["steps"] == 5
     old = f"warning: {flight.script}: 'abort' is an old word, read as 'return'\n"
     assert flight.said.count(old) == (word == "abort")
@@ -170,7 +205,9 @@ def test_the_wind_turns_with_the_reading_that_it_says_and_the_plume_with_it(even
         decay = math.sqrt(release.d * release.tau / (1 + u * u * release.tau / (4 * release.d)))
         psi = -(dx * u * math.cos(phi) + dy * u * math.sin(phi)) / (2 * release.d)
         mean = release.q / (4 * math.pi * release.d * r) * math.exp(-r / decay + psi)
-        assert point["reading"] == pytest.approx(float(GAUSSIAN.measure(mean, keyed(9, "sensor", step))), rel=1e-5)
+        assert point["reading"] == pytest.approx(
+            float(GAUSSIAN.measure(mean, keyed(9, "sensor", step))), rel=1e-5
+        )
 
 
 def test_scripted_waypoints_are_flown_and_then_the_agent_goes_on(eventful: Flown) -> None:
@@ -183,19 +220,31 @@ def test_scripted_waypoints_are_flown_and_then_the_agent_goes_on(eventful: Flown
 def test_a_hold_takes_as_long_as_it_says(eventful: Flown) -> None:
     times = [reading.time_boot_ms for reading in eventful.readings()][HELD - 1 : HELD + 3]
     leg_ms = 1000 * 2 * math.sqrt(1 / 3)  # time of 1 m from rest to rest at 3 m/s²
-    assert [after - before for before, after in pairwise(times)] == pytest.approx([leg_ms, leg_ms + 45_000, leg_ms], abs=2)
+    assert [after - before for before, after in pairwise(times)] == pytest.approx(
+        [leg_ms, leg_ms + 45_000, leg_ms], abs=2
+    )
 
 
 def test_a_silent_sensor_says_nan_each_second_and_the_reading_comes_after_it(eventful: Flown) -> None:
     readings = eventful.readings()
-    assert [number for number, reading in enumerate(readings) if math.isnan(reading.gas)] == [SILENT, SILENT + 1, SILENT + 2]
+    assert [number for number, reading in enumerate(readings) if math.isnan(reading.gas)] == [
+        SILENT,
+        SILENT + 1,
+        SILENT + 2,
+    ]
     there = readings[SILENT : SILENT + 4]
-    assert [after.time_boot_ms - before.time_boot_ms for before, after in pairwise(there)] == [1000, 1000, 1000]
+    assert [after.time_boot_ms - before.time_boot_ms for before, after in pairwise(there)] == [
+        1000,
+        1000,
+        1000,
+    ]
     assert len({reading.position for reading in there}) == 1
 
 
 def test_doubled_readings_are_there_as_often_as_it_says(eventful: Flown) -> None:
-    counted = Counter(unpack(entry.payload).time_boot_ms for entry in eventful.record.entries if entry.key == "reading")
+    counted = Counter(
+        unpack(entry.payload).time_boot_ms for entry in eventful.record.entries if entry.key == "reading"
+    )
     counts = [counted[reading.time_boot_ms] for reading in eventful.readings() if not math.isnan(reading.gas)]
     assert len(counts) == 15
     assert [count % 4 for count in counts[DOUBLED : DOUBLED + 2]] == [
@@ -218,7 +267,9 @@ def test_a_lost_reading_has_no_value_and_is_taken_again_a_second_later(tmp_path:
     for before, after in pairwise(readings):
         if math.isnan(before.gas):
             assert (after.time_boot_ms - before.time_boot_ms, after.position) == (1000, before.position)
-    assert [point["reading"] for point in flight.trace] == [point.reading for point in rollout(9, "random", budget=12)[1]]
+    assert [point["reading"] for point in flight.trace] == [
+        point.reading for point in rollout(9, "random", budget=12)[1]
+    ]
 
 
 RELEASE = {"q": 200, "u": 2, "phi": 0.5, "d": 3, "tau": 12, "start": [1.5, 2.5]}
@@ -245,7 +296,9 @@ def test_the_wind_of_a_script_is_the_measured_one_and_the_true_one_stays_as_wron
     told = msgspec.structs.replace(draw(9), source=(20.5, 11.25), **(RELEASE | {"start": (1.5, 2.5)}))
     for step, point in enumerate(wrong.trace):
         changed = told if step < 2 else msgspec.structs.replace(told, u=3.0, phi=1.0)
-        assert point["reading"] == World(msgspec.structs.replace(changed, u=1.4 * changed.u), 9).gas(tuple(point["position"]), step)
+        assert point["reading"] == World(msgspec.structs.replace(changed, u=1.4 * changed.u), 9).gas(
+            tuple(point["position"]), step
+        )
     about = wrong.record.about
     assert (about["mission"]["world"], about["scenario"]["u"]) == ("speed-high", 1.4 * told.u)
     measured = [reading.wind for reading in wrong.readings()]
@@ -258,12 +311,19 @@ def test_the_wind_of_a_script_is_the_measured_one_and_the_true_one_stays_as_wron
     [
         ("sead: 3\n", "1: sead: unknown field; allowed: "),
         ("seed: 3\nagent:\n  policy: foo\n", "3: agent.policy: 'foo' is not allowed; wanted infotaxis, "),
-        ("estimator:\n  particles: 50\n  prior: {q: 'gama:2,3'}\n", "3: estimator.prior: 'q=gama:2,3' is not allowed; wanted "),
+        (
+            "estimator:\n  particles: 50\n  prior: {q: 'gama:2,3'}\n",
+            "3: estimator.prior: 'q=gama:2,3' is not allowed; wanted ",
+        ),
         ("estimator:\n  stop_on: luck\n", "2: estimator.stop_on: 'luck' is not allowed; wanted "),
     ],
 )
 def test_a_bad_script_is_one_line_and_status_2_and_leaves_nothing(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, script: str, told: str
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    script: str,
+    told: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "mission.yaml"

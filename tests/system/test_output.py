@@ -1,4 +1,6 @@
-"""Protects what a shell sees: results on stdout, tables as wide as the terminal, and a quiet end where nobody reads on."""
+"""Protects what a shell sees: results on stdout, tables as wide as the terminal, and a quiet end where
+nobody reads on.
+"""
 
 import json
 import subprocess
@@ -13,9 +15,19 @@ from tests.system.screen import on_terminal
 
 LOG = str(Path(__file__).parents[1] / "golden" / "homing-gaussian.mcap")
 EVALUATE = (
-    "agent", "evaluate", "--policy", "greedy,space-aware-infotaxis", "--scenarios", "2", "--particles", "100", "--budget", "40",
-    "--workers", "1",
-)  # fmt: skip
+    "agent",
+    "evaluate",
+    "--policy",
+    "greedy,space-aware-infotaxis",
+    "--scenarios",
+    "2",
+    "--particles",
+    "100",
+    "--budget",
+    "40",
+    "--workers",
+    "1",
+)
 NOWHERE = "tcp/127.0.0.1:1"
 COMMANDS = {
     "log": ("sitl", "log", LOG),
@@ -29,21 +41,35 @@ COMMANDS = {
 
 
 def ended(*arguments: str, cwd: Path, **streams: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", *arguments], text=True, cwd=cwd, timeout=100, **{"stderr": subprocess.PIPE, **streams})
+    return subprocess.run(
+        [sys.executable, "-m", *arguments],
+        text=True,
+        cwd=cwd,
+        timeout=100,
+        **{"stderr": subprocess.PIPE, **streams},
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "unbuffered"),
     [
-        pytest.param(name, unbuffered, marks=() if (name, unbuffered) in (("log", ""), ("evaluate", "1")) else pytest.mark.full)
+        pytest.param(
+            name,
+            unbuffered,
+            marks=() if (name, unbuffered) in (("log", ""), ("evaluate", "1")) else pytest.mark.full,
+        )
         for name in COMMANDS
         for unbuffered in ("", "1")
     ],
 )
-def test_a_reader_who_leaves_ends_a_command_quietly(name: str, unbuffered: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_who_leaves_ends_a_command_quietly(
+    name: str, unbuffered: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     command = [sys.executable, "-m", *COMMANDS[name]]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path, text=True)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path, text=True
+    )
     assert process.stdout is not None
     process.stdout.close()
     _, err = process.communicate(timeout=100)
@@ -54,13 +80,21 @@ def test_a_reader_who_leaves_ends_a_command_quietly(name: str, unbuffered: str, 
 
 @pytest.mark.full
 def test_a_reader_who_leaves_stderr_and_stdout_ends_a_command_as_well(tmp_path: Path) -> None:
-    process = subprocess.Popen([sys.executable, "-m", *EVALUATE], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=tmp_path)
+    process = subprocess.Popen(
+        [sys.executable, "-m", *EVALUATE], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=tmp_path
+    )
     assert process.stdout is not None
     process.stdout.close()
     assert process.wait(100) == 141
 
 
-@pytest.mark.parametrize("name", [name if name in ("log", "evaluate") else pytest.param(name, marks=pytest.mark.full) for name in COMMANDS])
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("log", "evaluate") else pytest.param(name, marks=pytest.mark.full)
+        for name in COMMANDS
+    ],
+)
 def test_a_full_disk_is_one_line_and_status_1(name: str, tmp_path: Path) -> None:
     with open("/dev/full", "w") as full:
         command = ended(*COMMANDS[name], cwd=tmp_path, stdout=full)
@@ -77,10 +111,15 @@ def test_a_failure_of_something_else_is_no_silent_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "result"), [("rollout", "not ceased"), ("evaluate", "space-aware-infotaxis  "), ("log", "longest pause, s")]
+    ("name", "result"),
+    [("rollout", "not ceased"), ("evaluate", "space-aware-infotaxis  "), ("log", "longest pause, s")],
 )
 def test_results_go_to_stdout_and_with_json_only_the_json(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, result: str
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    name: str,
+    result: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     package, *words = COMMANDS[name]
@@ -99,14 +138,30 @@ def test_a_file_holds_the_whole_table_and_the_progress_is_not_in_it(tmp_path: Pa
     done = ended(*EVALUATE, "--threshold", "0.5,2", cwd=tmp_path, stdout=subprocess.PIPE)
     caption, heads, *rows = done.stdout.splitlines()
     assert caption == "N = 100, assume field, 2 missions each, [95% interval]"
-    for head in ("policy", "ζ, m", "ceased, %", "located, %", "false stop, %", "MTD, m", "MTD, floors", "ST, s", "decision, ms"):
+    for head in (
+        "policy",
+        "ζ, m",
+        "ceased, %",
+        "located, %",
+        "false stop, %",
+        "MTD, m",
+        "MTD, floors",
+        "ST, s",
+        "decision, ms",
+    ):
         assert head in heads
-    assert [row.split()[:2] for row in rows] == [[name, each] for name in ("greedy", "space-aware-infotaxis") for each in ("0.5", "2")]
+    assert [row.split()[:2] for row in rows] == [
+        [name, each] for name in ("greedy", "space-aware-infotaxis") for each in ("0.5", "2")
+    ]
     assert done.stderr.splitlines()[0] == "starting 1 worker for 4 missions"
 
 
-@pytest.mark.parametrize("columns", [60, *(pytest.param(columns, marks=pytest.mark.full) for columns in (40, 80, 100, 200))])
-def test_a_table_of_figures_fits_the_terminal_and_names_what_it_leaves_out(columns: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "columns", [60, *(pytest.param(columns, marks=pytest.mark.full) for columns in (40, 80, 100, 200))]
+)
+def test_a_table_of_figures_fits_the_terminal_and_names_what_it_leaves_out(
+    columns: int, tmp_path: Path
+) -> None:
     status, lines = on_terminal(columns, *EVALUATE, cwd=tmp_path)
     assert status == 0
     assert lines[0].startswith("starting 1 worker")
@@ -115,7 +170,9 @@ def test_a_table_of_figures_fits_the_terminal_and_names_what_it_leaves_out(colum
     shown, _, left_out = text.partition("left out: ")
     for figure in ("ceased", "located", "false stop", "MTD", "MTD in floors", "ST", "decision"):
         head = {"MTD in floors": "floors"}.get(figure, figure)
-        assert (f"{head}, " in shown or f" {head} " in shown) != (f"{figure}," in left_out or f"{figure} (" in left_out), figure
+        assert (f"{head}, " in shown or f" {head} " in shown) != (
+            f"{figure}," in left_out or f"{figure} (" in left_out
+        ), figure
     assert ("--json" in left_out) == bool(left_out) == (columns < 200)
     assert "located" in shown
 
@@ -130,12 +187,16 @@ def test_the_summary_of_a_log_fits_the_terminal(columns: int, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("columns", [60, pytest.param(80, marks=pytest.mark.full)])
-def test_a_status_fits_the_terminal_and_says_below_the_table_what_is_wrong(router: str, columns: int, tmp_path: Path) -> None:
+def test_a_status_fits_the_terminal_and_says_below_the_table_what_is_wrong(
+    router: str, columns: int, tmp_path: Path
+) -> None:
     with Bus("estimator", router) as bus:
         bus.tally.state, bus.tally.about = "ready", "1000 particles over x y q u phi d tau, stop below 0.5 m"
         bus.tally.warnings = ("a warning of many words " * 5,)
         bus.publish_health()
-        status, lines = on_terminal(columns, "sitl", "status", "--connect", router, "--parts", "estimator,agent", cwd=tmp_path)
+        status, lines = on_terminal(
+            columns, "sitl", "status", "--connect", router, "--parts", "estimator,agent", cwd=tmp_path
+        )
     assert status == 1
     assert max(map(len, lines)) <= columns
     (estimator,) = (line for line in lines if line.startswith("estimator  "))

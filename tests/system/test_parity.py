@@ -14,8 +14,16 @@ from tests.system.live import run_agent
 
 
 def flown(folder: Path, *command: str) -> dict:
-    """The JSON outcome of a mission flown as processes, without a record: tests/system/test_missions.py compares those with one."""
-    done = subprocess.run([sys.executable, "-m", *command, "--json", "--trace"], capture_output=True, text=True, cwd=folder, timeout=120)
+    """The JSON outcome of a mission flown as processes, without a record: tests/system/test_missions.py
+    compares those with one.
+    """
+    done = subprocess.run(
+        [sys.executable, "-m", *command, "--json", "--trace"],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        timeout=120,
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -37,15 +45,25 @@ def in_process(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 
 
 def full(*values: object) -> Any:
-    """A case that only `make test-all` flies: `make test` flies one of each family of policies, sensors and worlds."""
+    """A case that only `make test-all` flies: `make test` flies one of each family of policies, sensors
+    and worlds.
+    """
     return pytest.param(*values, marks=pytest.mark.full)
 
 
 @pytest.mark.parametrize(
     ("seed", "policy"),
-    [(1, "infotaxis"), full(2, "random"), full(417, "infotaxis"), full(1_000_000, "infotaxis"), full(1_000_001, "random")],
+    [
+        (1, "infotaxis"),
+        full(2, "random"),
+        full(417, "infotaxis"),
+        full(1_000_000, "infotaxis"),
+        full(1_000_001, "random"),
+    ],
 )
-def test_a_mission_over_the_bus_equals_the_one_in_process(tmp_path: Path, in_process: Callable, seed: int, policy: str) -> None:
+def test_a_mission_over_the_bus_equals_the_one_in_process(
+    tmp_path: Path, in_process: Callable, seed: int, policy: str
+) -> None:
     chosen = ["--seed", str(seed), "--policy", policy]
     bus, rollout = over_the_bus(tmp_path, *chosen, "--speedup", "0"), in_process(*chosen)
     assert bus["trace"] == rollout["trace"]
@@ -56,14 +74,21 @@ def test_a_mission_over_the_bus_equals_the_one_in_process(tmp_path: Path, in_pro
 
 
 @pytest.mark.parametrize(
-    "policy", [policy if policy in ("thompson", "random") else full(policy) for policy in OURS if policy != "infotaxis"]
+    "policy",
+    [
+        policy if policy in ("thompson", "random") else full(policy)
+        for policy in OURS
+        if policy != "infotaxis"
+    ],
 )
 def test_every_policy_flies_the_same_over_the_bus(tmp_path: Path, in_process: Callable, policy: str) -> None:
     chosen = ["--seed", "7", "--policy", policy, "--particles", "300", "--budget", "40", "--assume", "paper"]
     assert over_the_bus(tmp_path, *chosen, "--speedup", "0")["trace"] == in_process(*chosen)["trace"]
 
 
-@pytest.mark.parametrize("reach", [full(["--headings", "8", "--measurements", "10"]), ["--headings", "4", "--step", "0.5"]])
+@pytest.mark.parametrize(
+    "reach", [full(["--headings", "8", "--measurements", "10"]), ["--headings", "4", "--step", "0.5"]]
+)
 def test_how_a_planner_moves_reaches_it(tmp_path: Path, in_process: Callable, reach: list[str]) -> None:
     chosen = ["--seed", "5", "--policy", "homing", "--particles", "200", "--budget", "20"]
     moved = in_process(*chosen, *reach)["trace"]
@@ -72,8 +97,21 @@ def test_how_a_planner_moves_reaches_it(tmp_path: Path, in_process: Callable, re
 
 
 def test_options_reach_every_part(tmp_path: Path, in_process: Callable) -> None:
-    chosen = ["--seed", "5", "--policy", "random", "--particles", "200", "--threshold", "5.5", "--budget", "40"]
-    trace = over_the_bus(tmp_path, *chosen, "--speedup", "0", "-I", "3", "--home=-35.36,149.16,584,90")["trace"]
+    chosen = [
+        "--seed",
+        "5",
+        "--policy",
+        "random",
+        "--particles",
+        "200",
+        "--threshold",
+        "5.5",
+        "--budget",
+        "40",
+    ]
+    trace = over_the_bus(tmp_path, *chosen, "--speedup", "0", "-I", "3", "--home=-35.36,149.16,584,90")[
+        "trace"
+    ]
     assert trace == in_process(*chosen)["trace"]
     assert len(trace) <= 41
 
@@ -82,18 +120,46 @@ def test_options_reach_every_part(tmp_path: Path, in_process: Callable) -> None:
     "knowledge",
     [
         ["--sensor", "hits", "--prior", "q=uniform:100,500", "--stop-on", "location,q=90"],
-        full(["--sensor", "threshold:0.3,0.2", "--prior", "u=normal:2.5,1", "--prior", "phi=uniform:0,6.283185307179586"]),
+        full(
+            [
+                "--sensor",
+                "threshold:0.3,0.2",
+                "--prior",
+                "u=normal:2.5,1",
+                "--prior",
+                "phi=uniform:0,6.283185307179586",
+            ]
+        ),
         full(["--prior", "z=fixed:4", "--prior", "d=gamma:3,1.5", "--stop-on", "d=1"]),
     ],
-)  # fmt: skip
-def test_sensors_and_unknowns_reach_every_part(tmp_path: Path, in_process: Callable, knowledge: list[str]) -> None:
+)
+def test_sensors_and_unknowns_reach_every_part(
+    tmp_path: Path, in_process: Callable, knowledge: list[str]
+) -> None:
     chosen = ["--seed", "5", "--particles", "300", "--budget", "60", *knowledge]
-    assert over_the_bus(tmp_path, *chosen, "--speedup", "0", "-I", "1")["trace"] == in_process(*chosen)["trace"]
+    assert (
+        over_the_bus(tmp_path, *chosen, "--speedup", "0", "-I", "1")["trace"] == in_process(*chosen)["trace"]
+    )
 
 
 @pytest.mark.parametrize("policy", [full("homing"), "ppo"])
-def test_with_little_known_it_flies_the_same_over_the_bus(tmp_path: Path, in_process: Callable, policy: str) -> None:
-    chosen = ["--seed", "7", "--policy", policy, "--particles", "300", "--budget", "25", "--assume", "field", "--stop", "within:1,0.9"]
+def test_with_little_known_it_flies_the_same_over_the_bus(
+    tmp_path: Path, in_process: Callable, policy: str
+) -> None:
+    chosen = [
+        "--seed",
+        "7",
+        "--policy",
+        policy,
+        "--particles",
+        "300",
+        "--budget",
+        "25",
+        "--assume",
+        "field",
+        "--stop",
+        "within:1,0.9",
+    ]
     bus, rollout = over_the_bus(tmp_path, *chosen, "--speedup", "0"), in_process(*chosen)
     del bus["search_time_s"], rollout["search_time_s"]
     assert bus == rollout
@@ -102,8 +168,12 @@ def test_with_little_known_it_flies_the_same_over_the_bus(tmp_path: Path, in_pro
     assert in_process(*told)["trace"] != bus["trace"]  # the assumption reached both
 
 
-@pytest.mark.parametrize("world", [full("wind-30"), full("cv-1-correlated"), full("readings-lost"), "all-at-once"])
-def test_a_mission_in_another_world_is_the_same_over_the_bus(tmp_path: Path, in_process: Callable, world: str) -> None:
+@pytest.mark.parametrize(
+    "world", [full("wind-30"), full("cv-1-correlated"), full("readings-lost"), "all-at-once"]
+)
+def test_a_mission_in_another_world_is_the_same_over_the_bus(
+    tmp_path: Path, in_process: Callable, world: str
+) -> None:
     chosen = ["--seed", "3", "--particles", "300", "--budget", "40", "--world", world]
     bus, rollout = over_the_bus(tmp_path, *chosen, "--speedup", "0"), in_process(*chosen)
     del bus["search_time_s"], rollout["search_time_s"]
@@ -118,4 +188,6 @@ def test_a_mission_in_another_world_is_the_same_over_the_bus(tmp_path: Path, in_
 @pytest.mark.full
 def test_speed_up_changes_nothing_but_the_time_it_takes(tmp_path: Path, in_process: Callable) -> None:
     chosen = ["--seed", "1", "--policy", "infotaxis", "--budget", "12"]
-    assert over_the_bus(tmp_path, *chosen, "--speedup", "20")["trace"] == in_process(*chosen)["trace"]  # as all above are at once
+    assert (
+        over_the_bus(tmp_path, *chosen, "--speedup", "20")["trace"] == in_process(*chosen)["trace"]
+    )  # as all above are at once

@@ -1,4 +1,6 @@
-"""Protects that a pilot with a ground station always wins over a whole running mission, and that the mission always ends."""
+"""Protects that a pilot with a ground station always wins over a whole running mission, and that the
+mission always ends.
+"""
 
 from collections.abc import Callable, Iterator
 
@@ -46,11 +48,23 @@ def pilot() -> Iterator[Pilot]:
 def fly(start, tmp_path, pilot: Pilot) -> Callable:
     port = pilot.link.port.getsockname()[1]
     return lambda *words: start(
-        "sitl", "fly", "--no-record", "--seed", "11", "--speedup", "8", "--out", f"udpout:127.0.0.1:{port}", *words, cwd=tmp_path
+        "sitl",
+        "fly",
+        "--no-record",
+        "--seed",
+        "11",
+        "--speedup",
+        "8",
+        "--out",
+        f"udpout:127.0.0.1:{port}",
+        *words,
+        cwd=tmp_path,
     )
 
 
-def test_a_pilot_holds_during_take_off_and_later_gives_the_search_back(fly: Callable, pilot: Pilot, wait_until: Callable) -> None:
+def test_a_pilot_holds_during_take_off_and_later_gives_the_search_back(
+    fly: Callable, pilot: Pilot, wait_until: Callable
+) -> None:
     mission = fly()
     pilot.until_mode(Mode.TAKEOFF)
     assert pilot.change(Mode.HOLD) == 0
@@ -68,12 +82,19 @@ def test_a_pilot_holds_during_take_off_and_later_gives_the_search_back(fly: Call
 @pytest.mark.parametrize(
     ("when", "how"),
     [
-        pytest.param(when, how, id=f"{name}-{when.name}", marks=() if (when, name) == (Mode.OFFBOARD, "land") else pytest.mark.full)
+        pytest.param(
+            when,
+            how,
+            id=f"{name}-{when.name}",
+            marks=() if (when, name) == (Mode.OFFBOARD, "land") else pytest.mark.full,
+        )
         for when in (Mode.TAKEOFF, Mode.OFFBOARD)
         for name, how in {"land": Mode.LAND, "return": Mode.RETURN, "motors off": None}.items()
     ],
 )
-def test_a_mission_that_a_pilot_ends_is_over(fly: Callable, pilot: Pilot, when: Mode, how: Mode | None) -> None:
+def test_a_mission_that_a_pilot_ends_is_over(
+    fly: Callable, pilot: Pilot, when: Mode, how: Mode | None
+) -> None:
     mission = fly("--speedup", "20")
     pilot.until_mode(when)
     pilot.until("LOCAL_POSITION_NED", lambda at: at.z < -0.5)  # type: ignore[attr-defined]

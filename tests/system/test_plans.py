@@ -1,4 +1,6 @@
-"""Protects that a ground station plans a flight: it uploads fence, rally points and mission over UDP, flies it, and is told of it."""
+"""Protects that a ground station plans a flight: it uploads fence, rally points and mission over UDP,
+flies it, and is told of it.
+"""
 
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +18,9 @@ HOME = VehicleConfig()
 
 
 class Station:
-    """A ground station that plans: pymavlink's mission list, as MAVProxy uses it, and its sequence of messages."""
+    """A ground station that plans: pymavlink's mission list, as MAVProxy uses it, and its sequence of
+    messages.
+    """
 
     def __init__(self) -> None:
         self.link = mavutil.mavlink_connection("udpin:127.0.0.1:0", source_system=255, source_component=190)
@@ -28,8 +32,12 @@ class Station:
                 return message
         raise AssertionError(f"no such {kinds} within a minute")
 
-    def ask(self, send: Callable[[], object], *kinds: str, holds: Callable[[Any], bool] = lambda _: True) -> Any:
-        """Send a request until it is answered, as stations do: UDP loses datagrams where the machine is busy."""
+    def ask(
+        self, send: Callable[[], object], *kinds: str, holds: Callable[[Any], bool] = lambda _: True
+    ) -> Any:
+        """Send a request until it is answered, as stations do: UDP loses datagrams where the machine is
+        busy.
+        """
         for _ in range(30):
             send()
             ends = time.monotonic() + 2.0
@@ -39,7 +47,9 @@ class Station:
                     return message
         raise AssertionError(f"no {kinds} within a minute")
 
-    def item(self, command: int, north: float, east: float, up: float, p1: float = 0.0, frame: int = 6) -> Any:
+    def item(
+        self, command: int, north: float, east: float, up: float, p1: float = 0.0, frame: int = 6
+    ) -> Any:
         lat, lon = to_global(HOME.home_lat_deg, HOME.home_lon_deg, north, east)
         return mavlink.MAVLink_mission_item_int_message(
             1, 1, 0, frame, command, 0, 1, p1, 0, 0, float("nan"), round(lat * 1e7), round(lon * 1e7), up
@@ -51,16 +61,24 @@ class Station:
         for each in items:
             each.mission_type = kind
             loader.add(each)
-        answer = self.ask(lambda: self.link.mav.mission_count_send(1, 1, loader.count(), kind), "MISSION_REQUEST_INT", "MISSION_ACK")
+        answer = self.ask(
+            lambda: self.link.mav.mission_count_send(1, 1, loader.count(), kind),
+            "MISSION_REQUEST_INT",
+            "MISSION_ACK",
+        )
         while answer.get_type() != "MISSION_ACK":
             item = loader.wp(answer.seq)
-            answer = self.ask(lambda item=item: self.link.mav.send(item), "MISSION_REQUEST_INT", "MISSION_ACK")  # type: ignore[misc]
+            answer = self.ask(
+                lambda item=item: self.link.mav.send(item), "MISSION_REQUEST_INT", "MISSION_ACK"
+            )  # type: ignore[misc]
         return int(answer.type)
 
     def download(self, kind: int) -> list[tuple[int, int, int, float]]:
         """Return (command, latitude, longitude, altitude) of each item."""
         items = []
-        for seq in range(self.ask(lambda: self.link.mav.mission_request_list_send(1, 1, kind), "MISSION_COUNT").count):
+        for seq in range(
+            self.ask(lambda: self.link.mav.mission_request_list_send(1, 1, kind), "MISSION_COUNT").count
+        ):
             got = self.ask(
                 lambda seq=seq: self.link.mav.mission_request_int_send(1, 1, seq, kind),  # type: ignore[misc]
                 "MISSION_ITEM_INT",
@@ -83,7 +101,10 @@ def station(start: Callable) -> Iterator[Station]:
     station = Station()
     start("sitl", "uav", "--out", f"udpout:127.0.0.1:{station.link.port.getsockname()[1]}", "--speedup", "5")
     station.link.wait_heartbeat(timeout=60)
-    for message_id in (30, 33):  # ATTITUDE and GLOBAL_POSITION_INT make up most of the telemetry: a slow reader loses some
+    for message_id in (
+        30,
+        33,
+    ):  # ATTITUDE and GLOBAL_POSITION_INT make up most of the telemetry: a slow reader loses some
         station.command(511, message_id, -1)
     yield station
     station.link.close()
@@ -93,15 +114,25 @@ def test_a_station_plans_and_flies_a_mission_with_a_fence_and_a_rally_point(stat
     fence = [station.item(5001, north, east, 0.0, 4) for north, east in ((0, 0), (0, 25), (25, 25), (25, 0))]
     rally = [station.item(5100, 12.0, 10.0, 5.0)]
     mission = [
-        station.item(22, 0.0, 0.0, 5.0), station.item(16, 10.0, 0.0, 5.0, 2.0), station.item(16, 10.0, 10.0, 6.0),
+        station.item(22, 0.0, 0.0, 5.0),
+        station.item(16, 10.0, 0.0, 5.0, 2.0),
+        station.item(16, 10.0, 10.0, 6.0),
         station.item(20, 0.0, 0.0, 0.0, frame=2),
-    ]  # fmt: skip
-    assert [station.upload(kind, *items) for kind, items in ((1, fence), (2, rally), (0, mission))] == [0, 0, 0]
+    ]
+    assert [station.upload(kind, *items) for kind, items in ((1, fence), (2, rally), (0, mission))] == [
+        0,
+        0,
+        0,
+    ]
     assert station.download(0) == [(item.command, item.x, item.y, item.z) for item in mission]
-    assert station.upload(0, station.item(16, 10.0, 27.0, 5.0)) == 10  # outside the fence: MAV_MISSION_INVALID_PARAM5_X
+    assert (
+        station.upload(0, station.item(16, 10.0, 27.0, 5.0)) == 10
+    )  # outside the fence: MAV_MISSION_INVALID_PARAM5_X
     assert len(station.download(0)) == 4  # the old mission stays
     assert station.command(300, 0.0) == 0  # MISSION_START: it arms
-    station.until("HEARTBEAT", holds=lambda beat: beat.custom_mode == Mode.MISSION.custom_mode and beat.base_mode & 128)
+    station.until(
+        "HEARTBEAT", holds=lambda beat: beat.custom_mode == Mode.MISSION.custom_mode and beat.base_mode & 128
+    )
     for seq in range(3):  # the return home is another mode's
         station.until("MISSION_ITEM_REACHED", holds=lambda item, seq=seq: item.seq == seq)
     station.until("HEARTBEAT", holds=lambda beat: beat.custom_mode == Mode.RETURN.custom_mode)

@@ -1,4 +1,6 @@
-"""Protects sweeps on a Ray cluster: two nodes give the same results as local cores, an interrupt loses nothing, errors are clear."""
+"""Protects sweeps on a Ray cluster: two nodes give the same results as local cores, an interrupt loses
+nothing, errors are clear.
+"""
 
 import contextlib
 import json
@@ -24,8 +26,25 @@ from agent.trials.sweep import PACKAGES
 
 pytestmark = [pytest.mark.full, pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed")]
 
-SWEEP = ("agent", "evaluate", "--policy", "greedy,thompson", "--particles", "100", "--budget", "40", "--threshold", "0.5,2")
-START = "--num-cpus=1", "--block", "--object-store-memory=100000000", "--include-log-monitor=false", "--disable-usage-stats"
+SWEEP = (
+    "agent",
+    "evaluate",
+    "--policy",
+    "greedy,thompson",
+    "--particles",
+    "100",
+    "--budget",
+    "40",
+    "--threshold",
+    "0.5,2",
+)
+START = (
+    "--num-cpus=1",
+    "--block",
+    "--object-store-memory=100000000",
+    "--include-log-monitor=false",
+    "--disable-usage-stats",
+)
 
 
 class Cluster:
@@ -41,9 +60,22 @@ class Cluster:
         said = self.folder / f"{name}.log"
         with said.open("w") as file:
             node = subprocess.Popen(
-                [sys.executable, "-m", "ray.scripts.scripts", "start", *flags, *START, f"--temp-dir={self.folder / name}"],
-                stdin=subprocess.DEVNULL, stdout=file, stderr=file, cwd=self.folder, env=os.environ | environment, start_new_session=True,
-            )  # fmt: skip
+                [
+                    sys.executable,
+                    "-m",
+                    "ray.scripts.scripts",
+                    "start",
+                    *flags,
+                    *START,
+                    f"--temp-dir={self.folder / name}",
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=file,
+                cwd=self.folder,
+                env=os.environ | environment,
+                start_new_session=True,
+            )
         self.nodes.append(node)
         self.wait_until(lambda: "will now block" in said.read_text() or node.poll() is not None, timeout_s=60)
         assert node.poll() is None, said.read_text()
@@ -53,12 +85,22 @@ class Cluster:
         """Start the first node; returns the address of the cluster."""
         with socket.create_server(("", 0)) as server:
             free = server.getsockname()[1]
-        said = self.add("head", "--head", "--port=0", f"--ray-client-server-port={free}", "--include-dashboard=false", **environment)
+        said = self.add(
+            "head",
+            "--head",
+            "--port=0",
+            f"--ray-client-server-port={free}",
+            "--include-dashboard=false",
+            **environment,
+        )
         return re.search(r"--address='(\S+)'", said)[1]
 
     def flew(self, name: str) -> bool:
         """True if a worker of this node has done a task of a sweep: its log names the task."""
-        return any(":task_name:fly_there\n" in log.read_text() for log in self.folder.glob(f"{name}/session_2*/logs/worker-*.out"))
+        return any(
+            ":task_name:fly_there\n" in log.read_text()
+            for log in self.folder.glob(f"{name}/session_2*/logs/worker-*.out")
+        )
 
     def stop(self) -> None:
         for node in reversed(self.nodes):
@@ -88,7 +130,10 @@ def cluster(monkeypatch: pytest.MonkeyPatch, wait_until: Callable) -> Iterator[C
 
 def untimed(path: Path) -> list[MissionRow]:
     """Rows without the measured times."""
-    return [msgspec.structs.replace(row, search_time_s=0.0, decision_ms=0.0, update_ms=0.0) for row in read_csv(path)]
+    return [
+        msgspec.structs.replace(row, search_time_s=0.0, decision_ms=0.0, update_ms=0.0)
+        for row in read_csv(path)
+    ]
 
 
 @pytest.mark.timeout(300)
@@ -98,7 +143,9 @@ def test_two_nodes_give_what_the_cores_give_and_an_interrupt_loses_nothing(
     address = cluster.head()
     cluster.add("second", f"--address={address}")
     few = (*SWEEP, "--first-seed", "7", "--scenarios", "50", "--json")
-    for _ in range(3):  # on a busy machine all is flown before a node's worker has started; the next time it is there
+    for _ in range(
+        3
+    ):  # on a busy machine all is flown before a node's worker has started; the next time it is there
         on_ray = start(*few, "--ray", address, "--missions", "ray.csv", "--force", cwd=tmp_path)
         assert on_ray.ended() == 0, on_ray.err
         if both := cluster.flew("head") and cluster.flew("second"):
@@ -144,18 +191,31 @@ def test_a_node_with_other_code_is_refused(start, cluster: Cluster, tmp_path: Pa
         refused = start(*SWEEP, "--scenarios", "2", "--ray", address, cwd=tmp_path)
         assert refused.ended() == 2
         assert refused.err[-1].startswith("error: --ray: node ")
-        assert refused.err[-1].endswith("has other versions of plumeward, numpy or numba; install those of this machine\n")
+        assert refused.err[-1].endswith(
+            "has other versions of plumeward, numpy or numba; install those of this machine\n"
+        )
         assert not refused.says("Traceback")
 
 
 @pytest.mark.parametrize(
     ("address", "error"),
     [
-        ("127.0.0.1:1", "cannot join '127.0.0.1:1' ([Errno 111] Connection refused); wanted HOST:PORT of a Ray cluster that this machine"),
+        (
+            "127.0.0.1:1",
+            "cannot join '127.0.0.1:1' ([Errno 111] Connection refused); wanted HOST:PORT of a Ray cluster "
+            "that this machine",
+        ),
         ("local", "'local' is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto"),
         ("", "'' is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto"),
-        ("ray://127.0.0.1:70000", "'ray://127.0.0.1:70000' is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto"),
-        ("auto", "cannot join 'auto' (Could not find any running Ray instance); wanted HOST:PORT of a Ray cluster that this machine"),
+        (
+            "ray://127.0.0.1:70000",
+            "'ray://127.0.0.1:70000' is not allowed; wanted HOST:PORT of a Ray cluster's head, or auto",
+        ),
+        (
+            "auto",
+            "cannot join 'auto' (Could not find any running Ray instance); wanted HOST:PORT of a Ray cluster "
+            "that this machine",
+        ),
     ],
 )
 def test_where_there_is_no_cluster_one_line_says_so(

@@ -1,4 +1,6 @@
-"""Protects the recorder as a process: it records everything, and its death or a full disk loses at most the last second."""
+"""Protects the recorder as a process: it records everything, and its death or a full disk loses at most
+the last second.
+"""
 
 import json
 import os
@@ -28,7 +30,20 @@ def steps(recording: Recording) -> list[int]:
 
 
 def test_a_mission_is_recorded_from_its_first_to_its_last_message(start, tmp_path: Path) -> None:
-    mission = start("sitl", "fly", "--seed", "3", "--policy", "homing", "--assume", "paper", "--speedup", "0", "--json", cwd=tmp_path)
+    mission = start(
+        "sitl",
+        "fly",
+        "--seed",
+        "3",
+        "--policy",
+        "homing",
+        "--assume",
+        "paper",
+        "--speedup",
+        "0",
+        "--json",
+        cwd=tmp_path,
+    )
     assert mission.ended() == 0
     result, recording = json.loads(mission.out[-1]), mission_record(tmp_path)
     trace = rollout(3, "homing", assume="paper")[1]
@@ -38,9 +53,23 @@ def test_a_mission_is_recorded_from_its_first_to_its_last_message(start, tmp_pat
     assert [told[step] for step in sorted(told)] == [(list(point.mean), point.spread) for point in trace]
     assert {(said["assume"], said["stop"]) for said in beliefs} == {("paper", "spread:0.5")}
     assert all(len(entry.attachment) == 12 * 1000 for entry in recording.entries if entry.key == "belief")
-    keys = {"reading", "mavlink/out", "waypoint", "belief", "agdc/stop", "health/uav", "health/estimator", "health/agent"}
+    keys = {
+        "reading",
+        "mavlink/out",
+        "waypoint",
+        "belief",
+        "agdc/stop",
+        "health/uav",
+        "health/estimator",
+        "health/agent",
+    }
     assert keys <= {entry.key for entry in recording.entries}
-    waypoints = {m.time_boot_ms for entry in recording.entries if entry.key == "waypoint" for m in unpack(entry.payload)}
+    waypoints = {
+        m.time_boot_ms
+        for entry in recording.entries
+        if entry.key == "waypoint"
+        for m in unpack(entry.payload)
+    }
     assert len(waypoints) == result["steps"]
     about = recording.about
     assert (about["seed"], about["policy"], about["namespace"]) == (3, "homing", "uav/1")
@@ -50,7 +79,9 @@ def test_a_mission_is_recorded_from_its_first_to_its_last_message(start, tmp_pat
     assert about["host"]
 
 
-def test_publish_times_are_the_publishers_own(start, router: str, tmp_path: Path, wait_until: Callable) -> None:
+def test_publish_times_are_the_publishers_own(
+    start, router: str, tmp_path: Path, wait_until: Callable
+) -> None:
     recorder = start("sitl", "record", str(tmp_path / "run.mcap"), "--connect", router)
     wait_until(lambda: recorder.out)
     with Bus("uav", router) as bus:
@@ -61,12 +92,16 @@ def test_publish_times_are_the_publishers_own(start, router: str, tmp_path: Path
         recorder.process.send_signal(signal.SIGTERM)
         assert recorder.ended() == 0
     (entry,) = (entry for entry in read(tmp_path / "run.mcap").entries if entry.key == "reading")
-    assert before - 1_000_000 <= entry.published_ns <= after + 1_000_000  # Zenoh's clock may run ahead of the system's by less than this
+    assert (
+        before - 1_000_000 <= entry.published_ns <= after + 1_000_000
+    )  # Zenoh's clock may run ahead of the system's by less than this
     assert entry.simulation_s == 1.0
 
 
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT])
-def test_what_was_said_before_it_is_told_to_end_is_in_the_file(start, router: str, tmp_path: Path, wait_until: Callable, end: int) -> None:
+def test_what_was_said_before_it_is_told_to_end_is_in_the_file(
+    start, router: str, tmp_path: Path, wait_until: Callable, end: int
+) -> None:
     recorder = start("sitl", "record", str(tmp_path / "run.mcap"), "--connect", router)
     wait_until(lambda: recorder.out)
     assert recorder.out == [f"recording to {tmp_path / 'run.mcap'}\n"]
@@ -79,9 +114,17 @@ def test_what_was_said_before_it_is_told_to_end_is_in_the_file(start, router: st
         assert recorder.ended() == 0
     recording = read(tmp_path / "run.mcap")
     assert recording.complete
-    said = [(entry.key, entry.payload, entry.attachment) for entry in recording.entries if not entry.key.startswith("health")]
+    said = [
+        (entry.key, entry.payload, entry.attachment)
+        for entry in recording.entries
+        if not entry.key.startswith("health")
+    ]
     assert sorted(said) == sorted(
-        [("mavlink/out", b"first", b""), ("belief", b"what is no belief is recorded, too", b"attached"), ("mavlink/out", b"last", b"")]
+        [
+            ("mavlink/out", b"first", b""),
+            ("belief", b"what is no belief is recorded, too", b"attached"),
+            ("mavlink/out", b"last", b""),
+        ]
     )
 
 
@@ -116,13 +159,19 @@ def test_what_was_recorded_is_on_disk_at_once_and_outlives_a_recorder_that_is_ki
 def test_a_full_disk_stops_the_record_with_a_line_and_not_the_mission(
     start, family: Callable, wait_until: Callable, tmp_path: Path
 ) -> None:
-    mission = start("sitl", "fly", "--policy", "random", "--budget", "25", "--speedup", "20", "--json", cwd=tmp_path)
+    mission = start(
+        "sitl", "fly", "--policy", "random", "--budget", "25", "--speedup", "20", "--json", cwd=tmp_path
+    )
     wait_until(lambda: "record" in family(mission.process.pid))
     limit = 40_000  # largest file size in bytes: a write beyond it fails as on a full disk
     resource.prlimit(family(mission.process.pid)["record"], resource.RLIMIT_FSIZE, (limit, limit))
     assert mission.ended() == 0
     assert json.loads(mission.out[-1])["steps"] == 25
-    (line,) = (line for line in mission.err if "record stopped" in line and "warning: the recording stopped" not in line)
+    (line,) = (
+        line
+        for line in mission.err
+        if "record stopped" in line and "warning: the recording stopped" not in line
+    )
     assert line.startswith("recorder: warning: record stopped: File too large (runs/")
     (path,) = (tmp_path / "runs").glob("*.mcap")
     assert 0 < path.stat().st_size <= limit

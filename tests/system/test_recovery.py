@@ -1,4 +1,6 @@
-"""Protects the loop against loss: whichever message is lost or service dies, the mission continues with identical results."""
+"""Protects the loop against loss: whichever message is lost or service dies, the mission continues with
+identical results.
+"""
 
 import json
 import math
@@ -28,17 +30,27 @@ from tests.system.stranger import Stranger, belief, messages
 SEED = 1
 SCENARIO = draw(SEED)
 ESTIMATOR = (
-    "--rate", repr(SCENARIO.q), "--diffusivity", repr(SCENARIO.d), "--lifetime", repr(SCENARIO.tau),
-    "--seed", str(derived_seed(SEED, "estimator")),
-    "--assume", "paper",
-)  # fmt: skip
+    "--rate",
+    repr(SCENARIO.q),
+    "--diffusivity",
+    repr(SCENARIO.d),
+    "--lifetime",
+    repr(SCENARIO.tau),
+    "--seed",
+    str(derived_seed(SEED, "estimator")),
+    "--assume",
+    "paper",
+)
 AGENT = ("--policy", "infotaxis", "--seed", str(derived_seed(SEED, "agent")))
 
 
 @cache
 def in_process(assume: str) -> list[tuple[tuple[float, float], float, tuple[float, float], float]]:
     """The beliefs of the same mission in-process."""
-    return [(point.position, point.reading, point.mean, point.spread) for point in rollout(SEED, "infotaxis", assume=assume)[1]]
+    return [
+        (point.position, point.reading, point.mean, point.spread)
+        for point in rollout(SEED, "infotaxis", assume=assume)[1]
+    ]
 
 
 @pytest.fixture
@@ -62,7 +74,9 @@ def point_of(said: dict) -> tuple:
         ),
     ],
 )
-def test_a_killed_service_resumes_with_the_same_belief(start, router: str, victim: str, kill_at: int, assume: str) -> None:
+def test_a_killed_service_resumes_with_the_same_belief(
+    start, router: str, victim: str, kill_at: int, assume: str
+) -> None:
     with Stranger(router) as viewer:
         beliefs, stops = viewer.subscribe("belief"), viewer.subscribe("agdc/stop")
         estimator = ("estimator", "-e", router, *ESTIMATOR, "--assume", assume)
@@ -73,7 +87,9 @@ def test_a_killed_service_resumes_with_the_same_belief(start, router: str, victi
         said: dict = {"ceased": False}
         while not said["ceased"]:
             said = belief(beliefs.get(timeout=60))
-            assert seen.setdefault(said["step"], point_of(said)) == point_of(said)  # a repeated belief is the same
+            assert seen.setdefault(said["step"], point_of(said)) == point_of(
+                said
+            )  # a repeated belief is the same
             if victim in running and said["step"] == kill_at:
                 running.pop(victim).kill()
                 start(*commands[victim])
@@ -81,8 +97,12 @@ def test_a_killed_service_resumes_with_the_same_belief(start, router: str, victi
         assert json.loads(stops.get(timeout=60).payload.to_bytes())["estimate"] == said["mean"]
 
 
-def test_a_mission_with_lost_doubled_and_late_messages_equals_an_undisturbed_one(start, router: str, undisturbed: list) -> None:
-    """A stranger acts as the agent: of every three waypoints one is lost, one duplicated, one followed by an old one."""
+def test_a_mission_with_lost_doubled_and_late_messages_equals_an_undisturbed_one(
+    start, router: str, undisturbed: list
+) -> None:
+    """A stranger acts as the agent: of every three waypoints one is lost, one duplicated, one followed by
+    an old one.
+    """
     with Stranger(router, "health/agent") as stranger:
         beliefs = stranger.subscribe("belief")
         start("estimator", "-e", router, *ESTIMATOR)
@@ -111,37 +131,53 @@ def test_a_mission_with_lost_doubled_and_late_messages_equals_an_undisturbed_one
 
 def test_a_vehicle_that_gets_no_waypoints_returns_home_and_lands(start, router: str) -> None:
     with Stranger(router, "health/agent") as viewer:
-        readings, out, health = viewer.subscribe("reading"), viewer.subscribe("mavlink/out"), viewer.subscribe("health/uav")
+        readings, out, health = (
+            viewer.subscribe("reading"),
+            viewer.subscribe("mavlink/out"),
+            viewer.subscribe("health/uav"),
+        )
         start("estimator", "-e", router)
         start("sitl", "uav", "-e", router, "--speedup", "20", "--silence", "1")
         readings.get(timeout=60)
         states: list[str] = []
         while not states or states[-1] != "landed":
             states.append(json.loads(health.get(timeout=60).payload.to_bytes())["state"])
-        assert [state for n, state in enumerate(states) if n == 0 or state != states[n - 1]][-3:] == ["searching", "returning", "landed"]
+        assert [state for n, state in enumerate(states) if n == 0 or state != states[n - 1]][-3:] == [
+            "searching",
+            "returning",
+            "landed",
+        ]
         last: dict = {}
         deadline = time.monotonic() + 30
         while not {"LOCAL_POSITION_NED", "HEARTBEAT"} <= set(last) or last["HEARTBEAT"].base_mode & 128:
             last |= messages(out.get(timeout=30))
             assert time.monotonic() < deadline
-        assert (last["LOCAL_POSITION_NED"].x, last["LOCAL_POSITION_NED"].y, last["LOCAL_POSITION_NED"].z) == (0, 0, 0)
+        assert (last["LOCAL_POSITION_NED"].x, last["LOCAL_POSITION_NED"].y, last["LOCAL_POSITION_NED"].z) == (
+            0,
+            0,
+            0,
+        )
 
 
 @pytest.mark.full
-def test_the_launcher_says_so_when_the_vehicle_gives_up(start, family, wait_until: Callable, tmp_path) -> None:
+def test_the_launcher_says_so_when_the_vehicle_gives_up(
+    start, family, wait_until: Callable, tmp_path
+) -> None:
     mission = start("sitl", "fly", "--speedup", "20", "--silence", "1", cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
     agent = family(mission.process.pid)["agent"]
     os.kill(agent, signal.SIGSTOP)  # alive, but silent
     assert mission.ended() == 1
     assert (
-        "error: the uav landed before the search was over; its last words: uav: warning: No setpoint for 20 s: returning home"
-        in mission.err[-1]
+        "error: the uav landed before the search was over; its last words: uav: warning: No setpoint for 20 "
+        "s: returning home" in mission.err[-1]
     )
 
 
 LAST = 29
-"""The step at which infotaxis ceases in this mission. The filter resamples there, and at steps 11, 15, 23 and 27."""
+"""The step at which infotaxis ceases in this mission. The filter resamples there, and at steps 11, 15, 23
+and 27.
+"""
 
 
 @cache
@@ -152,7 +188,9 @@ def undisturbed_mission(policy: str, budget: int) -> tuple[Config, list[Step]]:
 
 
 class Viewer:
-    """Watches a mission: every message must equal that of an undisturbed mission bit for bit, except for the vehicle's times."""
+    """Watches a mission: every message must equal that of an undisturbed mission bit for bit, except for
+    the vehicle's times.
+    """
 
     def __init__(self, router: str, policy: str = "infotaxis", budget: int = BUDGET_STEPS) -> None:
         self._config, self._undisturbed = undisturbed_mission(policy, budget)
@@ -174,7 +212,9 @@ class Viewer:
     def watch_until(self, holds: Callable[[], object]) -> None:
         deadline = time.monotonic() + 60.0
         while not holds():
-            assert time.monotonic() < deadline, f"seen are beliefs {self.beliefs}, readings {list(self._readings)}, stops {self._stops}"
+            assert time.monotonic() < deadline, (
+                f"seen are beliefs {self.beliefs}, readings {list(self._readings)}, stops {self._stops}"
+            )
             if arrival := self._bus.receive(timeout_s=0.05):
                 self._take(arrival)
 
@@ -183,7 +223,9 @@ class Viewer:
             said = msgspec.json.decode(arrival.payload, type=Belief)
             assert self.beliefs.setdefault(said.step, said.time_boot_ms) == said.time_boot_ms
             expected, cloud = self._undisturbed[said.step][:2]
-            assert arrival.payload == msgspec.json.encode(msgspec.structs.replace(expected, time_boot_ms=said.time_boot_ms))
+            assert arrival.payload == msgspec.json.encode(
+                msgspec.structs.replace(expected, time_boot_ms=said.time_boot_ms)
+            )
             assert arrival.attachment == pack_particles(cloud)
         elif arrival.key is STOP:
             time_boot_ms = msgspec.json.decode(arrival.payload, type=Stop).time_boot_ms
@@ -195,7 +237,10 @@ class Viewer:
             assert self._readings.setdefault(time_boot_ms, arrival.payload) == arrival.payload
         else:
             (answer,) = unpack(arrival.payload)
-            assert self._waypoints.setdefault(answer.time_boot_ms, (answer.y, answer.x)) == (answer.y, answer.x)
+            assert self._waypoints.setdefault(answer.time_boot_ms, (answer.y, answer.x)) == (
+                answer.y,
+                answer.x,
+            )
 
     @property
     def has_seen_the_end(self) -> bool:
@@ -209,9 +254,13 @@ class Viewer:
         return self.has_seen_the_end and len(self.beliefs) == len(self._undisturbed)
 
     def check(self) -> None:
-        """Check that each reading was taken once at the right place, each waypoint led there, and each belief belongs to its reading."""
+        """Check that each reading was taken once at the right place, each waypoint led there, and each
+        belief belongs to its reading.
+        """
         taken = [unpack_reading(frames, 1) for frames in self._readings.values()]
-        assert [(reading.position, reading.gas) for reading in taken] == [(said.position, said.gas) for said, *_ in self._undisturbed]
+        assert [(reading.position, reading.gas) for reading in taken] == [
+            (said.position, said.gas) for said, *_ in self._undisturbed
+        ]
         times = [reading.time_boot_ms for reading in taken]
         assert times == sorted(times)
         assert self.beliefs == {step: times[step] for step in self.beliefs}
@@ -242,21 +291,29 @@ def parts(router: str, speedup: int) -> dict[str, tuple[str, ...]]:
     [
         # The second and the third process die while they rebuild from the first reading.
         pytest.param(["before:belief:0", "after:belief:0", "before:belief:0"], id="at the start"),
-        # At a resampling step, while rebuilding after it, at another resampling step, and between two of them.
-        pytest.param(["before:belief:11", "before:belief:4", "before:belief:15", "after:belief:21"], id="midway"),
+        # At a resampling step, while rebuilding after it, at another resampling step, and between two of
+        # them.
+        pytest.param(
+            ["before:belief:11", "before:belief:4", "before:belief:15", "after:belief:21"], id="midway"
+        ),
         pytest.param(["before:agdc/stop:0"], id="before the stop"),
-        # The stop may or may not have been sent by the first process; the second is about to publish its belief.
+        # The stop may or may not have been sent by the first process; the second is about to publish its
+        # belief.
         pytest.param(["after:agdc/stop:0", f"before:belief:{LAST}"], id="between the stop and its belief"),
         pytest.param([f"after:belief:{LAST}"], id="after the last belief"),
     ],
 )
-def test_an_estimator_that_dies_at_any_step_goes_on_as_if_it_had_not(start, router: str, deaths: list[str]) -> None:
+def test_an_estimator_that_dies_at_any_step_goes_on_as_if_it_had_not(
+    start, router: str, deaths: list[str]
+) -> None:
     services = parts(router, speedup=0)
     with Viewer(router) as viewer:  # joins before the first belief, to see all of them
         start(*services["uav"])
         start(*services["agent"])
         for death in deaths:
-            assert start("tests.system.dies", "self", death, *services["estimator"]).ended() == -signal.SIGKILL
+            assert (
+                start("tests.system.dies", "self", death, *services["estimator"]).ended() == -signal.SIGKILL
+            )
         heir = start(*services["estimator"])
         viewer.watch_until(lambda: viewer.has_seen_all and heir.says("ceased"))
         viewer.check()
@@ -273,7 +330,9 @@ def test_an_estimator_that_dies_at_any_step_goes_on_as_if_it_had_not(start, rout
         ("ppo", BUDGET_STEPS, ["before:waypoint:7", "after:waypoint:18"]),
     ],
 )
-def test_an_agent_that_dies_at_any_step_goes_on_as_if_it_had_not(start, router: str, policy: str, budget: int, deaths: list[str]) -> None:
+def test_an_agent_that_dies_at_any_step_goes_on_as_if_it_had_not(
+    start, router: str, policy: str, budget: int, deaths: list[str]
+) -> None:
     services = parts(router, speedup=0)
     agent = (*services["agent"], "--policy", policy, "--budget", str(budget))
     with Viewer(router, policy, budget) as viewer:
@@ -293,7 +352,10 @@ def test_estimator_and_agent_may_die_in_the_same_round_trip(start, router: str) 
     with Viewer(router) as viewer:
         start(*services["uav"])
         estimator = start(*services["estimator"])
-        assert start("tests.system.dies", "self", "before:waypoint:11", *services["agent"]).ended() == -signal.SIGKILL
+        assert (
+            start("tests.system.dies", "self", "before:waypoint:11", *services["agent"]).ended()
+            == -signal.SIGKILL
+        )
         estimator.kill()
         start(*services["estimator"])
         start(*services["agent"])
@@ -325,13 +387,28 @@ def is_free(port: int) -> bool:
 @pytest.mark.parametrize(
     ("service", "deaths"),
     [
-        pytest.param("uav", ["after:health/<service>:-1", "before:reading:8"], id="before the search, a reading", marks=pytest.mark.full),
+        pytest.param(
+            "uav",
+            ["after:health/<service>:-1", "before:reading:8"],
+            id="before the search, a reading",
+            marks=pytest.mark.full,
+        ),
         pytest.param("agent", ["before:waypoint:5", "after:waypoint:12"], id="waypoints"),
         pytest.param(
-            "estimator", ["before:belief:0", "after:belief:11", "before:agdc/stop:0"], id="beliefs, the stop", marks=pytest.mark.full
+            "estimator",
+            ["before:belief:0", "after:belief:11", "before:agdc/stop:0"],
+            id="beliefs, the stop",
+            marks=pytest.mark.full,
         ),
-        pytest.param("estimator", [f"before:belief:{LAST}"], id="between the stop and its belief", marks=pytest.mark.full),
-        pytest.param("estimator", [f"after:belief:{LAST}"], id="after the last belief", marks=pytest.mark.full),
+        pytest.param(
+            "estimator",
+            [f"before:belief:{LAST}"],
+            id="between the stop and its belief",
+            marks=pytest.mark.full,
+        ),
+        pytest.param(
+            "estimator", [f"after:belief:{LAST}"], id="after the last belief", marks=pytest.mark.full
+        ),
     ],
 )
 def test_a_mission_survives_its_router_whatever_the_cut_swallows(
@@ -375,7 +452,9 @@ def test_a_mission_survives_its_router_while_the_vehicle_is_moving(start, listen
         check_from_the_end(endpoint)
 
 
-def test_missing_readings_are_not_given_up_while_the_router_is_away(listen: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_readings_are_not_given_up_while_the_router_is_away(
+    listen: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("link.bus.sequence.GIVE_UP_S", 1.0)
     forgetful = replace(READING, delivery=replace(READING.delivery, kept=1))
     router = listen()

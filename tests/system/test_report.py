@@ -10,7 +10,18 @@ from tests.system.live import run_agent
 @pytest.mark.full
 def test_it_makes_a_page_of_what_evaluate_wrote(start, tmp_path: Path) -> None:
     (tmp_path / "results").mkdir()
-    flags = ("--policy", "greedy", "--scenarios", "2", "--particles", "20", "--workers", "1", "--missions", "results/greedy.csv")
+    flags = (
+        "--policy",
+        "greedy",
+        "--scenarios",
+        "2",
+        "--particles",
+        "20",
+        "--workers",
+        "1",
+        "--missions",
+        "results/greedy.csv",
+    )
     assert start("agent", "evaluate", *flags, cwd=tmp_path).ended() == 0
     report = start("agent", "report", cwd=tmp_path)
     assert report.ended() == 0, report.err
@@ -23,15 +34,23 @@ def test_it_makes_a_page_of_what_evaluate_wrote(start, tmp_path: Path) -> None:
     assert again.err == ["error: --out: 'report/particles.png' exists; wanted another name, or --force\n"]
 
 
-def test_bad_input_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_bad_input_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "shopping.csv").write_text("what,many\neggs,6\n")
     (tmp_path / "file").touch()
     for flags, error in (
-        (("--results", "nowhere"), "error: --results: no such folder: 'nowhere'; `plumeward evaluate --missions FILE.csv` writes"),
-        (("--results", "empty"), "error: --results: no missions in 'empty'; `plumeward evaluate --missions FILE.csv` writes"),
+        (
+            ("--results", "nowhere"),
+            "error: --results: no such folder: 'nowhere'; `plumeward evaluate --missions FILE.csv` writes",
+        ),
+        (
+            ("--results", "empty"),
+            "error: --results: no missions in 'empty'; `plumeward evaluate --missions FILE.csv` writes",
+        ),
         (("--results", "other"), "error: --results: other/shopping.csv: "),
         (("--report", "empty"), "error: no flag '--report'"),
     ):

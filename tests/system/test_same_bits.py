@@ -1,6 +1,8 @@
-"""Protects the one principle on every processor: with other BLAS kernels, SIMD extensions and code generators, all bits are the same.
+"""Protects the one principle on every processor: with other BLAS kernels, SIMD extensions and code
+generators, all bits are the same.
 
-The environments pretend to be other processors; tests/system/arm64.sh is one. Every two settings meet in one of them.
+The environments pretend to be other processors; tests/system/arm64.sh is one. Every two settings meet in
+one of them.
 """
 
 import json
@@ -21,30 +23,50 @@ NO_FMA = "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA_Usable,-AVX2_Usable"
 """Lets the C library compute as on a processor without fused multiply-add."""
 FAMILIES = ("homing", "infotaxis", "thompson", "ppo", "dqn", "ddpg")
 SEED = "7"
-ROWS = [(blas, numpy, NUMBA[(row + column) % 3]) for row, blas in enumerate(BLAS) for column, numpy in enumerate(NUMPY)]
+ROWS = [
+    (blas, numpy, NUMBA[(row + column) % 3])
+    for row, blas in enumerate(BLAS)
+    for column, numpy in enumerate(NUMPY)
+]
 
 
 def disabled(numpy: str) -> str:
     """The extensions that NumPy is told not to use, by the names that it knows here."""
     known: list[str] = np.show_config(mode="dicts")["SIMD Extensions"]["found"]  # type: ignore[call-overload, index]
     newest = [name for name in known if "V4" in name or "AVX512" in name]
-    return " ".join({"all": [], "without V4": newest, "without V3 and V4": [name for name in known if "V3" in name] + newest}[numpy])
+    return " ".join(
+        {
+            "all": [],
+            "without V4": newest,
+            "without V3 and V4": [name for name in known if "V3" in name] + newest,
+        }[numpy]
+    )
 
 
 def environment(blas: str, numpy: str, numba: str) -> dict[str, str]:
     """The environment of a process on such a processor."""
-    changed = {"OPENBLAS_CORETYPE": blas, "NPY_DISABLE_CPU_FEATURES": disabled(numpy), "NUMBA_CPU_NAME": numba}
+    changed = {
+        "OPENBLAS_CORETYPE": blas,
+        "NPY_DISABLE_CPU_FEATURES": disabled(numpy),
+        "NUMBA_CPU_NAME": numba,
+    }
     if numpy == NUMPY[-1]:
         changed["GLIBC_TUNABLES"] = NO_FMA
     if numba == "native":
         del changed["NUMBA_CPU_NAME"]
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("OPENBLAS_", "NPY_", "NUMBA_CPU", "GLIBC_"))}
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("OPENBLAS_", "NPY_", "NUMBA_CPU", "GLIBC_"))
+    }
     return kept | changed
 
 
 def said(env: dict[str, str], *words: str) -> list[str]:
     """The lines that a command prints in an environment."""
-    ended = subprocess.run([sys.executable, "-m", *words], env=env, capture_output=True, text=True, timeout=600)
+    ended = subprocess.run(
+        [sys.executable, "-m", *words], env=env, capture_output=True, text=True, timeout=600
+    )
     assert ended.returncode == 0, ended.stderr
     return ended.stdout.splitlines()
 
@@ -53,7 +75,11 @@ def mission(env: dict[str, str], command: str, policy: str) -> dict[str, Any]:
     """What a mission prints, but for the time that it took."""
     flags = ("--seed", SEED, "--policy", policy, "--particles", "300", "--budget", "30", "--json", "--trace")
     package = "sitl" if command == "fly" else "agent"
-    outcome = json.loads(said(env, package, command, *flags, *(("--speedup", "0", "--no-record") if command == "fly" else ()))[-1])
+    outcome = json.loads(
+        said(env, package, command, *flags, *(("--speedup", "0", "--no-record") if command == "fly" else ()))[
+            -1
+        ]
+    )
     return {name: value for name, value in outcome.items() if name not in ("search_time_s", "record")}
 
 
@@ -64,7 +90,8 @@ def here() -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("blas", "numpy", "numba"), [pytest.param(*row, marks=pytest.mark.full if row[2] != "native" else ()) for row in ROWS]
+    ("blas", "numpy", "numba"),
+    [pytest.param(*row, marks=pytest.mark.full if row[2] != "native" else ()) for row in ROWS],
 )
 @pytest.mark.timeout(900)  # the kernels are compiled once for each processor
 def test_every_bit_is_the_same_on_another_processor(blas: str, numpy: str, numba: str) -> None:
@@ -76,15 +103,24 @@ def test_every_bit_is_the_same_on_another_processor(blas: str, numpy: str, numba
 @pytest.mark.full
 @pytest.mark.parametrize(("row", "policy"), list(zip(ROWS[::2], FAMILIES, strict=True)), ids=str)
 @pytest.mark.timeout(900)
-def test_a_mission_of_processes_on_one_processor_is_the_in_process_mission_of_another(row: tuple[str, str, str], policy: str) -> None:
+def test_a_mission_of_processes_on_one_processor_is_the_in_process_mission_of_another(
+    row: tuple[str, str, str], policy: str
+) -> None:
     assert mission(environment(*row), "fly", policy) == mission(dict(os.environ), "rollout", policy)
 
 
 def test_the_environments_are_other_processors() -> None:
-    """BLAS and NumPy's own functions do give other bits in one of them; else the tests above would show nothing."""
-    code = "import numpy as np; r = np.random.default_rng(0).normal(size=(2, 999)); print((r[0] @ r[1]).hex(), np.exp(r).tobytes().hex())"
+    """BLAS and NumPy's own functions do give other bits in one of them; else the tests above would show
+    nothing.
+    """
+    code = (
+        "import numpy as np; r = np.random.default_rng(0).normal(size=(2, 999)); print((r[0] @ "
+        "r[1]).hex(), np.exp(r).tobytes().hex())"
+    )
     outputs = {
-        subprocess.run([sys.executable, "-c", code], env=environment(*row), capture_output=True, text=True, check=True).stdout
+        subprocess.run(
+            [sys.executable, "-c", code], env=environment(*row), capture_output=True, text=True, check=True
+        ).stdout
         for row in ROWS[:3]
     }
     assert len(outputs) > 1 or not disabled(NUMPY[-1])  # NumPy knows none that it could leave out here

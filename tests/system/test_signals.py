@@ -30,9 +30,13 @@ def test_a_part_on_a_quiet_bus_ends_on_one_signal(
     start, router: str, wait_until: Callable, tmp_path: Path, part: str, number: signal.Signals
 ) -> None:
     words = {
-        "uav": ("sitl", "uav"), "payload": ("sitl", "payload"), "bridge": ("sitl", "bridge", "udpout:127.0.0.1:14599"),
-        "record": ("sitl", "record", "it.mcap"), "estimator": ("estimator",), "agent": ("agent",),
-    }  # fmt: skip
+        "uav": ("sitl", "uav"),
+        "payload": ("sitl", "payload"),
+        "bridge": ("sitl", "bridge", "udpout:127.0.0.1:14599"),
+        "record": ("sitl", "record", "it.mcap"),
+        "estimator": ("estimator",),
+        "agent": ("agent",),
+    }
     running = start(*words[part], "--connect", router, cwd=tmp_path)
     wait_until(lambda: running.err or running.out)
     running.process.send_signal(number)
@@ -41,7 +45,9 @@ def test_a_part_on_a_quiet_bus_ends_on_one_signal(
 
 
 def flying(folder: Path, family: Callable, wait_until: Callable) -> tuple[int, int, dict[str, int]]:
-    """Begin a mission on a terminal of its own; returns its process, the terminal's other end, and its parts once they record."""
+    """Begin a mission on a terminal of its own; returns its process, the terminal's other end, and its
+    parts once they record.
+    """
     pid, terminal = pty.fork()
     if pid == 0:
         os.chdir(folder)
@@ -54,7 +60,9 @@ def flying(folder: Path, family: Callable, wait_until: Callable) -> tuple[int, i
     return pid, terminal, parts
 
 
-def test_a_mission_whose_terminal_is_closed_ends_and_its_record_is_whole(family, wait_until: Callable, tmp_path: Path) -> None:
+def test_a_mission_whose_terminal_is_closed_ends_and_its_record_is_whole(
+    family, wait_until: Callable, tmp_path: Path
+) -> None:
     pid, terminal, parts = flying(tmp_path, family, wait_until)
     os.close(terminal)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == INTERRUPTED
@@ -63,7 +71,9 @@ def test_a_mission_whose_terminal_is_closed_ends_and_its_record_is_whole(family,
     assert read(str(record)).complete
 
 
-def test_a_hangup_ends_a_mission_as_sigterm_does_with_its_line(start, family, wait_until: Callable, tmp_path: Path) -> None:
+def test_a_hangup_ends_a_mission_as_sigterm_does_with_its_line(
+    start, family, wait_until: Callable, tmp_path: Path
+) -> None:
     mission = start(*LONG, cwd=tmp_path)
     wait_until(lambda: mission.says("step   0"))
     parts = family(mission.process.pid)

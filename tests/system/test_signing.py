@@ -1,4 +1,6 @@
-"""Protects a vehicle from strangers: with --sign nobody without the key, and nobody with old frames, stops its motors in the air."""
+"""Protects a vehicle from strangers: with --sign nobody without the key, and nobody with old frames, stops
+its motors in the air.
+"""
 
 import hashlib
 import json
@@ -31,7 +33,9 @@ def timestamp() -> int:
 
 
 def as_signed(frame: bytes, link: int, at: int, key: bytes = KEY) -> bytes:
-    """A MAVLink 2 frame with a signature, by the guide's formula; pymavlink computes the checksum of the flagged frame."""
+    """A MAVLink 2 frame with a signature, by the guide's formula; pymavlink computes the checksum of the
+    flagged frame.
+    """
     body = bytearray(frame)
     body[2] = 1
     message_id = int.from_bytes(body[7:10], "little")
@@ -59,7 +63,9 @@ class Station:
     def __init__(self, port: int) -> None:
         os.environ["MAVLINK20"] = "1"  # without it pymavlink begins with MAVLink 1, which cannot be signed
         mavutil.set_dialect("common")
-        self.link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=255, source_component=190)
+        self.link = mavutil.mavlink_connection(
+            f"udpout:127.0.0.1:{port}", source_system=255, source_component=190
+        )
         self.link.setup_signing(KEY, sign_outgoing=True)
         self.sent: list[bytes] = []
         write = self.link.write
@@ -80,7 +86,9 @@ class Station:
     def command(self, number: int, *params: float) -> int:
         for _ in range(10):
             self.link.mav.command_long_send(1, 1, number, 0, *params, *[0] * (7 - len(params)))
-            ack = self.link.recv_match(type="COMMAND_ACK", condition=f"COMMAND_ACK.command == {number}", blocking=True, timeout=3)
+            ack = self.link.recv_match(
+                type="COMMAND_ACK", condition=f"COMMAND_ACK.command == {number}", blocking=True, timeout=3
+            )
             if ack:
                 return ack.result
         raise AssertionError(f"no answer to command {number}")
@@ -104,7 +112,9 @@ def stranger() -> Iterator[socket.socket]:
 
 
 def forced_disarm(version: int = 2) -> bytes:
-    return Speaker(255, 190, version).pack(mavlink.MAVLink_command_long_message(1, 1, DISARM, 0, 0, FORCED, 0, 0, 0, 0, 0))
+    return Speaker(255, 190, version).pack(
+        mavlink.MAVLink_command_long_message(1, 1, DISARM, 0, 0, FORCED, 0, 0, 0, 0, 0)
+    )
 
 
 def test_only_who_has_the_key_stops_the_motors_in_the_air_and_no_frame_of_the_former_run_does(
@@ -127,20 +137,26 @@ def test_only_who_has_the_key_stops_the_motors_in_the_air_and_no_frame_of_the_fo
     unsigned = forced_disarm()
     refused(unsigned, "without a signature")
     refused(forced_disarm(version=1), "without a signature")
-    refused(as_signed(unsigned, 9, timestamp(), key=hashlib.sha256(b"guess").digest()), "with a wrong signature")
+    refused(
+        as_signed(unsigned, 9, timestamp(), key=hashlib.sha256(b"guess").digest()), "with a wrong signature"
+    )
     refused(as_signed(unsigned, 9, timestamp() - 61 * 100_000), "with an old timestamp")
     refused(station.sent[-1], "with an old timestamp")
 
     assert station.command(DISARM, 0, FORCED) == 0
     station.until("HEARTBEAT", lambda beat: not beat.base_mode & ARMED)
-    station.until("EXTENDED_SYS_STATE", lambda state: state.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND)
+    station.until(
+        "EXTENDED_SYS_STATE", lambda state: state.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND
+    )
     captured = [*station.sent]
     vehicle.kill()
 
     vehicle = start(*words)
     station.take_off()
     for frame in captured:
-        refused(frame, "with an old timestamp") if frame is captured[0] else stranger.sendto(frame, ("127.0.0.1", port))
+        refused(frame, "with an old timestamp") if frame is captured[0] else stranger.sendto(
+            frame, ("127.0.0.1", port)
+        )
     assert station.still_armed()
     assert not vehicle.says("Traceback")
 
@@ -184,15 +200,24 @@ def test_a_bridge_verifies_what_comes_signs_what_goes_and_leaves_the_bus_and_ser
         wait_until(lambda: any(letter.data[7:10] == b"\x4c\0\0" for letter in serial.heard))
         stranger.say(order)
         radio = Speaker(51, 68)
-        strangers, stations = (radio.pack(mavlink.MAVLink_radio_status_message(rssi, 2, 3, 4, 5, 6, 7)) for rssi in (1, 2))
+        strangers, stations = (
+            radio.pack(mavlink.MAVLink_radio_status_message(rssi, 2, 3, 4, 5, 6, 7)) for rssi in (1, 2)
+        )
         stranger.say(strangers)
         station.say(stations)
         wait_until(lambda: count(bus.into, stations) == 1)
-        station.say(as_signed(person.pack(mavlink.MAVLink_setup_signing_message(1, 1, b"n" * 32, 1)), 3, timestamp()))
+        station.say(
+            as_signed(person.pack(mavlink.MAVLink_setup_signing_message(1, 1, b"n" * 32, 1)), 3, timestamp())
+        )
         bus.say(MAVLINK_OUT, old.beat(autopilot=True))
         last = drone.beat(autopilot=True)
         serial.say(last)
-        wait_until(lambda: any(letter.data[:2] + letter.data[3:-15] == last[:2] + last[3:-2] for letter in caller.heard + station.heard))
+        wait_until(
+            lambda: any(
+                letter.data[:2] + letter.data[3:-15] == last[:2] + last[3:-2]
+                for letter in caller.heard + station.heard
+            )
+        )
 
         wait_until(lambda: count(bus.out, last) == 1)
         for wire in (station, caller):
@@ -207,7 +232,9 @@ def test_a_bridge_verifies_what_comes_signs_what_goes_and_leaves_the_bus_and_ser
         assert sum(letter.data[7:10] == b"\x4c\0\0" for letter in serial.heard) == 1
 
         told = subprocess.run(
-            [sys.executable, "-m", "sitl", "status", "--connect", router, "--parts", "bridge", "--json"], capture_output=True, text=True
+            [sys.executable, "-m", "sitl", "status", "--connect", router, "--parts", "bridge", "--json"],
+            capture_output=True,
+            text=True,
         )
         bridge.process.terminate()
         assert bridge.ended() == 0
@@ -215,7 +242,9 @@ def test_a_bridge_verifies_what_comes_signs_what_goes_and_leaves_the_bus_and_ser
         assert refused[f"without a signature (udpin:127.0.0.1:{udp})"] == 2
         assert refused[f"with an old timestamp (udpin:127.0.0.1:{udp})"] == 1
         counts = "".join(line for line in bridge.err if "frames in" in line)
-        assert re.search(rf"udpin:127.0.0.1:{udp}: 5 frames in.*2 without a signature, 1 with an old timestamp", counts), counts
+        assert re.search(
+            rf"udpin:127.0.0.1:{udp}: 5 frames in.*2 without a signature, 1 with an old timestamp", counts
+        ), counts
         assert "1 with a key (SETUP_SIGNING)" in counts
         assert "1 of MAVLink 1, which cannot be signed" in counts
 
@@ -223,9 +252,18 @@ def test_a_bridge_verifies_what_comes_signs_what_goes_and_leaves_the_bus_and_ser
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["uav", "--out", "udpout:127.0.0.1:9", "--sign", "none.key"], "--sign: 'none.key': No such file or directory; wanted a file with"),
-        (["fly", "--out", "udpout:127.0.0.1:9", "--sign", "two.key"], "--sign: 'two.key' has more than one line; wanted a file with"),
-        (["bridge", "udpout:127.0.0.1:9", "--sign", "two.key"], "--sign: 'two.key' has more than one line; wanted a file with"),
+        (
+            ["uav", "--out", "udpout:127.0.0.1:9", "--sign", "none.key"],
+            "--sign: 'none.key': No such file or directory; wanted a file with",
+        ),
+        (
+            ["fly", "--out", "udpout:127.0.0.1:9", "--sign", "two.key"],
+            "--sign: 'two.key' has more than one line; wanted a file with",
+        ),
+        (
+            ["bridge", "udpout:127.0.0.1:9", "--sign", "two.key"],
+            "--sign: 'two.key' has more than one line; wanted a file with",
+        ),
         (["fly", "--sign", "fleet.key"], "--sign: there is nothing to sign; wanted it with --out"),
         (["uav", "--sign", "fleet.key"], "--sign: there is nothing to sign; wanted it with --out"),
         (
@@ -240,15 +278,21 @@ def test_what_cannot_be_signed_gets_one_line_and_status_2(words: list[str], said
     key.with_name("used.key").write_text("one")
     key.with_name("used.key.uav-1").write_text("something else\n")
     ended = subprocess.run(
-        [sys.executable, "-m", "sitl", *words], capture_output=True, text=True, timeout=60, cwd=key.parent,
+        [sys.executable, "-m", "sitl", *words],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        cwd=key.parent,
         env={"PYTHONPATH": str(Path(__file__).parents[2]), "PATH": "/usr/bin:/bin"},
-    )  # fmt: skip
+    )
     assert ended.returncode == 2, ended.stderr
     (line,) = [line for line in ended.stderr.splitlines() if "error" in line]
     assert said in line
 
 
-def test_two_processes_with_one_key_go_side_by_side_unless_they_are_the_same_vehicle(start, key: Path, wait_until: Callable) -> None:
+def test_two_processes_with_one_key_go_side_by_side_unless_they_are_the_same_vehicle(
+    start, key: Path, wait_until: Callable
+) -> None:
     words = ("sitl", "uav", "--sign", str(key))
     ports = [free_port(UDP), free_port(UDP)]
     for instance, port in enumerate(ports):
@@ -259,12 +303,25 @@ def test_two_processes_with_one_key_go_side_by_side_unless_they_are_the_same_veh
     third = start(*words, "--out", f"udpin:127.0.0.1:{free_port(UDP)}")
     assert third.ended() == 2
     assert third.err[-1].startswith("error: --sign: ")
-    assert "fleet.key.uav-1' is in use by another process; wanted one process for each vehicle or bus" in third.err[-1]
+    assert (
+        "fleet.key.uav-1' is in use by another process; wanted one process for each vehicle or bus"
+        in third.err[-1]
+    )
 
 
 def test_a_mission_is_flown_and_all_that_it_sends_over_udp_is_signed(start, key: Path) -> None:
     with UdpWire() as wire:
-        words = ("--budget", "5", "--speedup", "0", "--no-record", "--out", f"udpout:127.0.0.1:{wire.port}", "--sign", str(key))
+        words = (
+            "--budget",
+            "5",
+            "--speedup",
+            "0",
+            "--no-record",
+            "--out",
+            f"udpout:127.0.0.1:{wire.port}",
+            "--sign",
+            str(key),
+        )
         fly = start("sitl", "fly", *words, cwd=key.parent)
         assert fly.ended() == 0, fly.err
         assert len(wire.heard) > 50

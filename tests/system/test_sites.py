@@ -1,4 +1,6 @@
-"""Protects missions between two sites, each with a router of its own: they are one bus, and outlast a cut between them."""
+"""Protects missions between two sites, each with a router of its own: they are one bus, and outlast a cut
+between them.
+"""
 
 import json
 from collections.abc import Callable
@@ -14,7 +16,9 @@ SEED = 11
 
 
 @pytest.mark.full
-def test_a_mission_over_two_sites_outlasts_a_cut_between_them_and_is_the_same(start, wait_until: Callable, tmp_path: Path) -> None:
+def test_a_mission_over_two_sites_outlasts_a_cut_between_them_and_is_the_same(
+    start, wait_until: Callable, tmp_path: Path
+) -> None:
     undisturbed = start("agent", "rollout", "--seed", str(SEED), "--json", "--trace")
     field = start("sitl", "router", "--listen", "tcp/127.0.0.1:0")
     wait_until(lambda: field.out)
@@ -26,7 +30,9 @@ def test_a_mission_over_two_sites_outlasts_a_cut_between_them_and_is_the_same(st
         start(service, "--connect", office.out[0].strip(), *words)
     words = "--connect", field.out[0].strip(), "--seed", str(SEED), "--speedup", "20", "--json", "--trace"
     flight = start("sitl", "fly", *words, cwd=tmp_path)
-    watch = start("sitl", "status", "--connect", field.out[0].strip(), "--json", "--watch", "--parts", "uav,estimator")
+    watch = start(
+        "sitl", "status", "--connect", field.out[0].strip(), "--json", "--watch", "--parts", "uav,estimator"
+    )
 
     def parts() -> dict[str, dict]:
         return json.loads(watch.out[-1])["parts"] if watch.out else {}

@@ -18,7 +18,9 @@ Status = Callable[..., tuple[int, dict[str, Any]]]
 
 
 @pytest.fixture
-def table(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, list[str], list[str]]]:
+def table(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, list[str], list[str]]]:
     """Run the command in this process; returns its exit status and the lines of its stdout and stderr."""
     return lambda router, *flags: run_sitl(monkeypatch, capsys, "status", "--connect", router, *flags)
 
@@ -42,7 +44,10 @@ def verdicts(report: dict[str, Any]) -> dict[str, str]:
 @pytest.fixture
 def stack(start, router: str, wait_until: Callable) -> dict[str, Any]:
     """Estimator and agent, ready, without a vehicle: a vehicle would take off as soon as both are there."""
-    parts = {"estimator": start("estimator", "--connect", router), "agent": start("agent", "--connect", router)}
+    parts = {
+        "estimator": start("estimator", "--connect", router),
+        "agent": start("agent", "--connect", router),
+    }
     wait_until(lambda: all(part.says("ready") for part in parts.values()))
     return parts
 
@@ -63,7 +68,9 @@ def test_a_stack_that_flies_is_well_and_each_part_tells_its_figures(
         assert part["rate_hz"] > 0
         assert 0 < part["latency_s"] < 10
         assert part["uptime_s"] > 0
-        assert {*part["refused"]} <= {"repeated"}  # on a busy machine an answer comes late, and is asked for again
+        assert {*part["refused"]} <= {
+            "repeated"
+        }  # on a busy machine an answer comes late, and is asked for again
         assert part["last_error"] == ""
     assert report["parts"]["agent"]["about"] == "homing"
     assert report["parts"]["uav"]["state"] == "searching"
@@ -80,7 +87,9 @@ def test_a_part_that_was_killed_is_missing(router: str, stack: dict[str, Any], s
     assert status(router, "--parts", "agent")[0] == 0
 
 
-def test_a_part_that_hangs_is_stale_and_one_that_was_never_ready_is_starting(router: str, status: Status) -> None:
+def test_a_part_that_hangs_is_stale_and_one_that_was_never_ready_is_starting(
+    router: str, status: Status
+) -> None:
     with Bus("estimator", router) as hangs, Bus("agent", router):
         hangs.publish_health()  # and never again: the service does not get to receive it
         code, report = status(router, "--parts", "estimator,agent")
@@ -120,7 +129,9 @@ def test_without_a_router_json_says_that_it_and_its_parts_are_missing(status: St
     assert (code, report["router"]["status"], verdicts(report)) == (1, "missing", {"estimator": "missing"})
 
 
-def test_the_table_names_parts_verdicts_and_figures(router: str, stack: dict[str, Any], table: Callable) -> None:
+def test_the_table_names_parts_verdicts_and_figures(
+    router: str, stack: dict[str, Any], table: Callable
+) -> None:
     code, out, _ = table(router)
     assert code == 1
     rows = {line.split()[0]: line.split() for line in out[2:]}
@@ -152,10 +163,15 @@ def test_status_and_every_part_say_that_the_search_has_ceased(
         report = status(to[1])[1]
         assert report["ceased"]
         assert {name for name, part in report["parts"].items() if part.get("ceased")} == {*parts}
-        assert any("the search has ceased, say uav, agent, bridge, payload, recorder" in line for line in table(to[1])[1])
+        assert any(
+            "the search has ceased, say uav, agent, bridge, payload, recorder" in line
+            for line in table(to[1])[1]
+        )
 
 
-def test_a_watch_follows_who_comes_and_goes_until_interrupted(start, router: str, stack: dict[str, Any], wait_until: Callable) -> None:
+def test_a_watch_follows_who_comes_and_goes_until_interrupted(
+    start, router: str, stack: dict[str, Any], wait_until: Callable
+) -> None:
     watch = start("sitl", "status", "--connect", router, "--json", "--watch", "--parts", "estimator,agent")
 
     def last() -> dict[str, Any]:

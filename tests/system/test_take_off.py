@@ -1,4 +1,6 @@
-"""Protects QGroundControl's slider over UDP: MAV_CMD_NAV_TAKEOFF first, and arming once it is acknowledged, as to a PX4 vehicle."""
+"""Protects QGroundControl's slider over UDP: MAV_CMD_NAV_TAKEOFF first, and arming once it is
+acknowledged, as to a PX4 vehicle.
+"""
 
 import math
 from collections.abc import Callable, Iterator
@@ -28,13 +30,17 @@ def until(station, kind: str, holds: Callable):
 def command(station, number: int, *params: float) -> int:
     for _ in range(10):  # as QGroundControl repeats it: a datagram may be lost
         station.mav.command_long_send(1, 1, number, 0, *params, *[0] * (7 - len(params)))
-        if ack := station.recv_match(type="COMMAND_ACK", condition=f"COMMAND_ACK.command == {number}", blocking=True, timeout=3):
+        if ack := station.recv_match(
+            type="COMMAND_ACK", condition=f"COMMAND_ACK.command == {number}", blocking=True, timeout=3
+        ):
             return ack.result
     raise AssertionError(f"no answer to command {number}")
 
 
 def slide(station) -> float:
-    """Slide to a take-off by 10 m: QGroundControl sends the altitude above the sea and waits for the acknowledgement. Returns it."""
+    """Slide to a take-off by 10 m: QGroundControl sends the altitude above the sea and waits for the
+    acknowledgement. Returns it.
+    """
     altitude_m = until(station, "GLOBAL_POSITION_INT", lambda _: True).alt / 1000 + 10.0
     assert command(station, TAKEOFF, -1, 0, 0, math.nan, math.nan, math.nan, altitude_m) == 0
     return altitude_m
@@ -46,9 +52,15 @@ def test_the_slider_of_qgroundcontrol_takes_off(start, station) -> None:
     waits = until(station, "HEARTBEAT", lambda _: True)
     assert (waits.custom_mode, waits.base_mode & ARMED) == (Mode.TAKEOFF.custom_mode, 0)
     assert command(station, ARM, 1) == 0
-    until(station, "HEARTBEAT", lambda beat: beat.base_mode & ARMED and beat.custom_mode == Mode.TAKEOFF.custom_mode)
+    until(
+        station,
+        "HEARTBEAT",
+        lambda beat: beat.base_mode & ARMED and beat.custom_mode == Mode.TAKEOFF.custom_mode,
+    )
     until(station, "HEARTBEAT", lambda beat: beat.custom_mode == Mode.HOLD.custom_mode)
-    assert until(station, "GLOBAL_POSITION_INT", lambda _: True).alt / 1000 == pytest.approx(altitude_m, abs=0.01)
+    assert until(station, "GLOBAL_POSITION_INT", lambda _: True).alt / 1000 == pytest.approx(
+        altitude_m, abs=0.01
+    )
 
 
 def test_a_slider_that_is_not_followed_by_arming_is_given_up(start, station) -> None:

@@ -1,4 +1,6 @@
-"""Protects a part one of whose threads dies: it ends with a line that says which and why, and status 1, instead of hanging in silence."""
+"""Protects a part one of whose threads dies: it ends with a line that says which and why, and status 1,
+instead of hanging in silence.
+"""
 
 import subprocess
 import sys
@@ -80,9 +82,14 @@ def command():
 
 
 @pytest.mark.parametrize("thread", PARTS)
-def test_a_part_whose_thread_dies_ends_with_one_line_that_says_which_and_why(router: str, thread: str) -> None:
+def test_a_part_whose_thread_dies_ends_with_one_line_that_says_which_and_why(
+    router: str, thread: str
+) -> None:
     program = f"{COMMON}{PARTS[thread]}\ncli.run(command)"
     ran = subprocess.run([sys.executable, "-c", program, router], capture_output=True, text=True, timeout=120)
     assert ran.returncode == 1
     (line,) = ran.stderr.splitlines()
-    assert line.startswith(f"error: thread {thread!r} has died: {'UnicodeError' if thread == 'relay' else 'RuntimeError: a fault'}")
+    assert line.startswith(
+        f"error: thread {thread!r} has died: "
+        f"{'UnicodeError' if thread == 'relay' else 'RuntimeError: a fault'}"
+    )

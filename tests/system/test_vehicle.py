@@ -1,4 +1,6 @@
-"""Protects whole missions on a real autopilot, of which a double takes the place: flown, recorded, replayed, and ended in mid-air."""
+"""Protects whole missions on a real autopilot, of which a double takes the place: flown, recorded,
+replayed, and ended in mid-air.
+"""
 
 import json
 import math
@@ -22,7 +24,9 @@ from tests.system.live import run_sitl
 from tests.system.wires import SerialWire
 
 FAST, STEADY = 10.0, 5.0
-"""Speed-ups. PX4 wants setpoints all the time: its companion must not be late by a second of simulation time on a busy machine."""
+"""Speed-ups. PX4 wants setpoints all the time: its companion must not be late by a second of simulation
+time on a busy machine.
+"""
 DRAG = (("EK3_DRAG_MCOEF", 0.1),)
 """With a model of its drag an ArduCopter estimates the wind."""
 SEED = 7
@@ -31,8 +35,14 @@ SHORT = ("--seed", str(SEED), "--particles", "100", "--budget", "2", "--json", "
 
 @pytest.fixture
 def ardupilot() -> Iterator[Double]:
-    """An ArduCopter over TCP, system 32, ready to fly 12 s after its boot, that says it feels a wind of 2 m/s from the east."""
-    with Double("ardupilot", settings=Settings(instance=31, ready_s=12.0, wind=(90.0, 2.0), parameters=DRAG), speedup=FAST) as double:
+    """An ArduCopter over TCP, system 32, ready to fly 12 s after its boot, that says it feels a wind of 2
+    m/s from the east.
+    """
+    with Double(
+        "ardupilot",
+        settings=Settings(instance=31, ready_s=12.0, wind=(90.0, 2.0), parameters=DRAG),
+        speedup=FAST,
+    ) as double:
         yield double
 
 
@@ -44,7 +54,9 @@ def px4() -> Iterator[Double]:
 
 
 def replayed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], record: Path) -> dict:
-    status, out, err = run_sitl(monkeypatch, capsys, "replay", str(record), "--verify", "--speedup", "0", "--json")
+    status, out, err = run_sitl(
+        monkeypatch, capsys, "replay", str(record), "--verify", "--speedup", "0", "--json"
+    )
     assert status == 0, err
     return json.loads(out[-1])
 
@@ -55,14 +67,22 @@ def by_hand(x: float, y: float, wind: tuple[float, float]) -> float:
     east, north, u = x - s.source[0], y - s.source[1], math.hypot(*wind)
     r = math.hypot(east, north)
     decay = math.sqrt(s.d * s.tau / (1 + u * u * s.tau / (4 * s.d)))
-    return s.q / (4 * math.pi * s.d * r) * math.exp(-r / decay - (east * wind[0] + north * wind[1]) / (2 * s.d))
+    return (
+        s.q / (4 * math.pi * s.d * r) * math.exp(-r / decay - (east * wind[0] + north * wind[1]) / (2 * s.d))
+    )
 
 
 def test_a_mission_on_ardupilot_reads_the_plume_where_it_reports_to_be_in_the_wind_that_it_reports_and_replays(
-    start: type[Part], ardupilot: Double, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    start: type[Part],
+    ardupilot: Double,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = ("--sensor", "gaussian:0,0.000001", "--record", "flight.mcap")  # a sensor with next to no noise
-    flight = start("sitl", "fly", "--vehicle", ardupilot.url, "--speedup", f"{FAST:g}", *SHORT, *words, cwd=tmp_path)
+    flight = start(
+        "sitl", "fly", "--vehicle", ardupilot.url, "--speedup", f"{FAST:g}", *SHORT, *words, cwd=tmp_path
+    )
     assert flight.ended() == 0, flight.err
     said = json.loads(flight.out[-1])
     assert (said["ceased"], said["steps"], said["located"]) == (False, 2, False)
@@ -76,8 +96,16 @@ def test_a_mission_on_ardupilot_reads_the_plume_where_it_reports_to_be_in_the_wi
     assert (about["vehicle"], about["payload"]) == (ardupilot.url, "simulated")
     assert not any("--sysid" in words for words in about["parts"].values())
     shows_the_autopilot_as_it_was(record.entries, ardupilot)
-    mission = dict.fromkeys(unpack_reading(entry.payload) for entry in read(tmp_path / "flight.mcap").entries if entry.key == "reading")
-    again = [unpack_reading(entry.payload) for entry in tlog.read(tmp_path / "flight.tlog").entries if entry.key == "reading"]
+    mission = dict.fromkeys(
+        unpack_reading(entry.payload)
+        for entry in read(tmp_path / "flight.mcap").entries
+        if entry.key == "reading"
+    )
+    again = [
+        unpack_reading(entry.payload)
+        for entry in tlog.read(tmp_path / "flight.tlog").entries
+        if entry.key == "reading"
+    ]
     assert again == [*mission]
     verified = replayed(monkeypatch, capsys, tmp_path / "flight.mcap")
     assert (verified["verified"], verified["beliefs"], verified["waypoints"]) == (True, 3, 2)
@@ -86,21 +114,40 @@ def test_a_mission_on_ardupilot_reads_the_plume_where_it_reports_to_be_in_the_wi
 
 def shows_the_autopilot_as_it_was(entries: list[Entry], double: Double) -> None:
     """The record has the autopilot's own frames, and readings by its clock where it said to be then."""
-    frames = [entry.payload[f.start : f.end] for entry in entries if entry.key == "mavlink/out" for f in split(entry.payload)]
+    frames = [
+        entry.payload[f.start : f.end]
+        for entry in entries
+        if entry.key == "mavlink/out"
+        for f in split(entry.payload)
+    ]
     own = [frame for frame in frames if frame[6] == 1]
     assert len(own) > 100
     assert {(frame[5], frame[6]) for frame in frames} == {(32, 1), (32, 191)}
     assert set(own) <= set(double.wire.said)
     kinds = [(message.get_type(), message) for frame in double.wire.said for message in unpack(frame)]
-    places = {said.time_boot_ms: (said.x, said.y, said.z) for kind, said in kinds if kind == "LOCAL_POSITION_NED"}
+    places = {
+        said.time_boot_ms: (said.x, said.y, said.z) for kind, said in kinds if kind == "LOCAL_POSITION_NED"
+    }
     readings = {entry.payload: entry for entry in entries if entry.key == "reading"}
     for entry in readings.values():
         place, _, _ = unpack(entry.payload)
-        assert (place.get_srcSystem(), place.get_srcComponent()) == (32, 191), "the autopilot did not say it: it is in another frame"
-        there = (at + home for at, home in zip((place.x, place.y, place.z), double.wire.autopilot.settings.home, strict=True))
-        assert math.dist(there, places[place.time_boot_ms]) < 0.02, "home is told in 1e-7 degrees, which are 0.01 m"
+        assert (place.get_srcSystem(), place.get_srcComponent()) == (32, 191), (
+            "the autopilot did not say it: it is in another frame"
+        )
+        there = (
+            at + home
+            for at, home in zip((place.x, place.y, place.z), double.wire.autopilot.settings.home, strict=True)
+        )
+        assert math.dist(there, places[place.time_boot_ms]) < 0.02, (
+            "home is told in 1e-7 degrees, which are 0.01 m"
+        )
         assert entry.simulation_s == place.time_boot_ms / 1000
-    gas = [(said.time_boot_ms, said.name) for frame in frames for said in unpack(frame) if said.get_type() == "NAMED_VALUE_FLOAT"]
+    gas = [
+        (said.time_boot_ms, said.name)
+        for frame in frames
+        for said in unpack(frame)
+        if said.get_type() == "NAMED_VALUE_FLOAT"
+    ]
     assert gas == [(unpack_reading(payload).time_boot_ms, "gas") for payload in readings]
     systems = [msgspec.json.decode(entry.payload)["system"] for entry in entries if entry.key == "health/uav"]
     assert [*dict.fromkeys(systems)] == [0, 32]
@@ -109,13 +156,19 @@ def shows_the_autopilot_as_it_was(entries: list[Entry], double: Double) -> None:
 
 @pytest.mark.full
 def test_a_mission_on_px4_with_a_sensor_on_a_serial_line_claims_nothing_about_a_source_that_nobody_knows(
-    start: type[Part], px4: Double, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    start: type[Part],
+    px4: Double,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
     wait_until: Callable[..., None],
-) -> None:  # fmt: skip
+) -> None:
     sensor = f"serial:{tmp_path / 'sensor'}:9600"
     with SerialWire(tmp_path / "sensor") as wire:
         words = ("--payload", sensor, "--wind", "2.5,270", "--record", "flight.mcap")
-        flight = start("sitl", "fly", "--vehicle", px4.url, "--speedup", f"{STEADY:g}", *SHORT, *words, cwd=tmp_path)
+        flight = start(
+            "sitl", "fly", "--vehicle", px4.url, "--speedup", f"{STEADY:g}", *SHORT, *words, cwd=tmp_path
+        )
 
         def over() -> bool:
             wire.say(b"0.25\n")
@@ -127,7 +180,9 @@ def test_a_mission_on_px4_with_a_sensor_on_a_serial_line_claims_nothing_about_a_
     assert [said[name] for name in ("located", "error_m", "source", "scenario")] == [None] * 4
     assert [step["reading"] for step in said["trace"]] == [0.25] * 3
     entries = read(tmp_path / "flight.mcap").entries
-    assert {unpack_reading(entry.payload).wind for entry in entries if entry.key == "reading"} == {parse_wind("2.5,270")}
+    assert {unpack_reading(entry.payload).wind for entry in entries if entry.key == "reading"} == {
+        parse_wind("2.5,270")
+    }
     assert not any("source" in line for line in flight.err)
     about = read(tmp_path / "flight.mcap").about
     assert "scenario" not in about
@@ -146,7 +201,17 @@ def test_ctrl_c_in_mid_air_sends_the_vehicle_home_before_the_parts_end(
     start: type[Part], ardupilot: Double, tmp_path: Path, wait_until: Callable[..., None]
 ) -> None:
     flight = start(
-        "sitl", "fly", "--vehicle", ardupilot.url, "--speedup", f"{FAST:g}", *SHORT, "--budget", "300", "--no-record", cwd=tmp_path
+        "sitl",
+        "fly",
+        "--vehicle",
+        ardupilot.url,
+        "--speedup",
+        f"{FAST:g}",
+        *SHORT,
+        "--budget",
+        "300",
+        "--no-record",
+        cwd=tmp_path,
     )
     wait_until(lambda: flight.says("step   0/300"), 120.0)
     flight.process.send_signal(signal.SIGINT)
@@ -159,11 +224,16 @@ def test_ctrl_c_in_mid_air_sends_the_vehicle_home_before_the_parts_end(
 
 
 @pytest.mark.full
-def test_without_a_simulator_it_ends_when_the_wait_is_over_and_says_what_was_missing(start: type[Part], tmp_path: Path) -> None:
+def test_without_a_simulator_it_ends_when_the_wait_is_over_and_says_what_was_missing(
+    start: type[Part], tmp_path: Path
+) -> None:
     words = ("--particles", "100", "--no-record", "--wait", "1")
     flight = start("sitl", "fly", "--vehicle", "tcp:127.0.0.1:1", *words, cwd=tmp_path)
     assert flight.ended() == 1
-    assert "the search has not begun in 1 s (--wait): no HEARTBEAT at tcp:127.0.0.1:1 (Connection refused" in flight.err[-1]
+    assert (
+        "the search has not begun in 1 s (--wait): no HEARTBEAT at tcp:127.0.0.1:1 (Connection refused"
+        in flight.err[-1]
+    )
     assert flight.says("Check: vehicle: not ok, no HEARTBEAT")
     assert not [*tmp_path.iterdir()]
 
@@ -174,7 +244,9 @@ def test_a_vehicle_that_is_not_ready_keeps_the_mission_waiting_and_the_reason_is
 ) -> None:
     with Double("ardupilot", settings=Settings(ready_s=100_000.0), speedup=FAST) as double:
         words = ("--patience", "5", "--no-record")  # shorter than the wait
-        flight = start("sitl", "fly", "--vehicle", double.url, "--speedup", f"{FAST:g}", *SHORT, *words, cwd=tmp_path)
+        flight = start(
+            "sitl", "fly", "--vehicle", double.url, "--speedup", f"{FAST:g}", *SHORT, *words, cwd=tmp_path
+        )
         wait_until(lambda: flight.says("Waiting for the autopilot"), 60.0)
         began = double.wire.autopilot.now_s
         wait_until(lambda: double.wire.autopilot.now_s - began > 7 * FAST, 60.0)
@@ -185,27 +257,67 @@ def test_a_vehicle_that_is_not_ready_keeps_the_mission_waiting_and_the_reason_is
 
 
 REFUSED = {
-    ("--payload", "simulated"): "--payload: only with --vehicle; the simulated vehicle has a sensor of its own",
-    ("--vehicle", "tcp:127.0.0.1"): "--vehicle: 'tcp:127.0.0.1' is not a MAVLink endpoint; wanted udpin:HOST:PORT, ",
-    ("--vehicle", "tcp:127.0.0.1:9", "--payload", "serial"): "--payload: 'serial' is not allowed; wanted serial:PATH[:BAUD]",
+    (
+        "--payload",
+        "simulated",
+    ): "--payload: only with --vehicle; the simulated vehicle has a sensor of its own",
+    (
+        "--vehicle",
+        "tcp:127.0.0.1",
+    ): "--vehicle: 'tcp:127.0.0.1' is not a MAVLink endpoint; wanted udpin:HOST:PORT, ",
+    (
+        "--vehicle",
+        "tcp:127.0.0.1:9",
+        "--payload",
+        "serial",
+    ): "--payload: 'serial' is not allowed; wanted serial:PATH[:BAUD]",
     ("--vehicle", "tcp:127.0.0.1:9", "--speedup", "0"): "--speedup: 0 is not allowed with --vehicle; wanted ",
     ("--vehicle", "tcp:127.0.0.1:9", "--home", "1,2,3,4"): "--home: not with --vehicle: ",
     ("--vehicle", "tcp:127.0.0.1:9", "--strict"): "--strict: not with --vehicle: ",
     ("--wind", "3,270"): "--wind: only with --vehicle; the simulated vehicle's wind is the mission's",
     ("--wait", "5"): "--wait: only with --vehicle; the simulated vehicle is there at once",
-    ("--vehicle", "tcp:127.0.0.1:9", "--wait", "0"): "--wait: '0' is not allowed; wanted a number above 0 up to inf",
-    ("--vehicle", "tcp:127.0.0.1:9", "--wait", "soon"): "--wait: 'soon' is not allowed; wanted a number above 0 up to inf",
-    ("--vehicle", "tcp:127.0.0.1:9", "--wind", "fast"): "--wind: 'fast' is not allowed; wanted SPEED,FROM: m/s from 0 to 100, and ",
+    (
+        "--vehicle",
+        "tcp:127.0.0.1:9",
+        "--wait",
+        "0",
+    ): "--wait: '0' is not allowed; wanted a number above 0 up to inf",
+    (
+        "--vehicle",
+        "tcp:127.0.0.1:9",
+        "--wait",
+        "soon",
+    ): "--wait: 'soon' is not allowed; wanted a number above 0 up to inf",
+    (
+        "--vehicle",
+        "tcp:127.0.0.1:9",
+        "--wind",
+        "fast",
+    ): "--wind: 'fast' is not allowed; wanted SPEED,FROM: m/s from 0 to 100, and ",
     ("wind-shift", "--vehicle", "tcp:127.0.0.1:9"): "MISSION: a wind event is not allowed with --vehicle: ",
-    ("flat-battery", "--vehicle", "tcp:127.0.0.1:9"): "MISSION: vehicle.endurance_s is not allowed with --vehicle: ",
-    ("--vehicle", "tcp:127.0.0.1:9", "--payload", "serial:/x", "--world", "wind-10"): "--world: 'wind-10' is not allowed with --payload ",
+    (
+        "flat-battery",
+        "--vehicle",
+        "tcp:127.0.0.1:9",
+    ): "MISSION: vehicle.endurance_s is not allowed with --vehicle: ",
+    (
+        "--vehicle",
+        "tcp:127.0.0.1:9",
+        "--payload",
+        "serial:/x",
+        "--world",
+        "wind-10",
+    ): "--world: 'wind-10' is not allowed with --payload ",
     ("default-release", "--vehicle", "tcp:127.0.0.1:9", "--payload", "serial:/dev/x"): "MISSION: ",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("words", REFUSED, ids=" ".join)
 def test_what_cannot_be_flown_is_refused_in_one_line_before_anything_starts(
-    words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    words: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     status, out, err = run_sitl(monkeypatch, capsys, "fly", *words)

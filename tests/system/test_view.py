@@ -1,4 +1,6 @@
-"""Protects the page's server on real processes: what a page sees of a mission and of records, and what it may do."""
+"""Protects the page's server on real processes: what a page sees of a mission and of records, and what it
+may do.
+"""
 
 import contextlib
 import http.client
@@ -28,9 +30,27 @@ OTHER = GOLDEN.with_name("random-gaussian.mcap")
 
 def belief(step: int) -> Belief:
     return Belief(
-        step, step, (1.0, 2.0), 5.0, 0.5, (1.0, 0.0), "gaussian", 100.0, 1.0, 10.0, 0.0, ("x", "y"), (5.0, 6.0), (1.0, 1.0),
-        (5.0, 6.0), (1.0, 0.0, 1.0), 1.4, 2.0, 0.5, False,
-    )  # fmt: skip
+        step,
+        step,
+        (1.0, 2.0),
+        5.0,
+        0.5,
+        (1.0, 0.0),
+        "gaussian",
+        100.0,
+        1.0,
+        10.0,
+        0.0,
+        ("x", "y"),
+        (5.0, 6.0),
+        (1.0, 1.0),
+        (5.0, 6.0),
+        (1.0, 0.0, 1.0),
+        1.4,
+        2.0,
+        0.5,
+        False,
+    )
 
 
 @pytest.fixture
@@ -54,7 +74,10 @@ def replay(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
 
 
 def test_a_page_whose_browser_cannot_be_started_says_so_and_stays(
-    view: Callable[..., tuple[Part, int]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wait_until: Callable[..., None]
+    view: Callable[..., tuple[Part, int]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    wait_until: Callable[..., None],
 ) -> None:
     (tmp_path / "firefox").write_bytes(b"\0")  # no program
     (tmp_path / "firefox").chmod(0o755)
@@ -75,7 +98,9 @@ def test_a_page_whose_browser_cannot_be_started_says_so_and_stays(
 def test_a_mission_is_seen_from_its_first_reading_to_its_outcome_and_its_page_stays(
     start: type[Part], wait_until: Callable[..., None], record_property: Callable[[str, object], None]
 ) -> None:
-    fly = start("sitl", "fly", "--seed", "3", "--speedup", "0", "--no-record", "--view", "--particles", "4000")
+    fly = start(
+        "sitl", "fly", "--seed", "3", "--speedup", "0", "--no-record", "--view", "--particles", "4000"
+    )
     wait_until(lambda: fly.says("page at"))
     port = int(re.search(r":(\d+)/", next(line for line in fly.err if "page at" in line))[1])
     with Browser(port) as page:
@@ -88,7 +113,9 @@ def test_a_mission_is_seen_from_its_first_reading_to_its_outcome_and_its_page_st
         page.until(lambda: page.bye)
         scene = page.scenes["uav/1"]
         assert scene["ending"]["verdict"] == "located"
-        assert page.steps["uav/1"] == sorted(set(page.steps["uav/1"]))  # a belief may be lost on the way: only the newest is kept
+        assert page.steps["uav/1"] == sorted(
+            set(page.steps["uav/1"])
+        )  # a belief may be lost on the way: only the newest is kept
         assert f"after {page.steps['uav/1'][-1]} steps" in scene["ending"]["text"]
         assert page.particles["uav/1"] == 4000
         assert page.verdicts() == {"uav": "ok", "estimator": "ok", "agent": "ok"}  # as the mission left them
@@ -109,7 +136,9 @@ def test_a_mission_is_seen_from_its_first_reading_to_its_outcome_and_its_page_st
 
 @pytest.mark.full
 def test_an_interrupt_ends_a_page_that_stays(start: type[Part], wait_until: Callable[..., None]) -> None:
-    fly = start("sitl", "fly", "--seed", "3", "--speedup", "0", "--no-record", "--view", "--budget", "2", "--json")
+    fly = start(
+        "sitl", "fly", "--seed", "3", "--speedup", "0", "--no-record", "--view", "--budget", "2", "--json"
+    )
     wait_until(lambda: fly.out and fly.says("page stays open at"))
     assert json.loads(fly.out[-1])["steps"] == 2
     fly.process.send_signal(signal.SIGINT)
@@ -117,7 +146,9 @@ def test_an_interrupt_ends_a_page_that_stays(start: type[Part], wait_until: Call
 
 
 @pytest.mark.full
-def test_a_page_that_dies_is_a_warning(start: type[Part], wait_until: Callable[..., None], family: Callable[[int], dict[str, int]]) -> None:
+def test_a_page_that_dies_is_a_warning(
+    start: type[Part], wait_until: Callable[..., None], family: Callable[[int], dict[str, int]]
+) -> None:
     import os
 
     fly = start("sitl", "fly", "--seed", "3", "--speedup", "5", "--no-record", "--view", "--budget", "12")
@@ -138,8 +169,11 @@ def test_an_operator_holds_resumes_and_sees_what_is_refused(
         page.show("uav/1")
         page.until(lambda: "uav/1" in page.scenes)
         assert page.order("return") == {
-            "vehicle": "uav/1", "command": "return", "accepted": False, "reason": "Return refused: on the ground",
-        }  # fmt: skip
+            "vehicle": "uav/1",
+            "command": "return",
+            "accepted": False,
+            "reason": "Return refused: on the ground",
+        }
         assert page.order("resume")["reason"] == "Offboard refused: no setpoint received yet"
         assert page.order("hold", "uav/9")["reason"] == "there is no vehicle 'uav/9'"
         services = [start(part, "--connect", router) for part in ("estimator", "agent")]
@@ -183,7 +217,9 @@ def test_another_system_on_the_vehicles_bus_gets_no_command_and_changes_no_pictu
         assert told == [1]
 
 
-def test_vehicles_appear_and_go_and_two_are_seen_at_once(router: str, view: Callable[..., tuple[Part, int]]) -> None:
+def test_vehicles_appear_and_go_and_two_are_seen_at_once(
+    router: str, view: Callable[..., tuple[Part, int]]
+) -> None:
     _, port = view("--connect", router)
     with Bus("estimator", router, "uav/1") as first, Browser(port) as page:
         page.until(lambda: "uav/1" in page.vehicles)
@@ -204,7 +240,9 @@ def _particles(count: int):
     return np.full((count, 3), 1 / count, np.float32)
 
 
-def test_it_waits_for_a_router_and_survives_its_restart_and_garbage(view: Callable[..., tuple[Part, int]]) -> None:
+def test_it_waits_for_a_router_and_survives_its_restart_and_garbage(
+    view: Callable[..., tuple[Part, int]],
+) -> None:
     session, endpoint = open_router("tcp/127.0.0.1:0")
     session.close()
     part, port = view("--connect", endpoint)
@@ -233,7 +271,9 @@ def test_it_waits_for_a_router_and_survives_its_restart_and_garbage(view: Callab
             assert "estimator: is gone" not in page.happened["uav/1"]
         session.close()
     assert [line for line in part.err if "Traceback" in line] == []
-    lost = sum("is gone: waiting for it" in line for line in part.err)  # a busy machine may lose the link by itself
+    lost = sum(
+        "is gone: waiting for it" in line for line in part.err
+    )  # a busy machine may lose the link by itself
     assert lost >= 1
     assert sum("waiting for" in line for line in part.err) == 1 + lost
 
@@ -329,22 +369,36 @@ def test_another_page_gets_no_scenes(replay: int, origin: str | None) -> None:
     assert refused.value.response.status_code == 403
 
 
-def test_elsewhere_only_the_word_of_the_token_file_commands(view: Callable[..., tuple[Part, int]], router: str, tmp_path: Path) -> None:
+def test_elsewhere_only_the_word_of_the_token_file_commands(
+    view: Callable[..., tuple[Part, int]], router: str, tmp_path: Path
+) -> None:
     file = tmp_path / "word"
     with Bus("uav", router):
         _, open_to_all = view("--connect", router, "--host", "0.0.0.0")
         with Browser(open_to_all) as page:
             assert page.hello["may_command"] is False
-            assert page.order("land")["reason"] == page.hello["why_not"] == "read-only: the page is served on 0.0.0.0 without --token-file"
+            assert (
+                page.order("land")["reason"]
+                == page.hello["why_not"]
+                == "read-only: the page is served on 0.0.0.0 without --token-file"
+            )
         part, guarded = view("--connect", router, "--host", "0.0.0.0", "--token-file", str(file))
         word = file.read_text().strip()
         assert file.stat().st_mode & 0o777 == 0o600
-        with Browser(guarded) as page, Browser(guarded, word) as right, Browser(guarded, "a wrong word") as wrong:
+        with (
+            Browser(guarded) as page,
+            Browser(guarded, word) as right,
+            Browser(guarded, "a wrong word") as wrong,
+        ):
             assert [(each.hello["may_command"], each.hello["word"]) for each in (page, right, wrong)] == [
-                (False, "wanted"), (True, ""), (False, "wrong"),
-            ]  # fmt: skip
+                (False, "wanted"),
+                (True, ""),
+                (False, "wrong"),
+            ]
             assert "--token-file" in page.order("land")["reason"]
-        assert word not in "".join([*part.out, *part.err, *Path(f"/proc/{part.process.pid}/cmdline").read_text().split("\0")])
+        assert word not in "".join(
+            [*part.out, *part.err, *Path(f"/proc/{part.process.pid}/cmdline").read_text().split("\0")]
+        )
 
 
 def test_a_word_in_the_arguments_is_refused_with_what_to_use_and_not_repeated(start: type[Part]) -> None:
@@ -359,12 +413,29 @@ def test_a_word_in_the_arguments_is_refused_with_what_to_use_and_not_repeated(st
 @pytest.mark.parametrize(
     ("flags", "told"),
     [
-        (("--token-file", "empty"), "error: --token-file: 'empty' is empty; wanted a file with a word of at least 8 characters in one"),
-        (("--token-file", "short"), "error: --token-file: 'short' holds a word of 7 characters; wanted a file with a word of at least 8 "),
-        (("--token-file", "none/word"), "error: --token-file: 'none/word': No such file or directory; wanted a file with a word"),
+        (
+            ("--token-file", "empty"),
+            "error: --token-file: 'empty' is empty; wanted a file with a word of at least 8 characters in "
+            "one",
+        ),
+        (
+            ("--token-file", "short"),
+            "error: --token-file: 'short' holds a word of 7 characters; wanted a file with a word of at "
+            "least 8 ",
+        ),
+        (
+            ("--token-file", "none/word"),
+            "error: --token-file: 'none/word': No such file or directory; wanted a file with a word",
+        ),
         (("--token-file", "."), "error: --token-file: '.' is not a file; wanted a file with a word"),
-        (("--origin", "drone.example"), "error: --origin: 'drone.example' is not an origin; wanted the beginning of an address"),
-        (("--origin", "https://drone.example/page"), "error: --origin: 'https://drone.example/page' is not an origin"),
+        (
+            ("--origin", "drone.example"),
+            "error: --origin: 'drone.example' is not an origin; wanted the beginning of an address",
+        ),
+        (
+            ("--origin", "https://drone.example/page"),
+            "error: --origin: 'https://drone.example/page' is not an origin",
+        ),
     ],
 )
 def test_a_word_or_an_origin_that_cannot_be_used_is_named_in_one_line(
@@ -396,7 +467,11 @@ def test_a_proxy_is_admitted_by_origin_alone_and_then_commands_need_the_word(
         for origin, host in ((proxy, ""), (proxy, name), ("http://other.example:8080", "other.example:8080")):
             with Browser(port, origin=origin, host=host) as page:
                 assert page.hello["why_not"] == "read-only: the page is open to --origin without --token-file"
-        for origin, host in (("https://evil.example", ""), ("http://drone.example", name), (proxy, "evil.example")):
+        for origin, host in (
+            ("https://evil.example", ""),
+            ("http://drone.example", name),
+            (proxy, "evil.example"),
+        ):
             with pytest.raises(InvalidStatus, match="403"):
                 Browser(port, origin=origin, host=host)
     for host in ("", name):
@@ -409,9 +484,22 @@ def test_a_proxy_is_admitted_by_origin_alone_and_then_commands_need_the_word(
 
 @pytest.mark.parametrize(
     "message",
-    ["", "nonsense", "[]", "{}", '{"show": 1}', '{"show": ["a", "b", "c"]}', '{"drawn": "x"}', '{"command": "explode", "vehicle": "uav/1"}',
-     '{"drawn": 1, "more": 2}', '{"show": ["uav/1"], "at_s": NaN}', "[" * 4000, b"\xff", "x" * 5000],
-)  # fmt: skip
+    [
+        "",
+        "nonsense",
+        "[]",
+        "{}",
+        '{"show": 1}',
+        '{"show": ["a", "b", "c"]}',
+        '{"drawn": "x"}',
+        '{"command": "explode", "vehicle": "uav/1"}',
+        '{"drawn": 1, "more": 2}',
+        '{"show": ["uav/1"], "at_s": NaN}',
+        "[" * 4000,
+        b"\xff",
+        "x" * 5000,
+    ],
+)
 def test_nonsense_is_answered_by_closing(replay: int, message: str | bytes) -> None:
     with Browser(replay) as page:
         page.socket.send(message)

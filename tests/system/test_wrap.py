@@ -1,4 +1,6 @@
-"""Protects a mission in which time_boot_ms wraps, which it does after 49.7 days: nothing but the times is another."""
+"""Protects a mission in which time_boot_ms wraps, which it does after 49.7 days: nothing but the times is
+another.
+"""
 
 import json
 from collections.abc import Callable

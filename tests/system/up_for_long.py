@@ -1,4 +1,6 @@
-"""`python -m tests.system.up_for_long uav …`: a simulated vehicle that has been up for 49.7 days less 20 s, at speed-up 0."""
+"""`python -m tests.system.up_for_long uav …`: a simulated vehicle that has been up for 49.7 days less 20
+s, at speed-up 0.
+"""
 
 from aircraft.search.clock import Clock
 from link import cli

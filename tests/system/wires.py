@@ -1,4 +1,6 @@
-"""The other sides of a bridge for tests: UDP, TCP and serial peers, and the bus itself, that say frames and keep those they hear."""
+"""The other sides of a bridge for tests: UDP, TCP and serial peers, and the bus itself, that say frames
+and keep those they hear.
+"""
 
 import contextlib
 import os
@@ -36,12 +38,16 @@ class Speaker:
 
     def beat(self, autopilot: bool = False) -> bytes:
         kinds = (
-            (mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4) if autopilot else (mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID)
+            (mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4)
+            if autopilot
+            else (mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID)
         )
         return self.pack(mavlink.MAVLink_heartbeat_message(*kinds, 0, 0, 0, 3))
 
     def order(self, system: int, component: int = 1) -> bytes:
-        return self.pack(mavlink.MAVLink_command_long_message(system, component, 512, 0, 148, 0, 0, 0, 0, 0, 0))
+        return self.pack(
+            mavlink.MAVLink_command_long_message(system, component, 512, 0, 148, 0, 0, 0, 0, 0, 0)
+        )
 
     def answer(self, system: int, component: int) -> bytes:
         return self.pack(mavlink.MAVLink_command_ack_message(512, 0, 0, 0, system, component))
@@ -140,7 +146,9 @@ class TcpWire(Wire):
 
 
 class SerialWire(Wire):
-    """The far end of a serial line, a pseudo-terminal; `device` is a link to its near end, as /dev/serial/by-id has."""
+    """The far end of a serial line, a pseudo-terminal; `device` is a link to its near end, as
+    /dev/serial/by-id has.
+    """
 
     def __init__(self, device: Path) -> None:
         super().__init__()

@@ -1,4 +1,6 @@
-"""A real browser for the tests of the page: one for each file of them; what it shows is kept as screenshots."""
+"""A real browser for the tests of the page: one for each file of them; what it shows is kept as
+screenshots.
+"""
 
 import os
 import time
@@ -41,7 +43,10 @@ class Window:
         deadline = time.monotonic() + timeout_s
         while not (value := self.of(script)):
             if time.monotonic() > deadline:
-                pytest.fail(f"not true within {timeout_s:g} s on the page: {script}; errors: {self.errors}; state: {self.of(STATE)}")
+                pytest.fail(
+                    f"not true within {timeout_s:g} s on the page: {script}; errors: {self.errors}; state: "
+                    f"{self.of(STATE)}"
+                )
             self.page.wait_for_timeout(10)
         return value
 
@@ -54,9 +59,14 @@ class Window:
 
     def drawn(self) -> int:
         """Wait for the next frame to be drawn; returns the number of the last scene."""
-        return self.of("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(plumeward.drawn))))")
+        return self.of(
+            "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => "
+            "done(plumeward.drawn))))"
+        )
 
-    def pixel(self, x: float, y: float, aside: tuple[int, int] = (0, 0), vehicle: str = "uav/1") -> tuple[int, int, int]:
+    def pixel(
+        self, x: float, y: float, aside: tuple[int, int] = (0, 0), vehicle: str = "uav/1"
+    ) -> tuple[int, int, int]:
         """The colour of the map at a place in m, so many px to the right and up."""
         return tuple(
             self.of(f"""(() => {{
@@ -67,7 +77,9 @@ class Window:
         )
 
     def count(self, colour: str, box: tuple[float, float, float, float], vehicle: str = "uav/1") -> int:
-        """How many pixels of a box on the map, (west, south, east, north) in m, are nearer to a colour than to the card beneath."""
+        """How many pixels of a box on the map, (west, south, east, north) in m, are nearer to a colour
+        than to the card beneath.
+        """
         west, south, east, north = box
         return self.of(f"""(() => {{
             const {{ map }} = plumeward.panes.get('{vehicle}'), {{ view, ratio }} = map;
@@ -100,17 +112,28 @@ class Window:
         """What axe-core finds that hinders people."""
         from axe_playwright_python.sync_playwright import Axe
 
-        self.until("document.getAnimations().length === 0")  # half-way from one colour to another, the contrast is nobody's
+        self.until(
+            "document.getAnimations().length === 0"
+        )  # half-way from one colour to another, the contrast is nobody's
         found = Axe().run(self.page).response["violations"]
-        return [f"{each['id']}: {node['html'][:150]} {node.get('failureSummary', '')}" for each in found for node in each["nodes"]]
+        return [
+            f"{each['id']}: {node['html'][:150]} {node.get('failureSummary', '')}"
+            for each in found
+            for node in each["nodes"]
+        ]
 
 
-STATE = "JSON.stringify({...plumeward.state, models: Object.keys(plumeward.state.models), vehicles: plumeward.state.vehicles.length})"
+STATE = (
+    "JSON.stringify({...plumeward.state, models: Object.keys(plumeward.state.models), vehicles: "
+    "plumeward.state.vehicles.length})"
+)
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Headless Chromium, with a profile of its own. It goes with its module: as long as it lives, no other test can run an event loop."""
+    """Headless Chromium, with a profile of its own. It goes with its module: as long as it lives, no other
+    test can run an event loop.
+    """
     if found() is None:
         if os.environ.get("CI"):
             pytest.fail(MISSING)
@@ -121,11 +144,15 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def look(browser: Any) -> Iterator[Callable[..., Window]]:
-    """Open the page in a window of its own. At the end no window may have had an error, nor asked any other server."""
+    """Open the page in a window of its own. At the end no window may have had an error, nor asked any
+    other server.
+    """
     contexts, windows = [], []
 
     def opened(address: str, size: tuple[int, int] = DESK, scheme: str = "light", **more: Any) -> Window:
-        context = browser.new_context(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme, **more)
+        context = browser.new_context(
+            viewport={"width": size[0], "height": size[1]}, color_scheme=scheme, **more
+        )
         contexts.append(context)
         windows.append(Window(context.new_page(), address))
         return windows[-1]

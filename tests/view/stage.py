@@ -19,14 +19,20 @@ RELEASE = Release(source=(24.0, 6.0), wind=(-3.0, -4.0), q=10.0, d=1.0, tau=10.0
 """Its wind of 5 m/s comes from the south-west: from 216.87°."""
 
 
-def measured(step: int, spread_m: float, gas: float = 1.0, estimate: tuple[float, float] = (10.0, 20.0)) -> Measurement:
+def measured(
+    step: int, spread_m: float, gas: float = 1.0, estimate: tuple[float, float] = (10.0, 20.0)
+) -> Measurement:
     """A reading each second, each half a metre further to the east."""
     return Measurement(step, float(step), (2.0 + 0.5 * step, 4.0), gas, spread_m, estimate, (4.0, 0.0, 1.0))
 
 
-def cloud(count: int, middle: tuple[float, float] = (20.0, 25.0), size_m: float = 4.0, step: int = 0) -> Scatter:
+def cloud(
+    count: int, middle: tuple[float, float] = (20.0, 25.0), size_m: float = 4.0, step: int = 0
+) -> Scatter:
     """Particles of even weight in a square."""
-    places: Floats = np.random.default_rng(step).uniform(-size_m / 2, size_m / 2, (count, 2)).astype(np.float32)
+    places: Floats = (
+        np.random.default_rng(step).uniform(-size_m / 2, size_m / 2, (count, 2)).astype(np.float32)
+    )
     return Scatter(places + np.array(middle, np.float32), np.full(count, 1 / count, np.float32))
 
 
@@ -64,9 +70,15 @@ class Actor:
     def entry(self) -> dict[str, Any]:
         backdrop = self._scene.backdrop
         return {
-            "name": self.name, "title": backdrop.title, "here": self.here, "has_truth": backdrop.release is not None,
-            "begin_s": None, "end_s": None, "readings_s": None, "moments": None,
-        }  # fmt: skip
+            "name": self.name,
+            "title": backdrop.title,
+            "here": self.here,
+            "has_truth": backdrop.release is not None,
+            "begin_s": None,
+            "end_s": None,
+            "readings_s": None,
+            "moments": None,
+        }
 
     def scene(self, at_s: float | None = None) -> tuple[Scene, object, float | None]:
         return self._scene, self._history, self.published_ms
@@ -109,7 +121,13 @@ class Served:
         self.port = self._listening.getsockname()[1]
         self._server = PageServer(self._shown, AccessRules(self._host, self.port, self._token))
         config = uvicorn.Config(
-            self._server.app(), http="h11", ws="websockets-sansio", interface="asgi3", lifespan="off", log_config=None, access_log=False
+            self._server.app(),
+            http="h11",
+            ws="websockets-sansio",
+            interface="asgi3",
+            lifespan="off",
+            log_config=None,
+            access_log=False,
         )
         self._uvicorn = uvicorn.Server(config)
         ready = threading.Event()

@@ -1,4 +1,6 @@
-"""Protects the page: what it draws of a scene, and its use on a phone, by keyboard, in the dark, and after a lost connection."""
+"""Protects the page: what it draws of a scene, and its use on a phone, by keyboard, in the dark, and after
+a lost connection.
+"""
 
 import math
 from collections.abc import Callable
@@ -31,14 +33,18 @@ def drawn(window: Window, vehicle: str = "uav/1") -> Window:
 
 
 def test_each_thing_is_drawn_at_its_place(window: Window) -> None:
-    west, east, north, south = window.of("(({ x, y }) => [x(0), x(30), y(30), y(0)])(plumeward.panes.get('uav/1').map.view)")
+    west, east, north, south = window.of(
+        "(({ x, y }) => [x(0), x(30), y(30), y(0)])(plumeward.panes.get('uav/1').map.view)"
+    )
     assert east - west == pytest.approx(south - north)
     assert east > west  # and south > north: the canvas has y down
     assert window.count("estimate", (9.5, 19.5, 10.5, 20.5)) > 40  # the cross
     # Its covariance is (4, 0, 1) m²: 2 standard deviations are 4 m to the east and 2 m to the north.
     for edge, (x, y) in {"east": (14, 20), "west": (6, 20), "north": (10, 22), "south": (10, 18)}.items():
         assert window.count("estimate", (x - 0.4, y - 0.4, x + 0.4, y + 0.4)) > 10, edge
-    assert window.count("estimate", (9.5, 22.5, 15, 29)) == window.count("estimate", (11, 19.5, 13, 20.5)) == 0
+    assert (
+        window.count("estimate", (9.5, 22.5, 15, 29)) == window.count("estimate", (11, 19.5, 13, 20.5)) == 0
+    )
     assert window.count("waypoint", (13.0, 11.0, 15.0, 13.0)) > 20
     assert window.count("reading", (1.5, 3.5, 5.0, 4.5)) > 60
     assert window.count("belief", (18, 23, 22, 27)) > 300
@@ -56,7 +62,8 @@ def test_the_vehicle_points_to_where_it_heads(stage: Stage, window: Window) -> N
 
 
 def test_the_arrow_shows_where_the_air_moves_to(window: Window) -> None:
-    # The wind comes from the south-west: the arrow's head, which is wide, is up and to the right of its middle.
+    # The wind comes from the south-west: the arrow's head, which is wide, is up and to the right of its
+    # middle.
     head, tail = window.of("""(() => {
         const { canvas, view, ratio } = plumeward.panes.get('uav/1').map, g = canvas.getContext('2d');
         const ink = (x, y) => {
@@ -80,7 +87,9 @@ def test_the_truth_is_off_until_asked_for(window: Window) -> None:
     window.drawn()
     assert window.count("truth", (23, 5, 25, 7)) > 100
     # The gas is where the air goes to.
-    _, downwind, upwind = (255 - window.pixel(*place)[1] for place in (RELEASE.source, (26.4, 9.2), (21.6, 2.8)))
+    _, downwind, upwind = (
+        255 - window.pixel(*place)[1] for place in (RELEASE.source, (26.4, 9.2), (21.6, 2.8))
+    )
     assert downwind > 1.2 * upwind
     window.keep("truth")
     button.click()
@@ -103,12 +112,30 @@ def test_a_real_flight_has_no_truth_to_show(stage: Stage, look: Callable[..., Wi
 
 
 def test_facts_services_and_happenings_are_told(window: Window) -> None:
-    facts = {name: window.text(f"[data-fact={name}]") for name in ("mode", "armed", "step", "spread", "time", "assume", "stop")}
+    facts = {
+        name: window.text(f"[data-fact={name}]")
+        for name in ("mode", "armed", "step", "spread", "time", "assume", "stop")
+    }
     assert facts == {
-        "mode": "OFFBOARD", "armed": "yes", "step": "5", "spread": f"{8 * 0.8**5:.2f} m", "time": "6.0 s", "assume": "field",
+        "mode": "OFFBOARD",
+        "armed": "yes",
+        "step": "5",
+        "spread": f"{8 * 0.8**5:.2f} m",
+        "time": "6.0 s",
+        "assume": "field",
         "stop": "0.5 m spread",
-    }  # fmt: skip
-    assert window.text(".services li:nth-child(1)").split() == ["✓", "uav", "ok", "12", "ms", "searching", "·", "step", "5"]
+    }
+    assert window.text(".services li:nth-child(1)").split() == [
+        "✓",
+        "uav",
+        "ok",
+        "12",
+        "ms",
+        "searching",
+        "·",
+        "step",
+        "5",
+    ]
     assert "! hot" in window.text(".services li:nth-child(2)")
     assert [row.split("\n") for row in window.page.locator(".happenings li").all_inner_texts()] == [
         ["3.0 s", "!", "estimator", "hot"],
@@ -117,12 +144,18 @@ def test_facts_services_and_happenings_are_told(window: Window) -> None:
 
 
 def test_a_copter_is_shown_as_it_says_it_is(stage: Stage, look: Callable[..., Window]) -> None:
-    """ArduCopter, system 32, held by its pilot: without a battery monitor, and it has lost its GPS. Home is 8 m north of its origin."""
+    """ArduCopter, system 32, held by its pilot: without a battery monitor, and it has lost its GPS. Home
+    is 8 m north of its origin.
+    """
     history = History(Backdrop("uav/1", title="by hand"))
     messages = (
-        mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 128, 17, mavlink.MAV_STATE_CRITICAL, 3),
+        mavlink.MAVLink_heartbeat_message(
+            2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 128, 17, mavlink.MAV_STATE_CRITICAL, 3
+        ),
         mavlink.MAVLink_gps_global_origin_message(600000000, 100000000, 100_000),
-        mavlink.MAVLink_home_position_message(600000719, 100000000, 100_000, *[0.0] * 3, [1.0, 0.0, 0.0, 0.0], *[0.0] * 3),
+        mavlink.MAVLink_home_position_message(
+            600000719, 100000000, 100_000, *[0.0] * 3, [1.0, 0.0, 0.0, 0.0], *[0.0] * 3
+        ),
         mavlink.MAVLink_attitude_message(60_000, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.0),
         mavlink.MAVLink_local_position_ned_message(60_000, 20.0, 6.0, -5.0, 0.0, 0.0, 0.0),
         mavlink.MAVLink_sys_status_message(32, 32, 0, 0, 0xFFFF, -1, -1, 0, 0, 0, 0, 0, 0),
@@ -130,18 +163,37 @@ def test_a_copter_is_shown_as_it_says_it_is(stage: Stage, look: Callable[..., Wi
         mavlink.MAVLink_ekf_status_report_message(167, 0.0, 0.0, 0.0, 0.0, 0.0),
     )
     history.take("mavlink/out", Codec(32, 1).pack(*messages), b"", 60.0, 0.0)
-    history.take("mavlink/out", Codec(32, 191).pack(mavlink.MAVLink_statustext_message(4, b"Search gives way: BRAKE")), b"", 60.0, 0.0)
+    history.take(
+        "mavlink/out",
+        Codec(32, 191).pack(mavlink.MAVLink_statustext_message(4, b"Search gives way: BRAKE")),
+        b"",
+        60.0,
+        0.0,
+    )
     made = scene()
     shown = history.at()
     paused = Service("uav", "ok", "paused", "", 5, 0.012)
     made = replace(
-        made, craft=shown.craft, track=shown.track, wind=shown.wind, happenings=shown.happenings, waypoint=None,
+        made,
+        craft=shown.craft,
+        track=shown.track,
+        wind=shown.wind,
+        happenings=shown.happenings,
+        waypoint=None,
         services=(paused, *made.services[1:]),
-    )  # fmt: skip
+    )
     stage.enter(made)
     window = drawn(look(stage.address))
-    facts = {name: window.text(f"[data-fact={name}]") for name in ("mode", "armed", "battery", "gps", "health")}
-    assert facts == {"mode": "BRAKE", "armed": "yes", "battery": "–", "gps": "no fix, 0 satellites", "health": "not healthy: gps, position"}
+    facts = {
+        name: window.text(f"[data-fact={name}]") for name in ("mode", "armed", "battery", "gps", "health")
+    }
+    assert facts == {
+        "mode": "BRAKE",
+        "armed": "yes",
+        "battery": "–",
+        "gps": "no fix, 0 satellites",
+        "health": "not healthy: gps, position",
+    }
     assert sum(window.pixel(6.0, 12.0)) < 150  # 20 m north of the origin, 12 m of home
     assert "vehicle at (6.0, 12.0)" in window.page.locator("canvas").first.get_attribute("aria-label")
     assert "wind" not in window.page.locator("canvas").first.get_attribute("aria-label")
@@ -153,16 +205,26 @@ def test_the_search_is_resumed_only_while_it_does_not_lead(stage: Stage, window:
     button = window.page.get_by_role("button", name="Resume")
     assert button.is_disabled()
     assert "gives the vehicle back to the search" in button.get_attribute("title")
-    for state, is_disabled in (("paused", False), ("taking off", True), ("returning", False), ("searching", True)):
+    for state, is_disabled in (
+        ("paused", False),
+        ("taking off", True),
+        ("returning", False),
+        ("searching", True),
+    ):
         stage.vehicles["uav/1"].show(services=(Service("uav", "ok", state),))
-        window.until(f"document.querySelector('[data-command=resume]').disabled === {str(is_disabled).lower()}")
+        window.until(
+            f"document.querySelector('[data-command=resume]').disabled === {str(is_disabled).lower()}"
+        )
 
 
 def test_a_battery_that_is_known_is_shown(stage: Stage, window: Window) -> None:
     said = Condition(battery=0.624, volts=15.43, gps="3-D fix, 10 satellites", ailing=(), placed=True)
     stage.vehicles["uav/1"].show(craft=replace(scene().craft, condition=said))
     window.until("document.querySelector('[data-fact=battery]').textContent === '62%, 15.4 V'")
-    assert (window.text("[data-fact=gps]"), window.text("[data-fact=health]")) == ("3-D fix, 10 satellites", "ok")
+    assert (window.text("[data-fact=gps]"), window.text("[data-fact=health]")) == (
+        "3-D fix, 10 satellites",
+        "ok",
+    )
     window.keep("simulated")
 
 
@@ -180,7 +242,11 @@ def test_the_charts_hold_every_reading_and_the_threshold(stage: Stage, window: W
 
 def test_only_warnings_and_the_stop_are_read_aloud(stage: Stage, window: Window) -> None:
     assert window.page.locator("#aloud").text_content() == ""  # what was there before is not news
-    happenings = (*scene().happenings, Happening(5, "info", "uav", "mode HOLD"), Happening(6, "stop", "estimator", "source found"))
+    happenings = (
+        *scene().happenings,
+        Happening(5, "info", "uav", "mode HOLD"),
+        Happening(6, "stop", "estimator", "source found"),
+    )
     stage.vehicles["uav/1"].show(happenings=happenings)
     window.until("document.querySelector('#aloud').textContent")
     assert window.page.locator("#aloud").text_content() == "uav/1, estimator: source found"
@@ -193,7 +259,12 @@ def test_the_outcome_is_clear(stage: Stage, window: Window) -> None:
         stage.vehicles["uav/1"].show(ending=Ending(verdict, "after 5 steps"))
         words = f"{verdict.capitalize()} after 5 steps"
         window.until(f"document.querySelector('.ending').innerText.includes('{words}')")
-        looks.add((window.text(".ending .sign"), window.of("getComputedStyle(document.querySelector('.ending')).backgroundColor")))
+        looks.add(
+            (
+                window.text(".ending .sign"),
+                window.of("getComputedStyle(document.querySelector('.ending')).backgroundColor"),
+            )
+        )
         assert window.violations() == []
         window.keep(f"outcome-{verdict.replace(' ', '-').lower()}")
     assert len({sign for sign, _ in looks}) == len({colour for _, colour in looks}) == 4
@@ -264,7 +335,9 @@ def test_a_vehicle_that_is_chosen_again_shows_all_that_it_showed_before(stage: S
 # ---- the connection ----
 
 
-def test_one_page_too_many_says_why_and_is_served_when_another_is_closed(stage: Stage, look: Callable[..., Window]) -> None:
+def test_one_page_too_many_says_why_and_is_served_when_another_is_closed(
+    stage: Stage, look: Callable[..., Window]
+) -> None:
     stage.enter(scene())
     pages = [Browser(stage.port) for _ in range(20)]
     try:
@@ -292,7 +365,9 @@ def test_a_lost_connection_is_told_and_comes_back_by_itself(stage: Stage, window
     assert window.violations() == []
     stage.vehicles["uav/1"].show(waypoint=(3.0, 27.0))
     stage.open()
-    window.until("plumeward.state.link === 'open' && plumeward.state.models['uav/1'].scene.waypoint[1] === 27")
+    window.until(
+        "plumeward.state.link === 'open' && plumeward.state.models['uav/1'].scene.waypoint[1] === 27"
+    )
     window.drawn()
     assert not window.page.locator("#notice").is_visible()
     assert window.count("waypoint", (2, 26, 4, 28)) > 20
@@ -318,7 +393,9 @@ def test_a_page_that_may_not_command_says_why(look: Callable[..., Window]) -> No
         stage.enter(scene())
         window = drawn(look(stage.address))
         assert "Read-only" in window.text(".why")
-        assert window.of("[...document.querySelectorAll('[data-command]')].every((button) => button.disabled)")
+        assert window.of(
+            "[...document.querySelectorAll('[data-command]')].every((button) => button.disabled)"
+        )
         window.keep("read-only")
         assert window.violations() == []
     finally:
@@ -332,7 +409,9 @@ def enter(window: Window, word: str) -> None:
     window.page.keyboard.press("Enter")
 
 
-def test_the_word_that_is_entered_allows_commands_until_the_window_closes_and_no_address_holds_it(look: Callable[..., Window]) -> None:
+def test_the_word_that_is_entered_allows_commands_until_the_window_closes_and_no_address_holds_it(
+    look: Callable[..., Window],
+) -> None:
     stage = Stage(token="two words, é+/")
     stage.open()
     try:
@@ -359,7 +438,9 @@ def test_the_word_that_is_entered_allows_commands_until_the_window_closes_and_no
         stage.close()
 
 
-def test_a_wrong_word_is_told_and_forgotten_and_the_right_one_taken_though_it_comes_too_soon(look: Callable[..., Window]) -> None:
+def test_a_wrong_word_is_told_and_forgotten_and_the_right_one_taken_though_it_comes_too_soon(
+    look: Callable[..., Window],
+) -> None:
     stage = Stage(token="the secret")
     stage.open()
     try:
@@ -385,7 +466,9 @@ def test_an_answer_is_shown_with_its_reason_and_land_asks_first(window: Window) 
     window.page.get_by_role("button", name="Land").click()
     dialog.get_by_role("button", name="Land").click()
     window.until("plumeward.answers.length")
-    assert "Land refused: there is no vehicle 'uav/1'" in window.text(".answer")  # the stage's vehicles are not on a bus
+    assert "Land refused: there is no vehicle 'uav/1'" in window.text(
+        ".answer"
+    )  # the stage's vehicles are not on a bus
     assert window.of("plumeward.answers[0].command") == "land"
 
 
@@ -394,7 +477,9 @@ def test_an_answer_is_shown_with_its_reason_and_land_asks_first(window: Window) 
 
 def test_on_a_phone_nothing_reaches_beyond_the_sides(stage: Stage, look: Callable[..., Window]) -> None:
     stage.enter(scene())
-    stage.vehicles["uav/1"].show(ending=Ending("FALSE STOP", "source found at (17.30, 21.94) ± 0.39 m after 33 steps; error 4.15 m"))
+    stage.vehicles["uav/1"].show(
+        ending=Ending("FALSE STOP", "source found at (17.30, 21.94) ± 0.39 m after 33 steps; error 4.15 m")
+    )
     stage.enter(scene("uav/a-vehicle-with-a-very-long-name-indeed"))
     window = drawn(look(stage.address, PHONE, has_touch=True, is_mobile=True))
     assert window.narrow_enough()
@@ -412,7 +497,9 @@ def test_on_a_phone_nothing_reaches_beyond_the_sides(stage: Stage, look: Callabl
     assert window.narrow_enough()
 
 
-def test_it_is_dark_where_the_system_is_and_the_button_changes_that(stage: Stage, look: Callable[..., Window]) -> None:
+def test_it_is_dark_where_the_system_is_and_the_button_changes_that(
+    stage: Stage, look: Callable[..., Window]
+) -> None:
     stage.enter(scene())
     window = drawn(look(stage.address, scheme="dark"))
     empty = (27.0, 15.0)
@@ -431,11 +518,24 @@ def test_all_is_reached_by_keyboard_and_the_focus_is_seen(window: Window) -> Non
     reached = []
     for _ in range(12):
         window.page.keyboard.press("Tab")
-        reached.append(window.of("document.activeElement.id || document.activeElement.dataset.command || document.activeElement.className"))
+        reached.append(
+            window.of(
+                "document.activeElement.id || document.activeElement.dataset.command || "
+                "document.activeElement.className"
+            )
+        )
         assert window.of("getComputedStyle(document.activeElement).outlineStyle") in ("solid", "auto")
         if reached[-1] == "land":
             break
-    assert reached == ["first", "truth", "theme", "help-open", "hold", "return", "land"]  # the search leads: nothing to resume
+    assert reached == [
+        "first",
+        "truth",
+        "theme",
+        "help-open",
+        "hold",
+        "return",
+        "land",
+    ]  # the search leads: nothing to resume
     window.page.keyboard.press("Enter")
     window.until("document.querySelector('#land').open")
     assert window.of("document.activeElement.textContent") == "Keep flying"  # the safe choice comes first
@@ -475,4 +575,6 @@ def test_a_scene_is_drawn_a_few_frames_after_it_was_published(stage: Stage, wind
         const look = (now) => times.push(now) > 20 ? done((times.at(-1) - times[0]) / 20) : requestAnimationFrame(look);
         requestAnimationFrame(look);
     })""")
-    assert 0 <= ages_ms[0] <= ages_ms[10] < max(100, 8 * frame_ms)  # how long a frame takes is the machine's business
+    assert (
+        0 <= ages_ms[0] <= ages_ms[10] < max(100, 8 * frame_ms)
+    )  # how long a frame takes is the machine's business

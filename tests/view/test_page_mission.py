@@ -1,4 +1,6 @@
-"""Protects the page beside real processes: a mission to its outcome, an operator's commands, a service that dies and comes back."""
+"""Protects the page beside real processes: a mission to its outcome, an operator's commands, a service
+that dies and comes back.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -31,7 +33,9 @@ def viewed(start, router: str, mission: Path, wait_until: Callable) -> str:
 
 
 def verdict(service: str, is_: str) -> str:
-    return f"{MODEL}.scene.services.some(({{ name, verdict }}) => name === '{service}' && verdict === '{is_}')"
+    return (
+        f"{MODEL}.scene.services.some(({{ name, verdict }}) => name === '{service}' && verdict === '{is_}')"
+    )
 
 
 def test_a_mission_from_the_ground_to_its_outcome_with_an_operators_commands(
@@ -56,10 +60,12 @@ def test_a_mission_from_the_ground_to_its_outcome_with_an_operators_commands(
     window.page.keyboard.press("h")
     window.until(f"plumeward.answers.length === 2 && {MODEL}.scene.craft.mode === 'HOLD'")
     assert "Hold accepted" in window.text(".answer")
-    # At most one waypoint is reached after the command, and the belief after one reading is under way. From then on time passes, and the
+    # At most one waypoint is reached after the command, and the belief after one reading is under way. From
+    # then on time passes, and the
     # vehicle stays and reads nothing.
     began_s, x, y, step = window.of(
-        f"(({{ scene: {{ time_s, craft }}, measurements }}) => [time_s, craft.x, craft.y, measurements.length])({MODEL})"
+        f"(({{ scene: {{ time_s, craft }}, measurements }}) => [time_s, craft.x, craft.y, "
+        f"measurements.length])({MODEL})"
     )
     window.until(f"{MODEL}.scene.time_s > {began_s} + 5")
     assert window.model("measurements.length") <= step + 1

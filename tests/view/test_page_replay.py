@@ -1,4 +1,6 @@
-"""Protects the replay of records on the page: scrub, step, jump, play, and two side by side. What is expected is read from the files."""
+"""Protects the replay of records on the page: scrub, step, jump, play, and two side by side. What is
+expected is read from the files.
+"""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -69,7 +71,9 @@ def shows(window: Window, belief: Belief, name: str = HOMING) -> None:
     assert window.model("scene.estimate.x", name) == pytest.approx(belief.mean[0])
     assert len(window.of(f"[...plumeward.panes.get('{name}').charts.spread.data[0]]")) == belief.step + 1
     x, y = belief.mean
-    assert window.count("estimate", (x - 0.5, y - 0.5, x + 0.5, y + 0.5), name) > 15  # the cross, though others lie on it
+    assert (
+        window.count("estimate", (x - 0.5, y - 0.5, x + 0.5, y + 0.5), name) > 15
+    )  # the cross, though others lie on it
 
 
 def test_a_record_opens_at_its_outcome(replay: Window) -> None:
@@ -88,14 +92,19 @@ def test_a_record_opens_at_its_outcome(replay: Window) -> None:
 
 @pytest.mark.full
 def test_a_record_that_was_cut_off_is_shown_and_says_so(look: Callable[..., Window], tmp_path: Path) -> None:
-    (tmp_path / "cut.mcap").write_bytes((GOLDEN / f"{HOMING}.mcap").read_bytes()[:-100])  # its beliefs are there, its end is not
+    (tmp_path / "cut.mcap").write_bytes(
+        (GOLDEN / f"{HOMING}.mcap").read_bytes()[:-100]
+    )  # its beliefs are there, its end is not
     page = Served(RecordedFleet([tmp_path / "cut.mcap"]))
     page.open()
     try:
         window = at_the_end(look(page.address), "cut")
         now(window, "cut")
         shows(window, beliefs(HOMING)[-1][1], "cut")
-        assert window.text("#notice") == "The record cut is cut off, damaged or still being written: what follows is missing"
+        assert (
+            window.text("#notice")
+            == "The record cut is cut off, damaged or still being written: what follows is missing"
+        )
         assert window.violations() == []
         window.keep("replay-cut-off")
     finally:
@@ -141,7 +150,9 @@ def test_jumping_goes_to_what_happened(replay: Window) -> None:
     times_s = [now(replay)]
     assert times_s == [0.0]
     assert the_stop.count() == 1
-    while to_come.count():  # a record goes on for as long as its recorder was there, past the stop and sometimes to the landing
+    while (
+        to_come.count()
+    ):  # a record goes on for as long as its recorder was there, past the stop and sometimes to the landing
         replay.page.get_by_role("button", name="Next event").click()
         times_s.append(now(replay))
         assert times_s[-1] > times_s[-2]
@@ -201,7 +212,9 @@ def test_two_records_are_compared_on_one_time_line(two: str, look: Callable[...,
     now(window, INFOTAXIS)
     charts = [f"[...plumeward.panes.get('{name}').charts.spread.data" for name in (HOMING, INFOTAXIS)]
     ours, theirs = window.of(f"{charts[0]}[1]]"), window.of(f"{charts[0]}[3]]")
-    assert [spread for spread in ours if spread is not None] == pytest.approx([belief.spread for _, belief in homing])
+    assert [spread for spread in ours if spread is not None] == pytest.approx(
+        [belief.spread for _, belief in homing]
+    )
     assert theirs == pytest.approx([belief.spread for _, belief in infotaxis])  # the other's beside ours
     wanted_s = (homing[12][0] + homing[13][0]) / 2
     window.page.locator("#at").fill(str(wanted_s))

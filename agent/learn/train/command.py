@@ -26,18 +26,37 @@ EVALUATED_AT = (100, 1000, 4000)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `train`."""
     parser.add_argument("algorithm", choices=PRESETS["tuned"], help="learning algorithm: %(choices)s")
-    parser.add_argument("--preset", choices=PRESETS, default="tuned", help="recipe: our best one, or the paper's (default: %(default)s)")
-    parser.add_argument("--seed", type=cli.whole(0, MAX_SEED), default=0, help="the same seed gives the same policy (default: %(default)s)")
-    cli.add_assume_argument(parser, "paper")
-    cli.add_stop_argument(parser)
-    parser.add_argument("--steps", type=cli.whole(1, 10**12), metavar="N", help="moves to train on (default: the recipe's)")
     parser.add_argument(
-        "--out", type=Path, metavar="FOLDER", help=f"folder for checkpoints, curve and bundle (default: {KEPT_IN}/ALGORITHM-PRESET-SEED)"
+        "--preset",
+        choices=PRESETS,
+        default="tuned",
+        help="recipe: our best one, or the paper's (default: %(default)s)",
     )
     parser.add_argument(
-        "--threads", type=cli.whole(1, 4096), default=os.cpu_count() or 1, metavar="T",
-        help="threads that share the missions, without effect on the result (default: all cores, %(default)s)",
-    )  # fmt: skip
+        "--seed",
+        type=cli.whole(0, MAX_SEED),
+        default=0,
+        help="the same seed gives the same policy (default: %(default)s)",
+    )
+    cli.add_assume_argument(parser, "paper")
+    cli.add_stop_argument(parser)
+    parser.add_argument(
+        "--steps", type=cli.whole(1, 10**12), metavar="N", help="moves to train on (default: the recipe's)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help=f"folder for checkpoints, curve and bundle (default: {KEPT_IN}/ALGORITHM-PRESET-SEED)",
+    )
+    parser.add_argument(
+        "--threads",
+        type=cli.whole(1, 4096),
+        default=os.cpu_count() or 1,
+        metavar="T",
+        help="threads that share the missions, without effect on the result (default: all cores, "
+        "%(default)s)",
+    )
     parser.add_argument(
         "--scenarios",
         type=cli.whole(0, 10_000_000),
@@ -91,7 +110,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _with_stop(recipe: Recipe, assume: str, stop: str | None) -> Recipe:
     """Return the recipe with another assumption or stop criterion, or unchanged. Raises ValueError."""
-    changes = {name: value for name, value in (("assume", assume), ("stop", stop)) if value not in ("paper", None)}
+    changes = {
+        name: value for name, value in (("assume", assume), ("stop", stop)) if value not in ("paper", None)
+    }
     if not changes:
         return recipe
     from agent.learn.env import Settings  # here, because it loads the kernels
@@ -109,7 +130,9 @@ def _tell_of_steps(asked: int | None, recipe: Recipe) -> None:
         at_a_time = f"{recipe.algorithm} learns from {recipe.moves_at_a_time:,} moves at a time"
         tell(f"--steps {asked}: rounded up to {recipe.steps:,}, since {at_a_time}")
     if recipe.steps <= (looks_on := recipe.settings.get("learning_starts", 0)):
-        tell(f"warning: --steps {asked}: too few; {recipe.algorithm} begins to learn after {looks_on:,} moves")
+        tell(
+            f"warning: --steps {asked}: too few; {recipe.algorithm} begins to learn after {looks_on:,} moves"
+        )
 
 
 def _kept(recipe: Recipe, folder: Path, bundle: Path) -> str:
@@ -118,7 +141,10 @@ def _kept(recipe: Recipe, folder: Path, bundle: Path) -> str:
         return f": {bundle} is trained. Run the command again: it resumes with the test missions"
     if checkpoints(folder):
         return f": {folder} holds the last checkpoint. Run the command again: it resumes there"
-    return f" before the first checkpoint at {recipe.checkpoint_steps:,} moves: nothing is saved, the command begins anew"
+    return (
+        f" before the first checkpoint at {recipe.checkpoint_steps:,} moves: nothing is saved, the "
+        "command begins anew"
+    )
 
 
 def _learn(recipe: Recipe, seed: int, folder: Path, threads: int, bundle: Path) -> None:

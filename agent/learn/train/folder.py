@@ -1,4 +1,6 @@
-"""The folder of a training run: its recipe, its checkpoints, and a lock, so that one process at a time trains in it."""
+"""The folder of a training run: its recipe, its checkpoints, and a lock, so that one process at a time
+trains in it.
+"""
 
 import fcntl
 from pathlib import Path
@@ -25,7 +27,12 @@ def claim(folder: Path, recipe: Recipe, seed: int, bundle: Path) -> IO[bytes]:
         raise ValueError(f"{str(folder)!r} holds {kept[0].name} but no recipe.json; wanted an empty folder")
     file = path.open("a+b")
     try:
-        _claim(file, folder, msgspec.json.format(msgspec.json.encode({"seed": seed, "recipe": recipe})), bool(kept))
+        _claim(
+            file,
+            folder,
+            msgspec.json.format(msgspec.json.encode({"seed": seed, "recipe": recipe})),
+            bool(kept),
+        )
     except BaseException:
         file.close()
         raise
@@ -36,12 +43,17 @@ def _claim(file: IO[bytes], folder: Path, said: bytes, keeps: bool) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise ValueError(f"another process trains in {str(folder)!r}; choose another folder, or wait until it ends") from None
+        raise ValueError(
+            f"another process trains in {str(folder)!r}; choose another folder, or wait until it ends"
+        ) from None
     file.seek(0)
     if file.read() == said:
         return
     if keeps:
-        raise ValueError(f"{str(folder)!r} holds a run of another recipe or seed; wanted an empty folder, or the command of that run")
+        raise ValueError(
+            f"{str(folder)!r} holds a run of another recipe or seed; wanted an empty folder, or the command "
+            "of that run"
+        )
     file.truncate(0)
     file.write(said)
     file.flush()

@@ -13,7 +13,9 @@ KINDS: dict[type[nn.Module], str] = {nn.ReLU: "Relu", nn.Tanh: "Tanh"}
 
 
 def graph(layers: Sequence[nn.Module]) -> bytes:
-    """Return linear layers and their activations as an ONNX graph (1, F) -> (1, A). Raises TypeError on another kind of layer."""
+    """Return linear layers and their activations as an ONNX graph (1, F) -> (1, A). Raises TypeError on
+    another kind of layer.
+    """
     nodes, weights = [], []
     linear = [layer for layer in layers if isinstance(layer, nn.Linear)]
     flowing = "observation"
@@ -22,7 +24,9 @@ def graph(layers: Sequence[nn.Module]) -> bytes:
         if isinstance(layer, nn.Linear):
             names = [f"weight{k}", f"bias{k}"]
             weights += [
-                numpy_helper.from_array(np.ascontiguousarray(parameter.detach().cpu().numpy(), np.float32), name)
+                numpy_helper.from_array(
+                    np.ascontiguousarray(parameter.detach().cpu().numpy(), np.float32), name
+                )
                 for name, parameter in zip(names, (layer.weight, layer.bias), strict=True)
             ]
             nodes.append(helper.make_node("Gemm", [flowing, *names], [out], transB=1))
@@ -36,6 +40,8 @@ def graph(layers: Sequence[nn.Module]) -> bytes:
         for name, size in (("observation", linear[0].in_features), ("said", linear[-1].out_features))
     ]
     made = helper.make_graph(nodes, "policy", ports[:1], ports[1:], weights)
-    model = helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR, producer_name="plumeward")
+    model = helper.make_model(
+        made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR, producer_name="plumeward"
+    )
     onnx.checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString())

@@ -17,9 +17,11 @@ from estimator.criterion import Criterion
 
 
 def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
-    """Fly `scenarios` test missions with each number of particles and print the figures. A bundle that has figures keeps them.
+    """Fly `scenarios` test missions with each number of particles and print the figures. A bundle that has
+    figures keeps them.
 
-    The estimator assumes what it assumed in training, and stops by the same `stop` if the recipe has one, else by the usual spread.
+    The estimator assumes what it assumed in training, and stops by the same `stop` if the recipe has one,
+    else by the usual spread.
 
     A journal beside the bundle keeps each flight until all have ended, so an interrupted call can resume.
     """
@@ -38,7 +40,9 @@ def judge(bundle: Path, scenarios: int, particles: Sequence[int]) -> None:
         for each in flown:
             rows += each
     evaluation = named(ordered(rows, sweep))
-    page = msgspec.structs.replace(page, evaluation={str(said["particles"]): said for said in evaluation.values()})
+    page = msgspec.structs.replace(
+        page, evaluation={str(said["particles"]): said for said in evaluation.values()}
+    )
     write(bundle, page, graph)
     journal.unlink()
     print_table(evaluation, sys.stdout)

@@ -1,7 +1,9 @@
-"""The training loop around stable-baselines3: progress, TensorBoard, checkpoints, and resuming an interrupted run.
+"""The training loop around stable-baselines3: progress, TensorBoard, checkpoints, and resuming an
+interrupted run.
 
-A run consists of legs from checkpoint to checkpoint. Each leg begins with new missions and new random generators, keyed by the seed and
-the moves so far. A leg is therefore a function of the checkpoint before it, and a resumed run yields the identical policy.
+A run consists of legs from checkpoint to checkpoint. Each leg begins with new missions and new random
+generators, keyed by the seed and the moves so far. A leg is therefore a function of the checkpoint before
+it, and a resumed run yields the identical policy.
 """
 
 import random
@@ -73,9 +75,14 @@ def learner(recipe: Recipe, env: StableBaselinesEnv, seed: int) -> BaseAlgorithm
     """Return the untrained learner of a recipe."""
     low, high = recipe.final_learning_rate, recipe.learning_rate
     common: dict[str, Any] = dict(
-        policy="MlpPolicy", env=env, seed=seed, device="cpu", learning_rate=lambda left: low + (high - low) * left,
-        policy_kwargs={"net_arch": list(recipe.layers), "activation_fn": nn.ReLU}, **recipe.settings,
-    )  # fmt: skip
+        policy="MlpPolicy",
+        env=env,
+        seed=seed,
+        device="cpu",
+        learning_rate=lambda left: low + (high - low) * left,
+        policy_kwargs={"net_arch": list(recipe.layers), "activation_fn": nn.ReLU},
+        **recipe.settings,
+    )
     match recipe.algorithm:
         case "ppo":
             return PPO(**common)
@@ -83,7 +90,9 @@ def learner(recipe: Recipe, env: StableBaselinesEnv, seed: int) -> BaseAlgorithm
             return DQN(**common)
         case _:
             noise = NormalActionNoise(np.zeros(2), np.full(2, recipe.action_noise))
-            return SlowActorDDPG(**common, action_noise=noise, actor_learning_rate_share=recipe.actor_learning_rate_share)
+            return SlowActorDDPG(
+                **common, action_noise=noise, actor_learning_rate_share=recipe.actor_learning_rate_share
+            )
 
 
 def layers_of(model: BaseAlgorithm) -> list[nn.Module]:
@@ -129,14 +138,17 @@ class Legs(BaseCallback):
         model._last_obs = model.env.reset()  # type: ignore[assignment]
         model._last_episode_starts = np.ones(model.n_envs, dtype=bool)
         if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None and model.num_timesteps:
-            # Returns over several moves must not continue from the missions that the checkpoint broke off into the new ones.
+            # Returns over several moves must not continue from the missions that the checkpoint broke off
+            # into the new ones.
             last = model.replay_buffer.pos - 1
             model.replay_buffer.timeouts[last] = 1.0 - model.replay_buffer.dones[last]
 
     def _on_step(self) -> bool:
         for i in np.flatnonzero(self.locals["dones"]):
             info = self.locals["infos"][i]
-            self._state.ended.append(EndedMission(bool(info["ceased"]), bool(info["located"]), float(info["distance_m"])))
+            self._state.ended.append(
+                EndedMission(bool(info["ceased"]), bool(info["located"]), float(info["distance_m"]))
+            )
         if self.num_timesteps // self._every > (self.num_timesteps - self.model.n_envs) // self._every:
             self._point()
         return True
@@ -191,22 +203,33 @@ def save(model: BaseAlgorithm, state: RunState, folder: Path) -> None:
 def _resumed(model: BaseAlgorithm, env: StableBaselinesEnv, path: Path) -> tuple[BaseAlgorithm, RunState]:
     """Return the learner and the state of a checkpoint. Raises CheckpointError if it is broken."""
     try:
-        with warnings.catch_warnings(action="ignore", category=UserWarning):  # that the loaded replay buffer has returns over several moves
+        with warnings.catch_warnings(
+            action="ignore", category=UserWarning
+        ):  # that the loaded replay buffer has returns over several moves
             model = type(model).load(path / "learner.zip", env=env, device="cpu")
         if isinstance(model, OffPolicyAlgorithm):
             model.load_replay_buffer(path / "replay.pkl")
         return model, msgspec.json.decode((path / "state.json").read_bytes(), type=RunState)
-    except Exception as error:  # zipfile, torch and pickle raise errors without a common base on a broken file
+    except (
+        Exception
+    ) as error:  # zipfile, torch and pickle raise errors without a common base on a broken file
         said = " ".join(str(error).split())[:200]
-        raise CheckpointError(f"{str(path)!r} cannot be read: {said or type(error).__name__}; delete it to begin anew") from error
+        raise CheckpointError(
+            f"{str(path)!r} cannot be read: {said or type(error).__name__}; delete it to begin anew"
+        ) from error
 
 
-def train(recipe: Recipe, seed: int, folder: Path, threads: int, tell: Tell) -> tuple[BaseAlgorithm, list[Point]]:
-    """Train by a recipe, from the last checkpoint in the folder if there is one; returns the learner and its curve.
+def train(
+    recipe: Recipe, seed: int, folder: Path, threads: int, tell: Tell
+) -> tuple[BaseAlgorithm, list[Point]]:
+    """Train by a recipe, from the last checkpoint in the folder if there is one; returns the learner and
+    its curve.
 
     Raises CheckpointError if that checkpoint is broken.
     """
-    torch.set_num_threads(1)  # more would change the last bits, and idle ones would take cores from the missions
+    torch.set_num_threads(
+        1
+    )  # more would change the last bits, and idle ones would take cores from the missions
     env = StableBaselinesEnv(SourceSearchVector(recipe.missions, threads, **recipe.env))
     model, state = learner(recipe, env, seed % 2**32), RunState()
     if kept := checkpoints(folder):

@@ -38,7 +38,9 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True):
         """Moves of all missions between two updates. The length of a run is a multiple of it."""
         # The defaults are those of stable-baselines3.
         each: int = (
-            self.settings.get("n_steps", 2048) if self.algorithm == "ppo" else self.settings.get("train_freq", TRAIN_FREQ[self.algorithm])
+            self.settings.get("n_steps", 2048)
+            if self.algorithm == "ppo"
+            else self.settings.get("train_freq", TRAIN_FREQ[self.algorithm])
         )
         return each * self.missions
 
@@ -49,42 +51,107 @@ TUNED_ENV = {"observation": "polar", "reward": "cost", "headings": 16}
 
 PAPER = {
     "ppo": Recipe(
-        algorithm="ppo", steps=500_000, missions=16, env=PAPER_ENV, layers=PAPER_LAYERS, learning_rate=1e-4, final_learning_rate=1e-4,
+        algorithm="ppo",
+        steps=500_000,
+        missions=16,
+        env=PAPER_ENV,
+        layers=PAPER_LAYERS,
+        learning_rate=1e-4,
+        final_learning_rate=1e-4,
         settings={"n_steps": 128, "batch_size": 64, "gamma": 0.99, "gae_lambda": 0.95},
     ),
     "dqn": Recipe(
-        algorithm="dqn", steps=200_000, missions=1, env=PAPER_ENV, layers=PAPER_LAYERS, learning_rate=1e-4, final_learning_rate=1e-4,
-        settings={"batch_size": 64, "buffer_size": 1000, "learning_starts": 1000, "gamma": 0.99, "target_update_interval": 100},
+        algorithm="dqn",
+        steps=200_000,
+        missions=1,
+        env=PAPER_ENV,
+        layers=PAPER_LAYERS,
+        learning_rate=1e-4,
+        final_learning_rate=1e-4,
+        settings={
+            "batch_size": 64,
+            "buffer_size": 1000,
+            "learning_starts": 1000,
+            "gamma": 0.99,
+            "target_update_interval": 100,
+        },
     ),
     "ddpg": Recipe(
-        algorithm="ddpg", steps=100_000, missions=1, env={**PAPER_ENV, "continuous": True}, layers=PAPER_LAYERS, learning_rate=1e-4,
-        final_learning_rate=1e-4, actor_learning_rate_share=0.1, action_noise=0.1,
+        algorithm="ddpg",
+        steps=100_000,
+        missions=1,
+        env={**PAPER_ENV, "continuous": True},
+        layers=PAPER_LAYERS,
+        learning_rate=1e-4,
+        final_learning_rate=1e-4,
+        actor_learning_rate_share=0.1,
+        action_noise=0.1,
         settings={"batch_size": 64, "buffer_size": 1000, "learning_starts": 1000, "gamma": 0.99},
     ),
-}  # fmt: skip
+}
 """The paper's settings; where it states none, those of stable-baselines3."""
 
 TUNED = {
     "ppo": Recipe(
-        algorithm="ppo", steps=6_000_000, missions=128, env=TUNED_ENV, layers=(256, 256), learning_rate=5e-4, final_learning_rate=1e-5,
-        settings={"n_steps": 64, "batch_size": 2048, "n_epochs": 4, "gamma": 0.99, "gae_lambda": 0.95, "ent_coef": 0.003},
+        algorithm="ppo",
+        steps=6_000_000,
+        missions=128,
+        env=TUNED_ENV,
+        layers=(256, 256),
+        learning_rate=5e-4,
+        final_learning_rate=1e-5,
+        settings={
+            "n_steps": 64,
+            "batch_size": 2048,
+            "n_epochs": 4,
+            "gamma": 0.99,
+            "gae_lambda": 0.95,
+            "ent_coef": 0.003,
+        },
     ),
     "dqn": Recipe(
-        algorithm="dqn", steps=1_500_000, missions=64, env=TUNED_ENV, layers=(256, 256), learning_rate=5e-4, final_learning_rate=1e-5,
+        algorithm="dqn",
+        steps=1_500_000,
+        missions=64,
+        env=TUNED_ENV,
+        layers=(256, 256),
+        learning_rate=5e-4,
+        final_learning_rate=1e-5,
         settings={
-            "batch_size": 256, "buffer_size": 200_000, "learning_starts": 10_000, "train_freq": 1, "gradient_steps": 4, "n_steps": 3,
-            "gamma": 0.99, "target_update_interval": 6400, "exploration_fraction": 0.1, "exploration_final_eps": 0.02,
+            "batch_size": 256,
+            "buffer_size": 200_000,
+            "learning_starts": 10_000,
+            "train_freq": 1,
+            "gradient_steps": 4,
+            "n_steps": 3,
+            "gamma": 0.99,
+            "target_update_interval": 6400,
+            "exploration_fraction": 0.1,
+            "exploration_final_eps": 0.02,
         },
     ),
     "ddpg": Recipe(
-        algorithm="ddpg", steps=1_000_000, missions=64, env={**TUNED_ENV, "continuous": True}, layers=(256, 256), learning_rate=5e-4,
-        final_learning_rate=1e-5, action_noise=0.2, actor_learning_rate_share=0.2,
+        algorithm="ddpg",
+        steps=1_000_000,
+        missions=64,
+        env={**TUNED_ENV, "continuous": True},
+        layers=(256, 256),
+        learning_rate=5e-4,
+        final_learning_rate=1e-5,
+        action_noise=0.2,
+        actor_learning_rate_share=0.2,
         settings={
-            "batch_size": 256, "buffer_size": 200_000, "learning_starts": 20_000, "train_freq": 1, "gradient_steps": 4, "n_steps": 3,
-            "gamma": 0.99, "tau": 0.005,
+            "batch_size": 256,
+            "buffer_size": 200_000,
+            "learning_starts": 20_000,
+            "train_freq": 1,
+            "gradient_steps": 4,
+            "n_steps": 3,
+            "gamma": 0.99,
+            "tau": 0.005,
         },
     ),
-}  # fmt: skip
+}
 """The best settings found (docs/learning.md)."""
 
 PRESETS: Mapping[str, Mapping[str, Recipe]] = {"tuned": TUNED, "paper": PAPER}

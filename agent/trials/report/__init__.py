@@ -1,1 +1,3 @@
-"""The tables, pictures and page of a report on missions that `evaluate` flew. Imports: plume, link, scene, agent, agent.trials."""
+"""The tables, pictures and page of a report on missions that `evaluate` flew. Imports: plume, link, scene,
+agent, agent.trials.
+"""

@@ -31,10 +31,20 @@ FILES = (*(f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg"))
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `report`."""
     parser.add_argument(
-        "--results", type=Path, default=Path("results"), metavar="DIR",
-        help="folder of raw results, the .csv and .csv.gz files of `evaluate --missions` (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument("--out", type=Path, default=Path("report"), metavar="DIR", help="folder to write to (default: %(default)s)")
+        "--results",
+        type=Path,
+        default=Path("results"),
+        metavar="DIR",
+        help="folder of raw results, the .csv and .csv.gz files of `evaluate --missions` (default: "
+        "%(default)s)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("report"),
+        metavar="DIR",
+        help="folder to write to (default: %(default)s)",
+    )
     cli.add_output_guard(parser)
 
 
@@ -65,7 +75,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def write(results: Results, out: Path, flights: int) -> None:
-    """Write pictures, tables and the page to a folder. Two of the pictures show `flights` missions, which are flown here."""
+    """Write pictures, tables and the page to a folder. Two of the pictures show `flights` missions, which
+    are flown here.
+    """
     import matplotlib  # not at the top: it takes long to import
 
     from scene.drawing import STYLE
@@ -96,8 +108,10 @@ def save(figure: "Figure", stem: Path) -> bytes:
 
 def _summary(results: Results) -> str:
     return (
-        f"{sum(map(len, results.rows.values())):,} missions of {len(results.policies)} policies: {results.behind(list(results.rows))}."
-        " `plumeward evaluate --missions FILE.csv` flew them. `plumeward report` made this page from their rows."
+        f"{sum(map(len, results.rows.values())):,} missions of {len(results.policies)} policies: "
+        f"{results.behind(list(results.rows))}."
+        " `plumeward evaluate --missions FILE.csv` flew them. `plumeward report` made this page from their "
+        "rows."
     )
 
 
@@ -107,8 +121,10 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
     from agent.trials.rollout import rollout
 
     curves = (
-        "Bars: 95% intervals, Wilson's for ceased, bootstrap for MTD and ST. Points are shifted sideways so that none hides another. The"
-        " scale of ceased is stretched towards 100%. Dashed: the mean information floor. Hollow: the paper. MTD and ST are means over"
+        "Bars: 95% intervals, Wilson's for ceased, bootstrap for MTD and ST. Points are shifted sideways so "
+        "that none hides another. The"
+        " scale of ceased is stretched towards 100%. Dashed: the mean information floor. Hollow: the paper. "
+        "MTD and ST are means over"
         " ceased missions. Made by `plumeward report`."
     )
     hidden = len(results.policies) - len(drawing.compared(results.policies))
@@ -129,40 +145,55 @@ def _drawn(results: Results, flights: int) -> Iterator[tuple[str, str, str, "Fig
         drawing.against_thresholds(results),
     )
     setting = results.nearest(USUAL)
-    set_to = f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, assume {results.assume}, {BUDGET_STEPS} steps at most"
+    set_to = (
+        f"N = {setting.particles:,}, ζ = {setting.threshold_m:g} m, assume {results.assume}, "
+        f"{BUDGET_STEPS} steps at most"
+    )
     flags = f"--particles {setting.particles} --threshold {setting.threshold_m:g} --assume {results.assume}"
     tell(f"flying {len(drawing.FIVE)} policies on one scenario")
     yield (
         "trajectories",
         "Policies on one scenario",
-        f"Seed {TELLING_SEED}, chosen because policies differ in it; {set_to}. One mission per policy, flown by `plumeward report`. To fly"
+        f"Seed {TELLING_SEED}, chosen because policies differ in it; {set_to}. One mission per policy, flown "
+        "by `plumeward report`. To fly"
         f" one of them: `plumeward rollout --seed {TELLING_SEED} --policy infotaxis {flags}`.",
-        drawing.trajectories([rollout(TELLING_SEED, policy, *setting, assume=results.assume) for policy in drawing.FIVE]),
+        drawing.trajectories(
+            [rollout(TELLING_SEED, policy, *setting, assume=results.assume) for policy in drawing.FIVE]
+        ),
     )
     best = results.best(setting, OURS)
     policy = best or OURS[0]
     tell(f"flying {flights} missions of {policy}")
     seeds = range(FIRST_TEST_SEED, FIRST_TEST_SEED + flights)
     flown = [rollout(seed, policy, *setting, assume=results.assume) for seed in seeds]
-    ceased, located = (sum(it) for it in zip(*((result.ceased, result.located) for result, _ in flown), strict=True))
+    ceased, located = (
+        sum(it) for it in zip(*((result.ceased, result.located) for result, _ in flown), strict=True)
+    )
     missions = (
-        f"{flights} missions of {policy}, seeds {FIRST_TEST_SEED} to {FIRST_TEST_SEED + flights - 1}, {set_to}: {ceased} ceased, {located}"
+        f"{flights} missions of {policy}, seeds {FIRST_TEST_SEED} to {FIRST_TEST_SEED + flights - 1}, "
+        f"{set_to}: {ceased} ceased, {located}"
         f" located."
     )
     if best:
-        missions += f" {best} has the lowest MTD of the policies whose ceased share is within one point of the highest at this N and ζ."
+        missions += (
+            f" {best} has the lowest MTD of the policies whose ceased share is within one point of "
+            "the highest at this N and ζ."
+        )
     yield (
         "hundred",
         f"{flights} missions: paths of the UAV and of the belief's mean",
-        f"{missions} The source is at the origin. Dots: ends of missions. Dashed: {SUCCESS_RADIUS_M:g} m around the source. Flown by"
+        f"{missions} The source is at the origin. Dots: ends of missions. Dashed: {SUCCESS_RADIUS_M:g} m "
+        "around the source. Flown by"
         " `plumeward report`.",
         drawing.many(flown),
     )
     yield (
         "distances",
         f"{flights} missions: distances at each step",
-        f"{missions} Thin: each mission, with a dot at its end. Black: the median. Band: the quartiles. Median and quartiles include ended"
-        f" missions with their last distance. Distances below {drawing.LEAST_DISTANCE_M:g} m are drawn at this value. Flown by"
+        f"{missions} Thin: each mission, with a dot at its end. Black: the median. Band: the quartiles. "
+        "Median and quartiles include ended"
+        f" missions with their last distance. Distances below {drawing.LEAST_DISTANCE_M:g} m are drawn at "
+        "this value. Flown by"
         " `plumeward report`.",
         drawing.distances(flown),
     )

@@ -41,9 +41,11 @@ LOOKS = {
 """Colour and marker of each policy in all pictures. Those of `FIVE` are of Okabe and Ito's palette."""
 OTHER_LOOK = ("#777777", "8")
 FIVE = ("infotaxis", "space-aware-infotaxis", "dcee", "homing", "ppo")
-"""The policies that pictures compare: the classic, the best published planner, the one of dual control, our default, and the best learned.
+"""The policies that pictures compare: the classic, the best published planner, the one of dual control,
+our default, and the best learned.
 
-The others fly much as one of them does (entrotaxis as infotaxis, lookahead as homing, dqn and ddpg as ppo), or find few sources.
+The others fly much as one of them does (entrotaxis as infotaxis, lookahead as homing, dqn and ddpg as
+ppo), or find few sources.
 """
 PATH: dict[str, Any] = {"color": INK, "linewidth": 1.2, "marker": ".", "markersize": 3.5}
 PANELS = (("ceased", "ceased, %", 100.0), ("mtd_m", "MTD, m", 1.0), ("search_time_s", "ST, s", 1.0))
@@ -58,10 +60,14 @@ LEAST_DISTANCE_M = 0.05
 
 
 def compared(policies: Sequence[str]) -> list[str]:
-    """Return the policies that one picture shows: all of five or fewer, else the five and those that do not ship."""
+    """Return the policies that one picture shows: all of five or fewer, else the five and those that do
+    not ship.
+    """
     if len(policies) <= len(FIVE):
         return list(policies)
-    return [policy for policy in policies if policy in FIVE or policy not in OURS] or list(policies[: len(FIVE)])
+    return [policy for policy in policies if policy in FIVE or policy not in OURS] or list(
+        policies[: len(FIVE)]
+    )
 
 
 def against_particles(results: Results) -> Figure:
@@ -85,7 +91,9 @@ def against_thresholds(results: Results) -> Figure:
     return figure
 
 
-def _panels(results: Results, keys: Sequence[Key], x_of: Callable[[Setting | Published], float | None]) -> Figure:
+def _panels(
+    results: Results, keys: Sequence[Key], x_of: Callable[[Setting | Published], float | None]
+) -> Figure:
     """One panel per figure, one curve per policy; the paper's figures are hollow."""
     figure = Figure(figsize=(WIDTH_IN, 4.8), layout="constrained")
     policies = [policy for policy in compared(results.policies) if policy in {key[0] for key in keys}]
@@ -95,29 +103,50 @@ def _panels(results: Results, keys: Sequence[Key], x_of: Callable[[Setting | Pub
             said = [(x_of(key[1]), results.figures[key]) for key in keys if key[0] == policy]
             curve = [(x, it[name], *it[f"{name}_interval"]) for x, it in said if it[name] is not None]
             x, value, low, high = np.array(sorted(curve)).reshape(-1, 4).T * [[1], [scale], [scale], [scale]]
-            bars = np.maximum((value - low, high - value), 0)  # rounding can put an end of the interval past the value
+            bars = np.maximum(
+                (value - low, high - value), 0
+            )  # rounding can put an end of the interval past the value
             beside = ScaledTranslation((i - (len(policies) - 1) / 2) * APART_IN, 0, figure.dpi_scale_trans)
             colour, marker = LOOKS.get(policy, OTHER_LOOK)
             style: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 5, "linewidth": 1.2}
             ax.errorbar(x, value, bars, label=policy, transform=ax.transData + beside, **style)
-            ax.update_datalim(np.stack([np.tile(x, 2), np.concatenate([low, high])], axis=1))  # autoscaling ignores shifted points
+            ax.update_datalim(
+                np.stack([np.tile(x, 2), np.concatenate([low, high])], axis=1)
+            )  # autoscaling ignores shifted points
         for it in PUBLISHED:
             if it.figure == name and it.policy in policies and (at := x_of(it)) is not None:
                 colour, marker = LOOKS[it.policy]
-                style = {"color": colour, "marker": marker, "markersize": 9, "markerfacecolor": "white", "linestyle": "none", "zorder": 5}
+                style = {
+                    "color": colour,
+                    "marker": marker,
+                    "markersize": 9,
+                    "markerfacecolor": "white",
+                    "linestyle": "none",
+                    "zorder": 5,
+                }
                 ax.plot(at, scale * it.value, label=f"paper: {it.method}", **style)
     ceased, mtd, st = figure.axes
     ceased.set_yscale("function", functions=(_stretched, _unstretched))
     ceased.set_ylim(0, 100.3)
     ticks(ceased.yaxis, (0, 50, 80, 90, 95, 98, 99, 100), "{:g}")
-    floors = sorted({(x_of(key[1]), floor_m) for key in keys if (floor_m := results.floor_m(key[1].threshold_m)) is not None})
+    floors = sorted(
+        {
+            (x_of(key[1]), floor_m)
+            for key in keys
+            if (floor_m := results.floor_m(key[1].threshold_m)) is not None
+        }
+    )
     if floors:
         mtd.plot(*zip(*floors, strict=True), "--", color="black", linewidth=1.2, label="information floor")
     mtd.set_yscale("log")
     ticks(mtd.yaxis, (10, 15, 20, 25, 30, 40, 50, 70, 100, 150, 200, 300), "{:g}")
     st.set_yscale("log")
     ticks(st.yaxis, [digit * 10**power for power in (-3, -2, -1, 0, 1) for digit in (1, 2, 5)], "{:g}")
-    entries = {label: handle for ax in figure.axes for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    entries = {
+        label: handle
+        for ax in figure.axes
+        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
+    }
     order = [*policies, *(label for label in entries if label not in policies)]
     figure.legend([entries[label] for label in order], order, loc="outside lower center", ncols=4)
     return figure
@@ -159,19 +188,28 @@ def trajectories(flights: Sequence[Flight]) -> Figure:
             ax.set_axis_off()
     bar = figure.colorbar(shades, ax=grid, label="mean gas concentration, g/m³", shrink=0.5, aspect=40)
     ticks(bar.ax.yaxis, (0.1, 1, 10, 100))
-    styles = {"start": START | {"color": INK}, "path and readings": PATH, "estimate at the end": ESTIMATE, "source": SOURCE}
+    styles = {
+        "start": START | {"color": INK},
+        "path and readings": PATH,
+        "estimate at the end": ESTIMATE,
+        "source": SOURCE,
+    }
     entries = [Line2D([], [], **{"label": label} | style) for label, style in styles.items()]
     grid.ravel()[-1].legend(handles=entries, loc="center")
     return figure
 
 
 def _verdict(result: Outcome) -> str:
-    verdict = ("ceased, located" if result.located else "ceased, FALSE STOP") if result.ceased else "not ceased"
+    verdict = (
+        ("ceased, located" if result.located else "ceased, FALSE STOP") if result.ceased else "not ceased"
+    )
     return f"{verdict}, {result.distance_m:.0f} m"
 
 
 def many(flights: Sequence[Flight]) -> Figure:
-    """Paths of UAV and belief mean in many missions, with the source at the origin; below, their last steps."""
+    """Paths of UAV and belief mean in many missions, with the source at the origin; below, their last
+    steps.
+    """
     figure = Figure(figsize=(WIDTH_IN, 9.6), layout="constrained")
     grid = figure.subplots(2, 2, sharex="row", sharey="row")
     for (whole, last), (name, what, colour) in zip(grid.T, NAMED, strict=True):
@@ -181,7 +219,15 @@ def many(flights: Sequence[Flight]) -> Figure:
             whole.plot(*path.T, color=colour, linewidth=0.7, alpha=0.4)
             last.plot(*path[-LAST_STEPS - 1 :].T, color=colour, linewidth=0.7, alpha=0.4)
             for ax in (whole, last):
-                ax.plot(*path[-1], "o", color=colour, markersize=4, markeredgecolor="white", markeredgewidth=0.4, zorder=3)
+                ax.plot(
+                    *path[-1],
+                    "o",
+                    color=colour,
+                    markersize=4,
+                    markeredgecolor="white",
+                    markeredgewidth=0.4,
+                    zorder=3,
+                )
         whole.set(title=f"{what}, whole missions")
         last.set(title=f"{what}, the last {LAST_STEPS} steps", xlim=(-4, 4), ylim=(-4, 4))
         last.add_patch(Circle((0, 0), SUCCESS_RADIUS_M, fill=False, linestyle="--", linewidth=1.2, zorder=4))
@@ -192,7 +238,8 @@ def many(flights: Sequence[Flight]) -> Figure:
 
 
 def distances(flights: Sequence[Flight]) -> Figure:
-    """Distances at each step of many missions with median and quartiles, and the number of missions still flying.
+    """Distances at each step of many missions with median and quartiles, and the number of missions still
+    flying.
 
     Median and quartiles include ended missions with their last distance.
     """
@@ -200,10 +247,16 @@ def distances(flights: Sequence[Flight]) -> Figure:
     panels = figure.subplots(2, 2, sharex=True).ravel()
     lengths = np.array([len(trace) for _, trace in flights])
     steps = np.arange(lengths.max())
-    for ax, label, colour in zip(panels, ("UAV to source, m", "UAV to estimate, m", "estimate to source, m"), COLOURS, strict=False):
+    for ax, label, colour in zip(
+        panels, ("UAV to source, m", "UAV to estimate, m", "estimate to source, m"), COLOURS, strict=False
+    ):
         held = []
         for result, trace in flights:
-            ends = {"UAV": _places(trace, "position"), "estimate": _places(trace, "mean"), "source": np.array(result.source)}
+            ends = {
+                "UAV": _places(trace, "position"),
+                "estimate": _places(trace, "mean"),
+                "source": np.array(result.source),
+            }
             one, other = label.removesuffix(", m").split(" to ")
             distance = np.maximum(np.linalg.norm(ends[one] - ends[other], axis=-1), LEAST_DISTANCE_M)
             ax.plot(distance, color=colour, linewidth=0.5, alpha=0.3)

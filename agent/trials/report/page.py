@@ -48,7 +48,10 @@ def page(summary: str, pictures: Sequence[Picture], tables: Sequence[Table]) -> 
     sections = [(picture.name, picture.title, _figure(picture)) for picture in pictures]
     sections += [(f"table-{i}", table.title, _table(table)) for i, table in enumerate(tables, 1)]
     contents = "\n".join(f'<li><a href="#{name}">{escape(title)}</a></li>' for name, title, _ in sections)
-    body = "\n".join(f'<section id="{name}">\n<h2>{escape(title)}</h2>\n{content}\n</section>' for name, title, content in sections)
+    body = "\n".join(
+        f'<section id="{name}">\n<h2>{escape(title)}</h2>\n{content}\n</section>'
+        for name, title, content in sections
+    )
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -71,14 +74,22 @@ def page(summary: str, pictures: Sequence[Picture], tables: Sequence[Table]) -> 
 
 def _figure(picture: Picture) -> str:
     source = "data:image/svg+xml;base64," + base64.b64encode(picture.svg).decode()
-    return f'<figure>\n<img src="{source}" alt="{escape(picture.title)}">\n<figcaption>{_prose(picture.caption)}</figcaption>\n</figure>'
+    return (
+        f'<figure>\n<img src="{source}" '
+        f'alt="{escape(picture.title)}">\n<figcaption>{_prose(picture.caption)}</figcaption>\n</figure>'
+    )
 
 
 def _table(table: Table) -> str:
     heads = "".join(f"<th>{escape(head)}</th>" for head in table.heads)
-    rows = "\n".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in table.rows)
+    rows = "\n".join(
+        "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in table.rows
+    )
     notes = "\n".join(f'<p class="note">{_prose(note)}</p>' for note in table.notes)
-    return f'<div class="wide"><table>\n<thead><tr>{heads}</tr></thead>\n<tbody>\n{rows}\n</tbody>\n</table></div>\n{notes}'
+    return (
+        "<div "
+        f'class="wide"><table>\n<thead><tr>{heads}</tr></thead>\n<tbody>\n{rows}\n</tbody>\n</table></div>\n{notes}'
+    )
 
 
 def _prose(text: str) -> str:

@@ -61,13 +61,26 @@ class Results:
     def nearest(self, wanted: Setting) -> Setting:
         """Return the setting flown that is nearest to `wanted`, first in N, then in ζ."""
         flown = {setting for _, setting in self.rows}
-        return min(flown, key=lambda it: (abs(it.particles - wanted.particles), abs(it.threshold_m - wanted.threshold_m)))
+        return min(
+            flown,
+            key=lambda it: (abs(it.particles - wanted.particles), abs(it.threshold_m - wanted.threshold_m)),
+        )
 
     def best(self, setting: Setting, of: Collection[str]) -> str | None:
-        """Return the policy with the lowest MTD among those within one point of the highest ceased share; None if none ceased."""
-        said = {policy: it for (policy, flown), it in self.figures.items() if flown == setting and policy in of and it["ceased"]}
+        """Return the policy with the lowest MTD among those within one point of the highest ceased share;
+        None if none ceased.
+        """
+        said = {
+            policy: it
+            for (policy, flown), it in self.figures.items()
+            if flown == setting and policy in of and it["ceased"]
+        }
         most = max((it["ceased"] for it in said.values()), default=0.0)
-        return min((policy for policy in said if said[policy]["ceased"] >= most - AS_GOOD), key=lambda it: said[it]["mtd_m"], default=None)
+        return min(
+            (policy for policy in said if said[policy]["ceased"] >= most - AS_GOOD),
+            key=lambda it: said[it]["mtd_m"],
+            default=None,
+        )
 
     def floor_m(self, threshold_m: float) -> float | None:
         """Mean information floor of the scenarios flown at ζ, m; None where it is not known."""
@@ -91,24 +104,39 @@ class Results:
 def read(folder: Path) -> Results:
     """Read every .csv and .csv.gz file of a folder; a mission in two files counts once. Raises ValueError."""
     if not folder.is_dir():
-        raise ValueError(f"no such folder: {str(folder)!r}; `plumeward evaluate --missions FILE.csv` writes results")
+        raise ValueError(
+            f"no such folder: {str(folder)!r}; `plumeward evaluate --missions FILE.csv` writes results"
+        )
     missions: dict[Key, dict[int, MissionRow]] = {}
     assumed: dict[str, Path] = {}
     for path in sorted(path for path in folder.iterdir() if path.name.endswith((".csv", ".csv.gz"))):
         for row in read_csv(path):
             if row.world != AS_MODELLED:
-                raise ValueError(f"{path}: missions in the world {row.world!r}; a report takes those of {AS_MODELLED!r} alone")
+                raise ValueError(
+                    f"{path}: missions in the world {row.world!r}; a report takes those of {AS_MODELLED!r} "
+                    "alone"
+                )
             if row.threshold_m is None:
-                raise ValueError(f"{path}: {row.policy} was flown with --stop {row.stop}; a report compares missions of --stop spread:Z")
+                raise ValueError(
+                    f"{path}: {row.policy} was flown with --stop {row.stop}; a report compares missions of "
+                    "--stop spread:Z"
+                )
             assumed.setdefault(row.assume, path)
             if len(assumed) > 1:
                 one, other = (f"{name} in {file.name}" for name, file in assumed.items())
-                raise ValueError(f"{str(folder)!r} holds missions of both assumptions, {one} and {other}; wanted a folder for each")
+                raise ValueError(
+                    f"{str(folder)!r} holds missions of both assumptions, {one} and {other}; wanted a folder "
+                    "for each"
+                )
             same = missions.setdefault((row.policy, Setting(row.particles, row.threshold_m)), {})
             if _way(same.setdefault(row.seed, row)) != _way(next(iter(same.values()))):
-                raise ValueError(f"{path}: {row.policy} was flown with other settings there ({', '.join(WAY)})")
+                raise ValueError(
+                    f"{path}: {row.policy} was flown with other settings there ({', '.join(WAY)})"
+                )
     if not missions:
-        raise ValueError(f"no missions in {str(folder)!r}; `plumeward evaluate --missions FILE.csv` writes them")
+        raise ValueError(
+            f"no missions in {str(folder)!r}; `plumeward evaluate --missions FILE.csv` writes them"
+        )
     rank = {policy: i for i, policy in enumerate(OURS)}
     order = sorted(missions, key=lambda key: (rank.get(key[0], len(rank)), key))
     rows = {key: [missions[key][seed] for seed in sorted(missions[key])] for key in order}

@@ -34,7 +34,9 @@ def tables(results: Results) -> list[Table]:
     return [
         against_paper(results),
         ours(results, by_particles, f"Our figures at ζ = {results.threshold_m:g} m, assume {results.assume}"),
-        ours(results, by_threshold, f"Our figures at N = {results.particles:,}, by ζ, assume {results.assume}"),
+        ours(
+            results, by_threshold, f"Our figures at N = {results.particles:,}, by ζ, assume {results.assume}"
+        ),
     ]
 
 
@@ -44,20 +46,32 @@ def ours(results: Results, keys: Sequence[Key], title: str) -> Table:
     for policy, setting in sorted(keys, key=lambda key: key[1]):  # policies stay in their order
         said = results.figures[policy, setting]
         figures = [cell(said, key) for key in COLUMNS]
-        rows.append([str(setting.particles), f"{setting.threshold_m:g}", policy, str(said["missions"]), *figures])
+        rows.append(
+            [str(setting.particles), f"{setting.threshold_m:g}", policy, str(said["missions"]), *figures]
+        )
     notes = [
-        "In brackets: 95% intervals, Wilson's for shares and bootstrap for means. *ceased*: a stop was declared within the step budget."
-        f" *located*: ceased, and the estimate is within {SUCCESS_RADIUS_M:g} m of the source. *false stop*: ceased but not located, as a"
-        " share of ceased. *MTD*: mean distance travelled over ceased missions. *floors*: MTD as a multiple of the mean information floor"
-        " of the same missions. *NEES*: normalised estimation error squared at the stop; its mean is 2 for an honest belief. *ST*: mean"
-        " processor time of estimator and agent over a ceased mission; compare ratios, which depend less on the machine than seconds."
-        " *decision*: mean processor time of the agent per decision. *update*: mean processor time of the estimator per reading.",
+        "In brackets: 95% intervals, Wilson's for shares and bootstrap for means. *ceased*: a stop was "
+        "declared within the step budget."
+        f" *located*: ceased, and the estimate is within {SUCCESS_RADIUS_M:g} m of the source. *false stop*: "
+        "ceased but not located, as a"
+        " share of ceased. *MTD*: mean distance travelled over ceased missions. *floors*: MTD as a multiple "
+        "of the mean information floor"
+        " of the same missions. *NEES*: normalised estimation error squared at the stop; its mean is 2 for "
+        "an honest belief. *ST*: mean"
+        " processor time of estimator and agent over a ceased mission; compare ratios, which depend less on "
+        "the machine than seconds."
+        " *decision*: mean processor time of the agent per decision. *update*: mean processor time of the "
+        "estimator per reading.",
     ]
-    return Table(title, ["N", "ζ, m", "policy", "missions", *(head for head, _, _ in COLUMNS.values())], rows, notes)
+    return Table(
+        title, ["N", "ζ, m", "policy", "missions", *(head for head, _, _ in COLUMNS.values())], rows, notes
+    )
 
 
 def against_paper(results: Results) -> Table:
-    """Return the paper's figures with ours of the same meaning, at the paper's setting as far as it is stated."""
+    """Return the paper's figures with ours of the same meaning, at the paper's setting as far as it is
+    stated.
+    """
     rows = []
     below = []
     for it in PUBLISHED:
@@ -67,30 +81,57 @@ def against_paper(results: Results) -> Table:
             below.append((it, setting, floor_m))
             comparable = "no: below the floor (4)"
         else:
-            comparable = {"ceased": "in part (1, 2)", "mtd_m": "in part (1, 3)", "search_time_s": "ratios only (5)"}[it.figure]
-        rows.append([
-            COLUMNS[it.figure][0],
-            _stated(it),
-            it.method,
-            f"{'< ' if it.below else ''}{it.value * COLUMNS[it.figure][1]:g}",
-            f"{setting.particles}, {setting.threshold_m:g}",
-            _beside(results, it.policy, setting, it.figure),
-            _beside(results, results.best(setting, results.policies), setting, it.figure),
-            comparable,
-        ])  # fmt: skip
-    heads = ["figure", "the paper's setting", "method", "the paper", "our N, ζ", "ours, same method", "ours, best", "comparable"]
-    return Table("The paper's figures beside ours", heads, rows, [
-        "In brackets: 95% intervals. In parentheses: missions. *best*: the policy with the lowest MTD among those whose ceased share is"
-        " within one point of the highest. –: not flown, or no mission ceased.",
-        f"(1) The paper states no τ, step budget, prior or success radius. Ours are τ = {LIFETIME_S:g} s, {BUDGET_STEPS} steps,"
-        f" a uniform prior over the area and {SUCCESS_RADIUS_M:g} m. Its scenarios may be easier or harder. Where it states N only, our"
-        f" figure is at ζ = {results.threshold_m:g} m; where it states ζ only, at N = {results.particles:,}.",
-        '(2) The paper\'s "success rate" is the share of missions that ceased. It does not say how many of these stops were false. Ours'
-        " adds the share located.",
-        "(3) A mean over ceased missions only: for a method that ceases less often, it covers its easier missions.",
-        *([_below_the_floor(results, below)] if below else []),
-        "(5) Compute times of different code on different machines; of ours, several missions ran side by side.",
-    ])  # fmt: skip
+            comparable = {
+                "ceased": "in part (1, 2)",
+                "mtd_m": "in part (1, 3)",
+                "search_time_s": "ratios only (5)",
+            }[it.figure]
+        rows.append(
+            [
+                COLUMNS[it.figure][0],
+                _stated(it),
+                it.method,
+                f"{'< ' if it.below else ''}{it.value * COLUMNS[it.figure][1]:g}",
+                f"{setting.particles}, {setting.threshold_m:g}",
+                _beside(results, it.policy, setting, it.figure),
+                _beside(results, results.best(setting, results.policies), setting, it.figure),
+                comparable,
+            ]
+        )
+    heads = [
+        "figure",
+        "the paper's setting",
+        "method",
+        "the paper",
+        "our N, ζ",
+        "ours, same method",
+        "ours, best",
+        "comparable",
+    ]
+    return Table(
+        "The paper's figures beside ours",
+        heads,
+        rows,
+        [
+            "In brackets: 95% intervals. In parentheses: missions. *best*: the policy with the lowest MTD "
+            "among those whose ceased share is"
+            " within one point of the highest. –: not flown, or no mission ceased.",
+            f"(1) The paper states no τ, step budget, prior or success radius. Ours are τ = {LIFETIME_S:g} "
+            f"s, {BUDGET_STEPS} steps,"
+            f" a uniform prior over the area and {SUCCESS_RADIUS_M:g} m. Its scenarios may be easier or "
+            "harder. Where it states N only, our"
+            f" figure is at ζ = {results.threshold_m:g} m; where it states ζ only, at N = "
+            f"{results.particles:,}.",
+            '(2) The paper\'s "success rate" is the share of missions that ceased. It does not say how many '
+            "of these stops were false. Ours"
+            " adds the share located.",
+            "(3) A mean over ceased missions only: for a method that ceases less often, it covers its easier "
+            "missions.",
+            *([_below_the_floor(results, below)] if below else []),
+            "(5) Compute times of different code on different machines; of ours, several missions ran side "
+            "by side.",
+        ],
+    )
 
 
 def _same(it: Published, results: Results) -> Setting:
@@ -100,7 +141,10 @@ def _same(it: Published, results: Results) -> Setting:
 
 
 def _stated(it: Published) -> str:
-    stated = [*([f"N = {it.particles}"] if it.particles else []), *([f"ζ = {it.threshold_m:g} m"] if it.threshold_m else [])]
+    stated = [
+        *([f"N = {it.particles}"] if it.particles else []),
+        *([f"ζ = {it.threshold_m:g} m"] if it.threshold_m else []),
+    ]
     return ", ".join(stated) or UNKNOWN
 
 
@@ -119,7 +163,10 @@ def _below_the_floor(results: Results, below: Sequence[tuple[Published, Setting,
     truths = [draw(seed) for seed in seeds]
     straight_m = np.mean([math.dist(it.start, it.source) for it in truths])
     return (
-        f"(4) {values} cannot be reached with this noise, these starts and these sources. They are below the mean information floor"
-        f" ({floors}): even an oracle that knows the source and flies the best path cannot expect the spread to be below ζ earlier. The"
-        f" mean distance to the source is {straight_m:.1f} m over {len(seeds):,} seeds. docs/floor.md derives the floor."
+        f"(4) {values} cannot be reached with this noise, these starts and these sources. They are below the "
+        "mean information floor"
+        f" ({floors}): even an oracle that knows the source and flies the best path cannot expect the spread "
+        "to be below ζ earlier. The"
+        f" mean distance to the source is {straight_m:.1f} m over {len(seeds):,} seeds. docs/floor.md "
+        "derives the floor."
     )

@@ -1,4 +1,6 @@
-"""Protects the gymnasium environments: what the checkers ask, how episodes end and pay, and that many at once are the same as one."""
+"""Protects the gymnasium environments: what the checkers ask, how episodes end and pay, and that many at
+once are the same as one.
+"""
 
 import math
 import re
@@ -37,7 +39,9 @@ def make(name: str = DISCRETE, **settings: Any) -> Any:
 
 
 def flown(env: SourceSearch, seed: int, action: Any = 0) -> list[tuple[float, bool, bool, dict[str, Any]]]:
-    """Fly the mission of a seed with one and the same action, towards the estimate by default; what each step said."""
+    """Fly the mission of a seed with one and the same action, towards the estimate by default; what each
+    step said.
+    """
     env.reset(seed=seed)
     said = []
     while not said or not (said[-1][1] or said[-1][2]):
@@ -80,7 +84,10 @@ def test_gymnasiums_wrappers_find_nothing_in_whole_missions(name: str) -> None:
 
 @pytest.mark.parametrize(("observation", "size"), [("paper", 5), ("polar", 184)])
 def test_spaces_are_what_the_settings_say(observation: str, size: int) -> None:
-    env, several = make(observation=observation), gymnasium.make_vec(DISCRETE, 3, observation=observation, headings=8)
+    env, several = (
+        make(observation=observation),
+        gymnasium.make_vec(DISCRETE, 3, observation=observation, headings=8),
+    )
     seen = spaces.Box(-BOUND, BOUND, (size,), np.float32)
     assert (env.observation_space, env.action_space) == (seen, spaces.Discrete(16))
     assert (several.single_observation_space, several.single_action_space) == (seen, spaces.Discrete(8))
@@ -100,7 +107,14 @@ def test_many_at_once_come_as_a_native_vector_env() -> None:
 @pytest.mark.slow
 def test_the_names_are_found_without_an_import() -> None:
     code = f"import gymnasium; print(gymnasium.make('plumeward:{DISCRETE}').reset(seed=1)[1]['seed'])"
-    said = subprocess.run([sys.executable, "-c", code], check=True, timeout=300, capture_output=True, text=True, cwd=DOCUMENT.parents[1])
+    said = subprocess.run(
+        [sys.executable, "-c", code],
+        check=True,
+        timeout=300,
+        capture_output=True,
+        text=True,
+        cwd=DOCUMENT.parents[1],
+    )
     assert said.stdout == "1\n"
 
 
@@ -167,19 +181,29 @@ def plain(values: Any, where: Any = slice(None)) -> Any:
     """Infos of a vector env without its masks, as lists: those that differ in kind only are equal."""
     if isinstance(values, dict):
         return {name: plain(value, where) for name, value in values.items() if not name.startswith("_")}
-    return [item.tolist() if isinstance(item, np.ndarray) else item for item in np.asarray(values)[where].tolist()]
+    return [
+        item.tolist() if isinstance(item, np.ndarray) else item for item in np.asarray(values)[where].tolist()
+    ]
 
 
 @pytest.mark.parametrize("observation", SCHEMAS)
 @pytest.mark.parametrize("name", IDS)
-def test_many_at_once_are_what_gymnasium_makes_of_single_ones(name: str, observation: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_at_once_are_what_gymnasium_makes_of_single_ones(
+    name: str, observation: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also through the missions that follow each seed, those that stop and those whose budget is spent."""
-    monkeypatch.setattr("estimator.belief.CLEAR", -math.inf)  # so short a flight without aim sees hardly any gas
+    monkeypatch.setattr(
+        "estimator.belief.CLEAR", -math.inf
+    )  # so short a flight without aim sees hardly any gas
     settings: dict[str, Any] = {"observation": observation, "particles": 50, "threshold_m": 7.0, "budget": 18}
     ours = gymnasium.make_vec(name, 8, threads=2, **settings)
     peer = gymnasium.make_vec(
-        name, 8, vectorization_mode="sync", vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP}, **settings
-    )  # fmt: skip
+        name,
+        8,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP},
+        **settings,
+    )
     assert isinstance(peer, SyncVectorEnv)
     ended = {"terminated": 0, "truncated": 0}
     (seen, told), (expected, truth) = ours.reset(seed=11), peer.reset(seed=11)
@@ -195,8 +219,10 @@ def test_many_at_once_are_what_gymnasium_makes_of_single_ones(name: str, observa
         seen, rewards, terminated, truncated, told = ours.step(actions)
         expected, other_rewards, other_terminated, other_truncated, truth = peer.step(actions)
         assert (rewards.tolist(), terminated.tolist(), truncated.tolist()) == (
-            other_rewards.tolist(), other_terminated.tolist(), other_truncated.tolist(),
-        )  # fmt: skip
+            other_rewards.tolist(),
+            other_terminated.tolist(),
+            other_truncated.tolist(),
+        )
         assert not (terminated & truncated).any()
         over = terminated | truncated
         assert ("final_obs" in told) == over.any() == ("final_obs" in truth)
@@ -226,24 +252,34 @@ def test_a_reset_with_a_seed_begins_the_mission_that_a_rollout_flies(
 ) -> None:
     """All of it, where the actions are the same: here they alternate between two."""
     env = make(name, world=world, assume=assume)
-    first, second = (np.array([0, 3]) if name == DISCRETE else np.array([[0.0, 1.0], [0.3, -0.2]], np.float32)).copy()
+    first, second = (
+        np.array([0, 3]) if name == DISCRETE else np.array([[0.0, 1.0], [0.3, -0.2]], np.float32)
+    ).copy()
 
     def choose(_policy: str, said: Belief, particles: Particles, *_: Any) -> tuple[float, float]:
         _, frame = SCHEMAS["polar"].see(said, particles)
         action = second if said.step % 3 == 2 else first
-        x, y = env.settings.move.waypoints(np.array([said.position]), frame[None], action[None], AREA_M)[0].tolist()
+        x, y = env.settings.move.waypoints(np.array([said.position]), frame[None], action[None], AREA_M)[
+            0
+        ].tolist()
         return x, y
 
     monkeypatch.setattr(agent.trials.rollout, "choose", choose)
     for seed in (0, 1_000_002):
-        flown = agent.trials.rollout.mission(seed, "random", QUICK["particles"], QUICK["threshold_m"], 60, world=world, assume=assume)
+        flown = agent.trials.rollout.mission(
+            seed, "random", QUICK["particles"], QUICK["threshold_m"], 60, world=world, assume=assume
+        )
         steps = list(flown.steps)
         assert steps[-1].belief.ceased or world != "as-modelled"
         seen, told = env.reset(seed=seed)
         over = False
         for k, (said, particles, *_) in enumerate(steps):
             assert seen.tobytes() == SCHEMAS["polar"].see(said, particles)[0].tobytes()
-            assert (tuple(told["position"]), tuple(told["estimate"]), told["spread_m"]) == (said.position, said.mean, said.spread)
+            assert (tuple(told["position"]), tuple(told["estimate"]), told["spread_m"]) == (
+                said.position,
+                said.mean,
+                said.spread,
+            )
             assert over == said.ceased
             seen, _, over, _, told = env.step(second if k % 3 == 2 else first)
 
@@ -264,7 +300,10 @@ def test_many_missions_in_a_world_are_the_single_ones_there_and_so_are_those_tha
             if over or cut:
                 begun_anew += 1
                 error_m = float(
-                    np.linalg.norm(told["estimate"] - np.array(World(draw(told["seed"]), told["seed"], name=world).truth.source))
+                    np.linalg.norm(
+                        told["estimate"]
+                        - np.array(World(draw(told["seed"]), told["seed"], name=world).truth.source)
+                    )
                 )
                 assert told["located"] == infos["final_info"]["located"][i] == (over and error_m <= 1.0)
                 alone, _ = single.reset(seed=int(infos["seed"][i]))
@@ -290,7 +329,9 @@ def test_a_reset_has_no_options_and_says_so() -> None:
     for env in (make(), SourceSearchVector(3, **QUICK)):
         for none in (None, {}):
             env.reset(seed=1, options=none)
-        with pytest.raises(ValueError, match=r"^options \{'start': \(1.0, 2.0\)\} are not allowed; wanted none: "):
+        with pytest.raises(
+            ValueError, match=r"^options \{'start': \(1.0, 2.0\)\} are not allowed; wanted none: "
+        ):
             env.reset(seed=1, options={"start": (1.0, 2.0)})
 
 
@@ -354,9 +395,18 @@ def test_gymnasiums_wrappers_of_many_count_missions_right() -> None:
         ({"threshold_m": "0.5"}, "threshold_m '0.5' is not allowed; wanted a number above 0"),
         ({"threshold_m": True}, "threshold_m True is not allowed; wanted a number above 0"),
         ({"assume": "feild"}, "assume 'feild' is not allowed; wanted paper or field"),
-        ({"stop": "within:1"}, "stop 'within:1' is not allowed; wanted spread:Z, metres, or within:R,P, metres and a share"),
-        ({"stop": 0.5}, "stop 0.5 is not allowed; wanted spread:Z, metres, or within:R,P, metres and a share"),
-        ({"stop": "spread:1", "threshold_m": 0.3}, "stop 'spread:1' is not allowed with threshold_m 0.3; wanted one of them"),
+        (
+            {"stop": "within:1"},
+            "stop 'within:1' is not allowed; wanted spread:Z, metres, or within:R,P, metres and a share",
+        ),
+        (
+            {"stop": 0.5},
+            "stop 0.5 is not allowed; wanted spread:Z, metres, or within:R,P, metres and a share",
+        ),
+        (
+            {"stop": "spread:1", "threshold_m": 0.3},
+            "stop 'spread:1' is not allowed with threshold_m 0.3; wanted one of them",
+        ),
         ({"observation": ["polar"]}, "observation ['polar'] is not allowed; wanted paper or polar"),
         ({"budget": True}, "budget True is not allowed; wanted a whole number from 1"),
         ({"budget": None}, "budget None is not allowed; wanted a whole number from 1"),
@@ -398,7 +448,10 @@ def test_stable_baselines_makes_one_by_its_name_with_pictures() -> None:
 
 
 ONE, PAIR = "a whole number from 0 to 15", "finite numbers in an array of shape (2,)"
-THREE, PAIRS = "whole numbers from 0 to 15 in an array of shape (3,)", "finite numbers in an array of shape (3, 2)"
+THREE, PAIRS = (
+    "whole numbers from 0 to 15 in an array of shape (3,)",
+    "finite numbers in an array of shape (3, 2)",
+)
 
 
 @pytest.mark.parametrize(
@@ -428,7 +481,9 @@ THREE, PAIRS = "whole numbers from 0 to 15 in an array of shape (3,)", "finite n
         (CONTINUOUS, [0.1, 0.2, 0.3], "[0.1, 0.2, 0.3] (float64, shape (3,))", PAIRS),
     ],
 )
-def test_an_action_that_is_none_is_named_and_moves_nothing(name: str, action: Any, said: str, wanted: str) -> None:
+def test_an_action_that_is_none_is_named_and_moves_nothing(
+    name: str, action: Any, said: str, wanted: str
+) -> None:
     several = wanted in (THREE, PAIRS)
     env: Any = gymnasium.make_vec(name, 3, **QUICK) if several else make(name)
     env.reset(seed=4)
@@ -441,7 +496,9 @@ def test_an_action_that_is_none_is_named_and_moves_nothing(name: str, action: An
     assert env.step(good)[0].tobytes() == seen.tobytes()
 
 
-@pytest.mark.parametrize("action", [15, np.uint8(15), np.array(15), np.int32(15)], ids=lambda action: type(action).__name__)
+@pytest.mark.parametrize(
+    "action", [15, np.uint8(15), np.array(15), np.int32(15)], ids=lambda action: type(action).__name__
+)
 def test_whole_numbers_of_any_kind_are_actions(action: Any) -> None:
     env = make()
     env.reset(seed=4)
@@ -464,7 +521,11 @@ def test_a_seed_that_is_none_is_named(seed: Any) -> None:
     line = f"^{re.escape(f'seed {seed!r} is not allowed; wanted a whole number from 0 to {2**63 - 1}')}$"
     several = SourceSearchVector(2, **QUICK)
     expected = several.reset(seed=[5, 6])[1]["seed"].tolist()
-    for begin in (lambda: make().reset(seed=seed), lambda: several.reset(seed=seed), lambda: several.reset(seed=[1, seed])):
+    for begin in (
+        lambda: make().reset(seed=seed),
+        lambda: several.reset(seed=seed),
+        lambda: several.reset(seed=[1, seed]),
+    ):
         with pytest.raises(ValueError, match=line):
             begin()
     assert several.missions is not None
@@ -489,7 +550,10 @@ def test_the_documents_examples_run(example: str, tmp_path: Path, monkeypatch: p
 def test_the_document_says_what_each_number_of_an_observation_is() -> None:
     for name, schema in SCHEMAS.items():
         section = DOCUMENT.read_text().split(f"### `{name}`")[1].split("\n#")[0]
-        rows = [(int(first), int(last or first)) for first, last in re.findall(r"^\| (\d+)(?: to (\d+))? \|", section, re.MULTILINE)]
+        rows = [
+            (int(first), int(last or first))
+            for first, last in re.findall(r"^\| (\d+)(?: to (\d+))? \|", section, re.MULTILINE)
+        ]
         assert [i for first, last in rows for i in range(first, last + 1)] == list(range(schema.size))
 
 
@@ -498,9 +562,12 @@ def test_an_install_makes_the_names_known_as_soon_as_gymnasium_is_imported(tmp_p
     code = (
         "import sys, importlib.util; assert 'numba' not in sys.modules\n"
         "assert importlib.util.find_spec('gymnasium')\n"  # others look for it before they import it
-        "import gymnasium, plumeward; made = gymnasium.make('plumeward/SourceSearchContinuous-v0', particles=20)\n"
+        "import gymnasium, plumeward; made = gymnasium.make('plumeward/SourceSearchContinuous-v0', "
+        "particles=20)\n"
         "print(made.reset(seed=7)[0].shape, [type(finder).__name__ for finder in sys.meta_path])"
     )
-    said = subprocess.run([sys.executable, "-c", code], check=True, timeout=300, capture_output=True, text=True, cwd=tmp_path).stdout
+    said = subprocess.run(
+        [sys.executable, "-c", code], check=True, timeout=300, capture_output=True, text=True, cwd=tmp_path
+    ).stdout
     assert said.startswith("(184,)")
     assert "WhenImported" not in said  # it has gone out of the way

@@ -1,4 +1,6 @@
-"""Protects one arithmetic for one and for many: a mission among others is, to the bit, the one that the scalar pieces fly alone."""
+"""Protects one arithmetic for one and for many: a mission among others is, to the bit, the one that the
+scalar pieces fly alone.
+"""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -29,7 +31,9 @@ MOVE = Headings(16)
 
 
 def action_of(seed: int, step: int) -> int:
-    """Mostly along the frame's x axis, to the estimate in `polar`, so that missions stop; a function of the mission alone."""
+    """Mostly along the frame's x axis, to the estimate in `polar`, so that missions stop; a function of
+    the mission alone.
+    """
     rng = keyed(seed, "test", step)
     return 0 if rng.random() < 0.7 else int(rng.integers(16))
 
@@ -47,7 +51,9 @@ class Alone:
         self.read()
 
     def read(self) -> None:
-        reading = Reading(self.step, self.position, ALTITUDE_M, self.world.wind, self.world.gas(self.position, self.step))
+        reading = Reading(
+            self.step, self.position, ALTITUDE_M, self.world.wind, self.world.gas(self.position, self.step)
+        )
         self.posterior = assimilate(self.posterior, reading, self.config)
         self.belief, particles = belief(self.posterior, reading, self.config)
         self.observation, self.frame = self.schema.see(self.belief, particles)
@@ -63,9 +69,16 @@ class Alone:
     def told(self) -> list[bytes | bool | int]:
         said, error_m = self.belief, np.linalg.norm(np.subtract(self.belief.mean, self.scenario.source))
         return [
-            *(np.array(value).tobytes() for value in (said.position, said.gas, said.wind, said.mean, said.covariance, said.spread)),
-            self.observation.tobytes(), self.frame.tobytes(), said.ceased, self.step, bool(error_m <= SUCCESS_RADIUS_M),
-        ]  # fmt: skip
+            *(
+                np.array(value).tobytes()
+                for value in (said.position, said.gas, said.wind, said.mean, said.covariance, said.spread)
+            ),
+            self.observation.tobytes(),
+            self.frame.tobytes(),
+            said.ceased,
+            self.step,
+            bool(error_m <= SUCCESS_RADIUS_M),
+        ]
 
 
 def told(missions: Missions, i: int) -> list[bytes | bool | int]:
@@ -82,17 +95,29 @@ def told(missions: Missions, i: int) -> list[bytes | bool | int]:
         missions.frames[i],
     )
     assert missions.facts[i, X] == missions.positions[i, 0]
-    return [*(np.array(value).tobytes() for value in shown), bool(missions.ceased[i]), int(missions.steps[i]), bool(missions.located[i])]
+    return [
+        *(np.array(value).tobytes() for value in shown),
+        bool(missions.ceased[i]),
+        int(missions.steps[i]),
+        bool(missions.located[i]),
+    ]
 
 
 def fly(missions: Missions) -> None:
     """One move of each."""
-    actions = [action_of(seed, step) for seed, step in zip(missions.seeds.tolist(), missions.steps.tolist(), strict=True)]
+    actions = [
+        action_of(seed, step)
+        for seed, step in zip(missions.seeds.tolist(), missions.steps.tolist(), strict=True)
+    ]
     missions.move(MOVE.waypoints(missions.positions, missions.frames, np.array(actions), AREA_M))
 
 
-def together(seeds: Sequence[int], schema: str, threads: int = 1) -> dict[int, list[list[bytes | bool | int]]]:
-    """What is told of each mission, step after step; `OTHERS` come in the first places after a while, where there are two."""
+def together(
+    seeds: Sequence[int], schema: str, threads: int = 1
+) -> dict[int, list[list[bytes | bool | int]]]:
+    """What is told of each mission, step after step; `OTHERS` come in the first places after a while,
+    where there are two.
+    """
     missions = Missions(seeds, schema, PARTICLES, Criterion(THRESHOLD_M), threads=threads)
     trace: dict[int, list[list[bytes | bool | int]]] = {seed: [] for seed in (*seeds, *OTHERS)}
     for step in range(STEPS + 1):
@@ -118,7 +143,9 @@ def alone(request: pytest.FixtureRequest) -> tuple[str, dict[int, list[list[byte
     if request.param == "polar":
         ceased = [[said[-3] for said in steps] for steps in trace.values()]
         assert sum(map(any, ceased)) > 5  # the most come to a stop, and fly on
-        assert any(steps[k] and not steps[k + 1] for steps in ceased for k in range(STEPS))  # some are less sure again later
+        assert any(
+            steps[k] and not steps[k + 1] for steps in ceased for k in range(STEPS)
+        )  # some are less sure again later
     return request.param, trace
 
 
@@ -127,7 +154,9 @@ def alone(request: pytest.FixtureRequest) -> tuple[str, dict[int, list[list[byte
     [(SEEDS, 1), (SEEDS, 2), (SEEDS, 3), (SEEDS[::-1], 1), (SEEDS[2:5], 2), (SEEDS[6:7], 1), (SEEDS[7:], 3)],
     ids=["all", "2 threads", "3 threads", "backwards", "three", "one", "two"],
 )
-def test_a_mission_among_others_is_the_mission_alone_to_the_bit(alone: tuple, seeds: Sequence[int], threads: int) -> None:
+def test_a_mission_among_others_is_the_mission_alone_to_the_bit(
+    alone: tuple, seeds: Sequence[int], threads: int
+) -> None:
     schema, expected = alone
     for seed, steps in together(seeds, schema, threads).items():
         assert steps == expected[seed][: len(steps)], f"mission {seed}"
@@ -145,8 +174,12 @@ def test_with_few_and_many_particles_too(particles: int) -> None:
 
 
 @pytest.mark.parametrize("schema", SCHEMAS)
-@pytest.mark.parametrize(("assume", "within"), [("paper", (1.5, 0.9)), ("field", None), ("field", (4.0, 0.8))])
-def test_with_another_assumption_or_criterion_too(schema: str, assume: str, within: tuple[float, float] | None) -> None:
+@pytest.mark.parametrize(
+    ("assume", "within"), [("paper", (1.5, 0.9)), ("field", None), ("field", (4.0, 0.8))]
+)
+def test_with_another_assumption_or_criterion_too(
+    schema: str, assume: str, within: tuple[float, float] | None
+) -> None:
     missions = Missions(SEEDS[:4], schema, 120, Criterion(THRESHOLD_M, within), assume, threads=2)
     singles = [Alone(seed, schema, 120, assume=assume, within=within) for seed in SEEDS[:4]]
     ceased = set()
@@ -181,7 +214,9 @@ def doubled(told_of: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
     return lambda *arguments, **named: 2 * told_of(*arguments, **named)
 
 
-@pytest.mark.parametrize(("owner", "name"), [(plume.world, "concentration"), (Gaussian, "measure"), (Gaussian, "noise_std")])
+@pytest.mark.parametrize(
+    ("owner", "name"), [(plume.world, "concentration"), (Gaussian, "measure"), (Gaussian, "noise_std")]
+)
 def test_who_changes_the_worlds_physics_changes_it_for_rollouts_and_training_alike(
     monkeypatch: pytest.MonkeyPatch, owner: object, name: str
 ) -> None:

@@ -1,4 +1,6 @@
-"""Protects what the environments render: gymnasium's checker is content, the picture is of this mission, and looking changes nothing."""
+"""Protects what the environments render: gymnasium's checker is content, the picture is of this mission,
+and looking changes nothing.
+"""
 
 import math
 import sys
@@ -62,8 +64,14 @@ def test_a_scene_is_of_this_mission_its_truth_and_its_belief() -> None:
     assert scene.wind == world.wind  # as it is measured
     last = scene.measurements[-1]
     assert [it.step for it in scene.measurements] == [0, 1, 2, 3]
-    assert (last.position, last.estimate, last.spread_m) == (tuple(told["position"]), tuple(told["estimate"]), told["spread_m"])
-    assert [it.gas for it in scene.measurements] == [world.gas(it.position, it.step) for it in scene.measurements]
+    assert (last.position, last.estimate, last.spread_m) == (
+        tuple(told["position"]),
+        tuple(told["estimate"]),
+        told["spread_m"],
+    )
+    assert [it.gas for it in scene.measurements] == [
+        world.gas(it.position, it.step) for it in scene.measurements
+    ]
     assert scene.scatter is not None
     assert scene.scatter.weights.sum() == pytest.approx(1, abs=1e-5)
     np.testing.assert_allclose(scene.scatter.weights @ scene.scatter.places, last.estimate, atol=1e-4)
@@ -128,7 +136,9 @@ def test_a_vector_environment_shows_each_mission_as_it_is_shown_alone() -> None:
 
 def test_what_cannot_be_rendered_is_told_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     for make in (SourceSearch, SourceSearchVector):
-        with pytest.raises(ValueError, match=r"^render_mode 'ansi' is not allowed; wanted None or 'rgb_array'$"):
+        with pytest.raises(
+            ValueError, match=r"^render_mode 'ansi' is not allowed; wanted None or 'rgb_array'$"
+        ):
             make(render_mode="ansi")
         env = make(render_mode="rgb_array", particles=10)
         with pytest.raises(gymnasium.error.ResetNeeded):
@@ -137,6 +147,8 @@ def test_what_cannot_be_rendered_is_told_in_a_line(monkeypatch: pytest.MonkeyPat
         with monkeypatch.context() as without:
             without.delitem(sys.modules, "scene.drawing", raising=False)
             without.setitem(sys.modules, "matplotlib", None)
-            with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r"pip install 'plumeward\[view\]'"):
+            with pytest.raises(
+                gymnasium.error.DependencyNotInstalled, match=r"pip install 'plumeward\[view\]'"
+            ):
                 env.render()
         assert make(particles=10).render() is None

@@ -1,4 +1,6 @@
-"""Protects the missions as stable-baselines3 sees them: what it is told of the end of each, and that its learners learn from them."""
+"""Protects the missions as stable-baselines3 sees them: what it is told of the end of each, and that its
+learners learn from them.
+"""
 
 from collections import deque
 from pathlib import Path
@@ -32,7 +34,9 @@ def test_the_end_of_a_mission_is_told_in_stable_baselines_words(continuous: bool
         assert single.reset(seed=5 + i)[0].tobytes() == seen[i].tobytes()
     rng, stopped, spent = np.random.default_rng(0), 0, 0
     for _ in range(100):
-        actions = rng.uniform(-1, 1, (COUNT, 2)).astype(np.float32) if continuous else rng.integers(16, size=COUNT)
+        actions = (
+            rng.uniform(-1, 1, (COUNT, 2)).astype(np.float32) if continuous else rng.integers(16, size=COUNT)
+        )
         actions[:2] = (0.0, 1.0) if continuous else 0  # these fly to their estimates
         seen, rewards, dones, infos = env.step(actions)
         assert (rewards.dtype, dones.dtype, len(infos)) == (np.float32, np.bool_, COUNT)
@@ -86,16 +90,25 @@ def test_what_is_one_for_all_cannot_be_set_for_one() -> None:
         env.env_method("reset")
 
 
-SMALL: dict[str, Any] = {"policy": "MlpPolicy", "policy_kwargs": {"net_arch": [8]}, "device": "cpu", "seed": 1}
+SMALL: dict[str, Any] = {
+    "policy": "MlpPolicy",
+    "policy_kwargs": {"net_arch": [8]},
+    "device": "cpu",
+    "seed": 1,
+}
 OFF_POLICY: dict[str, Any] = {"buffer_size": 400, "learning_starts": 50, "batch_size": 32}
 
 
 @pytest.mark.parametrize(
     ("kind", "settings", "continuous"),
-    [("PPO", {"n_steps": 32, "batch_size": 64}, False), ("PPO", {"n_steps": 32, "batch_size": 64}, True),
-     ("DQN", OFF_POLICY, False), ("DDPG", OFF_POLICY, True)],
+    [
+        ("PPO", {"n_steps": 32, "batch_size": 64}, False),
+        ("PPO", {"n_steps": 32, "batch_size": 64}, True),
+        ("DQN", OFF_POLICY, False),
+        ("DDPG", OFF_POLICY, True),
+    ],
     ids=["ppo, headings", "ppo, heading and step", "dqn", "ddpg"],
-)  # fmt: skip
+)
 def test_stable_baselines_learns(
     kind: str, settings: dict[str, Any], continuous: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

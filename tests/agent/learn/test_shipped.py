@@ -1,4 +1,6 @@
-"""Protects the policies that ship: made by the committed recipe, judged in their bundles, and better than any planner flies."""
+"""Protects the policies that ship: made by the committed recipe, judged in their bundles, and better than
+any planner flies.
+"""
 
 import msgspec
 import numpy as np
@@ -34,8 +36,10 @@ def test_its_bundle_tells_what_it_does_with_intervals(name: str) -> None:
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_it_ceases_honestly_and_sooner_than_planners(name: str) -> None:
-    # Missions that are neither trained on nor tested on. Of 1,000 missions each policy ceases in all but a few and is wrong in 1 to 2%;
-    # distances scatter by 10 m, so that 60 of them tell their mean to 1.3 m: 36 m is three of that from any of ours, infotaxis flies 48 m.
+    # Missions that are neither trained on nor tested on. Of 1,000 missions each policy ceases in all but a
+    # few and is wrong in 1 to 2%;
+    # distances scatter by 10 m, so that 60 of them tell their mean to 1.3 m: 36 m is three of that from any
+    # of ours, infotaxis flies 48 m.
     results = [rollout(seed, name, particles=500, assume="paper")[0] for seed in range(950_000, 950_060)]
     assert sum(result.ceased for result in results) >= 59
     assert sum(result.located for result in results) >= 55

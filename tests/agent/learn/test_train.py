@@ -1,4 +1,6 @@
-"""Protects training: a run is a function of its recipe and its seed, however often it is cut off, and all that it keeps is true."""
+"""Protects training: a run is a function of its recipe and its seed, however often it is cut off, and all
+that it keeps is true.
+"""
 
 import shutil
 import signal
@@ -25,25 +27,51 @@ pytestmark = pytest.mark.slow
 
 STEPS, CHECKPOINT, MISSIONS = 400, 100, 4
 OFF_POLICY: dict[str, Any] = {
-    "batch_size": 32, "buffer_size": 1000, "learning_starts": 40, "train_freq": 1, "gradient_steps": 1, "n_steps": 3,
-}  # fmt: skip
+    "batch_size": 32,
+    "buffer_size": 1000,
+    "learning_starts": 40,
+    "train_freq": 1,
+    "gradient_steps": 1,
+    "n_steps": 3,
+}
 SETTINGS: dict[str, dict[str, Any]] = {
-    "ppo": {"n_steps": 12, "batch_size": 24, "n_epochs": 2},  # 48 moves between updates: no multiple of which is a checkpoint's
+    "ppo": {
+        "n_steps": 12,
+        "batch_size": 24,
+        "n_epochs": 2,
+    },  # 48 moves between updates: no multiple of which is a checkpoint's
     "dqn": {**OFF_POLICY, "target_update_interval": 40, "exploration_fraction": 0.5},
     "ddpg": OFF_POLICY,
 }
 ALGORITHMS = tuple(SETTINGS)
 UNCLEAR = -1e9
-"""Evidence that suffices for a stop here: in such short missions hardly any gas is found, and some are to stop."""
+"""Evidence that suffices for a stop here: in such short missions hardly any gas is found, and some are to
+stop.
+"""
 
 
 def tiny(algorithm: str, steps: int = STEPS, **env: Any) -> Recipe:
     """A recipe that is learned in a moment: nothing good comes of it."""
     return Recipe(
-        algorithm=algorithm, steps=steps, missions=MISSIONS, layers=(16,), learning_rate=1e-3, final_learning_rate=1e-4,
-        env={"particles": 30, "threshold_m": 8.0, "budget": 20, "headings": 8, "continuous": algorithm == "ddpg", **env},
-        settings=SETTINGS[algorithm], checkpoint_steps=CHECKPOINT, action_noise=0.1, actor_learning_rate_share=0.5,
-    )  # fmt: skip
+        algorithm=algorithm,
+        steps=steps,
+        missions=MISSIONS,
+        layers=(16,),
+        learning_rate=1e-3,
+        final_learning_rate=1e-4,
+        env={
+            "particles": 30,
+            "threshold_m": 8.0,
+            "budget": 20,
+            "headings": 8,
+            "continuous": algorithm == "ddpg",
+            **env,
+        },
+        settings=SETTINGS[algorithm],
+        checkpoint_steps=CHECKPOINT,
+        action_noise=0.1,
+        actor_learning_rate_share=0.5,
+    )
 
 
 class Trained(NamedTuple):
@@ -59,7 +87,13 @@ def silent(_point: Point, _speed: float) -> None:
     pass
 
 
-def learn(folder: Path, recipe: Recipe, seed: int = 0, threads: int = 1, tell: Callable[[Point, float], None] = silent) -> Trained:
+def learn(
+    folder: Path,
+    recipe: Recipe,
+    seed: int = 0,
+    threads: int = 1,
+    tell: Callable[[Point, float], None] = silent,
+) -> Trained:
     from agent.learn.train.export import export
     from agent.learn.train.loop import train
 
@@ -117,7 +151,9 @@ def test_the_same_seed_gives_the_same_curve_and_bundle_whatever_the_threads(
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_another_seed_gives_another_policy(tmp_path: Path, whole: Callable[[str], Trained], algorithm: str) -> None:
+def test_another_seed_gives_another_policy(
+    tmp_path: Path, whole: Callable[[str], Trained], algorithm: str
+) -> None:
     once, other = whole(algorithm), learn(tmp_path / "other", tiny(algorithm), seed=MAX_SEED)
     assert other.curve != once.curve
     assert read(other.folder / "policy.zip")[1] != read(once.folder / "policy.zip")[1]
@@ -161,7 +197,9 @@ def test_ddpgs_policy_may_learn_slower_than_its_value(whole: Callable[[str], Tra
 
 
 @pytest.mark.parametrize("algorithm", ["dqn", "ddpg"])
-def test_returns_do_not_run_on_from_missions_that_a_checkpoint_broke_off(whole: Callable[[str], Trained], algorithm: str) -> None:
+def test_returns_do_not_run_on_from_missions_that_a_checkpoint_broke_off(
+    whole: Callable[[str], Trained], algorithm: str
+) -> None:
     replay = whole(algorithm).model.replay_buffer
     for steps in range(CHECKPOINT, STEPS, CHECKPOINT):
         last = steps // MISSIONS - 1
@@ -183,7 +221,9 @@ def scalars(folder: Path) -> dict[str, list[tuple[int, float]]]:
 
 
 def wait_until_the_next_second(wait_until: Callable[..., None]) -> None:
-    """TensorBoard reads files in the order of their names, which are seconds: a run that goes on in the same one is none of a user's."""
+    """TensorBoard reads files in the order of their names, which are seconds: a run that goes on in the
+    same one is none of a user's.
+    """
     began = int(time.time())
     wait_until(lambda: int(time.time()) > began)
 
@@ -199,7 +239,9 @@ def test_tensorboard_holds_the_curve_once_even_of_a_run_that_was_cut_off(
     logged = scalars(tmp_path)
     for name in ("ceased", "located", "mtd_m"):
         said = [(point.steps, getattr(point, name)) for point in curve]
-        assert logged[f"missions/{name}"] == [(steps, np.float32(value)) for steps, value in said if value is not None]
+        assert logged[f"missions/{name}"] == [
+            (steps, np.float32(value)) for steps, value in said if value is not None
+        ]
     assert [steps for steps, _ in logged["time/steps_per_second"]] == [point.steps for point in curve]
     assert any(tag.startswith("train/") for tag in logged)
 
@@ -230,10 +272,14 @@ def test_every_recipe_can_be_begun(preset: str, algorithm: str) -> None:
     assert recipe.algorithm == algorithm
     env = StableBaselinesEnv(SourceSearchVector(recipe.missions, **recipe.env))
     model = learner(recipe, env, 0)
-    assert recipe.moves_at_a_time == recipe.missions * (model.n_steps if algorithm == "ppo" else model.train_freq.frequency)
+    assert recipe.moves_at_a_time == recipe.missions * (
+        model.n_steps if algorithm == "ppo" else model.train_freq.frequency
+    )
     assert recipe.steps > recipe.settings.get("learning_starts", 0)
     layers = layers_of(model)
-    assert tuple(layer.out_features for layer in layers if hasattr(layer, "out_features"))[:-1] == recipe.layers
+    assert (
+        tuple(layer.out_features for layer in layers if hasattr(layer, "out_features"))[:-1] == recipe.layers
+    )
     assert graph(layers)
 
 
@@ -245,7 +291,11 @@ def test_the_papers_recipe_has_the_papers_numbers() -> None:
         assert (recipe.env["observation"], recipe.env["reward"]) == ("paper", "paper")
     assert PRESETS["paper"]["ppo"].settings["gae_lambda"] == 0.95
     assert PRESETS["paper"]["dqn"].settings["target_update_interval"] == 100
-    assert PRESETS["paper"]["dqn"].settings["buffer_size"] == PRESETS["paper"]["ddpg"].settings["buffer_size"] == 1000
+    assert (
+        PRESETS["paper"]["dqn"].settings["buffer_size"]
+        == PRESETS["paper"]["ddpg"].settings["buffer_size"]
+        == 1000
+    )
     assert PRESETS["paper"]["ddpg"].actor_learning_rate_share == pytest.approx(0.1)  # 1e-5
 
 
@@ -288,8 +338,22 @@ def start() -> Iterator[Callable[..., "subprocess.Popen[str]"]]:
 
     def run(folder: Path, recipe: Recipe, *arguments: str, before: str = "") -> "subprocess.Popen[str]":
         said = msgspec.json.encode(recipe).decode()
-        command = [sys.executable, "-c", before + TRAIN, said, "train", recipe.algorithm, "--out", str(folder), *arguments]
-        runs.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder.parent))
+        command = [
+            sys.executable,
+            "-c",
+            before + TRAIN,
+            said,
+            "train",
+            recipe.algorithm,
+            "--out",
+            str(folder),
+            *arguments,
+        ]
+        runs.append(
+            subprocess.Popen(
+                command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder.parent
+            )
+        )
         return runs[-1]
 
     yield run
@@ -299,10 +363,18 @@ def start() -> Iterator[Callable[..., "subprocess.Popen[str]"]]:
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGTERM, *(pytest.param(other, marks=pytest.mark.full) for other in (signal.SIGKILL, signal.SIGINT))]
+    "number",
+    [
+        signal.SIGTERM,
+        *(pytest.param(other, marks=pytest.mark.full) for other in (signal.SIGKILL, signal.SIGINT)),
+    ],
 )
 def test_a_run_that_is_killed_comes_to_the_same_end(
-    tmp_path: Path, start: Callable[..., Any], wait_until: Callable[..., None], whole: Callable[[str], Trained], number: signal.Signals
+    tmp_path: Path,
+    start: Callable[..., Any],
+    wait_until: Callable[..., None],
+    whole: Callable[[str], Trained],
+    number: signal.Signals,
 ) -> None:
     run = start(tmp_path / "run", tiny("dqn"), "--scenarios", "0", before=HELD.format(after=150))
     wait_until(lambda: checkpoints(tmp_path / "run") or run.poll() is not None)
@@ -312,13 +384,18 @@ def test_a_run_that_is_killed_comes_to_the_same_end(
     assert out == ""
     assert not (tmp_path / "run" / "dqn.zip").exists()
     if number != signal.SIGKILL:
-        assert f"interrupted: {tmp_path / 'run'} holds the last checkpoint. Run the command again: it resumes there" in err
+        assert (
+            f"interrupted: {tmp_path / 'run'} holds the last checkpoint. Run the command again: it resumes "
+            "there" in err
+        )
         assert "Traceback" not in err
     wait_until_the_next_second(wait_until)
     resumed = learn(tmp_path / "run", tiny("dqn"))
     assert resumed.curve == whole("dqn").curve
     assert resumed.bundle == whole("dqn").bundle
-    assert [steps for steps, _ in scalars(tmp_path / "run")["missions/ceased"]] == [point.steps for point in resumed.curve]
+    assert [steps for steps, _ in scalars(tmp_path / "run")["missions/ceased"]] == [
+        point.steps for point in resumed.curve
+    ]
 
 
 def test_a_run_that_is_interrupted_before_its_first_checkpoint_says_that_it_keeps_nothing(
@@ -329,10 +406,15 @@ def test_a_run_that_is_interrupted_before_its_first_checkpoint_says_that_it_keep
     run.send_signal(signal.SIGINT)
     out, err = run.communicate(timeout=300)
     assert (run.returncode, out) == (130, ""), err
-    assert "interrupted before the first checkpoint at 100 moves: nothing is saved, the command begins anew\n" in err
+    assert (
+        "interrupted before the first checkpoint at 100 moves: nothing is saved, the command begins anew\n"
+        in err
+    )
     assert "holds" not in err
     assert checkpoints(tmp_path / "run") == []
-    claim(tmp_path / "run", tiny("dqn", steps=200), 7, tmp_path / "run" / "dqn.zip").close()  # and another run may begin there
+    claim(
+        tmp_path / "run", tiny("dqn", steps=200), 7, tmp_path / "run" / "dqn.zip"
+    ).close()  # and another run may begin there
 
 
 @pytest.mark.full
@@ -345,11 +427,15 @@ def test_a_run_that_is_interrupted_while_it_is_judged_says_that_it_is_trained(
     out, err = run.communicate(timeout=300)
     bundle = tmp_path / "run" / "ppo.zip"
     assert (run.returncode, out) == (130, ""), err
-    assert f"interrupted: {bundle} is trained. Run the command again: it resumes with the test missions\n" in err
+    assert (
+        f"interrupted: {bundle} is trained. Run the command again: it resumes with the test missions\n" in err
+    )
     assert read(bundle)[0].evaluation == {}
 
 
-def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(tmp_path: Path, start: Callable[..., Any]) -> None:
+def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(
+    tmp_path: Path, start: Callable[..., Any]
+) -> None:
     recipe = tiny("ppo", observation="paper")
     run = start(tmp_path / "run", recipe, "--scenarios", "2", "--seed", "6")
     out, err = run.communicate(timeout=300)
@@ -366,8 +452,11 @@ def test_the_command_shows_how_it_goes_and_writes_a_bundle_with_its_figures(tmp_
     assert (page.seed, page.curve[-1].steps) == (6, 432)
     assert list(page.evaluation) == ["100", "1000", "4000"]
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
-        "checkpoint-000000000336", "ppo.zip", "recipe.json", "tensorboard",
-    ]  # the journal of the evaluation is gone  # fmt: skip
+        "checkpoint-000000000336",
+        "ppo.zip",
+        "recipe.json",
+        "tensorboard",
+    ]  # the journal of the evaluation is gone
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
     before = (tmp_path / "run" / "ppo.zip").read_bytes()
     again = start(tmp_path / "run", recipe, "--scenarios", "2", "--seed", "6")
@@ -397,7 +486,10 @@ def test_the_figures_of_a_bundle_are_those_of_evaluate(
     assert msgspec.structs.replace(page, evaluation={}) == before
     for particles in (20, 40):
         said = page.evaluation[str(particles)]
-        flown = [rollout(seed, str(bundle), particles, assume="paper")[0] for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + 3)]
+        flown = [
+            rollout(seed, str(bundle), particles, assume="paper")[0]
+            for seed in range(FIRST_TEST_SEED, FIRST_TEST_SEED + 3)
+        ]
         assert (said["missions"], said["particles"]) == (3, particles)
         assert said["ceased"] == pytest.approx(sum(result.ceased for result in flown) / 3)
         assert said["located"] == pytest.approx(sum(result.located for result in flown) / 3)
@@ -410,7 +502,9 @@ def test_the_figures_of_a_bundle_are_those_of_evaluate(
     assert bundle.read_bytes() == figures
 
 
-def told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: str) -> tuple[int | None, str, str]:
+def told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: str
+) -> tuple[int | None, str, str]:
     """Exit status, stdout and stderr of `python -m agent`."""
     monkeypatch.setattr(sys, "argv", ["agent", *arguments])
     try:
@@ -421,7 +515,11 @@ def told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *a
 
 
 def trained_by_command(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], algorithm: str, steps: int
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    algorithm: str,
+    steps: int,
 ) -> tuple[Any, str]:
     """The learner that a run of so many `--steps` of a tiny recipe came to, and what was said on stderr."""
     from agent.learn.train import loop
@@ -435,7 +533,18 @@ def trained_by_command(
     monkeypatch.setitem(TUNED, algorithm, tiny(algorithm))
     monkeypatch.setattr(loop, "train", watched)
     status, out, err = told(
-        capsys, monkeypatch, "train", algorithm, "--steps", str(steps), "--scenarios", "0", "--threads", "1", "--out", str(folder)
+        capsys,
+        monkeypatch,
+        "train",
+        algorithm,
+        "--steps",
+        str(steps),
+        "--scenarios",
+        "0",
+        "--threads",
+        "1",
+        "--out",
+        str(folder),
     )
     assert (status, out) == (0, f"fly it with\n  plumeward fly --policy {folder / algorithm}.zip\n"), err
     return models[0][0], err
@@ -455,7 +564,10 @@ def test_steps_that_cannot_be_learned_from_alone_are_rounded_up_and_that_is_said
     at_a_time: int,
 ) -> None:
     model, err = trained_by_command(tmp_path / "run", monkeypatch, capsys, algorithm, asked)
-    line = f"--steps {asked}: rounded up to {trains}, since {algorithm} learns from {at_a_time} moves at a time\n"
+    line = (
+        f"--steps {asked}: rounded up to {trains}, since {algorithm} learns from {at_a_time} moves at a "
+        "time\n"
+    )
     assert err.startswith(line) == ("moves at a time" in err) == (asked != trains)
     page, _ = read(tmp_path / "run" / f"{algorithm}.zip")
     assert (model.num_timesteps, page.training["steps"], page.curve[-1].steps) == (trains, trains, trains)
@@ -468,17 +580,23 @@ def test_a_policy_may_be_trained_with_little_known_and_another_stop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recipe = tiny("dqn")
-    usual = msgspec.structs.replace(recipe, env={name: value for name, value in recipe.env.items() if name != "threshold_m"})
+    usual = msgspec.structs.replace(
+        recipe, env={name: value for name, value in recipe.env.items() if name != "threshold_m"}
+    )
     monkeypatch.setitem(TUNED, "dqn", usual)
     graphs = {}
     for assume, more in (("paper", {}), ("field", {"assume": "field"})):
         few = ("--steps", "44", "--scenarios", "0", "--threads", "1", "--out", str(tmp_path / assume))
-        status, _, err = told(capsys, monkeypatch, "train", "dqn", "--assume", assume, "--stop", "within:2,0.9", *few)
+        status, _, err = told(
+            capsys, monkeypatch, "train", "dqn", "--assume", assume, "--stop", "within:2,0.9", *few
+        )
         assert status == 0, err
         page, graphs[assume] = read(tmp_path / assume / "dqn.zip")
         assert page.training["env"] == usual.env | more | {"stop": "within:2,0.9"}
     assert graphs["paper"] != graphs["field"]  # other beliefs, other lessons
-    status, out, err = told(capsys, monkeypatch, "train", "dqn", "--stop", "within:2", "--out", str(tmp_path / "none"))
+    status, out, err = told(
+        capsys, monkeypatch, "train", "dqn", "--stop", "within:2", "--out", str(tmp_path / "none")
+    )
     assert (status, out) == (2, "")
     assert "'within:2' is not allowed; wanted spread:Z, metres, or within:R,P, metres and a share" in err
     assert not (tmp_path / "none").exists()
@@ -508,7 +626,11 @@ def test_one_process_at_a_time_trains_in_a_folder(
     monkeypatch.chdir(tmp_path)
     with claim(Path("run"), PRESETS["tuned"]["ppo"], 0, Path("run/ppo.zip")):
         ended = told(capsys, monkeypatch, "train", "ppo", "--out", "run")
-    assert ended == (2, "", "error: --out: another process trains in 'run'; choose another folder, or wait until it ends\n")
+    assert ended == (
+        2,
+        "",
+        "error: --out: another process trains in 'run'; choose another folder, or wait until it ends\n",
+    )
     claim(Path("run"), PRESETS["tuned"]["ppo"], 0, Path("run/ppo.zip")).close()
 
 
@@ -525,7 +647,11 @@ def test_what_was_not_trained_in_a_folder_is_not_taken_for_its_run(
 
 def test_a_folder_in_which_nothing_was_learned_is_free_for_another_run(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("of the user")
-    for said in (b"", b'{"seed": 3, "rec', b'{"seed": 3, "recipe": {}}'):  # killed while it wrote, and soon after
+    for said in (
+        b"",
+        b'{"seed": 3, "rec',
+        b'{"seed": 3, "recipe": {}}',
+    ):  # killed while it wrote, and soon after
         (tmp_path / "recipe.json").write_bytes(said)
         claim(tmp_path, tiny("ppo"), 5, tmp_path / "ppo.zip").close()
         held = msgspec.json.decode((tmp_path / "recipe.json").read_bytes())
@@ -535,7 +661,11 @@ def test_a_folder_in_which_nothing_was_learned_is_free_for_another_run(tmp_path:
 
 @pytest.mark.parametrize("broken", ["learner.zip", "replay.pkl", "state.json", "dqn.zip"])
 def test_a_broken_checkpoint_or_bundle_is_named_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], whole: Callable[[str], Trained], broken: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    whole: Callable[[str], Trained],
+    broken: str,
 ) -> None:
     monkeypatch.setitem(TUNED, "dqn", tiny("dqn"))
     folder = tmp_path / "run"
@@ -544,7 +674,9 @@ def test_a_broken_checkpoint_or_bundle_is_named_in_one_line(
     shutil.copytree(kept, folder / kept.name)
     path = folder / "dqn.zip" if broken == "dqn.zip" else folder / kept.name / broken
     path.write_bytes((kept / broken).read_bytes()[:-200] if broken != "dqn.zip" else b"half of")
-    status, out, err = told(capsys, monkeypatch, "train", "dqn", "--scenarios", "0", "--threads", "1", "--out", str(folder))
+    status, out, err = told(
+        capsys, monkeypatch, "train", "dqn", "--scenarios", "0", "--threads", "1", "--out", str(folder)
+    )
     line = err.splitlines()[-1]
     assert (status, out) == (2, "")
     assert line.startswith(f"error: --out: '{folder / ('dqn.zip' if broken == 'dqn.zip' else kept.name)}'")
@@ -555,9 +687,19 @@ def test_a_broken_checkpoint_or_bundle_is_named_in_one_line(
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (("ppo", "--out", ".", "--seed", "1"), "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the "),
-        (("ppo", "--out", ".", "--steps", "9"), "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the "),
-        (("dqn", "--out", "."), "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the command of"),
+        (
+            ("ppo", "--out", ".", "--seed", "1"),
+            "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the ",
+        ),
+        (
+            ("ppo", "--out", ".", "--steps", "9"),
+            "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the ",
+        ),
+        (
+            ("dqn", "--out", "."),
+            "error: --out: '.' holds a run of another recipe or seed; wanted an empty folder, or the command "
+            "of",
+        ),
         (("ppo", "--out", "recipe.json"), "error: --out: [Errno 17] File exists: 'recipe.json'"),
         (("ppo", "--preset", "best"), "--preset: 'best' is not allowed; wanted "),
         (("sarsa",), "algorithm: 'sarsa' is not allowed; wanted ppo, dqn or ddpg"),
@@ -568,7 +710,11 @@ def test_a_broken_checkpoint_or_bundle_is_named_in_one_line(
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
 def test_bad_input_is_one_clear_line_and_status_2(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], line: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    line: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     claimed = msgspec.json.format(msgspec.json.encode({"seed": 0, "recipe": PRESETS["tuned"]["ppo"]}))

@@ -1,6 +1,8 @@
-"""Protects every planner's choice: it is the best by scores that plain NumPy computes from the formulas, place by place.
+"""Protects every planner's choice: it is the best by scores that plain NumPy computes from the formulas,
+place by place.
 
-Only the draws are shared with the planners: which particles readings are imagined from, and the noise of each.
+Only the draws are shared with the planners: which particles readings are imagined from, and the noise of
+each.
 """
 
 import math
@@ -32,7 +34,10 @@ class World:
         if seed % 4 == 0:  # close to each edge in turn
             here[seed // 4 % 2] = (0.75, 29.5)[seed // 8 % 2]
         speed, direction = rng.uniform(1, 4), rng.uniform(0, 2 * math.pi)
-        self.wind = (float(np.float32(speed * math.cos(direction))), float(np.float32(speed * math.sin(direction))))
+        self.wind = (
+            float(np.float32(speed * math.cos(direction))),
+            float(np.float32(speed * math.sin(direction))),
+        )
         self.particles = np.column_stack([x, y, rate, weights])
         self.x, self.y, self.rate, self.weights = self.particles.T.astype(float)
         self.weights = self.weights / self.weights.sum()
@@ -42,21 +47,44 @@ class World:
         self.spread = math.sqrt(self.weights @ ((self.x - self.mean[0]) ** 2 + (self.y - self.mean[1]) ** 2))
         self.reach = Reach(headings=headings, measurements=10)
         self.rng = np.random.default_rng(seed + 1000)
-        self.chosen = planner(name)(self.belief(), self.particles, self.reach, np.random.default_rng(seed + 1000))
-        self.moves = np.array([self.move(heading) for heading in range(headings) if self.is_inside(self.move(heading))])
+        self.chosen = planner(name)(
+            self.belief(), self.particles, self.reach, np.random.default_rng(seed + 1000)
+        )
+        self.moves = np.array(
+            [self.move(heading) for heading in range(headings) if self.is_inside(self.move(heading))]
+        )
 
     def belief(self) -> Belief:
         return Belief(
-            time_boot_ms=0, step=0, position=self.here, altitude_m=ALTITUDE, gas=0.0, wind=self.wind, rate=300.0, diffusivity=DIFFUSIVITY,
-            lifetime=LIFETIME, z=HEIGHT, sensor=text(self.sensor), unknowns=("x", "y", "q"), means=(*self.mean, 300.0),
-            stds=(1.0, 1.0, 1.0), mean=self.mean, covariance=(1.0, 0.0, 1.0), spread=self.spread, effective_sample_size=10.0, p_value=0.5,
+            time_boot_ms=0,
+            step=0,
+            position=self.here,
+            altitude_m=ALTITUDE,
+            gas=0.0,
+            wind=self.wind,
+            rate=300.0,
+            diffusivity=DIFFUSIVITY,
+            lifetime=LIFETIME,
+            z=HEIGHT,
+            sensor=text(self.sensor),
+            unknowns=("x", "y", "q"),
+            means=(*self.mean, 300.0),
+            stds=(1.0, 1.0, 1.0),
+            mean=self.mean,
+            covariance=(1.0, 0.0, 1.0),
+            spread=self.spread,
+            effective_sample_size=10.0,
+            p_value=0.5,
             ceased=False,
-        )  # fmt: skip
+        )
 
     def move(self, heading: int) -> list[float]:
         """The waypoint one metre away in a direction, float32 values; rounding makes east exactly east."""
         angle = 2 * math.pi * heading / self.reach.headings
-        return [float(np.float32(p + round(of(angle), 12))) for p, of in zip(self.here, (math.cos, math.sin), strict=True)]
+        return [
+            float(np.float32(p + round(of(angle), 12)))
+            for p, of in zip(self.here, (math.cos, math.sin), strict=True)
+        ]
 
     def is_inside(self, place: list[float]) -> bool:
         return all(0 <= value <= 30 for value in place)
@@ -64,14 +92,20 @@ class World:
     def thin(self, most: int) -> None:
         """Keep at most `most` evenly spaced particles."""
         every = -(-len(self.x) // most)
-        self.x, self.y, self.rate, self.weights = (values[::every] for values in (self.x, self.y, self.rate, self.weights))
+        self.x, self.y, self.rate, self.weights = (
+            values[::every] for values in (self.x, self.y, self.rate, self.weights)
+        )
         self.weights = self.weights / self.weights.sum()
 
     def means_at(self, place: Array) -> Array:
         """Concentration for each particle: the paper's section 2."""
         dx, dy, dz = place[0] - self.x, place[1] - self.y, ALTITUDE - HEIGHT
         r = np.maximum(np.sqrt(dx**2 + dy**2 + dz**2), 0.1)
-        lam = math.sqrt(DIFFUSIVITY * LIFETIME / (1 + (self.wind[0] ** 2 + self.wind[1] ** 2) * LIFETIME / (4 * DIFFUSIVITY)))
+        lam = math.sqrt(
+            DIFFUSIVITY
+            * LIFETIME
+            / (1 + (self.wind[0] ** 2 + self.wind[1] ** 2) * LIFETIME / (4 * DIFFUSIVITY))
+        )
         psi = -(dx * self.wind[0] + dy * self.wind[1]) / (2 * DIFFUSIVITY)
         return self.rate / (4 * math.pi * DIFFUSIVITY * r) * np.exp(-r / lam + psi)
 
@@ -84,7 +118,10 @@ class World:
             case Threshold(threshold, missed, slope, floor):
                 std = np.sqrt((slope * means) ** 2 + floor**2)
                 if z == 0:
-                    below = [0.5 * math.erfc((m - threshold) / s / math.sqrt(2)) for m, s in zip(means, std, strict=True)]
+                    below = [
+                        0.5 * math.erfc((m - threshold) / s / math.sqrt(2))
+                        for m, s in zip(means, std, strict=True)
+                    ]
                     return missed + (1 - missed) * np.array(below)
                 return (1 - missed) * np.exp(-0.5 * ((z - means) / std) ** 2) / (std * math.sqrt(2 * math.pi))
             case Gaussian(slope, floor):
@@ -92,7 +129,9 @@ class World:
                 return np.exp(-0.5 * ((z - means) / std) ** 2) / (std * math.sqrt(2 * math.pi))
 
     def after(self, paths: list[list[Array]]) -> list[list[Array]]:
-        """Weights (K, N) at each place of each path, after the hypothetical readings on the path up to there: [path][place]."""
+        """Weights (K, N) at each place of each path, after the hypothetical readings on the path up to
+        there: [path][place].
+        """
         number = self.reach.measurements
         strata = (np.arange(number) + self.rng.random()) / number
         of = [int(np.argmax(np.cumsum(self.weights) > stratum)) for stratum in strata]
@@ -122,7 +161,9 @@ class World:
         return np.hypot(place[0] - self.x, place[1] - self.y)
 
     def entropy_spread(self) -> float:
-        """Spread σ of the round normal distribution, whose entropy ln(π e σ²) is that of the particles in cells."""
+        """Spread σ of the round normal distribution, whose entropy ln(π e σ²) is that of the particles in
+        cells.
+        """
         cell = max(self.spread, 0.1) / 4
         shares: Counter[tuple[int, int]] = Counter()
         for x, y, weight in zip(self.x, self.y, self.weights, strict=True):
@@ -156,12 +197,18 @@ def entropy_of_noise(w: World, mean: float) -> float:
 
 
 def entrotaxis(w: World) -> list[float]:
-    noise = [sum(p * entropy_of_noise(w, m) for p, m in zip(w.weights, w.means_at(place), strict=True)) for place in w.moves]
+    noise = [
+        sum(p * entropy_of_noise(w, m) for p, m in zip(w.weights, w.means_at(place), strict=True))
+        for place in w.moves
+    ]
     return [information + of_noise for information, of_noise in zip(infotaxis(w), noise, strict=True)]
 
 
 def entrotaxis_belief(w: World) -> list[float]:
-    return [np.mean([-sum(p * math.log(p) for p in weights if p > 0) for weights in of_place]) for of_place in w.after_moves()]
+    return [
+        np.mean([-sum(p * math.log(p) for p in weights if p > 0) for weights in of_place])
+        for of_place in w.after_moves()
+    ]
 
 
 def infotaxis_variance(w: World) -> list[float]:
@@ -176,9 +223,14 @@ def dcee(w: World) -> list[float]:
 
     def score(place: Array, weights: Array) -> float:
         middle = weights @ w.x, weights @ w.y
-        return math.dist(place, middle) ** 2 + sum(float(weights @ (v - m) ** 2) for v, m in zip((w.x, w.y), middle, strict=True))
+        return math.dist(place, middle) ** 2 + sum(
+            float(weights @ (v - m) ** 2) for v, m in zip((w.x, w.y), middle, strict=True)
+        )
 
-    return [-np.mean([score(place, weights) for weights in of_place]) for place, of_place in zip(w.moves, w.after_moves(), strict=True)]
+    return [
+        -np.mean([score(place, weights) for weights in of_place])
+        for place, of_place in zip(w.moves, w.after_moves(), strict=True)
+    ]
 
 
 def space_aware_infotaxis(w: World) -> list[float]:
@@ -193,7 +245,10 @@ def space_aware_infotaxis(w: World) -> list[float]:
         left = max(bits - w.information(weights) / math.log(2), 0.0)
         return math.log2(distance + (2**left - 1) / 2)
 
-    return [-np.mean([score(place, weights) for weights in of_place]) for place, of_place in zip(w.moves, w.after_moves(), strict=True)]
+    return [
+        -np.mean([score(place, weights) for weights in of_place])
+        for place, of_place in zip(w.moves, w.after_moves(), strict=True)
+    ]
 
 
 def greedy(w: World) -> list[float]:
@@ -206,7 +261,8 @@ def thompson(w: World) -> list[float]:
 
 
 def homing(w: World) -> list[float]:
-    """E‖p − s‖ + 4 E[spread], two steps ahead; entropy falls by the information I, the spread by exp(−I/2).
+    """E‖p − s‖ + 4 E[spread], two steps ahead; entropy falls by the information I, the spread by
+    exp(−I/2).
 
     If that falls by less than 0.75 a metre everywhere, −S log E exp(−‖p − s‖/S) + 4 E[spread].
     """
@@ -216,18 +272,23 @@ def homing(w: World) -> list[float]:
         now * np.mean([math.exp(-w.information(weights) / 2) for weights in of_place])
         for (of_place,) in w.after([[place] for place in places])
     ]
-    costs = [w.weights @ w.distances(place) + 4.0 * spread for place, spread in zip(places, spreads, strict=True)]
+    costs = [
+        w.weights @ w.distances(place) + 4.0 * spread for place, spread in zip(places, spreads, strict=True)
+    ]
     here = w.weights @ w.distances(np.array(w.here)) + 4.0 * now
     if any(here - cost >= 0.75 * math.dist(place, w.here) for place, cost in zip(places, costs, strict=True)):
         return [-cost for cost in costs]
     w.dead_ends += 1
     return [
-        now * math.log(w.weights @ np.exp(-w.distances(place) / now)) - 4.0 * spread for place, spread in zip(places, spreads, strict=True)
+        now * math.log(w.weights @ np.exp(-w.distances(place) / now)) - 4.0 * spread
+        for place, spread in zip(places, spreads, strict=True)
     ]
 
 
 def lookahead(w: World) -> list[float]:
-    """The same after readings two and four steps ahead, plus the distance flown; the better of the two places counts."""
+    """The same after readings two and four steps ahead, plus the distance flown; the better of the two
+    places counts.
+    """
     w.thin(500)
     paths = [list(path) for path in zip(w.ahead(2.0), w.ahead(4.0), strict=True)]
     scores = []
@@ -235,7 +296,9 @@ def lookahead(w: World) -> list[float]:
         costs = [
             math.dist(place, w.here)
             + w.weights @ w.distances(place)
-            + 4.0 * w.entropy_spread() * np.mean([math.exp(-w.information(weights) / 2) for weights in of_place])
+            + 4.0
+            * w.entropy_spread()
+            * np.mean([math.exp(-w.information(weights) / 2) for weights in of_place])
             for place, of_place in zip(path, of_path, strict=True)
         ]
         scores.append(-min(costs))
@@ -243,10 +306,17 @@ def lookahead(w: World) -> list[float]:
 
 
 ORACLES: dict[str, Callable[[World], list[float]]] = {
-    "infotaxis": infotaxis, "entrotaxis": entrotaxis, "dcee": dcee, "infotaxis-variance": infotaxis_variance,
-    "entrotaxis-belief": entrotaxis_belief, "thompson": thompson, "space-aware-infotaxis": space_aware_infotaxis, "greedy": greedy,
-    "lookahead": lookahead, "homing": homing,
-}  # fmt: skip
+    "infotaxis": infotaxis,
+    "entrotaxis": entrotaxis,
+    "dcee": dcee,
+    "infotaxis-variance": infotaxis_variance,
+    "entrotaxis-belief": entrotaxis_belief,
+    "thompson": thompson,
+    "space-aware-infotaxis": space_aware_infotaxis,
+    "greedy": greedy,
+    "lookahead": lookahead,
+    "homing": homing,
+}
 
 
 def test_every_planner_has_an_oracle_but_the_one_that_has_no_formula() -> None:
@@ -275,13 +345,17 @@ def test_of_many_particles_every_so_many_th_is_planned_with(name: str) -> None:
     for seed in range(8):
         world = World(seed, GAUSSIAN, name, count=1001, headings=8)
         scores = ORACLES[name](world)
-        assert len(world.x) == 334  # every third of 1,001; every second would leave 501, above the limit of 500
+        assert (
+            len(world.x) == 334
+        )  # every third of 1,001; every second would leave 501, above the limit of 500
         assert scores[world.chosen] == pytest.approx(max(scores), rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ORACLES)
 def test_in_a_world_turned_by_a_quarter_the_choice_turns_too(name: str) -> None:
-    """Places and wind are rotated about the area's centre four times. The spread is chosen so that cells map onto cells."""
+    """Places and wind are rotated about the area's centre four times. The spread is chosen so that cells
+    map onto cells.
+    """
     for seed in range(6):
         world = World(seed, GAUSSIAN, name)
         world.here, world.spread = (11.5 + seed, 13.25), 2.0
@@ -289,10 +363,15 @@ def test_in_a_world_turned_by_a_quarter_the_choice_turns_too(name: str) -> None:
             world.mean = (14.0, 13.5 + seed)
         choices = []
         for _ in range(4):
-            world.particles[:, 0], world.particles[:, 1] = 30 - world.particles[:, 1], world.particles[:, 0].copy()
+            world.particles[:, 0], world.particles[:, 1] = (
+                30 - world.particles[:, 1],
+                world.particles[:, 0].copy(),
+            )
             world.here, world.mean = (30 - world.here[1], world.here[0]), (30 - world.mean[1], world.mean[0])
             world.wind = (-world.wind[1], world.wind[0])
-            choices.append(planner(name)(world.belief(), world.particles, reach(name), np.random.default_rng(seed)))
+            choices.append(
+                planner(name)(world.belief(), world.particles, reach(name), np.random.default_rng(seed))
+            )
         assert np.all(np.diff(choices) % reach(name).headings == reach(name).headings // 4), (seed, choices)
 
 
@@ -307,13 +386,18 @@ def test_in_a_world_turned_by_a_quarter_the_choice_turns_too(name: str) -> None:
     ],
 )
 def test_of_two_places_the_near_one_is_looked_at_first(name: str, towards: bool) -> None:
-    """In still air the source is 2 m to one side or 12 m to the other. A reading nearer to the near place is the most informative.
+    """In still air the source is 2 m to one side or 12 m to the other. A reading nearer to the near place
+    is the most informative.
 
     entrotaxis-belief prefers beliefs that stay uncertain, so it moves away.
     """
     for heading, (x, y) in enumerate([(1, 0), (0, 1), (-1, 0), (0, -1)]):
         world = World(1, GAUSSIAN, name)
         world.here, world.wind = (15.0, 15.0), (0.0, 0.0)
-        world.particles = np.array([[15 + 2 * x, 15 + 2 * y, 300.0, 0.5], [15 - 12 * x, 15 - 12 * y, 300.0, 0.5]], np.float32)
-        said = planner(name)(world.belief(), world.particles, Reach(measurements=100), np.random.default_rng(3))
+        world.particles = np.array(
+            [[15 + 2 * x, 15 + 2 * y, 300.0, 0.5], [15 - 12 * x, 15 - 12 * y, 300.0, 0.5]], np.float32
+        )
+        said = planner(name)(
+            world.belief(), world.particles, Reach(measurements=100), np.random.default_rng(3)
+        )
         assert said == (heading if towards else (heading + 2) % 4)

@@ -1,4 +1,6 @@
-"""Protects the meaning of a learned policy's actions: hand-worked waypoints, in the observation's frame and inside the area."""
+"""Protects the meaning of a learned policy's actions: hand-worked waypoints, in the observation's frame
+and inside the area.
+"""
 
 import math
 
@@ -13,7 +15,9 @@ EAST, NORTH, SLANTED = (1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (0.6, 0.8, 1.0)
 EAST_MIRRORED, NORTH_MIRRORED, SLANTED_MIRRORED = (1.0, 0.0, -1.0), (0.0, 1.0, -1.0), (0.6, 0.8, -1.0)
 
 
-def lead(move: Move, position: tuple[float, float], frame: tuple[float, float, float], action: object) -> list[float]:
+def lead(
+    move: Move, position: tuple[float, float], frame: tuple[float, float, float], action: object
+) -> list[float]:
     """The waypoint of one action."""
     place = move.waypoints(np.array([position]), np.array([frame]), np.array([action]), AREA_M)
     assert place.shape == (1, 2)
@@ -23,14 +27,26 @@ def lead(move: Move, position: tuple[float, float], frame: tuple[float, float, f
 @pytest.mark.parametrize(
     ("frame", "action", "expected"),
     [
-        (EAST, 0, (11, 10)), (EAST, 1, (10, 11)), (EAST, 2, (9, 10)), (EAST, 3, (10, 9)),
-        (NORTH, 0, (10, 11)), (NORTH, 1, (9, 10)), (NORTH, 3, (11, 10)),
-        (EAST_MIRRORED, 0, (11, 10)), (EAST_MIRRORED, 1, (10, 9)), (EAST_MIRRORED, 3, (10, 11)),
-        (NORTH_MIRRORED, 0, (10, 11)), (NORTH_MIRRORED, 1, (11, 10)),
-        (SLANTED, 0, (10.6, 10.8)), (SLANTED, 1, (9.2, 10.6)), (SLANTED_MIRRORED, 1, (10.8, 9.4)),
+        (EAST, 0, (11, 10)),
+        (EAST, 1, (10, 11)),
+        (EAST, 2, (9, 10)),
+        (EAST, 3, (10, 9)),
+        (NORTH, 0, (10, 11)),
+        (NORTH, 1, (9, 10)),
+        (NORTH, 3, (11, 10)),
+        (EAST_MIRRORED, 0, (11, 10)),
+        (EAST_MIRRORED, 1, (10, 9)),
+        (EAST_MIRRORED, 3, (10, 11)),
+        (NORTH_MIRRORED, 0, (10, 11)),
+        (NORTH_MIRRORED, 1, (11, 10)),
+        (SLANTED, 0, (10.6, 10.8)),
+        (SLANTED, 1, (9.2, 10.6)),
+        (SLANTED_MIRRORED, 1, (10.8, 9.4)),
     ],
-)  # fmt: skip
-def test_headings_go_round_from_the_frames_x_axis_the_other_way_in_a_mirror(frame: tuple, action: int, expected: tuple) -> None:
+)
+def test_headings_go_round_from_the_frames_x_axis_the_other_way_in_a_mirror(
+    frame: tuple, action: int, expected: tuple
+) -> None:
     assert lead(Headings(4), (10.0, 10.0), frame, action) == pytest.approx(expected, abs=1e-6)
 
 
@@ -43,14 +59,22 @@ def test_headings_are_evenly_spaced() -> None:
 @pytest.mark.parametrize(
     ("frame", "action", "expected"),
     [
-        (EAST, (0.0, 1.0), (11, 10)), (EAST, (0.5, 1.0), (10, 11)), (EAST, (-0.5, 1.0), (10, 9)),
-        (EAST, (1.0, 1.0), (9, 10)), (EAST, (-1.0, 1.0), (9, 10)),
-        (EAST, (0.0, -1.0), (10, 10)), (EAST, (0.0, 0.0), (10.5, 10)), (EAST, (0.0, -0.5), (10.25, 10)),
-        (NORTH, (0.5, 0.0), (9.5, 10)), (EAST_MIRRORED, (0.5, 1.0), (10, 9)), (NORTH_MIRRORED, (0.5, 1.0), (11, 10)),
+        (EAST, (0.0, 1.0), (11, 10)),
+        (EAST, (0.5, 1.0), (10, 11)),
+        (EAST, (-0.5, 1.0), (10, 9)),
+        (EAST, (1.0, 1.0), (9, 10)),
+        (EAST, (-1.0, 1.0), (9, 10)),
+        (EAST, (0.0, -1.0), (10, 10)),
+        (EAST, (0.0, 0.0), (10.5, 10)),
+        (EAST, (0.0, -0.5), (10.25, 10)),
+        (NORTH, (0.5, 0.0), (9.5, 10)),
+        (EAST_MIRRORED, (0.5, 1.0), (10, 9)),
+        (NORTH_MIRRORED, (0.5, 1.0), (11, 10)),
         (SLANTED_MIRRORED, (0.5, 0.0), (10.4, 9.7)),
-        (EAST, (7.0, 7.0), (9, 10)), (EAST, (0.0, -7.0), (10, 10)),  # outputs beyond the bounds are clipped
+        (EAST, (7.0, 7.0), (9, 10)),
+        (EAST, (0.0, -7.0), (10, 10)),  # outputs beyond the bounds are clipped
     ],
-)  # fmt: skip
+)
 def test_a_heading_and_a_step_lead_where_they_say(frame: tuple, action: tuple, expected: tuple) -> None:
     assert lead(HeadingAndStep(), (10.0, 10.0), frame, action) == pytest.approx(expected, abs=1e-6)
 
@@ -106,6 +130,8 @@ def test_a_network_says_how_good_each_heading_is_or_the_action_itself() -> None:
     assert HeadingAndStep().action(said).tolist() == said.tolist()
 
 
-@pytest.mark.parametrize("move", [Headings(16), Headings(4, 0.5), HeadingAndStep(), HeadingAndStep(2.0)], ids=str)
+@pytest.mark.parametrize(
+    "move", [Headings(16), Headings(4, 0.5), HeadingAndStep(), HeadingAndStep(2.0)], ids=str
+)
 def test_what_actions_mean_is_told_in_json(move: Move) -> None:
     assert msgspec.json.decode(msgspec.json.encode(move), type=Move) == move

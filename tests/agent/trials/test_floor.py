@@ -13,7 +13,11 @@ from plume.sensor import GAUSSIAN
 
 CALM = Scenario(source=(15.0, 15.0), q=300.0, u=0.0, phi=0.0, d=4.5, tau=10.0, start=(12.0, 15.0))
 WINDY = Scenario(source=(15.0, 15.0), q=300.0, u=2.0, phi=2.5, d=3.0, tau=10.0, start=(13.0, 13.5))
-SHORT = [CALM, WINDY, Scenario(source=(14.0, 12.0), q=120.0, u=3.5, phi=5.0, d=1.5, tau=10.0, start=(13.0, 14.0))]
+SHORT = [
+    CALM,
+    WINDY,
+    Scenario(source=(14.0, 12.0), q=120.0, u=3.5, phi=5.0, d=1.5, tau=10.0, start=(13.0, 14.0)),
+]
 PLACES = [(13.0, 12.0), (15.4, 15.3), (17.0, 20.0), (15.02, 15.03), (4.0, 11.0)]
 
 
@@ -30,8 +34,11 @@ def information_at(s: Scenario, position: tuple[float, float]) -> np.ndarray:
 
 @pytest.mark.parametrize("position", PLACES)
 @pytest.mark.parametrize("s", [CALM, WINDY])
-def test_the_information_is_the_curvature_of_the_expected_log_likelihood(s: Scenario, position: tuple[float, float]) -> None:
-    # For the expectation over z ~ N(m, σ²) of log N(z; m', σ'²): −log σ' − (σ² + (m − m')²) / (2 σ'²), differentiated numerically.
+def test_the_information_is_the_curvature_of_the_expected_log_likelihood(
+    s: Scenario, position: tuple[float, float]
+) -> None:
+    # For the expectation over z ~ N(m, σ²) of log N(z; m', σ'²): −log σ' − (σ² + (m − m')²) / (2 σ'²),
+    # differentiated numerically.
     mean = mean_at(s, position, np.array(s.source))
     std = GAUSSIAN.noise_std(mean)
 
@@ -49,9 +56,12 @@ def test_the_information_is_the_curvature_of_the_expected_log_likelihood(s: Scen
 
 
 def test_the_information_is_the_covariance_of_the_score() -> None:
-    # 400,000 draws: the sampling error of a variance is about 0.3% of it where the score is nearly normal; 2% is allowed.
+    # 400,000 draws: the sampling error of a variance is about 0.3% of it where the score is nearly normal; 2%
+    # is allowed.
     position, e = (13.0, 12.0), 1e-5
-    readings = GAUSSIAN.measure(np.full(400_000, mean_at(WINDY, position, np.array(WINDY.source))), np.random.default_rng(1))
+    readings = GAUSSIAN.measure(
+        np.full(400_000, mean_at(WINDY, position, np.array(WINDY.source))), np.random.default_rng(1)
+    )
     score = [
         (
             GAUSSIAN.log_likelihood(readings, mean_at(WINDY, position, np.array(WINDY.source) + step))
@@ -65,9 +75,13 @@ def test_the_information_is_the_covariance_of_the_score() -> None:
 
 
 def test_in_strong_gas_without_wind_the_information_is_that_of_the_distance() -> None:
-    # 1 m east of it, m = 300/(4π·4.5·1) · exp(−1/√45) = 5.305165 · 0.861495 = 4.570373;  σ² = 0.09 · 20.888309 + 0.04 = 1.919948;
-    # ∂ log m/∂x_s = 1/1 + 1/√45 = 1.149071;  I = 20.888309/1.919948 · (1 + 2 · 0.0081 · 20.888309/1.919948) · 1.149071² = 16.8966
-    assert information_at(CALM, (16.0, 15.0)) == pytest.approx(np.array([[16.8966, 0], [0, 0]]), rel=1e-4, abs=1e-12)
+    # 1 m east of it, m = 300/(4π·4.5·1) · exp(−1/√45) = 5.305165 · 0.861495 = 4.570373;  σ² = 0.09 ·
+    # 20.888309 + 0.04 = 1.919948;
+    # ∂ log m/∂x_s = 1/1 + 1/√45 = 1.149071;  I = 20.888309/1.919948 · (1 + 2 · 0.0081 · 20.888309/1.919948) ·
+    # 1.149071² = 16.8966
+    assert information_at(CALM, (16.0, 15.0)) == pytest.approx(
+        np.array([[16.8966, 0], [0, 0]]), rel=1e-4, abs=1e-12
+    )
 
 
 def test_the_spread_after_a_path_adds_the_information_of_all_its_readings_to_the_priors() -> None:
@@ -83,7 +97,8 @@ def test_a_path_that_leaves_the_area_is_none() -> None:
 
 
 def test_a_straight_path_on_the_axis_of_the_plume_never_learns_the_direction_across() -> None:
-    # On the wind's axis every gradient points along it: the variance across stays the prior's, 30²/12 = 75 m².
+    # On the wind's axis every gradient points along it: the variance across stays the prior's, 30²/12 = 75
+    # m².
     s = Scenario(source=(20.0, 15.0), q=300.0, u=2.0, phi=0.0, d=4.5, tau=10.0, start=(10.0, 15.0))
     assert math.sqrt(75) < floor.spread_m(s, [0.0] * 9) < math.sqrt(75.1)
 
@@ -91,8 +106,11 @@ def test_a_straight_path_on_the_axis_of_the_plume_never_learns_the_direction_acr
 @pytest.mark.slow
 @pytest.mark.parametrize("s", SHORT)
 @pytest.mark.parametrize("steps", [1, 2, 3])
-def test_no_path_of_a_brute_force_search_leaves_less_spread_than_the_one_found(s: Scenario, steps: int) -> None:
-    # All paths on 40 headings: 64,000 for three steps. The search, which knows no such lattice, may be worse by 3%, not more.
+def test_no_path_of_a_brute_force_search_leaves_less_spread_than_the_one_found(
+    s: Scenario, steps: int
+) -> None:
+    # All paths on 40 headings: 64,000 for three steps. The search, which knows no such lattice, may be worse
+    # by 3%, not more.
     headings = np.linspace(0, 2 * math.pi, 40, endpoint=False)
     brute = min(floor.spread_m(s, path) for path in itertools.product(headings, repeat=steps))
     assert floor.spread_m(s, floor.best_path(s, steps)) <= 1.03 * brute
@@ -109,4 +127,9 @@ def test_a_spread_that_the_prior_already_has_takes_no_step() -> None:
 
 def test_a_source_above_the_plane_is_refused() -> None:
     with pytest.raises(ValueError, match="height 2 m is not allowed"):
-        floor.floor_m(Scenario(source=(15.0, 15.0), q=300.0, u=1.0, phi=0.0, d=4.5, tau=10.0, start=(1.0, 1.0), height=2.0), 0.5)
+        floor.floor_m(
+            Scenario(
+                source=(15.0, 15.0), q=300.0, u=1.0, phi=0.0, d=4.5, tau=10.0, start=(1.0, 1.0), height=2.0
+            ),
+            0.5,
+        )

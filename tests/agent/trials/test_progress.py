@@ -18,7 +18,9 @@ def shown(width: int, *, stands: str | None, what: str, done: int, total: int) -
     return capture.get()
 
 
-@pytest.mark.parametrize(("what", "total"), [("missions", 1000), ("test missions", 3000), ("missions", 25_000)])
+@pytest.mark.parametrize(
+    ("what", "total"), [("missions", 1000), ("test missions", 3000), ("missions", 25_000)]
+)
 def test_a_bar_of_missions_says_how_many_and_how_long_in_a_line_of_80(what: str, total: int) -> None:
     (line,) = shown(80, stands=None, what=what, done=total // 2, total=total).splitlines()
     for word in (what, f"{total // 2}/{total}", "left", "-:--:--", "━━━━"):
@@ -41,7 +43,9 @@ def test_bars_fit_a_line_of_60_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
             assert word in line
 
 
-def test_a_bar_starts_with_its_first_words_before_anything_has_flown(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bar_starts_with_its_first_words_before_anything_has_flown(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     def flights() -> Generator[int, None, None]:
         assert capsys.readouterr().err == "starting 3 workers for 2 missions\n"
         yield from (1, 2)

@@ -1,4 +1,6 @@
-"""Protects the report: its tables against shares and means by hand, its pictures and page as files that need nothing else."""
+"""Protects the report: its tables against shares and means by hand, its pictures and page as files that
+need nothing else.
+"""
 
 import argparse
 import base64
@@ -29,15 +31,41 @@ PICTURES = ("particles", "thresholds", "trajectories", "hundred", "distances")
 
 
 def flown(
-    seed: int, ceased: bool = True, error_m: float = 0.5, distance_m: float = 40.0, *, policy: str = "greedy", particles: int = 100,
-    threshold_m: float = 0.5, floor_m: float | None = 20.0,
-) -> MissionRow:  # fmt: skip
+    seed: int,
+    ceased: bool = True,
+    error_m: float = 0.5,
+    distance_m: float = 40.0,
+    *,
+    policy: str = "greedy",
+    particles: int = 100,
+    threshold_m: float = 0.5,
+    floor_m: float | None = 20.0,
+) -> MissionRow:
     return MissionRow(
-        policy=policy, particles=particles, threshold_m=threshold_m, seed=seed, budget=300, headings=4, step_m=1.0, measurements=25,
-        ceased=ceased, located=ceased and error_m <= 1,
-        estimate_x=error_m, estimate_y=0.0, source_x=0.0, source_y=0.0, error_m=error_m, spread_m=0.4, nees=2.0, steps=int(distance_m),
-        distance_m=distance_m, floor_m=floor_m, search_time_s=0.5, decision_ms=2.0, update_ms=1.0,
-    )  # fmt: skip
+        policy=policy,
+        particles=particles,
+        threshold_m=threshold_m,
+        seed=seed,
+        budget=300,
+        headings=4,
+        step_m=1.0,
+        measurements=25,
+        ceased=ceased,
+        located=ceased and error_m <= 1,
+        estimate_x=error_m,
+        estimate_y=0.0,
+        source_x=0.0,
+        source_y=0.0,
+        error_m=error_m,
+        spread_m=0.4,
+        nees=2.0,
+        steps=int(distance_m),
+        distance_m=distance_m,
+        floor_m=floor_m,
+        search_time_s=0.5,
+        decision_ms=2.0,
+        update_ms=1.0,
+    )
 
 
 FOUR = [
@@ -59,23 +87,37 @@ def drawing() -> Any:
 
 def test_missions_flown_in_two_ways_are_not_joined(tmp_path: Path) -> None:
     write_csv(FOUR, tmp_path / "four.csv")
-    for other in ({"headings": 8}, {"sensor": "hits:3.0,0.1"}, {"prior": "q=gamma:2,150"}, {"stop_on": "location,q=50"}):
+    for other in (
+        {"headings": 8},
+        {"sensor": "hits:3.0,0.1"},
+        {"prior": "q=gamma:2,150"},
+        {"stop_on": "location,q=50"},
+    ):
         write_csv([msgspec.structs.replace(flown(1_000_004), **other)], tmp_path / "one.csv")
-        with pytest.raises(ValueError, match=r"one\.csv: greedy was flown with other settings there \(budget, headings, step"):
+        with pytest.raises(
+            ValueError, match=r"one\.csv: greedy was flown with other settings there \(budget, headings, step"
+        ):
             read(tmp_path)
 
 
 def test_missions_of_another_world_are_refused(tmp_path: Path) -> None:
     write_csv(FOUR, tmp_path / "four.csv")
-    write_csv([msgspec.structs.replace(flown(1_000_004), policy="homing", world="wind-30")], tmp_path / "one.csv")
-    with pytest.raises(ValueError, match=r"one\.csv: missions in the world 'wind-30'; a report takes those of 'as-modelled' alone$"):
+    write_csv(
+        [msgspec.structs.replace(flown(1_000_004), policy="homing", world="wind-30")], tmp_path / "one.csv"
+    )
+    with pytest.raises(
+        ValueError,
+        match=r"one\.csv: missions in the world 'wind-30'; a report takes those of 'as-modelled' alone$",
+    ):
         read(tmp_path)
 
 
 def test_new_missions_of_a_learned_policy_are_joined_to_those_of_an_older_version(tmp_path: Path) -> None:
     """Which gave it a planner's headings, and did not say which version it was."""
     write_csv([flown(1_000_000, policy="ppo")], tmp_path / "old.csv")
-    new = msgspec.structs.replace(flown(1_000_001, policy="ppo"), headings=None, measurements=None, version="9")
+    new = msgspec.structs.replace(
+        flown(1_000_001, policy="ppo"), headings=None, measurements=None, version="9"
+    )
     write_csv([new], tmp_path / "new.csv")
     assert [row.seed for row in read(tmp_path).rows["ppo", Setting(100, 0.5)]] == [1_000_000, 1_000_001]
 
@@ -104,14 +146,21 @@ def test_a_table_says_the_assumption_and_compares_one_assumption_and_one_kind_of
     results = results_of(tmp_path, field)
     assert results.assume == "field"
     assert [it.title for it in tables(results)[1:]] == [
-        "Our figures at ζ = 0.5 m, assume field", "Our figures at N = 100, by ζ, assume field",
-    ]  # fmt: skip
+        "Our figures at ζ = 0.5 m, assume field",
+        "Our figures at N = 100, by ζ, assume field",
+    ]
     write_csv(FOUR, tmp_path / "paper.csv")
-    with pytest.raises(ValueError, match=r"both assumptions, paper in paper\.csv and field in rows\.csv; wanted a folder"):
+    with pytest.raises(
+        ValueError, match=r"both assumptions, paper in paper\.csv and field in rows\.csv; wanted a folder"
+    ):
         read(tmp_path)
     (tmp_path / "paper.csv").unlink()
-    write_csv([msgspec.structs.replace(FOUR[0], threshold_m=None, stop="within:1,0.99")], tmp_path / "within.csv")
-    with pytest.raises(ValueError, match=r"within\.csv: greedy was flown with --stop within:1,0\.99; a report compares"):
+    write_csv(
+        [msgspec.structs.replace(FOUR[0], threshold_m=None, stop="within:1,0.99")], tmp_path / "within.csv"
+    )
+    with pytest.raises(
+        ValueError, match=r"within\.csv: greedy was flown with --stop within:1,0\.99; a report compares"
+    ):
         read(tmp_path)
 
 
@@ -125,7 +174,9 @@ def test_a_mission_in_two_files_counts_once(tmp_path: Path) -> None:
 
 def test_the_papers_figures_stand_beside_ours_of_the_same_method_and_setting(tmp_path: Path) -> None:
     rows = [flown(seed, distance_m=60.0, policy="infotaxis", particles=4000) for seed in range(10)]
-    rows += [flown(seed, seed > 0, distance_m=30.0, policy="dcee", particles=4000) for seed in range(10)]  # one of ten never ceased
+    rows += [
+        flown(seed, seed > 0, distance_m=30.0, policy="dcee", particles=4000) for seed in range(10)
+    ]  # one of ten never ceased
     rows += [flown(seed, distance_m=45.0, policy="thompson", particles=4000) for seed in range(10)]
     table = against_paper(results_of(tmp_path, rows))
     assert len(table.rows) == len(PUBLISHED)
@@ -135,12 +186,19 @@ def test_the_papers_figures_stand_beside_ours_of_the_same_method_and_setting(tmp
     assert ceased[5] == "infotaxis: 100.0 [72.2, 100.0], located 100.0 [72.2, 100.0] (10)"
     learned = said["MTD, m", "N = 4000", "AGDC-DDPG"]
     assert learned[5] == "–"
-    assert learned[6] == "thompson: 45.0 [45.0, 45.0], 2.25 [2.25, 2.25] floors (10)"  # dcee flew less, but ceased less often
+    assert (
+        learned[6] == "thompson: 45.0 [45.0, 45.0], 2.25 [2.25, 2.25] floors (10)"
+    )  # dcee flew less, but ceased less often
     assert said["MTD, m", "N = 100", "AGDC-DDPG"][5:7] == ["–", "–"]  # not flown with 100
 
 
-@pytest.mark.parametrize(("floor_m", "comparable"), [(20.0, "no: below the floor (4)"), (16.0, "in part (1, 3)"), (None, "in part (1, 3)")])
-def test_what_lies_below_the_floor_is_not_compared(tmp_path: Path, floor_m: float | None, comparable: str) -> None:
+@pytest.mark.parametrize(
+    ("floor_m", "comparable"),
+    [(20.0, "no: below the floor (4)"), (16.0, "in part (1, 3)"), (None, "in part (1, 3)")],
+)
+def test_what_lies_below_the_floor_is_not_compared(
+    tmp_path: Path, floor_m: float | None, comparable: str
+) -> None:
     table = against_paper(results_of(tmp_path, [flown(1_000_000, particles=4000, floor_m=floor_m)]))
     (row,) = (row for row in table.rows if row[3] == "16.83")
     assert row[-1] == comparable
@@ -149,13 +207,27 @@ def test_what_lies_below_the_floor_is_not_compared(tmp_path: Path, floor_m: floa
 
 def test_a_picture_compares_all_of_five_policies_or_the_five_that_matter_and_ones_own(drawing: Any) -> None:
     assert drawing.compared(["random", "greedy", "mine"]) == ["random", "greedy", "mine"]
-    assert drawing.compared([*OURS, "mine"]) == ["infotaxis", "dcee", "space-aware-infotaxis", "homing", "ppo", "mine"]
+    assert drawing.compared([*OURS, "mine"]) == [
+        "infotaxis",
+        "dcee",
+        "space-aware-infotaxis",
+        "homing",
+        "ppo",
+        "mine",
+    ]
     others = [policy for policy in OURS if policy not in drawing.FIVE]
     assert drawing.compared(others) == others[:5]
 
 
-def test_curves_are_of_the_policies_compared_and_the_papers_points_of_theirs(tmp_path: Path, drawing: Any) -> None:
-    rows = [flown(seed, policy=policy, particles=particles) for policy in OURS for particles in (100, 4000) for seed in range(3)]
+def test_curves_are_of_the_policies_compared_and_the_papers_points_of_theirs(
+    tmp_path: Path, drawing: Any
+) -> None:
+    rows = [
+        flown(seed, policy=policy, particles=particles)
+        for policy in OURS
+        for particles in (100, 4000)
+        for seed in range(3)
+    ]
     figure = drawing.against_particles(results_of(tmp_path, rows))
     shown = {text.get_text() for text in figure.legends[0].get_texts()}
     assert shown == {*drawing.FIVE, "paper: AGDC-PPO", "paper: Infotaxis", "information floor"}
@@ -167,14 +239,30 @@ def test_each_panel_has_the_path_of_its_mission_and_the_last_one_the_legend(draw
     def flight(policy: str, *places: float) -> Any:
         trace = [TracePoint((x, 10.0), 0.0, (9.0, 11.0), 1.0) for x in places]
         return Outcome(
-            0, policy, True, False, (9.0, 11.0), (10.0, 12.0), scenario, 1.4, 0.1, len(trace) - 1, 1.0, 1.0, "paper", "spread:0.5"
+            0,
+            policy,
+            True,
+            False,
+            (9.0, 11.0),
+            (10.0, 12.0),
+            scenario,
+            1.4,
+            0.1,
+            len(trace) - 1,
+            1.0,
+            1.0,
+            "paper",
+            "spread:0.5",
         ), trace
 
     *panels, last = drawing.trajectories([flight(f"p{i}", 0.0, 1.0 + i, 2.0 + i) for i in range(5)]).axes[:6]
     for i, panel in enumerate(panels):
         assert [line.get_xydata().tolist() for line in panel.lines] == [
-            [[0.0, 10.0], [1.0 + i, 10.0], [2.0 + i, 10.0]], [[0.0, 10.0]], [[10.0, 12.0]], [[9.0, 11.0]],
-        ]  # fmt: skip
+            [[0.0, 10.0], [1.0 + i, 10.0], [2.0 + i, 10.0]],
+            [[0.0, 10.0]],
+            [[10.0, 12.0]],
+            [[9.0, 11.0]],
+        ]
         assert panel.get_title().startswith(f"p{i}\nceased, FALSE STOP")
     assert last.get_legend() is not None
 
@@ -185,10 +273,25 @@ def test_a_mission_that_has_ended_stays_in_the_median_with_its_last_distance(dra
     def flight(*places: float) -> Any:
         trace = [TracePoint((x, 10.0), 0.0, (10.0, 10.0), 1.0) for x in places]
         return Outcome(
-            0, "greedy", True, True, (10.0, 10.0), (10.0, 10.0), scenario, 0.0, 0.1, len(trace) - 1, 1.0, 1.0, "paper", "spread:0.5"
+            0,
+            "greedy",
+            True,
+            True,
+            (10.0, 10.0),
+            (10.0, 10.0),
+            scenario,
+            0.0,
+            0.1,
+            len(trace) - 1,
+            1.0,
+            1.0,
+            "paper",
+            "spread:0.5",
         ), trace
 
-    panel, *_, flying = drawing.distances([flight(0.0, 8.0), flight(4.0, 5.0, 6.0, 7.0), flight(4.0, 6.0, 9.0)]).axes
+    panel, *_, flying = drawing.distances(
+        [flight(0.0, 8.0), flight(4.0, 5.0, 6.0, 7.0), flight(4.0, 6.0, 9.0)]
+    ).axes
     (median,) = (line for line in panel.lines if line.get_label() == "median")
     np.testing.assert_allclose(median.get_ydata(), [6.0, 4.0, 2.0, 2.0])  # of 10 6 6, 2 5 4, 2 4 1, 2 3 1
     np.testing.assert_array_equal(flying.lines[0].get_ydata(), [3, 3, 2, 1])
@@ -203,11 +306,15 @@ class Links(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.to += [value or "" for name, value in attrs if name in ("src", "href", "data", "srcset", "action")]
+        self.to += [
+            value or "" for name, value in attrs if name in ("src", "href", "data", "srcset", "action")
+        ]
 
 
 SEVERAL = [
-    flown(seed, policy=policy, particles=particles, threshold_m=threshold_m, distance_m=30.0 + seed - 1_000_000)
+    flown(
+        seed, policy=policy, particles=particles, threshold_m=threshold_m, distance_m=30.0 + seed - 1_000_000
+    )
     for policy in ("greedy", "thompson", "one that is not known")
     for particles, threshold_m in ((10, 0.5), (20, 0.5), (10, 0.9))
     for seed in range(1_000_000, 1_000_003)
@@ -231,7 +338,15 @@ def test_a_report_is_files_that_need_nothing_else(tmp_path: Path) -> None:
     out.mkdir()
     write(results_of(tmp_path, SEVERAL), out, flights=3)
     files = {path.name: path.read_bytes() for path in out.iterdir()}
-    assert set(files) == {"index.html", "results.md", *(f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg"))} == set(FILES)
+    assert (
+        set(files)
+        == {
+            "index.html",
+            "results.md",
+            *(f"{name}.{ending}" for name in PICTURES for ending in ("png", "svg")),
+        }
+        == set(FILES)
+    )
     page = files["index.html"].decode()
     for name in PICTURES:
         assert ET.fromstring(files[f"{name}.svg"]).tag == "{http://www.w3.org/2000/svg}svg"
@@ -243,7 +358,9 @@ def test_a_report_is_files_that_need_nothing_else(tmp_path: Path) -> None:
     assert "3 missions of thompson, seeds 1000000 to 1000002, N = 20, ζ = 0.5 m" in page
 
 
-def test_without_matplotlib_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+def test_without_matplotlib_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert run(argparse.Namespace(results=tmp_path, out=tmp_path, force=False)) == 1
     assert capsys.readouterr().err == "error: report needs matplotlib: pip install 'plumeward[view]'\n"
@@ -254,7 +371,10 @@ def test_no_file_of_a_folder_is_written_over_unasked(tmp_path: Path, capsys, nam
     results_of(tmp_path, FOUR)
     (tmp_path / name).write_text("a page of mine")
     assert run(argparse.Namespace(results=tmp_path, out=tmp_path, force=False)) == 2
-    assert capsys.readouterr().err == f"error: --out: '{tmp_path / name}' exists; wanted another name, or --force\n"
+    assert (
+        capsys.readouterr().err
+        == f"error: --out: '{tmp_path / name}' exists; wanted another name, or --force\n"
+    )
     assert {path.name for path in tmp_path.iterdir()} == {"rows.csv", name}
     assert (tmp_path / name).read_text() == "a page of mine"
 
@@ -262,7 +382,10 @@ def test_no_file_of_a_folder_is_written_over_unasked(tmp_path: Path, capsys, nam
 def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_drawn(capsys, tmp_path: Path) -> None:
     results_of(tmp_path, FOUR)
     assert run(argparse.Namespace(results=tmp_path, out=Path("/proc"), force=False)) == 2
-    assert capsys.readouterr() == ("", "error: --out: '/proc/particles.png' cannot be written: No such file or directory\n")
+    assert capsys.readouterr() == (
+        "",
+        "error: --out: '/proc/particles.png' cannot be written: No such file or directory\n",
+    )
 
 
 def test_the_service_does_not_pay_for_it() -> None:

@@ -29,16 +29,24 @@ def test_a_rollout_is_a_function_of_its_seed() -> None:
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_in_every_world_the_estimator_is_told_the_same_and_the_mission_is_judged_by_the_truth(world: str) -> None:
+def test_in_every_world_the_estimator_is_told_the_same_and_the_mission_is_judged_by_the_truth(
+    world: str,
+) -> None:
     usual, ready = (mission(3, "random", 100, 0.5, 5, world=name) for name in ("as-modelled", world))
     assert ready.config == usual.config
     for said, modelled in zip(ready.steps, usual.steps, strict=True):
         assert said.belief.wind == modelled.belief.wind
-        assert (said.belief.rate, said.belief.diffusivity, said.belief.lifetime) == (draw(3).q, draw(3).d, draw(3).tau)
+        assert (said.belief.rate, said.belief.diffusivity, said.belief.lifetime) == (
+            draw(3).q,
+            draw(3).d,
+            draw(3).tau,
+        )
     result, trace = rollout(3, "random", particles=100, budget=5, world=world)
     there = World(draw(3), 3, name=world)
     assert (result.world, result.scenario, result.source) == (world, there.truth, there.truth.source)
-    assert [point.reading for point in trace] == [there.gas(point.position, step) for step, point in enumerate(trace)]
+    assert [point.reading for point in trace] == [
+        there.gas(point.position, step) for step, point in enumerate(trace)
+    ]
     assert result.error_m == pytest.approx(math.dist(trace[-1].mean, there.truth.source))
 
 
@@ -46,12 +54,23 @@ def test_in_every_world_the_estimator_is_told_the_same_and_the_mission_is_judged
 @pytest.mark.parametrize("assume", ["paper", "field"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_at_the_limits_of_what_may_be_given_gas_and_belief_stay_finite(kind: str, assume: str) -> None:
-    """A belief is where the source may be: its spread is above 0 and within the area, and nothing overflows on the way."""
+    """A belief is where the source may be: its spread is above 0 and within the area, and nothing
+    overflows on the way.
+    """
     q, u, d, tau, height = (LIMITS[name] for name in ("q", "u", "d", "tau", "z"))
     for release in product(q, u, d, tau, (0.0, *height)):
-        scenario = Scenario((10.0, 10.0), release[0], release[1], 0.0, *release[2:4], (12.0, 10.0), release[4])
+        scenario = Scenario(
+            (10.0, 10.0), release[0], release[1], 0.0, *release[2:4], (12.0, 10.0), release[4]
+        )
         world = World(scenario, 1, parse(kind))
-        config = Config(100, rate=scenario.q, diffusivity=scenario.d, lifetime=scenario.tau, sensor=world.sensor, assume=assume)
+        config = Config(
+            100,
+            rate=scenario.q,
+            diffusivity=scenario.d,
+            lifetime=scenario.tau,
+            sensor=world.sensor,
+            assume=assume,
+        )
         posterior = prior(config)
         for step, position in enumerate([(12.0, 10.0), (9.0, 10.0), (10.0, 10.0), (10.0, 11.0)]):
             reading = Reading(step, position, 5.0, world.wind, world.gas(position, step))
@@ -60,7 +79,10 @@ def test_at_the_limits_of_what_may_be_given_gas_and_belief_stay_finite(kind: str
 
 
 def test_where_readings_are_lost_the_values_taken_later_are_the_same() -> None:
-    assert rollout(4, "homing", particles=100, budget=30, world="readings-lost")[1] == rollout(4, "homing", particles=100, budget=30)[1]
+    assert (
+        rollout(4, "homing", particles=100, budget=30, world="readings-lost")[1]
+        == rollout(4, "homing", particles=100, budget=30)[1]
+    )
 
 
 def test_a_world_that_is_none_is_told_with_those_that_are() -> None:
@@ -76,7 +98,10 @@ def test_the_budget_counts_moves() -> None:
 
 def test_the_outcome_says_what_was_assumed_and_when_it_stops() -> None:
     brief = {"policy": "random", "particles": 50, "budget": 1}
-    for given, said in (({}, ("field", "spread:0.5")), ({"assume": "paper", "stop": "within:1,0.99"}, ("paper", "within:1,0.99"))):
+    for given, said in (
+        ({}, ("field", "spread:0.5")),
+        ({"assume": "paper", "stop": "within:1,0.99"}, ("paper", "within:1,0.99")),
+    ):
         result, _ = rollout(1, **brief, **given)
         assert (result.assume, result.stop) == said
         assert outcome_text(result).endswith(f"\nassumed  {said[0]}, stop {said[1]}")
@@ -87,7 +112,10 @@ def test_the_outcome_says_what_was_assumed_and_when_it_stops() -> None:
 
 
 def test_a_spread_is_the_same_stop_in_its_short_and_its_long_form() -> None:
-    short, long = rollout(3, "greedy", 100, 2.0, assume="paper"), rollout(3, "greedy", 100, stop="spread:2", assume="paper")
+    short, long = (
+        rollout(3, "greedy", 100, 2.0, assume="paper"),
+        rollout(3, "greedy", 100, stop="spread:2", assume="paper"),
+    )
     assert short[1] == long[1]
     assert short[0].ceased
 
@@ -114,9 +142,12 @@ def test_every_move_is_a_metre_inside_the_area() -> None:
 
 @pytest.mark.slow
 def test_infotaxis_finds_the_source_and_its_stop_can_be_believed() -> None:
-    results = [rollout(seed, "infotaxis", particles=1000, assume="paper")[0] for seed in range(1_000_000, 1_000_060)]
+    results = [
+        rollout(seed, "infotaxis", particles=1000, assume="paper")[0] for seed in range(1_000_000, 1_000_060)
+    ]
     assert all(result.ceased for result in results)
-    # An honest stop is located in about 98% of missions; fewer than 54 of 60 would come by chance once in 2,000 such tests.
+    # An honest stop is located in about 98% of missions; fewer than 54 of 60 would come by chance once in
+    # 2,000 such tests.
     assert sum(result.located for result in results) >= 54
     assert sum(result.distance_m for result in results) / 60 < 70
 

@@ -27,14 +27,40 @@ from plume.world import World
 
 pytestmark = pytest.mark.slow
 
-SMALL = Sweep(("greedy", "thompson"), range(7, 10), particles=(100, 200), stops=(Criterion(0.9), Criterion(2.0), Criterion(0.5)), budget=80)
+SMALL = Sweep(
+    ("greedy", "thompson"),
+    range(7, 10),
+    particles=(100, 200),
+    stops=(Criterion(0.9), Criterion(2.0), Criterion(0.5)),
+    budget=80,
+)
 
 
 ROW = MissionRow(
-    policy="greedy", particles=100, threshold_m=0.5, seed=7, budget=300, headings=4, step_m=1.0, measurements=25, ceased=True, located=True,
-    estimate_x=1.0, estimate_y=2.0, source_x=1.0, source_y=2.5, error_m=0.5, spread_m=0.4, nees=2.0, steps=30, distance_m=30.0,
-    floor_m=None, search_time_s=0.5, decision_ms=2.0, update_ms=1.0,
-)  # fmt: skip
+    policy="greedy",
+    particles=100,
+    threshold_m=0.5,
+    seed=7,
+    budget=300,
+    headings=4,
+    step_m=1.0,
+    measurements=25,
+    ceased=True,
+    located=True,
+    estimate_x=1.0,
+    estimate_y=2.0,
+    source_x=1.0,
+    source_y=2.5,
+    error_m=0.5,
+    spread_m=0.4,
+    nees=2.0,
+    steps=30,
+    distance_m=30.0,
+    floor_m=None,
+    search_time_s=0.5,
+    decision_ms=2.0,
+    update_ms=1.0,
+)
 
 
 def untimed(rows: list[MissionRow]) -> list[MissionRow]:
@@ -48,34 +74,58 @@ def test_one_flight_gives_what_a_rollout_at_each_threshold_gives(seed: int) -> N
     for row, (threshold_m, _) in zip(rows, SMALL.stops, strict=True):
         alone, _ = rollout(seed, "thompson", 200, threshold_m, 80, assume="paper")
         assert (row.threshold_m, row.seed, row.particles) == (threshold_m, seed, 200)
-        assert (row.ceased, row.located, row.steps, row.distance_m) == (alone.ceased, alone.located, alone.steps, alone.distance_m)
+        assert (row.ceased, row.located, row.steps, row.distance_m) == (
+            alone.ceased,
+            alone.located,
+            alone.steps,
+            alone.distance_m,
+        )
         assert (row.error_m, row.spread_m) == (alone.error_m, alone.spread_m)
-        assert (row.estimate_x, row.estimate_y, row.source_x, row.source_y) == (*alone.estimate, *alone.source)
+        assert (row.estimate_x, row.estimate_y, row.source_x, row.source_y) == (
+            *alone.estimate,
+            *alone.source,
+        )
 
 
 def test_the_number_of_workers_does_not_show(tmp_path: Path) -> None:
     one, two = (
-        ordered([row for rows in fly_all(SMALL, tmp_path / f"{workers}.jsonl", on_cores(workers)) for row in rows], SMALL)
+        ordered(
+            [
+                row
+                for rows in fly_all(SMALL, tmp_path / f"{workers}.jsonl", on_cores(workers))
+                for row in rows
+            ],
+            SMALL,
+        )
         for workers in (1, 2)
     )
     assert len(one) == 2 * 2 * 3 * 3
     assert untimed(one) == untimed(two)
     assert [(row.policy, row.particles, row.threshold_m, row.seed) for row in one[:4]] == [
-        ("greedy", 100, 0.5, 7), ("greedy", 100, 0.5, 8), ("greedy", 100, 0.5, 9), ("greedy", 100, 0.9, 7),
-    ]  # fmt: skip
+        ("greedy", 100, 0.5, 7),
+        ("greedy", 100, 0.5, 8),
+        ("greedy", 100, 0.5, 9),
+        ("greedy", 100, 0.9, 7),
+    ]
 
 
 def test_a_sweep_that_was_cut_off_goes_on_where_it_was(tmp_path: Path) -> None:
-    whole = Sweep(("greedy",), range(7, 11), particles=(100,), stops=(Criterion(0.9), Criterion(2.0)), budget=40)
+    whole = Sweep(
+        ("greedy",), range(7, 11), particles=(100,), stops=(Criterion(0.9), Criterion(2.0)), budget=40
+    )
     journal = tmp_path / "deep" / "journal.jsonl"
     sweep = fly_all(whole, journal, on_cores(1))
     first = [next(sweep), next(sweep)]
     sweep.close()
     marked = [[msgspec.structs.replace(row, search_time_s=-1.0) for row in rows] for rows in first]
-    journal.write_bytes(b"".join(msgspec.json.encode(rows) + b"\n" for rows in marked) + b'[{"policy":"gree')  # cut off while it wrote
+    journal.write_bytes(
+        b"".join(msgspec.json.encode(rows) + b"\n" for rows in marked) + b'[{"policy":"gree'
+    )  # cut off while it wrote
     rows = ordered([row for rows in fly_all(whole, journal, on_cores(1)) for row in rows], whole)
     assert sum(row.search_time_s < 0 for row in rows) == 4  # kept, not flown again
-    assert untimed(rows) == untimed(ordered([row for flight in whole.flights for rows in fly(whole, [flight]) for row in rows], whole))
+    assert untimed(rows) == untimed(
+        ordered([row for flight in whole.flights for rows in fly(whole, [flight]) for row in rows], whole)
+    )
     # And once more: all is in the journal now.
     again = ordered([row for rows in fly_all(whole, journal, on_cores(1)) for row in rows], whole)
     assert again == rows
@@ -112,28 +162,48 @@ def test_a_row_that_an_older_version_kept_is_read(tmp_path: Path) -> None:
 
 
 def test_another_question_has_another_journal(tmp_path: Path) -> None:
-    others = [replace(SMALL, budget=81), replace(SMALL, stops=(Criterion(0.9),)), replace(SMALL, knowledge={"stop_on_location": False})]
+    others = [
+        replace(SMALL, budget=81),
+        replace(SMALL, stops=(Criterion(0.9),)),
+        replace(SMALL, knowledge={"stop_on_location": False}),
+    ]
     assert len({journal_of(sweep, tmp_path) for sweep in [SMALL, *others]}) == 4
-    assert journal_of(replace(SMALL, seeds=range(7, 100)), tmp_path) == journal_of(SMALL, tmp_path)  # more of the same goes on
+    assert journal_of(replace(SMALL, seeds=range(7, 100)), tmp_path) == journal_of(
+        SMALL, tmp_path
+    )  # more of the same goes on
 
 
 def test_figures_are_named_by_policy_and_by_what_else_differs() -> None:
     two = [("greedy", 100, 7, "as-modelled"), ("greedy", 100, 8, "as-modelled")]
     rows = ordered([row for flight in two for rows in fly(SMALL, [flight]) for row in rows], SMALL)
     assert list(named([row for row in rows if row.threshold_m == 0.9])) == ["greedy"]
-    assert list(named(rows)) == [f"greedy particles=100 threshold={threshold_m:g}" for threshold_m in (0.5, 0.9, 2.0)]
+    assert list(named(rows)) == [
+        f"greedy particles=100 threshold={threshold_m:g}" for threshold_m in (0.5, 0.9, 2.0)
+    ]
 
 
 def test_several_worlds_are_flown_each_as_alone_and_named_in_the_key(tmp_path: Path) -> None:
-    few = replace(SMALL, stops=(Criterion(0.9),), particles=(100,), seeds=range(7, 9), worlds=("wind-30", "as-modelled"))
-    rows = ordered([row for each in fly_all(few, tmp_path / "journal.jsonl", on_cores(1)) for row in each], few)
-    assert [(row.policy, row.world, row.seed) for row in rows] == list(itertools.product(few.policies, few.worlds, few.seeds))
+    few = replace(
+        SMALL, stops=(Criterion(0.9),), particles=(100,), seeds=range(7, 9), worlds=("wind-30", "as-modelled")
+    )
+    rows = ordered(
+        [row for each in fly_all(few, tmp_path / "journal.jsonl", on_cores(1)) for row in each], few
+    )
+    assert [(row.policy, row.world, row.seed) for row in rows] == list(
+        itertools.product(few.policies, few.worlds, few.seeds)
+    )
     assert few.count == 8
     for row in rows:
         alone, _ = rollout(row.seed, row.policy, 100, 0.9, 80, world=row.world, assume="paper")
-        assert (row.error_m, row.distance_m, row.source_x) == (alone.error_m, alone.distance_m, alone.source[0])
+        assert (row.error_m, row.distance_m, row.source_x) == (
+            alone.error_m,
+            alone.distance_m,
+            alone.source[0],
+        )
         assert (row.floor_m is None) == (row.world != "as-modelled")  # the floor is that of a right model
-    assert {row.floor_m for row in rows if row.world == "as-modelled"} == {floors_m(draw(seed), [0.9])[0.9] for seed in few.seeds}
+    assert {row.floor_m for row in rows if row.world == "as-modelled"} == {
+        floors_m(draw(seed), [0.9])[0.9] for seed in few.seeds
+    }
     keys = [f"{policy} world={world}" for policy in few.policies for world in few.worlds]
     assert list(named(rows)) == keys
     assert [said["world"] for said in named(rows).values()] == [*few.worlds] * 2
@@ -149,19 +219,27 @@ def test_several_worlds_are_flown_each_as_alone_and_named_in_the_key(tmp_path: P
 
 def test_a_mission_is_judged_by_where_the_source_truly_is() -> None:
     (rows,) = fly(replace(SMALL, worlds=("source-outside",)), [("greedy", 100, 7, "source-outside")])
-    assert {(row.source_x, row.source_y) for row in rows} == {World(draw(7), 7, name="source-outside").truth.source}
+    assert {(row.source_x, row.source_y) for row in rows} == {
+        World(draw(7), 7, name="source-outside").truth.source
+    }
     for row in rows:
-        assert row.error_m == pytest.approx(np.hypot(row.estimate_x - row.source_x, row.estimate_y - row.source_y))
+        assert row.error_m == pytest.approx(
+            np.hypot(row.estimate_x - row.source_x, row.estimate_y - row.source_y)
+        )
 
 
 @pytest.mark.parametrize("name", ["missions.csv", "missions.csv.gz"])
 def test_a_table_of_missions_reads_back_as_it_was_written(tmp_path: Path, name: str) -> None:
-    (rows,) = fly(replace(SMALL, stops=(Criterion(0.01), Criterion(0.5))), [("greedy", 100, 7, "as-modelled")])
+    (rows,) = fly(
+        replace(SMALL, stops=(Criterion(0.01), Criterion(0.5))), [("greedy", 100, 7, "as-modelled")]
+    )
     assert rows[0].floor_m is None  # too small a ζ for it
     rows = [*rows, msgspec.structs.replace(rows[0], world="cv-1")]
     write_csv(rows, tmp_path / name)
     text = (gzip.decompress if name.endswith("gz") else bytes)((tmp_path / name).read_bytes()).decode()
-    assert text.startswith("policy,particles,threshold_m,seed,budget,headings,step_m,measurements,ceased,located,")
+    assert text.startswith(
+        "policy,particles,threshold_m,seed,budget,headings,step_m,measurements,ceased,located,"
+    )
     for row, read in zip(rows, read_csv(tmp_path / name), strict=True):
         for wrote, said in zip(msgspec.structs.astuple(row), msgspec.structs.astuple(read), strict=True):
             assert said == (pytest.approx(wrote, rel=1e-5) if isinstance(wrote, float) else wrote)
@@ -179,7 +257,9 @@ def test_a_small_table_that_unpacks_without_end_is_refused(tmp_path: Path) -> No
     (tmp_path / "bomb.csv.gz").write_bytes(packed)
     tracemalloc.start()
     try:
-        with pytest.raises(ValueError, match=r"bomb\.csv\.gz: line 1: wanted lines of less than 10,000 characters"):
+        with pytest.raises(
+            ValueError, match=r"bomb\.csv\.gz: line 1: wanted lines of less than 10,000 characters"
+        ):
             read_csv(tmp_path / "bomb.csv.gz")
         assert tracemalloc.get_traced_memory()[1] < 2_000_000
     finally:
@@ -197,8 +277,18 @@ def test_rows_carry_the_floor_of_their_scenario_where_it_is_known() -> None:
 def test_rows_say_what_the_estimator_was_told_and_who_flew_them() -> None:
     flight = ("greedy", 100, 7, "as-modelled")
     (usual,) = fly(SMALL, [flight])[0][:1]
-    assert (usual.sensor, usual.prior, usual.stop_on, usual.version) == ("gaussian:0.3,0.2", None, "location", __version__)
-    told = {"priors": {"q": Gamma(2, 150), "u": Uniform(1, 4)}, "stop_limits": {"q": 50.0}, "stop_on_location": False, "sensor": Hits()}
+    assert (usual.sensor, usual.prior, usual.stop_on, usual.version) == (
+        "gaussian:0.3,0.2",
+        None,
+        "location",
+        __version__,
+    )
+    told = {
+        "priors": {"q": Gamma(2, 150), "u": Uniform(1, 4)},
+        "stop_limits": {"q": 50.0},
+        "stop_on_location": False,
+        "sensor": Hits(),
+    }
     (other,) = fly(replace(SMALL, knowledge=told), [flight])[0][:1]
     assert (other.prior, other.stop_on) == ("q=gamma:2,150 u=uniform:1,4", "q=50.0")
     assert other.sensor == "hits:3.0,0.1"
@@ -213,42 +303,73 @@ def test_rows_say_the_assumption_and_the_stop(tmp_path: Path) -> None:
     assert (row.assume, row.stop, row.threshold_m, row.floor_m) == ("field", "within:2,0.9", None, None)
     write_csv([row, usual], tmp_path / "rows.csv")
     assert [(read.assume, read.stop, read.threshold_m) for read in read_csv(tmp_path / "rows.csv")] == [
-        ("field", "within:2,0.9", None), ("paper", "spread", 0.9),
-    ]  # fmt: skip
+        ("field", "within:2,0.9", None),
+        ("paper", "spread", 0.9),
+    ]
     (figures,) = named([row]).values()
     assert (figures["assume"], figures["stop"], figures["threshold_m"]) == ("field", "within:2,0.9", None)
     (figures,) = named([usual]).values()
     assert (figures["assume"], figures["stop"], figures["threshold_m"]) == ("paper", "spread:0.9", 0.9)
-    assert list(named([row, msgspec.structs.replace(row, particles=50)])) == ["greedy particles=100", "greedy particles=50"]
+    assert list(named([row, msgspec.structs.replace(row, particles=50)])) == [
+        "greedy particles=100",
+        "greedy particles=50",
+    ]
 
 
 def test_a_sweep_stops_within_a_radius_where_a_rollout_does() -> None:
     within = replace(SMALL, stops=(Criterion(within=(2.0, 0.9)),))
     ((row,),) = fly(within, [("greedy", 100, 8, "as-modelled")])
     alone, _ = rollout(8, "greedy", 100, budget=80, assume="paper", stop="within:2,0.9")
-    assert (row.ceased, row.located, row.steps, row.distance_m) == (alone.ceased, alone.located, alone.steps, alone.distance_m)
+    assert (row.ceased, row.located, row.steps, row.distance_m) == (
+        alone.ceased,
+        alone.located,
+        alone.steps,
+        alone.distance_m,
+    )
     assert row.ceased
     assert row.steps < 80
 
 
-SEVERAL = (Criterion(within=(1.0, 0.99)), Criterion(0.5), Criterion(within=(1.0, 0.95)), Criterion(2.0), Criterion(within=(4.0, 0.5)))
+SEVERAL = (
+    Criterion(within=(1.0, 0.99)),
+    Criterion(0.5),
+    Criterion(within=(1.0, 0.95)),
+    Criterion(2.0),
+    Criterion(within=(4.0, 0.5)),
+)
 
 
-@pytest.mark.parametrize("knowledge", [{}, {"assume": "field", "stop_limits": {"q": 400.0}}], ids=["paper", "field"])
-@pytest.mark.parametrize(("policy", "seed", "world"), [("homing", 8, "as-modelled"), ("ppo", 9, "noise-doubled"), ("greedy", 7, "stuck")])
-def test_one_flight_serves_several_criteria_each_as_if_it_was_alone(policy: str, seed: int, world: str, knowledge: dict) -> None:
+@pytest.mark.parametrize(
+    "knowledge", [{}, {"assume": "field", "stop_limits": {"q": 400.0}}], ids=["paper", "field"]
+)
+@pytest.mark.parametrize(
+    ("policy", "seed", "world"),
+    [("homing", 8, "as-modelled"), ("ppo", 9, "noise-doubled"), ("greedy", 7, "stuck")],
+)
+def test_one_flight_serves_several_criteria_each_as_if_it_was_alone(
+    policy: str, seed: int, world: str, knowledge: dict
+) -> None:
     flight = (policy, 150, seed, world)
-    (rows,) = fly(Sweep((policy,), range(seed, seed + 1), (150,), SEVERAL, 70, knowledge=knowledge, worlds=(world,)), [flight])
-    assert [Criterion(row.threshold_m).text if row.threshold_m else row.stop for row in rows] == [stop.text for stop in SEVERAL]
+    (rows,) = fly(
+        Sweep((policy,), range(seed, seed + 1), (150,), SEVERAL, 70, knowledge=knowledge, worlds=(world,)),
+        [flight],
+    )
+    assert [Criterion(row.threshold_m).text if row.threshold_m else row.stop for row in rows] == [
+        stop.text for stop in SEVERAL
+    ]
     for row, stop in zip(rows, SEVERAL, strict=True):
         ready = mission(seed, policy, 150, stop.threshold_m, 70, world=world, within=stop.within, **knowledge)
         beliefs = [step.belief for step in ready.steps]  # of a mission that its own criterion ends
         last = beliefs[-1]
         assert (row.ceased, row.steps, row.spread_m) == (last.ceased, last.step, last.spread)
         assert (row.estimate_x, row.estimate_y) == last.mean
-        assert row.distance_m == sum(math.dist(*pair) for pair in itertools.pairwise(it.position for it in beliefs))
+        assert row.distance_m == sum(
+            math.dist(*pair) for pair in itertools.pairwise(it.position for it in beliefs)
+        )
         near_m = stop.within[0] if stop.within else stop.threshold_m
-        assert row.warned == any(it.p_value < 1e-4 or (it.spread < near_m and it.evidence < 5) for it in beliefs)
+        assert row.warned == any(
+            it.p_value < 1e-4 or (it.spread < near_m and it.evidence < 5) for it in beliefs
+        )
     if world == "stuck":
         assert {(row.ceased, row.warned) for row in rows} == {(False, True)}
 
@@ -264,13 +385,22 @@ def test_a_flight_ends_when_all_criteria_have_been_met(monkeypatch: pytest.Monke
 
 def test_figures_are_named_by_the_stop_where_stops_differ() -> None:
     small = replace(SMALL, stops=SEVERAL, budget=3)
-    rows = ordered([row for seed in (8, 7) for row in fly(small, [("greedy", 100, seed, "as-modelled")])[0]], small)
+    rows = ordered(
+        [row for seed in (8, 7) for row in fly(small, [("greedy", 100, seed, "as-modelled")])[0]], small
+    )
     assert [row.seed for row in rows] == [7, 8] * 5
     stops = ("spread:0.5", "spread:2", "within:1,0.95", "within:1,0.99", "within:4,0.5")
     assert list(named(rows)) == [f"greedy stop={stop}" for stop in stops]
     assert [said["stop"] for said in named(rows).values()] == list(stops)
-    assert list(named([row for row in rows if row.threshold_m is None and row.stop == "within:1,0.95"])) == ["greedy"]
-    both = [msgspec.structs.replace(row, particles=count) for count in (50, 100) for row in rows if row.stop == "within:4,0.5"]
+    assert list(named([row for row in rows if row.threshold_m is None and row.stop == "within:1,0.95"])) == [
+        "greedy"
+    ]
+    both = [
+        msgspec.structs.replace(row, particles=count)
+        for count in (50, 100)
+        for row in rows
+        if row.stop == "within:4,0.5"
+    ]
     assert list(named(both)) == ["greedy particles=50", "greedy particles=100"]
 
 
@@ -286,13 +416,17 @@ def test_a_learned_policy_has_neither_headings_nor_measurements_of_a_planner(tmp
 
 
 def test_the_tables_of_older_versions_are_read() -> None:
-    """Those have no columns of the sensor, the priors, the stop and the version; learned policies have headings there."""
+    """Those have no columns of the sensor, the priors, the stop and the version; learned policies have
+    headings there.
+    """
     path = Path(__file__).with_name("older.csv")
     lines = path.read_text().splitlines()
     assert lines[0].endswith(",update_ms")
     rows = read_csv(path)
     assert len(rows) == len(lines) - 1
-    planned, learned = ([row for row in rows if (row.policy == "infotaxis") == planner] for planner in (True, False))
+    planned, learned = (
+        [row for row in rows if (row.policy == "infotaxis") == planner] for planner in (True, False)
+    )
     assert {(row.headings, row.measurements) for row in planned} == {(4, 25)}
     assert {(row.headings, row.measurements) for row in learned} == {(None, None)}
     assert {(row.assume, row.stop) for row in rows} == {("paper", "spread")}
@@ -300,7 +434,11 @@ def test_the_tables_of_older_versions_are_read() -> None:
         ("gaussian:0.3,0.2", None, "location", None, "as-modelled")
     }
     first = dict(zip(lines[0].split(","), lines[1].split(","), strict=True))
-    assert (rows[0].seed, rows[0].steps, rows[0].nees) == (int(first["seed"]), int(first["steps"]), float(first["nees"]))
+    assert (rows[0].seed, rows[0].steps, rows[0].nees) == (
+        int(first["seed"]),
+        int(first["steps"]),
+        float(first["nees"]),
+    )
 
 
 def test_a_table_that_was_cut_off_is_refused_by_name(tmp_path: Path) -> None:

@@ -1,4 +1,6 @@
-"""Protects the processes that fly sweeps: all results come, none is awaited for ever, and no worker is left behind."""
+"""Protects the processes that fly sweeps: all results come, none is awaited for ever, and no worker is
+left behind.
+"""
 
 import os
 import signal

@@ -1,4 +1,6 @@
-"""Protects the URLs of the bridge: what they mean, and that a wrong one gets one line that says what is allowed."""
+"""Protects the URLs of the bridge: what they mean, and that a wrong one gets one line that says what is
+allowed.
+"""
 
 import pytest
 
@@ -14,7 +16,10 @@ from aircraft.bridge.address import Address, parse_address
         ("tcpin:0.0.0.0:65535", ("tcpin", "0.0.0.0", 65535)),
         ("serial:/dev/ttyACM0", ("serial", "/dev/ttyACM0", 57600)),
         ("serial:/dev/ttyUSB0:921600", ("serial", "/dev/ttyUSB0", 921600)),
-        ("serial:/dev/serial/by-path/pci-0:00-usb-0:1:1.0-port0", ("serial", "/dev/serial/by-path/pci-0:00-usb-0:1:1.0-port0", 57600)),
+        (
+            "serial:/dev/serial/by-path/pci-0:00-usb-0:1:1.0-port0",
+            ("serial", "/dev/serial/by-path/pci-0:00-usb-0:1:1.0-port0", 57600),
+        ),
     ],
 )
 def test_a_url_names_its_kind_place_and_port_or_baud_rate(url: str, parts: tuple[str, str, int]) -> None:
@@ -24,13 +29,24 @@ def test_a_url_names_its_kind_place_and_port_or_baud_rate(url: str, parts: tuple
 @pytest.mark.parametrize(
     "url",
     [
-        *("", "udp:h:1", "udpin:", "udpin:14550", "udpin::14550", "udpin:h", "udpin:h:1:2", "UDPIN:h:1", "udpout:h:0"),
+        *(
+            "",
+            "udp:h:1",
+            "udpin:",
+            "udpin:14550",
+            "udpin::14550",
+            "udpin:h",
+            "udpin:h:1:2",
+            "UDPIN:h:1",
+            "udpout:h:0",
+        ),
         *("tcp:h:65536", "tcp:h:-1", "tcp:h:1\n", "tcpin://h:1", "serial:", "serial:/dev/tty A"),
     ],
 )
 def test_a_wrong_url_is_refused_in_one_line_that_names_it_and_what_is_allowed(url: str) -> None:
     with pytest.raises(
-        ValueError, match="wanted udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEV"
+        ValueError,
+        match="wanted udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEV",
     ) as refusal:
         parse_address(url)
     assert repr(url) in str(refusal.value)
@@ -38,13 +54,20 @@ def test_a_wrong_url_is_refused_in_one_line_that_names_it_and_what_is_allowed(ur
 
 
 def test_a_wrong_baud_rate_is_refused_with_those_that_are_allowed() -> None:
-    with pytest.raises(ValueError, match=r"57601 baud is not allowed; wanted one of .*9600.* 57600, 115200") as refusal:
+    with pytest.raises(
+        ValueError, match=r"57601 baud is not allowed; wanted one of .*9600.* 57600, 115200"
+    ) as refusal:
         parse_address("serial:/dev/ttyS0:57601")
     assert "\n" not in str(refusal.value)
 
 
 def test_only_what_listens_is_open_to_other_machines() -> None:
-    listening = {url for kind in ("udpin", "udpout", "tcp", "tcpin") for url in [f"{kind}:0.0.0.0:9"] if parse_address(url).open}
+    listening = {
+        url
+        for kind in ("udpin", "udpout", "tcp", "tcpin")
+        for url in [f"{kind}:0.0.0.0:9"]
+        if parse_address(url).open
+    }
     assert listening == {"udpin:0.0.0.0:9", "tcpin:0.0.0.0:9"}
 
 

@@ -1,4 +1,6 @@
-"""Protects the bridge from a flood on the bus: what waits is bounded by messages and by bytes, and what is lost is counted."""
+"""Protects the bridge from a flood on the bus: what waits is bounded by messages and by bytes, and what is
+lost is counted.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -27,7 +29,9 @@ class FakeBus:
         self.hears[key.name] = arrived
 
 
-def test_large_messages_fill_no_more_memory_than_their_limit_and_the_lost_ones_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_messages_fill_no_more_memory_than_their_limit_and_the_lost_ones_are_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("aircraft.bridge.bus_link.WAITING_BYTES", 10_000, raising=False)
     bus = FakeBus()
     channel = BusChannel(bus, "bus", lambda: None)  # type: ignore[arg-type]

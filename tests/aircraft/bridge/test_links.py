@@ -1,4 +1,6 @@
-"""Protects what a link calls garbage: a console's text is none, and a wrong baud rate is told once, with a hint."""
+"""Protects what a link calls garbage: a console's text is none, and a wrong baud rate is told once, with a
+hint.
+"""
 
 import random
 
@@ -20,9 +22,13 @@ def link(url: str = "serial:/dev/ttyAMA0:57600") -> Channel:
 
 
 @pytest.mark.parametrize("opening", [SHELL, BANNER, b"\xfd\x80\x99 " + SHELL, FRAME[7:] + BANNER])
-def test_a_serial_line_may_begin_with_a_console_and_in_the_middle_of_a_frame(opening: bytes, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_serial_line_may_begin_with_a_console_and_in_the_middle_of_a_frame(
+    opening: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
     line = link()
-    letters = [letter for at in range(0, len(opening), 7) for letter in line.take(opening[at : at + 7])] + line.take(FRAME)
+    letters = [
+        letter for at in range(0, len(opening), 7) for letter in line.take(opening[at : at + 7])
+    ] + line.take(FRAME)
     assert [letter.data for letter in letters] == [FRAME]
     assert not line.traffic.dropped
     assert capsys.readouterr().err == ""
@@ -33,7 +39,9 @@ def test_a_wrong_baud_rate_is_told_once_with_a_hint(capsys: pytest.CaptureFixtur
     for at in range(0, len(WRONG_BAUD), 50):
         line.take(WRONG_BAUD[at : at + 50])
     (told,) = capsys.readouterr().err.splitlines()
-    assert "serial:/dev/ttyAMA0:57600: drops bytes of garbage; no frame has come: is this its baud rate?" in told
+    assert (
+        "serial:/dev/ttyAMA0:57600: drops bytes of garbage; no frame has come: is this its baud rate?" in told
+    )
     assert line.traffic.dropped["bytes of garbage"] > 1000
 
 

@@ -184,7 +184,9 @@ def test_a_vehicle_whose_link_is_lost_may_return_on_another_at_once() -> None:
 
 
 def test_two_bridges_around_a_loop_end_a_frame_whichever_way_they_heard_the_vehicle_first() -> None:
-    """Both are on one bus and joined by a wire. The vehicle is on the bus, but the second bridge hears it on the wire first."""
+    """Both are on one bus and joined by a wire. The vehicle is on the bus, but the second bridge hears it
+    on the wire first.
+    """
     one, two = Net(A), Net(A)
     two.says(DRONE, A, autopilot=True)
     copies = 0
@@ -198,7 +200,9 @@ def test_two_bridges_around_a_loop_end_a_frame_whichever_way_they_heard_the_vehi
             going += [(other, A, False) if to == A else (other, BUS, True) for to in route.links]
             copies += BUS in route.links
             net.now_s += 0.3  # a busy machine: a frame is forgotten before it has been around twice
-            assert copies <= 1, "the second bridge brings the vehicle back to the bus before it has heard it there"
+            assert copies <= 1, (
+                "the second bridge brings the vehicle back to the bus before it has heard it there"
+            )
 
 
 def test_what_another_bridge_brings_is_heard_on_the_bus_and_belongs_there() -> None:
@@ -225,9 +229,11 @@ def test_forged_ids_and_floods_fill_no_memory() -> None:
 
 
 def storm(links_of: dict[str, dict[int, str]], start: tuple[str, str], delay_s: float) -> int:
-    """Send one frame into a network of bridges; returns how many frames are carried in 20 s, at most 10,000.
+    """Send one frame into a network of bridges; returns how many frames are carried in 20 s, at most
+    10,000.
 
-    links_of: the segment that each link of each bridge joins. What a bridge sends on a segment reaches all others there after delay_s.
+    links_of: the segment that each link of each bridge joins. What a bridge sends on a segment reaches all
+    others there after delay_s.
     """
     nets = {name: Net(*(link for link in links if link != BUS)) for name, links in links_of.items()}
     sender, first = start
@@ -249,7 +255,9 @@ def storm(links_of: dict[str, dict[int, str]], start: tuple[str, str], delay_s: 
 @pytest.mark.parametrize("delay_s", [0.001, 0.1])
 def test_two_bridges_between_the_same_two_points_carry_a_frame_once_each(delay_s: float) -> None:
     bridges = {"one": {BUS: "bus", A: "wire"}, "two": {BUS: "bus", A: "wire"}}
-    assert storm(bridges, ("station", "bus"), delay_s) == 3  # the frame itself, and one copy by each bridge on the wire
+    assert (
+        storm(bridges, ("station", "bus"), delay_s) == 3
+    )  # the frame itself, and one copy by each bridge on the wire
 
 
 def test_a_ring_of_three_bridges_does_not_storm() -> None:

@@ -1,4 +1,6 @@
-"""Protects the cutting of bytes into frames: every good frame passes as it came, whatever lies around it and however it is split."""
+"""Protects the cutting of bytes into frames: every good frame passes as it came, whatever lies around it
+and however it is split.
+"""
 
 import random
 import struct
@@ -13,7 +15,11 @@ from link.bus.frames import frame_at
 
 
 def frame(message, system=1, component=1, version=2) -> bytes:
-    return bytes(message.pack(mavlink.MAVLink(None, srcSystem=system, srcComponent=component), force_mavlink1=version == 1))
+    return bytes(
+        message.pack(
+            mavlink.MAVLink(None, srcSystem=system, srcComponent=component), force_mavlink1=version == 1
+        )
+    )
 
 
 def heartbeat(kind=mavlink.MAV_TYPE_QUADROTOR, autopilot=mavlink.MAV_AUTOPILOT_PX4):
@@ -26,7 +32,11 @@ def command(target=7, component=9):
 
 def unknown(payload=b"abc", number=0xABCDE, flags=0) -> bytes:
     """A MAVLink 2 frame of a type that no dialect has, put together by hand."""
-    return struct.pack("<BBBBBBBHB", 0xFD, len(payload), flags, 0, 5, 3, 4, number & 0xFFFF, number >> 16) + payload + b"\x12\x34"
+    return (
+        struct.pack("<BBBBBBBHB", 0xFD, len(payload), flags, 0, 5, 3, 4, number & 0xFFFF, number >> 16)
+        + payload
+        + b"\x12\x34"
+    )
 
 
 BEAT, ORDER, OLD = frame(heartbeat()), frame(command()), frame(command(), version=1)
@@ -133,9 +143,14 @@ def test_what_looks_like_an_unknown_type_in_garbage_is_not_believed() -> None:
     assert taken(FrameStream(), b"noise" + unknown()) == []  # no frame is due there
     assert taken(FrameStream(), unknown() + b"noise") == []  # no frame follows
     stream = FrameStream()
-    assert taken(stream, b"noise" + BEAT + unknown()) == [BEAT, unknown()]  # a good frame brings it into step again
+    assert taken(stream, b"noise" + BEAT + unknown()) == [
+        BEAT,
+        unknown(),
+    ]  # a good frame brings it into step again
     stream = FrameStream()
-    assert taken(stream, b"\xfd\xff", unknown(), datagram=True) == [unknown()]  # a datagram begins with a frame
+    assert taken(stream, b"\xfd\xff", unknown(), datagram=True) == [
+        unknown()
+    ]  # a datagram begins with a frame
 
 
 def test_unknown_flags_are_garbage() -> None:
@@ -144,10 +159,14 @@ def test_unknown_flags_are_garbage() -> None:
     assert stream.garbage == len(unknown())
 
 
-def test_a_datagram_of_60_kb_of_markers_costs_little_and_the_next_frame_passes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_datagram_of_60_kb_of_markers_costs_little_and_the_next_frame_passes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     flood, stream = b"\xfe" * 60_000, FrameStream()
     looked: list[int] = []
-    monkeypatch.setattr("aircraft.bridge.stream.frame_at", lambda data, at: looked.append(at) or frame_at(data, at))
+    monkeypatch.setattr(
+        "aircraft.bridge.stream.frame_at", lambda data, at: looked.append(at) or frame_at(data, at)
+    )
     assert taken(stream, flood, datagram=True) == []
     assert len(looked) <= 2 * MOST_FALSE_STARTS  # of 60,000 bytes that may begin a frame
     assert stream.garbage == 60_000

@@ -1,4 +1,6 @@
-"""Protects the connection to an autopilot: TCP and UDP, both autopilots, in real time, and an endpoint that goes and comes."""
+"""Protects the connection to an autopilot: TCP and UDP, both autopilots, in real time, and an endpoint
+that goes and comes.
+"""
 
 import math
 import time
@@ -67,7 +69,9 @@ class Flown:
     ],
 )
 def test_a_vehicle_flies_over_tcp_and_udp(kind: str, listen: str) -> None:
-    with Double(kind, listen, Settings(ready_s=5.0, parameters=STRETCHED if kind == "px4" else ()), SPEEDUP) as double:
+    with Double(
+        kind, listen, Settings(ready_s=5.0, parameters=STRETCHED if kind == "px4" else ()), SPEEDUP
+    ) as double:
         flown = Flown(double)
         vehicle = flown.vehicle
         flown.until(lambda: vehicle.arm(flown.now_s).accepted)
@@ -103,7 +107,9 @@ def test_a_connection_that_is_lost_comes_back() -> None:
 
 
 def test_heartbeats_come_once_a_second_of_the_vehicles_time() -> None:
-    """Its failsafes count by that: once a second of real time would be every 5 s, and the timeout of FS_GCS is 5 s."""
+    """Its failsafes count by that: once a second of real time would be every 5 s, and the timeout of
+    FS_GCS is 5 s.
+    """
     settings = Settings(ready_s=5.0, parameters=(("FS_GCS_ENABLE", 1.0), ("SYSID_MYGCS", 1.0)))
     with Double("ardupilot", settings=settings, speedup=SPEEDUP) as double:
         flown = Flown(double)
@@ -127,7 +133,10 @@ def test_an_autopilot_of_another_kind_fails_in_one_line() -> None:
     with Double("ardupilot", speedup=SPEEDUP) as double:
         double.wire.autopilot.autopilot = 0
         flown = Flown(double)
-        with pytest.raises(VehicleFailed, match=r"^system 1: autopilot GENERIC \(0\) is not supported; wanted an ArduCopter or a PX4"):
+        with pytest.raises(
+            VehicleFailed,
+            match=r"^system 1: autopilot GENERIC \(0\) is not supported; wanted an ArduCopter or a PX4",
+        ):
             flown.until(lambda: False)
         flown.connection.close()
 
@@ -135,11 +144,20 @@ def test_an_autopilot_of_another_kind_fails_in_one_line() -> None:
 @pytest.mark.parametrize(
     ("url", "state"),
     [
-        ("tcp:127.0.0.1:1", "at tcp:127.0.0.1:1 (Connection refused; it is tried again): is it running? it is a server: ArduPilot's SITL"),
-        ("udpout:127.0.0.1:14999", "at udpout:127.0.0.1:14999: is it running? MAVSDK: udpin://0.0.0.0:14999, pymavlink"),
+        (
+            "tcp:127.0.0.1:1",
+            "at tcp:127.0.0.1:1 (Connection refused; it is tried again): is it running? it is a server: "
+            "ArduPilot's SITL",
+        ),
+        (
+            "udpout:127.0.0.1:14999",
+            "at udpout:127.0.0.1:14999: is it running? MAVSDK: udpin://0.0.0.0:14999, pymavlink",
+        ),
     ],
 )
-def test_what_cannot_be_heard_is_told_with_the_url_that_the_other_side_needs(url: str, state: str, wait_until: Callable[..., None]) -> None:
+def test_what_cannot_be_heard_is_told_with_the_url_that_the_other_side_needs(
+    url: str, state: str, wait_until: Callable[..., None]
+) -> None:
     with closing(Connection(parse_address(url), Log("uav", "test", Tally(), "error"))) as connection:
 
         def told() -> bool:

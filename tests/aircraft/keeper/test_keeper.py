@@ -1,4 +1,6 @@
-"""Protects a vehicle in the air from a uav that hangs or is killed: its keeper sends it home, and leaves a pilot's vehicle alone."""
+"""Protects a vehicle in the air from a uav that hangs or is killed: its keeper sends it home, and leaves a
+pilot's vehicle alone.
+"""
 
 import math
 from collections.abc import Callable
@@ -143,7 +145,9 @@ def test_a_vehicle_whose_uav_hangs_in_flight_is_sent_home(kind: str, phase: Call
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("phase", IN_FLIGHT)
-def test_a_vehicle_whose_uav_is_killed_in_flight_is_sent_home_at_once(kind: str, phase: Callable[[Kept], None]) -> None:
+def test_a_vehicle_whose_uav_is_killed_in_flight_is_sent_home_at_once(
+    kind: str, phase: Callable[[Kept], None]
+) -> None:
     kept = Kept(kind)
     phase(kept)
     kept.keeper.gone()
@@ -169,7 +173,12 @@ def test_a_vehicle_whose_uav_stops_while_it_arms_is_disarmed_on_the_ground(kind:
 
 def test_a_uav_that_is_killed_just_as_it_arms_leaves_no_motors_running() -> None:
     kept = Kept("ardupilot")
-    kept.until(lambda: any(getattr(message, "command", 0) == mavlink.MAV_CMD_COMPONENT_ARM_DISARM for message in kept.radio.sent))
+    kept.until(
+        lambda: any(
+            getattr(message, "command", 0) == mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+            for message in kept.radio.sent
+        )
+    )
     kept.keeper.gone()
     kept.hangs_until(lambda: kept.keeper.over, 20.0)
     assert not kept.ap.armed
@@ -303,7 +312,11 @@ def test_a_flight_that_the_uav_has_not_begun_is_none_of_the_keepers_business() -
         (mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0),
         (mavlink.MAV_CMD_NAV_TAKEOFF, 0.0),
     ):
-        kept.wire.hear(pilot.pack(mavlink.MAVLink_command_long_message(1, 1, number, 0, 1.0, value, 0.0, 0.0, 0.0, 0.0, 10.0)))
+        kept.wire.hear(
+            pilot.pack(
+                mavlink.MAVLink_command_long_message(1, 1, number, 0, 1.0, value, 0.0, 0.0, 0.0, 0.0, 10.0)
+            )
+        )
     kept.hangs(10.0)
     kept.run(10.0)
     assert kept.ap.mode == "GUIDED"

@@ -1,4 +1,6 @@
-"""Protects the vehicle's question to its payload: asked again until it is answered, and only its own answer counts."""
+"""Protects the vehicle's question to its payload: asked again until it is answered, and only its own
+answer counts.
+"""
 
 import math
 

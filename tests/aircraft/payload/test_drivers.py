@@ -1,4 +1,6 @@
-"""Protects how payloads are named and plugged in, and that a driver may do what it likes: the answer is a value or NaN."""
+"""Protects how payloads are named and plugged in, and that a driver may do what it likes: the answer is a
+value or NaN.
+"""
 
 import math
 import re
@@ -66,11 +68,17 @@ def test_the_payloads_that_ship_are_allowed(text: str) -> None:
     ("text", "reason"),
     [
         ("", "'' is not allowed; wanted simulated or serial:PATH[:BAUD]"),
-        ("simulate", "'simulate' is not allowed; did you mean 'simulated'? Wanted simulated or serial:PATH[:BAUD]"),
+        (
+            "simulate",
+            "'simulate' is not allowed; did you mean 'simulated'? Wanted simulated or serial:PATH[:BAUD]",
+        ),
         ("simulated:1", "'simulated:1' is not allowed; wanted simulated alone"),
         ("serial", "'serial' is not allowed; wanted serial:PATH[:BAUD]"),
         ("serial:", "'serial:' is not allowed; wanted serial:PATH[:BAUD]"),
-        ("serial:/dev/ttyUSB0:12345", "'serial:/dev/ttyUSB0:12345': 12345 baud is not allowed; wanted one of 1200,"),
+        (
+            "serial:/dev/ttyUSB0:12345",
+            "'serial:/dev/ttyUSB0:12345': 12345 baud is not allowed; wanted one of 1200,",
+        ),
     ],
 )
 def test_another_payload_is_refused_with_what_is_allowed(text: str, reason: str) -> None:
@@ -86,7 +94,9 @@ def test_a_plug_in_is_found_by_its_name_and_gets_the_text_behind_the_colon(plug:
     driver = make("sniffer:1.5", log)
     driver.open()
     assert driver.read(2.0) == 3.5
-    with pytest.raises(ValueError, match=re.escape("did you mean 'sniffer'? Wanted simulated, serial:PATH[:BAUD] or sniffer")):
+    with pytest.raises(
+        ValueError, match=re.escape("did you mean 'sniffer'? Wanted simulated, serial:PATH[:BAUD] or sniffer")
+    ):
         check("snifer")
 
 
@@ -150,7 +160,9 @@ def test_no_value_is_no_error(log: Log) -> None:
     assert not log.tally.refused
 
 
-@pytest.mark.parametrize("said", [OSError("unplugged"), ValueError("?"), None, "much", math.inf, -math.inf, 1e39, [1.0]])
+@pytest.mark.parametrize(
+    "said", [OSError("unplugged"), ValueError("?"), None, "much", math.inf, -math.inf, 1e39, [1.0]]
+)
 def test_whatever_else_a_driver_does_costs_the_value_and_is_counted(said: object, log: Log) -> None:
     driven = Driven(Says(said, 0.5), log)
     assert math.isnan(driven(ASKED).gas)

@@ -1,4 +1,6 @@
-"""Protects what vehicle and payload say to each other: read field by field with pymavlink, and refused where it is malformed."""
+"""Protects what vehicle and payload say to each other: read field by field with pymavlink, and refused
+where it is malformed.
+"""
 
 import math
 
@@ -7,7 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.payload.messages import Question, Sample, pack_answer, pack_question, unpack_answer, unpack_question
+from aircraft.payload.messages import (
+    Question,
+    Sample,
+    pack_answer,
+    pack_question,
+    unpack_answer,
+    unpack_question,
+)
 from link.bus.mavlink import BadFrame, Codec
 
 float32 = st.floats(-1000, 1000, width=32)
@@ -37,28 +46,57 @@ def frames(*messages: object) -> bytes:
 
 
 def test_a_question_says_place_wind_and_number_in_standard_messages() -> None:
-    said = mavlink.MAVLink(None).parse_buffer(pack_question(Codec(7, 1), T, 3, (4.25, 3.5, -5.0), (1.5, -0.5)))
+    said = mavlink.MAVLink(None).parse_buffer(
+        pack_question(Codec(7, 1), T, 3, (4.25, 3.5, -5.0), (1.5, -0.5))
+    )
     position, wind, which = said
     assert {m.get_srcSystem() for m in said} == {7}
-    assert (position.get_type(), position.time_boot_ms, position.x, position.y, position.z) == ("LOCAL_POSITION_NED", T, 4.25, 3.5, -5.0)
-    assert (wind.get_type(), wind.time_usec, wind.wind_x, wind.wind_y) == ("WIND_COV", 1_234_000, 0.5, -1.5)  # from the east: west
-    assert (which.get_type(), which.time_boot_ms, which.name, which.value) == ("NAMED_VALUE_INT", T, "sample", 3)
+    assert (position.get_type(), position.time_boot_ms, position.x, position.y, position.z) == (
+        "LOCAL_POSITION_NED",
+        T,
+        4.25,
+        3.5,
+        -5.0,
+    )
+    assert (wind.get_type(), wind.time_usec, wind.wind_x, wind.wind_y) == (
+        "WIND_COV",
+        1_234_000,
+        0.5,
+        -1.5,
+    )  # from the east: west
+    assert (which.get_type(), which.time_boot_ms, which.name, which.value) == (
+        "NAMED_VALUE_INT",
+        T,
+        "sample",
+        3,
+    )
 
 
 def test_an_answer_says_gas_and_wind_in_standard_messages_of_the_vehicles_system() -> None:
     value, wind = mavlink.MAVLink(None).parse_buffer(pack_answer(7, Sample(T, 0.75, (1.5, -0.5))))
     assert (value.get_srcSystem(), value.get_srcComponent()) == (7, mavlink.MAV_COMP_ID_PERIPHERAL)
-    assert (value.get_type(), value.time_boot_ms, value.name, value.value) == ("NAMED_VALUE_FLOAT", T, "gas", 0.75)
+    assert (value.get_type(), value.time_boot_ms, value.name, value.value) == (
+        "NAMED_VALUE_FLOAT",
+        T,
+        "gas",
+        0.75,
+    )
     assert (wind.get_type(), wind.time_usec, wind.wind_x, wind.wind_y) == ("WIND_COV", 1_234_000, 0.5, -1.5)
 
 
 @given(times, st.integers(0, 2**31 - 1), float32, float32, winds)
-def test_a_question_survives_the_wire_to_the_last_bit(time: int, which: int, x: float, y: float, wind: tuple[float, float] | None) -> None:
-    assert unpack_question(pack_question(Codec(9, 1), time, which, (y, x, -5.0), wind)) == Question(9, time, which, (x, y), wind)
+def test_a_question_survives_the_wire_to_the_last_bit(
+    time: int, which: int, x: float, y: float, wind: tuple[float, float] | None
+) -> None:
+    assert unpack_question(pack_question(Codec(9, 1), time, which, (y, x, -5.0), wind)) == Question(
+        9, time, which, (x, y), wind
+    )
 
 
 @given(times, float32, winds)
-def test_an_answer_survives_the_wire_to_the_last_bit(time: int, value: float, wind: tuple[float, float] | None) -> None:
+def test_an_answer_survives_the_wire_to_the_last_bit(
+    time: int, value: float, wind: tuple[float, float] | None
+) -> None:
     assert unpack_answer(pack_answer(9, Sample(time, value, wind))) == Sample(time, value, wind)
 
 
@@ -82,7 +120,10 @@ def test_messages_of_other_types_beside_them_are_ignored() -> None:
         (frames(number()), "a question without LOCAL_POSITION_NED"),
         (frames(place()), "a question without NAMED_VALUE_INT"),
         (frames(place(), number(name=b"other")), "NAMED_VALUE_INT is 'other', not 'sample'"),
-        (frames(place(), number(time_boot_ms=T + 1)), "the frames of the question do not share one time_boot_ms"),
+        (
+            frames(place(), number(time_boot_ms=T + 1)),
+            "the frames of the question do not share one time_boot_ms",
+        ),
         (frames(place(), air(T + 1), number()), "the frames of the question do not share one time_boot_ms"),
         (frames(place(), number(-1)), "sample is -1; wanted a whole number from 0"),
         (frames(place(north=math.nan), number()), "position is not finite"),

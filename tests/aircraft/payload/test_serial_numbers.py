@@ -1,4 +1,6 @@
-"""Protects the sensor on a serial line: the first number after the question, whatever else comes, on a device that may go and come."""
+"""Protects the sensor on a serial line: the first number after the question, whatever else comes, on a
+device that may go and come.
+"""
 
 import math
 import os
@@ -33,13 +35,25 @@ def lines(log: Log) -> NumberLines:
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("0.42", 0.42), ("-1", -1.0), ("+3.", 3.0), (".5", 0.5), ("1e-3", 0.001), ("2E2", 200.0), ("  7 ", 7.0), ("007", 7.0)],
+    [
+        ("0.42", 0.42),
+        ("-1", -1.0),
+        ("+3.", 3.0),
+        (".5", 0.5),
+        ("1e-3", 0.001),
+        ("2E2", 200.0),
+        ("  7 ", 7.0),
+        ("007", 7.0),
+    ],
 )
 def test_a_number_is_a_line_of_its_own(text: str, value: float, log: Log) -> None:
     assert lines(log).take(text.encode() + b"\n") == [value]
 
 
-@pytest.mark.parametrize("text", ["gas 1.0", "1.0 ppm", "1,5", "1_000", "0x10", "inf", "1e39", "--1", "\x00\x01", "é1", "1 2", "e5", "."])
+@pytest.mark.parametrize(
+    "text",
+    ["gas 1.0", "1.0 ppm", "1,5", "1_000", "0x10", "inf", "1e39", "--1", "\x00\x01", "é1", "1 2", "e5", "."],
+)
 def test_any_other_line_is_left_out_and_counted(text: str, log: Log) -> None:
     assert lines(log).take(text.encode() + b"\n2\n") == [2.0]
     assert log.tally.refused == {NO_NUMBER: 1}
@@ -164,7 +178,9 @@ def then_says(monkeypatch: pytest.MonkeyPatch, sensor: SerialNumbers, device: De
     monkeypatch.setattr(sensor, "forget", asked)
 
 
-def test_the_first_number_after_the_question_is_the_value(device: Device, sensor: SerialNumbers, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_number_after_the_question_is_the_value(
+    device: Device, sensor: SerialNumbers, monkeypatch: pytest.MonkeyPatch
+) -> None:
     device.say(b"begun\n1.0\n2.0\n")  # before the question
     then_says(monkeypatch, sensor, device, b"warm\n3.5\n4.5\n")
     assert sensor.read(30.0) == 3.5
@@ -192,7 +208,9 @@ def test_after_much_that_was_not_read_no_number_is_made_of_pieces(
     assert sensor.read(30.0) == 2.5
 
 
-def test_a_device_that_is_unplugged_is_opened_again_when_it_is_back(device: Device, sensor: SerialNumbers) -> None:
+def test_a_device_that_is_unplugged_is_opened_again_when_it_is_back(
+    device: Device, sensor: SerialNumbers
+) -> None:
     assert Asked(sensor).hears(device, b"1.0\n") == 1.0
     device.unplug()
     assert math.isnan(sensor.read(0.3))

@@ -1,4 +1,6 @@
-"""Protects the payload's loop: one answer to a question, repeated when it was lost, and no sensor that hangs holds it up."""
+"""Protects the payload's loop: one answer to a question, repeated when it was lost, and no sensor that
+hangs holds it up.
+"""
 
 import contextlib
 import math
@@ -32,7 +34,9 @@ class Ended(Exception):
 
 
 class FakeBus:
-    """A bus without a network: what the test puts into the inbox arrives, what the service publishes is kept."""
+    """A bus without a network: what the test puts into the inbox arrives, what the service publishes is
+    kept.
+    """
 
     def __init__(self, inbox: Inbox) -> None:
         self.tally = Tally()
@@ -155,7 +159,9 @@ def test_a_value_for_a_question_that_was_replaced_is_not_passed_on(bench: Bench)
     assert bench.bus.hear() == Sample(2000, 0.75, None)
 
 
-def test_a_sensor_that_hangs_has_no_value_and_what_it_says_later_is_dropped(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sensor_that_hangs_has_no_value_and_what_it_says_later_is_dropped(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(service, "HUNG_S", 0.05)
     bench.bus.ask(asked(1000))
     sample = bench.bus.hear()

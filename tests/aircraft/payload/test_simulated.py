@@ -1,4 +1,6 @@
-"""Protects the simulated payload: its values are those of the same mission in-process, and its plume blows with the vehicle's wind."""
+"""Protects the simulated payload: its values are those of the same mission in-process, and its plume blows
+with the vehicle's wind.
+"""
 
 import math
 
@@ -18,7 +20,9 @@ CLEAR = Gaussian(0.0, 1e-9)
 Pair = tuple[float, float]
 
 
-def question(number: int = 0, position: Pair = (3.0, 4.0), wind: Pair | None = None, at_ms: int = 1000) -> Question:
+def question(
+    number: int = 0, position: Pair = (3.0, 4.0), wind: Pair | None = None, at_ms: int = 1000
+) -> Question:
     return Question(1, at_ms, number, position, wind)
 
 
@@ -28,7 +32,9 @@ def by_hand(x: float, y: float, wind: Pair) -> float:
     east, north, u = x - s.source[0], y - s.source[1], math.hypot(*wind)
     r = math.hypot(east, north)
     decay = math.sqrt(s.d * s.tau / (1 + u * u * s.tau / (4 * s.d)))
-    return s.q / (4 * math.pi * s.d * r) * math.exp(-r / decay - (east * wind[0] + north * wind[1]) / (2 * s.d))
+    return (
+        s.q / (4 * math.pi * s.d * r) * math.exp(-r / decay - (east * wind[0] + north * wind[1]) / (2 * s.d))
+    )
 
 
 def test_its_values_are_those_of_the_mission_in_process_to_the_last_bit() -> None:

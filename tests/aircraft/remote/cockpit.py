@@ -45,7 +45,9 @@ class Radio:
         self._codec = Codec(0, 191)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
-        self._link = Channel(Traffic("double", Log("uav", "test", Tally(), "error")), lambda _: None, "double")
+        self._link = Channel(
+            Traffic("double", Log("uav", "test", Tally(), "error")), lambda _: None, "double"
+        )
         self._heard: list[Heard] = []
         self._system = 0
         self._frames: list[bytes] = []
@@ -54,7 +56,8 @@ class Radio:
         self.forwarded: list[bytes] = []
         """What was handed on to it."""
         self.late: dict[str, float] = {}
-        """How long, in s, something is on its way: a message type, or `mode` and `status` of HEARTBEATs."""
+        """How long, in s, something is on its way: a message type, or `mode` and `status` of HEARTBEATs.
+        """
         self._now_s = 0.0
         self._way: list[tuple[float, Message]] = []
         self._beats: list[tuple[float, Message]] = []
@@ -101,7 +104,9 @@ class Radio:
         if message.get_type() == "HEARTBEAT" and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
             self._beats.append((self._now_s, copy(message)))
             for name, field in (("mode", "custom_mode"), ("status", "system_status")):
-                then = [beat for at_s, beat in self._beats if at_s <= self._now_s - self.late.get(name, 0.0)] or [message]
+                then = [
+                    beat for at_s, beat in self._beats if at_s <= self._now_s - self.late.get(name, 0.0)
+                ] or [message]
                 setattr(message, field, getattr(then[-1], field))
         return message
 
@@ -150,18 +155,29 @@ class Cockpit:
     """A double, the vehicle that flies it, its search, and an agent that goes 1 m further at each reading."""
 
     def __init__(
-        self, kind: str, *faults: str, after_stop: Any = "return", parameters: dict[str, float] | None = None, outs: tuple[str, ...] = (),
-        wait_s: float = math.inf, launched: bool = False, **settings: Any,
-    ) -> None:  # fmt: skip
+        self,
+        kind: str,
+        *faults: str,
+        after_stop: Any = "return",
+        parameters: dict[str, float] | None = None,
+        outs: tuple[str, ...] = (),
+        wait_s: float = math.inf,
+        launched: bool = False,
+        **settings: Any,
+    ) -> None:
         settings = {"ready_s": 6.0, **settings}
-        self.wire = Wire(kind, Settings(faults=faults, parameters=tuple((parameters or {}).items()), **settings))
+        self.wire = Wire(
+            kind, Settings(faults=faults, parameters=tuple((parameters or {}).items()), **settings)
+        )
         self.radio = Radio(self.wire)
         self.log = Log("uav", "test", Tally(), "warning")
         commander = Commander(self.radio, handling=Handling(self.log).of)
         self.vehicle = RemoteVehicle(VehicleConfig(), commander, wait_s=wait_s, launched=launched)
         self.search = Search(self.vehicle, START, after_stop, lambda _, text: self.said.append(text))
         self.bus = OneEnd(Log("uav", "test", Tally(), "error"))
-        self.clients = RealClients(self.vehicle, self.search, self.bus, outs, Told(self), Handling(self.bus.log), None)
+        self.clients = RealClients(
+            self.vehicle, self.search, self.bus, outs, Told(self), Handling(self.bus.log), None
+        )
         self.said: list[str] = []
         self.wind = Check("wind", Verdict.OK, "given by --wind")
         """What the payload's first answer leads to."""
@@ -172,7 +188,9 @@ class Cockpit:
         self.truths: list[tuple[float, float, float]] = []
         """Where the double truly was then, from home."""
         self.now_s = 0.0
-        self.answers: Callable[[Cockpit], tuple[float, float] | None] = lambda cockpit: onwards(cockpit.readings[-1][1])
+        self.answers: Callable[[Cockpit], tuple[float, float] | None] = lambda cockpit: onwards(
+            cockpit.readings[-1][1]
+        )
         """The next waypoint (x, y); None: no answer."""
         self.thinks_s = 0.3
         self.answer_at: float | None = None
@@ -190,7 +208,9 @@ class Cockpit:
                 self.search.led(event.mode, event.by)
             elif isinstance(event, Arrived) and self.search.measures:
                 self.readings.append((self.now_s, event.position))
-                self.truths.append(tuple(at - home for at, home in zip(self.ap.body.position, self.ap.home, strict=True)))
+                self.truths.append(
+                    tuple(at - home for at, home in zip(self.ap.body.position, self.ap.home, strict=True))
+                )
                 self.search.answers.sampled(round(self.now_s * 1000))
                 self.answer_at = self.now_s + self.thinks_s
         self.search.go_on(searchers=not self.absent)
@@ -234,7 +254,9 @@ class Cockpit:
             self.step()
 
     def fails(self, most_s: float = 200.0) -> str:
-        """Let time pass until the mission has failed and the vehicle stands; returns the reason, as the uav service gives it."""
+        """Let time pass until the mission has failed and the vehicle stands; returns the reason, as the
+        uav service gives it.
+        """
         began_s = self.now_s
         while not (self.vehicle.failure and not self.vehicle.armed):
             assert self.now_s - began_s < most_s, f"not failed within {most_s:g} s; said: {self.said}"

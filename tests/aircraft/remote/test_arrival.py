@@ -11,7 +11,12 @@ STILL: Ned = (0.0, 0.0, 0.0)
 def test_it_arrives_once_it_has_stayed_for_the_time_to_settle() -> None:
     leg = Approach(RULE, TARGET, 100.0)
     near: Ned = (3.1, 4.1, -5.1)  # 0.17 m away
-    assert [leg.arrived(t_s, near, STILL, True) for t_s in (1.0, 1.2, 1.29, 1.31)] == [False, False, False, True]
+    assert [leg.arrived(t_s, near, STILL, True) for t_s in (1.0, 1.2, 1.29, 1.31)] == [
+        False,
+        False,
+        False,
+        True,
+    ]
 
 
 def test_passing_by_or_overshooting_is_no_arrival() -> None:

@@ -1,4 +1,6 @@
-"""Protects a search on a real autopilot: it waits, arms, takes off, flies each waypoint, measures at rest, comes home and lands."""
+"""Protects a search on a real autopilot: it waits, arms, takes off, flies each waypoint, measures at rest,
+comes home and lands.
+"""
 
 import math
 from typing import Any
@@ -71,7 +73,9 @@ def test_readings_are_taken_at_rest(kind: str) -> None:
 
 @both
 def test_time_in_which_the_link_carries_nothing_is_no_time_at_rest(kind: str) -> None:
-    """A relay holds everything back for 0.8 s, just when the vehicle was first heard to be near its waypoint and slow."""
+    """A relay holds everything back for 0.8 s, just when the vehicle was first heard to be near its
+    waypoint and slow.
+    """
     cockpit = searching(kind)
     cockpit.reads(2)
     target = cockpit.readings[-1][1]
@@ -105,7 +109,11 @@ def test_no_message_to_the_autopilot_holds_a_nan_that_arducopter_would_die_of(ki
     cockpit = searching(kind)
     for message in cockpit.radio.sent:
         values = [value for value in message.to_dict().values() if isinstance(value, float)]
-        allowed = kind == "px4" and message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_NAV_TAKEOFF
+        allowed = (
+            kind == "px4"
+            and message.get_type() == "COMMAND_LONG"
+            and message.command == mavlink.MAV_CMD_NAV_TAKEOFF
+        )
         assert allowed or all(map(math.isfinite, values)), message
 
 
@@ -138,7 +146,9 @@ def test_what_comes_after_the_stop_is_done(kind: str, after_stop: str, mode: Mod
     cockpit.run(4.0)
     assert cockpit.mode is mode
     assert cockpit.vehicle.flight.doing is None
-    assert cockpit.ap.mode in ({Mode.LAND: "LAND", Mode.HOLD: "BRAKE" if kind == "ardupilot" else "HOLD"}[mode],)
+    assert cockpit.ap.mode in (
+        {Mode.LAND: "LAND", Mode.HOLD: "BRAKE" if kind == "ardupilot" else "HOLD"}[mode],
+    )
 
 
 @both

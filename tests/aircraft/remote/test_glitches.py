@@ -1,4 +1,6 @@
-"""Protects readings from a position that jumps: none is taken while it is wrong, the vehicle stays, and the stop is warned of."""
+"""Protects readings from a position that jumps: none is taken while it is wrong, the vehicle stays, and
+the stop is warned of.
+"""
 
 import math
 from typing import Any
@@ -46,7 +48,9 @@ def test_an_innovation_is_what_velocities_and_time_do_not_explain() -> None:
 
 
 def test_the_margin_grows_with_the_time_between_two_reports_and_with_the_speed() -> None:
-    """1 m; 5 m/s² for half a second and back in the other half are 1.25 m; a tenth of 4 m/s in 1 s is 0.4 m."""
+    """1 m; 5 m/s² for half a second and back in the other half are 1.25 m; a tenth of 4 m/s in 1 s is 0.4
+    m.
+    """
     assert margin_m(at(0, 0.0), at(50, 0.0)) == pytest.approx(1.0, abs=0.01)
     assert margin_m(at(0, 0.0), at(1000, 0.0)) == pytest.approx(2.25)
     assert margin_m(at(0, 0.0, 4.0), at(1000, 0.0, 0.0)) == pytest.approx(2.65)
@@ -60,9 +64,17 @@ def test_a_clock_that_wraps_counts_on() -> None:
     "fixes",
     [
         (at(0, 0.0), at(50, 0.9)),  # a small reset
-        (at(0, 0.0), at(1050, 2.0)),  # a second is lost in which it flew 2 m and stopped: 0.7 s at 5 m/s² speed up, and as long down
+        (
+            at(0, 0.0),
+            at(1050, 2.0),
+        ),  # a second is lost in which it flew 2 m and stopped: 0.7 s at 5 m/s² speed up, and as long down
         (at(0, 0.0, 4.0), at(250, 1.0, 4.0), at(500, 2.0, 4.0)),
-        (at(0, 0.0, 4.0), at(100, 0.4, 4.0), at(50, 0.2, 4.0), at(150, 0.6, 4.0)),  # one has overtaken another
+        (
+            at(0, 0.0, 4.0),
+            at(100, 0.4, 4.0),
+            at(50, 0.2, 4.0),
+            at(150, 0.6, 4.0),
+        ),  # one has overtaken another
         (at(0, 0.0), at(50, 0.0), at(50, 30.0)),  # of one time only one counts
     ],
     ids=["reset", "gap", "lost", "overtaken", "twice"],
@@ -84,7 +96,10 @@ def test_a_jump_of_33_m_is_seen_even_after_a_lost_second(gap_ms: int) -> None:
 def test_an_older_position_does_not_replace_a_newer_one() -> None:
     known = Known()
     for boot_ms, north in ((1000, 1.0), (1100, 1.4), (1050, 1.2)):
-        known.take(mavlink.MAVLink_local_position_ned_message(boot_ms, north, 0.0, -5.0, 4.0, 0.0, 0.0), boot_ms / 1000.0)
+        known.take(
+            mavlink.MAVLink_local_position_ned_message(boot_ms, north, 0.0, -5.0, 4.0, 0.0, 0.0),
+            boot_ms / 1000.0,
+        )
     assert known.position[0] == pytest.approx(1.4)
     assert known.boot_ms == 1100
 
@@ -95,7 +110,11 @@ def test_it_is_over_once_it_has_jumped_back_and_been_sound_for_some_seconds() ->
     assert glitches.lasts(2.05 + SOUND_S - 0.1)
     glitches.look(2.05 + SOUND_S + 0.1)
     assert not glitches.lasts(2.05 + SOUND_S + 0.1)
-    assert [text.split(":")[0].split(" after")[0] for text in glitches.news] == ["GPS glitch", "GPS glitch", "GPS glitch is over"]
+    assert [text.split(":")[0].split(" after")[0] for text in glitches.news] == [
+        "GPS glitch",
+        "GPS glitch",
+        "GPS glitch is over",
+    ]
     assert glitches.caveat == "GPS glitches in this flight: 1"
 
 
@@ -156,7 +175,9 @@ def ekf(variance: float, flags: int = 831) -> Any:
 
 
 def estimator(ratio: float, flags: int = 831) -> Any:
-    return mavlink.MAVLink_estimator_status_message(0, flags, 0.1, ratio, 0.1, 0.1, math.nan, math.nan, 0.3, 0.4)
+    return mavlink.MAVLink_estimator_status_message(
+        0, flags, 0.1, ratio, 0.1, 0.1, math.nan, math.nan, 0.3, 0.4
+    )
 
 
 def test_a_variance_that_stays_too_large_is_a_glitch_and_a_short_one_only_delays_a_reading() -> None:
@@ -188,7 +209,9 @@ def test_the_flag_of_each_autopilot_is_its_own_one() -> None:
 
 def truly_where_told(cockpit: Cockpit) -> bool:
     """Noise of 0.03 m, and jumps that are known to some cm."""
-    return all(away_m(told, true) < 0.3 for (_, told), true in zip(cockpit.readings, cockpit.truths, strict=True))
+    return all(
+        away_m(told, true) < 0.3 for (_, told), true in zip(cockpit.readings, cockpit.truths, strict=True)
+    )
 
 
 @both
@@ -204,7 +227,9 @@ def test_a_gps_glitch_costs_time_and_no_reading_is_off(kind: str) -> None:
     assert truly_where_told(cockpit)
     assert cockpit.search.state == SEARCHING
     assert not cockpit.vehicle.failure
-    assert sum(said.startswith("GPS glitch is over") for said in cockpit.said) == 1, "both jumps are one event"
+    assert sum(said.startswith("GPS glitch is over") for said in cockpit.said) == 1, (
+        "both jumps are one event"
+    )
     assert "jumped back" in "".join(cockpit.said)
 
 
@@ -225,7 +250,9 @@ def test_the_vehicle_stays_where_it_is_when_its_position_jumps(kind: str) -> Non
     cockpit = searching(kind, "jump@#3")
     place = tuple(cockpit.ap.body.position)
     cockpit.until(lambda: cockpit.heard("GPS glitch is over"))
-    assert away_m(place, cockpit.ap.body.position) < 2.0, "the rest of its way of 1 m, and what it drifted at first"
+    assert away_m(place, cockpit.ap.body.position) < 2.0, (
+        "the rest of its way of 1 m, and what it drifted at first"
+    )
 
 
 @both
@@ -238,7 +265,9 @@ def test_a_position_that_has_stayed_shifted_is_told_for_the_rest_and_the_places_
 
 
 @both
-@pytest.mark.parametrize("faults", [("drop:20",), ("mute@#3:1",), ("mute@#4:1", "drop:20"), ("silence@#3:1.5",)], ids=str)
+@pytest.mark.parametrize(
+    "faults", [("drop:20",), ("mute@#3:1",), ("mute@#4:1", "drop:20"), ("silence@#3:1.5",)], ids=str
+)
 def test_lost_datagrams_are_no_glitch(kind: str, faults: tuple[str, ...]) -> None:
     cockpit = searching(kind, *faults, seed=5)
     cockpit.reads(10)

@@ -1,4 +1,6 @@
-"""Protects what is taken from a real vehicle's words: frames, winds, parameters, texts, and what it still lacks to fly."""
+"""Protects what is taken from a real vehicle's words: frames, winds, parameters, texts, and what it still
+lacks to fly.
+"""
 
 import struct
 from typing import Any
@@ -13,7 +15,9 @@ ORIGIN = mavlink.MAVLink_gps_global_origin_message(473977419, 85455938, 488_000,
 
 
 def home(lat_e7: int, lon_e7: int, alt_mm: int) -> Any:
-    return mavlink.MAVLink_home_position_message(lat_e7, lon_e7, alt_mm, 0, 0, 0, [1.0, 0.0, 0.0, 0.0], 0, 0, 0)
+    return mavlink.MAVLink_home_position_message(
+        lat_e7, lon_e7, alt_mm, 0, 0, 0, [1.0, 0.0, 0.0, 0.0], 0, 0, 0
+    )
 
 
 def beat(autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, kind: int = mavlink.MAV_TYPE_QUADROTOR) -> Any:
@@ -32,7 +36,9 @@ def known(*messages: Any, at_s: float = 10.0) -> Known:
 
 
 def test_home_lies_where_its_latitude_and_longitude_are_from_the_origin() -> None:
-    """1e-5 degrees of latitude are 6371 km * pi / 180 * 1e-5 = 1.1119 m; of longitude at 47.4 degrees, that times its cosine 0.67690."""
+    """1e-5 degrees of latitude are 6371 km * pi / 180 * 1e-5 = 1.1119 m; of longitude at 47.4 degrees,
+    that times its cosine 0.67690.
+    """
     north, east, down = known(ORIGIN, home(473977519, 85455838, 488_400)).to_home()
     assert north == pytest.approx(1.1119, abs=2e-4)
     assert east == pytest.approx(-0.7527, abs=2e-4)
@@ -70,7 +76,9 @@ def test_a_wind_of_zero_is_not_known() -> None:
 
 def test_an_integer_parameter_of_px4_comes_as_its_bytes() -> None:
     (as_float,) = struct.unpack("<f", struct.pack("<i", 3))
-    said = mavlink.MAVLink_param_value_message(b"COM_OBL_RC_ACT", as_float, mavlink.MAV_PARAM_TYPE_INT32, 1, 0)
+    said = mavlink.MAVLink_param_value_message(
+        b"COM_OBL_RC_ACT", as_float, mavlink.MAV_PARAM_TYPE_INT32, 1, 0
+    )
     assert known(beat(mavlink.MAV_AUTOPILOT_PX4), said).parameters == {"COM_OBL_RC_ACT": 3.0}
     plain = mavlink.MAVLink_param_value_message(b"FS_GCS_ENABLE", 1.0, mavlink.MAV_PARAM_TYPE_INT8, 1, 0)
     assert known(beat(), plain).parameters == {"FS_GCS_ENABLE": 1.0}
@@ -79,8 +87,13 @@ def test_an_integer_parameter_of_px4_comes_as_its_bytes() -> None:
 def test_a_long_text_comes_whole() -> None:
     first = b"Mode change to AUTO RTL failed: No return path or "
     assert len(first) == 50
-    chunks = (mavlink.MAVLink_statustext_message(4, text, 7, at) for at, text in enumerate((first, b"landing sequence found")))
-    assert known(*chunks).texts == [(4, "Mode change to AUTO RTL failed: No return path or landing sequence found")]
+    chunks = (
+        mavlink.MAVLink_statustext_message(4, text, 7, at)
+        for at, text in enumerate((first, b"landing sequence found"))
+    )
+    assert known(*chunks).texts == [
+        (4, "Mode change to AUTO RTL failed: No return path or landing sequence found")
+    ]
 
 
 def test_an_autopilot_that_starts_again_has_forgotten_its_origin() -> None:
@@ -96,8 +109,12 @@ def test_a_breach_of_the_fence_is_heard(text: str) -> None:
 
 def test_other_autopilots_and_planes_are_named_in_one_line() -> None:
     assert unfit(beat()) == unfit(beat(mavlink.MAV_AUTOPILOT_PX4)) == ""
-    assert unfit(beat(mavlink.MAV_AUTOPILOT_GENERIC)).startswith("autopilot GENERIC (0) is not supported; wanted")
-    assert unfit(beat(kind=mavlink.MAV_TYPE_FIXED_WING)).startswith("vehicle type FIXED_WING (1) cannot hover; wanted")
+    assert unfit(beat(mavlink.MAV_AUTOPILOT_GENERIC)).startswith(
+        "autopilot GENERIC (0) is not supported; wanted"
+    )
+    assert unfit(beat(kind=mavlink.MAV_TYPE_FIXED_WING)).startswith(
+        "vehicle type FIXED_WING (1) cannot hover; wanted"
+    )
 
 
 def test_modes_are_asked_for_by_each_autopilots_own_numbers() -> None:

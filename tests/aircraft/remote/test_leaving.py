@@ -9,6 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.keeper.connection import Heard
+from aircraft.remote import passing, real
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.uav import Uav
@@ -19,7 +20,6 @@ from plume.scenario import draw
 from plume.sensor import Gaussian
 from plume.world import World
 from sitl.autopilot.state import VehicleFailed
-from sitl.uav import passing, real
 from tests.aircraft.remote.cockpit import STEPS, Cockpit
 from tests.autopilots.body import DT_S
 from tests.fuzz.services import QuietBus
@@ -55,7 +55,9 @@ def strike() -> None:
 def fly_until_struck(cockpit: Cockpit) -> None:
     """Run the uav service until its first signal."""
     bus = QuietBus()
-    uav = Uav(cockpit.vehicle, World(draw(1_000_000), 1, Gaussian()), InStep(cockpit), Struck(), bus, (), bus.log)
+    uav = Uav(
+        cockpit.vehicle, World(draw(1_000_000), 1, Gaussian()), InStep(cockpit), Struck(), bus, (), bus.log
+    )
     with pytest.raises(KeyboardInterrupt):
         uav.run()
 
@@ -74,8 +76,12 @@ def of_a_command() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_a_second_and_a_third_signal_do_not_keep_a_vehicle_from_being_sent_home(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A launcher with threads that is killed can cause several signals: one in the loop, others before and after the vehicle is told."""
+def test_a_second_and_a_third_signal_do_not_keep_a_vehicle_from_being_sent_home(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A launcher with threads that is killed can cause several signals: one in the loop, others before and
+    after the vehicle is told.
+    """
     cockpit = Cockpit(kind)
     cockpit.reads(1)
     leave, told = passing.leave, RemoteVehicle.leave
@@ -116,7 +122,9 @@ def test_a_vehicle_is_told_to_return_until_it_obeys(monkeypatch: pytest.MonkeyPa
 
 def leave_when(cockpit: Cockpit, monkeypatch: pytest.MonkeyPatch, happens: Callable[[], None]) -> None:
     """End the service; while it leaves the vehicle something happens at each look."""
-    monkeypatch.setattr(real, "time", SimpleNamespace(monotonic=lambda: cockpit.now_s, sleep=lambda _: happens()))
+    monkeypatch.setattr(
+        real, "time", SimpleNamespace(monotonic=lambda: cockpit.now_s, sleep=lambda _: happens())
+    )
     leave = passing.leave
 
     def troubled(*args) -> None:
@@ -133,13 +141,17 @@ def test_an_unfit_heartbeat_while_the_vehicle_is_left_does_not_keep_it_from_bein
 ) -> None:
     cockpit = Cockpit(kind)
     cockpit.reads(1)
-    gimbal = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_AUTOPILOT_GENERIC, 0, 0, 4, 3)
+    gimbal = mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_AUTOPILOT_GENERIC, 0, 0, 4, 3
+    )
     leave_when(cockpit, monkeypatch, lambda: cockpit.radio.hear(gimbal))
     assert cockpit.ap.mode == "RTL"
 
 
 @pytest.mark.parametrize(
-    "failure", [VehicleFailed("it is gone"), KeyError("a fault"), OSError("no link")], ids=lambda it: type(it).__name__
+    "failure",
+    [VehicleFailed("it is gone"), KeyError("a fault"), OSError("no link")],
+    ids=lambda it: type(it).__name__,
 )
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
 def test_a_vehicle_whose_words_cannot_be_read_is_sent_home_all_the_same(

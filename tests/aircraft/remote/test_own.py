@@ -1,4 +1,6 @@
-"""Protects the project's own vehicle as an autopilot like any other: what holds on the doubles holds on it, and it acts as it says."""
+"""Protects the project's own vehicle as an autopilot like any other: what holds on the doubles holds on
+it, and it acts as it says.
+"""
 
 from collections.abc import Callable
 

@@ -1,4 +1,6 @@
-"""Protects what a real vehicle's clients see and may do: its autopilot's own frames, as it said them, and theirs handed on to it."""
+"""Protects what a real vehicle's clients see and may do: its autopilot's own frames, as it said them, and
+theirs handed on to it.
+"""
 
 import socket
 from collections.abc import Iterator
@@ -59,7 +61,9 @@ def decoded(frames: list[bytes], kind: str) -> list[Message]:
 
 
 @both
-def test_what_the_autopilot_says_reaches_the_bus_and_every_out_byte_for_byte_under_its_own_id(kind: str) -> None:
+def test_what_the_autopilot_says_reaches_the_bus_and_every_out_byte_for_byte_under_its_own_id(
+    kind: str,
+) -> None:
     """It has lost its GPS, does not know its battery, and is tilted: so it is seen."""
     with station() as one, station() as other:
         cockpit = Cockpit(kind, "gps@+6", instance=31, outs=(out(one), out(other)))
@@ -96,7 +100,9 @@ def test_beside_the_autopilot_the_search_is_an_onboard_controller(kind: str) -> 
     cockpit = searching(kind, instance=31)
     beats = [message for message in cockpit.bus.heard() if message.get_type() == "HEARTBEAT"]
     assert {(beat.get_srcSystem(), beat.get_srcComponent()) for beat in beats} == {(32, 191)}
-    assert {(beat.type, beat.autopilot) for beat in beats} == {(mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID)}
+    assert {(beat.type, beat.autopilot) for beat in beats} == {
+        (mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID)
+    }
     cockpit.clients.tell(4, "a word")
     assert cockpit.bus.heard()[-1].text == "a word"
 
@@ -106,8 +112,13 @@ def test_the_parameters_of_the_autopilot_are_a_stations_on_out() -> None:
         cockpit = searching("ardupilot", outs=(out(one),))
         _, link = one.recvfrom(65535)
         received(one)
-        one.sendto(Codec(255, 190).pack(mavlink.MAVLink_param_request_read_message(1, 1, b"RTL_ALT", -1)), link)
-        cockpit.until(lambda: [value for value in decoded(received(one), "PARAM_VALUE") if value.param_id == "RTL_ALT"], 10.0)
+        one.sendto(
+            Codec(255, 190).pack(mavlink.MAVLink_param_request_read_message(1, 1, b"RTL_ALT", -1)), link
+        )
+        cockpit.until(
+            lambda: [value for value in decoded(received(one), "PARAM_VALUE") if value.param_id == "RTL_ALT"],
+            10.0,
+        )
 
 
 WAYS = (
@@ -141,7 +152,9 @@ def test_what_is_for_the_autopilot_or_for_all_is_handed_on_unchanged(message: Me
     ],
     ids=["another vehicle's", "as the autopilot", "as the search", "a key", "for the search"],
 )
-def test_what_is_not_for_the_autopilot_or_comes_in_its_name_is_not_handed_on(message: Message, sender: tuple[int, int]) -> None:
+def test_what_is_not_for_the_autopilot_or_comes_in_its_name_is_not_handed_on(
+    message: Message, sender: tuple[int, int]
+) -> None:
     cockpit = searching("ardupilot")
     cockpit.radio.forwarded.clear()
     cockpit.tell(message, sender)
@@ -154,7 +167,12 @@ def test_what_is_not_for_the_autopilot_or_comes_in_its_name_is_not_handed_on(mes
 def word(cockpit: Cockpit, name: CommandName) -> int:
     """Say a word to the search; returns the result that it acknowledges with."""
     (ack,) = [answer for answer in cockpit.tell(order(name, 1, SEARCH)) if answer.get_type() == "COMMAND_ACK"]
-    assert (ack.get_srcSystem(), ack.get_srcComponent(), ack.target_system, ack.target_component) == (1, 191, 255, 190)
+    assert (ack.get_srcSystem(), ack.get_srcComponent(), ack.target_system, ack.target_component) == (
+        1,
+        191,
+        255,
+        190,
+    )
     return int(ack.result)
 
 
@@ -180,7 +198,9 @@ def test_what_the_search_cannot_do_is_refused_with_a_reason() -> None:
     cockpit = Cockpit("ardupilot")
     cockpit.until(lambda: cockpit.clients.system)
     assert word(cockpit, "hold") == REJECTED
-    assert "the search flies nothing" in "".join(said.text for said in cockpit.bus.heard() if said.get_type() == "STATUSTEXT")
+    assert "the search flies nothing" in "".join(
+        said.text for said in cockpit.bus.heard() if said.get_type() == "STATUSTEXT"
+    )
     for number in (mavlink.MAV_CMD_NAV_TAKEOFF, mavlink.MAV_CMD_DO_PAUSE_CONTINUE):
         assert cockpit.tell(command(1, number, 7.0, component=191))[0].result == UNSUPPORTED
 
@@ -195,7 +215,9 @@ def test_who_changed_the_mode_over_the_bus_is_named() -> None:
 
 def test_setpoints_of_others_are_refused_while_the_search_leads_and_handed_on_when_it_does_not() -> None:
     cockpit = searching("ardupilot")
-    setpoint = mavlink.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, POSITION_ONLY, 1.0, 1.0, -5.0, *[0.0] * 8)
+    setpoint = mavlink.MAVLink_set_position_target_local_ned_message(
+        0, 1, 1, 1, POSITION_ONLY, 1.0, 1.0, -5.0, *[0.0] * 8
+    )
     cockpit.radio.forwarded.clear()
     (said,) = cockpit.tell(setpoint)
     assert said.text == "Setpoint refused: the search leads, HOLD stops it"

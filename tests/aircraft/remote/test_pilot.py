@@ -1,4 +1,6 @@
-"""Protects that the pilot of a real vehicle always wins: what is a pilot's and what a failsafe's, and how the search comes back."""
+"""Protects that the pilot of a real vehicle always wins: what is a pilot's and what a failsafe's, and how
+the search comes back.
+"""
 
 import itertools
 import math
@@ -70,7 +72,9 @@ def test_a_pilot_who_stops_a_vehicle_whose_failsafe_struck_long_ago_is_left_alon
     assert cockpit.vehicle.left
 
 
-def test_a_flag_that_a_pilot_knows_of_when_he_gives_the_search_back_neither_ends_it_nor_makes_his_stop_a_failsafe() -> None:
+def test_a_flag_that_a_pilot_knows_of_when_he_gives_the_search_back_neither_ends_it_nor_makes_his_stop_a_failsafe() -> (
+    None
+):
     """A minute after the battery's flag went up, its action being 0."""
     cockpit = searching("ardupilot", "low@900", parameters=ONLY_WARNS)
     cockpit.ap.change("LOITER")
@@ -87,7 +91,9 @@ def test_a_flag_that_a_pilot_knows_of_when_he_gives_the_search_back_neither_ends
 
 
 def test_a_pilot_who_stops_a_vehicle_just_before_a_flag_rises_is_left_alone() -> None:
-    """A failsafe's own change of mode has its status in the same HEARTBEAT: a status that rises later has not changed the mode."""
+    """A failsafe's own change of mode has its status in the same HEARTBEAT: a status that rises later has
+    not changed the mode.
+    """
     cockpit = searching("ardupilot", "low@900", parameters=ONLY_WARNS)
     cockpit.ap.change("BRAKE")
     cockpit.until(lambda: cockpit.search.state == PAUSED)
@@ -99,13 +105,16 @@ def test_a_pilot_who_stops_a_vehicle_just_before_a_flag_rises_is_left_alone() ->
 
 
 ORDERS = [
-    pytest.param(late, marks=[pytest.mark.full] * (sum(late) > 1.0), id=f"{late}") for late in itertools.product((0.0, 1.0), repeat=3)
+    pytest.param(late, marks=[pytest.mark.full] * (sum(late) > 1.0), id=f"{late}")
+    for late in itertools.product((0.0, 1.0), repeat=3)
 ]
 
 
 @pytest.mark.parametrize("late", ORDERS)
 @both
-def test_a_new_failsafe_that_only_hovers_is_flown_home_in_whatever_order_its_signs_come(kind: str, late: tuple[float, ...]) -> None:
+def test_a_new_failsafe_that_only_hovers_is_flown_home_in_whatever_order_its_signs_come(
+    kind: str, late: tuple[float, ...]
+) -> None:
     cockpit = searching(kind, "fence@900", parameters=FENCE_HOVERS[kind])
     cockpit.radio.late = dict(zip(("mode", "status", "STATUSTEXT"), late, strict=True))
     cockpit.run(3.0)
@@ -116,7 +125,9 @@ def test_a_new_failsafe_that_only_hovers_is_flown_home_in_whatever_order_its_sig
 
 
 def test_a_second_failsafe_is_one_though_the_flag_of_the_first_is_up() -> None:
-    cockpit = searching("ardupilot", "low@900", "fence@900", parameters={**ONLY_WARNS, **FENCE_HOVERS["ardupilot"]})
+    cockpit = searching(
+        "ardupilot", "low@900", "fence@900", parameters={**ONLY_WARNS, **FENCE_HOVERS["ardupilot"]}
+    )
     cockpit.ap.change("LOITER")
     cockpit.run(5.0)
     strike(cockpit, "low")
@@ -212,7 +223,9 @@ def test_px4_gets_setpoints_before_it_is_asked_for_offboard_again() -> None:
 
 @pytest.mark.parametrize("before", [(), ("BRAKE",)], ids=["searching", "stopped"])
 @both
-def test_a_go_to_of_a_ground_station_is_flown_and_nothing_of_ours_goes_out(kind: str, before: tuple[str, ...]) -> None:
+def test_a_go_to_of_a_ground_station_is_flown_and_nothing_of_ours_goes_out(
+    kind: str, before: tuple[str, ...]
+) -> None:
     """In GUIDED it changes no mode; PX4 changes to HOLD."""
     cockpit = searching(kind)
     cockpit.run(1.0)
@@ -312,12 +325,18 @@ def test_a_search_that_a_pilot_ends_says_by_whom_and_how(kind: str) -> None:
     cockpit = searching(kind, "pilot@#3:RTL")
     cockpit.until(lambda: cockpit.search.state == LANDED)
     assert not cockpit.vehicle.failure
-    assert cockpit.said[-1] == cockpit.search.waits_for == f"ended by the pilot: {'RTL' if kind == 'ardupilot' else 'RETURN'} by {A_RADIO}"
+    assert (
+        cockpit.said[-1]
+        == cockpit.search.waits_for
+        == f"ended by the pilot: {'RTL' if kind == 'ardupilot' else 'RETURN'} by {A_RADIO}"
+    )
 
 
 @both
 def test_a_search_whose_motors_are_stopped_in_flight_says_so(kind: str) -> None:
-    """Or, where ArduCopter forgets its target before its HEARTBEAT tells of the motors, that it is a pilot's."""
+    """Or, where ArduCopter forgets its target before its HEARTBEAT tells of the motors, that it is a
+    pilot's.
+    """
     cockpit = searching(kind)
     cockpit.ap.disarm()
     cockpit.until(lambda: cockpit.search.state == LANDED)
@@ -333,7 +352,9 @@ def test_a_search_that_a_client_ends_through_us_names_the_client(kind: str) -> N
     cockpit.vehicle.flight.asked_by(STATION)
     cockpit.ap.change("RTL")
     cockpit.until(lambda: cockpit.search.state == LANDED)
-    assert cockpit.said[-1] == f"ended by the pilot: {'RTL' if kind == 'ardupilot' else 'RETURN'} by {STATION}"
+    assert (
+        cockpit.said[-1] == f"ended by the pilot: {'RTL' if kind == 'ardupilot' else 'RETURN'} by {STATION}"
+    )
 
 
 @both
@@ -363,20 +384,25 @@ def test_nothing_is_given_back_before_the_flight_or_after_it() -> None:
 # ---- what else speaks with the vehicle's ids ----
 
 
-def stranger(autopilot: int = mavlink.MAV_AUTOPILOT_GENERIC, kind: int = mavlink.MAV_TYPE_GIMBAL) -> mavlink.MAVLink_heartbeat_message:
+def stranger(
+    autopilot: int = mavlink.MAV_AUTOPILOT_GENERIC, kind: int = mavlink.MAV_TYPE_GIMBAL
+) -> mavlink.MAVLink_heartbeat_message:
     """The HEARTBEAT of what is no vehicle for a search."""
     return mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, 7, mavlink.MAV_STATE_ACTIVE, 3)
 
 
 OTHERS = {
-    "a gimbal": stranger(), "a plane": stranger(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_TYPE_FIXED_WING),
+    "a gimbal": stranger(),
+    "a plane": stranger(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_TYPE_FIXED_WING),
     "a number that nobody knows": stranger(250, 250),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("message", OTHERS.values(), ids=OTHERS)
 @both
-def test_an_unfit_heartbeat_with_the_vehicles_ids_is_told_once_and_ignored(kind: str, message: mavlink.MAVLink_heartbeat_message) -> None:
+def test_an_unfit_heartbeat_with_the_vehicles_ids_is_told_once_and_ignored(
+    kind: str, message: mavlink.MAVLink_heartbeat_message
+) -> None:
     cockpit = searching(kind)
     for _ in range(10):
         cockpit.radio.hear(message)
@@ -416,7 +442,11 @@ def test_a_fault_that_the_autopilots_message_meets_drops_the_message_and_is_told
 def test_a_parameter_that_is_no_number_is_dropped(value: float) -> None:
     cockpit = Cockpit("px4")
     cockpit.until(lambda: cockpit.vehicle.system)
-    cockpit.radio.hear(mavlink.MAVLink_param_value_message(b"COM_OF_LOSS_T", value, mavlink.MAV_PARAM_TYPE_REAL32, 1, 0))
-    cockpit.radio.hear(mavlink.MAVLink_param_value_message(b"COM_OBL_RC_ACT", value, mavlink.MAV_PARAM_TYPE_REAL32, 1, 0))
+    cockpit.radio.hear(
+        mavlink.MAVLink_param_value_message(b"COM_OF_LOSS_T", value, mavlink.MAV_PARAM_TYPE_REAL32, 1, 0)
+    )
+    cockpit.radio.hear(
+        mavlink.MAVLink_param_value_message(b"COM_OBL_RC_ACT", value, mavlink.MAV_PARAM_TYPE_REAL32, 1, 0)
+    )
     cockpit.reads(1)
     assert cockpit.log.tally.refused["fault"] == 2

@@ -1,4 +1,6 @@
-"""Protects whole searches on a real autopilot with each planner, with frames lost: estimator and agent notice nothing."""
+"""Protects whole searches on a real autopilot with each planner, with frames lost: estimator and agent
+notice nothing.
+"""
 
 import math
 
@@ -20,7 +22,9 @@ KINDS = ("ardupilot", "px4")
 
 
 class Mind:
-    """Estimator and agent of one mission, in this process. The gas is that of the place that the vehicle reports."""
+    """Estimator and agent of one mission, in this process. The gas is that of the place that the vehicle
+    reports.
+    """
 
     def __init__(self, policy: str) -> None:
         told = draw(SEED)
@@ -34,7 +38,9 @@ class Mind:
         """The waypoint after the newest reading."""
         north, east, down = cockpit.readings[-1][1]
         step = len(cockpit.readings) - 1
-        reading = Reading(step, (float32(east), float32(north)), -down, self.world.wind, self.world.gas((east, north), step))
+        reading = Reading(
+            step, (float32(east), float32(north)), -down, self.world.wind, self.world.gas((east, north), step)
+        )
         self.posterior = assimilate(self.posterior, reading, self.config)
         summary, cloud = belief(self.posterior, reading, self.config)
         self.asked.append(choose(self.policy, summary, cloud, derived_seed(SEED, "agent"), self.within))
@@ -43,12 +49,16 @@ class Mind:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("policy", [*PLANNERS, "ppo"])
-def test_a_search_flies_each_waypoint_of_its_planner_with_5_percent_of_the_frames_lost(policy: str, kind: str) -> None:
+def test_a_search_flies_each_waypoint_of_its_planner_with_5_percent_of_the_frames_lost(
+    policy: str, kind: str
+) -> None:
     mind, cockpit = Mind(policy), Cockpit(kind, "drop:5", seed=len(policy))
     cockpit.answers = mind.answer
     cockpit.reads(BUDGET + 1)
     cockpit.finds()
     cockpit.until(lambda: cockpit.search.state == LANDED)
     places = [(place[1], place[0]) for _, place in cockpit.readings[1:]]
-    assert all(math.dist(place, asked) < 0.3 + 0.5 for place, asked in zip(places, mind.asked, strict=False)), "0.35 m inside an edge"
+    assert all(
+        math.dist(place, asked) < 0.3 + 0.5 for place, asked in zip(places, mind.asked, strict=False)
+    ), "0.35 m inside an edge"
     assert not cockpit.vehicle.failure

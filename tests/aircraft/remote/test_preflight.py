@@ -1,4 +1,6 @@
-"""Protects what comes before arming: one list, told once; nothing flies that it forbids; and no wait is without a reason or an end."""
+"""Protects what comes before arming: one list, told once; nothing flies that it forbids; and no wait is
+without a reason or an end.
+"""
 
 from typing import Any
 
@@ -33,7 +35,12 @@ def silent_about(cockpit: Cockpit, *numbers: int) -> None:
 @pytest.mark.parametrize(
     ("kind", "vehicle", "lost", "battery"),
     [
-        ("ardupilot", "ArduCopter, system 1, in STABILIZE", "FS_GCS acts after 5 s (FS_GCS_ENABLE 1)", "the autopilot changes to RTL"),
+        (
+            "ardupilot",
+            "ArduCopter, system 1, in STABILIZE",
+            "FS_GCS acts after 5 s (FS_GCS_ENABLE 1)",
+            "the autopilot changes to RTL",
+        ),
         (
             "px4",
             "PX4, system 1, in HOLD",
@@ -48,8 +55,13 @@ def test_one_list_is_told_once_and_before_arming(kind: str, vehicle: str, lost: 
     cockpit.reads(2)
     lines = cockpit.checks
     assert [line.split(":")[0] for line in lines] == [
-        "vehicle", "position and home", "battery", "wind", "if this computer fails", "on low battery",
-    ]  # fmt: skip
+        "vehicle",
+        "position and home",
+        "battery",
+        "wind",
+        "if this computer fails",
+        "on low battery",
+    ]
     assert all(": ok, " in line for line in lines)
     assert lines[0] == f"vehicle: ok, {vehicle}"
     assert "the area of 30 m x 30 m lies north and east of home" in lines[1]
@@ -125,11 +137,17 @@ def test_a_position_that_does_not_come_is_waited_for_and_told(kind: str) -> None
 
 @pytest.mark.parametrize(("number", "name"), [(ORIGIN, "GPS_GLOBAL_ORIGIN"), (HOME, "HOME_POSITION")])
 @both
-def test_an_autopilot_that_never_says_its_origin_or_home_is_given_up_with_that_word(kind: str, number: int, name: str) -> None:
+def test_an_autopilot_that_never_says_its_origin_or_home_is_given_up_with_that_word(
+    kind: str, number: int, name: str
+) -> None:
     cockpit = Cockpit(kind, wait_s=30.0)
     silent_about(cockpit, number)
     assert f"no {name}, though it is asked for" in gives_up(cockpit)
-    asked = [message for message in cockpit.radio.sent if message.get_type() == "COMMAND_LONG" and message.param1 == number]
+    asked = [
+        message
+        for message in cockpit.radio.sent
+        if message.get_type() == "COMMAND_LONG" and message.param1 == number
+    ]
     assert mavlink.MAV_CMD_REQUEST_MESSAGE in {message.command for message in asked}
 
 
@@ -158,8 +176,12 @@ def test_a_refused_arming_is_named_where_the_wait_ends_first(kind: str) -> None:
     assert "Compass not healthy" in gives_up(cockpit)
 
 
-@pytest.mark.parametrize(("kind", "mode", "start"), [("ardupilot", "LOITER", "GUIDED"), ("px4", "POSCTL", "HOLD")])
-def test_a_pilot_on_the_ground_is_waited_for_and_told_how_to_give_the_vehicle(kind: str, mode: str, start: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "mode", "start"), [("ardupilot", "LOITER", "GUIDED"), ("px4", "POSCTL", "HOLD")]
+)
+def test_a_pilot_on_the_ground_is_waited_for_and_told_how_to_give_the_vehicle(
+    kind: str, mode: str, start: str
+) -> None:
     cockpit = Cockpit(kind, radio=True, wait_s=40.0)
     cockpit.run(4.0)
     cockpit.ap.change(mode)
@@ -182,7 +204,9 @@ def test_a_pilot_in_flight_is_waited_for_no_longer_than_was_said(kind: str) -> N
 def test_services_that_are_not_there_are_waited_for_no_longer_than_was_said(kind: str) -> None:
     cockpit = Cockpit(kind, wait_s=60.0)
     cockpit.absent = {"payload", "agent"}
-    assert gives_up(cockpit).endswith("(--wait): no agent, payload: the first lines of this log say how to start it")
+    assert gives_up(cockpit).endswith(
+        "(--wait): no agent, payload: the first lines of this log say how to start it"
+    )
     assert 60.0 <= cockpit.now_s < 61.0
 
 

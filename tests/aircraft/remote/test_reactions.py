@@ -1,4 +1,6 @@
-"""Protects the reactions to refusals and failsafes: each is told, none is waited out, and somebody is always in charge of the vehicle."""
+"""Protects the reactions to refusals and failsafes: each is told, none is waited out, and somebody is
+always in charge of the vehicle.
+"""
 
 from typing import Any
 
@@ -42,7 +44,9 @@ def test_arming_that_is_refused_for_a_while_is_tried_again(kind: str) -> None:
     assert not cockpit.vehicle.failure
 
 
-@pytest.mark.parametrize(("kind", "reason"), [("ardupilot", "init failed"), ("px4", "Offboard is currently not available")])
+@pytest.mark.parametrize(
+    ("kind", "reason"), [("ardupilot", "init failed"), ("px4", "Offboard is currently not available")]
+)
 def test_a_refused_mode_fails_the_mission_and_a_vehicle_in_the_air_comes_home(kind: str, reason: str) -> None:
     cockpit = Cockpit(kind, "mode")
     assert reason in cockpit.fails()
@@ -127,7 +131,9 @@ def test_a_low_battery_brings_it_home_even_if_the_autopilot_only_warns(kind: str
 
 
 @pytest.mark.parametrize(("kind", "holds"), [("ardupilot", {"FENCE_ACTION": 4}), ("px4", {"GF_ACTION": 2})])
-def test_a_breached_fence_that_only_stops_the_vehicle_brings_it_home(kind: str, holds: dict[str, float]) -> None:
+def test_a_breached_fence_that_only_stops_the_vehicle_brings_it_home(
+    kind: str, holds: dict[str, float]
+) -> None:
     """BRAKE or HOLD by a failsafe would hover for ever: no pilot has chosen it."""
     cockpit = searching(kind, "fence@#3", parameters=holds)
     reason = cockpit.fails()
@@ -218,7 +224,9 @@ def forgetful(take: Any) -> Any:
 
 @both
 def test_a_short_silence_is_told_and_the_search_goes_on(kind: str) -> None:
-    """10 s: PX4 returns meanwhile, and takes OFFBOARD again when the setpoints are back, as its failsafe says."""
+    """10 s: PX4 returns meanwhile, and takes OFFBOARD again when the setpoints are back, as its failsafe
+    says.
+    """
     cockpit = searching(kind, "silence@#3:6")
     cockpit.until(lambda: cockpit.heard("Link lost"))
     cockpit.until(lambda: cockpit.heard("Link is back"))
@@ -229,7 +237,9 @@ def test_a_short_silence_is_told_and_the_search_goes_on(kind: str) -> None:
 @both
 def test_a_link_that_stays_lost_ends_the_mission_after_a_minute(kind: str) -> None:
     cockpit = searching(kind, "silence@#3")
-    with pytest.raises(VehicleFailed, match=r"link lost for 6[0-9] s: the autopilot's own failsafe is in charge"):
+    with pytest.raises(
+        VehicleFailed, match=r"link lost for 6[0-9] s: the autopilot's own failsafe is in charge"
+    ):
         cockpit.run(100.0)
 
 

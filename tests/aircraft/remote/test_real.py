@@ -1,4 +1,6 @@
-"""Protects the uav service of a real vehicle in step with a double: its ids, its readings' times, and its script's operator."""
+"""Protects the uav service of a real vehicle in step with a double: its ids, its readings' times, and its
+script's operator.
+"""
 
 import os
 import signal
@@ -8,7 +10,6 @@ from contextlib import suppress
 from typing import Any
 
 import pytest
-from tests.aircraft.remote.test_leaving import InStep
 
 from aircraft.payload.messages import Sample, pack_answer, unpack_question
 from aircraft.search.uav import Uav
@@ -22,6 +23,7 @@ from plume.sensor import Gaussian
 from plume.world import World
 from sitl.script.events import Dropout, Hold, Land, OnBoard, Resume, Return
 from tests.aircraft.remote.cockpit import Cockpit
+from tests.aircraft.remote.test_leaving import InStep
 from tests.fuzz.services import QuietBus
 
 Air = tuple[float, float] | None
@@ -34,9 +36,13 @@ class Others(QuietBus):
     def __init__(self, wind: Callable[[int], Air] = lambda _: MEASURED) -> None:
         super().__init__()
         self.wind = wind
-        """What the payload measures of the wind, by the number of the question; the first one is asked on the ground."""
+        """What the payload measures of the wind, by the number of the question; the first one is asked on
+        the ground.
+        """
         self.questions = 0
-        self.due: deque[Any] = deque(LivelinessChange(name, True) for name in ("payload", "estimator", "agent"))
+        self.due: deque[Any] = deque(
+            LivelinessChange(name, True) for name in ("payload", "estimator", "agent")
+        )
         self.systems: list[int] = []
         """The vehicle's system id, each time that its health was told."""
 
@@ -48,7 +54,11 @@ class Others(QuietBus):
         if key is PAYLOAD_IN:
             asked = unpack_question(message)
             self.due.append(
-                Arrival(PAYLOAD_OUT, pack_answer(asked.system, Sample(asked.time_boot_ms, 0.25, self.wind(self.questions))), b"")
+                Arrival(
+                    PAYLOAD_OUT,
+                    pack_answer(asked.system, Sample(asked.time_boot_ms, 0.25, self.wind(self.questions))),
+                    b"",
+                )
             )
             self.questions += 1
         elif key is READING:
@@ -59,7 +69,13 @@ class Others(QuietBus):
         """Answer a reading as the agent does, with a waypoint 1 m further east."""
         said, system = unpack_reading(payload), sender(payload)
         place = min(said.position[0] + 1.0, 29.0), said.position[1]
-        self.due.append(Arrival(WAYPOINT, Codec(system, 191).pack(waypoint_message(system, said.time_boot_ms, place, 5.0)), b""))
+        self.due.append(
+            Arrival(
+                WAYPOINT,
+                Codec(system, 191).pack(waypoint_message(system, said.time_boot_ms, place, 5.0)),
+                b"",
+            )
+        )
 
     @property
     def readings(self) -> list[bytes]:
@@ -117,7 +133,12 @@ def of_a_command() -> Iterator[None]:
 
 def places(cockpit: Cockpit) -> dict[int, tuple[float, float]]:
     """Where the autopilot said to be, (x, y) m from home, by its own clock."""
-    said = [message for frame in cockpit.wire.said for message in unpack(frame) if message.get_type() == "LOCAL_POSITION_NED"]
+    said = [
+        message
+        for frame in cockpit.wire.said
+        for message in unpack(frame)
+        if message.get_type() == "LOCAL_POSITION_NED"
+    ]
     north, east, _ = cockpit.ap.home
     return {at.time_boot_ms: (at.y - east, at.x - north) for at in said}
 

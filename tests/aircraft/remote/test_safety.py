@@ -1,4 +1,6 @@
-"""Protects what people are told of the autopilot's parameters: what acts if the program is killed or the battery low, and the fence."""
+"""Protects what people are told of the autopilot's parameters: what acts if the program is killed or the
+battery low, and the fence.
+"""
 
 import pytest
 
@@ -37,10 +39,18 @@ def test_a_failsafe_that_watches_us_is_told_with_its_time() -> None:
     assert "after 4 s" in line.text
 
 
-@pytest.mark.parametrize(("highest", "verdict"), [(0.0, Verdict.WARNS), (6.0, Verdict.WARNS), (7.0, Verdict.OK), (250.0, Verdict.OK)])
+@pytest.mark.parametrize(
+    ("highest", "verdict"),
+    [(0.0, Verdict.WARNS), (6.0, Verdict.WARNS), (7.0, Verdict.OK), (250.0, Verdict.OK)],
+)
 def test_arducopter_4_7_may_watch_a_range_of_systems(highest: float, verdict: Verdict) -> None:
     """From MAV_GCS_SYSID to MAV_GCS_SYSID_HI; a HI below the first means the first alone."""
-    assert if_killed(ARDUCOPTER, {"FS_GCS_ENABLE": 1.0, "MAV_GCS_SYSID": 5.0, "MAV_GCS_SYSID_HI": highest}, 7).verdict is verdict
+    assert (
+        if_killed(
+            ARDUCOPTER, {"FS_GCS_ENABLE": 1.0, "MAV_GCS_SYSID": 5.0, "MAV_GCS_SYSID_HI": highest}, 7
+        ).verdict
+        is verdict
+    )
 
 
 def test_parameters_that_could_not_be_read_give_a_warning() -> None:
@@ -71,7 +81,9 @@ def test_px4_that_will_not_arm_without_a_ground_station_gets_a_warning() -> None
         (PX4, "COM_LOW_BAT_ACT", 3.0, Verdict.OK, "changes to RETURN"),
     ],
 )
-def test_what_the_autopilot_does_on_low_battery_is_told(firmware, name: str, value: float, verdict: Verdict, text: str) -> None:
+def test_what_the_autopilot_does_on_low_battery_is_told(
+    firmware, name: str, value: float, verdict: Verdict, text: str
+) -> None:
     line = said(firmware, {name: value})["on low battery"]
     assert line.verdict is verdict
     assert text in line.text
@@ -81,8 +93,16 @@ def test_what_the_autopilot_does_on_low_battery_is_told(firmware, name: str, val
     ("firmware", "parameters", "verdict"),
     [
         (ARDUCOPTER, {"FENCE_ENABLE": 0.0, "FENCE_TYPE": 7.0, "FENCE_RADIUS": 10.0}, None),
-        (ARDUCOPTER, {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 7.0, "FENCE_RADIUS": 300.0, "FENCE_ALT_MAX": 100.0}, Verdict.OK),
-        (ARDUCOPTER, {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 1.0, "FENCE_RADIUS": 10.0, "FENCE_ALT_MAX": 100.0}, Verdict.OK),
+        (
+            ARDUCOPTER,
+            {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 7.0, "FENCE_RADIUS": 300.0, "FENCE_ALT_MAX": 100.0},
+            Verdict.OK,
+        ),
+        (
+            ARDUCOPTER,
+            {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 1.0, "FENCE_RADIUS": 10.0, "FENCE_ALT_MAX": 100.0},
+            Verdict.OK,
+        ),
         (ARDUCOPTER, {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 2.0, "FENCE_RADIUS": 42.0}, Verdict.WARNS),
         (ARDUCOPTER, {"FENCE_ENABLE": 1.0, "FENCE_TYPE": 1.0, "FENCE_ALT_MAX": 4.0}, Verdict.WARNS),
         (PX4, {"GF_ACTION": 2.0, "GF_MAX_HOR_DIST": 0.0, "GF_MAX_VER_DIST": 0.0}, None),

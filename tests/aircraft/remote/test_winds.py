@@ -1,4 +1,6 @@
-"""Protects where the wind of a reading comes from: given, measured or estimated, never drawn; without any there is no flight."""
+"""Protects where the wind of a reading comes from: given, measured or estimated, never drawn; without any
+there is no flight.
+"""
 
 import pytest
 
@@ -10,7 +12,10 @@ NO_DRAG = {"EK3_DRAG_BCOEF_X": 0.0, "EK3_DRAG_BCOEF_Y": 0.0, "EK3_DRAG_MCOEF": 0
 
 
 def begun(
-    measured: tuple[float, float] | None, estimated: tuple[float, float] | None, given: tuple[float, float] | None = None, line: str = ""
+    measured: tuple[float, float] | None,
+    estimated: tuple[float, float] | None,
+    given: tuple[float, float] | None = None,
+    line: str = "",
 ) -> Winds:
     """Return winds that allow the flight; line: what the list says of them."""
     winds = Winds(given, SCENARIO)
@@ -28,7 +33,9 @@ def test_a_given_wind_is_told_as_sailors_do() -> None:
     assert parse_wind("0,10") == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("text", ["", "3", "3,", "a,b", "nan,0", "3,nan", "-1,0", "101,0", "3,361", "inf,0", "1,2,3"])
+@pytest.mark.parametrize(
+    "text", ["", "3", "3,", "a,b", "nan,0", "3,nan", "-1,0", "101,0", "3,361", "inf,0", "1,2,3"]
+)
 def test_a_wind_that_is_none_is_refused_with_what_is_wanted(text: str) -> None:
     with pytest.raises(ValueError, match=r"is not allowed; wanted SPEED,FROM: m/s from 0 to 100"):
         parse_wind(text)
@@ -46,9 +53,12 @@ def test_a_wind_that_is_none_is_refused_with_what_is_wanted(text: str) -> None:
     ],
 )
 def test_the_source_of_the_wind(
-    measured: tuple[float, float] | None, estimated: tuple[float, float] | None, given: tuple[float, float] | None, source: WindSource,
+    measured: tuple[float, float] | None,
+    estimated: tuple[float, float] | None,
+    given: tuple[float, float] | None,
+    source: WindSource,
     wind: tuple[float, float],
-) -> None:  # fmt: skip
+) -> None:
     winds = begun(measured, estimated, given, source.value)
     assert winds.source is source
     assert winds.of(measured, estimated) == wind
@@ -56,7 +66,8 @@ def test_the_source_of_the_wind(
 
 
 @pytest.mark.parametrize(
-    ("firmware", "named"), [("ArduCopter", "EK3_DRAG_BCOEF_X, EK3_DRAG_BCOEF_Y, EK3_DRAG_MCOEF"), ("PX4", "EKF2_DRAG_CTRL")]
+    ("firmware", "named"),
+    [("ArduCopter", "EK3_DRAG_BCOEF_X, EK3_DRAG_BCOEF_Y, EK3_DRAG_MCOEF"), ("PX4", "EKF2_DRAG_CTRL")],
 )
 def test_without_any_wind_there_is_no_flight_and_what_to_set_is_told(firmware: str, named: str) -> None:
     _, verdict, reason = Winds(None, SCENARIO).before(None, None, NO_DRAG, firmware)

@@ -1,4 +1,6 @@
-"""Protects the simulated faults: the values of a broken sensor and the deliveries of a bad radio, reading by reading."""
+"""Protects the simulated faults: the values of a broken sensor and the deliveries of a bad radio, reading
+by reading.
+"""
 
 import numpy as np
 
@@ -108,7 +110,13 @@ def test_of_overlapping_dropouts_the_last_end_counts() -> None:
     sensor.begin(Dropout(step=0, for_s=8.0), now_s=10.0)  # to 18
     sensor.begin(Dropout(step=0, for_s=8.0), now_s=15.0)  # to 23
     sensor.begin(Dropout(step=0, for_s=1.0), now_s=16.0)  # to 17
-    assert [sensor.silent(now_s) for now_s in (15.0, 17.5, 18.0, 22.9, 23.0)] == [True, True, True, True, False]
+    assert [sensor.silent(now_s) for now_s in (15.0, 17.5, 18.0, 22.9, 23.0)] == [
+        True,
+        True,
+        True,
+        True,
+        False,
+    ]
     sensor.begin(Dropout(step=0, for_s=2.0), now_s=30.0)
     assert [sensor.silent(now_s) for now_s in (31.9, 32.0)] == [True, False]
 
@@ -181,7 +189,16 @@ def test_overlapping_losses_add_up_and_each_ends_after_its_own_readings() -> Non
         air.radio.new_reading()
         for attempt in (b"a", b"b", b"c", b"d"):
             air.radio.send(reading + attempt, 0.0)
-    assert [payload for _, payload in air.arrivals] == [b"0d", b"1b", b"1c", b"1d", b"2a", b"2b", b"2c", b"2d"]
+    assert [payload for _, payload in air.arrivals] == [
+        b"0d",
+        b"1b",
+        b"1c",
+        b"1d",
+        b"2a",
+        b"2b",
+        b"2c",
+        b"2d",
+    ]
 
 
 def test_overlapping_duplicates_add_up_and_each_ends_after_its_own_readings() -> None:
@@ -194,7 +211,11 @@ def test_overlapping_duplicates_add_up_and_each_ends_after_its_own_readings() ->
 
 def test_what_is_lost_once_then_comes_late_and_twice() -> None:
     air = Air()
-    for fault in (Lose(step=0, readings=1), Delay(step=0, readings=1, by_s=0.5), Duplicate(step=0, readings=1)):
+    for fault in (
+        Lose(step=0, readings=1),
+        Delay(step=0, readings=1, by_s=0.5),
+        Duplicate(step=0, readings=1),
+    ):
         air.radio.begin(fault)
     air.send(b"lost", at_s=0.0)
     air.wait(1.0)
@@ -206,7 +227,11 @@ def test_what_is_lost_once_then_comes_late_and_twice() -> None:
 def test_a_fault_begins_with_the_next_reading_not_within_one() -> None:
     air = Air()
     air.send(b"0", at_s=0.0)
-    for fault in (Lose(step=0, readings=1), Delay(step=0, readings=1, by_s=0.5), Duplicate(step=0, readings=1)):
+    for fault in (
+        Lose(step=0, readings=1),
+        Delay(step=0, readings=1, by_s=0.5),
+        Duplicate(step=0, readings=1),
+    ):
         air.radio.begin(fault)
     air.radio.send(b"0 again", 0.0)
     air.send(b"1", at_s=1.0)

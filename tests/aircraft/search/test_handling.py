@@ -1,4 +1,6 @@
-"""Protects all clients of a vehicle from one of them: a message that meets a fault of ours is dropped, counted and told, and no more."""
+"""Protects all clients of a vehicle from one of them: a message that meets a fault of ours is dropped,
+counted and told, and no more.
+"""
 
 import os
 import signal
@@ -23,7 +25,10 @@ from sitl.autopilot.vehicle import Vehicle
 from tests.fuzz.services import QuietBus
 
 FIRST, SECOND = Codec(255, 190), Codec(250, 1)
-AIRBORNE = command(1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0), command(1, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0)
+AIRBORNE = (
+    command(1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0),
+    command(1, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0),
+)
 
 
 class Heard(Inbox):
@@ -68,7 +73,11 @@ def flown(vehicle: Vehicle, *payloads: bytes) -> QuietBus:
 def acknowledged(bus: QuietBus) -> list[int]:
     """The commands that the vehicle has taken."""
     said = [message for key, payload, _ in bus.published if key is MAVLINK_OUT for message in unpack(payload)]
-    return [it.command for it in said if it.get_type() == "COMMAND_ACK" and it.result == mavlink.MAV_RESULT_ACCEPTED]
+    return [
+        it.command
+        for it in said
+        if it.get_type() == "COMMAND_ACK" and it.result == mavlink.MAV_RESULT_ACCEPTED
+    ]
 
 
 def test_a_message_that_meets_a_fault_is_counted_and_named_once_a_type_and_the_vehicle_flies_for_the_others(

@@ -1,4 +1,6 @@
-"""Protects that the pilot always wins: who leads the vehicle, when the search gives way, and how it is given back."""
+"""Protects that the pilot always wins: who leads the vehicle, when the search gives way, and how it is
+given back.
+"""
 
 import math
 from dataclasses import replace
@@ -23,9 +25,13 @@ STOP = Stop(9_000, 7, (4.0, 3.0), (0.04, 0.0, 0.04), 0.28, 0.5, "spread:0.5")
 
 
 class Flight:
-    """A vehicle with a search, and an agent that answers each reading with the next waypoint, 1 m further east."""
+    """A vehicle with a search, and an agent that answers each reading with the next waypoint, 1 m further
+    east.
+    """
 
-    def __init__(self, after_stop: str = "return", silence_s: float = 30.0, stream_s: float = math.inf) -> None:
+    def __init__(
+        self, after_stop: str = "return", silence_s: float = 30.0, stream_s: float = math.inf
+    ) -> None:
         self.vehicle = Vehicle(VehicleConfig(silence_s=silence_s, stream_s=stream_s))
         self.texts: list[str] = []
         self.real_s = 100.0
@@ -90,7 +96,9 @@ class Flight:
         """Return a setpoint that is a velocity, m/s."""
         ignored = mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE * 0b111 | POSITION_ONLY & ~0b111000
         vector = [north, east, *[0.0] * 6]
-        return mavlink.MAVLink_set_position_target_local_ned_message(time_boot_ms, 1, 1, 1, ignored, 0, 0, 0, *vector)
+        return mavlink.MAVLink_set_position_target_local_ned_message(
+            time_boot_ms, 1, 1, 1, ignored, 0, 0, 0, *vector
+        )
 
     def push(self, north: float, east: float) -> list[Message]:
         """Send a velocity of a client's own, m/s; returns the answers."""
@@ -111,7 +119,9 @@ def flight() -> Flight:
     return Flight()
 
 
-def test_left_alone_the_search_takes_off_flies_to_its_start_and_reads_once_at_each_waypoint(flight: Flight) -> None:
+def test_left_alone_the_search_takes_off_flies_to_its_start_and_reads_once_at_each_waypoint(
+    flight: Flight,
+) -> None:
     flight.until("searching")
     flight.fly(20)
     assert flight.readings[:3] == [(2.0, 3.0), (3.0, 3.0), (4.0, 3.0)]
@@ -137,7 +147,9 @@ def test_a_mode_that_a_pilot_chooses_during_take_off_stays(flight: Flight, how: 
     assert flight.readings == []
 
 
-def test_a_search_that_was_paused_during_take_off_flies_to_its_start_when_it_is_given_back(flight: Flight) -> None:
+def test_a_search_that_was_paused_during_take_off_flies_to_its_start_when_it_is_given_back(
+    flight: Flight,
+) -> None:
     flight.until("taking off")
     flight.fly(0.5)
     flight.change(Mode.HOLD)
@@ -225,7 +237,10 @@ def test_late_and_doubled_answers_are_ignored_and_an_answer_to_no_reading_is_ref
     assert [flight.answer(x, 3.0) for x in (4.0, 20.0)] == [[], []]
     flight.fly(10)
     assert flight.answer(25.0, 25.0, first) == []
-    assert "".join(said.text for said in flight.answer(25.0, 25.0, 7)) == "Waypoint refused: no reading was taken at 7 ms"
+    assert (
+        "".join(said.text for said in flight.answer(25.0, 25.0, 7))
+        == "Waypoint refused: no reading was taken at 7 ms"
+    )
     flight.fly(10)
     assert flight.readings == [(2.0, 3.0), (4.0, 3.0)]
     assert flight.answer(4.0, 3.0) == []  # to stay, and measure again
@@ -249,12 +264,19 @@ def test_who_ends_a_flight_is_named_by_ids_and_link_also_when_a_pilot_leads_alre
     flight.until("searching")
     flight.fly(5)
     flight.change(Mode.HOLD)
-    stop = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 0, 21196, *[0.0] * 5)
+    stop = mavlink.MAVLink_command_long_message(
+        1, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 0, 21196, *[0.0] * 5
+    )
     flight.send(stop, PILOT, "at 192.0.2.7:40123")
-    assert flight.texts == ["Search gives way: HOLD by 255/190 on the bus", "disarmed by 255/190 at 192.0.2.7:40123"]
+    assert flight.texts == [
+        "Search gives way: HOLD by 255/190 on the bus",
+        "disarmed by 255/190 at 192.0.2.7:40123",
+    ]
 
 
-def test_velocities_and_global_setpoints_of_another_client_are_refused_while_the_search_leads(flight: Flight) -> None:
+def test_velocities_and_global_setpoints_of_another_client_are_refused_while_the_search_leads(
+    flight: Flight,
+) -> None:
     flight.until("searching")
     flight.fly(3)
     there = [round(47.3978 * 1e7), round(8.5457 * 1e7), 5.0, *[0.0] * 8]
@@ -289,7 +311,9 @@ def test_another_client_may_lead_by_velocity_and_then_give_the_search_back(fligh
             assert flight.change(Mode.OFFBOARD, CLIENT) == mavlink.MAV_RESULT_ACCEPTED
         flight.fly(0.1)
     assert flight.place[0] == x
-    assert flight.place[1] == pytest.approx(3.0 + 2.0 / 3.0 + (9.5 - 2.0 / 3.0) * 2.0, abs=0.25)  # 2 m/s for 9.5 s
+    assert flight.place[1] == pytest.approx(
+        3.0 + 2.0 / 3.0 + (9.5 - 2.0 / 3.0) * 2.0, abs=0.25
+    )  # 2 m/s for 9.5 s
     assert (flight.readings, flight.search.state) == (readings, "paused")
     flight.fly(2)
     assert flight.change(Mode.OFFBOARD) == mavlink.MAV_RESULT_ACCEPTED
@@ -332,12 +356,19 @@ def test_a_strict_vehicle_comes_home_a_second_after_the_last_setpoint_of_another
 
 
 def test_a_search_waits_while_a_station_takes_off_before_it_arms(flight: Flight) -> None:
-    assert flight.command(mavlink.MAV_CMD_NAV_TAKEOFF, -1, 0, 0, math.nan, math.nan, math.nan, 488.0 + 7.0) == mavlink.MAV_RESULT_ACCEPTED
+    assert (
+        flight.command(mavlink.MAV_CMD_NAV_TAKEOFF, -1, 0, 0, math.nan, math.nan, math.nan, 488.0 + 7.0)
+        == mavlink.MAV_RESULT_ACCEPTED
+    )
     flight.fly(2)
     assert (flight.search.state, flight.texts) == ("standby", ["Search waits: a pilot flies the vehicle"])
     assert flight.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == mavlink.MAV_RESULT_ACCEPTED
     flight.fly(20)
-    assert (flight.search.state, flight.mode, flight.vehicle.state(flight.now_s).position[2]) == ("standby", Mode.HOLD, -7.0)
+    assert (flight.search.state, flight.mode, flight.vehicle.state(flight.now_s).position[2]) == (
+        "standby",
+        Mode.HOLD,
+        -7.0,
+    )
     flight.change(Mode.LAND)
     flight.until("searching")
 
@@ -350,7 +381,9 @@ def test_a_search_begins_when_a_station_gives_up_its_take_off(flight: Flight) ->
     assert flight.vehicle.state(flight.now_s).position[2] == -5.0
 
 
-def test_another_client_that_took_control_leads_with_its_own_setpoints_and_burns_no_readings(flight: Flight) -> None:
+def test_another_client_that_took_control_leads_with_its_own_setpoints_and_burns_no_readings(
+    flight: Flight,
+) -> None:
     flight.until("searching")
     flight.fly(5)
     readings = list(flight.readings)
@@ -375,9 +408,20 @@ def test_a_go_to_takes_control_too(flight: Flight) -> None:
     flight.fly(3)
     latitude_deg = 47.397742 + math.degrees(10 / 6_371_000)
     reposition = mavlink.MAVLink_command_int_message(
-        1, 1, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, mavlink.MAV_CMD_DO_REPOSITION, 0, 0, -1, 0, 0, math.nan,
-        round(latitude_deg * 1e7), round(8.545594 * 1e7), 5.0,
-    )  # fmt: skip
+        1,
+        1,
+        mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+        mavlink.MAV_CMD_DO_REPOSITION,
+        0,
+        0,
+        -1,
+        0,
+        0,
+        math.nan,
+        round(latitude_deg * 1e7),
+        round(8.545594 * 1e7),
+        5.0,
+    )
     flight.send(reposition, PILOT)
     flight.fly(20)
     assert flight.search.state == "paused"
@@ -385,7 +429,9 @@ def test_a_go_to_takes_control_too(flight: Flight) -> None:
 
 
 @pytest.mark.parametrize(("after_stop", "ends"), [("return", (0.0, 0.0)), ("land", None)])
-def test_a_found_source_is_told_and_the_vehicle_lands(after_stop: str, ends: tuple[float, float] | None) -> None:
+def test_a_found_source_is_told_and_the_vehicle_lands(
+    after_stop: str, ends: tuple[float, float] | None
+) -> None:
     flight = Flight(after_stop)
     flight.until("searching")
     flight.fly(6)
@@ -405,7 +451,11 @@ def test_a_found_source_may_leave_the_vehicle_in_the_air_until_told() -> None:
     flight.fly(6)
     flight.search.declare(STOP)
     flight.fly(100)
-    assert (flight.search.state, flight.mode, flight.vehicle.state(flight.now_s).armed) == ("holding", Mode.HOLD, True)
+    assert (flight.search.state, flight.mode, flight.vehicle.state(flight.now_s).armed) == (
+        "holding",
+        Mode.HOLD,
+        True,
+    )
     flight.change(Mode.LAND)
     flight.until("landed")
 
@@ -431,7 +481,9 @@ def test_a_search_waits_for_a_vehicle_that_a_pilot_flies(flight: Flight) -> None
     flight.until("searching")
 
 
-def test_a_vehicle_whose_estimator_has_stopped_before_stays_on_the_ground_and_says_why(flight: Flight) -> None:
+def test_a_vehicle_whose_estimator_has_stopped_before_stays_on_the_ground_and_says_why(
+    flight: Flight,
+) -> None:
     flight.search.declare(STOP)  # of the last mission: it is kept for late joiners
     flight.fly(20)
     assert (flight.search.state, flight.vehicle.state(flight.now_s).armed) == ("standby", False)
@@ -448,13 +500,21 @@ def test_a_silent_agent_brings_the_vehicle_home_and_ends_the_search() -> None:
 
 
 def test_commands_to_all_systems_and_from_the_vehicles_own_ids_are_not_obeyed(flight: Flight) -> None:
-    arm = mavlink.MAVLink_command_long_message(0, 0, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    arm = mavlink.MAVLink_command_long_message(
+        0, 0, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0
+    )
     assert flight.send(arm, PILOT)[0].result == mavlink.MAV_RESULT_FAILED
-    arm = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    arm = mavlink.MAVLink_command_long_message(
+        1, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0
+    )
     assert flight.send(arm, (1, 1)) == []
     assert not flight.vehicle.state(0.0).armed
-    assert flight.send(arm, (1, 191))[0].result == mavlink.MAV_RESULT_ACCEPTED  # another component of the vehicle may
-    version = mavlink.MAVLink_command_long_message(0, 0, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
+    assert (
+        flight.send(arm, (1, 191))[0].result == mavlink.MAV_RESULT_ACCEPTED
+    )  # another component of the vehicle may
+    version = mavlink.MAVLink_command_long_message(
+        0, 0, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0
+    )
     assert flight.send(version, PILOT)[0].result != mavlink.MAV_RESULT_FAILED
 
 
@@ -468,7 +528,9 @@ def fly_mission(flight: Flight) -> None:
     assert flight.change(Mode.MISSION) == mavlink.MAV_RESULT_ACCEPTED
 
 
-def test_a_pilot_who_starts_a_mission_in_mid_search_leads_until_the_search_is_given_back(flight: Flight) -> None:
+def test_a_pilot_who_starts_a_mission_in_mid_search_leads_until_the_search_is_given_back(
+    flight: Flight,
+) -> None:
     flight.until("searching")
     flight.fly(10)
     flight.answering = False
@@ -489,7 +551,9 @@ def test_a_pilot_who_starts_a_mission_in_mid_search_leads_until_the_search_is_gi
 
 def test_a_waypoint_outside_the_fence_is_refused_and_silence_brings_the_vehicle_home() -> None:
     flight = Flight(silence_s=20.0)
-    flight.vehicle.configure(0.0, replace(flight.vehicle.config, fence=Fence((Circle(True, (0.0, 0.0), 8.0),))))
+    flight.vehicle.configure(
+        0.0, replace(flight.vehicle.config, fence=Fence((Circle(True, (0.0, 0.0), 8.0),)))
+    )
     flight.until("searching")
     flight.fly(20)  # the agent goes east, 1 m at a time: the eighth waypoint is outside
     assert flight.readings[-1] == (7.0, 3.0)
@@ -500,7 +564,9 @@ def test_a_waypoint_outside_the_fence_is_refused_and_silence_brings_the_vehicle_
 
 
 def test_a_breach_of_the_fence_in_mid_search_pauses_it(flight: Flight) -> None:
-    flight.vehicle.configure(0.0, replace(flight.vehicle.config, fence=Fence((Circle(False, (3.0, 4.5), 0.3),))))
+    flight.vehicle.configure(
+        0.0, replace(flight.vehicle.config, fence=Fence((Circle(False, (3.0, 4.5), 0.3),)))
+    )
     flight.until("searching")
     flight.fly(20)  # the zone lies between two waypoints
     assert flight.readings[-1] == (4.0, 3.0)

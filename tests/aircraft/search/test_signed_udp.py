@@ -22,7 +22,11 @@ RADIO = mavlink.MAVLink_radio_status_message(1, 2, 3, 4, 5, 6, 7)
 
 
 def frame(number: int, message=None) -> bytes:
-    return bytes((message or mavlink.MAVLink_ping_message(0, number, 0, 0)).pack(mavlink.MAVLink(None, srcSystem=255, srcComponent=190)))
+    return bytes(
+        (message or mavlink.MAVLink_ping_message(0, number, 0, 0)).pack(
+            mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+        )
+    )
 
 
 @pytest.fixture
@@ -109,7 +113,9 @@ def test_a_radio_is_let_through_but_nobody_becomes_a_peer_by_it(
     assert not log.tally.refused
 
 
-def test_strangers_push_no_station_out(link: UdpLink, caller: Callable[[], socket.socket], received: queue.Queue) -> None:
+def test_strangers_push_no_station_out(
+    link: UdpLink, caller: Callable[[], socket.socket], received: queue.Queue
+) -> None:
     station, last = caller(), caller()
     station.send(signed(frame(1), KEY, 0, clock()))
     for number in range(2 * MOST_PEERS):

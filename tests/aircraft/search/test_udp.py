@@ -1,4 +1,6 @@
-"""Protects the UDP link: what it refuses, what it survives, and that closing it frees its thread and socket."""
+"""Protects the UDP link: what it refuses, what it survives, and that closing it frees its thread and
+socket.
+"""
 
 import contextlib
 import queue
@@ -21,7 +23,9 @@ WAIT_S = 60.0  # far longer than it takes; only a failure waits for it
 
 def frame(force_mavlink1=False, gas=1.5):
     message = mavlink.MAVLink_named_value_float_message(7, b"gas", gas)
-    return bytes(message.pack(mavlink.MAVLink(None, srcSystem=255, srcComponent=190), force_mavlink1=force_mavlink1))
+    return bytes(
+        message.pack(mavlink.MAVLink(None, srcSystem=255, srcComponent=190), force_mavlink1=force_mavlink1)
+    )
 
 
 @pytest.fixture
@@ -71,7 +75,8 @@ def test_a_bad_url_is_refused_in_one_line_that_names_it_and_what_is_allowed(url)
 
 
 @pytest.mark.parametrize(
-    ("url", "instance", "port"), [("udpout:h", 0, 14540), ("udpout:h", 3, 14543), ("udpin:h", 3, 14583), ("udpin:h:9", 3, 9)]
+    ("url", "instance", "port"),
+    [("udpout:h", 0, 14540), ("udpout:h", 3, 14543), ("udpin:h", 3, 14583), ("udpin:h:9", 3, 9)],
 )
 def test_a_missing_port_is_that_of_px4s_vehicle_of_the_same_number(url, instance, port):
     assert parse_url(url, instance).port == port
@@ -117,7 +122,9 @@ def test_a_broken_checksum_and_an_unknown_message_are_garbage():
 def test_a_signed_frame_is_read():
     signer = mavlink.MAVLink(None, srcSystem=255)
     signer.signing.secret_key, signer.signing.sign_outgoing = b"k" * 32, True
-    messages, skipped, _ = decode(bytes(mavlink.MAVLink_named_value_float_message(7, b"gas", 2.5).pack(signer)))
+    messages, skipped, _ = decode(
+        bytes(mavlink.MAVLink_named_value_float_message(7, b"gas", 2.5).pack(signer))
+    )
     assert [m.value for m in messages] == [2.5]
     assert skipped == 0
 
@@ -146,11 +153,16 @@ def test_what_is_kept_for_the_next_datagram_is_shorter_than_the_longest_frame():
         assert 0 < len(decode(noise).rest) < longest
 
 
-@pytest.mark.parametrize("start", [b"\xfe", b"\xfd", b"\xfe\x00\x00\x01\x01\x00", b"\xfd\x00\x00\x00\x00\x01"])
+@pytest.mark.parametrize(
+    "start", [b"\xfe", b"\xfd", b"\xfe\x00\x00\x01\x01\x00", b"\xfd\x00\x00\x00\x00\x01"]
+)
 def test_a_flood_of_false_starts_costs_little(start):
     parsed, decode_once = [], aircraft.search.udp.frame_at
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("aircraft.search.udp.frame_at", lambda data, start: parsed.append(start) or decode_once(data, start))
+        patch.setattr(
+            "aircraft.search.udp.frame_at",
+            lambda data, start: parsed.append(start) or decode_once(data, start),
+        )
         messages, garbage, rest = decode(start * (60_000 // len(start)))
     assert (messages, garbage, rest) == ([], 60_000, b"")
     assert len(parsed) <= 500
@@ -237,7 +249,9 @@ class TestUdpIn:
 
     def test_each_message_comes_with_the_address_of_its_sender(self, port, peer):
         heard = queue.Queue()
-        with contextlib.closing(UdpLink(f"udpin:127.0.0.1:{port}", lambda message, sender: heard.put((message.value, sender)))):
+        with contextlib.closing(
+            UdpLink(f"udpin:127.0.0.1:{port}", lambda message, sender: heard.put((message.value, sender)))
+        ):
             peer.sendto(frame(gas=1.0), ("127.0.0.1", port))
             assert heard.get(timeout=WAIT_S) == (1.0, f"127.0.0.1:{peer.getsockname()[1]}")
 
@@ -283,7 +297,9 @@ class TestUdpIn:
     def test_a_pymavlink_client_that_calls_is_heard_and_answered(self, link, port, received):
         client = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=255)
         try:
-            client.mav.heartbeat_send(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE)
+            client.mav.heartbeat_send(
+                mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE
+            )
             heartbeat = received.get(timeout=WAIT_S)
             assert (heartbeat.get_type(), heartbeat.get_srcSystem()) == ("HEARTBEAT", 255)
             self.ping(link, 42)
@@ -311,7 +327,9 @@ class TestUdpIn:
         assert received.get(timeout=WAIT_S).value == 4.0
         assert len(link.rests) <= MOST_PEERS
 
-    def test_nothing_is_sent_before_somebody_has_spoken_and_garbage_is_not_speaking(self, link, station, received):
+    def test_nothing_is_sent_before_somebody_has_spoken_and_garbage_is_not_speaking(
+        self, link, station, received
+    ):
         caller = station()
         caller.send(b"not a frame")
         caller.send(b"\xfd" + bytes(40))
@@ -330,7 +348,9 @@ class TestUdpIn:
         assert self.numbers(first) == [1, 2]
         assert self.numbers(second) == [2]
 
-    def test_a_station_that_has_gone_is_survived_and_one_that_comes_after_it_is_served(self, link, station, received):
+    def test_a_station_that_has_gone_is_survived_and_one_that_comes_after_it_is_served(
+        self, link, station, received
+    ):
         gone, late = station(), station()
         self.greet(gone, received)
         gone.close()
@@ -340,7 +360,9 @@ class TestUdpIn:
         self.ping(link, 3)
         assert self.numbers(late) == [3]
 
-    def test_who_is_silent_for_too_long_is_sent_no_more_until_it_speaks_again(self, link, station, received, monkeypatch):
+    def test_who_is_silent_for_too_long_is_sent_no_more_until_it_speaks_again(
+        self, link, station, received, monkeypatch
+    ):
         caller = station()
         self.greet(caller, received)
         monkeypatch.setattr("aircraft.search.udp.FORGET_AFTER_S", 0.0)
@@ -366,7 +388,9 @@ class TestUdpIn:
         monkeypatch.setattr("sys.argv", ["sitl", "uav", "--out", f"udpin:127.0.0.1:{port}"])
         assert main() == BAD_INPUT
         (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith(f"error: --out: 'udpin:127.0.0.1:{port}' cannot be used: Address already in use")
+        assert line.startswith(
+            f"error: --out: 'udpin:127.0.0.1:{port}' cannot be used: Address already in use"
+        )
 
     def test_close_ends_the_thread_and_frees_the_port(self, port, received, station):
         before = threading.active_count()

@@ -3,8 +3,6 @@
 from typing import Any
 
 import pytest
-from tests.aircraft.remote.test_leaving import InStep
-from tests.aircraft.remote.test_real import Others, Told, of_a_command
 
 from aircraft.search.uav import Uav
 from link.bus.keys import PAYLOAD_IN, Key
@@ -14,6 +12,8 @@ from plume.sensor import Gaussian
 from plume.world import World
 from sitl.autopilot.state import VehicleFailed
 from tests.aircraft.remote.cockpit import Cockpit
+from tests.aircraft.remote.test_leaving import InStep
+from tests.aircraft.remote.test_real import Others, Told, of_a_command
 
 __all__ = ["of_a_command"]
 KINDS = ("ardupilot", "px4")
@@ -29,7 +29,9 @@ class Speechless(Others):
 
 
 def waited(cockpit: Cockpit, bus: Others) -> tuple[str, list[str]]:
-    """Run the uav service until it gives up; returns its last line, and what its health has said meanwhile."""
+    """Run the uav service until it gives up; returns its last line, and what its health has said
+    meanwhile.
+    """
     warnings: dict[str, None] = {}
 
     def over() -> bool:

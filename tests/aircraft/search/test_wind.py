@@ -1,7 +1,8 @@
-"""Protects the wind of a real vehicle's readings: told before arming, refused where there is none, and never drawn when it goes quiet."""
+"""Protects the wind of a real vehicle's readings: told before arming, refused where there is none, and
+never drawn when it goes quiet.
+"""
 
 import pytest
-from tests.aircraft.remote.test_real import MEASURED, Others, fly, of_a_command
 
 from link.bus.keys import READING
 from link.bus.mavlink import unpack_reading
@@ -10,6 +11,7 @@ from plume.sensor import Gaussian
 from plume.world import World
 from sitl.autopilot.state import VehicleFailed
 from tests.aircraft.remote.cockpit import Cockpit
+from tests.aircraft.remote.test_real import MEASURED, Others, fly, of_a_command
 from tests.autopilots.faults import Fault
 
 __all__ = ["of_a_command"]
@@ -39,11 +41,15 @@ def told(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 
 @both
-def test_without_any_wind_it_does_not_arm_and_says_what_to_set(kind: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_without_any_wind_it_does_not_arm_and_says_what_to_set(
+    kind: str, caplog: pytest.LogCaptureFixture
+) -> None:
     cockpit = Cockpit(kind)
     armed = []
     with pytest.raises(
-        VehicleFailed, match=r"^no wind for the readings: .*; set EK.*DRAG.*, use a payload that measures it, or give it with --wind"
+        VehicleFailed,
+        match=r"^no wind for the readings: .*; set EK.*DRAG.*, use a payload that measures it, or give it "
+        r"with --wind",
     ):
         fly(cockpit, lambda _: armed.append(cockpit.ap.armed), wind=lambda _: None)
     assert not any(armed)
@@ -52,14 +58,18 @@ def test_without_any_wind_it_does_not_arm_and_says_what_to_set(kind: str, caplog
 
 
 @both
-def test_a_wind_that_is_given_is_that_of_all_readings_whatever_others_say(kind: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_wind_that_is_given_is_that_of_all_readings_whatever_others_say(
+    kind: str, caplog: pytest.LogCaptureFixture
+) -> None:
     cockpit = Cockpit(kind, wind=EASTERLY, parameters=drag(kind))
     assert winds(fly(cockpit, read(2), wind=lambda _: None, given=(0.0, -3.0))) == [(0.0, -3.0)] * 2
     assert told(caplog) == ["Check: wind: ok, given by --wind, 3.0 m/s from 180°"]
 
 
 @both
-def test_an_autopilot_whose_parameters_promise_it_may_fly_and_its_estimate_is_taken(kind: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_an_autopilot_whose_parameters_promise_it_may_fly_and_its_estimate_is_taken(
+    kind: str, caplog: pytest.LogCaptureFixture
+) -> None:
     cockpit = Cockpit(kind, wind=EASTERLY, parameters=drag(kind))
     for wind in winds(fly(cockpit, read(2), wind=lambda _: None)):
         assert wind == pytest.approx((2.0, 0.0), abs=1e-6)
@@ -86,7 +96,9 @@ def test_a_payload_that_stops_measuring_it_is_replaced_by_the_autopilot_in_so_ma
 
 
 @both
-def test_when_all_are_quiet_no_reading_is_taken_and_it_goes_home_after_the_silence(kind: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_when_all_are_quiet_no_reading_is_taken_and_it_goes_home_after_the_silence(
+    kind: str, caplog: pytest.LogCaptureFixture
+) -> None:
     cockpit = Cockpit(kind)
     with pytest.raises(VehicleFailed, match="No waypoint for 30 s"):
         fly(cockpit, lambda _: False, wind=lambda number: MEASURED if number < 3 else None)
@@ -118,7 +130,9 @@ def test_an_autopilots_wind_that_is_stale_is_none(caplog: pytest.LogCaptureFixtu
 
 @both
 def test_a_sample_that_comes_within_a_glitch_is_no_reading(kind: str) -> None:
-    """The payload takes its time, and the position jumps meanwhile: the reading is taken again when that is over."""
+    """The payload takes its time, and the position jumps meanwhile: the reading is taken again when that
+    is over.
+    """
     cockpit = Cockpit(kind)
 
     def jumps(number: int) -> tuple[float, float]:
@@ -131,6 +145,11 @@ def test_a_sample_that_comes_within_a_glitch_is_no_reading(kind: str) -> None:
 
     bus = fly(cockpit, read(5), wind=jumps)
     assert bus.questions >= 7
-    assert len({unpack_reading(payload).time_boot_ms for key, payload, _ in bus.published if key is READING}) == 5
+    assert (
+        len({unpack_reading(payload).time_boot_ms for key, payload, _ in bus.published if key is READING})
+        == 5
+    )
     for before, after in zip(bus.readings, bus.readings[1:], strict=False):
-        assert unpack_reading(after).position[0] - unpack_reading(before).position[0] == pytest.approx(1.0, abs=0.6)
+        assert unpack_reading(after).position[0] - unpack_reading(before).position[0] == pytest.approx(
+            1.0, abs=0.6
+        )

@@ -1,4 +1,6 @@
-"""Protects the command `draw`: a record becomes a picture or an animation, whole or not at all, and bad input is one line."""
+"""Protects the command `draw`: a record becomes a picture or an animation, whole or not at all, and bad
+input is one line.
+"""
 
 import argparse
 import re
@@ -33,7 +35,10 @@ def log(tmp_path: Path) -> Path:
 
 
 def measured(*spreads_m: float) -> list[Measurement]:
-    return [Measurement(step, 0.0, (0.0, 0.0), 0.0, spread_m, (0.0, 0.0), (1.0, 0.0, 1.0)) for step, spread_m in enumerate(spreads_m)]
+    return [
+        Measurement(step, 0.0, (0.0, 0.0), 0.0, spread_m, (0.0, 0.0), (1.0, 0.0, 1.0))
+        for step, spread_m in enumerate(spreads_m)
+    ]
 
 
 def test_beliefs_are_shown_when_the_spread_has_fallen_by_a_third_by_two_thirds_and_last() -> None:
@@ -44,7 +49,9 @@ def test_beliefs_are_shown_when_the_spread_has_fallen_by_a_third_by_two_thirds_a
 
 
 @pytest.mark.slow
-def test_the_picture_lies_beside_the_log_and_is_not_written_over_unasked(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_picture_lies_beside_the_log_and_is_not_written_over_unasked(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(arguments=["draw", str(log)]) == 0
     picture = log.with_suffix(".png")
     assert capsys.readouterr().out == f"{picture}\n"
@@ -66,7 +73,9 @@ def test_an_animation_has_a_frame_for_each_reading_and_needs_no_picture(log: Pat
         assert (gif.n_frames, gif.size) == (33, (960, 540))
 
 
-def test_an_interrupt_leaves_what_was_there_and_nothing_half_written(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_leaves_what_was_there_and_nothing_half_written(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupted(frames: object, path: Path) -> None:
         path.write_bytes(b"GIF8")
         raise KeyboardInterrupt
@@ -84,11 +93,19 @@ def test_an_interrupt_leaves_what_was_there_and_nothing_half_written(log: Path, 
     [
         (["--at", "40"], "error: --at: 40 is not allowed; wanted steps of the log, 0 to 32\n"),
         (["--at", "1,2,3,4,5,6"], "error: --at: 6 steps are not allowed; wanted at most 5\n"),
-        (["--gif", "/proc/a.gif"], "error: --gif: '/proc/a.gif' cannot be written: No such file or directory\n"),
-        (["--out", "nowhere/a.png"], "error: --out: 'nowhere/a.png' cannot be written: No such file or directory\n"),
+        (
+            ["--gif", "/proc/a.gif"],
+            "error: --gif: '/proc/a.gif' cannot be written: No such file or directory\n",
+        ),
+        (
+            ["--out", "nowhere/a.png"],
+            "error: --out: 'nowhere/a.png' cannot be written: No such file or directory\n",
+        ),
     ],
 )
-def test_what_cannot_be_drawn_is_one_line(log: Path, capsys: pytest.CaptureFixture[str], words: list[str], error: str) -> None:
+def test_what_cannot_be_drawn_is_one_line(
+    log: Path, capsys: pytest.CaptureFixture[str], words: list[str], error: str
+) -> None:
     assert drawn(str(log), *words) == 2
     assert capsys.readouterr() == ("", error)
 
@@ -104,7 +121,9 @@ def test_a_file_without_a_belief_is_refused(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.slow
-def test_a_log_that_was_cut_off_is_drawn_with_a_warning(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_that_was_cut_off_is_drawn_with_a_warning(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert drawn(str(log)) == 0
     assert capsys.readouterr().err == ""
     log.write_bytes(log.read_bytes()[:-100])  # its beliefs are there, its end is not
@@ -114,10 +133,15 @@ def test_a_log_that_was_cut_off_is_drawn_with_a_warning(log: Path, capsys: pytes
     assert err == f"warning: {log} is cut off, damaged or still being written: what follows is missing\n"
 
 
-def test_what_is_not_installed_is_named(log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_installed_is_named(
+    log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
     assert drawn(str(log), "--mp4", "a.mp4") == 1
-    assert capsys.readouterr().err == "error: --mp4 needs the program ffmpeg, which is not installed; --gif needs nothing more\n"
+    assert (
+        capsys.readouterr().err
+        == "error: --mp4 needs the program ffmpeg, which is not installed; --gif needs nothing more\n"
+    )
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert drawn(str(log)) == 1
     assert capsys.readouterr().err == "error: draw needs matplotlib: pip install 'plumeward[view]'\n"
@@ -133,14 +157,20 @@ def in_small_chunks(log: Path) -> bytearray:
         channels: dict[int, int] = {}
         for _, channel, message in reader.iter_messages(log_time_order=False):
             if channel.id not in channels:
-                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, 0, channel.metadata)
-            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, 0, channel.metadata
+                )
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
+            )
         writer.finish()
     return bytearray(log.with_name("small.mcap").read_bytes())
 
 
 @pytest.mark.slow
-def test_a_damaged_log_is_drawn_without_what_is_missing_and_has_a_status_of_its_own(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_log_is_drawn_without_what_is_missing_and_has_a_status_of_its_own(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     whole = in_small_chunks(log)
     chunks = [match.start() for match in re.finditer(b"\x04\x00\x00\x00zstd", whole)]
     at = chunks[len(chunks) // 4] + 40  # the other half are of the index

@@ -1,4 +1,6 @@
-"""Protects the start and end of a record: it overwrites nothing unasked, and holds every message sent before its end."""
+"""Protects the start and end of a record: it overwrites nothing unasked, and holds every message sent
+before its end.
+"""
 
 import argparse
 import signal
@@ -16,7 +18,9 @@ from link.record.reader import read
 from link.record.writer import Writer
 
 
-def test_a_recorder_that_is_told_to_end_before_it_begins_writes_what_was_said(router: str, tmp_path: Path) -> None:
+def test_a_recorder_that_is_told_to_end_before_it_begins_writes_what_was_said(
+    router: str, tmp_path: Path
+) -> None:
     with Tap("recorder", router) as tap, Bus("estimator", router) as estimator:
         tap.subscribe(BELIEF)
         tap.settle(30.0)
@@ -40,7 +44,10 @@ def test_a_file_that_exists_is_refused_in_one_line_before_anything_is_joined(
 ) -> None:
     (tmp_path / there).write_text("old")
     assert recorder.run(given(tmp_path / "run.mcap", "tcp/127.0.0.1:1")) == 2  # no router listens there
-    assert capsys.readouterr().err == f"error: FILE.mcap: {str(tmp_path / there)!r} exists; wanted another name, or --force\n"
+    assert (
+        capsys.readouterr().err
+        == f"error: FILE.mcap: {str(tmp_path / there)!r} exists; wanted another name, or --force\n"
+    )
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(there, "old")]
 
 
@@ -58,7 +65,10 @@ def test_a_record_that_is_being_written_is_refused_even_with_force_and_stays_who
     first = recorder.begin(tmp_path / "run.mcap", True, {"seed": 1})
     assert recorder.run(given(tmp_path / "run.mcap", router, "--force")) == 2
     path = str(tmp_path / "run.mcap")
-    assert capsys.readouterr().err.splitlines()[-1] == f"error: FILE.mcap: cannot write {path!r}: another process is writing it"
+    assert (
+        capsys.readouterr().err.splitlines()[-1]
+        == f"error: FILE.mcap: cannot write {path!r}: another process is writing it"
+    )
     first.close()
     recording = read(tmp_path / "run.mcap")
     assert (recording.complete, recording.about) == (True, {"seed": 1})

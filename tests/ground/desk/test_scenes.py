@@ -1,4 +1,6 @@
-"""Protects the scene in records: viewers find it, readers of ours see no difference, and no message is lost because of it."""
+"""Protects the scene in records: viewers find it, readers of ours see no difference, and no message is
+lost because of it.
+"""
 
 import functools
 import json
@@ -46,7 +48,11 @@ def flown() -> Recording:
     """A golden record without what was said twice: a scene shows it once."""
     recording = read(GOLDEN)
     said: set[bytes] = set()
-    once = [entry for entry in recording.entries if entry.key != "belief" or not (entry.payload in said or said.add(entry.payload))]
+    once = [
+        entry
+        for entry in recording.entries
+        if entry.key != "belief" or not (entry.payload in said or said.add(entry.payload))
+    ]
     return recording._replace(entries=once)
 
 
@@ -65,7 +71,11 @@ def shown(path: Path) -> dict[str, list[tuple[int, Any]]]:
     messages: dict[str, list[tuple[int, Any]]] = {}
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        topics = [channel.topic for channel in reader.get_summary().channels.values() if channel.topic.startswith("scene/")]
+        topics = [
+            channel.topic
+            for channel in reader.get_summary().channels.values()
+            if channel.topic.startswith("scene/")
+        ]
         for _, channel, message, decoded in reader.iter_decoded_messages(topics=topics):
             messages.setdefault(channel.topic, []).append((message.log_time, decoded))
     return messages
@@ -82,24 +92,36 @@ def test_a_reader_of_ours_sees_no_difference(flown: Recording, path: Path, tmp_p
     assert path.with_suffix(".tlog").read_bytes() == (tmp_path / "run.tlog").read_bytes()
 
 
-def test_each_belief_is_a_cloud_of_its_particles_and_a_mark_at_its_mean(flown: Recording, shown: dict[str, Any]) -> None:
+def test_each_belief_is_a_cloud_of_its_particles_and_a_mark_at_its_mean(
+    flown: Recording, shown: dict[str, Any]
+) -> None:
     entries = [entry for entry in flown.entries if entry.key == "belief"]
     assert len(shown["scene/particles"]) == len(entries) > 10
-    for entry, said, (time_ns, cloud) in zip(entries, beliefs(entries), shown["scene/particles"], strict=True):
+    for entry, said, (time_ns, cloud) in zip(
+        entries, beliefs(entries), shown["scene/particles"], strict=True
+    ):
         rows = unpack_particles(entry.attachment, len(said["unknowns"]))
         column = said["unknowns"].index
         points = np.frombuffer(cloud.data, "<f4").reshape(-1, 4)
         assert np.array_equal(points[:, 0], rows[:, column("x")])
         assert np.array_equal(points[:, 1], rows[:, column("y")])
         assert np.array_equal(points[:, 3], rows[:, -1])
-        assert time_ns == cloud.timestamp.ToNanoseconds()  # viewers show a message at its log time, in frames of its timestamp
-    means = [(mark.pose.position.x, mark.pose.position.y) for _, update in shown["scene/estimate"] for mark in update.entities[0].spheres]
+        assert (
+            time_ns == cloud.timestamp.ToNanoseconds()
+        )  # viewers show a message at its log time, in frames of its timestamp
+    means = [
+        (mark.pose.position.x, mark.pose.position.y)
+        for _, update in shown["scene/estimate"]
+        for mark in update.entities[0].spheres
+    ]
     assert means == [tuple(said["mean"]) for said in beliefs(entries)]
 
 
 def test_the_path_ends_with_all_readings(flown: Recording, shown: dict[str, Any]) -> None:
     path = shown["scene/path"][-1][1]
-    assert [(pose.position.x, pose.position.y) for pose in path.poses] == [tuple(said["position"]) for said in beliefs(flown.entries)]
+    assert [(pose.position.x, pose.position.y) for pose in path.poses] == [
+        tuple(said["position"]) for said in beliefs(flown.entries)
+    ]
 
 
 def test_the_vehicle_is_where_it_said_and_so_is_home(flown: Recording, shown: dict[str, Any]) -> None:
@@ -113,7 +135,9 @@ def test_the_vehicle_is_where_it_said_and_so_is_home(flown: Recording, shown: di
     assert all((place.x, place.y, place.z) == told[at] for at, place in shown_at)
     home = flown.about["mission"].get("vehicle", {})
     first = shown["scene/fix/estimate"][0][1]
-    assert first.latitude == pytest.approx(home.get("home_lat_deg", 47.397742), abs=30 / 111_000)  # the area's side
+    assert first.latitude == pytest.approx(
+        home.get("home_lat_deg", 47.397742), abs=30 / 111_000
+    )  # the area's side
 
 
 def test_the_truth_comes_from_the_description_of_the_run(flown: Recording, shown: dict[str, Any]) -> None:
@@ -122,10 +146,15 @@ def test_the_truth_comes_from_the_description_of_the_run(flown: Recording, shown
     assert [place.x, place.y] == list(flown.about["scenario"]["source"])
     assert len(shown["scene/plume"]) == 1
     scene = RecordedScene({}, "uav/1")
-    assert not {topic for entry in flown.entries for topic, _, _ in scene.take(entry, 1)} & {"scene/source", "scene/plume"}
+    assert not {topic for entry in flown.entries for topic, _, _ in scene.take(entry, 1)} & {
+        "scene/source",
+        "scene/plume",
+    }
 
 
-def test_a_record_that_is_cut_off_anywhere_is_read_up_to_there(flown: Recording, path: Path, tmp_path: Path) -> None:
+def test_a_record_that_is_cut_off_anywhere_is_read_up_to_there(
+    flown: Recording, path: Path, tmp_path: Path
+) -> None:
     whole, cut = path.read_bytes(), tmp_path / "cut.mcap"
     for part in (0.3, 0.6, 0.9, 0.999):
         cut.write_bytes(whole[: int(part * len(whole))])
@@ -135,7 +164,9 @@ def test_a_record_that_is_cut_off_anywhere_is_read_up_to_there(flown: Recording,
     assert recording.entries  # the last cut loses the index at most
 
 
-def test_a_scene_that_fails_is_left_out_and_said_once(flown: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scene_that_fails_is_left_out_and_said_once(
+    flown: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = RecordedScene(flown.about, "uav/1")
     asked = []
 
@@ -163,7 +194,11 @@ def test_fast_telemetry_gives_ten_poses_a_second_with_the_newest_place() -> None
         time_s = number / 200
         place = codec.pack(_local(round(1000 * time_s), time_s))
         said = scene.take(Entry(MAVLINK_OUT.name, number, time_s, place), number)
-        poses += [kind.FromString(data).transforms[0].translation.x for topic, kind, data in said if topic == "scene/transforms"]
+        poses += [
+            kind.FromString(data).transforms[0].translation.x
+            for topic, kind, data in said
+            if topic == "scene/transforms"
+        ]
     assert poses == pytest.approx([n / 10 for n in range(20)])
 
 
@@ -171,7 +206,9 @@ def _local(time_boot_ms: int, east: float) -> Any:
     return mavlink.MAVLink_local_position_ned_message(time_boot_ms, 0.0, east, -5.0, 0.0, 0.0, 0.0)
 
 
-def test_a_days_long_recording_keeps_a_bounded_history(flown: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_days_long_recording_keeps_a_bounded_history(
+    flown: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("scene.follow.history.MOST", 8)
     history = History(Backdrop("uav/1"), whole=False)
     belief = next(entry for entry in flown.entries if entry.key == "belief")
@@ -201,14 +238,18 @@ for chunk in McapReader(sys.argv[1]).stream():
             found.setdefault(chunk.entity_path, {}).setdefault(name, []).extend(batch.column(name).to_pylist())
 print(json.dumps(found))
 """
-    ran = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=60, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=60, check=True
+    )
     found = json.loads(ran.stdout)
     said = beliefs(flown.entries)
     particles = found["/scene/particles"]["Points3D:positions"]
     assert [len(points) for points in particles] == [100] * len(said)
     assert np.isfinite(particles[-1]).all()
     path_places = found["/scene/path"]["InstancePoses3D:translations"][-1]
-    assert np.array_equal(np.array(path_places)[:, :2], np.array([belief["position"] for belief in said], np.float32))
+    assert np.array_equal(
+        np.array(path_places)[:, :2], np.array([belief["position"] for belief in said], np.float32)
+    )
     for fixes in ("vehicle", "estimate"):
         latitude, longitude = found[f"/scene/fix/{fixes}"]["GeoPoints:positions"][-1][0]
         assert (latitude, longitude) == pytest.approx((47.3977, 8.5456), abs=0.001)
@@ -221,7 +262,9 @@ def panels(node: Any) -> list[str]:
     return [node] if isinstance(node, str) else [*panels(node["first"]), *panels(node["second"])]
 
 
-def test_the_layout_shows_only_what_is_recorded_and_each_of_its_panels_is_placed(path: Path, shown: dict[str, Any]) -> None:
+def test_the_layout_shows_only_what_is_recorded_and_each_of_its_panels_is_placed(
+    path: Path, shown: dict[str, Any]
+) -> None:
     layout = json.loads(LAYOUT.read_text())
     assert {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"} <= set(layout)
     assert sorted(panels(layout["layout"])) == sorted(layout["configById"])

@@ -1,4 +1,6 @@
-"""Protects the status: missing, starting, stale or refusing parts are recognised from health messages alone, without a common clock."""
+"""Protects the status: missing, starting, stale or refusing parts are recognised from health messages
+alone, without a common clock.
+"""
 
 import pytest
 
@@ -26,7 +28,11 @@ def test_who_speaks_is_ok() -> None:
         assert not b.settled(1001.0)
         speak(b, service, 1001.0)
     assert b.settled(1001.0)
-    assert {name: part["status"] for name, part in b.report(1001.0).items()} == {"uav": "ok", "estimator": "ok", "agent": "ok"}
+    assert {name: part["status"] for name, part in b.report(1001.0).items()} == {
+        "uav": "ok",
+        "estimator": "ok",
+        "agent": "ok",
+    }
 
 
 def test_who_is_not_there_is_missing_at_once() -> None:

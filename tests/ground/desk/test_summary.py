@@ -1,4 +1,6 @@
-"""Protects the command `log`: its counts and findings in a log made here message by message, and its export."""
+"""Protects the command `log`: its counts and findings in a log made here message by message, and its
+export.
+"""
 
 import csv
 import io
@@ -24,14 +26,35 @@ SOURCE = (14.0, 12.5)
 
 
 def reading(step: int) -> bytes:
-    return pack_reading(Codec(1, 1), Reading(1000 * (step + 1), (3.0 + step, 4.0), 5.0, (2.0, -1.0), 0.5 * step))
+    return pack_reading(
+        Codec(1, 1), Reading(1000 * (step + 1), (3.0 + step, 4.0), 5.0, (2.0, -1.0), 0.5 * step)
+    )
 
 
 def belief(step: int, ceased: bool = False, **more: str) -> bytes:
     said = Belief(
-        1000 * (step + 1), step, (3.0 + step, 4.0), 5.0, 0.5 * step, (2.0, -1.0), "gaussian:0.3,0.2", 300.0, 4.5, 10.0, 0.0, ("x", "y"),
-        (14.0, 12.0), (0.3, 0.2), (14.0, 12.0), (0.09, 0.0, 0.04), 0.36, 500.0, 0.5, ceased, **more,
-    )  # fmt: skip
+        1000 * (step + 1),
+        step,
+        (3.0 + step, 4.0),
+        5.0,
+        0.5 * step,
+        (2.0, -1.0),
+        "gaussian:0.3,0.2",
+        300.0,
+        4.5,
+        10.0,
+        0.0,
+        ("x", "y"),
+        (14.0, 12.0),
+        (0.3, 0.2),
+        (14.0, 12.0),
+        (0.09, 0.0, 0.04),
+        0.36,
+        500.0,
+        0.5,
+        ceased,
+        **more,
+    )
     return msgspec.json.encode(said)
 
 
@@ -40,9 +63,21 @@ def health(service: str, uptime_s: float, compute_s: float = 0.0) -> bytes:
 
 
 ABOUT = {
-    "seed": 7, "policy": "homing", "budget": 5, "began": "2026-11-21T10:00:00+00:00", "mission": {"about": "a test"},
-    "scenario": {"source": SOURCE, "q": 300.0, "u": 2.0, "phi": 0.5, "d": 4.5, "tau": 10.0, "start": (3.0, 4.0)},
-}  # fmt: skip
+    "seed": 7,
+    "policy": "homing",
+    "budget": 5,
+    "began": "2026-11-21T10:00:00+00:00",
+    "mission": {"about": "a test"},
+    "scenario": {
+        "source": SOURCE,
+        "q": 300.0,
+        "u": 2.0,
+        "phi": 0.5,
+        "d": 4.5,
+        "tau": 10.0,
+        "start": (3.0, 4.0),
+    },
+}
 MESSAGES = [
     # seconds, simulation, key, payload
     (0.0, 0.0, "health/estimator", health("estimator", 1.0)),
@@ -61,7 +96,9 @@ MESSAGES = [
 ]
 
 
-def record(path: Path, messages: list[tuple[float, float, str, bytes]], about: dict[str, object] = ABOUT) -> Path:
+def record(
+    path: Path, messages: list[tuple[float, float, str, bytes]], about: dict[str, object] = ABOUT
+) -> Path:
     writer = Writer(path, about)
     for at_s, simulation_s, key, payload in messages:
         at_ns = BEGAN + round(at_s * SECOND)
@@ -85,7 +122,11 @@ def test_a_reading_after_the_wrap_of_the_vehicles_time_is_answered_by_the_belief
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wrap_s = 4_294_967.296
-    messages = [(0.1, wrap_s + 1, "reading", reading(0)), (0.2, wrap_s + 1, "belief", belief(0)), (0.3, wrap_s + 2, "reading", reading(1))]
+    messages = [
+        (0.1, wrap_s + 1, "reading", reading(0)),
+        (0.2, wrap_s + 1, "belief", belief(0)),
+        (0.3, wrap_s + 2, "reading", reading(1)),
+    ]
     fields = json.loads(said(capsys, record(tmp_path / "run.mcap", messages), json=True).splitlines()[-1])
     assert fields["gaps"] == ["1 readings without a belief, at 4294969.30 s of simulation"]
 
@@ -93,13 +134,18 @@ def test_a_reading_after_the_wrap_of_the_vehicles_time_is_answered_by_the_belief
 def test_an_autopilot_that_was_on_for_an_hour_before_does_not_make_the_flight_longer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    later = [(at_s, simulation_s and simulation_s + 3600, key, payload) for at_s, simulation_s, key, payload in MESSAGES]
+    later = [
+        (at_s, simulation_s and simulation_s + 3600, key, payload)
+        for at_s, simulation_s, key, payload in MESSAGES
+    ]
     log = record(tmp_path / "run.mcap", later)
     assert json.loads(said(capsys, log, json=True).splitlines()[-1])["simulation_s"] == pytest.approx(3.0)
     assert "3.0 s of simulation" in said(capsys, log)
 
 
-def test_the_summary_counts_keys_repeats_and_what_is_missing(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_summary_counts_keys_repeats_and_what_is_missing(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     fields = json.loads(said(capsys, log, json=True).splitlines()[-1])
     assert fields["complete"]
     assert fields["messages"] == len(MESSAGES)
@@ -117,15 +163,24 @@ def test_the_summary_counts_keys_repeats_and_what_is_missing(log: Path, capsys: 
     ]
 
 
-def test_the_outcome_is_judged_by_the_source_that_the_log_tells(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_outcome_is_judged_by_the_source_that_the_log_tells(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     fields = json.loads(said(capsys, log, json=True).splitlines()[-1])
-    assert (fields["ceased"], fields["located"], fields["estimate"], fields["error_m"]) == (True, True, [14.0, 12.0], 0.5)
+    assert (fields["ceased"], fields["located"], fields["estimate"], fields["error_m"]) == (
+        True,
+        True,
+        [14.0, 12.0],
+        0.5,
+    )
     text = said(capsys, log)
     assert "a test, homing, seed 7" in text
     assert "source   (14.00, 12.50), error 0.50 m" in text
 
 
-def test_the_outcome_says_what_was_assumed_and_in_which_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_outcome_says_what_was_assumed_and_in_which_world(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     messages = [(0.0, 1.0, "belief", belief(0, assume="field", stop="within:1,0.99"))]
     told = "assumed  field, stop within:1,0.99"
     for about, line in (
@@ -137,7 +192,9 @@ def test_the_outcome_says_what_was_assumed_and_in_which_world(tmp_path: Path, ca
     ):
         assert said(capsys, record(tmp_path / "run.mcap", messages, about)).splitlines()[-1] == line
     fields = json.loads(
-        said(capsys, record(tmp_path / "run.mcap", messages, {"mission": {"world": "wind-30"}}), json=True).splitlines()[-1]
+        said(
+            capsys, record(tmp_path / "run.mcap", messages, {"mission": {"world": "wind-30"}}), json=True
+        ).splitlines()[-1]
     )
     assert (fields["assume"], fields["stop"], fields["world"]) == ("field", "within:1,0.99", "wind-30")
 
@@ -145,26 +202,43 @@ def test_the_outcome_says_what_was_assumed_and_in_which_world(tmp_path: Path, ca
 def test_a_key_as_csv_has_a_column_for_each_number(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = list(csv.DictReader(io.StringIO(said(capsys, log, csv="belief"))))
     assert [row["step"] for row in rows] == ["0", "1", "3"]
-    assert (rows[2]["mean[0]"], rows[2]["mean[1]"], rows[2]["covariance[2]"], rows[2]["ceased"]) == ("14.0", "12.0", "0.04", "True")
+    assert (rows[2]["mean[0]"], rows[2]["mean[1]"], rows[2]["covariance[2]"], rows[2]["ceased"]) == (
+        "14.0",
+        "12.0",
+        "0.04",
+        "True",
+    )
     assert float(rows[0]["published_s"]) == pytest.approx(BEGAN / SECOND + 0.2)
     rows = list(csv.DictReader(io.StringIO(said(capsys, log, csv="reading"))))
-    assert {name: rows[3][name] for name in ("time_boot_ms", "x", "y", "altitude_m", "wind_x", "wind_y", "gas")} == {
-        "time_boot_ms": "3000", "x": "5.0", "y": "4.0", "altitude_m": "5.0", "wind_x": "2.0", "wind_y": "-1.0", "gas": "1.0",
-    }  # fmt: skip
+    assert {
+        name: rows[3][name] for name in ("time_boot_ms", "x", "y", "altitude_m", "wind_x", "wind_y", "gas")
+    } == {
+        "time_boot_ms": "3000",
+        "x": "5.0",
+        "y": "4.0",
+        "altitude_m": "5.0",
+        "wind_x": "2.0",
+        "wind_y": "-1.0",
+        "gas": "1.0",
+    }
     rows = list(csv.DictReader(io.StringIO(said(capsys, log, csv="health/estimator"))))
     assert [row["refused.late"] for row in rows] == ["2", "2"]
     rows = list(csv.DictReader(io.StringIO(said(capsys, log, csv="mavlink/out/NAMED_VALUE_FLOAT"))))
     assert [(row["name"], row["value"], row["time_boot_ms"]) for row in rows] == [("gas", "0.5", "2000")]
 
 
-def test_a_key_that_is_not_there_is_one_line_with_those_that_are(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_key_that_is_not_there_is_one_line_with_those_that_are(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert said(capsys, log, status=2, csv="mavlink/out") == (
         "error: --csv: 'mavlink/out' is not allowed; "
         "wanted one of agdc/stop, belief, health/estimator, mavlink/out/NAMED_VALUE_FLOAT, reading\n"
     )
 
 
-def test_a_log_that_was_cut_off_is_summed_up_and_says_so(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_that_was_cut_off_is_summed_up_and_says_so(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(log.read_bytes()[:-50])
     assert "CUT OFF" in said(capsys, cut)
@@ -174,8 +248,10 @@ def test_an_autopilots_log_is_counted_by_message(log: Path, capsys: pytest.Captu
     tlog = log.with_suffix(".tlog")
     fields = json.loads(said(capsys, tlog, json=True).splitlines()[-1])
     assert {kind: told["messages"] for kind, told in fields["keys"].items()} == {
-        "LOCAL_POSITION_NED": 5, "WIND_COV": 5, "NAMED_VALUE_FLOAT": 6,
-    }  # fmt: skip
+        "LOCAL_POSITION_NED": 5,
+        "WIND_COV": 5,
+        "NAMED_VALUE_FLOAT": 6,
+    }
     rows = list(csv.DictReader(io.StringIO(said(capsys, tlog, csv="LOCAL_POSITION_NED"))))
     assert [row["y"] for row in rows] == ["3.0", "4.0", "4.0", "5.0", "6.0"]
     assert said(capsys, tlog, status=2, csv="ATTITUDE").startswith(
@@ -183,7 +259,9 @@ def test_an_autopilots_log_is_counted_by_message(log: Path, capsys: pytest.Captu
     )
 
 
-def test_health_that_is_no_json_is_counted_and_the_rest_is_summed_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_health_that_is_no_json_is_counted_and_the_rest_is_summed_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     deep = b'{"uptime_s":1,"a":' + b"[" * 100_000 + b"]" * 100_000 + b"}"
     odd = [
         b"no JSON",
@@ -193,7 +271,10 @@ def test_health_that_is_no_json_is_counted_and_the_rest_is_summed_up(tmp_path: P
         b'{"uptime_s": 1%s}' % (b"0" * 400),
         deep,
     ]
-    messages = [*MESSAGES, *((8.0, 5.0, f"health/{service}", payload) for service in ("estimator", "agent") for payload in odd)]
+    messages = [
+        *MESSAGES,
+        *((8.0, 5.0, f"health/{service}", payload) for service in ("estimator", "agent") for payload in odd),
+    ]
     path = record(tmp_path / "odd.mcap", messages)
     fields = json.loads(said(capsys, path, json=True).splitlines()[-1])
     assert fields["keys"]["health/agent"]["messages"] == len(odd)
@@ -203,32 +284,52 @@ def test_health_that_is_no_json_is_counted_and_the_rest_is_summed_up(tmp_path: P
     assert "estimator was restarted 1 time" in fields["gaps"]
 
 
-def test_beliefs_of_another_version_are_counted_with_what_is_wrong_with_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_beliefs_of_another_version_are_counted_with_what_is_wrong_with_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     older = [belief(step).replace(b'"p_value":0.5,', b"") for step in (1, 2)]
     newer = belief(3).replace(b'"ceased"', b'"\\u001b[31mred\\n":1,"ceased"')
     payloads = [belief(0), *older, newer]
-    path = record(tmp_path / "mixed.mcap", [(float(n), float(n + 1), "belief", payload) for n, payload in enumerate(payloads)])
+    path = record(
+        tmp_path / "mixed.mcap",
+        [(float(n), float(n + 1), "belief", payload) for n, payload in enumerate(payloads)],
+    )
     fields = json.loads(said(capsys, path, json=True).splitlines()[-1])
     assert (fields["beliefs"], fields["keys"]["belief"]["messages"]) == (1, 4)
     assert fields["gaps"] == [
-        "3 beliefs could not be read: Object missing required field `p_value`, Object contains unknown field `\\x1b[31mred\\n`"
+        "3 beliefs could not be read: Object missing required field `p_value`, Object contains unknown field "
+        "`\\x1b[31mred\\n`"
     ]
-    path = record(tmp_path / "older.mcap", [(float(n), float(n + 1), "belief", payload) for n, payload in enumerate(older)])
+    path = record(
+        tmp_path / "older.mcap",
+        [(float(n), float(n + 1), "belief", payload) for n, payload in enumerate(older)],
+    )
     text = said(capsys, path)
     assert "2 beliefs could not be read: Object missing required field `p_value`" in text
     assert "no readable belief: the outcome of the search is unknown" in text
 
 
-def test_a_belief_of_a_step_far_away_is_a_gap_like_any_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_belief_of_a_step_far_away_is_a_gap_like_any_other(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     payloads = [belief(1), belief(9), belief(2).replace(b'"step":2', b'"step":4000000000')]
-    path = record(tmp_path / "far.mcap", [(float(n), float(n + 1), "belief", payload) for n, payload in enumerate(payloads)])
+    path = record(
+        tmp_path / "far.mcap",
+        [(float(n), float(n + 1), "belief", payload) for n, payload in enumerate(payloads)],
+    )
     fields = json.loads(said(capsys, path, json=True).splitlines()[-1])
     assert fields["gaps"] == ["3999999998 beliefs missing, of step 0, 2, 3, 4, 5 and 3,999,999,993 more"]
 
 
-def test_what_a_log_tells_about_itself_may_be_anything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_log_tells_about_itself_may_be_anything(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for odd in ("text", 5, None, [1], {"a": 1}):
-        about = {**ABOUT, **dict.fromkeys(("mission", "versions", "git", "seed", "policy", "began"), odd), "stopped": odd}
+        about = {
+            **ABOUT,
+            **dict.fromkeys(("mission", "versions", "git", "seed", "policy", "began"), odd),
+            "stopped": odd,
+        }
         about["mission"] = {"about": odd} if odd == 5 else odd
         assert "error 0.50 m" in said(capsys, record(tmp_path / "run.mcap", MESSAGES, about))
         assert "not ceased after 0 steps" in said(
@@ -236,7 +337,9 @@ def test_what_a_log_tells_about_itself_may_be_anything(tmp_path: Path, capsys: p
         )
 
 
-def test_the_waypoints_of_a_record_from_before_they_had_a_key_are_listed_and_exported_under_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_waypoints_of_a_record_from_before_they_had_a_key_are_listed_and_exported_under_it(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     golden = Path(__file__).parents[2] / "golden" / "greedy-gaussian.mcap"
     fields = json.loads(said(capsys, golden, json=True).splitlines()[-1])
     assert fields["keys"]["waypoint"]["messages"] >= fields["steps"] > 10
@@ -247,7 +350,10 @@ def test_the_waypoints_of_a_record_from_before_they_had_a_key_are_listed_and_exp
 
 def test_a_record_of_a_newer_format_is_one_line(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log.write_bytes(log.read_bytes().replace(b"format\x01\x00\x00\x002", b"format\x01\x00\x00\x003"))
-    assert said(capsys, log, status=2) == f"error: {log} has record format 3 of another plumeward version; readable formats: 0, 1, 2\n"
+    assert (
+        said(capsys, log, status=2)
+        == f"error: {log} has record format 3 of another plumeward version; readable formats: 0, 1, 2\n"
+    )
 
 
 def test_what_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -260,7 +366,9 @@ def test_what_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert line.count("\n") == 1
 
 
-def test_a_damaged_log_is_told_with_what_is_missing_and_has_a_status_of_its_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_log_is_told_with_what_is_missing_and_has_a_status_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = record(tmp_path / "run.mcap", MESSAGES)
     whole = path.read_bytes()
     at = whole.index(b"zstd") + 40
@@ -271,21 +379,30 @@ def test_a_damaged_log_is_told_with_what_is_missing_and_has_a_status_of_its_own(
     (place,) = fields["damage"]
     assert (fields["complete"], fields["messages"], place["after_s"], place["before"]) == (False, 0, 0.0, 0)
     assert "; DAMAGED\n" in err
-    assert f"it is damaged, and lacks {place['size']:,} bytes at byte {place['at']:,}, after 0.00 s of simulation\n" in err
+    assert (
+        f"it is damaged, and lacks {place['size']:,} bytes at byte {place['at']:,}, after 0.00 s of "
+        "simulation\n" in err
+    )
 
 
-def test_text_of_a_stranger_draws_nothing_on_the_terminal_and_forges_no_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_of_a_stranger_draws_nothing_on_the_terminal_and_forges_no_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     hostile = "\x1b[2J\x1b]0;owned\x07\nlocated after 1 steps\u202e"
     about = {name: hostile for name in ("policy", "began", "git", "stopped")}
     about |= {"mission": {"about": hostile, "world": hostile}, "versions": {"plumeward": hostile}, "seed": 1}
-    text = said(capsys, record(tmp_path / "run.mcap", [(0.0, 1.0, "belief", belief(0, assume=hostile))], about))
+    text = said(
+        capsys, record(tmp_path / "run.mcap", [(0.0, 1.0, "belief", belief(0, assume=hostile))], about)
+    )
     assert all(line.isprintable() for line in text.splitlines())
     assert not any(line.startswith("located") for line in text.splitlines())
     assert text.count("\\x1b[2J\\x1b]0;owned\\x07\\nlocated after 1 steps\\u202e") >= 5
 
 
 @pytest.mark.parametrize("flags", [{}, {"csv": "belief"}], ids=["summary", "csv"])
-def test_a_large_record_is_read_in_little_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: dict[str, str]) -> None:
+def test_a_large_record_is_read_in_little_memory(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: dict[str, str]
+) -> None:
     count, size = 400, 100_000  # 40 MB that no packing makes smaller
     path, noise = tmp_path / "large.mcap", random.Random(1)
     writer = Writer(path, ABOUT)

@@ -1,4 +1,6 @@
-"""Protects who replays a stranger's record: it sets what the services assume, and no word of it reaches a command line otherwise."""
+"""Protects who replays a stranger's record: it sets what the services assume, and no word of it reaches a
+command line otherwise.
+"""
 
 import re
 
@@ -17,7 +19,9 @@ def as_pairs(flags: list[str]) -> list[tuple[str, str]]:
 def test_every_golden_record_gives_the_flags_that_it_was_flown_with(name: str) -> None:
     parts = read(path(name)).about["parts"]
     assert set(parts) == {"estimator", "agent"}
-    assert all(as_pairs(words(service, recorded)) == as_pairs(recorded) for service, recorded in parts.items())
+    assert all(
+        as_pairs(words(service, recorded)) == as_pairs(recorded) for service, recorded in parts.items()
+    )
 
 
 def test_settings_of_every_kind_are_kept() -> None:
@@ -33,7 +37,18 @@ def test_settings_of_every_kind_are_kept() -> None:
         "--assume",
         "field",
     ]
-    agent = ["--headings", "8", "--step", "0.5", "--measurements", "3", "--waypoints", "0:3,4.5;5,6e-1", "--waypoints", "9:1,1"]
+    agent = [
+        "--headings",
+        "8",
+        "--step",
+        "0.5",
+        "--measurements",
+        "3",
+        "--waypoints",
+        "0:3,4.5;5,6e-1",
+        "--waypoints",
+        "9:1,1",
+    ]
     assert as_pairs(words("estimator", estimator)) == as_pairs(estimator)
     assert as_pairs(words("agent", agent)) == as_pairs(agent)
 
@@ -66,7 +81,7 @@ def test_an_older_estimator_took_all_but_the_position_to_be_known() -> None:
         ("estimator", ["--stop", "spread:0.5\x1b[2J"], "'--stop spread:0.5\\x1b[2J'"),
         ("estimator", ["--prior", "q=gamma:2,150", "--prior", "--connect"], "'--prior --connect'"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_setting_is_refused_by_name(service: str, recorded: list[str], named: str) -> None:
     with pytest.raises(ValueError, match=rf"^{re.escape(named)}\Z"):
         words(service, recorded)

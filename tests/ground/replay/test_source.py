@@ -37,7 +37,9 @@ def test_a_record_of_a_newer_format_is_refused_by_name(tmp_path: Path) -> None:
     log = written(tmp_path / "run.mcap")
     assert find(Namespace(log=log, **FLAGS), {}, {})[0].entries
     log.write_bytes(log.read_bytes().replace(b"format\x01\x00\x00\x002", b"format\x01\x00\x00\x003"))
-    assert refused(log) == f"{log} has record format 3 of another plumeward version; readable formats: 0, 1, 2"
+    assert (
+        refused(log) == f"{log} has record format 3 of another plumeward version; readable formats: 0, 1, 2"
+    )
 
 
 def test_a_pipe_and_an_empty_file_are_refused_and_not_waited_for(tmp_path: Path) -> None:
@@ -50,7 +52,11 @@ def test_a_pipe_and_an_empty_file_are_refused_and_not_waited_for(tmp_path: Path)
 def test_json_that_is_nested_without_end_answers_nothing(tmp_path: Path) -> None:
     nested = b'{"a":' + b"[" * 100_000 + b"]" * 100_000 + b',"time_boot_ms":3000}'
     writer = Writer(tmp_path / "run.mcap", {})
-    for entry in (Entry("health/uav", 1, 1.0, b"{}"), Entry("belief", 2, 1.0, nested), Entry("agdc/stop", 3, 1.0, nested)):
+    for entry in (
+        Entry("health/uav", 1, 1.0, b"{}"),
+        Entry("belief", 2, 1.0, nested),
+        Entry("agdc/stop", 3, 1.0, nested),
+    ):
         writer.write(entry, entry.published_ns)
     writer.close()
     source, _ = find(Namespace(log=tmp_path / "run.mcap", **FLAGS), {}, {})
@@ -70,7 +76,9 @@ def test_a_service_that_a_record_starts_with_more_than_settings_is_not_started(t
     log = told(tmp_path, parts={"estimator": ["--seed", "1"], "agent": ["evaluate", "--missions", "x.csv"]})
     source, _ = find(Namespace(log=log, **FLAGS), {}, {})
     assert source.parts == {"estimator": ["--seed", "1", "--assume", "paper"]}
-    assert source.notes == (f"warning: {log} starts its agent with 'x.csv', which a record may not do: replayed without it",)
+    assert source.notes == (
+        f"warning: {log} starts its agent with 'x.csv', which a record may not do: replayed without it",
+    )
 
 
 def test_a_record_names_no_file_of_a_policy_but_its_user_does(tmp_path: Path) -> None:
@@ -78,9 +86,12 @@ def test_a_record_names_no_file_of_a_policy_but_its_user_does(tmp_path: Path) ->
     source, _ = find(Namespace(log=log, **FLAGS), {}, {})
     assert source.parts == {}
     assert source.notes[0].endswith(
-        "with '--policy theirs.zip', which a record may not do; name the bundle with --policy: replayed without it"
+        "with '--policy theirs.zip', which a record may not do; name the bundle with --policy: replayed "
+        "without it"
     )
-    assert find(Namespace(log=log, **FLAGS | {"policy": "mine.zip"}), {}, {})[0].parts == {"agent": ["--seed", "3", "--policy", "mine.zip"]}
+    assert find(Namespace(log=log, **FLAGS | {"policy": "mine.zip"}), {}, {})[0].parts == {
+        "agent": ["--seed", "3", "--policy", "mine.zip"]
+    }
 
 
 def test_a_bundle_for_a_record_that_flew_none_is_refused(tmp_path: Path) -> None:
@@ -117,6 +128,12 @@ def test_behind_a_damaged_place_nothing_is_compared_but_all_is_replayed(tmp_path
     assert replayed.damaged
     assert "is damaged, and lacks " in replayed.notes[0]
     assert "--verify compares up to 3.00 s" in replayed.notes[0]
-    verified, _ = find(Namespace(log=log, **FLAGS | {"verify": True, "ignore": ["belief.p_value"], "connect": "tcp/127.0.0.1:1"}), {}, {})
+    verified, _ = find(
+        Namespace(
+            log=log, **FLAGS | {"verify": True, "ignore": ["belief.p_value"], "connect": "tcp/127.0.0.1:1"}
+        ),
+        {},
+        {},
+    )
     assert [entry.simulation_s for entry in verified.entries] == [0.0, 1.0, 2.0, 3.0]
     assert sorted(verified.then) == [(time, "belief") for time in (0, 1000, 2000, 3000)]

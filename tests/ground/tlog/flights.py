@@ -11,7 +11,9 @@ ACCEPTED, REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3  # MAV_RESULT
 GROUND, IN_AIR, TAKING_OFF, LANDING = 1, 2, 3, 4  # MAV_LANDED_STATE
 NAN = math.nan
 CONFIG = VehicleConfig()
-CLIMB_S = 5.0 / 3.0 + 1.0  # the take-off to 5 m: 3 m/s at 3 m/s², so two ramps of 1 s and 1.5 m, and 2 m of cruise
+CLIMB_S = (
+    5.0 / 3.0 + 1.0
+)  # the take-off to 5 m: 3 m/s at 3 m/s², so two ramps of 1 s and 1.5 m, and 2 m of cruise
 
 
 def on_the_ground(config: VehicleConfig = CONFIG) -> Vehicle:

@@ -21,14 +21,18 @@ class Recorder:
 
     def hear(self, at_s: float, message, system=1, component=1, version=2) -> bytes:
         """Log a message; returns its frame."""
-        sender = self._senders.setdefault((system, component), mavlink.MAVLink(None, srcSystem=system, srcComponent=component))
+        sender = self._senders.setdefault(
+            (system, component), mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+        )
         frame = bytes(message.pack(sender, force_mavlink1=version == 1))
         sender.seq = (sender.seq + 1) % 256
         self.put(at_s, frame)
         return frame
 
     def put(self, at_s: float, frame: bytes) -> None:
-        self.records.append((struct.pack(">Q", BEGAN_US + round(at_s * 1e6)) if self._stamped else b"") + frame)
+        self.records.append(
+            (struct.pack(">Q", BEGAN_US + round(at_s * 1e6)) if self._stamped else b"") + frame
+        )
 
     @property
     def data(self) -> bytes:
@@ -57,7 +61,9 @@ def local(boot_ms, north, east, up=5.0):
 
 
 def globe(boot_ms, lat_e7, lon_e7, up_mm=5000):
-    return mavlink.MAVLink_global_position_int_message(boot_ms, lat_e7, lon_e7, 488_000 + up_mm, up_mm, 0, 0, 0, 0)
+    return mavlink.MAVLink_global_position_int_message(
+        boot_ms, lat_e7, lon_e7, 488_000 + up_mm, up_mm, 0, 0, 0, 0
+    )
 
 
 def gps(lat_e7, lon_e7, fix=mavlink.GPS_FIX_TYPE_3D_FIX, alt_mm=493_000):

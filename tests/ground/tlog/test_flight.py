@@ -1,4 +1,6 @@
-"""Protects the reader of telemetry logs: which samples become readings, where and when, and the notes on everything else."""
+"""Protects the reader of telemetry logs: which samples become readings, where and when, and the notes on
+everything else.
+"""
 
 import itertools
 import math
@@ -46,7 +48,9 @@ PX4 = mavlink.MAV_AUTOPILOT_PX4
 
 
 def readings(flight: Flight) -> list[Reading]:
-    return [unpack_reading(entry.payload, flight.system) for entry in flight.entries if entry.key == "reading"]
+    return [
+        unpack_reading(entry.payload, flight.system) for entry in flight.entries if entry.key == "reading"
+    ]
 
 
 def noted(flight: Flight, *words: str) -> str:
@@ -69,7 +73,9 @@ def fly(
     value: Callable[[float], float] | None = None,
     system: int = 1,
 ) -> None:
-    """Log a flight: heartbeat and wind at 1 Hz, positions at 5 Hz, gas at 1 Hz between two positions (default value: 10 × time in s)."""
+    """Log a flight: heartbeat and wind at 1 Hz, positions at 5 Hz, gas at 1 Hz between two positions
+    (default value: 10 × time in s).
+    """
     for n in range(round(5 * begin_s), round(5 * end_s) + 1):
         now = n / 5
         boot_ms = round(1000 * (now - boot_at_s))
@@ -95,14 +101,19 @@ def test_an_ardupilot_flight_gives_the_readings_that_one_works_out_by_hand(tmp_p
     log.hear(3.8, gas(3750, 1.25, b"CH4"))
     log.hear(4.0, globe(4000, LAT_E7 + 360, LON_E7 + 930, up_mm=6000))
     flight = read(log.write(tmp_path), gas="CH4", origin=(-1.0, -2.0))
-    # The local origin is the first fix. At 2.5 s half of the way is flown, at 3.75 s three quarters of the next.
+    # The local origin is the first fix. At 2.5 s half of the way is flown, at 3.75 s three quarters of the
+    # next.
     first, second = readings(flight)
     assert first.time_boot_ms == 2500
-    assert first.position == pytest.approx((2.0 + 265 * METRES_AN_E7 * COS_LAT, 1.0 + 180 * METRES_AN_E7), abs=1e-4)
+    assert first.position == pytest.approx(
+        (2.0 + 265 * METRES_AN_E7 * COS_LAT, 1.0 + 180 * METRES_AN_E7), abs=1e-4
+    )
     assert (first.altitude_m, first.gas) == (5.0, float(np.float32(0.7)))
     assert first.wind == pytest.approx((-3.0, 0.0), abs=1e-6)  # from the west: it points to −x
     assert second.time_boot_ms == 3750
-    assert second.position == pytest.approx((2.0 + 830 * METRES_AN_E7 * COS_LAT, 1.0 + 360 * METRES_AN_E7), abs=1e-4)
+    assert second.position == pytest.approx(
+        (2.0 + 830 * METRES_AN_E7 * COS_LAT, 1.0 + 360 * METRES_AN_E7), abs=1e-4
+    )
     assert (second.altitude_m, second.gas) == (6.0, 1.25)
     assert second.wind == pytest.approx((0.0, 2.0), abs=1e-6)  # from the north: it points to +y
     assert flight.system == 1
@@ -115,7 +126,9 @@ def test_an_ardupilot_flight_gives_the_readings_that_one_works_out_by_hand(tmp_p
 def test_a_px4_flight_among_a_ground_station_and_an_onboard_computer_is_read(tmp_path: Path) -> None:
     log = Recorder()
     log.hear(0.0, ground_station(), system=255, component=190)
-    log.hear(0.0, heartbeat(mavlink.MAV_AUTOPILOT_INVALID, 0, mavlink.MAV_TYPE_ONBOARD_CONTROLLER), component=191)
+    log.hear(
+        0.0, heartbeat(mavlink.MAV_AUTOPILOT_INVALID, 0, mavlink.MAV_TYPE_ONBOARD_CONTROLLER), component=191
+    )
     log.hear(0.1, heartbeat(PX4))
     log.hear(0.1, landed(mavlink.MAV_LANDED_STATE_IN_AIR))
     log.hear(0.1, wind_cov(1.5, -2.0))
@@ -143,7 +156,11 @@ def test_all_that_the_vehicle_said_is_there_as_it_flew_and_in_order_of_time(tmp_
     for earlier, later in itertools.pairwise(flight.entries):
         assert earlier.published_ns <= later.published_ns
     # A reading is published at its gas value's time, 0.5, 1.5 … s, which is also its simulation time.
-    said = [(entry.published_ns - 1000 * BEGAN_US, entry.simulation_s) for entry in flight.entries if entry.key == "reading"]
+    said = [
+        (entry.published_ns - 1000 * BEGAN_US, entry.simulation_s)
+        for entry in flight.entries
+        if entry.key == "reading"
+    ]
     assert said == [(round(1e9 * s), s) for s in (0.5, 1.5, 2.5, 3.5, 4.6)]
     assert flight.entries[-1].key == "reading"
 
@@ -173,16 +190,21 @@ def test_local_positions_come_before_global_ones_which_fill_in_where_there_are_n
         log.hear(now, gas(200 * n, n))
     flight = read(log.write(tmp_path), wind=WESTERLY, origin=(-10.0, -10.0))
     assert noted(flight, "positions:") == "positions: 16 LOCAL_POSITION_NED, otherwise 31 GLOBAL_POSITION_INT"
-    # The local frame is 0.25 m off the global one, and global fixes are moved onto it; their resolution is 11.1 mm.
+    # The local frame is 0.25 m off the global one, and global fixes are moved onto it; their resolution is
+    # 11.1 mm.
     expected = [(6.0, 7.25 + s) for s in range(7)]
     for reading, place in zip(readings(flight), expected, strict=True):
         assert reading.position == pytest.approx(place, abs=0.012)
-    assert flight.origin[2:] == pytest.approx(to_global(LAT_E7 / 1e7, LON_E7 / 1e7, -10.0 + 2.75, -10.0 + 4.0), abs=2e-7)
+    assert flight.origin[2:] == pytest.approx(
+        to_global(LAT_E7 / 1e7, LON_E7 / 1e7, -10.0 + 2.75, -10.0 + 4.0), abs=2e-7
+    )
 
 
 def test_home_is_where_global_positions_count_from(tmp_path: Path) -> None:
     log = Recorder()
-    log.hear(0.0, mavlink.MAVLink_home_position_message(LAT_E7, LON_E7, 488_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0))
+    log.hear(
+        0.0, mavlink.MAVLink_home_position_message(LAT_E7, LON_E7, 488_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+    )
     for n in range(3):
         log.hear(n, globe(1000 * n, LAT_E7 + 1000, LON_E7))
         log.hear(n, gas(1000 * n, n))
@@ -201,7 +223,15 @@ def test_without_any_other_position_the_receivers_fixes_are_taken_and_no_fix_is_
     flight = read(log.write(tmp_path), wind=WESTERLY, origin=(-5.0, 0.0))
     assert noted(flight, "positions:") == "positions: 6 GPS_RAW_INT"
     flown = readings(flight)
-    assert [reading.gas for reading in flown] == [1, 2, 3, 4, 5, 6, 7]  # the first one 1 s before the first fix
+    assert [reading.gas for reading in flown] == [
+        1,
+        2,
+        3,
+        4,
+        5,
+        6,
+        7,
+    ]  # the first one 1 s before the first fix
     assert flown[-1].position == pytest.approx((0.0, 5.0 + 500 * METRES_AN_E7), abs=1e-3)
     assert flown[-1].altitude_m == 5.0
 
@@ -216,14 +246,19 @@ def test_no_position_at_all_is_an_error(tmp_path: Path) -> None:
         read(log.write(tmp_path), wind=WESTERLY)
 
 
-def test_gas_values_in_a_gap_are_left_out_and_up_to_a_second_beyond_its_ends_the_path_goes_on(tmp_path: Path) -> None:
+def test_gas_values_in_a_gap_are_left_out_and_up_to_a_second_beyond_its_ends_the_path_goes_on(
+    tmp_path: Path,
+) -> None:
     log = Recorder()
     fly(log, 0.0, 10.0)
     for late_s in (0.9, 1.6, 10.0, 18.9, 19.1):
         log.hear(10.0 + late_s, gas(round(1000 * (10.0 + late_s)), 500.0 + late_s))
     fly(log, 30.0, 33.0)
     flight = read(log.write(tmp_path), origin=(0.0, 0.0), area_m=100.0)
-    assert "gaps without a message from the vehicle: 8.4 s at 11.6 s, 8.9 s at 20.0 s; 17.3 s in total" in flight.notes
+    assert (
+        "gaps without a message from the vehicle: 8.4 s at 11.6 s, 8.9 s at 20.0 s; 17.3 s in total"
+        in flight.notes
+    )
     assert "3 without a position" in noted(flight, "left out")
     by_gas = {reading.gas: reading for reading in readings(flight)}
     assert by_gas[float(np.float32(500.9))].position == pytest.approx((21.8, 1.0), abs=1e-4)  # 2 m/s east
@@ -237,7 +272,10 @@ def test_an_area_of_30_m_is_laid_about_the_path_or_a_larger_one_that_holds_it(tm
     flight = read(log.write(tmp_path))
     assert (flight.area_m, *flight.origin[:2]) == (30.0, 1.0 - 15.0, 12.0 - 15.0)
     assert readings(flight)[0].position == (4.0, 15.0)
-    assert noted(flight, "area:") == "area: side 30 m, south-west corner -14 m north and -3 m east of the local origin"
+    assert (
+        noted(flight, "area:")
+        == "area: side 30 m, south-west corner -14 m north and -3 m east of the local origin"
+    )
     fly(log, 12.2, 20.0)  # to 39 m: 38 m and 2 m at either end
     flight = read(log.write(tmp_path))
     assert (flight.area_m, *flight.origin[:2]) == (42.0, 1.0 - 21.0, 20.0 - 21.0)
@@ -253,7 +291,9 @@ def test_a_chosen_area_leaves_out_what_is_not_in_it(tmp_path: Path) -> None:
     assert "15 outside the area" in noted(flight, "left out")
     assert read(path, area_m=10.0).origin[:2] == (-4.0, 15.0)
     assert read(path, origin=(0.0, 0.0)).area_m == 41.0  # 39 m and 2 m
-    with pytest.raises(FlightError, match=r"none of the 20 samples can be a reading; left out: 20 outside the area"):
+    with pytest.raises(
+        FlightError, match=r"none of the 20 samples can be a reading; left out: 20 outside the area"
+    ):
         read(path, origin=(100.0, 100.0), area_m=5.0)
 
 
@@ -280,7 +320,9 @@ def test_after_a_restart_times_go_on_and_the_new_local_frame_is_laid_onto_the_fi
     assert "8.0 m east of the first one" in noted(flight, "after start 2")
     flown = readings(flight)
     # 10 s and 14 s are 4 s apart by the log's clock, and in the readings too.
-    assert [reading.time_boot_ms for reading in flown] == [1000 * (100 + s) for s in (*range(11), *range(14, 21))]
+    assert [reading.time_boot_ms for reading in flown] == [
+        1000 * (100 + s) for s in (*range(11), *range(14, 21))
+    ]
     for reading in flown:
         assert reading.position == pytest.approx((reading.gas, 0.0), abs=0.012)
 
@@ -306,7 +348,9 @@ def test_a_restart_without_a_clock_of_the_log_goes_on_by_a_millisecond(tmp_path:
 def test_messages_that_overtake_each_other_are_no_restart(tmp_path: Path) -> None:
     log = Recorder()
     fly(log, 0.0, 10.0, boot_at_s=-50.0)
-    shuffled = sorted(range(len(log.records)), key=lambda n: n + (3 if n % 4 == 0 else 0))  # some come 300 ms late
+    shuffled = sorted(
+        range(len(log.records)), key=lambda n: n + (3 if n % 4 == 0 else 0)
+    )  # some come 300 ms late
     log.records = [log.records[new][:8] + log.records[old][8:] for new, old in enumerate(shuffled)]
     log.hear(10.0, local(57_000, *eastward(7.0)))  # one even 3 s, and then the clock goes on
     for n in range(1, 6):
@@ -316,7 +360,9 @@ def test_messages_that_overtake_each_other_are_no_restart(tmp_path: Path) -> Non
     flown = readings(flight)
     assert [reading.time_boot_ms for reading in flown] == [50_500 + 1000 * n for n in range(10)]
     for reading in flown:
-        assert reading.position == pytest.approx((2.0 * (reading.time_boot_ms - 50_000) / 1000, 1.0), abs=1e-4)
+        assert reading.position == pytest.approx(
+            (2.0 * (reading.time_boot_ms - 50_000) / 1000, 1.0), abs=1e-4
+        )
         assert reading.gas == pytest.approx((reading.time_boot_ms - 50_000) / 100, rel=1e-6)
 
 
@@ -344,11 +390,16 @@ def test_jumps_of_the_logs_clock_are_noted_and_change_no_reading(tmp_path: Path)
     assert "jumps back by 10,799.0 s at 7219.0 s" in noted(shaken, "log's clock jumps back")
     assert "7,200.0 s at 9.0 s" in noted(shaken, "log's clock jumps ahead")
     spans = [flight.entries[-1].published_ns - flight.entries[0].published_ns for flight in (calm, shaken)]
-    assert spans == [29 * 10**9, 28 * 10**9]  # the time between the two records around the set-back clock is unknown
+    assert spans == [
+        29 * 10**9,
+        28 * 10**9,
+    ]  # the time between the two records around the set-back clock is unknown
 
 
 @pytest.mark.parametrize("boot_ms", [lambda now: 0, lambda now: round(1000 * now) + 777_000])
-def test_gas_from_a_computer_with_another_clock_or_none_is_placed_by_when_it_was_logged(tmp_path: Path, boot_ms: Callable) -> None:
+def test_gas_from_a_computer_with_another_clock_or_none_is_placed_by_when_it_was_logged(
+    tmp_path: Path, boot_ms: Callable
+) -> None:
     log = Recorder()
     for n in range(51):
         now = n / 5
@@ -373,7 +424,9 @@ def test_of_each_interval_the_first_value_counts(tmp_path: Path) -> None:
     flight = read(path, wind=WESTERLY)
     assert [reading.gas for reading in readings(flight)] == [0.0, 10.0, 20.0, 30.0]
     assert "27 extra within 1 s" in noted(flight, "left out")
-    assert [reading.gas for reading in readings(read(path, wind=WESTERLY, every_s=0.5))] == [5.0 * n for n in range(7)]
+    assert [reading.gas for reading in readings(read(path, wind=WESTERLY, every_s=0.5))] == [
+        5.0 * n for n in range(7)
+    ]
 
 
 def test_what_is_no_number_or_said_again_is_left_out_and_counted(tmp_path: Path) -> None:
@@ -385,7 +438,11 @@ def test_what_is_no_number_or_said_again_is_left_out_and_counted(tmp_path: Path)
             if at == n:
                 log.hear(n, gas(1000 * n, value))
     flight = read(log.write(tmp_path), wind=WESTERLY)
-    assert [(reading.time_boot_ms, reading.gas) for reading in readings(flight)] == [(0, 1.0), (3000, 4.0), (4000, 4.0)]
+    assert [(reading.time_boot_ms, reading.gas) for reading in readings(flight)] == [
+        (0, 1.0),
+        (3000, 4.0),
+        (4000, 4.0),
+    ]
     assert noted(flight, "left out") == "left out: 1 repeated, 2 not finite, 1 with the time of another value"
 
 
@@ -393,15 +450,26 @@ def test_on_the_ground_nothing_is_measured(tmp_path: Path) -> None:
     log = Recorder()
     for n in range(10):  # armed from 2 s to 7 s, in the air from 3 s to 6 s
         log.hear(n, heartbeat(mode=heartbeat().base_mode if 2 <= n <= 7 else DISARMED))
-        log.hear(n, landed(mavlink.MAV_LANDED_STATE_IN_AIR if 3 <= n <= 6 else mavlink.MAV_LANDED_STATE_ON_GROUND))
+        log.hear(
+            n, landed(mavlink.MAV_LANDED_STATE_IN_AIR if 3 <= n <= 6 else mavlink.MAV_LANDED_STATE_ON_GROUND)
+        )
         log.hear(n, local(1000 * n, 0.0, n))
         log.hear(n, gas(1000 * n, n))
     flight = read(log.write(tmp_path), wind=WESTERLY)
     assert [reading.gas for reading in readings(flight)] == [3.0, 4.0, 5.0, 6.0]
     assert "6 not in the air" in noted(flight, "left out")
-    without_landed = [record for record in log.records if record[8 + 7 : 8 + 10] != (245).to_bytes(3, "little")]
+    without_landed = [
+        record for record in log.records if record[8 + 7 : 8 + 10] != (245).to_bytes(3, "little")
+    ]
     log.records = without_landed
-    assert [reading.gas for reading in readings(read(log.write(tmp_path), wind=WESTERLY))] == [2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+    assert [reading.gas for reading in readings(read(log.write(tmp_path), wind=WESTERLY))] == [
+        2.0,
+        3.0,
+        4.0,
+        5.0,
+        6.0,
+        7.0,
+    ]
 
 
 def test_a_vehicle_that_is_never_armed_is_carried(tmp_path: Path) -> None:
@@ -421,11 +489,21 @@ def test_gas_may_be_a_field_of_any_message_and_in_another_unit(tmp_path: Path) -
         log.hear(n, local(1000 * n, 0.0, n))
         log.hear(n, mavlink.MAVLink_scaled_pressure3_message(1000 * n, 1000.0, 0.0, 250 + n, 0))
         log.hear(n, mavlink.MAVLink_named_value_int_message(1000 * n, b"ppm", 100 * n), version=1)
-        log.hear(n, mavlink.MAVLink_battery_status_message(0, 0, 0, 0, [0] * 10, 10 * n, 0, 0, 0))  # a message without a time
+        log.hear(
+            n, mavlink.MAVLink_battery_status_message(0, 0, 0, 0, [0] * 10, 10 * n, 0, 0, 0)
+        )  # a message without a time
     path = log.write(tmp_path)
-    assert [r.gas for r in readings(read(path, gas="SCALED_PRESSURE3.temperature", wind=WESTERLY))] == [250.0, 251.0, 252.0]
+    assert [r.gas for r in readings(read(path, gas="SCALED_PRESSURE3.temperature", wind=WESTERLY))] == [
+        250.0,
+        251.0,
+        252.0,
+    ]
     assert [r.gas for r in readings(read(path, gas="ppm*0.25", wind=WESTERLY))] == [0.0, 25.0, 50.0]
-    assert [r.gas for r in readings(read(path, gas="BATTERY_STATUS.current_battery", wind=WESTERLY))] == [0.0, 10.0, 20.0]
+    assert [r.gas for r in readings(read(path, gas="BATTERY_STATUS.current_battery", wind=WESTERLY))] == [
+        0.0,
+        10.0,
+        20.0,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -433,7 +511,10 @@ def test_gas_may_be_a_field_of_any_message_and_in_another_unit(tmp_path: Path) -
     [
         ("", "wanted the NAME of a NAMED_VALUE_FLOAT, 1 to 10 characters, or MESSAGE.FIELD"),
         ("SCALED_PRESURE.temperature", "wanted the NAME"),
-        ("SCALED_PRESSURE.temp", "a numeric field of SCALED_PRESSURE: time_boot_ms, press_abs, press_diff, temperature"),
+        (
+            "SCALED_PRESSURE.temp",
+            "a numeric field of SCALED_PRESSURE: time_boot_ms, press_abs, press_diff, temperature",
+        ),
         ("DEBUG_FLOAT_ARRAY.data", "a numeric field of DEBUG_FLOAT_ARRAY: time_usec, array_id"),
         ("STATUSTEXT.text", "a numeric field of STATUSTEXT: severity"),
         ("CH4*ppm", "a number above 0 after the *"),
@@ -451,7 +532,11 @@ def test_a_bad_gas_mapping_is_refused_with_what_is_allowed(text: str, wanted: st
 def test_readings_later_than_their_time_can_say_are_left_out(tmp_path: Path) -> None:
     log = Recorder()
     fly(log, 0.0, 4.0)
-    for begin_s, boot_ms in ((5.0, 4_000_000_000), (15.0, 500_000_000), (25.0, 4_000_000_000)):  # on the way, it adds up to 85 days
+    for begin_s, boot_ms in (
+        (5.0, 4_000_000_000),
+        (15.0, 500_000_000),
+        (25.0, 4_000_000_000),
+    ):  # on the way, it adds up to 85 days
         for n in range(8):
             log.hear(begin_s + n, local(boot_ms + 1000 * n, 1.0, 1.0))
             log.hear(begin_s + n, gas(boot_ms + 1000 * n, 0.5))
@@ -518,7 +603,9 @@ def test_no_wind_is_an_error_that_names_the_flag(tmp_path: Path) -> None:
 # ---- whom ----
 
 
-def test_of_several_vehicles_the_one_with_most_positions_is_read_or_the_one_that_is_asked_for(tmp_path: Path) -> None:
+def test_of_several_vehicles_the_one_with_most_positions_is_read_or_the_one_that_is_asked_for(
+    tmp_path: Path,
+) -> None:
     log = Recorder()
     fly(log, 0.0, 10.0, system=3)
     fly(log, 10.2, 15.0, system=5, boot_at_s=10.0)
@@ -550,7 +637,9 @@ def test_a_log_of_nothing_but_a_ground_station_has_no_vehicle(tmp_path: Path) ->
     log = Recorder()
     for n in range(3):
         log.hear(n, ground_station(), system=255, component=190)
-    with pytest.raises(FlightError, match=r"no vehicle is in the log: none of its systems \(255\) is an autopilot"):
+    with pytest.raises(
+        FlightError, match=r"no vehicle is in the log: none of its systems \(255\) is an autopilot"
+    ):
         read(log.write(tmp_path))
 
 
@@ -567,7 +656,13 @@ def test_a_plume_laid_over_the_path_is_read_as_its_world_tells_it(tmp_path: Path
     flight = read(log.write(tmp_path), plume=World(s, 9), every_s=2.0, origin=(-15.0, -5.0))
     world = World(s, 9)
     expected = [
-        Reading(20_000 + 1000 * second, (place := (5.0 + 2.0 * second, 16.0)), 4.0, world.wind, world.gas(place, step))
+        Reading(
+            20_000 + 1000 * second,
+            (place := (5.0 + 2.0 * second, 16.0)),
+            4.0,
+            world.wind,
+            world.gas(place, step),
+        )
         for step, second in enumerate((2, 4, 6, 8, 10))
     ]
     assert readings(flight) == expected
@@ -577,10 +672,12 @@ def test_a_plume_laid_over_the_path_is_read_as_its_world_tells_it(tmp_path: Path
 
 
 def test_the_source_of_a_lawnmower_flight_is_found(tmp_path: Path) -> None:
-    """An ArduPilot log with GLOBAL_POSITION_INT at 5 Hz, WIND, and gas of a known source: the filter must find it.
+    """An ArduPilot log with GLOBAL_POSITION_INT at 5 Hz, WIND, and gas of a known source: the filter must
+    find it.
 
-    With an honest Gaussian posterior of spread σ√2 the error exceeds twice the spread in exp(−4) = 1.8% of flights; this flight is
-    always the same. The spread must be below the stop threshold ζ = 0.5 m of a mission: the error is then below 1 m.
+    With an honest Gaussian posterior of spread σ√2 the error exceeds twice the spread in exp(−4) = 1.8% of
+    flights; this flight is always the same. The spread must be below the stop threshold ζ = 0.5 m of a
+    mission: the error is then below 1 m.
     """
     s = Scenario(source=(18.3, 12.9), q=250.0, u=2.0, phi=2.2, d=3.0, tau=10.0, start=(0.0, 0.0))
     compass = math.degrees(math.atan2(*s.wind)) % 360.0
@@ -590,7 +687,9 @@ def test_the_source_of_a_lawnmower_flight_is_found(tmp_path: Path) -> None:
     lengths = np.cumsum([0.0, *(math.dist(a, b) for a, b in itertools.pairwise(lanes))])
     rng = np.random.default_rng(5)
     log = Recorder()
-    log.hear(0.0, mavlink.MAVLink_home_position_message(LAT_E7, LON_E7, 488_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0))
+    log.hear(
+        0.0, mavlink.MAVLink_home_position_message(LAT_E7, LON_E7, 488_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0)
+    )
     for n in range(round(5 * lengths[-1] / 2.0)):  # at 2 m/s
         now, boot_ms = n / 5, 60_000 + 200 * n
         x, y = (float(np.interp(2.0 * now, lengths, [place[axis] for place in lanes])) for axis in (0, 1))
@@ -599,7 +698,9 @@ def test_the_source_of_a_lawnmower_flight_is_found(tmp_path: Path) -> None:
         if n % 5 == 0:
             log.hear(now, heartbeat(), version=1)
             log.hear(now, wind(compass, s.u), version=1)
-            mean = concentration((x, y, 0.0), (*s.source, 0.0), s.wind, rate=s.q, diffusivity=s.d, lifetime=s.tau)
+            mean = concentration(
+                (x, y, 0.0), (*s.source, 0.0), s.wind, rate=s.q, diffusivity=s.d, lifetime=s.tau
+            )
             log.hear(now, gas(boot_ms, float(GAUSSIAN.measure(mean, rng)), b"CH4"))
     flight = read(log.write(tmp_path), gas="CH4")
     assert flight.area_m == 30.0
@@ -639,7 +740,10 @@ def test_what_is_damaged_is_told(tmp_path: Path) -> None:
     log.records[-1] = log.records[-1][:20]
     notes = read(log.write(tmp_path)).notes
     assert f"skipped: {len(log.records[10]) + 8} bytes of garbage in 2 runs, the first at 1.2 s" in notes
-    assert "among them, frames with a wrong checksum (damaged or from another dialect): 1 LOCAL_POSITION_NED" in notes
+    assert (
+        "among them, frames with a wrong checksum (damaged or from another dialect): 1 LOCAL_POSITION_NED"
+        in notes
+    )
     assert "frames of unknown messages, whose checksums cannot be verified: 1 of id 54321" in notes
     assert "the last record is cut off after 20 bytes" in notes
     assert "frames with a missing or impossible time: 1; each takes the time of the frame before it" in notes
@@ -649,7 +753,9 @@ def test_what_is_damaged_is_told(tmp_path: Path) -> None:
 def test_another_kind_of_file_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "some.log"
     path.write_bytes(data)
-    with pytest.raises(FlightError, match=r"contains no MAVLink 1 or 2 frame; wanted a telemetry log \(\.tlog\)"):
+    with pytest.raises(
+        FlightError, match=r"contains no MAVLink 1 or 2 frame; wanted a telemetry log \(\.tlog\)"
+    ):
         read(path)
 
 
@@ -662,7 +768,10 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("asked", "reason"),
     [
-        ({"wind": (-1.0, 0.0)}, "wind -1,0 is not allowed; wanted a speed from 0 to 100 m/s and a direction within ±360°"),
+        (
+            {"wind": (-1.0, 0.0)},
+            "wind -1,0 is not allowed; wanted a speed from 0 to 100 m/s and a direction within ±360°",
+        ),
         ({"wind": (2.0, 400.0)}, "within ±360°"),
         ({"every_s": 0.0}, "a reading every 0 s is not allowed; wanted a number from 0.001"),
         ({"area_m": 0.0}, "an area of 0 m is not allowed; wanted a number above 0"),
@@ -708,9 +817,13 @@ def test_whatever_is_in_the_file_it_is_read_or_refused(tmp_path: Path, data: st.
 def test_a_track_of_nothing_but_gaps_takes_no_longer_for_each_fix() -> None:
     """By n this takes half a second, by n² longer than it is given."""
     fixes = 100_000
-    track = Track([10_000.0 * number for number in range(fixes)], [(0.0, 0.0, 0.0)] * fixes, list(range(fixes)))
+    track = Track(
+        [10_000.0 * number for number in range(fixes)], [(0.0, 0.0, 0.0)] * fixes, list(range(fixes))
+    )
     assert list(track.lines()) == [(10_000.0 * number, 10_000.0 * number) for number in range(fixes)]
-    assert [(boot, each.tolist()) for boot, each in track.of_boots()] == [(number, [number]) for number in range(fixes)]
+    assert [(boot, each.tolist()) for boot, each in track.of_boots()] == [
+        (number, [number]) for number in range(fixes)
+    ]
 
 
 def test_the_lines_of_a_track_end_at_gaps_and_at_restarts() -> None:
@@ -724,7 +837,9 @@ def test_a_log_of_very_many_restarts_is_told_in_few_lines(tmp_path: Path) -> Non
     log = Recorder()
     log.hear(0.0, heartbeat())
     for start in range(20):
-        boot_ms = (10_000_000, 40_000_000)[start % 2]  # hours back each second time; home is a metre further north each time
+        boot_ms = (10_000_000, 40_000_000)[
+            start % 2
+        ]  # hours back each second time; home is a metre further north each time
         for tick in range(8):
             log.hear(100.0 * start + 0.1 * tick, local(boot_ms + 100 * tick, 0.0, 0.0))
         log.hear(100.0 * start + 0.8, globe(boot_ms + 700, LAT_E7 + round(start / 2 / METRES_AN_E7), LON_E7))

@@ -1,4 +1,6 @@
-"""Protects the scanner of telemetry logs: it finds every intact frame among damaged ones, and never fails on bytes."""
+"""Protects the scanner of telemetry logs: it finds every intact frame among damaged ones, and never fails
+on bytes.
+"""
 
 import struct
 
@@ -17,7 +19,10 @@ SECOND = 1_000_000
 def found(data: bytes) -> list[bytes]:
     """The records found, each with its time if it has one."""
     r = scan(data)
-    return [data[start - (8 if us != NO_STAMP else 0) : end] for us, start, end in zip(r.logged_us, r.starts, r.ends, strict=True)]
+    return [
+        data[start - (8 if us != NO_STAMP else 0) : end]
+        for us, start, end in zip(r.logged_us, r.starts, r.ends, strict=True)
+    ]
 
 
 def accounted(data: bytes) -> int:
@@ -29,7 +34,12 @@ def accounted(data: bytes) -> int:
 def mixed(count: int = 12) -> Recorder:
     log = Recorder()
     for n in range(count):
-        log.hear(n / 10, (attitude(100 * n), local(100 * n, n, -n), gas(100 * n, n / 7))[n % 3], system=1 + n % 2, version=1 + n % 4 // 2)
+        log.hear(
+            n / 10,
+            (attitude(100 * n), local(100 * n, n, -n), gas(100 * n, n / 7))[n % 3],
+            system=1 + n % 2,
+            version=1 + n % 4 // 2,
+        )
     return log
 
 
@@ -83,7 +93,9 @@ def test_every_intact_frame_is_found_whatever_its_neighbours_are(data: st.DataOb
 
 def test_a_frame_whose_time_is_damaged_is_found_without_one() -> None:
     records = mixed(3).records
-    data = records[0] + b"\xff" + records[1][1:] + records[2][3:]  # a time in the year 2,285,000 and one that lacks three bytes
+    data = (
+        records[0] + b"\xff" + records[1][1:] + records[2][3:]
+    )  # a time in the year 2,285,000 and one that lacks three bytes
     r = scan(data)
     assert r.logged_us.tolist() == [BEGAN_US, NO_STAMP, NO_STAMP]
     assert r.garbage == [(1, 8), (2, 5)]
@@ -147,7 +159,14 @@ class TestTheLogsClock:
 
     def test_what_goes_on_is_left_as_it_is(self) -> None:
         clock = self.clock(10, 10, 10.5, 30, 8000, 8001)  # with gaps of 19.5 s and more than two hours
-        assert clock.times_us.tolist() == [10 * SECOND, 10 * SECOND, 10_500_000, 30 * SECOND, 8000 * SECOND, 8001 * SECOND]
+        assert clock.times_us.tolist() == [
+            10 * SECOND,
+            10 * SECOND,
+            10_500_000,
+            30 * SECOND,
+            8000 * SECOND,
+            8001 * SECOND,
+        ]
         assert (clock.damaged, clock.jumps) == (0, [])
 
     def test_jumps_that_add_up_to_more_than_a_clock_can_say_are_damage(self) -> None:

@@ -1,4 +1,6 @@
-"""Protects the replay of a search's own telemetry: its readings again, the same number, times, values and places."""
+"""Protects the replay of a search's own telemetry: its readings again, the same number, times, values and
+places.
+"""
 
 from pathlib import Path
 
@@ -31,7 +33,9 @@ def origin() -> mavlink.MAVLink_message:
 
 
 def home(north: float, east: float) -> mavlink.MAVLink_message:
-    return mavlink.MAVLink_home_position_message(*around(north, east), 488_000, 0, 0, 0, [1.0, 0.0, 0.0, 0.0], 0, 0, 0)
+    return mavlink.MAVLink_home_position_message(
+        *around(north, east), 488_000, 0, 0, 0, [1.0, 0.0, 0.0, 0.0], 0, 0, 0
+    )
 
 
 def measured() -> list[Reading]:
@@ -51,7 +55,9 @@ def path_at(at_s: float) -> tuple[float, float]:
 
 
 def flown(in_home: tuple[float, float] = IN_HOME, every_s: float = 0.05) -> Recorder:
-    """The autopilot's own telemetry: in the EKF's frame. It stands until 2 s, and home is set anew in flight."""
+    """The autopilot's own telemetry: in the EKF's frame. It stands until 2 s, and home is set anew in
+    flight.
+    """
     log = Recorder()
     log.hear(0.0, heartbeat(mode=DISARMED))
     log.hear(0.0, landed(mavlink.MAV_LANDED_STATE_ON_GROUND))
@@ -75,7 +81,9 @@ def write(log: Recorder, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("component", [1, 191])
-def test_a_value_that_is_said_again_counts_once_at_its_time_and_the_place_then(tmp_path: Path, component: int) -> None:
+def test_a_value_that_is_said_again_counts_once_at_its_time_and_the_place_then(
+    tmp_path: Path, component: int
+) -> None:
     """As the simulated vehicle streams it: 10 times a second, until there is another."""
     log = flown((0.0, 0.0))
     for n in range(150):
@@ -83,7 +91,9 @@ def test_a_value_that_is_said_again_counts_once_at_its_time_and_the_place_then(t
         newest = [reading for reading in measured() if reading.time_boot_ms <= 1000 * now][-1]
         log.hear(now, gas(newest.time_boot_ms, newest.gas), component=component)
     read = flight.read(write(log, tmp_path), wind=WESTERLY, origin=(0.0, 0.0))
-    assert [(each.time_boot_ms, each.gas) for each in readings(read)] == [(each.time_boot_ms, each.gas) for each in measured()]
+    assert [(each.time_boot_ms, each.gas) for each in readings(read)] == [
+        (each.time_boot_ms, each.gas) for each in measured()
+    ]
     for each, reading in zip(readings(read), measured(), strict=True):
         assert each.position == pytest.approx(reading.position, abs=1e-5)
     assert "146 repeated" in "".join(read.notes)
@@ -117,13 +127,17 @@ def test_the_same_value_with_a_new_time_is_a_new_reading(tmp_path: Path) -> None
     assert [each.gas for each in readings(flight.read(write(log, tmp_path), wind=WESTERLY))] == [0.5] * 4
 
 
-def test_what_a_ground_station_hears_of_a_real_vehicle_is_put_into_the_area_by_home_and_origin(tmp_path: Path) -> None:
+def test_what_a_ground_station_hears_of_a_real_vehicle_is_put_into_the_area_by_home_and_origin(
+    tmp_path: Path,
+) -> None:
     """1e-7 degrees are 1.1 cm."""
     log = flown()
     for reading in measured():
         log.hear(reading.time_boot_ms / 1000.0 + 0.02, gas(reading.time_boot_ms, reading.gas), component=191)
     read = flight.read(write(log, tmp_path), wind=WESTERLY)
-    assert [(each.time_boot_ms, each.gas) for each in readings(read)] == [(each.time_boot_ms, each.gas) for each in measured()]
+    assert [(each.time_boot_ms, each.gas) for each in readings(read)] == [
+        (each.time_boot_ms, each.gas) for each in measured()
+    ]
     for each, reading in zip(readings(read), measured(), strict=True):
         assert each.position == pytest.approx(reading.position, abs=0.011)
     assert read.area_m == 30.0
@@ -131,8 +145,12 @@ def test_what_a_ground_station_hears_of_a_real_vehicle_is_put_into_the_area_by_h
 
 @pytest.mark.parametrize("component", [1, 191])
 @pytest.mark.parametrize("in_home", [(0.0, 0.0), IN_HOME])
-def test_the_record_of_a_search_gives_its_readings_to_the_last_bit(tmp_path: Path, component: int, in_home: tuple[float, float]) -> None:
-    """Each is said on the bus, again while it is unanswered, and its value on `mavlink/out`; one had no value at first."""
+def test_the_record_of_a_search_gives_its_readings_to_the_last_bit(
+    tmp_path: Path, component: int, in_home: tuple[float, float]
+) -> None:
+    """Each is said on the bus, again while it is unanswered, and its value on `mavlink/out`; one had no
+    value at first.
+    """
     log = flown(in_home)
     codec = Codec(1, component)
     none = pack_reading(codec, measured()[1]._replace(time_boot_ms=12_900, gas=float("nan")))
@@ -149,7 +167,9 @@ def test_the_record_of_a_search_gives_its_readings_to_the_last_bit(tmp_path: Pat
     along = flight.read(path, wind=WESTERLY)
     assert [each.time_boot_ms for each in readings(along)] == [each.time_boot_ms for each in measured()]
     for each, reading in zip(readings(along), measured(), strict=True):
-        assert each.position == pytest.approx(reading.position, abs=0.011), "the readings' own positions are no fixes of the path"
+        assert each.position == pytest.approx(reading.position, abs=0.011), (
+            "the readings' own positions are no fixes of the path"
+        )
 
 
 def test_readings_of_a_record_that_are_close_in_time_all_count(tmp_path: Path) -> None:

@@ -17,7 +17,9 @@ UAV = Codec(1, 1)
 
 
 def ack(number: int, result: int, target: tuple[int, int] = OPERATOR) -> object:
-    return mavlink.MAVLink_command_ack_message(number, result, target_system=target[0], target_component=target[1])
+    return mavlink.MAVLink_command_ack_message(
+        number, result, target_system=target[0], target_component=target[1]
+    )
 
 
 def text(words: str) -> object:
@@ -148,13 +150,20 @@ PAUSE = mavlink.MAV_CMD_DO_PAUSE_CONTINUE
 
 
 def copter_beat(custom_mode: int, armed: bool = True) -> bytes:
-    return COPTER.pack(mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 128 * armed + 1, custom_mode, 4, 3))
+    return COPTER.pack(
+        mavlink.MAVLink_heartbeat_message(
+            2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 128 * armed + 1, custom_mode, 4, 3
+        )
+    )
 
 
 @pytest.mark.parametrize(
-    ("name", "number", "first"), [("hold", PAUSE, 0.0), ("resume", PAUSE, 1.0), ("return", RTL, 0.0), ("land", LAND, 0.0)]
+    ("name", "number", "first"),
+    [("hold", PAUSE, 0.0), ("resume", PAUSE, 1.0), ("return", RTL, 0.0), ("land", LAND, 0.0)],
 )
-def test_a_real_vehicles_search_gets_the_word_and_answers_it(name: CommandName, number: int, first: float) -> None:
+def test_a_real_vehicles_search_gets_the_word_and_answers_it(
+    name: CommandName, number: int, first: float
+) -> None:
     command = Awaited(name, system=32, component=SEARCH)
     said = command.send(0.0)
     assert said is not None
@@ -166,9 +175,12 @@ def test_a_real_vehicles_search_gets_the_word_and_answers_it(name: CommandName, 
 
 
 @pytest.mark.parametrize(
-    ("name", "number", "custom_mode"), [("hold", PAUSE, 17), ("return", RTL, 6), ("land", LAND, 9), ("resume", PAUSE, 4)]
+    ("name", "number", "custom_mode"),
+    [("hold", PAUSE, 17), ("return", RTL, 6), ("land", LAND, 9), ("resume", PAUSE, 4)],
 )
-def test_a_word_is_done_when_the_copter_is_in_the_firmwares_mode_of_it(name: CommandName, number: int, custom_mode: int) -> None:
+def test_a_word_is_done_when_the_copter_is_in_the_firmwares_mode_of_it(
+    name: CommandName, number: int, custom_mode: int
+) -> None:
     command = Awaited(name, system=32, component=SEARCH)
     assert command.send(0.0)
     command.hears(copter_beat(5), 0.1)  # LOITER is none of them

@@ -1,4 +1,6 @@
-"""Protects the live connection for Foxglove: any viewer gets the whole scene, whenever it joins, and is no web page of a stranger."""
+"""Protects the live connection for Foxglove: any viewer gets the whole scene, whenever it joins, and is no
+web page of a stranger.
+"""
 
 import asyncio
 import json
@@ -29,7 +31,8 @@ SCENE = Scene(
 )
 CLOUD = "scene/particles"
 HANDSHAKE = (
-    "GET / HTTP/1.1\r\nHost: {}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n"
+    "GET / HTTP/1.1\r\nHost: {}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: "
+    "MDEyMzQ1Njc4OWFiY2RlZg==\r\n"
     "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
 )
 
@@ -39,7 +42,13 @@ async def streaming(*origins: str) -> AsyncIterator[LiveFoxglove]:
     """Serve it."""
     live = LiveFoxglove(0, origins)
     config = uvicorn.Config(
-        live.app(), http="h11", ws="websockets-sansio", lifespan="off", log_config=None, access_log=False, ws_per_message_deflate=False
+        live.app(),
+        http="h11",
+        ws="websockets-sansio",
+        lifespan="off",
+        log_config=None,
+        access_log=False,
+        ws_per_message_deflate=False,
     )
     server = uvicorn.Server(config)
     serving = asyncio.create_task(server.serve(sockets=[live.listening]))
@@ -62,8 +71,12 @@ class Viewer:
 
     @classmethod
     @asynccontextmanager
-    async def joined(cls, address: str, protocol: str = "foxglove.sdk.v1", **how: Any) -> AsyncIterator["Viewer"]:
-        async with websockets.connect(address, subprotocols=[websockets.Subprotocol(protocol)], **how) as socket:
+    async def joined(
+        cls, address: str, protocol: str = "foxglove.sdk.v1", **how: Any
+    ) -> AsyncIterator["Viewer"]:
+        async with websockets.connect(
+            address, subprotocols=[websockets.Subprotocol(protocol)], **how
+        ) as socket:
             viewer = cls(socket)
             viewer.info = json.loads(await socket.recv())
             yield viewer
@@ -74,7 +87,10 @@ class Viewer:
             await self._hear()
         first = len(self._topics)
         self._topics |= dict(enumerate(topics, first))
-        wanted = [{"id": number, "channelId": self.channels[topic]["id"]} for number, topic in enumerate(topics, first)]
+        wanted = [
+            {"id": number, "channelId": self.channels[topic]["id"]}
+            for number, topic in enumerate(topics, first)
+        ]
         await self.socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
     async def next(self) -> tuple[str, bytes]:
@@ -114,7 +130,9 @@ def run(test: Callable[[LiveFoxglove], Awaitable[Any]], *origins: str) -> Any:
 
 def scatter(first: float) -> Scene:
     """A scene whose first particle lies so far east."""
-    return Scene(Backdrop("uav/1"), scatter=Scatter(PLACES + np.float32(first - 1), np.array([0.5, 0.5], np.float32)))
+    return Scene(
+        Backdrop("uav/1"), scatter=Scatter(PLACES + np.float32(first - 1), np.array([0.5, 0.5], np.float32))
+    )
 
 
 def east(cloud: bytes) -> float:
@@ -152,7 +170,11 @@ def test_a_viewer_that_stays_gets_what_comes_and_the_topics_that_come_until_it_w
             await viewer.subscribe("belief")
             assert (await viewer.next())[0] == "belief"
             live.show(scatter(3.0))
-            live.show(Scene(SCENE.backdrop, measurements=(*SCENE.measurements, replace(SCENE.measurements[0], step=1))))
+            live.show(
+                Scene(
+                    SCENE.backdrop, measurements=(*SCENE.measurements, replace(SCENE.measurements[0], step=1))
+                )
+            )
             assert json.loads((await viewer.next())[1])["step"] == 1  # nothing of the cloud before it
             assert east((await other.next())[1]) == 1.0
 
@@ -203,7 +225,9 @@ def test_programs_of_this_machine_may_look_and_web_pages_only_if_named(
         port = live.address.rpartition(":")[2]
         plain = socket.create_connection(("127.0.0.1", int(port)))
         named = websockets.Origin(origin.replace("PORT", port)) if origin else None
-        await heard(f"ws://{(host or '127.0.0.1:PORT').replace('PORT', port)}", [CLOUD], origin=named, sock=plain)
+        await heard(
+            f"ws://{(host or '127.0.0.1:PORT').replace('PORT', port)}", [CLOUD], origin=named, sock=plain
+        )
 
     with nullcontext() if allowed else pytest.raises(websockets.InvalidStatus, match="403"):
         run(looks, *origins)
@@ -221,11 +245,17 @@ def test_who_speaks_another_protocol_is_refused() -> None:
 @pytest.mark.parametrize(
     "said",
     [
-        "nonsense", "[]", "{}", '{"op": 1}', '{"op": "subscribe", "subscriptions": 1}',
+        "nonsense",
+        "[]",
+        "{}",
+        '{"op": 1}',
+        '{"op": "subscribe", "subscriptions": 1}',
         '{"op": "subscribe", "subscriptions": [{"id": -1}]}',
-        '{"op": "subscribe", "subscriptions": [{"id": 4294967296, "channelId": 0}]}', "[" * 60000, "x" * 70000,
+        '{"op": "subscribe", "subscriptions": [{"id": 4294967296, "channelId": 0}]}',
+        "[" * 60000,
+        "x" * 70000,
     ],
-)  # fmt: skip
+)
 def test_nonsense_closes_the_connection_of_who_said_it_and_of_nobody_else(said: str) -> None:
     async def both(live: LiveFoxglove) -> None:
         async with Viewer.joined(live.address) as good, Viewer.joined(live.address) as bad:
@@ -240,10 +270,16 @@ def test_nonsense_closes_the_connection_of_who_said_it_and_of_nobody_else(said: 
 
 @pytest.mark.parametrize(
     "said",
-    ['{"op": "getParameters", "parameterNames": [], "id": "1"}', '{"op": "subscribeConnectionGraph"}', b"\x01" + bytes(20),
-     '{"op": "advertise", "channels": [{"id": 1, "topic": "/move", "encoding": "json", "schemaName": ""}]}',
-     '{"op": "subscribe", "subscriptions": [{"id": 9, "channelId": 999}]}', '{"op": "unsubscribe", "subscriptionIds": [7]}'],
-)  # fmt: skip
+    [
+        '{"op": "getParameters", "parameterNames": [], "id": "1"}',
+        '{"op": "subscribeConnectionGraph"}',
+        b"\x01" + bytes(20),
+        '{"op": "advertise", "channels": [{"id": 1, "topic": "/move", "encoding": "json", "schemaName": '
+        '""}]}',
+        '{"op": "subscribe", "subscriptions": [{"id": 9, "channelId": 999}]}',
+        '{"op": "unsubscribe", "subscriptionIds": [7]}',
+    ],
+)
 def test_what_a_viewer_asks_for_that_is_not_served_does_no_harm(said: str | bytes) -> None:
     async def asks(live: LiveFoxglove) -> None:
         live.show(SCENE)
@@ -258,7 +294,10 @@ def test_what_a_viewer_asks_for_that_is_not_served_does_no_harm(said: str | byte
 def test_one_viewer_more_than_fit_is_refused_until_one_goes() -> None:
     async def many(live: LiveFoxglove) -> None:
         live.show(SCENE)
-        open_now = [await websockets.connect(live.address, subprotocols=[websockets.Subprotocol("foxglove.sdk.v1")]) for _ in range(20)]
+        open_now = [
+            await websockets.connect(live.address, subprotocols=[websockets.Subprotocol("foxglove.sdk.v1")])
+            for _ in range(20)
+        ]
         with pytest.raises(websockets.InvalidStatus):
             await heard(live.address, [CLOUD])
         await open_now.pop().close()
@@ -269,7 +308,9 @@ def test_one_viewer_more_than_fit_is_refused_until_one_goes() -> None:
     run(many)
 
 
-def test_a_viewer_that_reads_nothing_is_left_and_keeps_nobody_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_viewer_that_reads_nothing_is_left_and_keeps_nobody_waiting(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("ground.view.foxglove.SEND_S", 0.2)
     monkeypatch.setattr("ground.view.foxglove.MOST_VIEWERS", 2)
     many = np.zeros((100_000, 2), np.float32)
@@ -279,13 +320,21 @@ def test_a_viewer_that_reads_nothing_is_left_and_keeps_nobody_waiting(monkeypatc
         async with Viewer.joined(live.address, max_size=None) as hearing:
             await hearing.subscribe(CLOUD)
             reader, writer = await asyncio.open_connection("127.0.0.1", int(live.address.rpartition(":")[2]))
-            wanted = b'{"op":"subscribe","subscriptions":[{"id":0,"channelId":%d}]}' % hearing.channels[CLOUD]["id"]
+            wanted = (
+                b'{"op":"subscribe","subscriptions":[{"id":0,"channelId":%d}]}'
+                % hearing.channels[CLOUD]["id"]
+            )
             frame = bytes([0x81, 0x80 | len(wanted), 0, 0, 0, 0]) + wanted  # a whole text, masked by zeros
             writer.write(HANDSHAKE.format(live.address.removeprefix("ws://")).encode())
             assert b" 101 " in await reader.readuntil(b"\r\n\r\n")
             writer.write(frame)
             for number in range(20):  # 32 MB: more than sockets hold
-                live.show(Scene(Backdrop("uav/1"), scatter=Scatter(many + np.float32(number), np.full(100_000, 1e-5, np.float32))))
+                live.show(
+                    Scene(
+                        Backdrop("uav/1"),
+                        scatter=Scatter(many + np.float32(number), np.full(100_000, 1e-5, np.float32)),
+                    )
+                )
                 while east((await hearing.next())[1]) != number:
                     pass
             while True:  # until the deaf one has made room
@@ -306,7 +355,10 @@ def test_it_says_what_foxglove_sdk_says() -> None:
     _, kind, data = next(each for each in SceneEncoder().encode(SCENE, 1) if each.topic == CLOUD)
     name, schema = schema_of(kind)
     channel = sdk.Channel(
-        CLOUD, schema=sdk.Schema(name=name, encoding="protobuf", data=schema), message_encoding="protobuf", context=context
+        CLOUD,
+        schema=sdk.Schema(name=name, encoding="protobuf", data=schema),
+        message_encoding="protobuf",
+        context=context,
     )
 
     async def ours(live: LiveFoxglove) -> Any:
@@ -318,7 +370,9 @@ def test_it_says_what_foxglove_sdk_says() -> None:
             await viewer.subscribe(CLOUD)
             joined()
             said = viewer.channels[CLOUD]
-            return {name for name in viewer.info if name not in ("sessionId", "metadata")}, {key: said[key] for key in said if key != "id"}
+            return {name for name in viewer.info if name not in ("sessionId", "metadata")}, {
+                key: said[key] for key in said if key != "id"
+            }
 
     server = sdk.start_server(name="plumeward", host="127.0.0.1", port=0, context=context)
     try:
@@ -334,7 +388,10 @@ def test_it_says_what_foxglove_sdk_says() -> None:
 def test_a_port_that_is_taken_is_named_in_one_line() -> None:
     async def again(live: LiveFoxglove) -> None:
         port = int(live.address.rpartition(":")[2])
-        with pytest.raises(NoFoxglove, match=f"^--foxglove: port {port} of 127.0.0.1 cannot be opened: Address already in use$"):
+        with pytest.raises(
+            NoFoxglove,
+            match=f"^--foxglove: port {port} of 127.0.0.1 cannot be opened: Address already in use$",
+        ):
             LiveFoxglove(port)
 
     run(again)

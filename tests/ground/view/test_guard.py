@@ -45,7 +45,9 @@ PROXIED = LOCAL._replace(origins=("https://drone.example", "http://other.example
         (PROXIED, "127.0.0.1:8447", True),
     ],
 )
-def test_only_the_servers_own_name_or_a_proxys_is_allowed_as_host(rules: AccessRules, host: str, allowed: bool) -> None:
+def test_only_the_servers_own_name_or_a_proxys_is_allowed_as_host(
+    rules: AccessRules, host: str, allowed: bool
+) -> None:
     assert rules.allows_host(host) == allowed
 
 
@@ -99,10 +101,25 @@ def test_an_origin_is_kept_as_browsers_write_it(text: str, written: str) -> None
 
 
 @pytest.mark.parametrize(
-    "text", ["", "*", "null", "drone.example", "https://", "https://a/b", "https://a?b", "https://a#b", "https://me@a", "https://a b"]
+    "text",
+    [
+        "",
+        "*",
+        "null",
+        "drone.example",
+        "https://",
+        "https://a/b",
+        "https://a?b",
+        "https://a#b",
+        "https://me@a",
+        "https://a b",
+    ],
 )
 def test_what_is_no_origin_is_refused_with_what_is_wanted(text: str) -> None:
-    with pytest.raises(ValueError, match=r"is not an origin; wanted the beginning of an address, without a path: https://drone\.example"):
+    with pytest.raises(
+        ValueError,
+        match=r"is not an origin; wanted the beginning of an address, without a path: https://drone\.example",
+    ):
         origin(text)
 
 
@@ -114,7 +131,9 @@ def test_what_is_no_origin_is_refused_with_what_is_wanted(text: str) -> None:
         (AccessRules("drone.lan", 8447, "secret"), "http://drone.lan:8447/"),
     ],
 )
-def test_the_address_that_is_printed_opens_the_page_and_holds_no_word(rules: AccessRules, address: str) -> None:
+def test_the_address_that_is_printed_opens_the_page_and_holds_no_word(
+    rules: AccessRules, address: str
+) -> None:
     assert rules.address == address
 
 

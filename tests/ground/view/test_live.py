@@ -1,4 +1,6 @@
-"""Protects that the page goes on following its router: without a certificate that is fit, and past strangers."""
+"""Protects that the page goes on following its router: without a certificate that is fit, and past
+strangers.
+"""
 
 import datetime
 from collections.abc import Callable, Iterator
@@ -71,7 +73,9 @@ def test_a_certificate_that_has_expired_does_not_end_the_page_and_a_new_one_show
         assert sum("expired" in line for line in lines) == 1
 
 
-def test_a_token_for_a_pattern_of_keys_is_no_vehicle_and_does_not_end_the_page(router: str, wait_until: Callable[..., None]) -> None:
+def test_a_token_for_a_pattern_of_keys_is_no_vehicle_and_does_not_end_the_page(
+    router: str, wait_until: Callable[..., None]
+) -> None:
     patterns = ("uav/*", "**", "uav/$*1")
     with Stranger(router) as stranger, Stranger(router) as witness, following(router) as (fleet, _):
         for pattern in patterns:

@@ -1,4 +1,6 @@
-"""Protects an operator in a hurry, and the bus and the other pages from one page that gives commands without end."""
+"""Protects an operator in a hurry, and the bus and the other pages from one page that gives commands
+without end.
+"""
 
 import asyncio
 import json
@@ -37,7 +39,9 @@ class Obeying(LiveVehicle):
         for message in mavlink.MAVLink(None).parse_buffer(payload):
             mode = ASKED.get(message.command) or Mode((int(message.param2), int(message.param3)))
             self.heard.append(mode.name)
-            ack = mavlink.MAVLink_command_ack_message(message.command, 0, target_system=OPERATOR[0], target_component=OPERATOR[1])
+            ack = mavlink.MAVLink_command_ack_message(
+                message.command, 0, target_system=OPERATOR[0], target_component=OPERATOR[1]
+            )
             shown = mavlink.MAVLink_heartbeat_message(2, 12, 128, mode.custom_mode, 4, 3)
             for listener in () if self.deaf else tuple(self.listeners):
                 listener(Codec(1, 1).pack(ack, shown))
@@ -96,7 +100,9 @@ def pages(*sockets: Socket) -> tuple[Obeying, list[asyncio.Task[None]]]:
     return vehicle, [asyncio.create_task(Client(socket, server, shown, "").run()) for socket in sockets]  # type: ignore[arg-type]
 
 
-def test_a_page_that_commands_without_end_is_refused_and_told_so_and_another_page_still_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_that_commands_without_end_is_refused_and_told_so_and_another_page_still_commands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     now_s = [100.0]
     monkeypatch.setattr("ground.view.server.time", SimpleNamespace(monotonic=lambda: now_s[0]))
 
@@ -106,7 +112,9 @@ def test_a_page_that_commands_without_end_is_refused_and_told_so_and_another_pag
         for _ in range(5):
             assert [answer["accepted"] for answer in await one.order(1)] == [True]
         flooded = await one.order(1000)
-        assert {(answer["accepted"], answer["reason"]) for answer in flooded} == {(False, "more than 5 commands within 1 s: wait a moment")}
+        assert {(answer["accepted"], answer["reason"]) for answer in flooded} == {
+            (False, "more than 5 commands within 1 s: wait a moment")
+        }
         assert vehicle.heard == ["HOLD"] * 5
         assert (await other.order(1))[0]["accepted"]
         assert [answer["accepted"] for answer in await one.order(6, "land")] == [True] * 6
@@ -140,7 +148,9 @@ async def until(holds: Callable[[], object]) -> None:
             await asyncio.sleep(0.001)
 
 
-def test_land_goes_out_while_a_hold_is_unanswered_which_is_then_not_sent_again_and_nothing_replaces_it() -> None:
+def test_land_goes_out_while_a_hold_is_unanswered_which_is_then_not_sent_again_and_nothing_replaces_it() -> (
+    None
+):
     async def hurry() -> None:
         one, other = Socket(), Socket()
         vehicle, tasks = pages(one, other)
@@ -155,7 +165,10 @@ def test_land_goes_out_while_a_hold_is_unanswered_which_is_then_not_sent_again_a
         vehicle.deaf = False
         await until(lambda: other.answers)
         assert vehicle.heard[vehicle.heard.index("LAND") :] == ["LAND"] * vehicle.heard.count("LAND")
-        assert [(answer["command"], answer["accepted"], answer["reason"]) for answer in (*one.answers, *other.answers)] == [
+        assert [
+            (answer["command"], answer["accepted"], answer["reason"])
+            for answer in (*one.answers, *other.answers)
+        ] == [
             ("hold", False, "an urgent command took its place"),
             ("resume", False, "the vehicle has not answered the last command yet"),
             ("land", True, ""),
@@ -198,7 +211,9 @@ def test_a_command_waits_until_the_vehicle_has_said_which_system_it_is() -> None
     asyncio.run(hurry())
 
 
-def test_a_scene_is_built_once_for_all_pages_and_not_in_the_loop_that_serves_them(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scene_is_built_once_for_all_pages_and_not_in_the_loop_that_serves_them(
+    router: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     build, built_in = History.at, list[threading.Thread]()
 
     def at(history: History, **when: float) -> Scene:

@@ -50,7 +50,9 @@ def unpacked(message: bytes) -> tuple[dict[str, Any], dict[str, list[float]]]:
     return header, arrays
 
 
-def sent(scene: Scene, cursor: Cursor, history: object = HISTORY, **how: Any) -> tuple[dict[str, Any], dict[str, list[float]]]:
+def sent(
+    scene: Scene, cursor: Cursor, history: object = HISTORY, **how: Any
+) -> tuple[dict[str, Any], dict[str, list[float]]]:
     return unpacked(packed(scene, cursor, history, 7, **how))
 
 
@@ -65,11 +67,20 @@ def test_a_scene_is_sent_in_full_at_first() -> None:
     assert header["vehicle"] == "uav/1"
     assert header["published_ms"] == 1763800000000.5
     assert header["threshold_m"] == 0.5
-    assert header["craft"] == {"x": 1.5, "y": 2.5, "altitude_m": 5.0, "heading": 0.5, "mode": "OFFBOARD", "armed": True} | UNSAID
-    assert header["estimate"] == {"x": 5.0, "y": 6.0, "spread_m": 3.0, "ellipse": [4.0, 2.0, 0.0]}  # 2 σ of variances 4 and 1 m²
+    assert (
+        header["craft"]
+        == {"x": 1.5, "y": 2.5, "altitude_m": 5.0, "heading": 0.5, "mode": "OFFBOARD", "armed": True} | UNSAID
+    )
+    assert header["estimate"] == {
+        "x": 5.0,
+        "y": 6.0,
+        "spread_m": 3.0,
+        "ellipse": [4.0, 2.0, 0.0],
+    }  # 2 σ of variances 4 and 1 m²
     assert header["measurements"] == {
-        "from": 0, "rows": [[0, 10.0, 1.0, 2.0, 0.5, 3.0, 5.0, 6.0], [1, 11.0, 2.0, 2.0, 0.5, 3.0, 5.0, 6.0]],
-    }  # fmt: skip
+        "from": 0,
+        "rows": [[0, 10.0, 1.0, 2.0, 0.5, 3.0, 5.0, 6.0], [1, 11.0, 2.0, 2.0, 0.5, 3.0, 5.0, 6.0]],
+    }
     assert header["happenings"] == {"from": 0, "rows": [[1.0, "info", "uav", "armed"]]}
     assert header["truth"] is None
     assert header["ending"] is None
@@ -95,10 +106,16 @@ def test_only_what_is_new_follows() -> None:
 def test_going_back_in_time_cuts_off_what_comes_later() -> None:
     cursor = Cursor()
     sent(SCENE, cursor)
-    header, arrays = sent(replace(SCENE, measurements=[measurement(0)], track=SCENE.track[:1], scatter=None, happenings=[]), cursor)
+    header, arrays = sent(
+        replace(SCENE, measurements=[measurement(0)], track=SCENE.track[:1], scatter=None, happenings=[]),
+        cursor,
+    )
     assert header["measurements"] == {"from": 1, "rows": []}
     assert header["happenings"] == {"from": 0, "rows": []}
-    assert header["arrays"] == [{"name": "particles", "shape": [0, 3]}, {"name": "track", "from": 1, "shape": [0, 2]}]
+    assert header["arrays"] == [
+        {"name": "particles", "shape": [0, 3]},
+        {"name": "track", "from": 1, "shape": [0, 2]},
+    ]
     assert arrays == {"particles": [], "track": []}
 
 
@@ -135,7 +152,9 @@ def test_a_real_flight_has_no_truth_to_send() -> None:
 
 @pytest.mark.parametrize("heading", [math.nan, math.inf])
 def test_numbers_that_are_not_finite_are_null(heading: float) -> None:
-    scene = replace(SCENE, craft=Craft(1.0, (1.0, 2.0), heading=heading), measurements=[measurement(0, math.nan)])
+    scene = replace(
+        SCENE, craft=Craft(1.0, (1.0, 2.0), heading=heading), measurements=[measurement(0, math.nan)]
+    )
     header, _ = sent(scene, Cursor())
     assert header["craft"]["heading"] is None
     assert header["measurements"]["rows"][0][4] is None

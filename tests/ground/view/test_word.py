@@ -15,7 +15,9 @@ def coded(word: str) -> str:
     return f"word.{urlsafe_b64encode(word.encode()).decode().rstrip('=')}"
 
 
-def test_a_file_that_is_not_there_is_made_for_its_owner_with_a_word_that_nobody_guesses(tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_made_for_its_owner_with_a_word_that_nobody_guesses(
+    tmp_path: Path,
+) -> None:
     words = set()
     for name in ("one", "other"):
         word, line = word_in(tmp_path / name)
@@ -28,7 +30,9 @@ def test_a_file_that_is_not_there_is_made_for_its_owner_with_a_word_that_nobody_
     assert len(words) == 2
 
 
-@pytest.mark.parametrize(("mode", "warned"), [(0o600, False), (0o400, False), (0o640, True), (0o604, True), (0o620, True)])
+@pytest.mark.parametrize(
+    ("mode", "warned"), [(0o600, False), (0o400, False), (0o640, True), (0o604, True), (0o620, True)]
+)
 def test_a_file_that_others_may_use_is_warned_of(tmp_path: Path, mode: int, warned: bool) -> None:
     file = tmp_path / "word"
     file.write_text("  two words é \n")
@@ -38,7 +42,9 @@ def test_a_file_that_others_may_use_is_warned_of(tmp_path: Path, mode: int, warn
     assert ("chmod 600" in line) == warned
 
 
-@pytest.mark.parametrize("content", ["", "\n", "seven77", "two lines\nof words", "x" * 1025, "a bell\a and more"])
+@pytest.mark.parametrize(
+    "content", ["", "\n", "seven77", "two lines\nof words", "x" * 1025, "a bell\a and more"]
+)
 def test_a_file_without_a_good_word_is_refused_and_left_as_it_is(tmp_path: Path, content: str) -> None:
     file = tmp_path / "word"
     file.write_text(content)
@@ -55,7 +61,10 @@ def test_the_word_is_found_among_the_subprotocols() -> None:
 
 def test_who_gave_a_wrong_word_is_heard_again_a_second_later_and_nobody_else_waits() -> None:
     door = Doorkeeper(RULES)
-    assert door.why_no_commands("wrong one", "10.0.0.1", 100.0) == "read-only: that is not the word of --token-file"
+    assert (
+        door.why_no_commands("wrong one", "10.0.0.1", 100.0)
+        == "read-only: that is not the word of --token-file"
+    )
     for now_s in (100.0, 100.9):  # neither a wrong nor the right word is looked at
         for word in ("wrong two", "the secret"):
             assert "wait a second" in door.why_no_commands(word, "10.0.0.1", now_s)

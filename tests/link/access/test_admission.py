@@ -1,4 +1,6 @@
-"""Protects access: a router with certificates lets each role of each vehicle do what the table says, and nothing else, and says so."""
+"""Protects access: a router with certificates lets each role of each vehicle do what the table says, and
+nothing else, and says so.
+"""
 
 import contextlib
 import datetime
@@ -28,7 +30,13 @@ from tests.link.access.certificates import REFUSED_MS, endpoint_of, rogue, sessi
 
 pytestmark = pytest.mark.slow
 
-ROLES = {"vehicle": "uav", "estimator": "estimator", "agent": "agent", "payload": "payload", "bridge": "bridge"}
+ROLES = {
+    "vehicle": "uav",
+    "estimator": "estimator",
+    "agent": "agent",
+    "payload": "payload",
+    "bridge": "bridge",
+}
 """The roles of a vehicle and their services; operator and observer are of all vehicles."""
 REMOTE = zenoh.Locality.REMOTE
 """What a session hears of itself, in its own process, never reaches the router."""
@@ -78,7 +86,9 @@ class Clients:
         self._lock = threading.Lock()
         witness = self.sessions["observer"]
         self._held = [
-            witness.declare_subscriber(f"uav/1/{key}", lambda sample: self._hear("observer", sample), allowed_origin=REMOTE)
+            witness.declare_subscriber(
+                f"uav/1/{key}", lambda sample: self._hear("observer", sample), allowed_origin=REMOTE
+            )
             for key in TABLED
         ]
 
@@ -87,12 +97,18 @@ class Clients:
             self.heard.append((who, sample.payload.to_string()))
 
     def settle(self, name: str) -> None:
-        """Wait until the router has handled all that a session has sent, and the session all that the router has."""
+        """Wait until the router has handled all that a session has sent, and the session all that the
+        router has.
+        """
         for _ in self.sessions[name].get(f"uav/{2 if '/2/' in name else 1}/nobody", timeout=5):
             pass
 
     def subscribe(self, name: str, key: str) -> None:
-        self._held.append(self.sessions[name].declare_subscriber(key, lambda sample: self._hear(name, sample), allowed_origin=REMOTE))
+        self._held.append(
+            self.sessions[name].declare_subscriber(
+                key, lambda sample: self._hear(name, sample), allowed_origin=REMOTE
+            )
+        )
         self.settle(name)
 
     def publish(self, name: str, key: str, text: str) -> None:
@@ -116,7 +132,9 @@ def test_the_table_of_this_test_has_every_key() -> None:
 
 
 @pytest.mark.parametrize("key", TABLED)
-def test_only_the_roles_of_the_table_publish_a_key(clients: Clients, key: str, wait_until: Callable[..., None]) -> None:
+def test_only_the_roles_of_the_table_publish_a_key(
+    clients: Clients, key: str, wait_until: Callable[..., None]
+) -> None:
     writers = RIGHTS[key][0]
     for name in clients.sessions:
         clients.publish(name, f"uav/1/{key}", name)
@@ -126,7 +144,9 @@ def test_only_the_roles_of_the_table_publish_a_key(clients: Clients, key: str, w
 
 
 @pytest.mark.parametrize("key", TABLED)
-def test_only_the_roles_of_the_table_receive_a_key(clients: Clients, key: str, wait_until: Callable[..., None]) -> None:
+def test_only_the_roles_of_the_table_receive_a_key(
+    clients: Clients, key: str, wait_until: Callable[..., None]
+) -> None:
     writers, readers = RIGHTS[key]
     for name, key_expr in itertools.product(clients.sessions, (f"uav/1/{key}", f"*/*/{key}", "**")):
         clients.subscribe(name, key_expr)
@@ -139,7 +159,10 @@ def test_only_the_roles_of_the_table_receive_a_key(clients: Clients, key: str, w
 
 
 def test_who_may_not_publish_a_service_s_health_cannot_announce_it_either(clients: Clients) -> None:
-    tokens = {name: one.liveliness().declare_token("uav/1/health/estimator") for name, one in clients.sessions.items()}
+    tokens = {
+        name: one.liveliness().declare_token("uav/1/health/estimator")
+        for name, one in clients.sessions.items()
+    }
     for name in tokens:
         clients.settle(name)
     own = clients.sessions["operator"]
@@ -172,9 +195,15 @@ def test_a_certificate_has_no_more_rights_as_a_peer_or_a_router(
 ) -> None:
     heard: list[str] = []
     with session(secure, folder, "uav/1/agent", mode=mode, **{"listen/endpoints": []}) as agent:
-        agent.declare_subscriber("uav/1/reading", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE)
-        agent.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE)
-        agent.declare_subscriber("uav/1/belief", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE)
+        agent.declare_subscriber(
+            "uav/1/reading", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE
+        )
+        agent.declare_subscriber(
+            "**", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE
+        )
+        agent.declare_subscriber(
+            "uav/1/belief", lambda sample: heard.append(str(sample.key_expr)), allowed_origin=REMOTE
+        )
 
         def is_heard() -> bool:
             """A router learns in its own time who subscribes, so it says it until it is heard."""
@@ -200,8 +229,12 @@ def test_nobody_reads_the_router_s_own_settings(clients: Clients) -> None:
 
 
 @pytest.mark.parametrize("certificate", [None, pytest.param("observer", marks=pytest.mark.full)])
-def test_connections_that_stay_silent_keep_nobody_out(folder: Path, certificate: str | None, capsys: pytest.CaptureFixture[str]) -> None:
-    router, endpoint = open_router("tcp/127.0.0.1:0", folder)  # of its own: after each that goes, Zenoh admits nobody for 0.1 s
+def test_connections_that_stay_silent_keep_nobody_out(
+    folder: Path, certificate: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    router, endpoint = open_router(
+        "tcp/127.0.0.1:0", folder
+    )  # of its own: after each that goes, Zenoh admits nobody for 0.1 s
     host, _, port = endpoint.removeprefix("tls/").rpartition(":")
     tls = ssl.create_default_context(cafile=folder / "ca.pem")
     with router, contextlib.ExitStack() as silent:
@@ -215,11 +248,15 @@ def test_connections_that_stay_silent_keep_nobody_out(folder: Path, certificate:
             assert "does not answer yet" not in capsys.readouterr().err
 
 
-def test_one_certificate_holds_so_many_sessions_and_no_more(folder: Path, wait_until: Callable[..., None]) -> None:
+def test_one_certificate_holds_so_many_sessions_and_no_more(
+    folder: Path, wait_until: Callable[..., None]
+) -> None:
     router, endpoint = open_router("tcp/127.0.0.1:0", folder)
     with router, contextlib.ExitStack() as stack:
         crowds = Crowds(router)
-        agents = [stack.enter_context(session(endpoint, folder, "uav/1/agent")) for _ in range(MOST_OF_A_PART)]
+        agents = [
+            stack.enter_context(session(endpoint, folder, "uav/1/agent")) for _ in range(MOST_OF_A_PART)
+        ]
         wait_until(lambda: len(router.info.links()) == MOST_OF_A_PART)
         with contextlib.suppress(zenoh.ZError), contextlib.closing(session(endpoint, folder, "uav/1/agent")):
             wait_until(lambda: crowds.closed()["uav/1/agent"])
@@ -232,12 +269,17 @@ def test_one_certificate_holds_so_many_sessions_and_no_more(folder: Path, wait_u
 
 
 @pytest.mark.full
-def test_one_certificate_leaves_a_router_its_other_sessions(router: "Router", folder: Path, wait_until: Callable[..., None]) -> None:
+def test_one_certificate_leaves_a_router_its_other_sessions(
+    router: "Router", folder: Path, wait_until: Callable[..., None]
+) -> None:
     with contextlib.ExitStack() as stack:
         for _ in range(MOST_FOR_ALL + 10):
             with contextlib.suppress(zenoh.ZError):
                 stack.enter_context(session(router.endpoint, folder, "observer"))
-        told = rf"level=warning .*refused sessions \(\d+\): the certificate observer already holds {MOST_FOR_ALL}"
+        told = (
+            r"level=warning .*refused sessions \(\d+\): the certificate observer already holds "
+            rf"{MOST_FOR_ALL}"
+        )
         wait_until(lambda: any(re.search(told, line) for line in router.said))
         with Bus("agent", router.endpoint, secure=folder) as agent:
             assert agent.connected
@@ -250,7 +292,9 @@ CALLS = {key.name: key for key in KEYS}
 
 @pytest.mark.parametrize("key", KEYS, ids=lambda key: key.name)
 @pytest.mark.parametrize("role", EVERYBODY)
-def test_a_session_says_which_right_it_lacks(secure: str, folder: Path, capsys: pytest.CaptureFixture[str], key: Key, role: str) -> None:
+def test_a_session_says_which_right_it_lacks(
+    secure: str, folder: Path, capsys: pytest.CaptureFixture[str], key: Key, role: str
+) -> None:
     if key is HEALTH:
         return  # each service has its own
     service = {**ROLES, "operator": "view", "observer": "recorder"}[role]
@@ -259,12 +303,19 @@ def test_a_session_says_which_right_it_lacks(secure: str, folder: Path, capsys: 
         bus.publish(key, b"x")
         bus.subscribe(key)
         said = capsys.readouterr().err
-        assert bus.tally.last_error == "" or f"the certificate {name_of(role)} has no right to" in bus.tally.last_error
+        assert (
+            bus.tally.last_error == ""
+            or f"the certificate {name_of(role)} has no right to" in bus.tally.last_error
+        )
     assert (f"has no right to publish {key.name}: the router drops it" in said) == (role not in writers)
-    assert (f"has no right to receive {key.name}: the router drops it" in said) == (role not in readers | {"operator", "observer"})
+    assert (f"has no right to receive {key.name}: the router drops it" in said) == (
+        role not in readers | {"operator", "observer"}
+    )
 
 
-def test_a_service_of_no_role_hears_that_it_is_not_announced(secure: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_service_of_no_role_hears_that_it_is_not_announced(
+    secure: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with Bus("stranger", secure, secure=folder):
         assert "the certificate observer has no right to publish health/stranger" in capsys.readouterr().err
 
@@ -280,11 +331,15 @@ def test_kept_messages_reach_late_joiners_in_order(secure: str, folder: Path) ->
         with Bus("estimator", secure, secure=folder) as late, Bus("agent", secure, secure=folder) as agent:
             late.subscribe(READING)
             agent.subscribe(STOP)
-            assert [late.receive(10).payload for _ in range(300)] == [str(number).encode() for number in range(300)]
+            assert [late.receive(10).payload for _ in range(300)] == [
+                str(number).encode() for number in range(300)
+            ]
             assert agent.receive(10).payload == b"stop"
 
 
-def test_a_recorder_hears_every_key_and_a_roster_every_vehicle(secure: str, folder: Path, wait_until: Callable[..., None]) -> None:
+def test_a_recorder_hears_every_key_and_a_roster_every_vehicle(
+    secure: str, folder: Path, wait_until: Callable[..., None]
+) -> None:
     with (
         Tap("recorder", secure, secure=folder) as recorder,
         Roster("view", secure, 1.0, folder) as roster,
@@ -296,15 +351,30 @@ def test_a_recorder_hears_every_key_and_a_roster_every_vehicle(secure: str, fold
         uav.publish(READING, b"reading")
         uav.publish_health()
         heard: set[str] = set()
-        wait_until(lambda: heard.update(message.name for message in recorder.take()) or heard >= {"reading", "health/uav"})
+        wait_until(
+            lambda: (
+                heard.update(message.name for message in recorder.take())
+                or heard >= {"reading", "health/uav"}
+            )
+        )
         there: set[tuple[str, str]] = set()
         wanted = {("uav/1", "uav"), ("uav/2", "agent")}
-        wait_until(lambda: there.update((one.namespace, one.service) for one in roster.changes() if one.alive) or there >= wanted)
+        wait_until(
+            lambda: (
+                there.update((one.namespace, one.service) for one in roster.changes() if one.alive)
+                or there >= wanted
+            )
+        )
 
 
-def test_a_router_that_comes_back_admits_its_clients_again(folder: Path, wait_until: Callable[..., None]) -> None:
+def test_a_router_that_comes_back_admits_its_clients_again(
+    folder: Path, wait_until: Callable[..., None]
+) -> None:
     router, endpoint = open_router("tcp/127.0.0.1:0", folder)
-    with Bus("estimator", endpoint, secure=folder) as estimator, Bus("agent", endpoint, secure=folder) as agent:
+    with (
+        Bus("estimator", endpoint, secure=folder) as estimator,
+        Bus("agent", endpoint, secure=folder) as agent,
+    ):
         agent.subscribe(BELIEF, STOP)
         router.close()
         wait_until(lambda: not (estimator.connected or agent.connected))
@@ -323,7 +393,16 @@ class Router:
     """`plumeward router --secure` as a process, and what it says."""
 
     def __init__(self, folder: Path) -> None:
-        words = [sys.executable, "-m", "sitl", "router", "--listen", "tcp/127.0.0.1:0", "--secure", str(folder)]
+        words = [
+            sys.executable,
+            "-m",
+            "sitl",
+            "router",
+            "--listen",
+            "tcp/127.0.0.1:0",
+            "--secure",
+            str(folder),
+        ]
         self._process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         assert self._process.stdout
         self.endpoint = self._process.stdout.readline().strip()
@@ -349,18 +428,27 @@ def router(folder: Path) -> Iterator[Router]:
 
 
 @pytest.fixture(scope="module")
-def strangers(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path | None, str | None]]:
-    """Folders and certificates that the router must refuse. Our own sessions would not even try: these are used with bare Zenoh."""
+def strangers(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, tuple[Path | None, str | None]]:
+    """Folders and certificates that the router must refuse. Our own sessions would not even try: these are
+    used with bare Zenoh.
+    """
     other, old = tmp_path_factory.mktemp("other"), tmp_path_factory.mktemp("old")
     make(other, [1])
     (old / "ca.pem").write_bytes((folder / "ca.pem").read_bytes())
     (old / "ca.key").write_bytes((folder / "ca.key").read_bytes())
     make(old, [1], days=1, now=datetime.datetime.now(datetime.UTC) - datetime.timedelta(days=30))
-    (other / "ca.pem").write_bytes((folder / "ca.pem").read_bytes())  # it accepts the router, which does not accept it
+    (other / "ca.pem").write_bytes(
+        (folder / "ca.pem").read_bytes()
+    )  # it accepts the router, which does not accept it
     return {
-        "of another CA": (other, "uav/1/agent"), "no certificate": (folder, None), "expired": (old, "uav/1/agent"),
-        "a router's": (folder, "router"), "plain TCP": (None, None),
-    }  # fmt: skip
+        "of another CA": (other, "uav/1/agent"),
+        "no certificate": (folder, None),
+        "expired": (old, "uav/1/agent"),
+        "a router's": (folder, "router"),
+        "plain TCP": (None, None),
+    }
 
 
 @pytest.mark.parametrize(
@@ -374,21 +462,37 @@ def strangers(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[st
     ],
 )
 def test_a_stranger_stays_out_and_the_router_says_why(
-    router: Router, strangers: dict[str, tuple[Path | None, str | None]], who: str, said: str, wait_until: Callable[..., None]
+    router: Router,
+    strangers: dict[str, tuple[Path | None, str | None]],
+    who: str,
+    said: str,
+    wait_until: Callable[..., None],
 ) -> None:
     folder, name = strangers[who]
     endpoint = router.endpoint if folder else router.endpoint.replace("tls/", "tcp/")
     with pytest.raises(zenoh.ZError):
         session(endpoint, folder, name, **{"connect/timeout_ms": REFUSED_MS})
-    wait_until(lambda: any(re.search(rf"level=warning .*refused connections \(\d+\): the client {said}", line) for line in router.said))
+    wait_until(
+        lambda: any(
+            re.search(rf"level=warning .*refused connections \(\d+\): the client {said}", line)
+            for line in router.said
+        )
+    )
 
 
-def test_the_router_says_who_joins_and_that_it_dropped_messages(router: Router, folder: Path, wait_until: Callable[..., None]) -> None:
+def test_the_router_says_who_joins_and_that_it_dropped_messages(
+    router: Router, folder: Path, wait_until: Callable[..., None]
+) -> None:
     with contextlib.closing(session(router.endpoint, folder, "uav/2/agent")) as agent:
         for _ in range(100):
             agent.put("uav/1/mavlink/in", b"disarm")
         wait_until(lambda: any("uav/2/agent joins from 127.0.0.1:" in line for line in router.said))
-        wait_until(lambda: any(re.search(r"level=warning .*refused messages \(\d+\): the certificates", line) for line in router.said))
+        wait_until(
+            lambda: any(
+                re.search(r"level=warning .*refused messages \(\d+\): the certificates", line)
+                for line in router.said
+            )
+        )
 
 
 def test_a_client_without_certificates_hears_that_the_router_wants_them(router: Router) -> None:
@@ -398,7 +502,10 @@ def test_a_client_without_certificates_hears_that_the_router_wants_them(router: 
 
 def test_a_client_hears_why_the_router_refuses_it(folder: Path, tmp_path: Path) -> None:
     make(tmp_path, [1])
-    with contextlib.closing(Router(folder)) as running, pytest.raises(NoRouter, match=r"its certificate is not from the CA of .*ca\.pem"):
+    with (
+        contextlib.closing(Router(folder)) as running,
+        pytest.raises(NoRouter, match=r"its certificate is not from the CA of .*ca\.pem"),
+    ):
         Bus("agent", running.endpoint, secure=tmp_path, connect__timeout_ms=300)
 
 
@@ -409,15 +516,23 @@ def test_a_client_hears_why_the_router_refuses_it(folder: Path, tmp_path: Path) 
         ("uav/1/vehicle", False, "its certificate is not (a router's|for 127.0.0.1)"),
     ],
 )
-def test_a_rogue_router_is_not_joined(folder: Path, tmp_path: Path, certificate: str, theirs: bool, said: str) -> None:
+def test_a_rogue_router_is_not_joined(
+    folder: Path, tmp_path: Path, certificate: str, theirs: bool, said: str
+) -> None:
     make(tmp_path, [1])
-    with rogue(tmp_path if theirs else folder, certificate) as router, pytest.raises(NoRouter, match=f"cannot be joined: {said}"):
+    with (
+        rogue(tmp_path if theirs else folder, certificate) as router,
+        pytest.raises(NoRouter, match=f"cannot be joined: {said}"),
+    ):
         Bus("agent", endpoint_of(router), secure=folder, connect__timeout_ms=300)
 
 
 def test_a_router_is_only_joined_by_a_name_of_its_certificate(tmp_path: Path) -> None:
     make(tmp_path, [1], ["router.example.org"])
-    with contextlib.closing(Router(tmp_path)) as running, pytest.raises(NoRouter, match=r"is not for 127\.0\.0\.1 .*--router 127\.0\.0\.1"):
+    with (
+        contextlib.closing(Router(tmp_path)) as running,
+        pytest.raises(NoRouter, match=r"is not for 127\.0\.0\.1 .*--router 127\.0\.0\.1"),
+    ):
         Bus("agent", running.endpoint, secure=tmp_path, connect__timeout_ms=300)
 
 
@@ -430,15 +545,20 @@ def test_a_router_without_tls_is_not_joined(folder: Path) -> None:
 @pytest.mark.parametrize("listen", ["tcp/0.0.0.0:0", "tcp/[::]:0"])
 def test_a_router_that_is_open_to_all_warns(listen: str) -> None:
     words = [sys.executable, "-m", "sitl", "router", "--listen", listen]
-    with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env={**os.environ}) as running:
+    with subprocess.Popen(
+        words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env={**os.environ}
+    ) as running:
         assert running.stderr
-        assert f"level=warning service=router mission=- step=-1 event={json.dumps(f'{listen} is open to other machines')[:-1]}" in (
-            running.stderr.readline()
+        assert (
+            "level=warning service=router mission=- step=-1 "
+            f"event={json.dumps(f'{listen} is open to other machines')[:-1]}" in (running.stderr.readline())
         )
         running.terminate()
 
 
-def test_operators_command_every_vehicle_and_observers_none(secure: str, folder: Path, wait_until: Callable[..., None]) -> None:
+def test_operators_command_every_vehicle_and_observers_none(
+    secure: str, folder: Path, wait_until: Callable[..., None]
+) -> None:
     with (
         Bus("uav", secure, "uav/2", secure=folder) as uav,
         Bus("view", secure, "uav/2", announced=False, secure=folder) as operator,
@@ -453,7 +573,11 @@ def test_operators_command_every_vehicle_and_observers_none(secure: str, folder:
 
 
 def test_a_part_whose_certificate_expires_says_so_once_when_the_router_closes_its_link(
-    secure: str, folder: Path, tmp_path: Path, wait_until: Callable[..., None], capsys: pytest.CaptureFixture[str]
+    secure: str,
+    folder: Path,
+    tmp_path: Path,
+    wait_until: Callable[..., None],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     for file in ("ca.pem", "ca.key"):
         (tmp_path / file).write_bytes((folder / file).read_bytes())

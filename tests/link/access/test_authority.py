@@ -1,4 +1,6 @@
-"""Protects the development CA: what its certificates are good for, who can read its keys, and that nothing is overwritten unasked."""
+"""Protects the development CA: what its certificates are good for, who can read its keys, and that nothing
+is overwritten unasked.
+"""
 
 import datetime
 import os
@@ -43,7 +45,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("client", ["operator", "observer", *(f"uav/{number}/{role}" for number in (1, 2) for role in ROLES)])
+@pytest.mark.parametrize(
+    "client", ["operator", "observer", *(f"uav/{number}/{role}" for number in (1, 2) for role in ROLES)]
+)
 def test_each_role_of_each_vehicle_is_let_in_by_the_router(folder: Path, client: str) -> None:
     assert shakes_hands(folder, "router", client)
 
@@ -57,7 +61,9 @@ def test_each_role_of_each_vehicle_is_let_in_by_the_router(folder: Path, client:
         ("router", "uav/1/agent", "127.0.0.2"),  # not an address of the router
     ],
 )
-def test_a_certificate_serves_for_nothing_else(folder: Path, server: str, client: str | None, name: str) -> None:
+def test_a_certificate_serves_for_nothing_else(
+    folder: Path, server: str, client: str | None, name: str
+) -> None:
     assert not shakes_hands(folder, server, client, name)
 
 
@@ -75,9 +81,13 @@ def test_only_their_owner_can_read_the_keys(folder: Path) -> None:
     assert {stat.S_IMODE(key.stat().st_mode) for key in keys} == {0o600}
 
 
-def test_certificates_and_keys_are_on_the_disk_before_they_have_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_certificates_and_keys_are_on_the_disk_before_they_have_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     kept: list[tuple[str, int]] = []
-    monkeypatch.setattr(os, "fsync", lambda file: kept.append((os.readlink(f"/proc/self/fd/{file}"), os.fstat(file).st_size)))
+    monkeypatch.setattr(
+        os, "fsync", lambda file: kept.append((os.readlink(f"/proc/self/fd/{file}"), os.fstat(file).st_size))
+    )
     make(tmp_path, [1])
     whole = {path: path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()}
     assert {Path(name.removesuffix(f".{os.getpid()}.partial")): size for name, size in kept} == whole
@@ -119,14 +129,20 @@ def test_certificates_end_when_they_are_said_to(tmp_path: Path) -> None:
 def test_a_key_without_its_certificate_is_not_overwritten(tmp_path: Path) -> None:
     make(tmp_path, [1])
     (tmp_path / "operator.pem").unlink()
-    with pytest.raises(CertificateError, match=r"operator\.key is there without operator\.pem: delete it, or give --force"):
+    with pytest.raises(
+        CertificateError, match=r"operator\.key is there without operator\.pem: delete it, or give --force"
+    ):
         make(tmp_path, [1])
 
 
-def test_where_only_the_certificate_of_the_ca_is_nothing_is_made_and_nobody_is_told_to_delete_it(tmp_path: Path) -> None:
+def test_where_only_the_certificate_of_the_ca_is_nothing_is_made_and_nobody_is_told_to_delete_it(
+    tmp_path: Path,
+) -> None:
     make(tmp_path, [1])
     (tmp_path / "ca.key").unlink()
-    with pytest.raises(CertificateError, match=r"ca\.pem is there without ca\.key: certificates are made where both are$"):
+    with pytest.raises(
+        CertificateError, match=r"ca\.pem is there without ca\.key: certificates are made where both are$"
+    ):
         make(tmp_path, [2], force=True)
 
 
@@ -135,13 +151,20 @@ def test_a_certificate_of_another_ca_is_not_listed_as_kept(tmp_path: Path) -> No
     make(tmp_path / "other", [1])
     for file in ("ca.pem", "ca.key"):
         shutil.copy(tmp_path / "other" / file, tmp_path / "one" / file)
-    with pytest.raises(CertificateError, match=r"router\.pem is not from the CA of .*ca\.pem: delete it and its key, or give --force"):
+    with pytest.raises(
+        CertificateError,
+        match=r"router\.pem is not from the CA of .*ca\.pem: delete it and its key, or give --force",
+    ):
         make(tmp_path / "one", [1])
 
 
 @pytest.mark.parametrize(
     ("file", "content", "reason"),
-    [("ca.key", b"-", "is not the key of ca.pem"), ("ca.pem", b"-", "is not a certificate"), ("router.pem", b"-", "is not a certificate")],
+    [
+        ("ca.key", b"-", "is not the key of ca.pem"),
+        ("ca.pem", b"-", "is not a certificate"),
+        ("router.pem", b"-", "is not a certificate"),
+    ],
 )
 def test_damaged_files_are_named(tmp_path: Path, file: str, content: bytes, reason: str) -> None:
     make(tmp_path, [1])
@@ -163,7 +186,9 @@ def test_names_and_addresses_of_a_router(text: str) -> None:
     assert host(text) == text
 
 
-@pytest.mark.parametrize("text", ["", "a b", "*", "-a", "a..b", "1.2.3", "256.1.1.1", "tls/router:7447", "router:7447"])
+@pytest.mark.parametrize(
+    "text", ["", "a b", "*", "-a", "a..b", "1.2.3", "256.1.1.1", "tls/router:7447", "router:7447"]
+)
 def test_what_is_no_name_of_a_router(text: str) -> None:
     with pytest.raises(ValueError, match="wanted a host name or an IP address"):
         host(text)

@@ -1,4 +1,6 @@
-"""Protects the checks before a connection: a certificate that cannot be used is refused in one line that names it."""
+"""Protects the checks before a connection: a certificate that cannot be used is refused in one line that
+names it.
+"""
 
 import datetime
 import shutil
@@ -55,20 +57,37 @@ def of_tomorrow(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
-        (lambda folder: (folder / "uav/1/agent.pem").unlink(), r"cannot read .*uav/1/agent\.pem: No such file .*certs .* --vehicles 1\)"),
-        (lambda folder: (folder / "uav/1/agent.key").unlink(), r"cannot read .*uav/1/agent\.key: No such file"),
+        (
+            lambda folder: (folder / "uav/1/agent.pem").unlink(),
+            r"cannot read .*uav/1/agent\.pem: No such file .*certs .* --vehicles 1\)",
+        ),
+        (
+            lambda folder: (folder / "uav/1/agent.key").unlink(),
+            r"cannot read .*uav/1/agent\.key: No such file",
+        ),
         (lambda folder: (folder / "ca.pem").unlink(), r"cannot read .*ca\.pem: No such file"),
-        (lambda folder: (folder / "uav/1/agent.pem").write_text("-"), r"uav/1/agent\.pem or ca\.pem beside it is not a certificate"),
+        (
+            lambda folder: (folder / "uav/1/agent.pem").write_text("-"),
+            r"uav/1/agent\.pem or ca\.pem beside it is not a certificate",
+        ),
         (anothers, r"uav/1/agent\.pem is the certificate of 'uav/1/estimator'; wanted that of 'uav/1/agent'"),
         (of_another_ca, r"uav/1/agent\.pem is not from the CA of .*ca\.pem"),
-        (with_the_key_of_another, r"uav/1/agent\.key is not the key of .*uav/1/agent\.pem \(delete both and run: plumeward certs "),
-        (lambda folder: (folder / "uav/1/agent.key").write_text("-"), r"uav/1/agent\.key is not the key of .*uav/1/agent\.pem"),
+        (
+            with_the_key_of_another,
+            r"uav/1/agent\.key is not the key of .*uav/1/agent\.pem \(delete both and run: plumeward certs ",
+        ),
+        (
+            lambda folder: (folder / "uav/1/agent.key").write_text("-"),
+            r"uav/1/agent\.key is not the key of .*uav/1/agent\.pem",
+        ),
         (expired, r"uav/1/agent\.pem expired on \d{4}-\d\d-\d\d \(delete it and run: plumeward certs "),
         (expired_with_its_ca, r"ca\.pem expired on 2009-12-2\d \(make a new CA"),
         (of_tomorrow, r"ca\.pem is not valid before "),
     ],
 )
-def test_a_certificate_that_cannot_be_used_is_named(folder: Path, spoil: Callable[[Path], None], reason: str) -> None:
+def test_a_certificate_that_cannot_be_used_is_named(
+    folder: Path, spoil: Callable[[Path], None], reason: str
+) -> None:
     assert secured("--connect", "tls/127.0.0.1:7447", folder, "agent", "uav/1")[1]
     spoil(folder)
     with pytest.raises(AccessError, match=rf"^--secure: .*{reason}"):
@@ -77,18 +96,28 @@ def test_a_certificate_that_cannot_be_used_is_named(folder: Path, spoil: Callabl
 
 @pytest.mark.parametrize("namespace", ["fleet/uav/1", "uav", "uav/0", "uav/65", "uav/01", ""])
 def test_a_vehicle_has_a_number(folder: Path, namespace: str) -> None:
-    with pytest.raises(AccessError, match=r"^--namespace: .* is not allowed with --secure; wanted uav/1 to uav/64"):
+    with pytest.raises(
+        AccessError, match=r"^--namespace: .* is not allowed with --secure; wanted uav/1 to uav/64"
+    ):
         secured("--connect", "tls/127.0.0.1:7447", folder, "agent", namespace)
 
 
 @pytest.mark.parametrize(
     ("service", "name"),
     [
-        ("uav", "uav/1/vehicle"), ("estimator", "uav/1/estimator"), ("agent", "uav/1/agent"), ("payload", "uav/1/payload"),
-        ("bridge", "uav/1/bridge"), ("view", "operator"), ("mission", "operator"), ("recorder", "observer"), ("status", "observer"),
-        ("stranger", "observer"), ("router", "router"),
+        ("uav", "uav/1/vehicle"),
+        ("estimator", "uav/1/estimator"),
+        ("agent", "uav/1/agent"),
+        ("payload", "uav/1/payload"),
+        ("bridge", "uav/1/bridge"),
+        ("view", "operator"),
+        ("mission", "operator"),
+        ("recorder", "observer"),
+        ("status", "observer"),
+        ("stranger", "observer"),
+        ("router", "router"),
     ],
-)  # fmt: skip
+)
 def test_each_service_shows_the_certificate_of_its_role(folder: Path, service: str, name: str) -> None:
     known = secured("--connect", "tls/127.0.0.1:7447", folder, service, "uav/1")[1]
     assert known
@@ -103,7 +132,9 @@ def test_with_certificates_tcp_means_tls(folder: Path) -> None:
 
 
 def test_tls_needs_certificates() -> None:
-    with pytest.raises(AccessError, match=r"^--listen: 'tls/127\.0\.0\.1:7447' is not allowed without --secure DIR"):
+    with pytest.raises(
+        AccessError, match=r"^--listen: 'tls/127\.0\.0\.1:7447' is not allowed without --secure DIR"
+    ):
         secured("--listen", "tls/127.0.0.1:7447", None, "router", None)
 
 

@@ -1,4 +1,6 @@
-"""Protects the one answer to whether other machines reach an address: routers, MAVLink endpoints and the page all go by it."""
+"""Protects the one answer to whether other machines reach an address: routers, MAVLink endpoints and the
+page all go by it.
+"""
 
 import pytest
 

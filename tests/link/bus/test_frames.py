@@ -1,4 +1,6 @@
-"""Protects the scanner of MAVLink frames: MAVLink 1, 2 and signed frames are found whole or not at all, as by pymavlink."""
+"""Protects the scanner of MAVLink frames: MAVLink 1, 2 and signed frames are found whole or not at all, as
+by pymavlink.
+"""
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -18,13 +20,17 @@ PLAIN, OLD, SIGNED = packed(), packed(1), packed(signed=True)
 
 
 @pytest.mark.parametrize(
-    ("data", "header", "behind"), [(PLAIN, 10, 2), (OLD, 6, 2), (SIGNED, 10, 2 + 13)], ids=["MAVLink 2", "MAVLink 1", "signed"]
+    ("data", "header", "behind"),
+    [(PLAIN, 10, 2), (OLD, 6, 2), (SIGNED, 10, 2 + 13)],
+    ids=["MAVLink 2", "MAVLink 1", "signed"],
 )
 def test_a_frame_is_found_whole_wherever_it_begins(data: bytes, header: int, behind: int) -> None:
     lying = b"noise" + data + PLAIN
     length = data[1]
     assert len(data) == header + length + behind
-    assert frame_at(lying, 5) == Frame(5, 5 + header, 5 + header + length, 5 + len(data), mavlink.MAVLINK_MSG_ID_ATTITUDE, 42, 191)
+    assert frame_at(lying, 5) == Frame(
+        5, 5 + header, 5 + header + length, 5 + len(data), mavlink.MAVLINK_MSG_ID_ATTITUDE, 42, 191
+    )
     assert frame_length(lying, 5) == len(data)
 
 
@@ -35,7 +41,9 @@ def test_a_frame_that_is_cut_off_is_none(data: bytes) -> None:
 
 
 def test_what_begins_otherwise_is_none() -> None:
-    assert [frame_at(bytes([magic]) + PLAIN[1:], 0) is None for magic in (0x00, 0x55, 0xFC, 0xFF)] == [True] * 4
+    assert [frame_at(bytes([magic]) + PLAIN[1:], 0) is None for magic in (0x00, 0x55, 0xFC, 0xFF)] == [
+        True
+    ] * 4
     assert frame_length(b"\x55" + PLAIN[1:], 0) == 0
 
 
@@ -62,4 +70,9 @@ def test_fields_are_those_that_were_packed(data: bytes) -> None:
     frame = frame_at(data, 0)
     assert frame is not None
     fields = fields_of(data, frame, LAYOUTS[frame.message_id])
-    assert (fields["time_boot_ms"], fields["roll"], fields["pitch"], fields["yaw"]) == (2500, 0.5, -0.25, 0.125)
+    assert (fields["time_boot_ms"], fields["roll"], fields["pitch"], fields["yaw"]) == (
+        2500,
+        0.5,
+        -0.25,
+        0.125,
+    )

@@ -1,4 +1,6 @@
-"""Protects the inbox: however much arrives, a bounded amount waits, per kind of message, and no sender blocks."""
+"""Protects the inbox: however much arrives, a bounded amount waits, per kind of message, and no sender
+blocks.
+"""
 
 import os
 import queue
@@ -72,7 +74,9 @@ def test_a_flood_leaves_its_newest_and_all_of_the_others() -> None:
     assert inbox.waiting() == 0
 
 
-def test_of_a_state_only_the_newest_waits_and_nothing_is_said_to_be_lost(capsys: pytest.CaptureFixture[str]) -> None:
+def test_of_a_state_only_the_newest_waits_and_nothing_is_said_to_be_lost(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     inbox, tally = Inbox(), Tally()
     belief = inbox.lane("belief", newest=True)
     for number in range(1000):
@@ -110,7 +114,9 @@ def test_who_waits_for_an_item_is_not_woken_by_the_turn_of_one_that_was_dropped(
     later.join()
 
 
-def test_what_is_dropped_is_counted_each_time_and_logged_once_a_burst(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_dropped_is_counted_each_time_and_logged_once_a_burst(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     now_s = 1000.0
     inbox, tally = Inbox(), Tally(lambda: now_s)
     log = Log("uav", "uav/1", tally)
@@ -149,7 +155,10 @@ def test_many_threads_lose_nothing_between_them() -> None:
 def test_an_inbox_that_overflows_in_many_threads_still_hands_out_all_that_waits() -> None:
     inbox = Inbox()
     add = inbox.lane("mavlink/in", 50)
-    threads = [threading.Thread(target=lambda: [add(number, WAITING_BYTES // 40) for number in range(2000)]) for _ in range(4)]
+    threads = [
+        threading.Thread(target=lambda: [add(number, WAITING_BYTES // 40) for number in range(2000)])
+        for _ in range(4)
+    ]
     taken = 0
     for thread in threads:
         thread.start()

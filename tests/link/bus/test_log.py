@@ -1,4 +1,6 @@
-"""Protects the log: one line per event, whatever its text, with service, mission and step; and its readable form."""
+"""Protects the log: one line per event, whatever its text, with service, mission and step; and its
+readable form.
+"""
 
 import io
 import logging
@@ -14,18 +16,35 @@ from link.bus.log import Log, parse
 from link.bus.tally import Tally
 
 
-def test_an_event_is_one_line_with_its_time_level_service_mission_and_step(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_event_is_one_line_with_its_time_level_service_mission_and_step(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     tally = Tally(step=12)
     Log("uav", "uav/3", tally).info("Landed")
     out, err = capsys.readouterr()
     assert out == ""
-    assert re.fullmatch(r'time=\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z level=info service=uav mission=uav/3 step=12 event="Landed"\n', err)
+    assert re.fullmatch(
+        r"time=\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z level=info service=uav mission=uav/3 step=12 "
+        r'event="Landed"\n',
+        err,
+    )
 
 
 @pytest.mark.parametrize(
-    "text", ["two\nlines", 'said "no"', "back\\slash", "tab\tand ± and \x1b[31m", "\u2028 and \x9b31m", "a=b level=error", ""]
+    "text",
+    [
+        "two\nlines",
+        'said "no"',
+        "back\\slash",
+        "tab\tand ± and \x1b[31m",
+        "\u2028 and \x9b31m",
+        "a=b level=error",
+        "",
+    ],
 )
-def test_whatever_is_said_stays_on_one_line_and_reads_back(capsys: pytest.CaptureFixture[str], text: str) -> None:
+def test_whatever_is_said_stays_on_one_line_and_reads_back(
+    capsys: pytest.CaptureFixture[str], text: str
+) -> None:
     Log("agent", "uav/1", Tally()).warning(text)
     (line,) = capsys.readouterr().err.splitlines()
     assert line.isprintable()
@@ -43,11 +62,16 @@ def test_people_read_the_service_and_what_it_said() -> None:
 
 
 def test_a_line_that_is_no_event_is_shown_as_it_is() -> None:
-    assert parse("error: --connect: no router at tcp/127.0.0.1:1") == ("info", "error: --connect: no router at tcp/127.0.0.1:1")
+    assert parse("error: --connect: no router at tcp/127.0.0.1:1") == (
+        "info",
+        "error: --connect: no router at tcp/127.0.0.1:1",
+    )
 
 
 @pytest.mark.parametrize(("least", "written"), [("debug", 3), ("info", 2), ("warning", 1), ("error", 0)])
-def test_what_is_below_the_level_is_not_written(capsys: pytest.CaptureFixture[str], least: str, written: int) -> None:
+def test_what_is_below_the_level_is_not_written(
+    capsys: pytest.CaptureFixture[str], least: str, written: int
+) -> None:
     log = Log("uav", "uav/1", Tally(), least)
     log.debug("a step")
     log.info("landed")
@@ -63,10 +87,13 @@ def test_the_last_error_is_known_even_where_it_is_not_written(capsys: pytest.Cap
     assert tally.last_error == "no setpoint"
 
 
-def test_two_of_one_service_each_write_their_own_line_at_their_own_level(capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_of_one_service_each_write_their_own_line_at_their_own_level(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     tallies = Tally(step=1), Tally(step=2)
     one, two = (
-        Log("uav", mission, tally, least) for mission, tally, least in zip(("uav/1", "uav/2"), tallies, ("debug", "warning"), strict=True)
+        Log("uav", mission, tally, least)
+        for mission, tally, least in zip(("uav/1", "uav/2"), tallies, ("debug", "warning"), strict=True)
     )
     one.debug("a step")
     two.debug("a step")
@@ -109,7 +136,9 @@ def test_what_other_code_says_to_our_logger_is_a_line_too(capsys: pytest.Capture
     assert parse(second) == ("error", "plumeward.udp: error: the end")
 
 
-@pytest.mark.parametrize("event", ['"a"time=1 level=info service=uav mission=uav/1 step=1 event="b"', '"\\"', '"\\x"'])
+@pytest.mark.parametrize(
+    "event", ['"a"time=1 level=info service=uav mission=uav/1 step=1 event="b"', '"\\"', '"\\x"']
+)
 def test_a_line_that_two_wrote_into_is_shown_as_it_is(event: str) -> None:
     line = f"time=1 level=info service=uav mission=uav/1 step=1 event={event}"
     assert parse(line) == ("info", line)
@@ -167,7 +196,9 @@ def test_a_log_that_nobody_reads_never_waits_and_says_later_what_is_missing(
 
         def write() -> None:
             for number in range(500):
-                log.info(f"{number} {'x' * 5000}")  # more than a pipe's 64 kB in all, and each more than it takes at once
+                log.info(
+                    f"{number} {'x' * 5000}"
+                )  # more than a pipe's 64 kB in all, and each more than it takes at once
 
         writer = threading.Thread(target=write, daemon=True)
         writer.start()
@@ -179,4 +210,7 @@ def test_a_log_that_nobody_reads_never_waits_and_says_later_what_is_missing(
         *_, missing, last = [parse(line) for line in reader.read().splitlines()]
         assert last == ("info", "uav: on")
         assert missing[0] == "warning"
-        assert int(missing[1].split()[2]) + len([line for line in read.splitlines() if line.endswith('"')]) == 500
+        assert (
+            int(missing[1].split()[2]) + len([line for line in read.splitlines() if line.endswith('"')])
+            == 500
+        )

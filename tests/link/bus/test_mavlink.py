@@ -33,12 +33,18 @@ def frames(*messages: object) -> bytes:
 def test_a_reading_crosses_the_wire_as_north_east_down_and_air_velocity() -> None:
     position, wind, gas = mavlink.MAVLink(None).parse_buffer(pack_reading(Codec(1, 1), READING))
     assert (position.time_boot_ms, position.x, position.y, position.z) == (1234, 4.25, 3.5, -5.0)
-    assert (wind.time_usec, wind.wind_x, wind.wind_y) == (1_234_000, 0.5, -1.5)  # from the east, so the air moves west
+    assert (wind.time_usec, wind.wind_x, wind.wind_y) == (
+        1_234_000,
+        0.5,
+        -1.5,
+    )  # from the east, so the air moves west
     assert (gas.time_boot_ms, gas.name, gas.value) == (1234, "gas", 0.75)
 
 
 @given(st.integers(0, 2**32 - 1), float32, float32, float32, float32, float32, float32)
-def test_a_reading_survives_the_wire_to_the_last_bit(t: int, x: float, y: float, z: float, u: float, v: float, gas: float) -> None:
+def test_a_reading_survives_the_wire_to_the_last_bit(
+    t: int, x: float, y: float, z: float, u: float, v: float, gas: float
+) -> None:
     reading = Reading(t, (x, y), z, (u, v), gas)
     assert unpack_reading(pack_reading(Codec(7, 1), reading)) == reading
 
@@ -74,7 +80,11 @@ def test_a_waypoint_is_read_back(system: int) -> None:
         (frames(WAYPOINT, WAYPOINT), "2 frames; wanted one SET_POSITION_TARGET_LOCAL_NED (84)", "malformed"),
         (frames(ORDER), "message 76; wanted one SET_POSITION_TARGET_LOCAL_NED (84)", "malformed"),
         (frames(ORDER, WAYPOINT), "2 frames; wanted one", "malformed"),
-        (frames(waypoint_message(2, 1234, (10.0, 20.0), 5.0)), "a waypoint for 2/1; this is 3/1", "other vehicle"),
+        (
+            frames(waypoint_message(2, 1234, (10.0, 20.0), 5.0)),
+            "a waypoint for 2/1; this is 3/1",
+            "other vehicle",
+        ),
     ],
     ids=["nothing", "cut off", "two", "a command", "a command before it", "for another system"],
 )
@@ -140,8 +150,19 @@ def test_frames_of_mavlink_1_and_signed_ones_tell_a_reading_too() -> None:
 
 
 def test_a_flat_reading_leaves_open_what_is_not_said() -> None:
-    said = {"LOCAL_POSITION_NED": {"time_boot_ms": 5, "x": 1.0, "y": 2.0, "z": -3.0}, "WIND_COV": {"wind_x": 4.0}}
-    assert flat_reading(said) == {"time_boot_ms": 5, "x": 2.0, "y": 1.0, "altitude_m": 3.0, "wind_x": None, "wind_y": -4.0, "gas": None}
+    said = {
+        "LOCAL_POSITION_NED": {"time_boot_ms": 5, "x": 1.0, "y": 2.0, "z": -3.0},
+        "WIND_COV": {"wind_x": 4.0},
+    }
+    assert flat_reading(said) == {
+        "time_boot_ms": 5,
+        "x": 2.0,
+        "y": 1.0,
+        "altitude_m": 3.0,
+        "wind_x": None,
+        "wind_y": -4.0,
+        "gas": None,
+    }
 
 
 # ---- time_boot_ms, which wraps after 49.7 days ----

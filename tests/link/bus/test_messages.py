@@ -8,14 +8,18 @@ import pytest
 
 from link.bus.messages import Stop, pack_particles, unpack_particles
 
-STOP = Stop(time_boot_ms=5, step=3, estimate=(0.1, 1 / 3), covariance=(1.0, 0.0, 1.0), spread=0.4, threshold=0.5)
+STOP = Stop(
+    time_boot_ms=5, step=3, estimate=(0.1, 1 / 3), covariance=(1.0, 0.0, 1.0), spread=0.4, threshold=0.5
+)
 
 
 def test_json_keeps_doubles_to_the_last_bit() -> None:
     assert msgspec.json.decode(msgspec.json.encode(STOP), type=Stop) == STOP
 
 
-@pytest.mark.parametrize("change", [{"step": -1}, {"spread": None}, {"estimate": [1.0]}, {"extra": 1}, {"threshold": -0.5}])
+@pytest.mark.parametrize(
+    "change", [{"step": -1}, {"spread": None}, {"estimate": [1.0]}, {"extra": 1}, {"threshold": -0.5}]
+)
 def test_a_message_that_breaks_the_schema_does_not_decode(change: dict[str, object]) -> None:
     fields = msgspec.to_builtins(STOP) | change
     with pytest.raises(msgspec.ValidationError):
@@ -45,4 +49,6 @@ def test_what_is_no_particle_array_is_refused(payload: bytes) -> None:
 @pytest.mark.parametrize("weights", [(0.0, 0.0), (-0.5, 1.5)])
 def test_weights_that_weigh_nothing_are_refused(weights: tuple[float, float]) -> None:
     with pytest.raises(ValueError, match="weights"):
-        unpack_particles(pack_particles(np.array([[1.0, 2.0, weights[0]], [3.0, 4.0, weights[1]]], np.float32)), 2)
+        unpack_particles(
+            pack_particles(np.array([[1.0, 2.0, weights[0]], [3.0, 4.0, weights[1]]], np.float32)), 2
+        )

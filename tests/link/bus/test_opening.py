@@ -1,4 +1,6 @@
-"""Protects how sessions are opened: large messages are dropped and the link stays; a router says where it is reached."""
+"""Protects how sessions are opened: large messages are dropped and the link stays; a router says where it
+is reached.
+"""
 
 import json
 import subprocess
@@ -58,8 +60,14 @@ def publish(stranger: zenoh.Session, wait_until: Callable[..., None], *sizes: in
         publisher.put(bytes(size))
 
 
-def test_a_part_drops_a_message_above_the_limit_and_gets_the_next_one(wait_until: Callable[..., None]) -> None:
-    with router_without_limit() as endpoint, Bus("agent", endpoint) as agent, plain("client", connect__endpoints=[endpoint]) as stranger:
+def test_a_part_drops_a_message_above_the_limit_and_gets_the_next_one(
+    wait_until: Callable[..., None],
+) -> None:
+    with (
+        router_without_limit() as endpoint,
+        Bus("agent", endpoint) as agent,
+        plain("client", connect__endpoints=[endpoint]) as stranger,
+    ):
         agent.subscribe(BELIEF)
         publish(stranger, wait_until, MOST - 1000, MOST + 1, 5)
         got = [item for item in (agent.receive(60.0), agent.receive(60.0)) if isinstance(item, Arrival)]
@@ -67,10 +75,14 @@ def test_a_part_drops_a_message_above_the_limit_and_gets_the_next_one(wait_until
         assert agent.connected
 
 
-def test_the_router_drops_a_message_above_the_limit_and_keeps_its_sender(wait_until: Callable[..., None]) -> None:
-    with our_router() as endpoint, plain("client", connect__endpoints=[endpoint]) as hears, plain(
-        "client", connect__endpoints=[endpoint]
-    ) as stranger:  # fmt: skip
+def test_the_router_drops_a_message_above_the_limit_and_keeps_its_sender(
+    wait_until: Callable[..., None],
+) -> None:
+    with (
+        our_router() as endpoint,
+        plain("client", connect__endpoints=[endpoint]) as hears,
+        plain("client", connect__endpoints=[endpoint]) as stranger,
+    ):
         sizes: list[int] = []
         held = hears.declare_subscriber("uav/1/belief", lambda sample: sizes.append(len(sample.payload)))
         publish(stranger, wait_until, MOST - 1000, MOST + 1, 5)
@@ -85,14 +97,20 @@ def test_the_router_drops_what_is_larger_than_a_message_of_its_key_can_be(
     key: str, wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.undo()
-    with our_router() as endpoint, plain("client", connect__endpoints=[endpoint]) as hears, plain(
-        "client", connect__endpoints=[endpoint]
-    ) as stranger:  # fmt: skip
+    with (
+        our_router() as endpoint,
+        plain("client", connect__endpoints=[endpoint]) as hears,
+        plain("client", connect__endpoints=[endpoint]) as stranger,
+    ):
         heard: dict[tuple[str, int], None] = {}  # in the order in which they first came
-        hears.declare_subscriber("uav/1/**", lambda sample: heard.setdefault((str(sample.key_expr), len(sample.payload))))
+        hears.declare_subscriber(
+            "uav/1/**", lambda sample: heard.setdefault((str(sample.key_expr), len(sample.payload)))
+        )
 
         def say(of: str, *sizes: int) -> None:
-            """Publish until the last is heard: Zenoh closes a session that a busy machine blocks for 5 s, and opens it again."""
+            """Publish until the last is heard: Zenoh closes a session that a busy machine blocks for 5 s,
+            and opens it again.
+            """
             awaited = f"uav/1/{of}", sizes[-1]
             for _ in range(20):
                 for size in sizes:
@@ -106,11 +124,15 @@ def test_the_router_drops_what_is_larger_than_a_message_of_its_key_can_be(
         assert [*heard] == [("uav/1/belief", 5 * MIB), (f"uav/1/{key}", MIB)]
 
 
-def test_a_large_question_reaches_nobody(wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_question_reaches_nobody(
+    wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.undo()
-    with our_router() as endpoint, plain("client", connect__endpoints=[endpoint]) as answers, plain(
-        "client", connect__endpoints=[endpoint]
-    ) as stranger:  # fmt: skip
+    with (
+        our_router() as endpoint,
+        plain("client", connect__endpoints=[endpoint]) as answers,
+        plain("client", connect__endpoints=[endpoint]) as stranger,
+    ):
         asked: list[int] = []
         key = "uav/1/reading/@adv/pub/**"
 
@@ -148,11 +170,14 @@ def test_on_a_machine_with_loopback_only_a_router_on_all_addresses_says_the_loop
         pytest.skip("a network of its own is not permitted here")
     assert ran.stdout.splitlines() == [
         "tcp/127.0.0.1:7447",
-        "--listen: the router on tcp/0.0.0.0:0 does not report its address; wanted one with a port, like tcp/127.0.0.1:7447",
+        "--listen: the router on tcp/0.0.0.0:0 does not report its address; wanted one with a port, like "
+        "tcp/127.0.0.1:7447",
     ], ran.stderr
 
 
 def test_the_largest_belief_is_below_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     particles = np.zeros((1_000_000, len(PARAMETERS) + 1), np.float32)
-    assert len(pack_particles(particles)) + 10_000 < opening.MOST_MESSAGE  # the rest of a belief has some 1,000 bytes
+    assert (
+        len(pack_particles(particles)) + 10_000 < opening.MOST_MESSAGE
+    )  # the rest of a belief has some 1,000 bytes

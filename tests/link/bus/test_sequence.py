@@ -85,7 +85,9 @@ def test_one_that_waits_twice_is_delivered_once() -> None:
 
 
 def test_nothing_is_given_up_while_what_is_missing_keeps_coming() -> None:
-    """A late joiner computes on each of thousands of kept readings, while a live reading waits for all of them."""
+    """A late joiner computes on each of thousands of kept readings, while a live reading waits for all of
+    them.
+    """
     sequence: Sequence[int] = Sequence(100)
     sequence.arrived("uav", 20, 20, 0.0)
     now_s, delivered = 0.0, []
@@ -111,7 +113,12 @@ def test_a_message_that_found_no_room_is_asked_for_and_taken_when_it_comes_again
         sequence.arrived("uav", number, number, 0.0)
     assert sequence.dropped == 1
     assert sequence.should_ask_again(0.0)
-    assert [message for number in range(4) for message in sequence.arrived("uav", number, number, 0.1)] == [0, 1, 2, 3]
+    assert [message for number in range(4) for message in sequence.arrived("uav", number, number, 0.1)] == [
+        0,
+        1,
+        2,
+        3,
+    ]
     assert not sequence.should_ask_again(10.0)
 
 

@@ -20,7 +20,9 @@ from sitl.launch.relay import Relay
 
 pytestmark = pytest.mark.slow
 
-CLAIM = Stop(time_boot_ms=5, step=3, estimate=(1.0, 2.0), covariance=(0.1, 0.0, 0.1), spread=0.4, threshold=0.5)
+CLAIM = Stop(
+    time_boot_ms=5, step=3, estimate=(1.0, 2.0), covariance=(0.1, 0.0, 0.1), spread=0.4, threshold=0.5
+)
 
 
 def arrivals(bus: Bus, count: int) -> list[bytes]:
@@ -45,7 +47,9 @@ def stranger(router: str) -> Iterator[zenoh.Session]:
 
 def taking(router: str, session_id: str) -> zenoh.Session:
     """Plain Zenoh with the id of another session, which is away."""
-    return zenoh.open(zenoh_config("client", {"connect": [router]}, id=session_id, connect__timeout_ms=60_000))
+    return zenoh.open(
+        zenoh_config("client", {"connect": [router]}, id=session_id, connect__timeout_ms=60_000)
+    )
 
 
 def settle(stranger: zenoh.Session) -> None:
@@ -55,7 +59,9 @@ def settle(stranger: zenoh.Session) -> None:
 
 
 WAVE = 1000
-"""Messages of a flood that are under way at once. A router cuts the link of a receiver whose queue is full, and what waits is lost."""
+"""Messages of a flood that are under way at once. A router cuts the link of a receiver whose queue is
+full, and what waits is lost.
+"""
 
 
 class Counted(Inbox):
@@ -75,7 +81,9 @@ class Counted(Inbox):
         return counted
 
 
-def flood(stranger: zenoh.Session, wait_until: Callable[..., None], inbox: Counted, key: str, count: int) -> None:
+def flood(
+    stranger: zenoh.Session, wait_until: Callable[..., None], inbox: Counted, key: str, count: int
+) -> None:
     """Publish this many messages, as fast as they arrive at an inbox from which none is taken."""
     publisher = stranger.declare_publisher(f"uav/1/{key}", congestion_control=zenoh.CongestionControl.BLOCK)
     wait_until(lambda: publisher.matching_status.matching)
@@ -148,7 +156,9 @@ def test_a_flood_of_commands_waits_in_part_only_and_the_stop_still_arrives(
         items = [uav.receive(timeout_s=1.0) for _ in range(WAITING_MESSAGES + 1)]
         assert uav.receive(timeout_s=0) is None
         assert [uav.decode(item, Stop) for item in items if item.key is STOP] == [CLAIM]
-        assert [int(item.payload) for item in items if item.key is MAVLINK_IN] == [*range(count // 2 - WAITING_MESSAGES, count // 2)]
+        assert [int(item.payload) for item in items if item.key is MAVLINK_IN] == [
+            *range(count // 2 - WAITING_MESSAGES, count // 2)
+        ]
         assert uav.tally.refused == {"overflow": count - WAITING_MESSAGES}
     assert capsys.readouterr().err.count("refused mavlink/in: ") == 1
 
@@ -162,7 +172,9 @@ def test_readings_that_a_flood_has_pushed_out_are_had_again(
     inbox = Counted()
     with Bus("uav", router) as uav, Bus("estimator", router, inbox=inbox) as estimator:
         estimator.subscribe(few)
-        estimator.settle(60.0)  # what is published before the router knows of it comes only when it is asked for again
+        estimator.settle(
+            60.0
+        )  # what is published before the router knows of it comes only when it is asked for again
         for payload in wanted[:-1]:
             uav.publish(READING, payload)
         wait_until(lambda: inbox.came["reading"] == 500)
@@ -205,7 +217,9 @@ def test_a_wait_ends_in_time_however_many_messages_come_again(router: str) -> No
         assert estimator.receive(timeout_s=0.1) is None
 
 
-def test_a_reason_that_quotes_a_strangers_megabyte_is_cut(router: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_reason_that_quotes_a_strangers_megabyte_is_cut(
+    router: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with Bus("viewer", router) as viewer:
         assert viewer.decode(Arrival(STOP, b'{"' + b"x" * 2**20 + b'": 1}', b""), Stop) is None
         assert len(viewer.tally.last_error) < 1000
@@ -215,7 +229,11 @@ def test_a_reason_that_quotes_a_strangers_megabyte_is_cut(router: str, capsys: p
 
 
 def test_vehicles_do_not_hear_each_other(router: str) -> None:
-    with Bus("agent", router, "uav/1") as one, Bus("agent", router, "uav/2") as two, Bus("uav", router, "uav/2") as vehicle_two:
+    with (
+        Bus("agent", router, "uav/1") as one,
+        Bus("agent", router, "uav/2") as two,
+        Bus("uav", router, "uav/2") as vehicle_two,
+    ):
         vehicle_two.subscribe(READING)
         one.publish(READING, b"from one")
         two.publish(READING, b"from two")
@@ -264,14 +282,18 @@ def test_who_speaks_with_the_source_id_of_another_hides_no_health_of_that(
     router: str, stranger: zenoh.Session, wait_until: Callable[..., None]
 ) -> None:
     overheard: list[zenoh.SourceInfo] = []
-    with stranger.declare_subscriber("uav/1/health/agent", lambda sample: overheard.append(sample.source_info)):
+    with stranger.declare_subscriber(
+        "uav/1/health/agent", lambda sample: overheard.append(sample.source_info)
+    ):
         settle(stranger)
         with Bus("viewer", router, announced=False) as viewer, Bus("agent", router) as agent:
             viewer.subscribe(HEALTH)
             viewer.settle(60.0)
             agent.publish_health()
             wait_until(lambda: overheard)
-            publisher = stranger.declare_publisher("uav/1/health/observer", congestion_control=zenoh.CongestionControl.BLOCK)
+            publisher = stranger.declare_publisher(
+                "uav/1/health/observer", congestion_control=zenoh.CongestionControl.BLOCK
+            )
             wait_until(lambda: publisher.matching_status.matching)
             for number in range(1, 100):
                 publisher.put(b"{}", source_info=zenoh.SourceInfo(overheard[0].source_id, number))
@@ -295,13 +317,19 @@ def test_a_session_whose_id_is_taken_while_it_is_away_goes_on_with_a_new_one(
     settle(stranger)
     relay = Relay(router)
     try:
-        with Bus("uav", relay.endpoint) as uav, Bus("estimator", router) as estimator, Bus("viewer", router, announced=False) as viewer:
+        with (
+            Bus("uav", relay.endpoint) as uav,
+            Bus("estimator", router) as estimator,
+            Bus("viewer", router, announced=False) as viewer,
+        ):
             uav.subscribe(STOP)
             for payload in (b"0", b"1"):
                 uav.publish(READING, payload, b"attached")
             wait_until(lambda: overheard)
             relay.cut()
-            wait_until(lambda: not (uav.receive(timeout_s=0.0) or uav.connected or "uav" in viewer.services()))
+            wait_until(
+                lambda: not (uav.receive(timeout_s=0.0) or uav.connected or "uav" in viewer.services())
+            )
             with taking(router, str(overheard[0].source_id.zid)):
                 relay.restore()
                 wait_until(lambda: uav.receive(timeout_s=0.0) is None and uav.connected)
@@ -312,7 +340,9 @@ def test_a_session_whose_id_is_taken_while_it_is_away_goes_on_with_a_new_one(
                 assert viewer.services() == {"uav", "estimator"}
                 estimator.subscribe(READING)
                 got = [estimator.receive(timeout_s=60.0) for _ in range(3)]
-                assert [(item.payload, item.attachment) for item in got] == [(b"%d" % number, b"attached") for number in range(3)]
+                assert [(item.payload, item.attachment) for item in got] == [
+                    (b"%d" % number, b"attached") for number in range(3)
+                ]
     finally:
         relay.close()
 
@@ -326,7 +356,9 @@ def test_a_session_that_comes_back_by_itself_stays(
 ) -> None:
     monkeypatch.setattr("link.bus.standby.AWAY_S", 0.0)
     ids: set[str] = set()
-    stranger.declare_subscriber("uav/1/reading", lambda sample: ids.add(str(sample.source_info.source_id.zid)))
+    stranger.declare_subscriber(
+        "uav/1/reading", lambda sample: ids.add(str(sample.source_info.source_id.zid))
+    )
     settle(stranger)
     relay = Relay(router)
     try:
@@ -345,7 +377,9 @@ def test_a_session_that_comes_back_by_itself_stays(
         relay.close()
 
 
-def test_what_does_not_decode_is_counted_and_logged_with_key_and_reason(router: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_does_not_decode_is_counted_and_logged_with_key_and_reason(
+    router: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with Bus("viewer", router) as viewer:
         for payload in (b"{}", b"not json", b"\xff", b'{"step": -1}'):
             assert viewer.decode(Arrival(STOP, payload, b""), Stop) is None
@@ -366,16 +400,27 @@ def test_the_attachment_arrives_with_its_payload(router: str) -> None:
     ("attempt", "said"),
     [
         (lambda used: open_router(used), "--listen: cannot listen on .*: Address already in use"),
-        (lambda used: open_router("tcp/192.0.2.1:7447"), "--listen: cannot listen on tcp/192.0.2.1:7447: Cannot assign"),
+        (
+            lambda used: open_router("tcp/192.0.2.1:7447"),
+            "--listen: cannot listen on tcp/192.0.2.1:7447: Cannot assign",
+        ),
         (lambda used: open_router("7447"), "--listen: '7447' is not a Zenoh endpoint; wanted one like tcp/"),
         (lambda used: Bus("uav", "7447"), "--connect: '7447' is not a Zenoh endpoint; wanted one like tcp/"),
-        (lambda used: Bus("uav", used, ""), "--namespace: '' is not allowed; wanted words separated by single slashes"),
+        (
+            lambda used: Bus("uav", used, ""),
+            "--namespace: '' is not allowed; wanted words separated by single slashes",
+        ),
         (lambda used: Bus("uav", used, "uav//1"), "--namespace: 'uav//1' is not allowed"),
         (lambda used: Bus("uav", used, "uav/*"), r"--namespace: 'uav/\*' is not allowed"),
-        (lambda used: Bus("uav", "tcp/127.0.0.1:1"), "--connect: no router at tcp/127.0.0.1:1 .*plumeward router"),
+        (
+            lambda used: Bus("uav", "tcp/127.0.0.1:1"),
+            "--connect: no router at tcp/127.0.0.1:1 .*plumeward router",
+        ),
     ],
 )
-def test_what_cannot_be_opened_is_said_in_one_line(router: str, attempt: Callable[[str], Any], said: str) -> None:
+def test_what_cannot_be_opened_is_said_in_one_line(
+    router: str, attempt: Callable[[str], Any], said: str
+) -> None:
     with pytest.raises(BusError, match=said) as refusal:
         attempt(router)
     assert len(str(refusal.value).splitlines()) == 1
@@ -425,18 +470,27 @@ def test_of_two_services_of_a_name_the_second_is_refused_and_says_nothing(router
         Bus("estimator", router, "uav/2", sole=True).close()
 
 
-def test_a_service_that_was_cut_off_is_followed_when_its_token_is_gone(router: str, stranger: zenoh.Session) -> None:
-    token = stranger.liveliness().declare_token("uav/1/health/estimator")  # what a dead one leaves for a while
+def test_a_service_that_was_cut_off_is_followed_when_its_token_is_gone(
+    router: str, stranger: zenoh.Session
+) -> None:
+    token = stranger.liveliness().declare_token(
+        "uav/1/health/estimator"
+    )  # what a dead one leaves for a while
     gone = threading.Timer(0.5, token.undeclare)
     gone.start()
     with Bus("estimator", router, sole=True):
         gone.join()
 
 
-def test_one_that_is_there_and_says_nothing_is_not_followed(router: str, stranger: zenoh.Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_is_there_and_says_nothing_is_not_followed(
+    router: str, stranger: zenoh.Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("link.bus.sole.WAIT_S", 0.2)
     token = stranger.liveliness().declare_token("uav/1/health/estimator")
-    with pytest.raises(BusError, match=r"^another estimator is already on uav/1$"), Bus("estimator", router, sole=True):
+    with (
+        pytest.raises(BusError, match=r"^another estimator is already on uav/1$"),
+        Bus("estimator", router, sole=True),
+    ):
         pass
     token.undeclare()
 
@@ -447,7 +501,9 @@ def test_of_two_that_are_there_the_younger_goes(
 ) -> None:
     """As when one that hung while the other started comes back."""
     with Bus("estimator", router, sole=True) as bus:
-        publisher = stranger.declare_publisher("uav/1/health/estimator", congestion_control=zenoh.CongestionControl.BLOCK)
+        publisher = stranger.declare_publisher(
+            "uav/1/health/estimator", congestion_control=zenoh.CongestionControl.BLOCK
+        )
         wait_until(lambda: publisher.matching_status.matching)
         for more_s in (0.0, 1.0):
             publisher.put(msgspec.json.encode(Health("estimator", "ready", -1, 0.0, uptime_s + more_s, {})))

@@ -100,12 +100,18 @@ def heard(bus: Bus, wanted: Callable[[Health], bool]) -> Health:
     deadline = time.monotonic() + 120.0
     while time.monotonic() < deadline:
         item: Any = bus.receive(timeout_s=1.0)
-        if isinstance(item, Arrival) and item.key is HEALTH and wanted(health := Health(**json.loads(item.payload))):
+        if (
+            isinstance(item, Arrival)
+            and item.key is HEALTH
+            and wanted(health := Health(**json.loads(item.payload)))
+        ):
             return health
     raise AssertionError("no such health came in time")
 
 
-def test_an_idle_service_says_each_second_that_it_is_well_once_it_has_said_that_it_is_ready(router: str) -> None:
+def test_an_idle_service_says_each_second_that_it_is_well_once_it_has_said_that_it_is_ready(
+    router: str,
+) -> None:
     with Bus("viewer", router, announced=False) as viewer, Bus("agent", router) as agent:
         viewer.subscribe(HEALTH)
         assert agent.receive(timeout_s=1.5) is None
@@ -131,9 +137,15 @@ def test_so_does_one_that_takes_in_batches(router: str, wait_until: Callable[...
     assert all(later - earlier > 0.9 for earlier, later in pairwise(uptimes))
 
 
-def test_latency_is_from_the_arrival_of_what_was_answered_waiting_included(router: str, wait_until: Callable[..., None]) -> None:
+def test_latency_is_from_the_arrival_of_what_was_answered_waiting_included(
+    router: str, wait_until: Callable[..., None]
+) -> None:
     inbox = Inbox()
-    with Bus("viewer", router, announced=False) as viewer, Bus("uav", router) as uav, Bus("estimator", router, inbox=inbox) as estimator:
+    with (
+        Bus("viewer", router, announced=False) as viewer,
+        Bus("uav", router) as uav,
+        Bus("estimator", router, inbox=inbox) as estimator,
+    ):
         viewer.subscribe(HEALTH)
         estimator.subscribe(READING)
         published_at = time.monotonic()

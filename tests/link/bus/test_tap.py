@@ -1,4 +1,6 @@
-"""Protects the source of records: every message once, with the publisher's time, also messages from before the tap joined."""
+"""Protects the source of records: every message once, with the publisher's time, also messages from before
+the tap joined.
+"""
 
 import json
 import os
@@ -61,7 +63,9 @@ def heard_on(stranger: zenoh.Session, key: str, wait_until: Callable[..., None])
     return publisher
 
 
-def test_messages_from_before_one_joined_have_the_time_they_were_published_at(router: str, wait_until: Callable[..., None]) -> None:
+def test_messages_from_before_one_joined_have_the_time_they_were_published_at(
+    router: str, wait_until: Callable[..., None]
+) -> None:
     with Bus("uav", router) as uav:
         times = [time.time_ns()]
         for number in range(500):
@@ -75,12 +79,16 @@ def test_messages_from_before_one_joined_have_the_time_they_were_published_at(ro
             messages = taken(tap, wait_until, 501)
     assert [message.payload for message in messages[:-1]] == [b"%d" % number for number in range(500)]
     for message, (before, after) in zip(messages, pairwise(times), strict=False):
-        assert before - MS <= message.published_ns <= after + MS  # Zenoh's clock may be ahead of the system's by less
+        assert (
+            before - MS <= message.published_ns <= after + MS
+        )  # Zenoh's clock may be ahead of the system's by less
     assert (messages[-1].key, messages[-1].name) == (HEALTH, "health/uav")
     assert all(message.published_ns < joined for message in messages)
 
 
-def test_messages_of_many_are_taken_in_the_order_in_which_they_were_published(router: str, wait_until: Callable[..., None]) -> None:
+def test_messages_of_many_are_taken_in_the_order_in_which_they_were_published(
+    router: str, wait_until: Callable[..., None]
+) -> None:
     expected = [(name, b"%d" % number) for number in range(50) for name in ("reading", "waypoint")]
     batches: list[list[Stamped]] = []
     with Bus("uav", router) as uav, Bus("agent", router) as agent, Tap("recorder", router) as tap:
@@ -90,12 +98,16 @@ def test_messages_of_many_are_taken_in_the_order_in_which_they_were_published(ro
             return sum(map(len, batches)) >= len(expected)
 
         tap.subscribe(*KEYS)
-        wait_until(lambda: agent.publish(WAYPOINT, b"?") or tap.take())  # waypoints are not kept for subscribers not yet known
+        wait_until(
+            lambda: agent.publish(WAYPOINT, b"?") or tap.take()
+        )  # waypoints are not kept for subscribers not yet known
         for _, payload in expected[::2]:
             uav.publish(READING, payload)
             agent.publish(WAYPOINT, payload, b"array")
         wait_until(all_there)
-    assert sorted((message.name, message.payload) for batch in batches for message in batch) == sorted(expected)
+    assert sorted((message.name, message.payload) for batch in batches for message in batch) == sorted(
+        expected
+    )
     for batch in batches:  # messages of different batches may overtake each other
         order = [expected.index((message.name, message.payload)) for message in batch]
         assert order == sorted(order)
@@ -103,7 +115,9 @@ def test_messages_of_many_are_taken_in_the_order_in_which_they_were_published(ro
         assert {message.attachment for message in batch if message.key is WAYPOINT} <= {b"array"}
 
 
-def test_who_puts_no_time_to_a_message_is_given_the_routers(router: str, wait_until: Callable[..., None]) -> None:
+def test_who_puts_no_time_to_a_message_is_given_the_routers(
+    router: str, wait_until: Callable[..., None]
+) -> None:
     with Tap("recorder", router, "uav/3") as tap, plain(router) as stranger:
         tap.subscribe(MAVLINK_OUT)
         publisher = heard_on(stranger, "uav/3/mavlink/out", wait_until)
@@ -135,7 +149,10 @@ def test_an_overtaken_message_is_put_where_it_was_published_but_was_not_received
         second = said((b"middle", middle))
     assert [message.payload for message in (*first, *second)] == [b"early", b"late", b"middle"]
     at_ns = [at.get_time_as_ntp64().as_nanos() for at in times]
-    assert [(message.published_ns, message.received_ns) for message in first] == [(at_ns[0], at_ns[0]), (at_ns[2], at_ns[2])]
+    assert [(message.published_ns, message.received_ns) for message in first] == [
+        (at_ns[0], at_ns[0]),
+        (at_ns[2], at_ns[2]),
+    ]
     assert second[0].published_ns == at_ns[1] < before_ns <= second[0].received_ns <= between_ns
 
 
@@ -143,7 +160,9 @@ def test_a_message_from_the_future_was_received_when_it_was_taken(
     router: str, stranger: zenoh.Session, wait_until: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slow_ns = time.time_ns() - 10_000 * MS  # the tap's clock is late
-    monkeypatch.setattr("link.bus.tap.time", SimpleNamespace(time_ns=lambda: slow_ns, monotonic=time.monotonic))
+    monkeypatch.setattr(
+        "link.bus.tap.time", SimpleNamespace(time_ns=lambda: slow_ns, monotonic=time.monotonic)
+    )
     with Tap("recorder", router) as tap:
         tap.subscribe(MAVLINK_IN)
         heard_on(stranger, "uav/1/mavlink/in", wait_until).put(b"frames")
@@ -153,7 +172,9 @@ def test_a_message_from_the_future_was_received_when_it_was_taken(
 
 def test_taking_ends_though_ever_more_messages_come(router: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("link.bus.session.WAITING_MESSAGES", 100)
-    sample = SimpleNamespace(timestamp=None, attachment=None, payload=SimpleNamespace(to_bytes=lambda: b"x"), key_expr="mavlink/in")
+    sample = SimpleNamespace(
+        timestamp=None, attachment=None, payload=SimpleNamespace(to_bytes=lambda: b"x"), key_expr="mavlink/in"
+    )
     endless = SimpleNamespace(handler=SimpleNamespace(try_recv=lambda: sample), undeclare=lambda: None)
     with Tap("recorder", router) as tap:
         monkeypatch.setattr("zenoh.ext.declare_advanced_subscriber", lambda *_, **__: endless)
@@ -198,7 +219,12 @@ def test_a_peer_that_publishes_health_under_ever_new_names_is_counted_and_ours_a
         names = {message.name for message in taken(tap, wait_until, 17)}
     assert names == {"health/uav", *(f"health/forged{number}" for number in range(16))}
     assert tap.tally.refused == {"stranger": 85}
-    assert capsys.readouterr().err.count("refused health/<service>: there are services of too many or of strange names") == 1
+    assert (
+        capsys.readouterr().err.count(
+            "refused health/<service>: there are services of too many or of strange names"
+        )
+        == 1
+    )
 
 
 def test_simulation_time_is_a_messages_own_or_the_newest_that_the_vehicle_told() -> None:
@@ -208,7 +234,8 @@ def test_simulation_time_is_a_messages_own_or_the_newest_that_the_vehicle_told()
         clock.time_s(entry.key, entry.payload, at)
         for at, entry in enumerate((health, waypoint, out, health, reading, waypoint, belief, stop))
     ]
-    # nothing known yet; a waypoint that answers no reading of this vehicle; the attitude; it again; own times from there on
+    # nothing known yet; a waypoint that answers no reading of this vehicle; the attitude; it again; own times
+    # from there on
     assert told == [0.0, 0.0, 2.5, 2.5, 3.0, 3.0, 1.0, 4.0]
     assert clock.time_s("belief", b"no JSON", 9) == 3.0
     assert clock.time_s("mavlink/out", b"noise", 9) == 3.0
@@ -243,13 +270,25 @@ def test_simulation_time_goes_on_where_the_vehicles_own_wraps() -> None:
             ]
         )
     ]
-    times_ms = [before, wrap + 5000, before, wrap + 9_000_000, before, before, wrap + after, wrap + after, wrap + after]
+    times_ms = [
+        before,
+        wrap + 5000,
+        before,
+        wrap + 9_000_000,
+        before,
+        before,
+        wrap + after,
+        wrap + after,
+        wrap + after,
+    ]
     assert told == [time_ms / 1000 for time_ms in times_ms]
     assert clock.step == 1
 
 
 def test_the_clock_counts_each_reading_once_knows_what_answers_the_last_ones_and_forgets_older_ones() -> None:
-    """The truth is plain: reading n is at n s, is repeated 10 readings later, and is answered with its own time."""
+    """The truth is plain: reading n is at n s, is repeated 10 readings later, and is answered with its own
+    time.
+    """
     clock = SimulationClock()
     readings = 5000
     for number in range(readings):
@@ -258,8 +297,13 @@ def test_the_clock_counts_each_reading_once_knows_what_answers_the_last_ones_and
             waypoint = UAV.pack(_waypoint(1000 * again))
             assert clock.time_s("waypoint", waypoint, number) == again
         assert clock.step == number
-    assert clock.time_s("waypoint", UAV.pack(_waypoint(1)), readings) == readings - 11  # answers none: the newest known time
-    for others in (_waypoint(1000 * (readings - 1)), _at(7000)):  # on mavlink/in everybody has times of their own
+    assert (
+        clock.time_s("waypoint", UAV.pack(_waypoint(1)), readings) == readings - 11
+    )  # answers none: the newest known time
+    for others in (
+        _waypoint(1000 * (readings - 1)),
+        _at(7000),
+    ):  # on mavlink/in everybody has times of their own
         assert clock.time_s("mavlink/in", UAV.pack(others), readings) == readings - 11
 
 
@@ -272,7 +316,9 @@ def _at(time_boot_ms: int) -> object:
 
 
 def test_who_taps_leaves_the_environment_as_it_was(router: str) -> None:
-    """Zenoh reads its number of threads from the environment: a setting for the recorder would affect all parts started later."""
+    """Zenoh reads its number of threads from the environment: a setting for the recorder would affect all
+    parts started later.
+    """
     before = dict(os.environ)
     with Tap("recorder", router):
         assert dict(os.environ) == before

@@ -41,7 +41,11 @@ def by_pymavlink(payload: bytes) -> list[dict[str, Any]]:
 
 
 def sayable(value: object) -> bool:
-    return all(map(sayable, value)) if isinstance(value, list) else not isinstance(value, float) or math.isfinite(value)
+    return (
+        all(map(sayable, value))
+        if isinstance(value, list)
+        else not isinstance(value, float) or math.isfinite(value)
+    )
 
 
 @pytest.mark.parametrize("kind", [kind for kind in TYPES if NUMBER[kind] not in ADDED])
@@ -49,7 +53,11 @@ def test_every_type_of_message_is_decoded_as_pymavlink_does_and_keeps_to_its_sch
     rng = random.Random(kind)
     size = mavlink.mavlink_map[getattr(mavlink, f"MAVLINK_MSG_ID_{kind}")].unpacker.size
     schema = {**message_schema(kind), "additionalProperties": False}
-    for length in (size, rng.randint(1, size), min(size + 3, 255)):  # whole; without trailing zeros; of a later version
+    for length in (
+        size,
+        rng.randint(1, size),
+        min(size + 3, 255),
+    ):  # whole; without trailing zeros; of a later version
         for make in (rng.randbytes, lambda length: b"\xff" * length):  # a float with all bits set is NaN
             payload = frame(kind, make(length)) + frame("HEARTBEAT", bytes(9))
             messages = decode(payload)
@@ -61,20 +69,31 @@ def test_every_type_of_message_is_decoded_as_pymavlink_does_and_keeps_to_its_sch
 def test_unusual_frames_are_decoded_too() -> None:
     signed = frame("HEARTBEAT", bytes(9), flags=1) + bytes(13)
     unknown = bytes([0xFD, 1, 0, 0, 0, 42, 191, 0xFF, 0xFF, 0, 5, 0, 0])
-    old = gas_message(1000, 0.5).pack(mavlink.MAVLink(None, srcSystem=42, srcComponent=191), force_mavlink1=True)
+    old = gas_message(1000, 0.5).pack(
+        mavlink.MAVLink(None, srcSystem=42, srcComponent=191), force_mavlink1=True
+    )
     kinds = {}
     for payload in (signed, unknown, bytes(old)):
         (message,) = decode(payload)
         fields = json.loads(message.fields)
         assert (fields["system"], fields["component"]) == (42, 191)
-        jsonschema.validate({**fields, "simulation_s": 1.5}, {**message_schema(message.kind), "additionalProperties": False})
+        jsonschema.validate(
+            {**fields, "simulation_s": 1.5}, {**message_schema(message.kind), "additionalProperties": False}
+        )
         kinds[message.kind] = fields
     assert set(kinds) == {"HEARTBEAT", "UNKNOWN", "NAMED_VALUE_FLOAT"}
     assert kinds["UNKNOWN"]["data"] == list(unknown)
 
 
 @pytest.mark.parametrize(
-    "damage", [lambda b: b[:-1], lambda b: b[1:], lambda b: b + b"\x00", lambda b: b[:20] + b"\x55" + b[21:], lambda b: b""]
+    "damage",
+    [
+        lambda b: b[:-1],
+        lambda b: b[1:],
+        lambda b: b + b"\x00",
+        lambda b: b[:20] + b"\x55" + b[21:],
+        lambda b: b"",
+    ],
 )
 def test_damaged_frames_are_refused_with_a_reason(damage) -> None:
     with pytest.raises(BadFrame, match="malformed frame"):
@@ -101,7 +120,9 @@ def test_what_is_no_reading_is_refused_with_the_estimators_reason(payload: bytes
 
 
 @pytest.mark.parametrize(
-    "schema", [*map(message_schema, [*TYPES, "UNKNOWN"]), *map(struct_schema, STRUCTS)], ids=lambda schema: schema["title"]
+    "schema",
+    [*map(message_schema, [*TYPES, "UNKNOWN"]), *map(struct_schema, STRUCTS)],
+    ids=lambda schema: schema["title"],
 )
 def test_a_schema_is_one_that_viewers_can_read(schema: dict[str, Any]) -> None:
     """By the rules of Foxglove's reader, the strictest: a plain object with plain fields at every level."""

@@ -1,4 +1,6 @@
-"""Protects whom the page commands, and whose picture and time are shown, from other systems on the vehicle's bus."""
+"""Protects whom the page commands, and whose picture and time are shown, from other systems on the
+vehicle's bus.
+"""
 
 import msgspec
 import pytest
@@ -15,7 +17,9 @@ from scene.scene import Backdrop
 def beat(system: int, component: int = 1, time_boot_ms: int = 1000, north: float = 0.0) -> bytes:
     """What an autopilot says of itself."""
     heartbeat = mavlink.MAVLink_heartbeat_message(2, 12, 128, 6 << 16, 4, 3)
-    return Codec(system, component).pack(heartbeat, mavlink.MAVLink_local_position_ned_message(time_boot_ms, north, 0, -5, 0, 0, 0))
+    return Codec(system, component).pack(
+        heartbeat, mavlink.MAVLink_local_position_ned_message(time_boot_ms, north, 0, -5, 0, 0, 0)
+    )
 
 
 def health(system: int) -> bytes:
@@ -41,7 +45,12 @@ def test_what_the_vehicles_health_tells_goes_before_what_is_heard(own: OwnSystem
     assert own.learn("health/uav", health(3))  # it was taken for another one
     assert own.system == 3
     assert not own.learn("mavlink/out", beat(42))
-    for key, payload in (("health/agent", health(42)), ("health/uav", health(0)), ("health/uav", b'{"system": 300}'), ("health/uav", b"[")):
+    for key, payload in (
+        ("health/agent", health(42)),
+        ("health/uav", health(0)),
+        ("health/uav", b'{"system": 300}'),
+        ("health/uav", b"["),
+    ):
         own.learn(key, payload)
     assert own.system == 3
 

@@ -1,4 +1,6 @@
-"""Protects the reading of records: unknown formats are named; strange, hostile or growing files neither hang nor exhaust memory."""
+"""Protects the reading of records: unknown formats are named; strange, hostile or growing files neither
+hang nor exhaust memory.
+"""
 
 import io
 import os
@@ -53,7 +55,9 @@ def packed_anew(log: Path, compression: CompressionType) -> bytes:
         for _, channel, message in others.iter_messages():
             if channel.id not in channels:
                 channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, 0)
-            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
+            )
     writer.finish()
     return out.getvalue()
 
@@ -78,9 +82,16 @@ def test_a_record_without_a_format_is_read(tmp_path: Path) -> None:
     assert {entry.key for entry in golden.entries} >= {"reading", "belief", "waypoint"}
 
 
-def test_in_a_record_of_an_older_format_the_agents_setpoints_among_the_commands_are_its_waypoints(tmp_path: Path) -> None:
-    """Until format 1 they were sent on mavlink/in. A setpoint of somebody else, or in a newer record, is none."""
-    theirs, pilots = ENTRIES[4]._replace(key="mavlink/in"), Codec(255, 190).pack(waypoint_message(1, 3000, (4.0, 4.5), 5.0))
+def test_in_a_record_of_an_older_format_the_agents_setpoints_among_the_commands_are_its_waypoints(
+    tmp_path: Path,
+) -> None:
+    """Until format 1 they were sent on mavlink/in. A setpoint of somebody else, or in a newer record, is
+    none.
+    """
+    theirs, pilots = (
+        ENTRIES[4]._replace(key="mavlink/in"),
+        Codec(255, 190).pack(waypoint_message(1, 3000, (4.0, 4.5), 5.0)),
+    )
     entries = [*ENTRIES[:2], theirs, theirs._replace(payload=pilots)]
     log = written(tmp_path / "run.mcap", entries)
     assert [entry.key for entry in read(log).entries][2:] == ["mavlink/in", "mavlink/in"]
@@ -89,13 +100,18 @@ def test_in_a_record_of_an_older_format_the_agents_setpoints_among_the_commands_
     assert read(log).entries == [*ENTRIES[:2], ENTRIES[4], entries[3]]
 
 
-@pytest.mark.parametrize(("written_as", "told"), [("3", "3"), ("-1", "-1"), ('"other"', "other"), ("[1]", "[1]")])
+@pytest.mark.parametrize(
+    ("written_as", "told"), [("3", "3"), ("-1", "-1"), ('"other"', "other"), ("[1]", "[1]")]
+)
 def test_a_record_of_another_format_is_refused_by_name(tmp_path: Path, written_as: str, told: str) -> None:
     log = tmp_path / "newer.mcap"
     whole = written(log).read_bytes()
     newer = as_record(Metadata("plumeward", {"seed": "3", "format": written_as}))
     log.write_bytes(MCAP0_MAGIC + newer + whole[len(MCAP0_MAGIC) :])
-    assert refused(log) == f"{log} has record format {told} of another plumeward version; readable formats: 0, 1, 2"
+    assert (
+        refused(log)
+        == f"{log} has record format {told} of another plumeward version; readable formats: 0, 1, 2"
+    )
 
 
 # ---- missing files, and files of other kinds ----
@@ -113,11 +129,19 @@ def test_an_empty_file_is_called_empty(tmp_path: Path) -> None:
     assert refused(tmp_path / "run.mcap") == f"{tmp_path / 'run.mcap'} is empty"
 
 
-@pytest.mark.parametrize(("begin", "kind"), [(b"\xa3\x95\x80\x80", "an ArduPilot dataflash log"), (b"ULog\x01\x12\x35\x01", "a PX4 ULog")])
-def test_a_log_that_an_autopilot_writes_on_board_is_called_what_it_is(tmp_path: Path, begin: bytes, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("begin", "kind"),
+    [(b"\xa3\x95\x80\x80", "an ArduPilot dataflash log"), (b"ULog\x01\x12\x35\x01", "a PX4 ULog")],
+)
+def test_a_log_that_an_autopilot_writes_on_board_is_called_what_it_is(
+    tmp_path: Path, begin: bytes, kind: str
+) -> None:
     log = tmp_path / "00000042.BIN"
     log.write_bytes(begin.ljust(2000, b"."))
-    assert refused(log) == f"{log} is {kind}, 2,000 bytes; not read yet: wanted an .mcap or a .tlog of the same flight"
+    assert (
+        refused(log)
+        == f"{log} is {kind}, 2,000 bytes; not read yet: wanted an .mcap or a .tlog of the same flight"
+    )
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
@@ -162,7 +186,9 @@ def test_a_time_that_is_no_number_is_damage(tmp_path: Path, number: bytes) -> No
     log = tmp_path / "run.mcap"
     writer = OthersWriter(str(log))
     writer.start()
-    writer.add_message(writer.register_channel("health/uav", "json", 0), 1, b'{"uptime_s":1,"simulation_s":%s}' % number, 1)
+    writer.add_message(
+        writer.register_channel("health/uav", "json", 0), 1, b'{"uptime_s":1,"simulation_s":%s}' % number, 1
+    )
     writer.finish()
     assert (read(log).entries, read(log).complete) == ([], False)
 
@@ -189,14 +215,19 @@ def test_a_chunk_that_is_there_twice_gives_its_messages_twice(tmp_path: Path) ->
 
 # ---- damaged in the middle ----
 
-EACH = [Entry("health/agent", 10 * number, float(number), b'{"uptime_s":%d}' % number) for number in range(40)]
+EACH = [
+    Entry("health/agent", 10 * number, float(number), b'{"uptime_s":%d}' % number) for number in range(40)
+]
 
 
 def chunks(whole: bytes) -> list[tuple[int, int]]:
     """Where each chunk begins and ends, as the index at the end of the file has it."""
     summary = make_reader(io.BytesIO(whole)).get_summary()
     assert summary is not None
-    return [(index.chunk_start_offset, index.chunk_start_offset + index.chunk_length) for index in summary.chunk_indexes]
+    return [
+        (index.chunk_start_offset, index.chunk_start_offset + index.chunk_length)
+        for index in summary.chunk_indexes
+    ]
 
 
 def damaged(log: Path, at: int, count: int = 16) -> Path:
@@ -207,8 +238,12 @@ def damaged(log: Path, at: int, count: int = 16) -> Path:
     return log
 
 
-@pytest.mark.parametrize("offset", [0, 1, 17, 25, 33, 37, 41, 49, 60], ids=lambda offset: f"{offset} bytes into a chunk")
-def test_sixteen_damaged_bytes_cost_the_messages_of_their_chunk_and_no_others(tmp_path: Path, offset: int) -> None:
+@pytest.mark.parametrize(
+    "offset", [0, 1, 17, 25, 33, 37, 41, 49, 60], ids=lambda offset: f"{offset} bytes into a chunk"
+)
+def test_sixteen_damaged_bytes_cost_the_messages_of_their_chunk_and_no_others(
+    tmp_path: Path, offset: int
+) -> None:
     log = written(tmp_path / "run.mcap", EACH, flush_each=True)
     begin, end = chunks(log.read_bytes())[20]
     recording = read(damaged(log, begin + offset))
@@ -216,8 +251,13 @@ def test_sixteen_damaged_bytes_cost_the_messages_of_their_chunk_and_no_others(tm
     assert not recording.complete
     (place,) = recording.damage
     assert (place.at, place.after_s, place.before) == (begin, 19.0, 20)
-    assert end - begin <= place.size <= end - begin + 100  # with the index of the chunk, if its own length is not known
-    assert recording.shortcoming == f"is damaged, and lacks {place.size} bytes at byte {begin:,}, after 19.00 s of simulation"
+    assert (
+        end - begin <= place.size <= end - begin + 100
+    )  # with the index of the chunk, if its own length is not known
+    assert (
+        recording.shortcoming
+        == f"is damaged, and lacks {place.size} bytes at byte {begin:,}, after 19.00 s of simulation"
+    )
 
 
 def test_damage_anywhere_costs_the_chunks_that_it_touches_and_no_others(tmp_path: Path) -> None:
@@ -253,7 +293,9 @@ def test_a_record_that_claims_to_be_longer_hides_no_chunk_behind_it(tmp_path: Pa
     whole = bytearray(log.read_bytes())
     (_, index), (_, end) = chunks(bytes(whole))[5:7]
     assert whole[index] == 7
-    whole[index + 1 : index + 9] = (end - index - 9 + 5).to_bytes(8, "little")  # it ends within the index of the next chunk
+    whole[index + 1 : index + 9] = (end - index - 9 + 5).to_bytes(
+        8, "little"
+    )  # it ends within the index of the next chunk
     log.write_bytes(whole)
     assert read(log).entries == EACH
     assert [place.before for place in read(log).damage] == [6]
@@ -272,7 +314,9 @@ def test_many_places_are_told_by_their_number(tmp_path: Path) -> None:
 
 FAR_TOO_MUCH = 5_000_000_000_000
 CLAIMS_TERABYTES = b"\x28\xb5\x2f\xfd\xc0\x58" + FAR_TOO_MUCH.to_bytes(8, "little") + b"\x01\x00\x00"
-"""A zstd frame by RFC 8878: its magic, a header whose content size has 8 bytes, and a last block without content."""
+"""A zstd frame by RFC 8878: its magic, a header whose content size has 8 bytes, and a last block without
+content.
+"""
 ZEROS = bytes(60_000_000)
 
 
@@ -288,7 +332,9 @@ ZEROS = bytes(60_000_000)
     ],
     ids=["the chunk claims", "the frame claims", "zstd unpacks", "lz4 unpacks", "unknown", "plain"],
 )
-def test_a_chunk_that_comes_to_far_too_much_ends_the_record(tmp_path: Path, compression: str, claimed: int, data: bytes) -> None:
+def test_a_chunk_that_comes_to_far_too_much_ends_the_record(
+    tmp_path: Path, compression: str, claimed: int, data: bytes
+) -> None:
     log = written(tmp_path / "run.mcap", ENTRIES[:2], flush_each=True)
     bomb = as_record(Chunk(compression, data, 0, 0, 1, claimed))
     whole = log.read_bytes()
@@ -304,19 +350,28 @@ def test_a_chunk_that_comes_to_far_too_much_ends_the_record(tmp_path: Path, comp
     assert peak < 20_000_000
 
 
-def test_a_record_that_would_fill_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_record_that_would_fill_the_memory_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(reader, "LARGEST_RECORD", 1 << 20)
     log = tmp_path / "run.mcap"
-    beliefs = [Entry("belief", number, 0.0, b"", random.Random(number).randbytes(5_000) * 20) for number in range(11)]
+    beliefs = [
+        Entry("belief", number, 0.0, b"", random.Random(number).randbytes(5_000) * 20) for number in range(11)
+    ]
     written(log, beliefs[:10])
     assert len(read(log).entries) == 10
     written(log, beliefs)
     assert log.stat().st_size < 100_000
-    assert refused(log) == f"{log} holds more than 0.000976562 GiB of messages; cut out a part of it with `mcap filter`"
+    assert (
+        refused(log)
+        == f"{log} holds more than 0.000976562 GiB of messages; cut out a part of it with `mcap filter`"
+    )
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
-def test_a_small_file_that_unpacks_without_end_is_refused_before_it_fills_the_memory(tmp_path: Path, compression: CompressionType) -> None:
+def test_a_small_file_that_unpacks_without_end_is_refused_before_it_fills_the_memory(
+    tmp_path: Path, compression: CompressionType
+) -> None:
     pack = {CompressionType.ZSTD: zstandard.compress, CompressionType.LZ4: lz4.frame.compress}[compression]
     name = compression.name.lower()
     mebibyte = as_record(Channel(0, "mavlink/out", "", {}, 0), Message(0, 5, bytes(1 << 20), 5, 0))
@@ -329,14 +384,20 @@ def test_a_small_file_that_unpacks_without_end_is_refused_before_it_fills_the_me
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert line == f"{tmp_path / 'run.mcap'} unpacks to more than 100 times its size: damaged, or made to exhaust memory"
+    assert (
+        line
+        == f"{tmp_path / 'run.mcap'} unpacks to more than 100 times its size: damaged, or made to exhaust "
+        "memory"
+    )
     assert peak < 60_000_000
 
 
 def test_a_length_that_no_computer_can_hold_is_damage(tmp_path: Path) -> None:
     strange = b"\x60" + (2**64 - 1).to_bytes(8, "little")  # a record of an unknown kind
     whole = written(tmp_path / "run.mcap").read_bytes()
-    damaged = whole[: whole.rindex(b"\x0f" + (4).to_bytes(8, "little"))] + as_record(Chunk("", strange, 0, 0, 0, len(strange)))
+    damaged = whole[: whole.rindex(b"\x0f" + (4).to_bytes(8, "little"))] + as_record(
+        Chunk("", strange, 0, 0, 0, len(strange))
+    )
     (tmp_path / "run.mcap").write_bytes(damaged)
     assert (read(tmp_path / "run.mcap").entries, read(tmp_path / "run.mcap").complete) == (ENTRIES, False)
 
@@ -344,5 +405,7 @@ def test_a_length_that_no_computer_can_hold_is_damage(tmp_path: Path) -> None:
 def test_json_that_is_nested_without_end_stops_neither_the_recorder_nor_the_reader(tmp_path: Path) -> None:
     nested = b'{"a":' + b"[" * 100_000 + b"]" * 100_000 + b',"time_boot_ms":5}'
     clock = SimulationClock()
-    entries = [Entry(key, 7, clock.time_s(key, nested, 7), nested) for key in ("belief", "agdc/stop", "health/uav")]
+    entries = [
+        Entry(key, 7, clock.time_s(key, nested, 7), nested) for key in ("belief", "agdc/stop", "health/uav")
+    ]
     assert read(written(tmp_path / "run.mcap", entries)).entries == entries

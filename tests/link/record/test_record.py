@@ -1,4 +1,6 @@
-"""Protects records: they read back byte for byte, other readers can read them, and a truncated file reads up to the cut."""
+"""Protects records: they read back byte for byte, other readers can read them, and a truncated file reads
+up to the cut.
+"""
 
 import contextlib
 import io
@@ -26,21 +28,35 @@ BEGAN = 1_700_000_000_000_000_000
 ABOUT = {"seed": 3, "policy": "homing", "mission": {"about": "a test", "events": []}, "text": "3"}
 ATTITUDE = mavlink.MAVLink_attitude_message(2500, 0.1, math.nan, 0.3, 0.0, 0.0, 0.0)
 PARTICLES = pack_particles(np.arange(30, dtype=np.float32).reshape(10, 3))
-OTHERS_JSON = b'{ "service" : "agent", "state": "ready", "step": 1, "compute_s": 0, "uptime_s": 1, "refused": {} }\n'
+OTHERS_JSON = (
+    b'{ "service" : "agent", "state": "ready", "step": 1, "compute_s": 0, "uptime_s": 1, "refused": {} }\n'
+)
 UAV, AGENT = Codec(1, 1), Codec(1, 191)
 
 ENTRIES = [
-    Entry("mavlink/out", BEGAN, 2.5, UAV.pack(ATTITUDE, mavlink.MAVLink_heartbeat_message(2, 12, 157, 0, 4, 3))),
+    Entry(
+        "mavlink/out", BEGAN, 2.5, UAV.pack(ATTITUDE, mavlink.MAVLink_heartbeat_message(2, 12, 157, 0, 4, 3))
+    ),
     Entry("reading", BEGAN + 10, 3.0, pack_reading(UAV, Reading(3000, (3.25, 4.5), 5.0, (2.0, -1.0), 0.75))),
     Entry("belief", BEGAN + 20, 1.0, belief(0), PARTICLES),
-    Entry("agdc/stop", BEGAN + 30, 4.0, msgspec.json.encode(Stop(4000, 3, (14.0, 12.0), (0.09, 0.0, 0.04), 0.36, 0.5))),
+    Entry(
+        "agdc/stop",
+        BEGAN + 30,
+        4.0,
+        msgspec.json.encode(Stop(4000, 3, (14.0, 12.0), (0.09, 0.0, 0.04), 0.36, 0.5)),
+    ),
     Entry("waypoint", BEGAN + 40, 3.0, AGENT.pack(waypoint_message(1, 3000, (4.0, 4.5), 5.0))),
-    Entry("health/uav", BEGAN + 50, 3.0, msgspec.json.encode(Health("uav", "searching", 4, 0.5, 1.5, {"late": 2}))),
+    Entry(
+        "health/uav",
+        BEGAN + 50,
+        3.0,
+        msgspec.json.encode(Health("uav", "searching", 4, 0.5, 1.5, {"late": 2})),
+    ),
     Entry("health/agent", BEGAN + 60, 3.0, OTHERS_JSON),
     Entry("belief", BEGAN + 70, 3.0, b"no JSON \xff", b"odd"),
     Entry("reading", BEGAN + 80, 3.0, b"noise"),
     Entry("mavlink/in", BEGAN + 90, 3.0, b""),
-]  # fmt: skip
+]
 
 
 def written(path: Path, entries: list[Entry] = ENTRIES, flush_each: bool = False) -> Path:
@@ -75,7 +91,10 @@ def test_the_mcap_library_reads_it_with_publish_and_log_times_and_index(log: Pat
         (metadata,) = reader.iter_metadata()
         assert metadata.metadata["seed"] == "3"
         assert json.loads(metadata.metadata["mission"]) == ABOUT["mission"]
-        raw = [(message.publish_time, message.log_time, message.data) for _, channel, message in reader.iter_messages(topics="mavlink/out")]
+        raw = [
+            (message.publish_time, message.log_time, message.data)
+            for _, channel, message in reader.iter_messages(topics="mavlink/out")
+        ]
     assert raw == [(BEGAN, BEGAN + 5, ENTRIES[0].payload)]
 
 
@@ -87,15 +106,23 @@ def topics(log: Path) -> dict[str, list[tuple[dict, dict]]]:
             if channel.message_encoding == "json":
                 assert schema is not None
                 assert schema.encoding == "jsonschema"
-                found.setdefault(channel.topic, []).append((json.loads(schema.data), json.loads(message.data)))
+                found.setdefault(channel.topic, []).append(
+                    (json.loads(schema.data), json.loads(message.data))
+                )
     return found
 
 
 def test_json_carries_the_simulation_time_and_keeps_to_its_schema(log: Path) -> None:
     found = topics(log)
-    assert {"belief", "agdc/stop", "health/uav", "health/agent", "reading/decoded", "mavlink/out/ATTITUDE", "mavlink/out/HEARTBEAT"} < set(
-        found
-    )
+    assert {
+        "belief",
+        "agdc/stop",
+        "health/uav",
+        "health/agent",
+        "reading/decoded",
+        "mavlink/out/ATTITUDE",
+        "mavlink/out/HEARTBEAT",
+    } < set(found)
     for messages in found.values():
         for schema, message in messages:
             jsonschema.Draft202012Validator(schema, format_checker=None).validate(message)
@@ -107,12 +134,29 @@ def test_json_carries_the_simulation_time_and_keeps_to_its_schema(log: Path) -> 
 def test_what_is_decoded_is_what_flew(log: Path) -> None:
     found = topics(log)
     attitude = found["mavlink/out/ATTITUDE"][0][1]
-    assert (attitude["time_boot_ms"], attitude["roll"], attitude["simulation_s"]) == (2500, pytest.approx(0.1), 2.5)
+    assert (attitude["time_boot_ms"], attitude["roll"], attitude["simulation_s"]) == (
+        2500,
+        pytest.approx(0.1),
+        2.5,
+    )
     assert attitude.get("pitch") is None  # NaN, which JSON cannot express
     sample = found["reading/decoded"][0][1]
-    assert [sample[name] for name in ("x", "y", "altitude_m", "wind_x", "wind_y", "gas")] == [3.25, 4.5, 5.0, 2.0, -1.0, 0.75]
+    assert [sample[name] for name in ("x", "y", "altitude_m", "wind_x", "wind_y", "gas")] == [
+        3.25,
+        4.5,
+        5.0,
+        2.0,
+        -1.0,
+        0.75,
+    ]
     waypoint = found["waypoint/SET_POSITION_TARGET_LOCAL_NED"][0][1]
-    assert [waypoint[name] for name in ("x", "y", "z", "time_boot_ms", "component")] == [4.5, 4.0, -5.0, 3000, 191]
+    assert [waypoint[name] for name in ("x", "y", "z", "time_boot_ms", "component")] == [
+        4.5,
+        4.0,
+        -5.0,
+        3000,
+        191,
+    ]
 
 
 def test_the_tlog_is_a_time_and_a_frame_again_and_again(log: Path) -> None:
@@ -133,7 +177,14 @@ def test_pymavlinks_own_reader_reads_the_tlog(log: Path) -> None:
     kinds = []
     while (message := reader.recv_match()) is not None:
         kinds.append(message.get_type())
-    assert kinds == ["ATTITUDE", "HEARTBEAT", "LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT", "SET_POSITION_TARGET_LOCAL_NED"]
+    assert kinds == [
+        "ATTITUDE",
+        "HEARTBEAT",
+        "LOCAL_POSITION_NED",
+        "WIND_COV",
+        "NAMED_VALUE_FLOAT",
+        "SET_POSITION_TARGET_LOCAL_NED",
+    ]
 
 
 def test_frames_that_overtook_each_other_are_in_order_in_the_tlog(tmp_path: Path) -> None:

@@ -41,9 +41,13 @@ def test_other_numbers_of_digits_and_words_in_a_row_are_passphrases(tmp_path: Pa
         (b"\n" * 1025 + b"x", "is empty"),
     ],
 )
-def test_a_bad_file_gets_one_line_that_names_it_and_what_is_allowed(content: bytes, fault: str, tmp_path: Path) -> None:
+def test_a_bad_file_gets_one_line_that_names_it_and_what_is_allowed(
+    content: bytes, fault: str, tmp_path: Path
+) -> None:
     (tmp_path / "bad.key").write_bytes(content)
-    with pytest.raises(ValueError, match="64 hexadecimal digits, or with a passphrase in one line") as refusal:
+    with pytest.raises(
+        ValueError, match="64 hexadecimal digits, or with a passphrase in one line"
+    ) as refusal:
         read_key(tmp_path / "bad.key")
     assert fault in str(refusal.value)
     assert "bad.key" in str(refusal.value)
@@ -52,12 +56,18 @@ def test_a_bad_file_gets_one_line_that_names_it_and_what_is_allowed(content: byt
 
 def test_what_is_no_file_is_refused_and_never_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
-    for name, fault in (("pipe", "is not a file"), ("", "is not a file"), ("none", "No such file or directory")):
+    for name, fault in (
+        ("pipe", "is not a file"),
+        ("", "is not a file"),
+        ("none", "No such file or directory"),
+    ):
         with pytest.raises(ValueError, match=fault):
             read_key(tmp_path / name)
 
 
-@pytest.mark.parametrize(("mode", "open_to_all"), [(0o600, False), (0o640, False), (0o644, True), (0o602, True)])
+@pytest.mark.parametrize(
+    ("mode", "open_to_all"), [(0o600, False), (0o640, False), (0o644, True), (0o602, True)]
+)
 def test_a_key_that_all_may_read_or_change_is_noticed(mode: int, open_to_all: bool, tmp_path: Path) -> None:
     (tmp_path / "key").write_text("abc")
     (tmp_path / "key").chmod(mode)

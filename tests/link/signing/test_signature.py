@@ -1,4 +1,6 @@
-"""Protects the bits of a signature: they are those of MAVLink's guide, computed here from its formula alone."""
+"""Protects the bits of a signature: they are those of MAVLink's guide, computed here from its formula
+alone.
+"""
 
 import hashlib
 
@@ -25,7 +27,9 @@ def crc(data: bytes) -> int:
     return value
 
 
-def frame(payload: bytes = PAYLOAD, message_id: int = HEARTBEAT, seed: int = HEARTBEAT_SEED, flags: int = 0) -> bytes:
+def frame(
+    payload: bytes = PAYLOAD, message_id: int = HEARTBEAT, seed: int = HEARTBEAT_SEED, flags: int = 0
+) -> bytes:
     """A frame of MAVLink 2, written out as in the guide's section on the packet format."""
     body = bytes([len(payload), flags, 0, 7, 1, 1]) + message_id.to_bytes(3, "little") + payload
     return b"\xfd" + body + crc(body + bytes([seed])).to_bytes(2, "little")
@@ -46,12 +50,20 @@ def test_a_signed_frame_has_the_bits_of_the_guide() -> None:
     assert unsigned(right) == frame()
 
 
-@given(st.binary(max_size=255), st.integers(0, 2**24 - 1), st.integers(0, 255), st.integers(0, 255), st.integers(0, 2**48 - 1))
+@given(
+    st.binary(max_size=255),
+    st.integers(0, 2**24 - 1),
+    st.integers(0, 255),
+    st.integers(0, 255),
+    st.integers(0, 2**48 - 1),
+)
 def test_a_frame_of_any_length_and_of_a_type_that_nobody_knows_is_signed_with_a_right_checksum(
     payload: bytes, message_id: int, seed: int, link: int, timestamp: int
 ) -> None:
     plain = frame(payload, message_id, seed)
-    assert signed(plain, KEY, link, timestamp) == by_the_guide(frame(payload, message_id, seed, flags=1), link, timestamp)
+    assert signed(plain, KEY, link, timestamp) == by_the_guide(
+        frame(payload, message_id, seed, flags=1), link, timestamp
+    )
     assert unsigned(signed(plain, KEY, link, timestamp)) == plain
 
 
@@ -89,7 +101,12 @@ def test_an_unsigned_frame_has_no_signature_to_remove(mavlink1: bool) -> None:
 
 def test_pymavlink_accepts_what_is_signed_here_and_the_other_way_round() -> None:
     peer = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
-    peer.signing.secret_key, peer.signing.sign_outgoing, peer.signing.link_id, peer.signing.timestamp = KEY, True, 3, 1000
+    peer.signing.secret_key, peer.signing.sign_outgoing, peer.signing.link_id, peer.signing.timestamp = (
+        KEY,
+        True,
+        3,
+        1000,
+    )
     assert peer.decode(bytearray(signed(frame(), KEY, 5, 1001))).get_signed()
     said = bytes(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(peer))
     assert is_genuine(said, KEY)

@@ -1,4 +1,6 @@
-"""Protects a signed link: what it refuses and why, what it lets through, and that refusals are told without end to nobody."""
+"""Protects a signed link: what it refuses and why, what it lets through, and that refusals are told
+without end to nobody.
+"""
 
 import hashlib
 from collections.abc import Iterator
@@ -33,14 +35,20 @@ def signer(tmp_path: Path, log: Log) -> Iterator[Signer]:
 
 def plain(message=None, mavlink1: bool = False, system: int = 255) -> bytes:
     message = message or mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
-    return bytes(message.pack(mavlink.MAVLink(None, srcSystem=system, srcComponent=190), force_mavlink1=mavlink1))
+    return bytes(
+        message.pack(mavlink.MAVLink(None, srcSystem=system, srcComponent=190), force_mavlink1=mavlink1)
+    )
 
 
 RADIO = mavlink.MAVLink_radio_status_message(1, 2, 3, 4, 5, 6, 7)
 
 
 def told(capsys: pytest.CaptureFixture[str]) -> list[str]:
-    return [line.partition("event=")[2].strip().strip('"') for line in capsys.readouterr().err.splitlines() if "level=warning" in line]
+    return [
+        line.partition("event=")[2].strip().strip('"')
+        for line in capsys.readouterr().err.splitlines()
+        if "level=warning" in line
+    ]
 
 
 def test_what_has_the_key_and_is_new_is_let_through(signer: Signer, log: Log) -> None:
@@ -75,17 +83,24 @@ def test_a_frame_of_the_far_future_is_refused_and_named_and_signing_goes_on(
 ) -> None:
     assert not signer.admits(signed(plain(), KEY, 0, 2**48 - 1), ME)
     assert signer.tell(log) == {FAR_AHEAD: 1}
-    assert told(capsys) == [f"{URL}: {ME}: frames with a timestamp more than 10 minutes ahead of this machine's clock are refused"]
+    assert told(capsys) == [
+        f"{URL}: {ME}: frames with a timestamp more than 10 minutes ahead of this machine's clock are refused"
+    ]
     assert signer.admits(signed(plain(), KEY, 0, clock()), ME)
     assert abs(link_and_timestamp(signer.sign(plain()))[1] - clock()) < 60 * 100_000
 
 
-def test_own_frames_that_a_stranger_plays_back_are_refused_also_after_a_restart(tmp_path: Path, log: Log) -> None:
+def test_own_frames_that_a_stranger_plays_back_are_refused_also_after_a_restart(
+    tmp_path: Path, log: Log
+) -> None:
     (tmp_path / "key").write_text("passphrase")
     said: list[bytes] = []
     for _ in range(2):
         signing = Signing(str(tmp_path / "key"), "bridge-uav-1", log)
-        station_link, vehicle_link = signing.link("udpin:127.0.0.1:14550"), signing.link("udpout:10.0.0.1:14550")
+        station_link, vehicle_link = (
+            signing.link("udpin:127.0.0.1:14550"),
+            signing.link("udpout:10.0.0.1:14550"),
+        )
         assert not any(link.admits(frame, ME) for frame in said for link in (station_link, vehicle_link))
         said += [link.sign(plain(system=255)) for link in (station_link, vehicle_link) for _ in range(3)]
         assert not any(link.admits(frame, ME) for frame in said for link in (station_link, vehicle_link))
@@ -102,10 +117,15 @@ def test_mavlink_1_is_not_sent(signer: Signer) -> None:
     assert signer.sign(plain(mavlink1=True)) == b""
 
 
-def test_each_link_of_a_process_has_an_id_of_its_own_and_all_share_one_order_in_time(tmp_path: Path, log: Log) -> None:
+def test_each_link_of_a_process_has_an_id_of_its_own_and_all_share_one_order_in_time(
+    tmp_path: Path, log: Log
+) -> None:
     (tmp_path / "key").write_text("passphrase")
     signing = Signing(str(tmp_path / "key"), "uav-1", log)
-    said = [link_and_timestamp(link.sign(plain())) for link in [signing.link(f"udpin:h:{port}") for port in range(256)]]
+    said = [
+        link_and_timestamp(link.sign(plain()))
+        for link in [signing.link(f"udpin:h:{port}") for port in range(256)]
+    ]
     signing.close()
     assert len({number for number, _ in said}) == 256
     assert [at for _, at in said] == sorted({at for _, at in said})
@@ -128,7 +148,9 @@ def test_each_sender_is_named_once_for_each_reason_and_all_frames_are_counted(
     assert log.tally.refused_lately == 7
 
 
-def test_a_flood_of_forged_senders_fills_neither_the_log_nor_memory(signer: Signer, log: Log, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_flood_of_forged_senders_fills_neither_the_log_nor_memory(
+    signer: Signer, log: Log, capsys: pytest.CaptureFixture[str]
+) -> None:
     for port in range(1000):
         signer.admits(plain(), f"10.0.0.66:{port}")
     signer.tell(log)

@@ -1,4 +1,6 @@
-"""Protects timestamps: they only go forward, whatever the clock does, across restarts and kills; nothing old is taken twice."""
+"""Protects timestamps: they only go forward, whatever the clock does, across restarts and kills; nothing
+old is taken twice.
+"""
 
 import errno
 import os
@@ -49,7 +51,9 @@ def test_the_clock_counts_ten_microseconds_since_2015() -> None:
     assert abs(clock() / 100_000 - since_s) < 5
 
 
-def test_each_frame_gets_a_later_timestamp_though_the_clock_stands_still_or_steps_back(opened: Callable, now: list[int]) -> None:
+def test_each_frame_gets_a_later_timestamp_though_the_clock_stands_still_or_steps_back(
+    opened: Callable, now: list[int]
+) -> None:
     times = opened()
     assert [times.next(ME), times.next(ME)] == [NOON, NOON + 1]
     now[0] -= 3600 * A_S
@@ -138,7 +142,9 @@ def test_a_sender_without_a_clock_is_heard_after_a_long_silence(opened: Callable
     assert opened().accept(STATION, NOON + 1)
 
 
-def test_streams_without_end_neither_fill_memory_nor_let_an_old_frame_in(opened: Callable, now: list[int], tmp_path: Path) -> None:
+def test_streams_without_end_neither_fill_memory_nor_let_an_old_frame_in(
+    opened: Callable, now: list[int], tmp_path: Path
+) -> None:
     times = opened()
     streams = [(1 + number // 256, 1, number % 256) for number in range(2 * MOST_STREAMS)]
     assert all(times.accept(stream, NOON + number) for number, stream in enumerate(streams))
@@ -149,7 +155,9 @@ def test_streams_without_end_neither_fill_memory_nor_let_an_old_frame_in(opened:
     assert (tmp_path / "key.uav-1").stat().st_size == 28 * MOST_STREAMS
 
 
-def test_what_is_sent_for_ever_new_senders_does_not_let_a_stations_last_frame_in_again(opened: Callable) -> None:
+def test_what_is_sent_for_ever_new_senders_does_not_let_a_stations_last_frame_in_again(
+    opened: Callable,
+) -> None:
     times = opened()
     assert times.accept(STATION, NOON)
     for number in range(MOST_STREAMS + 10):  # as a bridge signs what others send
@@ -198,7 +206,9 @@ def test_what_is_sent_always_has_room(opened: Callable) -> None:
 
 
 @pytest.mark.parametrize("line", [0, 1, 5])
-def test_a_damaged_file_gets_one_line_and_is_left_as_it_is(line: int, opened: Callable, tmp_path: Path) -> None:
+def test_a_damaged_file_gets_one_line_and_is_left_as_it_is(
+    line: int, opened: Callable, tmp_path: Path
+) -> None:
     opened().accept(STATION, NOON)
     opened().close()
     path = tmp_path / "key.uav-1"
@@ -221,11 +231,15 @@ def test_a_file_that_was_begun_and_not_finished_is_used(opened: Callable, tmp_pa
 
 
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="keeps the last timestamps, but cannot be written: No such file or directory"):
+    with pytest.raises(
+        ValueError, match="keeps the last timestamps, but cannot be written: No such file or directory"
+    ):
         Timestamps(tmp_path / "none" / "key.uav-1")
 
 
-def test_a_full_disk_is_told_once_and_frames_are_still_taken_once(opened: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_told_once_and_frames_are_still_taken_once(
+    opened: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     times = opened()
 
     def full(*_: object) -> int:
@@ -279,7 +293,9 @@ def test_a_process_that_is_killed_at_any_time_leaves_nothing_that_can_be_repeate
         max_size=40,
     )
 )
-def test_whatever_happens_what_is_sent_grows_and_what_is_taken_grows_for_each_stream(steps: list[tuple]) -> None:
+def test_whatever_happens_what_is_sent_grows_and_what_is_taken_grows_for_each_stream(
+    steps: list[tuple],
+) -> None:
     now, sent, taken = [NOON], 0, dict[int, int]()
     with TemporaryDirectory() as folder:
         times = Timestamps(Path(folder) / "key", lambda: now[0])

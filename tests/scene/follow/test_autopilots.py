@@ -1,4 +1,6 @@
-"""Protects what people see of a real autopilot: its own frames, from the place of the search area to what it does not know."""
+"""Protects what people see of a real autopilot: its own frames, from the place of the search area to what
+it does not know.
+"""
 
 import math
 
@@ -45,7 +47,9 @@ def landed(state: int) -> object:
 
 
 def status(percent: int, millivolts: int, healthy: int = ALL_WELL) -> object:
-    return mavlink.MAVLink_sys_status_message(ALL_WELL, ALL_WELL, healthy, 0, millivolts, -1, percent, 0, 0, 0, 0, 0, 0)
+    return mavlink.MAVLink_sys_status_message(
+        ALL_WELL, ALL_WELL, healthy, 0, millivolts, -1, percent, 0, 0, 0, 0, 0, 0
+    )
 
 
 def gps(fix: int, satellites: int) -> object:
@@ -89,9 +93,13 @@ def heard() -> Heard:
 
 
 @pytest.mark.parametrize("autopilot", [COPTER, PX4])
-def test_a_place_is_told_from_home_where_the_autopilot_tells_it_from_its_own_origin(heard: Heard, autopilot: int) -> None:
+def test_a_place_is_told_from_home_where_the_autopilot_tells_it_from_its_own_origin(
+    heard: Heard, autopilot: int
+) -> None:
     heard(beat(4, autopilot), origin(), home(12.0, -5.0, above_m=2.0), local(20.0, 3.0, -9.0))
-    assert heard.craft.position == pytest.approx((8.0, 8.0), abs=0.03)  # the double's degrees are those of a sphere a little larger
+    assert heard.craft.position == pytest.approx(
+        (8.0, 8.0), abs=0.03
+    )  # the double's degrees are those of a sphere a little larger
     assert heard.craft.altitude_m == pytest.approx(7.0)
     assert heard.history.at().track.tolist() == [pytest.approx((8.0, 8.0), abs=0.03)]
 
@@ -99,13 +107,23 @@ def test_a_place_is_told_from_home_where_the_autopilot_tells_it_from_its_own_ori
 def test_a_copter_is_nowhere_before_it_has_said_where_its_origin_and_its_home_are(heard: Heard) -> None:
     heard(beat(4), local(20.0, 3.0, -9.0))
     heard(origin(), local(20.0, 3.0, -9.0, 1100))
-    assert (math.isnan(heard.craft.position[0]), heard.craft.mode, len(heard.history.at().track)) == (True, "GUIDED", 0)
+    assert (math.isnan(heard.craft.position[0]), heard.craft.mode, len(heard.history.at().track)) == (
+        True,
+        "GUIDED",
+        0,
+    )
     heard(home(20.0, 3.0), local(20.0, 3.0, -5.0, 1200))
     assert heard.craft.position == pytest.approx((0.0, 0.0), abs=0.02)
 
 
 def test_arming_may_set_home_anew_but_in_the_air_it_is_no_longer_the_areas_corner(heard: Heard) -> None:
-    heard(beat(0, status=STANDBY, armed=False), landed(ON_GROUND), origin(), home(10.0, 10.0), local(10.0, 10.0, 0.0))
+    heard(
+        beat(0, status=STANDBY, armed=False),
+        landed(ON_GROUND),
+        origin(),
+        home(10.0, 10.0),
+        local(10.0, 10.0, 0.0),
+    )
     heard(beat(4), home(10.0, 12.0), local(10.0, 12.0, 0.0, 1100))  # armed, and still on the ground
     assert heard.craft.position == pytest.approx((0.0, 0.0), abs=0.02)
     assert len(heard.history.at().track) == 1  # what was told from another corner is gone
@@ -134,7 +152,9 @@ def test_the_doubles_own_frames_are_read(heard: Heard) -> None:
     wire = Wire("ardupilot", Settings())
     companion = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
     for number in (1, 24, 30, 32, 33, 49, 168, 193, 242, 245):
-        ask = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, 1e5, 0, 0, 0, 0, 0)
+        ask = mavlink.MAVLink_command_long_message(
+            1, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, number, 1e5, 0, 0, 0, 0, 0
+        )
         wire.hear(bytes(ask.pack(companion)))
     for frame in wire.advance(60 * 60):
         heard.history.take("mavlink/out", frame, b"", 0.0, 0.0)
@@ -151,11 +171,20 @@ def test_the_doubles_own_frames_are_read(heard: Heard) -> None:
 @pytest.mark.parametrize(
     ("autopilot", "custom_mode", "name"),
     [
-        (COPTER, 4, "GUIDED"), (COPTER, 17, "BRAKE"), (COPTER, 6, "RTL"), (COPTER, 9, "LAND"), (COPTER, 199, "mode 199"),
-        (PX4, 6 << 16, "OFFBOARD"), (PX4, 4 << 16 | 3 << 24, "HOLD"), (PX4, 4 << 16 | 77 << 24, "mode 4.77"), (0, 5, "mode 5"),
+        (COPTER, 4, "GUIDED"),
+        (COPTER, 17, "BRAKE"),
+        (COPTER, 6, "RTL"),
+        (COPTER, 9, "LAND"),
+        (COPTER, 199, "mode 199"),
+        (PX4, 6 << 16, "OFFBOARD"),
+        (PX4, 4 << 16 | 3 << 24, "HOLD"),
+        (PX4, 4 << 16 | 77 << 24, "mode 4.77"),
+        (0, 5, "mode 5"),
     ],
-)  # fmt: skip
-def test_a_mode_has_its_firmwares_name_and_an_unknown_one_its_number(heard: Heard, autopilot: int, custom_mode: int, name: str) -> None:
+)
+def test_a_mode_has_its_firmwares_name_and_an_unknown_one_its_number(
+    heard: Heard, autopilot: int, custom_mode: int, name: str
+) -> None:
     assert heard(beat(custom_mode, autopilot)).craft.mode == name
     assert heard.happened == [("uav", f"mode {name}"), ("uav", "armed")]
 
@@ -164,7 +193,11 @@ def test_what_is_not_said_is_unknown(heard: Heard) -> None:
     assert heard(beat(4)).craft.condition == Condition()
     assert heard.craft.condition.health == ""
     heard(status(-1, 0xFFFF), gps(3, 255))
-    assert (heard.craft.condition.battery, heard.craft.condition.volts, heard.craft.condition.gps) == (None, None, "3-D fix")
+    assert (heard.craft.condition.battery, heard.craft.condition.volts, heard.craft.condition.gps) == (
+        None,
+        None,
+        "3-D fix",
+    )
     assert heard(status(-1, 0)).craft.condition.volts is None  # ArduPilot without a battery monitor
     assert heard.history.at().wind is None
 
@@ -172,7 +205,12 @@ def test_what_is_not_said_is_unknown(heard: Heard) -> None:
 def test_a_battery_and_a_gps_are_shown_as_they_are_and_what_is_lost_is_lost(heard: Heard) -> None:
     heard(beat(4), status(62, 15_400), gps(6, 10), ekf(831))
     condition = heard.craft.condition
-    assert (condition.battery, condition.volts, condition.gps, condition.health) == (0.62, 15.4, "RTK fixed, 10 satellites", "ok")
+    assert (condition.battery, condition.volts, condition.gps, condition.health) == (
+        0.62,
+        15.4,
+        "RTK fixed, 10 satellites",
+        "ok",
+    )
     heard(status(-1, 15_300, healthy=mavlink.MAV_SYS_STATUS_AHRS), gps(1, 0), ekf(831 & ~16))
     condition = heard.craft.condition
     assert (condition.battery, condition.volts, condition.gps) == (None, 15.3, "no fix, 0 satellites")
@@ -189,7 +227,9 @@ def test_the_wind_is_the_autopilots_own_and_one_of_zero_is_none(heard: Heard) ->
     heard(beat(4), mavlink.MAVLink_wind_message(270.0, 3.0, 0.0))  # from the west
     assert heard.history.at().wind == pytest.approx((-3.0, 0.0), abs=1e-6)
     assert heard(mavlink.MAVLink_wind_message(0.0, 0.0, 0.0)).history.at().wind is None
-    px4 = Heard()(beat(6 << 16, PX4), mavlink.MAVLink_wind_cov_message(0, 2.0, 0.0, *[math.nan] * 6))  # the air goes north
+    px4 = Heard()(
+        beat(6 << 16, PX4), mavlink.MAVLink_wind_cov_message(0, 2.0, 0.0, *[math.nan] * 6)
+    )  # the air goes north
     assert px4.history.at().wind == pytest.approx((0.0, -2.0), abs=1e-6)
     assert px4(mavlink.MAVLink_wind_cov_message(0, *[math.nan] * 8)).history.at().wind is None
 

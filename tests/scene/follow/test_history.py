@@ -1,4 +1,6 @@
-"""Protects what people are shown: each message of the bus changes the scene as it says, and a scene of the past knows nothing newer."""
+"""Protects what people are shown: each message of the bus changes the scene as it says, and a scene of the
+past knows nothing newer.
+"""
 
 import math
 from collections.abc import Callable
@@ -25,10 +27,29 @@ PARTICLES = np.array([[1.0, 2.0, 0.25], [3.0, 4.0, 0.75]], np.float32)
 
 def belief(step: int, **changed: object) -> bytes:
     said = Belief(
-        time_boot_ms=1000 * step, step=step, position=(float(step), 1.0), altitude_m=5.0, gas=0.5, wind=(2.0, 0.0), sensor="gaussian",
-        rate=300.0, diffusivity=4.0, lifetime=10.0, z=5.0, unknowns=("x", "y"), means=(11.5, 20.0), stds=(0.2, 0.3), mean=(11.5, 20.0),
-        covariance=(0.04, 0.0, 0.09), spread=0.36, effective_sample_size=2.0, p_value=1.0, ceased=False, assume="field", stop="spread:0.5",
-    )  # fmt: skip
+        time_boot_ms=1000 * step,
+        step=step,
+        position=(float(step), 1.0),
+        altitude_m=5.0,
+        gas=0.5,
+        wind=(2.0, 0.0),
+        sensor="gaussian",
+        rate=300.0,
+        diffusivity=4.0,
+        lifetime=10.0,
+        z=5.0,
+        unknowns=("x", "y"),
+        means=(11.5, 20.0),
+        stds=(0.2, 0.3),
+        mean=(11.5, 20.0),
+        covariance=(0.04, 0.0, 0.09),
+        spread=0.36,
+        effective_sample_size=2.0,
+        p_value=1.0,
+        ceased=False,
+        assume="field",
+        stop="spread:0.5",
+    )
     return msgspec.json.encode(msgspec.structs.replace(said, **changed))
 
 
@@ -57,8 +78,12 @@ def test_before_anything_is_said_there_is_nothing_to_see(history: History) -> No
 
 
 def test_the_vehicle_is_where_its_telemetry_says_with_x_east_and_y_north(history: History) -> None:
-    local = mavlink.MAVLink_local_position_ned_message(1000, 7.0, 3.0, -5.0, 0.0, 0.0, 0.0)  # 7 m north, 3 m east, 5 m up
-    attitude = mavlink.MAVLink_attitude_message(1000, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.0)  # its nose to the east
+    local = mavlink.MAVLink_local_position_ned_message(
+        1000, 7.0, 3.0, -5.0, 0.0, 0.0, 0.0
+    )  # 7 m north, 3 m east, 5 m up
+    attitude = mavlink.MAVLink_attitude_message(
+        1000, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.0
+    )  # its nose to the east
     fix = mavlink.MAVLink_global_position_int_message(1000, 473977500, 85456000, 493_000, 5000, 0, 0, 0, 9000)
     assert history.take("mavlink/out", UAV.pack(local, attitude, fix), b"", 1.0, 100.0)
     craft = history.at().craft
@@ -101,7 +126,8 @@ def test_changes_of_mode_arming_and_long_texts_are_told_once(history: History) -
         beat = mavlink.MAVLink_heartbeat_message(2, 12, flags, mode[0] << 16 | mode[1] << 24, 4, 3)
         history.take("mavlink/out", UAV.pack(beat), b"", 1.0, 100.0)
     chunks = [
-        mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_WARNING, text.encode(), 1, n) for n, text in enumerate(("a" * 50, "b"))
+        mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_WARNING, text.encode(), 1, n)
+        for n, text in enumerate(("a" * 50, "b"))
     ]
     history.take("mavlink/out", UAV.pack(*chunks), b"", 1.0, 100.0)
     assert said(history) == [
@@ -114,7 +140,9 @@ def test_changes_of_mode_arming_and_long_texts_are_told_once(history: History) -
 
 
 @pytest.mark.slow
-def test_a_text_whose_end_never_comes_does_not_grow_without_end(history: History, kept_bytes: Callable[..., int]) -> None:
+def test_a_text_whose_end_never_comes_does_not_grow_without_end(
+    history: History, kept_bytes: Callable[..., int]
+) -> None:
     begun = UAV.pack(mavlink.MAVLink_statustext_message(4, b"a" * 50, 1, 1))
 
     def never_ends() -> None:
@@ -144,7 +172,9 @@ def test_a_part_speaks_for_itself_alone(history: History) -> None:
 
 
 def test_readings_and_waypoints_are_shown(history: History) -> None:
-    history.take("reading", pack_reading(UAV, Reading(1000, (2.0, 3.0), 5.0, (1.5, -0.5), 0.25)), b"", 1.0, 100.0)
+    history.take(
+        "reading", pack_reading(UAV, Reading(1000, (2.0, 3.0), 5.0, (1.5, -0.5), 0.25)), b"", 1.0, 100.0
+    )
     history.take("waypoint", Codec(1, 191).pack(waypoint_message(1, 1000, (2.5, 4.0), 5.0)), b"", 1.1, 100.0)
     assert (history.at().wind, history.at().waypoint) == ((1.5, -0.5), (2.5, 4.0))
 
@@ -153,7 +183,9 @@ def test_a_record_from_before_waypoints_had_a_key_shows_where_each_led() -> None
     history = history_of(read(GOLDEN))
     later = history.measurements.values[1:]
     assert len(later) > 10
-    assert [history.at(measured.time_s - 0.01).waypoint for measured in later] == [measured.position for measured in later]
+    assert [history.at(measured.time_s - 0.01).waypoint for measured in later] == [
+        measured.position for measured in later
+    ]
 
 
 def test_a_belief_gives_a_measurement_and_its_particles(history: History) -> None:
@@ -175,7 +207,13 @@ def test_a_belief_gives_a_measurement_and_its_particles(history: History) -> Non
 
 def test_a_coordinate_that_is_known_is_the_estimates_own_for_all_particles(history: History) -> None:
     rows = np.array([[5.0, 7.0, 1.0]], np.float32)  # q and y are unknown, x is known
-    history.take("belief", belief(0, unknowns=("q", "y"), means=(5.0, 7.0), stds=(1.0, 1.0)), pack_particles(rows), 1.0, 100.0)
+    history.take(
+        "belief",
+        belief(0, unknowns=("q", "y"), means=(5.0, 7.0), stds=(1.0, 1.0)),
+        pack_particles(rows),
+        1.0,
+        100.0,
+    )
     scatter = history.at().scatter
     assert scatter is not None
     assert scatter.places.tolist() == [[11.5, 7.0]]
@@ -189,9 +227,13 @@ def test_a_repeated_belief_changes_nothing(history: History) -> None:
 
 
 @pytest.mark.parametrize(
-    ("estimate", "verdict", "error"), [((12.0, 19.2), "located", "0.80"), ((13.0, 21.0), "FALSE STOP", "1.41")], ids=["right", "wrong"]
+    ("estimate", "verdict", "error"),
+    [((12.0, 19.2), "located", "0.80"), ((13.0, 21.0), "FALSE STOP", "1.41")],
+    ids=["right", "wrong"],
 )
-def test_a_simulation_tells_whether_the_stop_is_right(history: History, estimate: tuple[float, float], verdict: str, error: str) -> None:
+def test_a_simulation_tells_whether_the_stop_is_right(
+    history: History, estimate: tuple[float, float], verdict: str, error: str
+) -> None:
     for _ in range(2):  # the stop is kept for late joiners, and may come again
         history.take("agdc/stop", stop(9, estimate), b"", 9.0, 100.0)
     ending = history.at().ending
@@ -219,15 +261,21 @@ def test_a_spent_budget_ends_the_search(history: History) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "payload"), [("agdc/stop", stop(300, (12.0, 19.2))), ("belief", belief(300))], ids=["stop", "spent budget"]
+    ("key", "payload"),
+    [("agdc/stop", stop(300, (12.0, 19.2))), ("belief", belief(300))],
+    ids=["stop", "spent budget"],
 )
-def test_after_the_search_there_is_no_next_waypoint_whatever_others_ask_for(history: History, key: str, payload: bytes) -> None:
+def test_after_the_search_there_is_no_next_waypoint_whatever_others_ask_for(
+    history: History, key: str, payload: bytes
+) -> None:
     agent, pilot = Codec(1, 191), Codec(255, 190)
     history.take("waypoint", agent.pack(waypoint_message(1, 299, (2.5, 4.0), 5.0)), b"", 299.0, 100.0)
     history.take(key, payload, b"", 300.0, 101.0)
     assert history.waypoint is history.at().waypoint is None
     assert history.at(299.5).waypoint == (2.5, 4.0)  # it was there before
-    assert not history.take("mavlink/in", pilot.pack(waypoint_message(1, 301, (7.0, 8.0), 5.0)), b"", 301.0, 102.0)
+    assert not history.take(
+        "mavlink/in", pilot.pack(waypoint_message(1, 301, (7.0, 8.0), 5.0)), b"", 301.0, 102.0
+    )
     assert history.waypoint is history.at().waypoint is None
 
 
@@ -246,7 +294,13 @@ def test_services_are_judged_as_status_does(history: History) -> None:
 def test_warnings_restarts_and_departures_are_told_once(history: History) -> None:
     history.lives("estimator", True, 99.0)
     for uptime_s in (1.0, 2.0, 0.5):
-        history.take("health/estimator", health("estimator", uptime_s, warnings=("the readings do not fit",)), b"", 1.0, 100.0)
+        history.take(
+            "health/estimator",
+            health("estimator", uptime_s, warnings=("the readings do not fit",)),
+            b"",
+            1.0,
+            100.0,
+        )
     history.lives("estimator", False, 101.0)
     assert said(history) == [
         ("info", "estimator", "joined"),
@@ -258,7 +312,9 @@ def test_warnings_restarts_and_departures_are_told_once(history: History) -> Non
 
 def test_a_scene_of_the_past_knows_nothing_newer(history: History) -> None:
     for step in range(5):
-        history.take("belief", belief(step), pack_particles(PARTICLES + np.float32(step)), float(step), 100.0 + step)
+        history.take(
+            "belief", belief(step), pack_particles(PARTICLES + np.float32(step)), float(step), 100.0 + step
+        )
         frame = mavlink.MAVLink_local_position_ned_message(1000 * step, 0.0, float(step), -5.0, 0.0, 0.0, 0.0)
         history.take("mavlink/out", UAV.pack(frame), b"", float(step), 100.0 + step)
     history.take("agdc/stop", stop(4, (12.0, 20.0)), b"", 4.0, 105.0)
@@ -274,7 +330,11 @@ def test_a_scene_of_the_past_knows_nothing_newer(history: History) -> None:
 
 def test_a_vehicle_that_is_started_again_begins_a_new_mission(history: History) -> None:
     def local(time_boot_ms: int) -> bytes:
-        return UAV.pack(mavlink.MAVLink_local_position_ned_message(time_boot_ms, 0.0, time_boot_ms / 1000, -5.0, 0.0, 0.0, 0.0))
+        return UAV.pack(
+            mavlink.MAVLink_local_position_ned_message(
+                time_boot_ms, 0.0, time_boot_ms / 1000, -5.0, 0.0, 0.0, 0.0
+            )
+        )
 
     for step in (4, 5):
         history.take("mavlink/out", local(1000 * step), b"", float(step), 100.0 + step)
@@ -288,18 +348,26 @@ def test_a_vehicle_that_is_started_again_begins_a_new_mission(history: History) 
     assert said(history)[-1] == ("info", "uav", "a new mission begins")
 
 
-def test_a_vehicle_whose_time_wraps_is_in_the_same_mission_and_one_that_is_started_again_then_is_not(history: History) -> None:
+def test_a_vehicle_whose_time_wraps_is_in_the_same_mission_and_one_that_is_started_again_then_is_not(
+    history: History,
+) -> None:
     for number, time_boot_ms in enumerate((2**32 - 500, 2**32 - 1, 20, 5000)):
-        local = mavlink.MAVLink_local_position_ned_message(time_boot_ms, 0.0, float(number), -5.0, 0.0, 0.0, 0.0)
+        local = mavlink.MAVLink_local_position_ned_message(
+            time_boot_ms, 0.0, float(number), -5.0, 0.0, 0.0, 0.0
+        )
         history.take("mavlink/out", UAV.pack(local), b"", 4_294_967.0 + number, 100.0 + number)
     assert (history.missions, len(history.at().track)) == (1, 4)
-    history.take("mavlink/out", UAV.pack(mavlink.MAVLink_local_position_ned_message(0, *[0.0] * 6)), b"", 0.0, 200.0)
+    history.take(
+        "mavlink/out", UAV.pack(mavlink.MAVLink_local_position_ned_message(0, *[0.0] * 6)), b"", 0.0, 200.0
+    )
     assert history.missions == 2
 
 
 def test_of_a_record_of_two_missions_the_last_one_is_shown_on_its_own_times(history: History) -> None:
     def local(time_s: float) -> bytes:
-        return UAV.pack(mavlink.MAVLink_local_position_ned_message(round(1000 * time_s), 0.0, 0.0, -5.0, 0.0, 0.0, 0.0))
+        return UAV.pack(
+            mavlink.MAVLink_local_position_ned_message(round(1000 * time_s), 0.0, 0.0, -5.0, 0.0, 0.0, 0.0)
+        )
 
     history.take("health/agent", health("agent", 1.0), b"", 1.0, 101.0)
     history.take("mavlink/out", local(50.0), b"", 50.0, 150.0)
@@ -314,11 +382,13 @@ def test_of_a_record_of_two_missions_the_last_one_is_shown_on_its_own_times(hist
     assert [service.name for service in early.services] == ["agent"]  # it was there all the time
     assert (early.ending, history.at(9.0).ending is None) == (None, False)
     entry = Entry("reading", 0, 0.0, b"")
-    assert remark_on(Recording({}, [entry], True), history) == "holds 2 missions, of which the last one is shown"
-    assert remark_on(Recording({}, [entry], True), History(Backdrop("uav/1"))) == ""
-    assert remark_on(Recording({"stopped": "No space left on device"}, [], False), History(Backdrop("uav/1"))) == (
-        "ends early: No space left on device, and holds no message"
+    assert (
+        remark_on(Recording({}, [entry], True), history) == "holds 2 missions, of which the last one is shown"
     )
+    assert remark_on(Recording({}, [entry], True), History(Backdrop("uav/1"))) == ""
+    assert remark_on(
+        Recording({"stopped": "No space left on device"}, [], False), History(Backdrop("uav/1"))
+    ) == ("ends early: No space left on device, and holds no message")
 
 
 def test_a_live_history_keeps_only_the_newest_particles_and_pose() -> None:
@@ -329,9 +399,13 @@ def test_a_live_history_keeps_only_the_newest_particles_and_pose() -> None:
     assert len(history.at().measurements) == 100
 
 
-@pytest.mark.parametrize("key", ["belief", "agdc/stop", "health/uav", "reading", "mavlink/out", "waypoint", "nothing/known"])
 @pytest.mark.parametrize(
-    "payload", [b"", b"{}", b"\xff" * 100, b"[" * 10_000, b'{"step": 1e999}'], ids=["empty", "object", "bytes", "deep", "huge"]
+    "key", ["belief", "agdc/stop", "health/uav", "reading", "mavlink/out", "waypoint", "nothing/known"]
+)
+@pytest.mark.parametrize(
+    "payload",
+    [b"", b"{}", b"\xff" * 100, b"[" * 10_000, b'{"step": 1e999}'],
+    ids=["empty", "object", "bytes", "deep", "huge"],
 )
 def test_what_strangers_send_changes_nothing(history: History, key: str, payload: bytes) -> None:
     assert not history.take(key, payload, b"", 1.0, 100.0)

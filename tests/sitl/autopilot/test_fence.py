@@ -1,4 +1,6 @@
-"""Protects the fence: what is inside, the exact time of a breach whatever the time steps, and what is done about it."""
+"""Protects the fence: what is inside, the exact time of a breach whatever the time steps, and what is done
+about it.
+"""
 
 import math
 from dataclasses import replace
@@ -35,27 +37,44 @@ def said(events):
 
 @pytest.mark.parametrize(
     ("place", "inside"),
-    [((10.0, 10.0), True), ((20.0, 5.0), True), ((0.0, 0.0), True), ((20.001, 5.0), False), ((-0.001, 5.0), False), ((10.0, 30.0), False)],
+    [
+        ((10.0, 10.0), True),
+        ((20.0, 5.0), True),
+        ((0.0, 0.0), True),
+        ((20.001, 5.0), False),
+        ((-0.001, 5.0), False),
+        ((10.0, 30.0), False),
+    ],
 )
 def test_the_edge_of_a_polygon_belongs_to_it(place, inside):
     assert SQUARE.allows(place) == inside
 
 
 def test_a_notch_in_a_polygon_is_outside():
-    notched = Polygon(True, ((0.0, 0.0), (0.0, 10.0), (10.0, 10.0), (5.0, 5.0), (10.0, 0.0)))  # a V is cut out of its north side
+    notched = Polygon(
+        True, ((0.0, 0.0), (0.0, 10.0), (10.0, 10.0), (5.0, 5.0), (10.0, 0.0))
+    )  # a V is cut out of its north side
     assert [notched.allows((north, 5.0)) for north in (1.0, 4.9, 5.1, 9.0)] == [True, True, False, False]
 
 
 def test_circles_and_zones_are_kept_out_of_or_in():
     inner, outer = Circle(True, (3.0, 4.0), 5.0), Circle(False, (3.0, 4.0), 5.0)
-    assert [inner.allows(place) for place in ((3.0, 4.0), (0.0, 0.0), (9.0, 4.0))] == [True, True, False]  # home is on its edge
+    assert [inner.allows(place) for place in ((3.0, 4.0), (0.0, 0.0), (9.0, 4.0))] == [
+        True,
+        True,
+        False,
+    ]  # home is on its edge
     assert [outer.allows(place) for place in ((3.0, 4.0), (0.0, 0.0), (9.0, 4.0))] == [False, True, True]
     assert [ZONE.allows(place) for place in ((8.0, 10.0), (4.0, 10.0), (3.0, 10.0))] == [False, True, True]
 
 
 def test_every_shape_has_to_be_kept():
     fence = Fence((SQUARE, ZONE))
-    assert [fence.allows((*place, -5.0)) for place in ((1.0, 1.0), (8.0, 10.0), (25.0, 1.0))] == [True, False, False]
+    assert [fence.allows((*place, -5.0)) for place in ((1.0, 1.0), (8.0, 10.0), (25.0, 1.0))] == [
+        True,
+        False,
+        False,
+    ]
     assert Fence().allows((99.0, -99.0, -5.0))
 
 
@@ -71,7 +90,11 @@ def test_every_shape_has_to_be_kept():
     ],
 )
 @pytest.mark.parametrize(
-    "shape", [lambda edge: Circle(True, (0.0, 0.0), edge), lambda edge: Polygon(False, ((-9, edge), (9, edge), (0, 99)))]
+    "shape",
+    [
+        lambda edge: Circle(True, (0.0, 0.0), edge),
+        lambda edge: Polygon(False, ((-9, edge), (9, edge), (0, 99))),
+    ],
 )
 def test_a_leg_leaves_the_fence_at_the_time_of_the_formula(shape, edge_m, after_s):
     path = Trajectory(100.0, (0.0, 0.0, -5.0)).to((0.0, 30.0, -5.0), LIMITS)
@@ -100,7 +123,9 @@ def test_a_target_outside_the_fence_is_refused_with_its_reason():
     vehicle = offboard(fenced(SQUARE))
     refused = vehicle.setpoint(10.0, (5.0, 25.0, -5.0))
     assert refused == (DENIED, "Waypoint refused: (25.0, 5.0) m is outside the fence", "outside the fence")
-    assert vehicle.go_to(10.0, (25.0, 5.0, -5.0)).reason == "Go-to refused: (5.0, 25.0) m is outside the fence"
+    assert (
+        vehicle.go_to(10.0, (25.0, 5.0, -5.0)).reason == "Go-to refused: (5.0, 25.0) m is outside the fence"
+    )
     assert vehicle.setpoint(10.0, (5.0, 15.0, -5.0)).code == ACCEPTED
 
 
@@ -116,7 +141,9 @@ def test_a_fence_without_an_action_refuses_nothing():
 
 # ---- breaches ----
 
-BREACH_S = 10.0 + RAMP_S + (8.0 - RAMP_M) / 5.0  # a leg from home to 20 m east, which begins at 10 s, comes to the zone at 8 m
+BREACH_S = (
+    10.0 + RAMP_S + (8.0 - RAMP_M) / 5.0
+)  # a leg from home to 20 m east, which begins at 10 s, comes to the zone at 8 m
 ACROSS = Polygon(False, ((-4.0, 8.0), (-4.0, 12.0), (12.0, 12.0), (12.0, 8.0)))
 
 
@@ -128,12 +155,19 @@ def breaching(action):
 
 @pytest.mark.parametrize(
     ("action", "mode", "word"),
-    [(1, Mode.OFFBOARD, ""), (2, Mode.HOLD, ": holding"), (3, Mode.RETURN, ": returning"), (5, Mode.LAND, ": landing")],
+    [
+        (1, Mode.OFFBOARD, ""),
+        (2, Mode.HOLD, ": holding"),
+        (3, Mode.RETURN, ": returning"),
+        (5, Mode.LAND, ": landing"),
+    ],
 )
 def test_what_a_breach_leads_to_is_px4s_gf_action(action, mode, word):
     vehicle = breaching(action)
     assert vehicle.next_event_s() == pytest.approx(BREACH_S, abs=1e-8)
-    assert said(vehicle.advance(BREACH_S + 0.01)) == [(pytest.approx(BREACH_S, abs=1e-8), f"Fence breached at (8.00, 0.00) m{word}")]
+    assert said(vehicle.advance(BREACH_S + 0.01)) == [
+        (pytest.approx(BREACH_S, abs=1e-8), f"Fence breached at (8.00, 0.00) m{word}")
+    ]
     state = vehicle.state(BREACH_S + 0.01)
     assert (state.mode, state.failsafe) == (mode, action != 1)
     assert (state.breaches.times, state.breaches.outside) == (1, True)
@@ -156,7 +190,10 @@ def test_a_landing_after_a_breach_ends_on_the_ground_and_a_return_at_home():
 
 def test_a_termination_stops_the_motors():
     vehicle = breaching(4)
-    assert texts(vehicle.advance(60.0)) == ["Fence breached at (8.00, 0.00) m: motors stopped", "Motors stopped in the air"]
+    assert texts(vehicle.advance(60.0)) == [
+        "Fence breached at (8.00, 0.00) m: motors stopped",
+        "Motors stopped in the air",
+    ]
     # It falls 5 m in sqrt(2 * 5 / g) s at 5 m/s.
     assert vehicle.state(60.0).position == pytest.approx((0.0, 8.0 + 5.0 * math.sqrt(10.0 / 9.80665), 0.0))
     assert not vehicle.state(60.0).armed
@@ -166,7 +203,10 @@ def test_every_breach_of_a_leg_is_told_when_it_is_only_warned():
     second = Polygon(False, ((-4.0, 14.0), (-4.0, 16.0), (12.0, 16.0), (12.0, 14.0)))
     vehicle = offboard(fenced(ACROSS, second, action=1))
     vehicle.setpoint(10.0, (0.0, 20.0, -5.0))
-    assert texts(vehicle.advance(20.0)) == ["Fence breached at (8.00, 0.00) m", "Fence breached at (14.00, 0.00) m"]
+    assert texts(vehicle.advance(20.0)) == [
+        "Fence breached at (8.00, 0.00) m",
+        "Fence breached at (14.00, 0.00) m",
+    ]
 
 
 def test_a_vehicle_that_returns_already_only_warns():

@@ -1,4 +1,6 @@
-"""Protects the claim that motion is a formula of time: bounded, continuous, and exactly on the target at its end."""
+"""Protects the claim that motion is a formula of time: bounded, continuous, and exactly on the target at
+its end.
+"""
 
 import math
 
@@ -7,7 +9,18 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sitl.autopilot.motion import GRAVITY_MPS2, ZERO, Limits, Motion, Trajectory, Turn, fall, halt, tilt, wrapped
+from sitl.autopilot.motion import (
+    GRAVITY_MPS2,
+    ZERO,
+    Limits,
+    Motion,
+    Trajectory,
+    Turn,
+    fall,
+    halt,
+    tilt,
+    wrapped,
+)
 
 LIMITS = Limits(speed_mps=5.0, climb_mps=3.0, descent_mps=1.5, accel_mps2=3.0)
 coordinate = st.floats(0.0, 30.0, width=32)
@@ -30,7 +43,9 @@ def test_a_long_leg_takes_ramp_cruise_ramp():
     assert path.end_s == pytest.approx(11.0 / 3.0, rel=1e-14)
     assert math.hypot(*path.at(1.0).velocity) == pytest.approx(3.0, rel=1e-14)
     assert path.at(1.8).velocity == pytest.approx((3.0, 4.0, 0.0), rel=1e-14)
-    assert path.at(11.0 / 6.0).position == pytest.approx((3.0, 4.0, -5.0), rel=1e-14)  # half the way in half the time
+    assert path.at(11.0 / 6.0).position == pytest.approx(
+        (3.0, 4.0, -5.0), rel=1e-14
+    )  # half the way in half the time
 
 
 def test_a_short_leg_never_reaches_its_cruise_speed():
@@ -40,7 +55,8 @@ def test_a_short_leg_never_reaches_its_cruise_speed():
 
 
 @pytest.mark.parametrize(
-    ("target", "peak"), [((0.0, 0.0, -60.0), 3.0), ((0.0, 0.0, 0.0), 1.5), ((40.0, 0.0, 0.0), 1.5 * math.hypot(40, 30) / 30)]
+    ("target", "peak"),
+    [((0.0, 0.0, -60.0), 3.0), ((0.0, 0.0, 0.0), 1.5), ((40.0, 0.0, 0.0), 1.5 * math.hypot(40, 30) / 30)],
 )
 def test_climb_and_descent_have_their_own_limits(target, peak):
     path = leg((0.0, 0.0, -30.0), target)
@@ -63,7 +79,9 @@ def test_the_position_is_the_integral_of_a_bounded_speed(start, target):
     motions = [path.at(t) for t in times]
     velocities = np.array([m.velocity for m in motions])
     travelled = np.vstack([np.zeros(3), np.cumsum((velocities[1:] + velocities[:-1]) / 2.0, axis=0) * step])
-    np.testing.assert_allclose(np.array([m.position for m in motions]), np.array(start) + travelled, atol=3.0 * step**2 + 1e-9)
+    np.testing.assert_allclose(
+        np.array([m.position for m in motions]), np.array(start) + travelled, atol=3.0 * step**2 + 1e-9
+    )
     assert np.all(np.hypot(velocities[:, 0], velocities[:, 1]) <= LIMITS.speed_mps * (1 + 1e-12))
     assert np.all(velocities[:, 2] >= -LIMITS.climb_mps * (1 + 1e-12))
     assert np.all(velocities[:, 2] <= LIMITS.descent_mps * (1 + 1e-12))
@@ -104,7 +122,9 @@ def test_a_new_target_on_the_way_changes_position_and_velocity_without_a_jump(st
     assert turned.at(turned.end_s).position == other
     times = np.linspace(turn_s, turned.end_s, 200)
     velocities = np.array([turned.at(t).velocity for t in times])
-    assert np.all(np.linalg.norm(np.diff(velocities, axis=0), axis=1) <= 2 * LIMITS.accel_mps2 * np.diff(times) + 1e-6)
+    assert np.all(
+        np.linalg.norm(np.diff(velocities, axis=0), axis=1) <= 2 * LIMITS.accel_mps2 * np.diff(times) + 1e-6
+    )
 
 
 @given(points, points, st.floats(0.0, 1.0))
@@ -141,13 +161,26 @@ def test_a_wrapped_angle_is_the_same_angle(angle):
 @given(st.tuples(*[st.floats(-4.0, 4.0)] * 3), st.floats(-3.1, 3.1))
 def test_thrust_along_the_attitude_against_gravity_gives_the_acceleration(acceleration, yaw):
     roll, pitch = tilt(acceleration, yaw)
-    cr, sr, cp, sp, cy, sy = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch), math.cos(yaw), math.sin(yaw)
-    down_axis = np.array([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])  # third column of Rz(yaw) Ry(pitch) Rx(roll)
+    cr, sr, cp, sp, cy, sy = (
+        math.cos(roll),
+        math.sin(roll),
+        math.cos(pitch),
+        math.sin(pitch),
+        math.cos(yaw),
+        math.sin(yaw),
+    )
+    down_axis = np.array(
+        [cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr]
+    )  # third column of Rz(yaw) Ry(pitch) Rx(roll)
     thrust = np.array(acceleration) - [0.0, 0.0, GRAVITY_MPS2]
     np.testing.assert_allclose(-down_axis * np.linalg.norm(thrust), thrust, atol=1e-9)
 
 
 def test_it_leans_to_where_it_accelerates():
-    assert tilt((3.0, 0.0, 0.0), 0.0) == pytest.approx((0.0, -math.atan(3.0 / GRAVITY_MPS2)))  # north, nose down
-    assert tilt((0.0, 3.0, 0.0), 0.0) == pytest.approx((math.atan(3.0 / GRAVITY_MPS2), 0.0))  # east, right side down
+    assert tilt((3.0, 0.0, 0.0), 0.0) == pytest.approx(
+        (0.0, -math.atan(3.0 / GRAVITY_MPS2))
+    )  # north, nose down
+    assert tilt((0.0, 3.0, 0.0), 0.0) == pytest.approx(
+        (math.atan(3.0 / GRAVITY_MPS2), 0.0)
+    )  # east, right side down
     assert tilt((0.0, 0.0, GRAVITY_MPS2), 1.0) == (0.0, 0.0)  # free fall

@@ -1,4 +1,6 @@
-"""Protects missions: what each item does and when, to the formula's time, and that neither depends on the time steps."""
+"""Protects missions: what each item does and when, to the formula's time, and that neither depends on the
+time steps.
+"""
 
 import itertools
 import math
@@ -15,9 +17,30 @@ from sitl.autopilot.plan import BadItem, Item, step
 from sitl.autopilot.state import Mode, Reached, Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
-from tests.ground.tlog.flights import CLIMB_S, CONFIG, GROUND, LANDING, NAN, REJECTED, TAKING_OFF, hovering, on_the_ground, texts
+from tests.ground.tlog.flights import (
+    CLIMB_S,
+    CONFIG,
+    GROUND,
+    LANDING,
+    NAN,
+    REJECTED,
+    TAKING_OFF,
+    hovering,
+    on_the_ground,
+    texts,
+)
 
-TAKEOFF, WAYPOINT, LOITER, LOITER_TIME, RETURN, LAND, DELAY, JUMP, SPEED = 22, 16, 17, 19, 20, 21, 93, 177, 178
+TAKEOFF, WAYPOINT, LOITER, LOITER_TIME, RETURN, LAND, DELAY, JUMP, SPEED = (
+    22,
+    16,
+    17,
+    19,
+    20,
+    21,
+    93,
+    177,
+    178,
+)
 RELATIVE, NO_FRAME = 6, 2
 NONE, NOT_STARTED, ACTIVE, PAUSED, COMPLETE = 1, 2, 3, 4, 5  # MISSION_STATE
 LEG_S = 10.0 / 5.0 + 5.0 / 3.0  # 10 m at 5 m/s and 3 m/s²: length / speed + speed / acceleration
@@ -37,7 +60,11 @@ def item(command, *params, east=None, north=None, up=5.0, frame=None, autocontin
 
 
 def load(vehicle, *items, t_s=None):
-    vehicle.load(vehicle.now_s if t_s is None else t_s, tuple(step(each, len(items), vehicle.config) for each in items), 99)
+    vehicle.load(
+        vehicle.now_s if t_s is None else t_s,
+        tuple(step(each, len(items), vehicle.config) for each in items),
+        99,
+    )
     return vehicle
 
 
@@ -70,15 +97,33 @@ def test_a_mission_mode_without_a_mission_is_refused():
 REFUSED = {
     "unknown command": (item(31000), mavlink.MAV_MISSION_UNSUPPORTED),
     "home cannot be set": (item(179), mavlink.MAV_MISSION_UNSUPPORTED),
-    "a waypoint in a local frame": (item(WAYPOINT, east=1, north=1, frame=1), mavlink.MAV_MISSION_UNSUPPORTED_FRAME),
-    "a waypoint without a frame": (item(WAYPOINT, east=1, north=1, frame=2), mavlink.MAV_MISSION_UNSUPPORTED_FRAME),
+    "a waypoint in a local frame": (
+        item(WAYPOINT, east=1, north=1, frame=1),
+        mavlink.MAV_MISSION_UNSUPPORTED_FRAME,
+    ),
+    "a waypoint without a frame": (
+        item(WAYPOINT, east=1, north=1, frame=2),
+        mavlink.MAV_MISSION_UNSUPPORTED_FRAME,
+    ),
     "a negative hold time": (item(WAYPOINT, -1.0, east=1, north=1), mavlink.MAV_MISSION_INVALID_PARAM1),
-    "an infinite yaw": (item(WAYPOINT, 0.0, 0.0, 0.0, math.inf, east=1, north=1), mavlink.MAV_MISSION_INVALID_PARAM4),
-    "no latitude": (item(WAYPOINT, east=1, north=1)._replace(x=0x7FFFFFFF), mavlink.MAV_MISSION_INVALID_PARAM5_X),
-    "no longitude": (item(WAYPOINT, east=1, north=1)._replace(y=0x7FFFFFFF), mavlink.MAV_MISSION_INVALID_PARAM6_Y),
+    "an infinite yaw": (
+        item(WAYPOINT, 0.0, 0.0, 0.0, math.inf, east=1, north=1),
+        mavlink.MAV_MISSION_INVALID_PARAM4,
+    ),
+    "no latitude": (
+        item(WAYPOINT, east=1, north=1)._replace(x=0x7FFFFFFF),
+        mavlink.MAV_MISSION_INVALID_PARAM5_X,
+    ),
+    "no longitude": (
+        item(WAYPOINT, east=1, north=1)._replace(y=0x7FFFFFFF),
+        mavlink.MAV_MISSION_INVALID_PARAM6_Y,
+    ),
     "no altitude": (item(WAYPOINT, east=1, north=1, up=NAN), mavlink.MAV_MISSION_INVALID_PARAM7),
     "above the ceiling": (item(WAYPOINT, east=1, north=1, up=121.0), mavlink.MAV_MISSION_INVALID_PARAM7),
-    "below the ground": (item(WAYPOINT, east=1, north=1, up=4.0, frame=5), mavlink.MAV_MISSION_INVALID_PARAM7),  # 4 m above sea
+    "below the ground": (
+        item(WAYPOINT, east=1, north=1, up=4.0, frame=5),
+        mavlink.MAV_MISSION_INVALID_PARAM7,
+    ),  # 4 m above sea
     "outside the area": (item(WAYPOINT, east=31, north=1), mavlink.MAV_MISSION_INVALID_PARAM5_X),
     "a take-off to nowhere": (item(TAKEOFF, up=0.0), mavlink.MAV_MISSION_INVALID_PARAM7),
     "a delay until a time of day": (item(DELAY, -1.0, 12.0), mavlink.MAV_MISSION_INVALID_PARAM1),
@@ -153,7 +198,9 @@ def test_without_a_yaw_the_heading_stays():
 
 
 def test_altitudes_are_above_home_or_above_the_sea():
-    vehicle = started(item(WAYPOINT, east=1, north=1, up=8.0), item(WAYPOINT, east=1, north=1, up=488.0 + 6.0, frame=5))
+    vehicle = started(
+        item(WAYPOINT, east=1, north=1, up=8.0), item(WAYPOINT, east=1, north=1, up=488.0 + 6.0, frame=5)
+    )
     (_, first_s), _ = reached(vehicle.advance(60.0))
     assert vehicle.state(60.0).position[2] == pytest.approx(-6.0)
     again = started(item(WAYPOINT, east=1, north=1, up=8.0))
@@ -162,7 +209,11 @@ def test_altitudes_are_above_home_or_above_the_sea():
 
 
 def test_delays_and_loiters_wait():
-    vehicle = started(item(DELAY, 3.0), item(LOITER_TIME, 4.0, 0.0, 0.0, NAN, east=10, north=0), item(LOITER, east=10, north=10))
+    vehicle = started(
+        item(DELAY, 3.0),
+        item(LOITER_TIME, 4.0, 0.0, 0.0, NAN, east=10, north=0),
+        item(LOITER, east=10, north=10),
+    )
     events = reached(vehicle.advance(12.0))
     assert vehicle.waiting
     events += reached(vehicle.advance(500.0))
@@ -175,19 +226,31 @@ def test_delays_and_loiters_wait():
 def test_a_change_of_speed_acts_on_the_items_that_follow():
     slow = 10.0 / 2.0 + 2.0 / 3.0  # 10 m at 2 m/s
     vehicle = started(
-        item(SPEED, 1.0, 2.0), item(WAYPOINT, east=10, north=0), item(SPEED, 1.0, -1.0), item(WAYPOINT, east=0, north=0),
-        item(SPEED, 1.0, -2.0), item(WAYPOINT, east=10, north=0),
-    )  # fmt: skip
+        item(SPEED, 1.0, 2.0),
+        item(WAYPOINT, east=10, north=0),
+        item(SPEED, 1.0, -1.0),
+        item(WAYPOINT, east=0, north=0),
+        item(SPEED, 1.0, -2.0),
+        item(WAYPOINT, east=10, north=0),
+    )
     times = [10.0, *(t_s for _, t_s in reached(vehicle.advance(90.0)))]
     assert [b - a for a, b in itertools.pairwise(times)] == pytest.approx([slow, slow, LEG_S], abs=0.02)
 
 
 def test_a_jump_repeats_items_as_often_as_it_says():
-    vehicle = started(item(WAYPOINT, east=10, north=0), item(WAYPOINT, east=0, north=0), item(JUMP, 0.0, 2.0), item(DELAY, 1.0))
+    vehicle = started(
+        item(WAYPOINT, east=10, north=0),
+        item(WAYPOINT, east=0, north=0),
+        item(JUMP, 0.0, 2.0),
+        item(DELAY, 1.0),
+    )
     assert [seq for seq, _ in reached(vehicle.advance(200.0))] == [0, 1, 0, 1, 0, 1, 3]
 
 
-@pytest.mark.parametrize("items", [(item(JUMP, 0.0, 1000.0),), (item(DELAY, 0.0), item(JUMP, 0.0, 1000.0), item(JUMP, 0.0, 1000.0))])
+@pytest.mark.parametrize(
+    "items",
+    [(item(JUMP, 0.0, 1000.0),), (item(DELAY, 0.0), item(JUMP, 0.0, 1000.0), item(JUMP, 0.0, 1000.0))],
+)
 def test_jumps_that_lead_nowhere_end(items):
     vehicle = started(*items)
     assert texts(vehicle.advance(20.0)) == ["Mission finished"]
@@ -309,8 +372,13 @@ def test_that_an_item_is_done_is_told_for_a_second():
     vehicle.set_mode(0.0, Mode.MISSION)
     vehicle.arm(0.0)
     ((_, done_s),) = reached(vehicle.advance(60.0))
-    telemetry = Telemetry(lambda t_s: Snapshot(vehicle.config, vehicle.state(60.0)._replace(time_s=t_s), (0.0, 0.0), None))
-    told = [telemetry.build(mavlink.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, done_s + after_s) for after_s in (0.0, 0.5, 1.0, 1.1)]
+    telemetry = Telemetry(
+        lambda t_s: Snapshot(vehicle.config, vehicle.state(60.0)._replace(time_s=t_s), (0.0, 0.0), None)
+    )
+    told = [
+        telemetry.build(mavlink.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, done_s + after_s)
+        for after_s in (0.0, 0.5, 1.0, 1.1)
+    ]
     assert [message and message.seq for message in told] == [0, 0, 0, None]
 
 
@@ -323,9 +391,14 @@ def test_a_mission_with_a_fence_does_not_depend_on_the_time_steps(steps):
     def flight():
         vehicle = Vehicle(VehicleConfig(fence=Fence((Circle(False, (5.0, 10.0), 2.0),)), fence_action=1))
         load(
-            vehicle, item(TAKEOFF), item(SPEED, 1.0, 3.0), item(WAYPOINT, 1.0, 0.0, 0.0, 90.0, east=10, north=0),
-            item(WAYPOINT, east=10, north=10), item(JUMP, 2.0, 1.0), item(RETURN),
-        )  # fmt: skip
+            vehicle,
+            item(TAKEOFF),
+            item(SPEED, 1.0, 3.0),
+            item(WAYPOINT, 1.0, 0.0, 0.0, 90.0, east=10, north=0),
+            item(WAYPOINT, east=10, north=10),
+            item(JUMP, 2.0, 1.0),
+            item(RETURN),
+        )
         vehicle.set_mode(0.0, Mode.MISSION)
         vehicle.arm(0.0)
         return vehicle

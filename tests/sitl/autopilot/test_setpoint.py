@@ -1,4 +1,6 @@
-"""Protects flight by velocity and acceleration: worked by hand, never out of the area, never beyond a limit; and strict streams."""
+"""Protects flight by velocity and acceleration: worked by hand, never out of the area, never beyond a
+limit; and strict streams.
+"""
 
 import dataclasses
 import math
@@ -31,7 +33,9 @@ AT = 10.0
 """When the tests' setpoints come: the vehicle of `offboard` rests by then."""
 
 
-def flown(setpoint: Setpoint, at: tuple[float, float, float] = (0.0, 0.0, -5.0), config: VehicleConfig = CONFIG) -> Vehicle:
+def flown(
+    setpoint: Setpoint, at: tuple[float, float, float] = (0.0, 0.0, -5.0), config: VehicleConfig = CONFIG
+) -> Vehicle:
     """A vehicle in OFFBOARD that rests at a place and gets a setpoint at time AT."""
     vehicle = offboard(dataclasses.replace(config, silence_s=1e4, endurance_s=math.inf))
     vehicle.setpoint(4.0, at)
@@ -54,8 +58,14 @@ def after(vehicle: Vehicle, seconds: float):
 
 def test_from_rest_to_2_mps_takes_two_thirds_of_a_second_and_of_a_metre():
     vehicle = flown(Setpoint(velocity=(2.0, 0.0, 0.0)))
-    assert after(vehicle, 1.0 / 3.0) == (pytest.approx((1.0 / 6.0, 0.0, -5.0)), pytest.approx((1.0, 0.0, 0.0)))
-    assert after(vehicle, 1.0 / 3.0) == (pytest.approx((2.0 / 3.0, 0.0, -5.0)), pytest.approx((2.0, 0.0, 0.0)))
+    assert after(vehicle, 1.0 / 3.0) == (
+        pytest.approx((1.0 / 6.0, 0.0, -5.0)),
+        pytest.approx((1.0, 0.0, 0.0)),
+    )
+    assert after(vehicle, 1.0 / 3.0) == (
+        pytest.approx((2.0 / 3.0, 0.0, -5.0)),
+        pytest.approx((2.0, 0.0, 0.0)),
+    )
     assert after(vehicle, 3.0) == (pytest.approx((2.0 / 3.0 + 6.0, 0.0, -5.0)), (2.0, 0.0, 0.0))
 
 
@@ -75,12 +85,19 @@ def test_velocity_zero_brakes_and_holds():
     after(vehicle, 2.0)
     vehicle.setpoint(vehicle.now_s, Setpoint(velocity=(0.0, 0.0, 0.0)))
     assert vehicle.advance(vehicle.now_s + 100.0) == []
-    assert after(vehicle, 0.0) == (pytest.approx((2.0 / 3.0 + 2.0 * 4.0 / 3.0 + 2.0 / 3.0, 0.0, -5.0)), (0.0, 0.0, 0.0))
+    assert after(vehicle, 0.0) == (
+        pytest.approx((2.0 / 3.0 + 2.0 * 4.0 / 3.0 + 2.0 / 3.0, 0.0, -5.0)),
+        (0.0, 0.0, 0.0),
+    )
 
 
 @pytest.mark.parametrize(
     ("asked", "flies"),
-    [((30.0, 40.0, 0.0), (3.0, 4.0, 0.0)), ((0.0, 0.0, -9.0), (0.0, 0.0, -3.0)), ((6.0, 8.0, 9.0), (3.0, 4.0, 1.5))],
+    [
+        ((30.0, 40.0, 0.0), (3.0, 4.0, 0.0)),
+        ((0.0, 0.0, -9.0), (0.0, 0.0, -3.0)),
+        ((6.0, 8.0, 9.0), (3.0, 4.0, 1.5)),
+    ],
 )
 def test_a_velocity_is_cut_to_the_limits_and_its_horizontal_part_keeps_its_direction(asked, flies):
     vehicle = flown(Setpoint(velocity=asked), at=(5.0, 5.0, -20.0))
@@ -96,7 +113,9 @@ def test_it_comes_to_rest_on_the_edge_of_the_area_and_says_so_once():
     assert vehicle.state(rests - 1.0 / 3.0).position == pytest.approx((30.0 - 1.0 / 6.0, 0.0, -5.0))
     (said,) = vehicle.advance(rests + 100.0)
     assert (said.time_s, said.severity) == (pytest.approx(rests), WARNING)
-    assert said.text == "Setpoint ends at (0.0, 30.0) m at 5.0 m: allowed is [0, 30] x [0, 30] m at [0, 120] m"
+    assert (
+        said.text == "Setpoint ends at (0.0, 30.0) m at 5.0 m: allowed is [0, 30] x [0, 30] m at [0, 120] m"
+    )
     assert vehicle.state(vehicle.now_s).position == (30.0, 0.0, -5.0)
     for n in range(40):  # the client goes on pushing, ever a little differently
         vehicle.setpoint(vehicle.now_s + 0.05, Setpoint(velocity=(2.0 + n / 10.0, 0.0, 0.0)))
@@ -108,7 +127,10 @@ def test_a_speed_that_it_cannot_reach_before_the_edge_is_not_reached():
     vehicle = flown(Setpoint(velocity=(2.0, 0.0, 0.0)), at=(29.5, 10.0, -5.0))
     began = vehicle.now_s
     half_s = math.sqrt(0.5 / 3.0)  # half of the way to speed up, half to slow down
-    assert after(vehicle, half_s) == (pytest.approx((29.75, 10.0, -5.0)), pytest.approx((3.0 * half_s, 0.0, 0.0)))
+    assert after(vehicle, half_s) == (
+        pytest.approx((29.75, 10.0, -5.0)),
+        pytest.approx((3.0 * half_s, 0.0, 0.0)),
+    )
     (said,) = vehicle.advance(began + 10.0)
     assert said.time_s == pytest.approx(began + 2.0 * half_s)
     assert vehicle.state(vehicle.now_s).position == (30.0, 10.0, -5.0)
@@ -116,7 +138,9 @@ def test_a_speed_that_it_cannot_reach_before_the_edge_is_not_reached():
 
 def test_a_turn_that_would_swing_over_the_edge_brakes_first_and_then_goes_on_along_it():
     vehicle = flown(Setpoint(velocity=(5.0, 0.0, 0.0)), at=(10.0, 10.0, -5.0))
-    after(vehicle, (15.5 - 25.0 / 6.0) / 5.0 + 5.0 / 3.0)  # 4.5 m before the edge; to brake from 5 m/s takes 4.17 m
+    after(
+        vehicle, (15.5 - 25.0 / 6.0) / 5.0 + 5.0 / 3.0
+    )  # 4.5 m before the edge; to brake from 5 m/s takes 4.17 m
     assert after(vehicle, 0.0)[0] == pytest.approx((25.5, 10.0, -5.0))
     # North speed falls by 3/√2 m/s², so a free turn would take 25/(2·2.12) = 5.9 m.
     vehicle.setpoint(vehicle.now_s, Setpoint(velocity=(0.0, 5.0, 0.0)))
@@ -170,7 +194,10 @@ def test_a_velocity_at_a_height_climbs_there_and_flies_on_level():
 def test_an_acceleration_acts_until_the_speed_limit_and_then_it_cruises():
     vehicle = flown(Setpoint(acceleration=(1.0, 0.0, 0.0)), at=(1.0, 10.0, -5.0))
     assert after(vehicle, 2.0) == (pytest.approx((3.0, 10.0, -5.0)), pytest.approx((2.0, 0.0, 0.0)))
-    assert after(vehicle, 3.0) == (pytest.approx((13.5, 10.0, -5.0)), pytest.approx((5.0, 0.0, 0.0)))  # 5 s at 1 m/s²
+    assert after(vehicle, 3.0) == (
+        pytest.approx((13.5, 10.0, -5.0)),
+        pytest.approx((5.0, 0.0, 0.0)),
+    )  # 5 s at 1 m/s²
     assert after(vehicle, 1.0) == (pytest.approx((18.5, 10.0, -5.0)), pytest.approx((5.0, 0.0, 0.0)))
     assert len(vehicle.advance(vehicle.now_s + 100.0)) == 1
     assert vehicle.state(vehicle.now_s).position == (30.0, 10.0, -5.0)
@@ -188,23 +215,38 @@ def test_an_acceleration_beyond_the_limit_is_cut_and_acceleration_0_keeps_the_ve
 
 def some_setpoint(random_: random.Random) -> Setpoint:
     def vector(size: float):
-        return tuple(random_.choice((-1.0, 0.0, 1.0)) * size if random_.random() < 0.3 else random_.uniform(-size, size) for _ in range(3))
+        return tuple(
+            random_.choice((-1.0, 0.0, 1.0)) * size
+            if random_.random() < 0.3
+            else random_.uniform(-size, size)
+            for _ in range(3)
+        )
 
     match random_.randrange(6):
         case 0 | 1:
-            return Setpoint(velocity=vector(random_.choice((0.5, 3.0, 8.0))), yaw_rate_radps=random_.choice((None, 0.3)))
+            return Setpoint(
+                velocity=vector(random_.choice((0.5, 3.0, 8.0))), yaw_rate_radps=random_.choice((None, 0.3))
+            )
         case 2:
             return Setpoint(acceleration=vector(random_.choice((0.5, 3.0, 8.0))))
         case 3:
             return Setpoint(velocity=vector(5.0), down_m=-random_.uniform(0.0, 20.0))
         case _:
-            return Setpoint((random_.uniform(0.0, 30.0), random_.uniform(0.0, 30.0), -random_.uniform(0.5, 20.0)))
+            return Setpoint(
+                (random_.uniform(0.0, 30.0), random_.uniform(0.0, 30.0), -random_.uniform(0.5, 20.0))
+            )
 
 
-@pytest.mark.parametrize("seed", [*range(20), 2241])  # the last once jumped by a metre, for a velocity of 1e-10 m/s over the edge
+@pytest.mark.parametrize(
+    "seed", [*range(20), 2241]
+)  # the last once jumped by a metre, for a velocity of 1e-10 m/s over the edge
 def test_no_sequence_of_setpoints_leads_out_of_the_area_beyond_a_limit_or_to_a_jump(seed):
     random_ = random.Random(seed)
-    vehicle = hovering(VehicleConfig(ceiling_m=20.0, endurance_s=math.inf, disarm_landed_s=math.inf, disarm_preflight_s=math.inf))
+    vehicle = hovering(
+        VehicleConfig(
+            ceiling_m=20.0, endurance_s=math.inf, disarm_landed_s=math.inf, disarm_preflight_s=math.inf
+        )
+    )
     before = vehicle.state(vehicle.now_s)
     for _ in range(30):
         assert vehicle.setpoint(vehicle.now_s, some_setpoint(random_)).accepted
@@ -222,9 +264,14 @@ def test_no_sequence_of_setpoints_leads_out_of_the_area_beyond_a_limit_or_to_a_j
             assert math.hypot(v_north, v_east) <= 5.0 + 1e-9
             assert -3.0 - 1e-9 <= v_down <= 1.5 + 1e-9
             assert math.dist(state.velocity, before.velocity) <= 3.0 * (state.time_s - before.time_s) + 1e-8
-            middle = [(a + b) / 2.0 * (state.time_s - before.time_s) for a, b in zip(state.velocity, before.velocity, strict=True)]
+            middle = [
+                (a + b) / 2.0 * (state.time_s - before.time_s)
+                for a, b in zip(state.velocity, before.velocity, strict=True)
+            ]
             moved = [a - b for a, b in zip(state.position, before.position, strict=True)]
-            assert math.dist(moved, middle) <= 3.0 * (state.time_s - before.time_s) ** 2 + 1e-7  # the position is the velocity's integral
+            assert (
+                math.dist(moved, middle) <= 3.0 * (state.time_s - before.time_s) ** 2 + 1e-7
+            )  # the position is the velocity's integral
             before = state
 
 
@@ -256,14 +303,18 @@ def test_a_yaw_rate_turns_until_told_otherwise():
     after(vehicle, 10.0)
     assert vehicle.state(vehicle.now_s).yaw == pytest.approx(5.0 - 2.0 * math.pi)
     assert vehicle.state(vehicle.now_s).yaw_rate == 0.5
-    vehicle.setpoint(vehicle.now_s, Setpoint(velocity=(1.0, 0.0, 0.0), yaw_rate_radps=0.5))  # another way, the same turn
+    vehicle.setpoint(
+        vehicle.now_s, Setpoint(velocity=(1.0, 0.0, 0.0), yaw_rate_radps=0.5)
+    )  # another way, the same turn
     after(vehicle, 2.0)
     assert vehicle.state(vehicle.now_s).yaw == pytest.approx(0.5 * (vehicle.now_s - began) - 2.0 * math.pi)
     vehicle.setpoint(vehicle.now_s, Setpoint(velocity=(1.0, 0.0, 0.0)))
     assert vehicle.state(vehicle.now_s).yaw_rate == 0.0
     vehicle.setpoint(vehicle.now_s, Setpoint(velocity=(1.0, 0.0, 0.0), yaw_rate_radps=9.0))
     assert vehicle.state(vehicle.now_s).yaw_rate == pytest.approx(math.radians(45.0))
-    vehicle.setpoint(vehicle.now_s, Setpoint(velocity=(1.0, 0.0, 0.0), yaw_rad=1.0, yaw_rate_radps=9.0))  # the yaw is more
+    vehicle.setpoint(
+        vehicle.now_s, Setpoint(velocity=(1.0, 0.0, 0.0), yaw_rad=1.0, yaw_rate_radps=9.0)
+    )  # the yaw is more
     after(vehicle, 10.0)
     assert (vehicle.state(vehicle.now_s).yaw, vehicle.state(vehicle.now_s).yaw_rate) == (1.0, 0.0)
 
@@ -272,7 +323,9 @@ def test_the_velocity_that_is_asked_for_is_told_until_another_mode_is_chosen():
     vehicle = flown(Setpoint(velocity=(6.0, 8.0, 1.0)))
 
     def told():
-        return position_target_local_ned(Snapshot(vehicle.config, vehicle.state(vehicle.now_s), (0.0, 0.0), None))
+        return position_target_local_ned(
+            Snapshot(vehicle.config, vehicle.state(vehicle.now_s), (0.0, 0.0), None)
+        )
 
     assert (told().vx, told().vy, told().vz) == pytest.approx((3.0, 4.0, 1.0))  # within the limits
     assert told().type_mask == 0b110111000111
@@ -284,9 +337,18 @@ def test_the_velocity_that_is_asked_for_is_told_until_another_mode_is_chosen():
     ("setpoint", "reason"),
     [
         (Setpoint(velocity=(math.inf, 0.0, 0.0)), "Setpoint refused: velocity (inf, 0.0, 0.0) is not finite"),
-        (Setpoint(acceleration=(0.0, NAN, 0.0)), "Setpoint refused: acceleration (0.0, nan, 0.0) is not finite"),
-        (Setpoint(velocity=(0.0, 0.0, 0.0), down_m=1.0), "Setpoint refused: altitude -1.0 m is outside [0, 120] m"),
-        (Setpoint(velocity=(0.0, 0.0, 0.0), yaw_rate_radps=NAN), "Waypoint refused: yaw rate nan is not finite"),
+        (
+            Setpoint(acceleration=(0.0, NAN, 0.0)),
+            "Setpoint refused: acceleration (0.0, nan, 0.0) is not finite",
+        ),
+        (
+            Setpoint(velocity=(0.0, 0.0, 0.0), down_m=1.0),
+            "Setpoint refused: altitude -1.0 m is outside [0, 120] m",
+        ),
+        (
+            Setpoint(velocity=(0.0, 0.0, 0.0), yaw_rate_radps=NAN),
+            "Waypoint refused: yaw rate nan is not finite",
+        ),
     ],
 )
 def test_a_setpoint_that_makes_no_sense_is_refused_and_changes_nothing(setpoint, reason):
@@ -303,15 +365,31 @@ HERE = Setpoint((1.0, 0.0, -5.0))
 
 def test_only_the_first_position_with_the_time_of_the_newest_reading_answers_it():
     answers = Answers()
-    assert answers.refusal(100, HERE) == (DENIED, "Waypoint refused: no reading was taken at 100 ms", "no reading")
+    assert answers.refusal(100, HERE) == (
+        DENIED,
+        "Waypoint refused: no reading was taken at 100 ms",
+        "no reading",
+    )
     answers.sampled(100)
     velocity = Setpoint(velocity=(1.0, 0.0, 0.0))
-    assert answers.refusal(100, velocity) == (DENIED, "Waypoint refused: the answer to a reading is a position", "no position")
+    assert answers.refusal(100, velocity) == (
+        DENIED,
+        "Waypoint refused: the answer to a reading is a position",
+        "no position",
+    )
     assert answers.refusal(100, HERE) is None
     answers.awaited = False
-    assert answers.refusal(100, HERE) == (REJECTED, "Waypoint ignored: duplicate answer to the reading at 100 ms", "")
+    assert answers.refusal(100, HERE) == (
+        REJECTED,
+        "Waypoint ignored: duplicate answer to the reading at 100 ms",
+        "",
+    )
     answers.sampled(200)
-    assert answers.refusal(100, HERE) == (REJECTED, "Waypoint ignored: late answer to the reading at 100 ms", "")
+    assert answers.refusal(100, HERE) == (
+        REJECTED,
+        "Waypoint ignored: late answer to the reading at 100 ms",
+        "",
+    )
     assert answers.refusal(200, HERE) is None
 
 
@@ -364,7 +442,9 @@ def test_strict_offboard_needs_setpoints_at_2_hz(gaps_s, refused):
     assert answer[:2] == ((REJECTED, f"Offboard refused: {refused}") if refused else (ACCEPTED, ""))
 
 
-@pytest.mark.parametrize("setpoint", [(20.0, 20.0, -5.0), Setpoint(velocity=(1.0, 0.0, 0.0))], ids=["position", "velocity"])
+@pytest.mark.parametrize(
+    "setpoint", [(20.0, 20.0, -5.0), Setpoint(velocity=(1.0, 0.0, 0.0))], ids=["position", "velocity"]
+)
 def test_strict_offboard_is_lost_a_second_after_the_last_setpoint_even_on_the_way(setpoint):
     vehicle = streaming(hovering(STRICT), [0.25] * 4, setpoint)
     vehicle.set_mode(vehicle.now_s, Mode.OFFBOARD)
@@ -393,7 +473,9 @@ def test_the_vehicles_own_search_need_not_stream():
 
 def test_readings_and_their_answers_pass_the_wrap_of_time():
     answers = Answers()
-    times = [answers.time_of(1000 * now_s) for now_s in (4_294_967.290, 4_294_967.290, 4_294_967.296, 4_294_967.5)]
+    times = [
+        answers.time_of(1000 * now_s) for now_s in (4_294_967.290, 4_294_967.290, 4_294_967.296, 4_294_967.5)
+    ]
     assert times == [2**32 - 6, 2**32 - 5, 0, 204]
     for stamp in times:
         answers.sampled(stamp)

@@ -1,4 +1,6 @@
-"""Protects telemetry: rates, units, signs, and that only simulated parts are reported. Every frame is packed and parsed as by a client."""
+"""Protects telemetry: rates, units, signs, and that only simulated parts are reported. Every frame is
+packed and parsed as by a client.
+"""
 
 import math
 import struct
@@ -34,9 +36,19 @@ AT_REST = State(
     target=(0.0, 0.0, 0.0),
 )
 FLYING = AT_REST._replace(
-    position=(10.0, 20.0, -5.0), velocity=(3.0, 4.0, -1.0), yaw=-math.pi / 2, armed=True, landed_state=2, mode=Mode.OFFBOARD, battery=0.5
+    position=(10.0, 20.0, -5.0),
+    velocity=(3.0, 4.0, -1.0),
+    yaw=-math.pi / 2,
+    armed=True,
+    landed_state=2,
+    mode=Mode.OFFBOARD,
+    battery=0.5,
 )
-NUMBER = {name.removeprefix("MAVLINK_MSG_ID_"): value for name, value in vars(mavlink).items() if name.startswith("MAVLINK_MSG_ID_")}
+NUMBER = {
+    name.removeprefix("MAVLINK_MSG_ID_"): value
+    for name, value in vars(mavlink).items()
+    if name.startswith("MAVLINK_MSG_ID_")
+}
 GYRO, ACCEL, MAG, GPS, BATTERY, PREARM = 1, 2, 4, 0x20, 0x2000000, 0x10000000
 
 
@@ -47,7 +59,9 @@ def telemetry(state=FLYING, wind=(0.0, 0.0), gas=(12_500, 0.25), config=CONFIG):
 def report(name, state=FLYING, at_s=12.5, **kwargs):
     """The message as a client receives it."""
     message = telemetry(state, **kwargs).build(NUMBER[name], at_s)
-    return mavlink.MAVLink(None).decode(bytearray(message.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))))
+    return mavlink.MAVLink(None).decode(
+        bytearray(message.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1)))
+    )
 
 
 def count(source, seconds, step_s):
@@ -149,7 +163,11 @@ def test_an_interval_may_be_changed_turned_off_and_set_back():
     assert source.set_interval(NUMBER["ATTITUDE"], -1.0, 0.0).accepted
     assert source.set_interval(NUMBER["AUTOPILOT_VERSION"], 1e6, 0.0).accepted
     counted = count(source, 10.0, 0.001)
-    assert (counted["HEARTBEAT"], counted["ATTITUDE"], counted["AUTOPILOT_VERSION"]) == (39, 0, 9)  # from the next slot on
+    assert (counted["HEARTBEAT"], counted["ATTITUDE"], counted["AUTOPILOT_VERSION"]) == (
+        39,
+        0,
+        9,
+    )  # from the next slot on
     for name in ("HEARTBEAT", "ATTITUDE", "AUTOPILOT_VERSION"):
         source.set_interval(NUMBER[name], 0.0, -1e-9)
     counted = count(source, 10.0, 0.001)
@@ -160,7 +178,10 @@ def test_an_interval_may_be_changed_turned_off_and_set_back():
 def test_the_heartbeat_can_neither_be_turned_off_nor_slowed_down(interval):
     source = telemetry()
     refused = source.set_interval(NUMBER["HEARTBEAT"], interval, 0.0)
-    assert (refused.code, refused.reason) == (2, "Interval refused: HEARTBEAT has at most 1000000 us and stays on")
+    assert (refused.code, refused.reason) == (
+        2,
+        "Interval refused: HEARTBEAT has at most 1000000 us and stays on",
+    )
     assert count(source, 10.0, 0.001)["HEARTBEAT"] == 10
 
 
@@ -174,7 +195,11 @@ def test_with_all_other_streams_off_only_the_heartbeat_is_due():
 
 def test_the_interval_of_a_stream_is_told():
     source = telemetry()
-    assert [source.interval_us(NUMBER[name]) for name in ("ATTITUDE", "BATTERY_STATUS", "ODOMETRY")] == [10_000, 2_000_000, -1]
+    assert [source.interval_us(NUMBER[name]) for name in ("ATTITUDE", "BATTERY_STATUS", "ODOMETRY")] == [
+        10_000,
+        2_000_000,
+        -1,
+    ]
     source.set_interval(NUMBER["ODOMETRY"], 40_000.0, 0.0)
     assert source.interval_us(NUMBER["ODOMETRY"]) == 40_000
 
@@ -202,9 +227,19 @@ def test_health_covers_what_is_simulated_and_nothing_else():
     status = report("SYS_STATUS", AT_REST)
     for needed in (GYRO, ACCEL, MAG, GPS, BATTERY, PREARM):
         assert (
-            status.onboard_control_sensors_present & status.onboard_control_sensors_enabled & status.onboard_control_sensors_health & needed
+            status.onboard_control_sensors_present
+            & status.onboard_control_sensors_enabled
+            & status.onboard_control_sensors_health
+            & needed
         )
-    for absent in (0x8, 0x10, 0x40, 0x80, 0x10000, 0x1000000):  # barometer, airspeed, optical flow, vision, receiver, logging
+    for absent in (
+        0x8,
+        0x10,
+        0x40,
+        0x80,
+        0x10000,
+        0x1000000,
+    ):  # barometer, airspeed, optical flow, vision, receiver, logging
         assert not (status.onboard_control_sensors_present | status.onboard_control_sensors_health) & absent
     assert (status.battery_remaining, status.current_battery) == (100, -1)
 
@@ -219,15 +254,32 @@ def test_the_local_position_is_the_float32_position_bit_for_bit(position):
 
 def test_the_local_position_is_north_east_down_at_its_time():
     told = report("LOCAL_POSITION_NED")
-    assert (told.time_boot_ms, told.x, told.y, told.z, told.vx, told.vy, told.vz) == (12_500, 10.0, 20.0, -5.0, 3.0, 4.0, -1.0)
+    assert (told.time_boot_ms, told.x, told.y, told.z, told.vx, told.vy, told.vz) == (
+        12_500,
+        10.0,
+        20.0,
+        -5.0,
+        3.0,
+        4.0,
+        -1.0,
+    )
 
 
 def test_the_global_position_is_in_its_units():
     told = report("GLOBAL_POSITION_INT")
-    assert (told.alt, told.relative_alt, told.vx, told.vy, told.vz, told.hdg) == (493_000, 5_000, 300, 400, -100, 27_000)
+    assert (told.alt, told.relative_alt, told.vx, told.vy, told.vz, told.hdg) == (
+        493_000,
+        5_000,
+        300,
+        400,
+        -100,
+        27_000,
+    )
     degree = math.pi * 6_371_000.0 / 180.0
     assert (told.lat / 1e7 - CONFIG.home_lat_deg) * degree == pytest.approx(10.0, abs=0.02)
-    assert (told.lon / 1e7 - CONFIG.home_lon_deg) * degree * math.cos(math.radians(CONFIG.home_lat_deg)) == pytest.approx(20.0, abs=0.02)
+    assert (told.lon / 1e7 - CONFIG.home_lon_deg) * degree * math.cos(
+        math.radians(CONFIG.home_lat_deg)
+    ) == pytest.approx(20.0, abs=0.02)
 
 
 def test_gps_claims_a_fix_but_no_accuracy():
@@ -264,7 +316,10 @@ def test_airspeed_is_the_speed_against_the_wind():
 
 def test_position_wind_and_gas_of_one_time_make_a_reading():
     source, packer = telemetry(wind=(1.5, -0.5)), mavlink.MAVLink(None)
-    frames = [source.build(NUMBER[name], 12.5).pack(packer) for name in ("LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT")]
+    frames = [
+        source.build(NUMBER[name], 12.5).pack(packer)
+        for name in ("LOCAL_POSITION_NED", "WIND_COV", "NAMED_VALUE_FLOAT")
+    ]
     assert unpack_reading(b"".join(frames)) == Reading(12_500, (20.0, 10.0), 5.0, (1.5, -0.5), 0.25)
 
 
@@ -276,7 +331,12 @@ def test_a_gas_value_that_is_told_again_keeps_the_time_it_was_read_at():
 
 def test_the_battery_tells_what_is_left():
     half, low, empty = (report("BATTERY_STATUS", FLYING._replace(battery=left)) for left in (0.5, 0.1, 0.0))
-    assert (half.battery_remaining, half.time_remaining, half.current_battery, half.charge_state) == (50, 900, -1, 1)
+    assert (half.battery_remaining, half.time_remaining, half.current_battery, half.charge_state) == (
+        50,
+        900,
+        -1,
+        1,
+    )
     assert half.voltages[:2] == [round(4 * (3.5 + 4.2) / 2 * 1000), 65535]
     assert (low.charge_state, empty.charge_state, empty.battery_remaining) == (2, 3, 0)
     assert report("BATTERY_STATUS", config=VehicleConfig(endurance_s=math.inf)).time_remaining == 0
@@ -298,13 +358,16 @@ def test_the_landed_state_and_the_version_are_told():
     assert bytes(version.uid2).startswith(b"plumeward")
     assert bytes(version.uid2)[-1] == version.uid == 1
     # SET_POSITION_TARGET_GLOBAL_INT is 256, and also:
-    # PARAM_FLOAT, MISSION_INT, COMMAND_INT, PARAM_ENCODE_BYTEWISE, SET_POSITION_TARGET_LOCAL_NED, MAVLINK2, MISSION_FENCE, MISSION_RALLY
+    # PARAM_FLOAT, MISSION_INT, COMMAND_INT, PARAM_ENCODE_BYTEWISE, SET_POSITION_TARGET_LOCAL_NED, MAVLINK2,
+    # MISSION_FENCE, MISSION_RALLY
     assert version.capabilities == 2 | 4 | 8 | 16 | 128 | 256 | 8192 | 16384 | 32768
 
 
 # ---- the streams beyond PX4's common ones ----
 
-TILTED = FLYING._replace(roll=0.3, pitch=-0.2, yaw=2.0, yaw_rate=0.5, acceleration=(1.0, -2.0, 0.5), target=(7.0, 8.0, -9.0))
+TILTED = FLYING._replace(
+    roll=0.3, pitch=-0.2, yaw=2.0, yaw_rate=0.5, acceleration=(1.0, -2.0, 0.5), target=(7.0, 8.0, -9.0)
+)
 
 
 def body_to_ned(state):
@@ -331,7 +394,9 @@ def test_the_quaternion_turns_the_body_as_the_angles_do():
 def test_odometry_has_its_velocity_in_the_bodys_axes():
     told = report("ODOMETRY", TILTED)
     assert (told.frame_id, told.child_frame_id, told.x, told.y, told.z) == (1, 12, 10.0, 20.0, -5.0)
-    assert (told.vx, told.vy, told.vz) == pytest.approx(tuple(body_to_ned(TILTED).T @ TILTED.velocity), abs=1e-6)
+    assert (told.vx, told.vy, told.vz) == pytest.approx(
+        tuple(body_to_ned(TILTED).T @ TILTED.velocity), abs=1e-6
+    )
     assert rotation(*told.q) == pytest.approx(body_to_ned(TILTED), abs=1e-6)
     assert math.isnan(told.pose_covariance[0])  # unknown, not exact
 
@@ -360,7 +425,9 @@ def test_the_target_is_told_while_armed():
 
 def test_time_mode_and_estimator_are_told():
     assert (report("SYSTEM_TIME").time_boot_ms, report("SYSTEM_TIME").time_unix_usec) == (12_500, 0)
-    assert report("ESTIMATOR_STATUS").flags & 0b1111111 == 0b0111111  # attitude, velocities, positions; not above ground
+    assert (
+        report("ESTIMATOR_STATUS").flags & 0b1111111 == 0b0111111
+    )  # attitude, velocities, positions; not above ground
     mode = telemetry(FLYING._replace(mode=Mode.RETURN)).build(436, 1.0)
     packed = mode.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))
     custom, intended, standard = struct.unpack("<IIB", packed[10:19])

@@ -1,4 +1,6 @@
-"""Protects the autopilot: refusals and their reasons, flight and its timing, and that neither depends on the time steps."""
+"""Protects the autopilot: refusals and their reasons, flight and its timing, and that neither depends on
+the time steps.
+"""
 
 import dataclasses
 import math
@@ -55,19 +57,28 @@ def test_disarm_is_refused_in_the_air():
     assert vehicle.state(10.0).armed
 
 
-@pytest.mark.parametrize(("mode", "reason"), [(Mode.RETURN, "Return refused: on the ground"), (Mode.LAND, "Land refused: on the ground")])
+@pytest.mark.parametrize(
+    ("mode", "reason"),
+    [(Mode.RETURN, "Return refused: on the ground"), (Mode.LAND, "Land refused: on the ground")],
+)
 def test_land_and_return_are_refused_on_the_ground(mode, reason):
     assert on_the_ground().set_mode(1.0, mode)[:2] == (REJECTED, reason)
 
 
 def test_offboard_is_refused_without_a_setpoint():
-    assert hovering().set_mode(10.0, Mode.OFFBOARD)[:2] == (REJECTED, "Offboard refused: no setpoint received yet")
+    assert hovering().set_mode(10.0, Mode.OFFBOARD)[:2] == (
+        REJECTED,
+        "Offboard refused: no setpoint received yet",
+    )
 
 
 def test_offboard_is_refused_when_the_setpoint_is_stale():
     vehicle = hovering()
     vehicle.setpoint(10.0, (1.0, 1.0, -5.0))
-    assert vehicle.set_mode(41.0, Mode.OFFBOARD)[:2] == (REJECTED, "Offboard refused: no setpoint in the last 30 s")
+    assert vehicle.set_mode(41.0, Mode.OFFBOARD)[:2] == (
+        REJECTED,
+        "Offboard refused: no setpoint in the last 30 s",
+    )
 
 
 def test_go_to_is_refused_disarmed_on_the_ground_and_outside_the_fence():
@@ -82,7 +93,10 @@ def test_go_to_is_refused_disarmed_on_the_ground_and_outside_the_fence():
 
 
 REFUSED_WAYPOINTS = {
-    "outside the area": ((4.0, 31.0, -5.0), "Waypoint refused: (31.0, 4.0) m is outside the area [0, 30] x [0, 30] m"),
+    "outside the area": (
+        (4.0, 31.0, -5.0),
+        "Waypoint refused: (31.0, 4.0) m is outside the area [0, 30] x [0, 30] m",
+    ),
     "outside the altitudes": ((4.0, 4.0, -121.0), "Waypoint refused: altitude 121.0 m is outside [0, 120] m"),
     "not finite": ((NAN, 4.0, -5.0), "Waypoint refused: (4.0, nan) m at 5.0 m is not finite"),
 }
@@ -98,7 +112,9 @@ def test_a_waypoint_that_makes_no_sense_is_refused_with_its_reason_and_changes_n
     assert vehicle.next_event_s() == expiry  # a refused setpoint does not reset the timeout either
 
 
-@pytest.mark.parametrize("target", [(-1e-6, 0.0, -5.0), (30.000002, 0.0, -5.0), (0.0, 0.0, 1e-6), (0.0, 0.0, -math.inf)])
+@pytest.mark.parametrize(
+    "target", [(-1e-6, 0.0, -5.0), (30.000002, 0.0, -5.0), (0.0, 0.0, 1e-6), (0.0, 0.0, -math.inf)]
+)
 def test_the_fence_is_exact(target):
     code, reason, _ = offboard().setpoint(10.0, target)
     assert code == DENIED
@@ -117,7 +133,14 @@ def test_time_does_not_run_backwards():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"sysid": 0}, {"area_m": -1.0}, {"speed_mps": NAN}, {"takeoff_altitude_m": 121.0}, {"home_lat_deg": 91.0}]
+    "wrong",
+    [
+        {"sysid": 0},
+        {"area_m": -1.0},
+        {"speed_mps": NAN},
+        {"takeoff_altitude_m": 121.0},
+        {"home_lat_deg": 91.0},
+    ],
 )
 def test_a_configuration_that_cannot_fly_is_refused_by_field_and_value(wrong):
     ((field, value),) = wrong.items()
@@ -136,7 +159,12 @@ def test_it_takes_off_when_armed_and_then_holds():
     assert vehicle.next_event_s() == pytest.approx(1.0 + CLIMB_S)
     vehicle.advance(10.0)
     state = vehicle.state(10.0)
-    assert (state.mode, state.landed_state, state.position, state.velocity) == (Mode.HOLD, IN_AIR, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0))
+    assert (state.mode, state.landed_state, state.position, state.velocity) == (
+        Mode.HOLD,
+        IN_AIR,
+        (0.0, 0.0, -5.0),
+        (0.0, 0.0, 0.0),
+    )
 
 
 def test_a_command_repeated_because_its_answer_was_lost_is_accepted_again():
@@ -417,7 +445,9 @@ def test_silence_brings_it_home():
     assert vehicle.next_event_s() == arrived + 30.0  # silence counts from the end of the leg
     vehicle.advance(arrived + 29.9)
     assert vehicle.state(arrived + 29.9).mode is Mode.OFFBOARD
-    assert vehicle.advance(arrived + 30.1) == [Said(arrived + 30.0, CRITICAL, "No setpoint for 30 s: returning home")]
+    assert vehicle.advance(arrived + 30.1) == [
+        Said(arrived + 30.0, CRITICAL, "No setpoint for 30 s: returning home")
+    ]
     assert (vehicle.state(arrived + 30.1).mode, vehicle.state(arrived + 30.1).failsafe) == (Mode.RETURN, True)
     vehicle.advance(200.0)
     state = vehicle.state(200.0)
@@ -465,7 +495,9 @@ def test_the_battery_drains_with_the_motors_on_warns_and_then_lands():
 
 def test_two_flights_use_up_one_battery():
     """Up 5 m at 1 m/s and 1 m/s²: 1 s + 4 s + 1 s, and the same down."""
-    vehicle = Vehicle(VehicleConfig(endurance_s=100.0, silence_s=math.inf, climb_mps=1.0, descent_mps=1.0, accel_mps2=1.0))
+    vehicle = Vehicle(
+        VehicleConfig(endurance_s=100.0, silence_s=math.inf, climb_mps=1.0, descent_mps=1.0, accel_mps2=1.0)
+    )
     vehicle.arm(10.0)
     vehicle.take_off(10.0)
     vehicle.arm(20.0)  # repeated, as after a lost acknowledgement: the motors have been on since 10 s
@@ -474,7 +506,9 @@ def test_two_flights_use_up_one_battery():
     assert vehicle.state(29.9).armed
     vehicle.advance(50.0)
     assert not vehicle.state(50.0).armed
-    assert vehicle.state(50.0).battery == pytest.approx(0.78)  # on from 10 s to 30 s, and 2 s more on the ground
+    assert vehicle.state(50.0).battery == pytest.approx(
+        0.78
+    )  # on from 10 s to 30 s, and 2 s more on the ground
     vehicle.arm(50.0)
     vehicle.take_off(50.0)
     vehicle.advance(90.0)
@@ -540,7 +574,9 @@ ACTIONS = {
     "drop": lambda v, t, p: v.disarm(t, force=True),
 }
 START = [(0.0, "arm", (0.0, 0.0, 0.0)), (0.0, "take off", (0.0, 0.0, 0.0))]
-targets = st.tuples(st.floats(-1.0, 30.0, width=32), st.floats(0.0, 31.0, width=32), st.floats(-12.0, 0.0, width=32))
+targets = st.tuples(
+    st.floats(-1.0, 30.0, width=32), st.floats(0.0, 31.0, width=32), st.floats(-12.0, 0.0, width=32)
+)
 scripts = st.lists(st.tuples(st.floats(0.0, 8.0), st.sampled_from(sorted(ACTIONS)), targets), max_size=12)
 MOVES = ["waypoint", "offboard", "velocity", "acceleration", "height", "hold"]
 flights = st.lists(
@@ -572,13 +608,21 @@ def play(script, steps):
 
 
 @settings(max_examples=150, deadline=None)
-@given(scripts | flights.map(lambda script: START + script), st.lists(st.floats(0.05, 9.0), min_size=1, max_size=5))
+@given(
+    scripts | flights.map(lambda script: START + script),
+    st.lists(st.floats(0.05, 9.0), min_size=1, max_size=5),
+)
 def test_one_jump_and_many_steps_give_the_same_bits_and_events(script, steps):
     assert repr(play(script, [])) == repr(play(script, steps))
 
 
 def test_a_flight_in_steps_of_a_millisecond_gives_the_same_bits_and_events():
-    script = [*START, (4.0, "waypoint", (9.0, 7.0, -6.0)), (0.0, "offboard", (0.0, 0.0, 0.0)), (1.3, "waypoint", (2.0, 20.0, -5.0))]
+    script = [
+        *START,
+        (4.0, "waypoint", (9.0, 7.0, -6.0)),
+        (0.0, "offboard", (0.0, 0.0, 0.0)),
+        (1.3, "waypoint", (2.0, 20.0, -5.0)),
+    ]
     events, *rest = play(script, [])
     assert [type(event) for event in events] == [Arrived, Said]  # arrival; then the setpoint timeout
     assert repr((events, *rest)) == repr(play(script, [0.001] * 10))

@@ -1,4 +1,6 @@
-"""Protects the display of a part's output: whole lines, however they arrive, and at most one line in memory."""
+"""Protects the display of a part's output: whole lines, however they arrive, and at most one line in
+memory.
+"""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -6,7 +8,10 @@ from hypothesis import strategies as st
 from sitl.launch.output import LONGEST, Lines
 
 
-@given(st.lists(st.text(st.characters(codec="utf-8", exclude_categories=("C", "Z")), min_size=1, max_size=50)), st.integers(1, 7))
+@given(
+    st.lists(st.text(st.characters(codec="utf-8", exclude_categories=("C", "Z")), min_size=1, max_size=50)),
+    st.integers(1, 7),
+)
 def test_lines_are_the_same_however_they_are_cut_on_their_way(lines: list[str], piece: int) -> None:
     data = "".join(f"{line}\n" for line in lines).encode()
     taken = Lines()

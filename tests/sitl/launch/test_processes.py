@@ -1,4 +1,6 @@
-"""Protects the launcher from its parts: whatever they print or leave behind, the launcher continues, and all of them end."""
+"""Protects the launcher from its parts: whatever they print or leave behind, the launcher continues, and
+all of them end.
+"""
 
 import contextlib
 import os
@@ -61,22 +63,32 @@ def runs(pid: int) -> bool:
         return False
 
 
-def test_a_part_may_print_what_it_likes_and_it_is_shown_with_its_name(launched: Launched, wait_until: Callable) -> None:
-    launched.processes.start("agent", TOLD, "for n in range(2000): print(f'{n:060d}')")  # 120 kB: more than a pipe's 64 kB
+def test_a_part_may_print_what_it_likes_and_it_is_shown_with_its_name(
+    launched: Launched, wait_until: Callable
+) -> None:
+    launched.processes.start(
+        "agent", TOLD, "for n in range(2000): print(f'{n:060d}')"
+    )  # 120 kB: more than a pipe's 64 kB
     wait_until(launched.ends)
     assert launched.lines() == [f"agent: {n:060d}" for n in range(2000)]
     assert launched.ends() == [Ended("agent", 0, "no last words")]
 
 
-def test_bytes_that_are_no_text_and_a_line_without_end_do_no_harm(launched: Launched, wait_until: Callable) -> None:
-    source = "import sys; sys.stderr.buffer.write(b'\\xff\\n' + b'x' * 10_000_000); sys.stderr.write('\\nlast\\n')"
+def test_bytes_that_are_no_text_and_a_line_without_end_do_no_harm(
+    launched: Launched, wait_until: Callable
+) -> None:
+    source = (
+        "import sys; sys.stderr.buffer.write(b'\\xff\\n' + b'x' * 10_000_000); sys.stderr.write('\\nlast\\n')"
+    )
     launched.processes.start("agent", TOLD, source)
     wait_until(launched.ends)
     assert launched.ends() == [Ended("agent", 0, "last")]
     assert [len(line) < 10_000 for line in launched.lines()] == [True] * 3
 
 
-def test_of_lines_that_nobody_takes_the_oldest_are_dropped_and_counted(launched: Launched, wait_until: Callable) -> None:
+def test_of_lines_that_nobody_takes_the_oldest_are_dropped_and_counted(
+    launched: Launched, wait_until: Callable
+) -> None:
     written = 20 * WAITING_MESSAGES
     child = launched.processes.start("agent", TOLD, f"for n in range({written}): print(n)")
     wait_until(lambda: child.wait(0.01))  # a part blocked on its output would not end
@@ -90,7 +102,9 @@ def test_of_lines_that_nobody_takes_the_oldest_are_dropped_and_counted(launched:
 
 
 @pytest.mark.parametrize("alone", [False, True], ids=["in its group", "in a session of its own"])
-def test_what_a_part_leaves_behind_does_not_delay_its_end(launched: Launched, wait_until: Callable, alone: bool) -> None:
+def test_what_a_part_leaves_behind_does_not_delay_its_end(
+    launched: Launched, wait_until: Callable, alone: bool
+) -> None:
     launched.processes.start("agent", TOLD, LEAVE.format(alone=alone))
     wait_until(launched.ends, timeout_s=20)
     (words,) = launched.lines()
@@ -113,7 +127,9 @@ def test_all_that_a_part_has_started_ends_with_it(launched: Launched, wait_until
 
 
 def test_a_stopped_part_is_ended(launched: Launched, wait_until: Callable) -> None:
-    launched.processes.start("agent", TOLD, "import os, sys, time; print(os.getpid(), flush=True); time.sleep(600)")
+    launched.processes.start(
+        "agent", TOLD, "import os, sys, time; print(os.getpid(), flush=True); time.sleep(600)"
+    )
     wait_until(launched.lines)
     pid = int(launched.lines()[0].split()[1])
     os.kill(pid, signal.SIGSTOP)
@@ -123,7 +139,11 @@ def test_a_stopped_part_is_ended(launched: Launched, wait_until: Callable) -> No
 
 @pytest.mark.parametrize("hangs", [False, True])
 def test_the_recorder_may_take_its_time_to_write_the_end_of_the_record(
-    launched: Launched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], hangs: bool
+    launched: Launched,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    hangs: bool,
 ) -> None:
     monkeypatch.setattr(module, "STOP_TIMEOUT_S", 0.1)
     monkeypatch.setattr(module, "RECORDER_STOP_TIMEOUT_S", 0.3 if hangs else 30.0)
@@ -160,11 +180,17 @@ time.sleep(600)
 
 
 def test_a_part_that_flies_a_real_vehicle_ends_first_and_has_time_to_send_it_home(
-    launched: Launched, wait_until: Callable, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    launched: Launched,
+    wait_until: Callable,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     monkeypatch.setattr(module, "STOP_TIMEOUT_S", 0.2)
     said = tmp_path / "said"
-    estimator = launched.processes.start("estimator", TOLD, "import os, time; print(os.getpid(), flush=True); time.sleep(600)")
+    estimator = launched.processes.start(
+        "estimator", TOLD, "import os, time; print(os.getpid(), flush=True); time.sleep(600)"
+    )
     wait_until(launched.lines)
     other = int(launched.lines()[0].split()[1])
     launched.processes.start("uav", TOLD, FLIES.format(other=other, takes_s=0.6, told=str(said))).flies = True
@@ -176,11 +202,16 @@ def test_a_part_that_flies_a_real_vehicle_ends_first_and_has_time_to_send_it_hom
 
 
 def test_a_part_that_flies_a_real_vehicle_and_hangs_is_killed_in_the_end_and_people_are_told(
-    launched: Launched, wait_until: Callable, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    launched: Launched,
+    wait_until: Callable,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(module, "STOP_TIMEOUT_S", 0.2)
     monkeypatch.setattr(module, "FLYING_STOP_TIMEOUT_S", 0.2)
-    child = launched.processes.start("uav", TOLD, FLIES.format(other=os.getpid(), takes_s=600, told=os.devnull))
+    child = launched.processes.start(
+        "uav", TOLD, FLIES.format(other=os.getpid(), takes_s=600, told=os.devnull)
+    )
     child.flies = True
     wait_until(launched.lines)
     launched.processes.stop()
@@ -200,16 +231,23 @@ while True:
 
 
 def test_a_part_that_has_lost_its_signal_is_told_again(
-    launched: Launched, wait_until: Callable, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    launched: Launched,
+    wait_until: Callable,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(module, "STOP_TIMEOUT_S", 0.2)
     launched.processes.start("uav", TOLD, DEAF).flies = True
     wait_until(launched.lines)
     launched.processes.stop()
-    assert capsys.readouterr().err == "waiting for the uav to send the vehicle home\n"  # and not that it hangs and is killed
+    assert (
+        capsys.readouterr().err == "waiting for the uav to send the vehicle home\n"
+    )  # and not that it hangs and is killed
 
 
-def test_a_part_that_answers_is_waited_for_and_its_answer_is_not_shown(launched: Launched, wait_until: Callable) -> None:
+def test_a_part_that_answers_is_waited_for_and_its_answer_is_not_shown(
+    launched: Launched, wait_until: Callable
+) -> None:
     child = launched.processes.start("recorder", TOLD, "print('recording'); print('more')")
     assert launched.processes.answer(child) == "recording"
     wait_until(launched.ends)
@@ -217,7 +255,9 @@ def test_a_part_that_answers_is_waited_for_and_its_answer_is_not_shown(launched:
 
 
 def test_a_part_that_ends_instead_of_answering_says_why(launched: Launched) -> None:
-    child = launched.processes.start("recorder", TOLD, "import sys; print('error: no room', file=sys.stderr); sys.exit(2)")
+    child = launched.processes.start(
+        "recorder", TOLD, "import sys; print('error: no room', file=sys.stderr); sys.exit(2)"
+    )
     with pytest.raises(MissionFailed, match=r"^no room$") as raised:
         launched.processes.answer(child)
     assert raised.value.status == 2
@@ -234,12 +274,17 @@ def test_a_part_that_never_answers_is_told_and_given_up(
     assert capsys.readouterr().err == "waiting for the router to start\n"
 
 
-def test_why_the_recording_stopped_is_told_also_at_the_missions_end(capsys: pytest.CaptureFixture[str]) -> None:
+def test_why_the_recording_stopped_is_told_also_at_the_missions_end(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """A disk that is full when the end of the record is written: nobody reads the inbox any more."""
     launched = Launched()
     launched.inbox.put(Ended("recorder", 1, "recorder: warning: record stopped: No space left on device"))
     launched.processes.stop()
-    assert capsys.readouterr().err == "warning: the recording stopped: recorder: warning: record stopped: No space left on device\n"
+    assert (
+        capsys.readouterr().err
+        == "warning: the recording stopped: recorder: warning: record stopped: No space left on device\n"
+    )
 
 
 HANGS = """
@@ -283,8 +328,12 @@ def test_before_a_part_that_hangs_is_killed_it_tells_where_its_threads_are(
     assert not any("in_circles" in line for line in launched.lines())
 
 
-def test_a_part_that_would_not_survive_the_question_is_not_asked_for_its_stacks(launched: Launched, wait_until: Callable) -> None:
-    child = launched.processes.start("agent", TOLD, "import time; print('there', flush=True); time.sleep(600)")
+def test_a_part_that_would_not_survive_the_question_is_not_asked_for_its_stacks(
+    launched: Launched, wait_until: Callable
+) -> None:
+    child = launched.processes.start(
+        "agent", TOLD, "import time; print('there', flush=True); time.sleep(600)"
+    )
     wait_until(launched.lines)
     launched.processes.tell_stacks("agent")
     assert not child.wait(0.2)

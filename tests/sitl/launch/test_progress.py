@@ -12,7 +12,9 @@ from sitl.launch import progress
 from sitl.launch.progress import Progress
 from tests.system.screen import CONTROL
 
-STEP = SimpleNamespace(step=20, position=(14.94, 17.12), gas=0.331, mean=(21.37, 22.07), spread=5.6, ceased=False)
+STEP = SimpleNamespace(
+    step=20, position=(14.94, 17.12), gas=0.331, mean=(21.37, 22.07), spread=5.6, ceased=False
+)
 """What is shown of a belief."""
 
 
@@ -22,7 +24,13 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Progress, io.S
 
     def on(columns: int | None) -> tuple[Progress, io.StringIO]:
         file = io.StringIO()
-        console = Console(file=file, width=columns or 80, force_terminal=columns is not None, highlight=False, color_system=None)
+        console = Console(
+            file=file,
+            width=columns or 80,
+            force_terminal=columns is not None,
+            highlight=False,
+            color_system=None,
+        )
         monkeypatch.setattr(progress, "Console", lambda **_: console)
         return Progress(300), file
 
@@ -41,14 +49,20 @@ def live_line(shown: tuple[Progress, io.StringIO]) -> str:
 @pytest.mark.parametrize(
     ("columns", "expected"),
     [
-        (120, "step  20/300  at (14.94, 17.12)  gas   0.33  spread  5.60 m  flown  20.0 m  estimate (21.37, 22.07)"),
+        (
+            120,
+            "step  20/300  at (14.94, 17.12)  gas   0.33  spread  5.60 m  flown  20.0 m  estimate (21.37, "
+            "22.07)",
+        ),
         (80, "step  20/300  at (14.94, 17.12)  gas   0.33  spread  5.60 m  flown  20.0 m"),
         (60, "step  20/300  at (14.94, 17.12)  gas   0.33  spread  5.60 m"),
         (50, "step  20/300  at (14.94, 17.12)  gas   0.33"),
         (10, "step  20/3"),
     ],
 )
-def test_the_live_line_drops_fields_from_the_right_and_never_wraps(shown: Callable, columns: int, expected: str) -> None:
+def test_the_live_line_drops_fields_from_the_right_and_never_wraps(
+    shown: Callable, columns: int, expected: str
+) -> None:
     on_terminal = shown(columns)
     on_terminal[0].show(STEP, 20.0)
     assert live_line(on_terminal) == expected
@@ -60,11 +74,17 @@ def test_a_long_reason_to_wait_is_cropped_too(shown: Callable) -> None:
     assert live_line(on_terminal) == "waiting for agent, e"
 
 
-def test_without_a_terminal_a_wait_is_told_once_and_only_if_it_lasts(shown: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_terminal_a_wait_is_told_once_and_only_if_it_lasts(
+    shown: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
     now_s = 100.0
     monkeypatch.setattr(progress.time, "monotonic", lambda: now_s)
     plain, file = shown(None)
-    for reason, until_s in (("compiling kernels", 108.0), ("taking off", 109.0), ("flying to the start", 112.0)):
+    for reason, until_s in (
+        ("compiling kernels", 108.0),
+        ("taking off", 109.0),
+        ("flying to the start", 112.0),
+    ):
         while now_s < until_s:
             plain.wait(reason)
             now_s += 0.5

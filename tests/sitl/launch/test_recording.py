@@ -1,4 +1,6 @@
-"""Protects the files of a record: an existing file is overwritten only with --force, and only by a mission that begins."""
+"""Protects the files of a record: an existing file is overwritten only with --force, and only by a mission
+that begins.
+"""
 
 from pathlib import Path
 
@@ -42,14 +44,18 @@ def test_either_file_that_exists_is_refused_by_its_name(tmp_path: Path, there: s
 def test_a_folder_is_refused_whatever_is_forced(tmp_path: Path) -> None:
     (tmp_path / "good.tlog").mkdir()
     assert (
-        RecordFiles(tmp_path / "good.mcap").refusal(force=True) == f"--record: {str(tmp_path / 'good.tlog')!r} is a folder; wanted a file"
+        RecordFiles(tmp_path / "good.mcap").refusal(force=True)
+        == f"--record: {str(tmp_path / 'good.tlog')!r} is a folder; wanted a file"
     )
 
 
 def test_a_record_that_is_being_written_is_refused_whatever_is_forced(tmp_path: Path) -> None:
     path = tmp_path / "good.mcap"
     writer = Writer(path, {})
-    assert RecordFiles(path).refusal(force=True) == f"--record: another process is writing {str(path)!r}; wanted another name"
+    assert (
+        RecordFiles(path).refusal(force=True)
+        == f"--record: another process is writing {str(path)!r}; wanted another name"
+    )
     writer.close()
     assert RecordFiles(path).refusal(force=True) is None
 

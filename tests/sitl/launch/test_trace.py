@@ -1,4 +1,6 @@
-"""Protects the trace that the launcher hears: late and lost beliefs, and readings that tell of those that were lost."""
+"""Protects the trace that the launcher hears: late and lost beliefs, and readings that tell of those that
+were lost.
+"""
 
 import math
 
@@ -18,12 +20,31 @@ def reading(step: int, codec: Codec = VEHICLE) -> bytes:
 
 
 def belief(step: int, number: int | None = None) -> Belief:
-    """The belief after the reading of a step; `number`: which belief of the estimator it is, if it has refused readings before."""
+    """The belief after the reading of a step; `number`: which belief of the estimator it is, if it has
+    refused readings before.
+    """
     return Belief(
-        time_boot_ms=1000 * step, step=step if number is None else number, position=(float(step), 2.0), altitude_m=5.0, gas=step / 4,
-        wind=(1.0, 2.0), sensor="gaussian:0.4,0.1", rate=1.0, diffusivity=1.0, lifetime=100.0, z=5.0, unknowns=("x", "y"), means=(7.0, 8.0),
-        stds=(1.0, 1.0), mean=(7.0, 8.0), covariance=(1.0, 0.0, 1.0), spread=1.5, effective_sample_size=100.0, p_value=0.5, ceased=False,
-    )  # fmt: skip
+        time_boot_ms=1000 * step,
+        step=step if number is None else number,
+        position=(float(step), 2.0),
+        altitude_m=5.0,
+        gas=step / 4,
+        wind=(1.0, 2.0),
+        sensor="gaussian:0.4,0.1",
+        rate=1.0,
+        diffusivity=1.0,
+        lifetime=100.0,
+        z=5.0,
+        unknowns=("x", "y"),
+        means=(7.0, 8.0),
+        stds=(1.0, 1.0),
+        mean=(7.0, 8.0),
+        covariance=(1.0, 0.0, 1.0),
+        spread=1.5,
+        effective_sample_size=100.0,
+        p_value=0.5,
+        ceased=False,
+    )
 
 
 def known(step: int) -> TracePoint:
@@ -57,7 +78,9 @@ def test_a_late_belief_closes_the_gap() -> None:
 def test_readings_tell_of_lost_beliefs() -> None:
     points = heard(range(5), [belief(1), belief(4)]).points()
     assert points is not None
-    assert [(point.position, point.reading) for point in points] == [((float(step), 2.0), step / 4) for step in range(5)]
+    assert [(point.position, point.reading) for point in points] == [
+        ((float(step), 2.0), step / 4) for step in range(5)
+    ]
     assert [math.isnan(point.spread) for point in points] == [True, False, True, True, False]
     assert math.isnan(points[2].mean[0])
     assert points[4] == known(4)
@@ -96,5 +119,7 @@ def test_the_trace_is_the_same_where_the_vehicles_time_wraps() -> None:
         trace.belief(replace(known_belief, time_boot_ms=shifted(known_belief.time_boot_ms)))
     points = trace.points()
     assert points is not None
-    assert [(point.position, point.reading) for point in points] == [((float(step), 2.0), step / 4) for step in range(5)]
+    assert [(point.position, point.reading) for point in points] == [
+        ((float(step), 2.0), step / 4) for step in range(5)
+    ]
     assert [trace.time_s(step) for step in (1, 4)] == [4_294_965.796, 4_294_968.796]

@@ -49,7 +49,11 @@ class FallsSilent(QuietBus):
 
 
 def watch(
-    bus: FallsSilent, monkeypatch: pytest.MonkeyPatch, mission: Launch | None = None, events: Sequence[Kill] = (), processes: Any = None
+    bus: FallsSilent,
+    monkeypatch: pytest.MonkeyPatch,
+    mission: Launch | None = None,
+    events: Sequence[Kill] = (),
+    processes: Any = None,
 ) -> MissionWatch:
     """The watch over a mission of one move, in the bus's time."""
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: bus.now_s))
@@ -61,36 +65,51 @@ def watch(
     return MissionWatch(mission, bus, progress, watchdog, disturbances, "tcp/127.0.0.1:1", None)
 
 
-def test_a_mission_whose_last_belief_is_lost_fails_when_patience_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mission_whose_last_belief_is_lost_fails_when_patience_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     stop = Stop(1000, 1, (7.0, 8.0), (1.0, 0.0, 1.0), 0.4, 0.5)
     bus = FallsSilent(
         Arrival(BELIEF, msgspec.json.encode(belief(0)), b""),
         Arrival(STOP, msgspec.json.encode(stop), b""),
     )
-    with pytest.raises(MissionFailed, match=r"^the estimator has declared the stop, but its last belief was not received$"):
+    with pytest.raises(
+        MissionFailed, match=r"^the estimator has declared the stop, but its last belief was not received$"
+    ):
         watch(bus, monkeypatch).until_the_end()
     assert PATIENCE_S <= bus.now_s <= PATIENCE_S + 2.0
 
 
-def test_a_mission_whose_last_compute_times_are_lost_ends_with_its_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mission_whose_last_compute_times_are_lost_ends_with_its_outcome(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     bus = FallsSilent(*(Arrival(BELIEF, msgspec.json.encode(belief(step)), b"") for step in (0, 1)))
     flown = watch(bus, monkeypatch).until_the_end()
     assert (len(flown.trace), flown.outcome.search_time_s) == (2, 0.0)
     assert PATIENCE_S <= bus.now_s <= PATIENCE_S + 2.0
 
 
-def test_a_real_vehicle_has_returned_home_where_home_is_and_not_its_estimators_origin(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Home lies 30 m north of the origin and 4 m below it, and the autopilot is system 32; it lands 0.2 m from home, 0.3 m too high."""
+def test_a_real_vehicle_has_returned_home_where_home_is_and_not_its_estimators_origin(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Home lies 30 m north of the origin and 4 m below it, and the autopilot is system 32; it lands 0.2 m
+    from home, 0.3 m too high.
+    """
     copter = Codec(32, 1)
     beat = mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 1, 6, 3, 3)
     origin = mavlink.MAVLink_gps_global_origin_message(473977419, 85455938, 488_000)
-    home = mavlink.MAVLink_home_position_message(473977419 + 2698, 85455938, 484_000, *[0.0] * 3, [1.0, 0.0, 0.0, 0.0], *[0.0] * 3)
+    home = mavlink.MAVLink_home_position_message(
+        473977419 + 2698, 85455938, 484_000, *[0.0] * 3, [1.0, 0.0, 0.0, 0.0], *[0.0] * 3
+    )
     state = mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_ON_GROUND)
     place = mavlink.MAVLink_local_position_ned_message(1000, 30.0, 0.2, 3.7, 0.0, 0.0, 0.0)
     landed = Health("uav", "landed", step=1, compute_s=0.0, uptime_s=9.0, refused={}, system=32)
     script = Script(seed=7, expect="returned home").changed({"agent.budget": 1})
     mission = Launch(script, patience_s=PATIENCE_S, vehicle="tcp:127.0.0.1:5760")
-    for said, home_again in ((copter.pack(beat, origin, home, state, place), True), (Codec(33, 1).pack(beat, state, place), False)):
+    for said, home_again in (
+        (copter.pack(beat, origin, home, state, place), True),
+        (Codec(33, 1).pack(beat, state, place), False),
+    ):
         bus = FallsSilent(
             *(Arrival(BELIEF, msgspec.json.encode(belief(step)), b"") for step in (0, 1)),
             Arrival(HEALTH, msgspec.json.encode(landed), b"", name="uav"),
@@ -99,31 +118,45 @@ def test_a_real_vehicle_has_returned_home_where_home_is_and_not_its_estimators_o
         assert watch(bus, monkeypatch, mission).until_the_end().expectations == {"returned home": home_again}
 
 
-def test_a_vehicle_whose_budget_is_spent_is_sent_home_by_its_own_id_and_a_real_one_by_its_search(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_vehicle_whose_budget_is_spent_is_sent_home_by_its_own_id_and_a_real_one_by_its_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     script = Script(seed=7).changed({"agent.budget": 1})
     for url, system, told in ((None, 1, (1, 1)), ("tcp:127.0.0.1:5760", 32, (32, 191))):
         flying, landed = (
-            msgspec.json.encode(Health("uav", state, step=1, compute_s=0.0, uptime_s=uptime_s, refused={}, system=system))
+            msgspec.json.encode(
+                Health("uav", state, step=1, compute_s=0.0, uptime_s=uptime_s, refused={}, system=system)
+            )
             for state, uptime_s in (("searching", 9.0), ("landed", 10.0))
         )
         bus = FallsSilent(
-            Arrival(HEALTH, flying, b"", name="uav"), *(Arrival(BELIEF, msgspec.json.encode(belief(step)), b"") for step in (0, 1))
+            Arrival(HEALTH, flying, b"", name="uav"),
+            *(Arrival(BELIEF, msgspec.json.encode(belief(step)), b"") for step in (0, 1)),
         )
         bus.land_at_s, bus.landed = 50.0, Arrival(HEALTH, landed, b"", name="uav")
         watch(bus, monkeypatch, Launch(script, patience_s=PATIENCE_S, vehicle=url)).until_the_end()
-        orders = {(it.target_system, it.target_component, it.command) for _, payload, _ in bus.published for it in unpack(payload)}
+        orders = {
+            (it.target_system, it.target_component, it.command)
+            for _, payload, _ in bus.published
+            for it in unpack(payload)
+        }
         assert orders == {(*told, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)}
 
 
 def test_a_mission_that_a_pilot_has_ended_says_who_and_how(monkeypatch: pytest.MonkeyPatch) -> None:
     how = "ended by the pilot: RTL by a radio or a ground station"
     landed = Health("uav", "landed", 0, 0.0, 0.0, {}, (how,))
-    bus = FallsSilent(Arrival(BELIEF, msgspec.json.encode(belief(0)), b""), Arrival(HEALTH, msgspec.json.encode(landed), b"", name="uav"))
+    bus = FallsSilent(
+        Arrival(BELIEF, msgspec.json.encode(belief(0)), b""),
+        Arrival(HEALTH, msgspec.json.encode(landed), b"", name="uav"),
+    )
     with pytest.raises(MissionFailed, match=f"^{how}$"):
         watch(bus, monkeypatch).until_the_end()
 
 
-def test_the_times_of_a_script_count_from_the_start_however_long_a_real_autopilot_has_been_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_times_of_a_script_count_from_the_start_however_long_a_real_autopilot_has_been_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """At the mission's ten-fold speed 30 s are 3 s of real time."""
     first = msgspec.structs.replace(belief(0), time_boot_ms=7_200_000)
     bus = FallsSilent(Arrival(BELIEF, msgspec.json.encode(first), b""))

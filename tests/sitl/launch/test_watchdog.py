@@ -1,4 +1,6 @@
-"""Protects the watchdog over silent parts, with a simulated clock: it names a hanging part in time, and never any other."""
+"""Protects the watchdog over silent parts, with a simulated clock: it names a hanging part in time, and
+never any other.
+"""
 
 import math
 
@@ -10,7 +12,9 @@ PARTS = ("router", "uav", "estimator", "agent", "recorder")
 
 
 class Flight:
-    """A mission with a simulated clock: one second passes between two checks, and every part not listed as silent reports each second."""
+    """A mission with a simulated clock: one second passes between two checks, and every part not listed as
+    silent reports each second.
+    """
 
     def __init__(self, patience_s: float = 30.0, spoken: bool = True) -> None:
         self.said: list[str] = []
@@ -40,7 +44,9 @@ def test_as_long_as_all_speak_nothing_is_said() -> None:
 
 
 @pytest.mark.parametrize("part", ["router", "uav", "estimator", "agent"])
-def test_a_silent_part_is_told_after_five_seconds_once_and_ends_the_mission_after_the_patience(part: str) -> None:
+def test_a_silent_part_is_told_after_five_seconds_once_and_ends_the_mission_after_the_patience(
+    part: str,
+) -> None:
     flight = Flight(patience_s=12.0)
     flight.silent = {part}
     assert flight.goes_on(4) == ""
@@ -103,7 +109,10 @@ def test_a_part_that_never_starts_ends_the_mission_at_last() -> None:
     flight = Flight(patience_s=12.0, spoken=False)
     flight.silent = {"agent"}
     assert flight.goes_on(299) == ""
-    assert flight.goes_on(1) == "the agent has said nothing for 300 s since it was started (--patience S waits longer)"
+    assert (
+        flight.goes_on(1)
+        == "the agent has said nothing for 300 s since it was started (--patience S waits longer)"
+    )
 
 
 def test_patience_beyond_the_limit_for_a_start_holds_for_the_start_too() -> None:

@@ -29,6 +29,8 @@ def test_the_clients_that_were_tried_are_those_that_the_tests_install() -> None:
     files = [ROOT / "constraints.txt", *(ROOT / "tests" / "clients").glob("*.txt")]
     installed = {line.lower() for file in files for line in file.read_text().splitlines()}
     tried = {f"{client.lower()}=={version}" for client, version, _ in TRIED if version[0].isdigit()}
-    tried |= {f"pymavlink=={version}" for _, said, _ in TRIED for version in re.findall(r"by pymavlink (.+)", said)}
+    tried |= {
+        f"pymavlink=={version}" for _, said, _ in TRIED for version in re.findall(r"by pymavlink (.+)", said)
+    }
     assert len(tried) == len(TRIED)
     assert tried <= installed

@@ -1,4 +1,6 @@
-"""Protects the service of missions, fences and rally points: uploads and downloads, over bad links too; a failed one changes nothing."""
+"""Protects the service of missions, fences and rally points: uploads and downloads, over bad links too; a
+failed one changes nothing.
+"""
 
 import math
 import random
@@ -17,7 +19,19 @@ from tests.ground.tlog.flights import ACCEPTED, CONFIG, DENIED, NAN, REJECTED, h
 
 STATION, OTHER = (255, 190), (245, 190)
 # MAV_MISSION_RESULT
-OK, ERROR, BAD_FRAME, UNSUPPORTED, NO_SPACE, INVALID, PARAM_1, PARAM_5, PARAM_7, SEQUENCE, REFUSED = 0, 1, 2, 3, 4, 5, 6, 10, 12, 13, 14
+OK, ERROR, BAD_FRAME, UNSUPPORTED, NO_SPACE, INVALID, PARAM_1, PARAM_5, PARAM_7, SEQUENCE, REFUSED = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    10,
+    12,
+    13,
+    14,
+)
 MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255
 RELATIVE = 6
 VERTEX_IN, CIRCLE_IN, POINT = 5001, 5003, 5100
@@ -39,13 +53,21 @@ def corner(north, east, of=4, command=VERTEX_IN):
 
 PLANS = {
     MISSION: [waypoint(5.0, 5.0 + n) for n in range(12)],
-    FENCE: [corner(0, 0), corner(0, 20), corner(20, 20), corner(20, 0), waypoint(10.0, 10.0, 0.0, CIRCLE_IN, 20.0)],
+    FENCE: [
+        corner(0, 0),
+        corner(0, 20),
+        corner(20, 20),
+        corner(20, 0),
+        waypoint(10.0, 10.0, 0.0, CIRCLE_IN, 20.0),
+    ],
     RALLY: [waypoint(3.0, 4.0, 5.0, POINT), waypoint(20.0, 6.0, 5.0, POINT)],
 }
 
 
 class Wire:
-    """A vehicle and its clients under a clock of their own; every message is packed and parsed, and may be lost."""
+    """A vehicle and its clients under a clock of their own; every message is packed and parsed, and may be
+    lost.
+    """
 
     def __init__(self, vehicle=None, loss=0.0, seed=0):
         self.vehicle = vehicle or hovering()
@@ -101,7 +123,9 @@ def item(seq, fields, kind=MISSION):
 
 
 def upload(wire, plan, kind=MISSION, sender=STATION):
-    """Upload as a station does: answer requests, say the count again after a silence. Returns the MISSION_ACK's type."""
+    """Upload as a station does: answer requests, say the count again after a silence. Returns the
+    MISSION_ACK's type.
+    """
     wire.send(count(len(plan), kind), sender)
     for _ in range(200):
         for message in wire.read(sender):
@@ -111,13 +135,22 @@ def upload(wire, plan, kind=MISSION, sender=STATION):
                 assert message.mission_type == kind
                 return message.type
         wire.wait(0.1)
-        if wire.protocol.next_due_s() == math.inf and not wire.inbox[sender]:  # the count or the acknowledgement was lost
-            wire.send(item(len(plan) - 1, plan[-1], kind) if wire_has(wire, plan, kind) else count(len(plan), kind), sender)
+        if (
+            wire.protocol.next_due_s() == math.inf and not wire.inbox[sender]
+        ):  # the count or the acknowledgement was lost
+            wire.send(
+                item(len(plan) - 1, plan[-1], kind) if wire_has(wire, plan, kind) else count(len(plan), kind),
+                sender,
+            )
     raise AssertionError("no MISSION_ACK within 20 s")
 
 
 def wire_has(wire, plan, kind):
-    held = {MISSION: wire.vehicle.mission.number, FENCE: wire.vehicle.config.fence.number, RALLY: wire.vehicle.config.rally.number}
+    held = {
+        MISSION: wire.vehicle.mission.number,
+        FENCE: wire.vehicle.config.fence.number,
+        RALLY: wire.vehicle.config.rally.number,
+    }
     return held[kind] != 0
 
 
@@ -132,17 +165,35 @@ def download(wire, kind=MISSION, sender=STATION, tries=20):
                     return answer
         raise AssertionError("no answer")
 
-    total = until(mavlink.MAVLink_mission_request_list_message(1, 1, kind), lambda m: m.get_type() == "MISSION_COUNT").count
+    total = until(
+        mavlink.MAVLink_mission_request_list_message(1, 1, kind), lambda m: m.get_type() == "MISSION_COUNT"
+    ).count
     fields = []
     for seq in range(total):
         request = mavlink.MAVLink_mission_request_int_message(1, 1, seq, kind)
         got = until(request, lambda m, seq=seq: m.get_type() == "MISSION_ITEM_INT" and m.seq == seq)
-        fields.append((got.frame, got.command, 0, got.autocontinue, got.param1, got.param2, got.param3, got.param4, got.x, got.y, got.z))
+        fields.append(
+            (
+                got.frame,
+                got.command,
+                0,
+                got.autocontinue,
+                got.param1,
+                got.param2,
+                got.param3,
+                got.param4,
+                got.x,
+                got.y,
+                got.z,
+            )
+        )
     return fields
 
 
 def same(plan, other):
-    return repr([tuple(map(float, row)) for row in plan]) == repr([tuple(map(float, row)) for row in other])  # NaN is NaN
+    return repr([tuple(map(float, row)) for row in plan]) == repr(
+        [tuple(map(float, row)) for row in other]
+    )  # NaN is NaN
 
 
 # ---- refusals ----
@@ -152,7 +203,12 @@ def test_a_vehicle_begins_without_missions_fences_and_rally_points():
     wire = Wire()
     for kind in PLANS:
         (answer,) = wire.ask(mavlink.MAVLink_mission_request_list_message(1, 1, kind))
-        assert (answer.get_type(), answer.count, answer.mission_type, answer.target_system) == ("MISSION_COUNT", 0, kind, 255)
+        assert (answer.get_type(), answer.count, answer.mission_type, answer.target_system) == (
+            "MISSION_COUNT",
+            0,
+            kind,
+            255,
+        )
         (answer,) = wire.ask(mavlink.MAVLink_mission_request_int_message(1, 1, 0, kind))
         assert (answer.get_type(), answer.type, answer.mission_type) == ("MISSION_ACK", SEQUENCE, kind)
 
@@ -249,10 +305,14 @@ def test_a_missing_item_is_asked_for_again_in_real_time_until_the_vehicle_gives_
     asked = []
     for _ in range(600):
         wire.wait(0.01)
-        asked += [(round(wire.real_s - 1000.0, 2), m) for m in wire.read() if m.get_type() == "MISSION_REQUEST_INT"]
+        asked += [
+            (round(wire.real_s - 1000.0, 2), m) for m in wire.read() if m.get_type() == "MISSION_REQUEST_INT"
+        ]
     assert {message.seq for _, message in asked} == {0}
     times = [at for at, _ in asked]
-    assert all(b - a == pytest.approx(0.25, abs=0.011) for a, b in pairwise([0.0, *times]))  # PX4's retry timeout
+    assert all(
+        b - a == pytest.approx(0.25, abs=0.011) for a, b in pairwise([0.0, *times])
+    )  # PX4's retry timeout
     assert times[-1] == pytest.approx(5.0, abs=0.3)  # PX4's action timeout
     (ack,) = wire.ask(item(0, waypoint(1, 1)))
     assert ack.type == ERROR
@@ -359,13 +419,18 @@ def test_an_old_client_with_float_items_uploads_and_downloads():
     assert ack.type == OK
     (got,) = wire.ask(mavlink.MAVLink_mission_request_message(1, 1, 0))
     assert (got.get_type(), got.command, got.param1, got.z) == ("MISSION_ITEM", 16, 2.0, 5.0)
-    assert (got.x, got.y) == pytest.approx((lat, lon), abs=1e-5)  # float32 knows latitudes to half a metre only
+    assert (got.x, got.y) == pytest.approx(
+        (lat, lon), abs=1e-5
+    )  # float32 knows latitudes to half a metre only
 
 
 def test_a_client_that_does_not_know_the_int_request_is_asked_the_old_way():
     wire = Wire()
     wire.send(count(1))
-    (_, request) = (wire.send(mavlink.MAVLink_mission_ack_message(1, 1, UNSUPPORTED, MISSION)), *wire.read()[-1:])
+    (_, request) = (
+        wire.send(mavlink.MAVLink_mission_ack_message(1, 1, UNSUPPORTED, MISSION)),
+        *wire.read()[-1:],
+    )
     assert request.get_type() == "MISSION_REQUEST"
 
 
@@ -431,7 +496,9 @@ def result(wire, message):
 
 
 def mission_current(wire):
-    """(seq, total, state, mode, ids of mission, fence and rally points) as the bytes of MISSION_CURRENT say them."""
+    """(seq, total, state, mode, ids of mission, fence and rally points) as the bytes of MISSION_CURRENT
+    say them.
+    """
     current = wire.telemetry().build(MissionCurrent.id, wire.vehicle.now_s)
     payload = bytes(current.pack(mavlink.MAVLink(None, 1, 1)))[10:-2].ljust(18, b"\0")
     return MissionCurrent.unpacker.unpack(payload)
@@ -487,7 +554,8 @@ def test_mission_current_says_how_far_it_is_and_which_lists_there_are():
 def test_the_id_of_a_list_is_px4s_checksum():
     wire = Wire()
     upload(wire, PLANS[RALLY], RALLY)
-    # CRC-32 as PX4 computes it: reflected, from 0, not inverted; over frame, command, autocontinue and the seven parameters.
+    # CRC-32 as PX4 computes it: reflected, from 0, not inverted; over frame, command, autocontinue and the
+    # seven parameters.
     crc = 0
     for fields in PLANS[RALLY]:
         frame, number, _, goes_on, *params = fields

@@ -1,4 +1,6 @@
-"""Protects the parameters: what stations read and set, how values lie in their bytes, and that what is set acts."""
+"""Protects the parameters: what stations read and set, how values lie in their bytes, and that what is set
+acts.
+"""
 
 import binascii
 import math
@@ -68,9 +70,15 @@ def test_a_station_that_asks_for_all_gets_each_once_with_its_index_and_the_count
     assert {told.param_count for told in (first, *values)} == {len(values)}
     names = [told.param_id for told in values]
     assert names == sorted(set(names))
-    assert {"MIS_TAKEOFF_ALT", "RTL_RETURN_ALT", "MPC_XY_CRUISE", "COM_OF_LOSS_T", "MAV_SYS_ID", "SYS_AUTOSTART", "COM_RC_IN_MODE"} <= {
-        *names
-    }
+    assert {
+        "MIS_TAKEOFF_ALT",
+        "RTL_RETURN_ALT",
+        "MPC_XY_CRUISE",
+        "COM_OF_LOSS_T",
+        "MAV_SYS_ID",
+        "SYS_AUTOSTART",
+        "COM_RC_IN_MODE",
+    } <= {*names}
 
 
 def test_one_is_read_by_its_name_and_by_its_index(station):
@@ -86,7 +94,9 @@ def test_an_integer_lies_bytewise_in_the_float():
 
 
 def test_the_hash_is_px4s_checksum_of_what_was_listed(station):
-    """The vehicle's CRC begins with 0 and has no inversion: that of `binascii` with both undone, over names and bytes of values."""
+    """The vehicle's CRC begins with 0 and has no inversion: that of `binascii` with both undone, over
+    names and bytes of values.
+    """
     first, *values = station.list()
     crc = 0
     for told in values:
@@ -97,7 +107,9 @@ def test_the_hash_is_px4s_checksum_of_what_was_listed(station):
     assert again.param_value == first.param_value
     station.set("MPC_XY_CRUISE", 4.0)
     assert station.read(b"_HASH_CHECK")[0].param_value != first.param_value
-    assert station.set("_HASH_CHECK", first.param_value, UINT32) == []  # "I have them all": PX4 does not answer this either
+    assert (
+        station.set("_HASH_CHECK", first.param_value, UINT32) == []
+    )  # "I have them all": PX4 does not answer this either
 
 
 @pytest.mark.parametrize(("stream_s", "told_s"), [(math.inf, 30.0), (1.0, 1.0)], ids=["kind", "strict"])
@@ -167,13 +179,30 @@ def test_minus_one_turns_automatic_disarming_off(station):
         ("MPC_XY_CRUISE", -1.0, REAL32, "MPC_XY_CRUISE refused: -1, allowed is 0.5 to 20 m/s"),
         ("MPC_XY_CRUISE", math.nan, REAL32, "MPC_XY_CRUISE refused: nan, allowed is 0.5 to 20 m/s"),
         ("MPC_XY_CRUISE", int_in_float(5), INT32, "MPC_XY_CRUISE refused: type 6, wanted 9"),
-        ("COM_DISARM_LAND", 0.0, REAL32, "COM_DISARM_LAND refused: 0, allowed is above 0 to 20 s, or -1 for never"),
-        ("COM_DISARM_LAND", -0.5, REAL32, "COM_DISARM_LAND refused: -0.5, allowed is above 0 to 20 s, or -1 for never"),
-        ("GF_MAX_VER_DIST", 4.0, REAL32, "GF_MAX_VER_DIST refused: takeoff_altitude_m is 5.0: allowed is above 0 and up to the ceiling, 4"),
+        (
+            "COM_DISARM_LAND",
+            0.0,
+            REAL32,
+            "COM_DISARM_LAND refused: 0, allowed is above 0 to 20 s, or -1 for never",
+        ),
+        (
+            "COM_DISARM_LAND",
+            -0.5,
+            REAL32,
+            "COM_DISARM_LAND refused: -0.5, allowed is above 0 to 20 s, or -1 for never",
+        ),
+        (
+            "GF_MAX_VER_DIST",
+            4.0,
+            REAL32,
+            "GF_MAX_VER_DIST refused: takeoff_altitude_m is 5.0: allowed is above 0 and up to the ceiling, 4",
+        ),
         ("MAV_SYS_ID", int_in_float(7), INT32, "MAV_SYS_ID refused: 7, it cannot be changed"),
     ],
 )
-def test_a_value_out_of_range_is_refused_with_the_old_value_and_what_is_allowed(station, name, value, kind, reason):
+def test_a_value_out_of_range_is_refused_with_the_old_value_and_what_is_allowed(
+    station, name, value, kind, reason
+):
     before, config = station.value(name), station.vehicle.config
     told, *rest = station.set(name, value, kind)
     assert (told.get_type(), told.param_id, told.param_value) == ("PARAM_VALUE", name, before)
@@ -188,11 +217,20 @@ def test_a_fixed_value_that_is_set_to_what_it_is_is_no_fault(station):
 
 @pytest.mark.parametrize(
     "ask",
-    [lambda s: s.read(b"NO_SUCH"), lambda s: s.set("NO_SUCH", 1.0), lambda s: s.read(index=1000), lambda s: s.read(index=-7)],
+    [
+        lambda s: s.read(b"NO_SUCH"),
+        lambda s: s.set("NO_SUCH", 1.0),
+        lambda s: s.read(index=1000),
+        lambda s: s.read(index=-7),
+    ],
 )
 def test_what_is_not_there_is_refused_and_named(station, ask):
     error, *rest = ask(station)
-    assert (error.get_type(), error.error, error.target_system, error.target_component) == ("PARAM_ERROR", 1, *STATION)
+    assert (error.get_type(), error.error, error.target_system, error.target_component) == (
+        "PARAM_ERROR",
+        1,
+        *STATION,
+    )
     assert text(rest).startswith("No parameter")
 
 
@@ -205,7 +243,9 @@ def test_a_speed_that_is_set_in_flight_acts_from_the_next_leg_on():
     station.set("MPC_XY_CRUISE", 1.0)
     assert vehicle.next_event_s() == ends
     vehicle.go_to(30.0, (0.0, 10.0, -5.0))
-    assert vehicle.next_event_s() == pytest.approx(30.0 + 10.0 + 1.0 / 3.0)  # 10 m at 1 m/s, and one ramp at 3 m/s²
+    assert vehicle.next_event_s() == pytest.approx(
+        30.0 + 10.0 + 1.0 / 3.0
+    )  # 10 m at 1 m/s, and one ramp at 3 m/s²
 
 
 def test_the_silence_that_is_set_brings_the_vehicle_home():
@@ -229,4 +269,8 @@ def test_extended_parameters_are_refused(station):
     (read,) = station.ask(mavlink.MAVLink_param_ext_request_read_message(1, 1, b"CAM_MODE", -1))
     (written,) = station.ask(mavlink.MAVLink_param_ext_set_message(1, 1, b"CAM_MODE", b"1", 1))
     for answer in (read, written):
-        assert (answer.get_type(), answer.param_id, answer.param_result) == ("PARAM_EXT_ACK", "CAM_MODE", 2)  # PARAM_ACK_FAILED
+        assert (answer.get_type(), answer.param_id, answer.param_result) == (
+            "PARAM_EXT_ACK",
+            "CAM_MODE",
+            2,
+        )  # PARAM_ACK_FAILED

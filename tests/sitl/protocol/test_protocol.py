@@ -1,4 +1,6 @@
-"""Protects the MAVLink protocol: what each command does, who gets which answer, and the words of the texts."""
+"""Protects the MAVLink protocol: what each command does, who gets which answer, and the words of the
+texts.
+"""
 
 import math
 import struct
@@ -38,7 +40,9 @@ def wire(message):
 
 
 def command(number, p1=0.0, p2=0.0, p3=0.0, p4=0.0, p5=0.0, p6=0.0, p7=0.0, system=1, component=1):
-    return wire(mavlink.MAVLink_command_long_message(system, component, number, 0, p1, p2, p3, p4, p5, p6, p7))
+    return wire(
+        mavlink.MAVLink_command_long_message(system, component, number, 0, p1, p2, p3, p4, p5, p6, p7)
+    )
 
 
 def command_int(number, frame, x, y, z, p4=NAN):
@@ -49,7 +53,22 @@ def waypoint(north, east, down=-5.0, time_boot_ms=1, yaw=None, frame=1, mask=0b1
     mask &= 0xFFF if yaw is None else ~1024
     return wire(
         mavlink.MAVLink_set_position_target_local_ned_message(
-            time_boot_ms, system, 1, frame, mask, north, east, down, 9.0, 9.0, 9.0, 9.0, 9.0, 9.0, yaw or 0.0, 9.0
+            time_boot_ms,
+            system,
+            1,
+            frame,
+            mask,
+            north,
+            east,
+            down,
+            9.0,
+            9.0,
+            9.0,
+            9.0,
+            9.0,
+            9.0,
+            yaw or 0.0,
+            9.0,
         )
     )
 
@@ -100,7 +119,9 @@ def test_what_could_never_be_done_is_denied():
     assert "up to 120 m" in text(answers)
 
 
-@pytest.mark.parametrize("params", [(1.0, 3.0), (1.0, 1.0), (1.0, 4.0, 1.0), (0.0, 6.0), (NAN, 6.0), (1.0, NAN)])
+@pytest.mark.parametrize(
+    "params", [(1.0, 3.0), (1.0, 1.0), (1.0, 4.0, 1.0), (0.0, 6.0), (NAN, 6.0), (1.0, NAN)]
+)
 def test_modes_that_are_not_flown_are_refused(params):
     answers = MavlinkProtocol(hovering()).receive(command(176, *params), 10.0)
     assert ack(answers) == DENIED
@@ -114,7 +135,9 @@ def test_go_to_is_refused_outside_the_fence_and_in_a_local_frame():
     answers = protocol.receive(command_int(192, 5, round(lat * 1e7), round(lon * 1e7), 493.0), 10.0)
     assert ack(answers) == DENIED
     assert "outside the area" in text(answers)
-    assert text(protocol.receive(command_int(192, 1, 0, 0, 5.0), 10.0)) == "Go-to refused: frame 1 is not global"
+    assert (
+        text(protocol.receive(command_int(192, 1, 0, 0, 5.0), 10.0)) == "Go-to refused: frame 1 is not global"
+    )
     assert not vehicle.moving
 
 
@@ -138,10 +161,19 @@ def test_what_is_for_others_is_not_answered():
     assert not vehicle.set_mode(10.0, Mode.OFFBOARD).accepted
 
 
-NOT_WHOLE = "Setpoint refused: wanted a position, a velocity, a velocity x, y with a position z, or an acceleration, each whole"
+NOT_WHOLE = (
+    "Setpoint refused: wanted a position, a velocity, a velocity x, y with a position z, or an "
+    "acceleration, each whole"
+)
 REFUSED_WAYPOINTS = {
-    "outside the area": (waypoint(4.0, 31.0), "Waypoint refused: (31.0, 4.0) m is outside the area [0, 30] x [0, 30] m"),
-    "outside the altitudes": (waypoint(4.0, 4.0, -121.0), "Waypoint refused: altitude 121.0 m is outside [0, 120] m"),
+    "outside the area": (
+        waypoint(4.0, 31.0),
+        "Waypoint refused: (31.0, 4.0) m is outside the area [0, 30] x [0, 30] m",
+    ),
+    "outside the altitudes": (
+        waypoint(4.0, 4.0, -121.0),
+        "Waypoint refused: altitude 121.0 m is outside [0, 120] m",
+    ),
     "not finite": (waypoint(NAN, 4.0), "Waypoint refused: (4.0, nan) m at 5.0 m is not finite"),
     "frame": (waypoint(4.0, 4.0, frame=7), "Setpoint refused: frame 7 is not LOCAL_NED (1) or BODY_NED (8)"),
     "not whole": (waypoint(4.0, 4.0, mask=0b110111111111), NOT_WHOLE),
@@ -165,7 +197,10 @@ def test_a_yaw_that_is_no_number_is_ignored_as_in_px4_but_an_infinite_one_is_ref
     protocol = MavlinkProtocol(vehicle)
     assert protocol.receive(waypoint(1.0, 1.0, yaw=NAN), 10.0) == []
     assert vehicle.waypoint == (1.0, 1.0, -5.0)
-    assert text(protocol.receive(waypoint(2.0, 1.0, yaw=math.inf), 10.0)) == "Waypoint refused: yaw inf is not finite"
+    assert (
+        text(protocol.receive(waypoint(2.0, 1.0, yaw=math.inf), 10.0))
+        == "Waypoint refused: yaw inf is not finite"
+    )
 
 
 def test_the_same_refusal_is_told_once_a_second_at_20_hz():
@@ -190,7 +225,11 @@ def test_a_text_that_fills_its_last_chunk_is_ended_by_an_empty_one():
 
 def test_each_text_in_chunks_has_an_id_of_its_own_and_each_its_severity():
     protocol = MavlinkProtocol(offboard())
-    reason, said, short = protocol.receive(waypoint(4.0, 31.0), 10.0), protocol.statustext(2, "x" * 51), protocol.statustext(2, "x" * 50)
+    reason, said, short = (
+        protocol.receive(waypoint(4.0, 31.0), 10.0),
+        protocol.statustext(2, "x" * 51),
+        protocol.statustext(2, "x" * 50),
+    )
     assert {(m.severity, m.id) for m in reason} == {(4, 1)}  # a reason is a warning
     assert {(m.severity, m.id) for m in said} == {(2, 2)}
     assert [(m.severity, m.id) for m in short] == [(2, 0)]
@@ -294,10 +333,14 @@ def test_go_to_flies_to_a_latitude_and_longitude_and_holds_there(frame):
     vehicle = hovering()
     lat, lon = to_global(CONFIG.home_lat_deg, CONFIG.home_lon_deg, 10.0, 20.0)
     altitude = 8.0 if frame in (3, 6) else 496.0
-    answers = MavlinkProtocol(vehicle).receive(command_int(192, frame, round(lat * 1e7), round(lon * 1e7), altitude, p4=1.0), 10.0)
+    answers = MavlinkProtocol(vehicle).receive(
+        command_int(192, frame, round(lat * 1e7), round(lon * 1e7), altitude, p4=1.0), 10.0
+    )
     assert ack(answers) == ACCEPTED
     assert vehicle.advance(100.0) == []
-    assert vehicle.state(100.0).position == pytest.approx((10.0, 20.0, -8.0), abs=0.012)  # the resolution, 1e-7 degrees
+    assert vehicle.state(100.0).position == pytest.approx(
+        (10.0, 20.0, -8.0), abs=0.012
+    )  # the resolution, 1e-7 degrees
     assert (vehicle.state(100.0).mode, vehicle.state(100.0).yaw) == (Mode.HOLD, 1.0)
 
 
@@ -309,20 +352,32 @@ def test_go_to_without_a_place_changes_only_the_altitude():
 
 
 def test_go_to_home_is_not_outside_the_area_by_a_rounded_digit():
-    config = VehicleConfig(home_lat_deg=47.39774205, home_lon_deg=8.54559405)  # 5 mm off the nearest position that MAVLink can carry
+    config = VehicleConfig(
+        home_lat_deg=47.39774205, home_lon_deg=8.54559405
+    )  # 5 mm off the nearest position that MAVLink can carry
     vehicle = hovering(config)
-    assert ack(MavlinkProtocol(vehicle).receive(command_int(192, 6, 473977420, 85455940, 6.0), 10.0)) == ACCEPTED
+    assert (
+        ack(MavlinkProtocol(vehicle).receive(command_int(192, 6, 473977420, 85455940, 6.0), 10.0)) == ACCEPTED
+    )
 
 
 def test_set_mode_does_the_same_as_its_command():
     vehicle = hovering()
-    answers = MavlinkProtocol(vehicle).receive(wire(mavlink.MAVLink_set_mode_message(1, 1, Mode.LAND.custom_mode)), 10.0)
+    answers = MavlinkProtocol(vehicle).receive(
+        wire(mavlink.MAVLink_set_mode_message(1, 1, Mode.LAND.custom_mode)), 10.0
+    )
     assert (ack(answers), answers[0].command) == (ACCEPTED, 11)
     assert vehicle.state(10.0).mode is Mode.LAND
 
 
 @pytest.mark.parametrize(
-    ("params", "mode"), [((4.0, 3.0), Mode.HOLD), ((4.0, 5.0), Mode.RETURN), ((4.0, 6.0), Mode.LAND), ((6.0, 7.0), Mode.OFFBOARD)]
+    ("params", "mode"),
+    [
+        ((4.0, 3.0), Mode.HOLD),
+        ((4.0, 5.0), Mode.RETURN),
+        ((4.0, 6.0), Mode.LAND),
+        ((6.0, 7.0), Mode.OFFBOARD),
+    ],
 )
 def test_a_mode_is_set_by_its_px4_numbers(params, mode):
     vehicle = hovering()
@@ -416,7 +471,12 @@ def test_requests_without_telemetry_or_of_what_is_not_streamed_are_unsupported(t
 
 @pytest.mark.parametrize(
     ("number", "param", "expected"),
-    [(512, 242.0, "HOME_POSITION"), (410, 0.0, "HOME_POSITION"), (520, 1.0, "AUTOPILOT_VERSION"), (512, 148.0, "AUTOPILOT_VERSION")],
+    [
+        (512, 242.0, "HOME_POSITION"),
+        (410, 0.0, "HOME_POSITION"),
+        (520, 1.0, "AUTOPILOT_VERSION"),
+        (512, 148.0, "AUTOPILOT_VERSION"),
+    ],
 )
 def test_a_message_is_sent_on_request(number, param, expected, telemetry_of):
     vehicle = hovering()

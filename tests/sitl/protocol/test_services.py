@@ -1,4 +1,6 @@
-"""Protects the small services: time, modes, and proper refusals of files, logs and what is not simulated. Never silence."""
+"""Protects the small services: time, modes, and proper refusals of files, logs and what is not simulated.
+Never silence.
+"""
 
 import struct
 
@@ -55,7 +57,9 @@ def test_a_ping_comes_back_to_the_asker_only():
 # ---- requested messages ----
 
 
-@pytest.mark.parametrize("message", [command(512, 300.0), command(519)], ids=["REQUEST_MESSAGE", "REQUEST_PROTOCOL_VERSION"])
+@pytest.mark.parametrize(
+    "message", [command(512, 300.0), command(519)], ids=["REQUEST_MESSAGE", "REQUEST_PROTOCOL_VERSION"]
+)
 def test_the_protocol_version_is_mavlink_2(message):
     ack, version = ask(message)
     assert (ack.result, number(version)) == (ACCEPTED, 300)
@@ -66,8 +70,11 @@ def test_all_modes_are_listed_or_one_by_its_number():
     ack, *modes = ask(command(512, 435.0, 0.0))
     rows = [struct.unpack("<IIBBB35s", payload(mode)[:46]) for mode in modes]
     assert ack.result == ACCEPTED
-    # PX4's numbers: main mode << 16 | sub mode << 24. Standard modes: 8 take-off, 6 mission, 5 safe recovery, 7 land.
-    assert [(custom, index, standard, name.rstrip(b"\0")) for custom, _, _, index, standard, name in rows] == [
+    # PX4's numbers: main mode << 16 | sub mode << 24. Standard modes: 8 take-off, 6 mission, 5 safe recovery,
+    # 7 land.
+    assert [
+        (custom, index, standard, name.rstrip(b"\0")) for custom, _, _, index, standard, name in rows
+    ] == [
         (4 << 16 | 2 << 24, 1, 8, b"Takeoff"),
         (4 << 16 | 3 << 24, 2, 0, b"Hold"),
         (4 << 16 | 4 << 24, 3, 6, b"Mission"),
@@ -92,7 +99,11 @@ def test_the_origin_comes_on_request_and_as_a_stream_once_it_is_asked_for():
     _, home = ask(command(512, 242.0))
     ack, origin = ask(command(512, 49.0))
     assert ack.result == ACCEPTED
-    assert (origin.latitude, origin.longitude, origin.altitude) == (home.latitude, home.longitude, home.altitude) != (0, 0, 0)
+    assert (
+        (origin.latitude, origin.longitude, origin.altitude)
+        == (home.latitude, home.longitude, home.altitude)
+        != (0, 0, 0)
+    )
     vehicle = hovering()
     telemetry = Telemetry(lambda t: Snapshot(vehicle.config, vehicle.state(t), (1.0, 0.0), None), 10.0)
     assert "GPS_GLOBAL_ORIGIN" not in {m.get_type() for m in telemetry.due(10.0)}
@@ -100,7 +111,11 @@ def test_the_origin_comes_on_request_and_as_a_stream_once_it_is_asked_for():
     assert "GPS_GLOBAL_ORIGIN" in {m.get_type() for m in telemetry.due(11.0)}
 
 
-@pytest.mark.parametrize("message", [command(510, 30.0), command(512, 244.0, 30.0)], ids=["GET_MESSAGE_INTERVAL", "REQUEST_MESSAGE"])
+@pytest.mark.parametrize(
+    "message",
+    [command(510, 30.0), command(512, 244.0, 30.0)],
+    ids=["GET_MESSAGE_INTERVAL", "REQUEST_MESSAGE"],
+)
 def test_the_interval_of_a_message_is_told(message):
     ack, interval = ask(message)
     assert (ack.result, interval.message_id, interval.interval_us) == (ACCEPTED, 30, 10_000)
@@ -126,7 +141,10 @@ def test_metadata_cameras_gimbals_and_storage_are_unsupported(message_id):
 def test_every_command_is_obeyed_as_the_page_says_or_unsupported(number):
     (ack,) = (m for m in ask(command(number, 1.0)) if m.get_type() == "COMMAND_ACK")
     assert ack.command == number
-    assert (ack.result == UNSUPPORTED) == (number not in COMMANDS) or number in (511, 512)  # these two: of message 1 here
+    assert (ack.result == UNSUPPORTED) == (number not in COMMANDS) or number in (
+        511,
+        512,
+    )  # these two: of message 1 here
 
 
 # ---- what there is not ----
@@ -139,7 +157,23 @@ def ftp(opcode, data=b"", number=7, session=0):
 
 @pytest.mark.parametrize(
     ("opcode", "error"),
-    [(1, 4), (3, 10), (4, 10), (5, 4), (6, 9), (7, 4), (8, 10), (9, 9), (10, 10), (11, 9), (12, 10), (13, 10), (14, 10), (15, 4), (99, 7)],
+    [
+        (1, 4),
+        (3, 10),
+        (4, 10),
+        (5, 4),
+        (6, 9),
+        (7, 4),
+        (8, 10),
+        (9, 9),
+        (10, 10),
+        (11, 9),
+        (12, 10),
+        (13, 10),
+        (14, 10),
+        (15, 4),
+        (99, 7),
+    ],
 )
 def test_a_request_for_files_gets_a_nak_with_its_error(opcode, error):
     (answer,) = ask(ftp(opcode, b"/etc/extras.txt"))
@@ -169,14 +203,19 @@ def test_an_old_station_is_told_once_how_rates_are_set():
     protocol = MavlinkProtocol(vehicle)
     asked = mavlink.MAVLink_request_data_stream_message(1, 1, 0, 4, 1)
     answers = [ask(asked, vehicle, 10.0 + 15.0 * n, protocol) for n in range(3)]
-    assert "".join(m.text for m in answers[0]) == "Data streams refused: MAV_CMD_SET_MESSAGE_INTERVAL sets rates"
+    assert (
+        "".join(m.text for m in answers[0]) == "Data streams refused: MAV_CMD_SET_MESSAGE_INTERVAL sets rates"
+    )
     assert answers[1:] == [[], []]
 
 
 def empty(kind):
     """A message of this type to the vehicle, or to all if it is a ping; all other fields are 0."""
     message = next(message for message in mavlink.mavlink_map.values() if message.msgname == kind)
-    lengths, target = dict(zip(message.ordered_fieldnames, message.array_lengths, strict=True)), int(kind != "PING")
+    lengths, target = (
+        dict(zip(message.ordered_fieldnames, message.array_lengths, strict=True)),
+        int(kind != "PING"),
+    )
     given = {"target_system": target, "target_component": target, "target": target}
     values = []
     for name, form in zip(message.fieldnames, message.fieldtypes, strict=True):

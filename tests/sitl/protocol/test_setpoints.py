@@ -1,4 +1,6 @@
-"""Protects how setpoint messages are read: frames, type masks and NaN as PX4 1.15 reads them, and what is refused."""
+"""Protects how setpoint messages are read: frames, type masks and NaN as PX4 1.15 reads them, and what is
+refused.
+"""
 
 import math
 
@@ -26,13 +28,27 @@ def mask(*given: str) -> int:
 POSITION, VELOCITY, ACCELERATION = ("x", "y", "z"), ("vx", "vy", "vz"), ("afx", "afy", "afz")
 
 
-def local(type_mask, frame=LOCAL_NED, x=4.0, y=5.0, z=-6.0, v=(1.0, 2.0, 0.5), a=(0.5, 0.25, 0.125), yaw=0.75, rate=0.5):
-    return mavlink.MAVLink_set_position_target_local_ned_message(7, 1, 1, frame, type_mask, x, y, z, *v, *a, yaw, rate)
+def local(
+    type_mask,
+    frame=LOCAL_NED,
+    x=4.0,
+    y=5.0,
+    z=-6.0,
+    v=(1.0, 2.0, 0.5),
+    a=(0.5, 0.25, 0.125),
+    yaw=0.75,
+    rate=0.5,
+):
+    return mavlink.MAVLink_set_position_target_local_ned_message(
+        7, 1, 1, frame, type_mask, x, y, z, *v, *a, yaw, rate
+    )
 
 
 def global_int(type_mask, frame, lat_lon, alt, v=(1.0, 2.0, 0.5)):
     lat, lon = (round(degrees * 1e7) for degrees in lat_lon)
-    return mavlink.MAVLink_set_position_target_global_int_message(7, 1, 1, frame, type_mask, lat, lon, alt, *v, 0, 0, 0, 0.0, 0.0)
+    return mavlink.MAVLink_set_position_target_global_int_message(
+        7, 1, 1, frame, type_mask, lat, lon, alt, *v, 0, 0, 0, 0.0, 0.0
+    )
 
 
 def understood(message, yaw_rad=NORTH):
@@ -66,18 +82,26 @@ def test_a_local_setpoint_is_what_its_mask_leaves(given, setpoint):
 def test_velocities_and_accelerations_in_the_bodys_frame_are_turned_by_the_yaw_and_positions_ignored():
     forward_and_right = understood(local(mask(*VELOCITY), BODY_NED, v=(2.0, 1.0, -0.5)), EAST)
     assert forward_and_right.velocity == pytest.approx((-1.0, 2.0, -0.5))  # nose to the east, right is south
-    assert understood(local(mask(*POSITION, *ACCELERATION), BODY_NED), EAST).acceleration == pytest.approx((-0.25, 0.5, 0.125))
+    assert understood(local(mask(*POSITION, *ACCELERATION), BODY_NED), EAST).acceleration == pytest.approx(
+        (-0.25, 0.5, 0.125)
+    )
     assert understood(local(mask(*POSITION, *VELOCITY), BODY_NED)) == Setpoint(velocity=(1.0, 2.0, 0.5))
 
 
 def test_a_value_that_is_no_number_is_ignored_as_in_px4():
     assert understood(local(0, x=NAN, y=NAN, z=NAN, yaw=NAN, rate=NAN)) == Setpoint(velocity=(1.0, 2.0, 0.5))
-    assert understood(local(0, x=NAN, y=NAN, yaw=NAN, rate=NAN)) == Setpoint(velocity=(1.0, 2.0, 0.0), down_m=-6.0)
+    assert understood(local(0, x=NAN, y=NAN, yaw=NAN, rate=NAN)) == Setpoint(
+        velocity=(1.0, 2.0, 0.0), down_m=-6.0
+    )
     nans = (NAN, NAN, NAN)
-    assert understood(local(0, x=NAN, y=NAN, z=NAN, v=nans)) == Setpoint(acceleration=(0.5, 0.25, 0.125), yaw_rad=0.75, yaw_rate_radps=0.5)
+    assert understood(local(0, x=NAN, y=NAN, z=NAN, v=nans)) == Setpoint(
+        acceleration=(0.5, 0.25, 0.125), yaw_rad=0.75, yaw_rate_radps=0.5
+    )
 
 
-@pytest.mark.parametrize(("frame", "altitude"), [(5, 488.0 + 6.0), (6, 6.0), (11, 6.0)], ids=["sea", "home", "terrain"])
+@pytest.mark.parametrize(
+    ("frame", "altitude"), [(5, 488.0 + 6.0), (6, 6.0), (11, 6.0)], ids=["sea", "home", "terrain"]
+)
 def test_a_global_position_is_flown_with_its_altitude_above_sea_home_or_the_level_ground(frame, altitude):
     there = to_global(CONFIG.home_lat_deg, CONFIG.home_lon_deg, 10.0, 20.0)
     position = understood(global_int(mask(*POSITION), frame, there, altitude)).position
@@ -86,8 +110,12 @@ def test_a_global_position_is_flown_with_its_altitude_above_sea_home_or_the_leve
 
 def test_a_global_setpoint_may_be_a_velocity_and_home_is_not_outside_by_a_rounded_digit():
     assert understood(global_int(mask(*VELOCITY), 6, (0.0, 0.0), 0.0)) == Setpoint(velocity=(1.0, 2.0, 0.5))
-    home = VehicleConfig(home_lat_deg=47.39774205, home_lon_deg=8.54559405)  # 5 mm off the nearest position that MAVLink can carry
-    assert read(global_int(mask(*POSITION), 6, (47.3977420, 8.5455940), 5.0), home, NORTH) == Setpoint((0.0, 0.0, -5.0))
+    home = VehicleConfig(
+        home_lat_deg=47.39774205, home_lon_deg=8.54559405
+    )  # 5 mm off the nearest position that MAVLink can carry
+    assert read(global_int(mask(*POSITION), 6, (47.3977420, 8.5455940), 5.0), home, NORTH) == Setpoint(
+        (0.0, 0.0, -5.0)
+    )
 
 
 # ---- what is refused ----
@@ -121,10 +149,19 @@ def test_in_the_bodys_frame_only_whole_velocities_and_accelerations_count(given)
 
 
 def test_other_frames_and_forces_are_refused_in_words():
-    assert understood(local(mask(*POSITION), 7)).reason == "Setpoint refused: frame 7 is not LOCAL_NED (1) or BODY_NED (8)"
-    assert understood(local(mask(*ACCELERATION) | FORCE)).reason == "Setpoint refused: a force is not flown, only an acceleration"
+    assert (
+        understood(local(mask(*POSITION), 7)).reason
+        == "Setpoint refused: frame 7 is not LOCAL_NED (1) or BODY_NED (8)"
+    )
+    assert (
+        understood(local(mask(*ACCELERATION) | FORCE)).reason
+        == "Setpoint refused: a force is not flown, only an acceleration"
+    )
     told = understood(global_int(mask(*POSITION), 0, (47.0, 8.0), 5.0)).reason
-    assert told == "Setpoint refused: frame 0 is not GLOBAL_INT (5) or GLOBAL_RELATIVE_ALT_INT (6) or GLOBAL_TERRAIN_ALT_INT (11)"
+    assert (
+        told == "Setpoint refused: frame 0 is not GLOBAL_INT (5) or GLOBAL_RELATIVE_ALT_INT (6) or "
+        "GLOBAL_TERRAIN_ALT_INT (11)"
+    )
 
 
 def test_a_global_position_outside_the_area_is_refused_once_a_second_and_counted():

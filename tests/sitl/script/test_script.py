@@ -41,39 +41,100 @@ expect: [located, returned home]
 MISTAKES = {
     ("seed: 7", "seed: seven"): "2: seed: 'seven' is not allowed; wanted a whole number from 0",
     ("seed: 7", "seed: -1"): "2: seed: -1 is not allowed; wanted a whole number from 0",
-    ("seed: 7", "sead: 7"): "2: sead: unknown field; allowed: about, seed, speedup, scenario, vehicle, sensor, world, estimator, agent, ",
+    (
+        "seed: 7",
+        "sead: 7",
+    ): "2: sead: unknown field; allowed: about, seed, speedup, scenario, vehicle, sensor, world, estimator, "
+    "agent, ",
     ("seed: 7", "seed: 7\nseed: 8"): '3: found duplicate key "seed"',
     ("seed: 7", "seed: [7"): "3: not valid YAML: ",
     ("seed: 7", "speedup: 2000"): "2: speedup: 2000 is not allowed; wanted a number from 0 up to 1000",
-    ("phi: 1.5", "phi: 15"): "3: scenario.phi: 15 is not allowed; wanted direction the wind comes from, counter-clockwise from east, ",
-    ("phi: 1.5", "q: 1e308"): "3: scenario.q: 1e+308 is not allowed; wanted release rate, a number from 0.001 up to 1000000, g/s",
-    ("phi: 1.5", "d: 1e-9"): "3: scenario.d: 1e-09 is not allowed; wanted effective diffusivity, a number from 0.001 up to 10000, m²/s",
-    ("particles: 500", "rate: 1e7"): "6: estimator.rate: 10000000.0 is not allowed; wanted release rate assumed by the estimator, by ",
-    ("threshold:0.5,0.3", "gaussian:1e300"): "4: sensor: 'gaussian:1e300' is not allowed; sensor_noise is 1e+300, wanted a number from 0 ",
-    ("phi: 1.5", "fi: 1.5"): "3: scenario.fi: unknown field; allowed: source, q, u, phi, d, tau, start, height",
+    (
+        "phi: 1.5",
+        "phi: 15",
+    ): "3: scenario.phi: 15 is not allowed; wanted direction the wind comes from, counter-clockwise from "
+    "east, ",
+    (
+        "phi: 1.5",
+        "q: 1e308",
+    ): "3: scenario.q: 1e+308 is not allowed; wanted release rate, a number from 0.001 up to 1000000, g/s",
+    (
+        "phi: 1.5",
+        "d: 1e-9",
+    ): "3: scenario.d: 1e-09 is not allowed; wanted effective diffusivity, a number from 0.001 up to 10000, "
+    "m²/s",
+    (
+        "particles: 500",
+        "rate: 1e7",
+    ): "6: estimator.rate: 10000000.0 is not allowed; wanted release rate assumed by the estimator, by ",
+    (
+        "threshold:0.5,0.3",
+        "gaussian:1e300",
+    ): "4: sensor: 'gaussian:1e300' is not allowed; sensor_noise is 1e+300, wanted a number from 0 ",
+    (
+        "phi: 1.5",
+        "fi: 1.5",
+    ): "3: scenario.fi: unknown field; allowed: source, q, u, phi, d, tau, start, height",
     ("[12, 13]", "[12, 31]"): "3: scenario.source[1]: 31 is not allowed; wanted a number from 0 up to 30",
-    ("[12, 13]", "12"): "3: scenario.source: 12 is not allowed; wanted (x, y) m, x east, y north, each from 0 to 30",
-    ("{phi: 1.5, source: [12, 13]}", "windy"): "3: scenario: 'windy' is not allowed; wanted fields: source, q, u, phi",
-    ("threshold:0.5", "treshold:0.5"): "4: sensor: 'treshold:0.5,0.3' is not allowed; wanted gaussian, threshold, hits",
+    (
+        "[12, 13]",
+        "12",
+    ): "3: scenario.source: 12 is not allowed; wanted (x, y) m, x east, y north, each from 0 to 30",
+    (
+        "{phi: 1.5, source: [12, 13]}",
+        "windy",
+    ): "3: scenario: 'windy' is not allowed; wanted fields: source, q, u, phi",
+    (
+        "threshold:0.5",
+        "treshold:0.5",
+    ): "4: sensor: 'treshold:0.5,0.3' is not allowed; wanted gaussian, threshold, hits",
     ("seed: 7", "world: wind-3"): "2: world: no world 'wind-3'; wanted as-modelled, wind-10, wind-30, ",
     ("seed: 7", "world: 30"): "2: world: 30 is not allowed; wanted one of as-modelled, wind-10, wind-30, ",
-    ("particles: 500", "particles: 5"): "6: estimator.particles: 5 is not allowed; wanted a whole number from 10 up to 1000000",
-    ("particles: 500", "assume: feild"): "6: estimator.assume: 'feild' is not allowed; wanted one of field, paper",
-    ("particles: 500", "threshold_m: 0.5\n  stop: spread:1"): "5: estimator: wanted at most one of threshold_m and stop",
+    (
+        "particles: 500",
+        "particles: 5",
+    ): "6: estimator.particles: 5 is not allowed; wanted a whole number from 10 up to 1000000",
+    (
+        "particles: 500",
+        "assume: feild",
+    ): "6: estimator.assume: 'feild' is not allowed; wanted one of field, paper",
+    (
+        "particles: 500",
+        "threshold_m: 0.5\n  stop: spread:1",
+    ): "5: estimator: wanted at most one of threshold_m and stop",
     ("particles: 500", "threshold_m: 0"): "6: estimator.threshold_m: 0 is not allowed; wanted ",
     ("particles: 500", "particles: 5.5"): "6: estimator.particles: 5.5 is not allowed; wanted a whole number",
     ("{q: 'gamma:2,150'}", "{q: 3}"): "7: estimator.prior.q: 3 is not allowed; wanted text",
     ("do: wind, phi: 2", "do: wind"): "9: events[0]: no change is given; wanted u, phi or both",
-    ("do: wind, phi: 2", "do: winds"): "9: events[0].do: 'winds' is not allowed; wanted one of wind, dropout, stuck, spike, ",
+    (
+        "do: wind, phi: 2",
+        "do: winds",
+    ): "9: events[0].do: 'winds' is not allowed; wanted one of wind, dropout, stuck, spike, ",
     ("do: wind, ", ""): "9: events[0]: do is missing; wanted one of wind, dropout",
-    ("do: wind, phi: 2", "do: stuck"): "9: events[0]: readings is missing; wanted a whole number from 1 up to 1000000",
+    (
+        "do: wind, phi: 2",
+        "do: stuck",
+    ): "9: events[0]: readings is missing; wanted a whole number from 1 up to 1000000",
     ("do: hold", "step: 2, do: hold"): "10: events[1]: wanted exactly one of step and time_s",
     ("time_s: 10, ", ""): "10: events[1]: wanted exactly one of step and time_s",
     ("after_s: 10.5", "step: 3"): "11: events[2]: wanted exactly one of time_s and after_s",
-    ("high: [10, 10]", "high: [0, 10]"): "14: events[3].high: [0.0, 10.0] is not allowed; wanted a corner north-east of low, [0.0, 0.0]",
-    ("step: 3", "time_s: 3"): "12: events[3].time_s: not allowed for waypoints, which answer readings; wanted step",
-    ("located, r", "found, r"): "15: expect[0]: 'found' is not allowed; wanted one of ceased, false stop, landed, located, not ceased, ",
-    ("expect: [located, returned home]", "expect: lost"): "15: expect: 'lost' is not allowed; wanted one of ceased",
+    (
+        "high: [10, 10]",
+        "high: [0, 10]",
+    ): "14: events[3].high: [0.0, 10.0] is not allowed; wanted a corner north-east of low, [0.0, 0.0]",
+    (
+        "step: 3",
+        "time_s: 3",
+    ): "12: events[3].time_s: not allowed for waypoints, which answer readings; wanted step",
+    (
+        "located, r",
+        "found, r",
+    ): "15: expect[0]: 'found' is not allowed; wanted one of ceased, false stop, landed, located, not "
+    "ceased, ",
+    (
+        "expect: [located, returned home]",
+        "expect: lost",
+    ): "15: expect: 'lost' is not allowed; wanted one of ceased",
     ("seed: 7", "seed: 5.0"): "2: seed: 5.0 is not allowed; wanted a whole number from 0",
     ("seed: 7", "seed: yes"): "2: seed: 'yes' is not allowed; wanted a whole number from 0",
     ("seed: 7", "seed: true"): "2: seed: True is not allowed; wanted a whole number from 0",
@@ -84,12 +145,30 @@ MISTAKES = {
     ("seed: 7", "agent: {headings: 8.0}"): "2: agent.headings: 8.0 is not allowed; wanted one of 4, 8",
     ("seed: 7", "seed: !!bool perhaps"): ": not valid YAML: a value does not match its tag",
     ("seed: 7", "seed: 2020-99-99"): ": not valid YAML: month must be in 1..12",
-    ("[12, 13]", "[12]"): "3: scenario.source: [12] is not allowed; wanted a list of two: a number from 0 up to 30",
-    ("[12, 13]", "[12, 13, 14]"): "3: scenario.source: [12, 13, 14] is not allowed; wanted a list of two: a number from 0 up to 30",
-    ("do: wind, phi: 2", "do: [wind]"): "9: events[0].do: ['wind'] is not allowed; wanted one of wind, dropout",
-    ("do: wind, phi: 2", "do: stuck, reading: 2"): "9: events[0].reading: unknown field; allowed: do, readings, step, time_s",
-    ("{step: 30, do: wind, phi: 2}", "hold"): "9: events[0]: 'hold' is not allowed; wanted fields with do: one of wind, dropout",
-    ("after_s: 10.5", "after_s: -1"): "11: events[2].after_s: -1 is not allowed; wanted a number from 0: simulation time, s",
+    (
+        "[12, 13]",
+        "[12]",
+    ): "3: scenario.source: [12] is not allowed; wanted a list of two: a number from 0 up to 30",
+    (
+        "[12, 13]",
+        "[12, 13, 14]",
+    ): "3: scenario.source: [12, 13, 14] is not allowed; wanted a list of two: a number from 0 up to 30",
+    (
+        "do: wind, phi: 2",
+        "do: [wind]",
+    ): "9: events[0].do: ['wind'] is not allowed; wanted one of wind, dropout",
+    (
+        "do: wind, phi: 2",
+        "do: stuck, reading: 2",
+    ): "9: events[0].reading: unknown field; allowed: do, readings, step, time_s",
+    (
+        "{step: 30, do: wind, phi: 2}",
+        "hold",
+    ): "9: events[0]: 'hold' is not allowed; wanted fields with do: one of wind, dropout",
+    (
+        "after_s: 10.5",
+        "after_s: -1",
+    ): "11: events[2].after_s: -1 is not allowed; wanted a number from 0: simulation time, s",
     (
         "do: lawnmower\n    high: [10, 10]",
         "do: waypoints\n    points: []",
@@ -98,12 +177,19 @@ MISTAKES = {
         "do: lawnmower\n    high: [10, 10]",
         "do: waypoints\n    points:\n    - [1, 2]\n    - [3, 31]",
     ): "16: events[3].points[1][1]: 31 is not allowed; wanted a number from 0 up to 30",
-    ("about: all in one", "agent: {policy: none}"): "1: agent.policy: 'none' is not allowed; wanted a policy, or scripted waypoints",
+    (
+        "about: all in one",
+        "agent: {policy: none}",
+    ): "1: agent.policy: 'none' is not allowed; wanted a policy, or scripted waypoints",
 }
 
 
-@pytest.mark.parametrize(("change", "told"), MISTAKES.items(), ids=[f"{old} -> {new}" for old, new in MISTAKES])
-def test_a_mistake_is_one_line_with_file_line_field_and_what_is_allowed(tmp_path: Path, change: tuple[str, str], told: str) -> None:
+@pytest.mark.parametrize(
+    ("change", "told"), MISTAKES.items(), ids=[f"{old} -> {new}" for old, new in MISTAKES]
+)
+def test_a_mistake_is_one_line_with_file_line_field_and_what_is_allowed(
+    tmp_path: Path, change: tuple[str, str], told: str
+) -> None:
     path = tmp_path / "mission.yaml"
     assert change[0] in GOOD
     path.write_text(GOOD.replace(*change))
@@ -132,7 +218,9 @@ NOT_FINITE = {
 def test_a_number_that_is_none_or_has_no_end_is_refused(tmp_path: Path, text: str, told: str) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text(f"about: finite\n{text}\n")
-    with pytest.raises(FileError, match=re.escape(f"{path}:2: {told} is not allowed; wanted ") + ".*number.*"):
+    with pytest.raises(
+        FileError, match=re.escape(f"{path}:2: {told} is not allowed; wanted ") + ".*number.*"
+    ):
         load(path)
 
 
@@ -144,7 +232,9 @@ def test_a_battery_and_a_patience_without_end_are_allowed(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("speedup", "stream_s"), [(0, 1.0), (1, 1.0), (3, 3.0)])
-def test_a_strict_vehicle_loses_a_stream_after_a_second_of_real_time(tmp_path: Path, speedup: float, stream_s: float) -> None:
+def test_a_strict_vehicle_loses_a_stream_after_a_second_of_real_time(
+    tmp_path: Path, speedup: float, stream_s: float
+) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text(f"speedup: {speedup}\nvehicle: {{strict: true}}\n")
     config = load(path).vehicle_config(sysid=1)
@@ -153,20 +243,33 @@ def test_a_strict_vehicle_loses_a_stream_after_a_second_of_real_time(tmp_path: P
     assert load(path).vehicle_config(sysid=1).stream_s == math.inf
 
 
-def test_of_several_mistakes_the_first_is_told_but_a_wrong_name_before_the_one_that_it_stands_for(tmp_path: Path) -> None:
+def test_of_several_mistakes_the_first_is_told_but_a_wrong_name_before_the_one_that_it_stands_for(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text("events:\n- step: 1\n  do: stuck\n  reading: 3\nexpect: [lost]\nseed: x\n")
-    with pytest.raises(FileError, match=r"mission.yaml:4: events\[0\].reading: unknown field; allowed: do, readings, step, time_s$"):
+    with pytest.raises(
+        FileError,
+        match=r"mission.yaml:4: events\[0\].reading: unknown field; allowed: do, readings, step, time_s$",
+    ):
         load(path)
 
 
 def test_a_mission_without_a_mistake_does_not_wait_for_what_finds_them() -> None:
-    code = "import sys; from sitl.script.script import load; load('wind-shift'); print('jsonschema' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True, timeout=60)
+    code = (
+        "import sys; from sitl.script.script import load; load('wind-shift'); print('jsonschema' in "
+        "sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True, timeout=60
+    )
     assert done.stdout == "False\n"
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"a: &x [*x]", b"- 1\n- 2", b"{", b"\x00", b"3", b"a: !!python/object:os.system {}"])
+@pytest.mark.parametrize(
+    "content",
+    [b"\xff\xfe\x00", b"a: &x [*x]", b"- 1\n- 2", b"{", b"\x00", b"3", b"a: !!python/object:os.system {}"],
+)
 def test_what_is_no_mission_at_all_is_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "mission.yaml"
     path.write_bytes(content)
@@ -183,13 +286,17 @@ def test_a_missing_file_and_a_folder_are_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", MISSIONS, ids=lambda path: path.stem)
-def test_a_shipped_mission_is_found_by_its_name_from_anywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
+def test_a_shipped_mission_is_found_by_its_name_from_anywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: Path
+) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / path.stem).mkdir()  # a folder is not a mission, even with a mission's name
     assert load(path.stem) == load(path.name) == load(path)
 
 
-def test_a_file_that_is_there_wins_over_a_shipped_mission_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_is_there_wins_over_a_shipped_mission_of_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("wind-shift.yaml").write_text("about: mine")
     assert load("wind-shift.yaml").about == "mine"
@@ -199,12 +306,17 @@ def test_a_file_that_is_there_wins_over_a_shipped_mission_of_its_name(tmp_path: 
 
 
 @pytest.mark.parametrize("name", ["wnd-shift", "missions/wind-shift.yaml", "./wind-shift", "wind-shift.yml"])
-def test_a_name_that_is_none_is_told_with_those_that_ship(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_a_name_that_is_none_is_told_with_those_that_ship(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(FileError) as error:
         load(name)
     shipped = ", ".join(path.stem for path in MISSIONS)
-    assert str(error.value) == f"{name}: no such file and no shipped mission; wanted a mission script, or one of {shipped}"
+    assert (
+        str(error.value)
+        == f"{name}: no such file and no shipped mission; wanted a mission script, or one of {shipped}"
+    )
 
 
 def test_what_the_scenario_leaves_out_is_drawn_by_the_seed(tmp_path: Path) -> None:
@@ -212,7 +324,13 @@ def test_what_the_scenario_leaves_out_is_drawn_by_the_seed(tmp_path: Path) -> No
     path.write_text(GOOD)
     release, drawn = load(path).release(), draw(7)
     assert (release.source, release.phi) == ((12.0, 13.0), 1.5)
-    assert (release.q, release.u, release.d, release.tau, release.start) == (drawn.q, drawn.u, drawn.d, drawn.tau, drawn.start)
+    assert (release.q, release.u, release.d, release.tau, release.start) == (
+        drawn.q,
+        drawn.u,
+        drawn.d,
+        drawn.tau,
+        drawn.start,
+    )
 
 
 def test_a_world_that_is_named_is_simulated_and_the_release_stays_what_is_told(tmp_path: Path) -> None:
@@ -239,25 +357,43 @@ def test_words_of_yaml_1_1_stay_words(tmp_path: Path) -> None:
 
 def test_a_lawnmower_mows_rows_to_and_fro_and_ends_on_the_edges(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
-    path.write_text("events:\n- {step: 2, do: lawnmower, low: [1, 2], high: [4, 5], spacing_m: 2, step_m: 1.5}\n")
+    path.write_text(
+        "events:\n- {step: 2, do: lawnmower, low: [1, 2], high: [4, 5], spacing_m: 2, step_m: 1.5}\n"
+    )
     points = [(1, 2), (2.5, 2), (4, 2), (4, 4), (2.5, 4), (1, 4), (1, 5), (2.5, 5), (4, 5)]
     assert load(path).scripted() == dict(enumerate(points, start=2))
 
 
-def test_what_the_operator_does_has_the_words_of_the_page(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_the_operator_does_has_the_words_of_the_page(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "mission.yaml"
-    events = ("{step: 1, do: hold}", "{after_s: 2, do: resume}", "{step: 3, do: return}", "{time_s: 4, do: land}")
+    events = (
+        "{step: 1, do: hold}",
+        "{after_s: 2, do: resume}",
+        "{step: 3, do: return}",
+        "{time_s: 4, do: land}",
+    )
     path.write_text("events:\n" + "".join(f"- {event}\n" for event in events))
     assert load(path).events == [Hold(step=1), Resume(after_s=2), Return(step=3), Land(time_s=4)]
     assert capfd.readouterr().err == ""
 
 
-def test_the_words_of_older_scripts_mean_what_they_meant_and_are_warned_of_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_words_of_older_scripts_mean_what_they_meant_and_are_warned_of_once(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "old.yaml"
-    path.write_text("events:\n- {step: 1, do: pause}\n- {after_s: 2, do: resume}\n- {step: 5, do: pause}\n- {step: 7, do: abort}\n")
+    path.write_text(
+        "events:\n- {step: 1, do: pause}\n- {after_s: 2, do: resume}\n- {step: 5, do: pause}\n- {step: 7, "
+        "do: abort}\n"
+    )
     for _ in range(2):
         assert load(path).events == [Hold(step=1), Resume(after_s=2), Hold(step=5), Return(step=7)]
-    assert capfd.readouterr().err == f"warning: {path}: 'pause' is an old word, read as 'hold', 'abort' is an old word, read as 'return'\n"
+    assert (
+        capfd.readouterr().err
+        == f"warning: {path}: 'pause' is an old word, read as 'hold', 'abort' is an old word, read as "
+        "'return'\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -279,14 +415,19 @@ def test_a_mistake_beside_an_old_word_is_named(tmp_path: Path, text: str, told: 
 
 def test_without_a_policy_the_search_ends_with_the_waypoints(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
-    path.write_text("agent: {policy: none}\nevents:\n- {step: 0, do: waypoints, points: [[1, 2], [2, 2], [3, 2]]}\n")
+    path.write_text(
+        "agent: {policy: none}\nevents:\n- {step: 0, do: waypoints, points: [[1, 2], [2, 2], [3, 2]]}\n"
+    )
     assert load(path).budget == 3
 
 
 def test_more_waypoints_than_a_command_line_holds_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text("events:\n- {step: 0, do: lawnmower, spacing_m: 0.1, step_m: 0.1}\n")
-    with pytest.raises(FileError, match=r"mission.yaml:1: events: 90,601 scripted waypoints are not allowed; wanted 1,000 at most"):
+    with pytest.raises(
+        FileError,
+        match=r"mission.yaml:1: events: 90,601 scripted waypoints are not allowed; wanted 1,000 at most",
+    ):
         load(path)
 
 
@@ -294,7 +435,9 @@ def test_two_waypoints_for_one_step_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
     event = "- {step: %d, do: waypoints, points: [[1, 2], [2, 2]]}\n"
     path.write_text("events:\n" + event % 0 + event % 1)
-    with pytest.raises(FileError, match=r"mission.yaml:3: events\[1\]: events\[0\] already has a waypoint for step 1"):
+    with pytest.raises(
+        FileError, match=r"mission.yaml:3: events\[1\]: events\[0\] already has a waypoint for step 1"
+    ):
         load(path)
 
 
@@ -305,13 +448,23 @@ def test_the_published_schema_is_up_to_date_and_a_schema() -> None:
 
 
 def test_the_schema_and_the_reader_agree(tmp_path: Path) -> None:
-    """The schema accepts all shipped missions and finds each mistake that lies in one field, as an editor uses it."""
+    """The schema accepts all shipped missions and finds each mistake that lies in one field, as an editor
+    uses it.
+    """
     validator = jsonschema.Draft202012Validator(schema())
     for path in MISSIONS:
         validator.validate(YAML(typ="safe", pure=True).load(path.read_text()))
         load(path)
     assert validator.is_valid(YAML(typ="safe", pure=True).load(GOOD))
     for change, told in MISTAKES.items():
-        beyond = ("corner", "sensor:", "agent.policy", "field name", "digits", "5.0", "8.0")  # in JSON, 5.0 is a whole number
+        beyond = (
+            "corner",
+            "sensor:",
+            "agent.policy",
+            "field name",
+            "digits",
+            "5.0",
+            "8.0",
+        )  # in JSON, 5.0 is a whole number
         if " is not allowed" in told and not any(word in told for word in beyond):
             assert not validator.is_valid(YAML(typ="safe", pure=True).load(GOOD.replace(*change))), change

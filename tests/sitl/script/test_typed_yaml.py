@@ -1,4 +1,6 @@
-"""Protects the reading of mission scripts from huge, recursive or locked files, pipes and devices, and other editors' text formats."""
+"""Protects the reading of mission scripts from huge, recursive or locked files, pipes and devices, and
+other editors' text formats.
+"""
 
 import os
 from pathlib import Path
@@ -21,7 +23,8 @@ def bomb(width: int, depth: int, leaf: str) -> str:
 TOO_MUCH = {
     "a billion laughs": bomb(9, 9, "lol"),
     "a billion laughs that are found to be no number": bomb(9, 9, "lol") + "seed: *a8",
-    "merges of merges": "a0: &a0 {x: 1}\n" + "".join(f"a{n}: &a{n}\n  <<: [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 10)),
+    "merges of merges": "a0: &a0 {x: 1}\n"
+    + "".join(f"a{n}: &a{n}\n  <<: [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 10)),
     "a list that holds itself": "events: &x [*x]",
     "an object that holds itself": "scenario: &x {q: *x}",
     "an object that is merged into itself": "scenario: &x {<<: *x}",
@@ -32,7 +35,9 @@ TOO_MUCH = {
 @pytest.mark.parametrize(
     "text",
     [
-        pytest.param(text, id=name, marks=pytest.mark.full if len(text) > 100_000 else ())  # reading it takes seconds
+        pytest.param(
+            text, id=name, marks=pytest.mark.full if len(text) > 100_000 else ()
+        )  # reading it takes seconds
         for name, text in TOO_MUCH.items()
     ],
 )
@@ -46,7 +51,10 @@ def test_a_few_lines_that_stand_for_endless_values_are_refused_at_once(tmp_path:
 
 def test_an_alias_stands_for_its_value(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
-    path.write_text("scenario: {source: &here [12, 13], start: *here}\nvehicle: &slow {speed_mps: 2}\nagent: {budget: 5}\n")
+    path.write_text(
+        "scenario: {source: &here [12, 13], start: *here}\nvehicle: &slow {speed_mps: 2}\nagent: {budget: "
+        "5}\n"
+    )
     release = load(path).release()
     assert release.source == release.start == (12.0, 13.0)
 
@@ -88,7 +96,9 @@ def test_a_pipe_and_a_device_are_not_waited_for(tmp_path: Path) -> None:
         assert str(error.value) == f"{path}: a pipe or a device is not allowed; wanted a file"
 
 
-def test_a_file_that_cannot_be_read_is_one_line_that_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_cannot_be_read_is_one_line_that_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     loop = tmp_path / "loop.yaml"
     loop.symlink_to(loop)
     broken = Path("/proc/self/mem")  # a regular file whose first byte cannot be read
@@ -98,7 +108,9 @@ def test_a_file_that_cannot_be_read_is_one_line_that_says_why(tmp_path: Path, mo
     locked = tmp_path / "mission.yaml"
     locked.touch(mode=0)
     if os.access(locked, os.R_OK):  # root can read every file
-        monkeypatch.setattr(os, "open", lambda *_: (_ for _ in ()).throw(PermissionError(13, os.strerror(13))))
+        monkeypatch.setattr(
+            os, "open", lambda *_: (_ for _ in ()).throw(PermissionError(13, os.strerror(13)))
+        )
     with pytest.raises(FileError, match=f"^{locked}: Permission denied$"):
         load(locked)
 
@@ -106,7 +118,9 @@ def test_a_file_that_cannot_be_read_is_one_line_that_says_why(tmp_path: Path, mo
 def test_a_name_that_comes_twice_is_told_with_both_lines_and_without_its_values(tmp_path: Path) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text(bomb(9, 9, "lol") + "seed: *a8\nseed: *a8")
-    with pytest.raises(FileError, match=f'^{path}:11: found duplicate key "seed"; the first one is in line 10$'):
+    with pytest.raises(
+        FileError, match=f'^{path}:11: found duplicate key "seed"; the first one is in line 10$'
+    ):
         load(path)
     path.write_text('scenario:\n  q: 1\n  u: 1\n  "q": "two\\nlines"\n')
     with pytest.raises(FileError) as error:
@@ -127,7 +141,9 @@ def test_an_editors_way_to_write_text_makes_no_difference(tmp_path: Path, mark: 
         load(path)
 
 
-@pytest.mark.parametrize("content", [b"", b"\n\n", b"# nothing\n", b"\xef\xbb\xbf"], ids=["empty", "blank", "a comment", "a mark"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\n\n", b"# nothing\n", b"\xef\xbb\xbf"], ids=["empty", "blank", "a comment", "a mark"]
+)
 def test_an_empty_script_is_the_usual_mission(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "mission.yaml"
     path.write_bytes(content)
@@ -135,7 +151,9 @@ def test_an_empty_script_is_the_usual_mission(tmp_path: Path, content: bytes) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("text", ["k" * 200_000 + ": 1", "about: !" + "t" * 200_000 + " x", "seed: " + "y" * 200_000])
+@pytest.mark.parametrize(
+    "text", ["k" * 200_000 + ": 1", "about: !" + "t" * 200_000 + " x", "seed: " + "y" * 200_000]
+)
 def test_a_line_that_is_told_stays_short(tmp_path: Path, text: str) -> None:
     path = tmp_path / "mission.yaml"
     path.write_text(text)
