@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -36,6 +37,15 @@ class Part:
 
     def says(self, text: str) -> bool:
         return any(text in line for line in self.err)
+
+    def comes_to(self, text: str, timeout_s: float = 400.0) -> None:
+        """Wait until it says a text; fails at once, with what it said instead, if it ends before."""
+        until_s = time.monotonic() + timeout_s
+        while not self.says(text):
+            if self.process.poll() is not None or time.monotonic() > until_s:
+                said = "".join(self.err[-40:])
+                pytest.fail(f"it did not say {text!r} (status {self.process.poll()}); it said:\n{said}")
+            self._threads[1].join(0.02)
 
     def ended(self, timeout_s: float = 400.0) -> int:
         """Wait for the process to end; returns its exit status. `timeout_s` is for what never ends: a busy

@@ -50,12 +50,12 @@ def end(
     vehicle has landed.
     """
     mission = start("sitl", "fly", "--vehicle", double.url, *WORDS, cwd=cwd)
-    wait_until(lambda: mission.says("step   0/300"), 120.0)
+    mission.comes_to("step   0/300")
     uav = family(mission.process.pid)["uav"]
     keeper = keeper_of(uav)
     os.kill(uav, number)
-    wait_until(lambda: double.wire.autopilot.mode == "RTL", 60.0)
-    wait_until(lambda: not double.wire.autopilot.armed, 60.0)
+    wait_until(lambda: double.wire.autopilot.mode == "RTL")
+    wait_until(lambda: not double.wire.autopilot.armed)
     return mission, uav, keeper
 
 
@@ -71,7 +71,7 @@ def test_a_uav_that_is_killed_has_its_vehicle_sent_home_by_its_keeper_which_then
     assert mission.err[-1] in [
         f"error: uav was killed by signal 9; its last words: keeper: warning: {said}\n" for said in words
     ]
-    wait_until(lambda: not Path(f"/proc/{keeper}").exists(), 60.0)
+    wait_until(lambda: not Path(f"/proc/{keeper}").exists())
 
 
 @pytest.mark.full
@@ -79,11 +79,11 @@ def test_a_launcher_and_a_uav_that_are_killed_together_leave_no_vehicle_in_the_a
     start: type[Part], family: Callable, double: Double, tmp_path: Path, wait_until: Callable[..., None]
 ) -> None:
     mission = start("sitl", "fly", "--vehicle", double.url, *WORDS, cwd=tmp_path)
-    wait_until(lambda: mission.says("step   0/300"), 120.0)
+    mission.comes_to("step   0/300")
     uav = family(mission.process.pid)["uav"]
     mission.process.kill()
     os.killpg(uav, signal.SIGKILL)
-    wait_until(lambda: double.wire.autopilot.mode == "RTL", 60.0)
+    wait_until(lambda: double.wire.autopilot.mode == "RTL")
 
 
 @pytest.mark.full
@@ -140,17 +140,17 @@ def test_a_keeper_that_dies_or_hangs_is_replaced_and_the_search_goes_on(
             "60",
             cwd=tmp_path,
         )
-        wait_until(lambda: mission.says("step   0/300"), 120.0)
+        mission.comes_to("step   0/300")
         uav = family(mission.process.pid)["uav"]
         keeper = keeper_of(uav)
         os.kill(keeper, number)
-        wait_until(lambda: keeper_of(uav) not in (0, keeper), 60.0)
+        wait_until(lambda: keeper_of(uav) not in (0, keeper))
         assert mission.says("its keeper has ended; it is tried again")
         targets = double.wire.autopilot.targets
-        wait_until(lambda: double.wire.autopilot.targets > targets + 2, 60.0)
+        wait_until(lambda: double.wire.autopilot.targets > targets + 2)
         assert double.wire.autopilot.mode == "GUIDED"
         keeper = keeper_of(uav)
         mission.process.send_signal(signal.SIGINT)
         assert mission.ended() == 130
         assert double.wire.autopilot.mode == "RTL"
-        wait_until(lambda: not Path(f"/proc/{keeper}").exists(), 60.0)
+        wait_until(lambda: not Path(f"/proc/{keeper}").exists())

@@ -45,7 +45,7 @@ def test_the_projects_own_vehicle_is_flown_to_the_source_in_its_own_wind_and_the
     vehicle = start(
         "sitl", "uav", "--out", f"udpout:127.0.0.1:{port}", "--seed", str(ITS_SEED), *SPEEDUP, cwd=tmp_path
     )
-    wait_until(lambda: flight.says("step   0/300"), 120.0)
+    flight.comes_to("step   0/300")
     parts = [*family(flight.process.pid).values(), flight.process.pid, vehicle.process.pid]
     assert len(parts) >= 7, (
         "router, recorder, estimator, agent, payload, uav of the search, and the other side"

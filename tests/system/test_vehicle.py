@@ -174,7 +174,7 @@ def test_a_mission_on_px4_with_a_sensor_on_a_serial_line_claims_nothing_about_a_
             wire.say(b"0.25\n")
             return flight.process.poll() is not None
 
-        wait_until(over, 120.0)
+        wait_until(over)
     assert flight.ended() == 0, flight.err
     said = json.loads(flight.out[-1])
     assert [said[name] for name in ("located", "error_m", "source", "scenario")] == [None] * 4
@@ -213,11 +213,11 @@ def test_ctrl_c_in_mid_air_sends_the_vehicle_home_before_the_parts_end(
         "--no-record",
         cwd=tmp_path,
     )
-    wait_until(lambda: flight.says("step   0/300"), 120.0)
+    flight.comes_to("step   0/300")
     flight.process.send_signal(signal.SIGINT)
     assert flight.ended() == 130
     autopilot = ardupilot.wire.autopilot
-    wait_until(lambda: not autopilot.armed, 60.0)
+    wait_until(lambda: not autopilot.armed)
     assert not flight.says("hangs and is killed")
     assert flight.says("interrupted")
     assert flight.says("Check: battery: ok, 100%"), "shown whatever the level of the log"
@@ -247,9 +247,9 @@ def test_a_vehicle_that_is_not_ready_keeps_the_mission_waiting_and_the_reason_is
         flight = start(
             "sitl", "fly", "--vehicle", double.url, "--speedup", f"{FAST:g}", *SHORT, *words, cwd=tmp_path
         )
-        wait_until(lambda: flight.says("Waiting for the autopilot"), 60.0)
+        wait_until(lambda: flight.says("Waiting for the autopilot"))
         began = double.wire.autopilot.now_s
-        wait_until(lambda: double.wire.autopilot.now_s - began > 7 * FAST, 60.0)
+        wait_until(lambda: double.wire.autopilot.now_s - began > 7 * FAST)
         assert flight.process.poll() is None
         flight.process.send_signal(signal.SIGINT)
         assert flight.ended() == 130

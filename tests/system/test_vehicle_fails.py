@@ -32,9 +32,9 @@ def test_a_launcher_that_is_killed_leaves_no_vehicle_in_the_air(
 ) -> None:
     with Double("ardupilot", settings=Settings(ready_s=5.0), speedup=SPEEDUP) as double:
         flight = start("sitl", "fly", "--vehicle", double.url, *WORDS, cwd=tmp_path)
-        wait_until(lambda: flight.says("step   0/300"), 120.0)
+        flight.comes_to("step   0/300")
         flight.process.send_signal(signal.SIGKILL)
-        wait_until(lambda: not double.wire.autopilot.armed, 60.0)
+        wait_until(lambda: not double.wire.autopilot.armed)
         assert double.wire.autopilot.mode == "RTL"
 
 
