@@ -179,8 +179,9 @@ def promise(rows: Rows) -> str:
     return table(heads, lines)
 
 
-def worlds(said: Said) -> str:
+def worlds(said: Said, rows: Rows) -> str:
     """Return the second table: a row for each world that has been flown, with the default stop."""
+    names, distances = compared(rows)
 
     def figure(world: str, assume: str, name: str, *keys: str) -> str:
         row = said.get((assume, name, world, SHOWN))
@@ -208,7 +209,7 @@ def worlds(said: Said) -> str:
             " / ".join(figure(world, assume, DEFAULT, "mtd_m") for assume in ("paper", "field")),
             figure(world, "field", DEFAULT, "nees_mean"),
             false_stop(world, "field", LEARNED),
-            figure(world, "field", LEARNED, "mtd_m"),
+            distances.get(world, UNKNOWN),
         ]
         for world in WORLDS
         if world in flown
@@ -221,30 +222,28 @@ def worlds(said: Said) -> str:
         "ceased / located",
         "MTD p / f, m",
         "NEES",
-        "ppo: false, %",
-        "MTD, m",
+        f"{LEARNED}: false, %",
+        f"{' / '.join(names)}, m",
     ]
     return table(heads, lines)
 
 
-def planners(rows: Rows) -> str:
-    """Return the third table: what each policy flies under `field` in each world, over the missions that
-    all of them have flown.
+def compared(rows: Rows) -> tuple[list[str], dict[str, str]]:
+    """Return the policies that flew under `field`, and by world the mean distance to a stop of each, over
+    the missions that all of them have flown.
     """
     names = sorted(
         {name for assume, name, _ in rows if assume == "field"},
         key=lambda name: (name != DEFAULT, name == LEARNED, name),
     )
-    lines = []
+    distances = {}
     for world in WORLDS:
-        flown = {name: rows[cell][SHOWN] for name in names if (cell := ("field", name, world)) in rows}
-        if not flown or len(flown) < len(names):
-            continue
-        seeds = set.intersection(*({row.seed for row in of} for of in flown.values()))
-        lines.append(
-            [world, *(_travelled([row for row in of if row.seed in seeds]) for of in flown.values())]
-        )
-    return table(["world", *(f"{name}, m" for name in names)], lines)
+        flown = [rows[cell][SHOWN] for name in names if (cell := ("field", name, world)) in rows]
+        if flown and len(flown) == len(names):
+            seeds = set.intersection(*({row.seed for row in of} for of in flown))
+            common = ([row for row in of if row.seed in seeds] for of in flown)
+            distances[world] = " / ".join(map(_travelled, common))
+    return names, distances
 
 
 def _travelled(rows: Sequence[MissionRow]) -> str:
@@ -273,8 +272,7 @@ def page(text: str, rows: Rows, said: Said) -> str:
     )
     for name, new in (
         ("promise", promise(rows) + made),
-        ("worlds", worlds(said)),
-        ("planners", planners(rows)),
+        ("worlds", worlds(said, rows)),
     ):
         before, begin, rest = text.partition(f"<!-- {name} -->\n")
         _, end, after = rest.partition("<!-- end -->")

@@ -71,12 +71,9 @@ INSTEAD = {
     "make site": "make --dry-run site",  # tests/test_site.py builds it
     "make bench": "make bench FLAGS='--missions 1'",
     "make bench-page": "make bench-page FLAGS='--duration 3'",
-    "make bench-env": "python -c 'from benchmarks import env as b; b.PARTICLES, b.BATCHES, b.MISSIONS, "
-    "b.REPEATS = (500,), (1,), 1, 1; b.main()'",
-    "make bench-filter": "python -c 'from benchmarks import filter as b; b.SIZES, b.BATCHES, b.MISSIONS = "
-    "(1000,), (1,), 1; b.main()'",
-    "make bench-planners": "python -c 'from benchmarks import planners as b; b.SIZES, b.MISSIONS, b.REPEATS "
-    "= (100,), 1, 1; b.main()'",
+    "make bench-env": "python -c 'from benchmarks import env as b; b.PARTICLES, b.BATCHES, b.MISSIONS, b.REPEATS = (500,), (1,), 1, 1; b.main()'",
+    "make bench-filter": "python -c 'from benchmarks import filter as b; b.SIZES, b.BATCHES, b.MISSIONS = (1000,), (1,), 1; b.main()'",
+    "make bench-planners": "python -c 'from benchmarks import planners as b; b.SIZES, b.MISSIONS, b.REPEATS = (100,), 1, 1; b.main()'",
     "make train": "make train LEARNERS=ddpg FLAGS='--steps 1 --scenarios 0'",
     "make results": "make results POLICIES=greedy LEARNED=ppo FLAGS='--scenarios 2'",
     "make mismatch": "make mismatch FLAGS='--missions 1 --policy homing --assume paper --world as-modelled'",
@@ -85,38 +82,27 @@ INSTEAD = {
     "python benchmarks/floor.py": "python benchmarks/floor.py --missions 2 --threshold 0.9",
     "python benchmarks/floor.py --fly": "python benchmarks/floor.py --missions 2 --threshold 0.9 --fly",
     "python benchmarks/floor.py --missions 200 --threshold 0.1 0.3 0.5 0.9 --convergence": "python benchmarks/floor.py --missions 1 --threshold 0.9 --convergence",
-    "python -m benchmarks.trust --world wind-30 --policy homing": "python -m benchmarks.trust --world "
-    "wind-30 --policy homing --assume paper "
-    "--missions 1",
+    "python -m benchmarks.trust --world wind-30 --policy homing": "python -m benchmarks.trust --world wind-30 --policy homing --assume paper --missions 1",
     "python benchmarks/loop.py --secure": "python benchmarks/loop.py --secure --missions 1",
     "python -m benchmarks.soak": "python -m benchmarks.soak --steps 1000 || test $? = 1",  # too short to tell whether anything grows
     "python -m benchmarks.fleet": "python -m benchmarks.fleet --vehicles 1 --seconds 5",
     "python -m benchmarks.stop": "python -m benchmarks.stop --trials 10",
     "python -m benchmarks.record": "python -m benchmarks.record --comparisons 1 --stretch 10",
-    "plumeward report": "mkdir few && plumeward evaluate --scenarios 2 --missions few/rows.csv && plumeward "
-    "report --results few --out few",
+    "plumeward report": "mkdir few && plumeward evaluate --scenarios 2 --missions few/rows.csv && plumeward report --results few --out few",
     "pip install .": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
-    "pip install ./heaviest": "python -m pip install --quiet --no-index --no-deps --no-build-isolation "
-    "--target site .",
+    "pip install ./heaviest": "python -m pip install --quiet --no-index --no-deps --no-build-isolation --target site .",
     "python -m hatchling build": "python -m hatchling build --target wheel",
     "plumeward status": "plumeward status --connect tcp/127.0.0.1:7447",
     "plumeward view --foxglove 8765": "plumeward view --foxglove 0 --port 0",
     "plumeward uav --out udpin:127.0.0.1:14550": "plumeward uav --out udpin:127.0.0.1:7447",
-    "plumeward uav --out udpin:127.0.0.1:14550 --sign fleet.key": "plumeward uav --out udpin:127.0.0.1:7447 "
-    "--sign fleet.key",
+    "plumeward uav --out udpin:127.0.0.1:14550 --sign fleet.key": "plumeward uav --out udpin:127.0.0.1:7447 --sign fleet.key",
     "plumeward bridge udpin:127.0.0.1:14550 tcp:127.0.0.1:5760 --connect tcp/127.0.0.1:7447": "plumeward bridge udpin:127.0.0.1:7447 tcp:127.0.0.1:1 --connect tcp/127.0.0.1:7447",
-    "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447": "plumeward payload "
-    "--payload "
-    "serial:nothing:9600 --connect tcp/127.0.0.1:7447",
-    "plumeward replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "plumeward replay flight.tlog --gas "
-    "gas*1.0 --wind 2.5,270",
-    "plumeward uav --out udpout:127.0.0.1:14540 --seed 3000950": "plumeward uav --out udpout:127.0.0.1:7447 "
-    "--seed 3000950 --speedup 10",
+    "plumeward payload --payload serial:/dev/ttyUSB0:9600 --connect tcp/127.0.0.1:7447": "plumeward payload --payload serial:nothing:9600 --connect tcp/127.0.0.1:7447",
+    "plumeward replay flight.tlog --gas CH4*0.000656 --wind 2.5,270": "plumeward replay flight.tlog --gas gas*1.0 --wind 2.5,270",
+    "plumeward uav --out udpout:127.0.0.1:14540 --seed 3000950": "plumeward uav --out udpout:127.0.0.1:7447 --seed 3000950 --speedup 10",
     "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 3000950 --speedup 1 --record first.mcap": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 3000950 --speedup 10 --record first.mcap",
-    "plumeward fly --vehicle tcp:127.0.0.1:5760 --seed 11": "plumeward fly --vehicle tcp:127.0.0.1:1 --seed "
-    "11",
-    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11": "plumeward fly --vehicle udpin:127.0.0.1:7447 "
-    "--seed 11",
+    "plumeward fly --vehicle tcp:127.0.0.1:5760 --seed 11": "plumeward fly --vehicle tcp:127.0.0.1:1 --seed 11",
+    "plumeward fly --vehicle udpin:127.0.0.1:14540 --seed 11": "plumeward fly --vehicle udpin:127.0.0.1:7447 --seed 11",
     "tensorboard --logdir runs/train": "tensorboard --logdir runs/train --port 0",
 }
 """What is run in place of a command: one that takes less time, or needs nothing that only others have."""
@@ -144,8 +130,7 @@ STAYS = {
     "plumeward view runs/NAME.mcap": "page at http://127.0.0.1:",
     "plumeward estimator --connect tcp/127.0.0.1:7447": "ready: ",
     "plumeward estimator --connect tcp/127.0.0.1:7447 --particles 4000": "ready: ",
-    "plumeward estimator --connect tcp/127.0.0.1:7447 --rate 364.9238897255652 --diffusivity "
-    "5.890049834047215": "ready: ",
+    "plumeward estimator --connect tcp/127.0.0.1:7447 --rate 364.9238897255652 --diffusivity 5.890049834047215": "ready: ",
     "plumeward agent --connect tcp/127.0.0.1:7447 --policy homing": "ready: ",
     "plumeward agent --connect tcp/127.0.0.1:7447": "ceased at step",  # says the estimator: a whole mission is flown
     "tensorboard --logdir runs/train": "http://",

@@ -64,21 +64,17 @@ def page(text: str, rows: Collection[Row]) -> str:
 
 
 def table(rows: Collection[Row]) -> str:
-    """Return the table: a line for each kind of fault and each part that it hit, and one for all missions."""
+    """Return the table: a line for each kind of fault, with the parts that it hit, and one for all."""
     lines = []
-    for kind, (what, promise, *_) in KINDS.items():
-        for part in KINDS[kind].parts or ("",):
-            hit = [row for row in rows if f"{kind} {part}".strip() in row.happened.split(";")]
-            first = part in ("", *KINDS[kind].parts[:1])
-            lines.append(
-                [
-                    f"`{kind}`{' ' * bool(part)}{part}",
-                    *((what, promise) if first else ("", "")),
-                    *_counts(hit),
-                ]
-            )
-    lines.append(["all", "", "", *_counts(rows)])
-    heads = ["fault", "what happens", "promise", "missions", AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN]
+    for kind, fault in KINDS.items():
+        by_part = {
+            part: sum(f"{kind} {part}" in row.happened.split(";") for row in rows) for part in fault.parts
+        }
+        hit = [row for row in rows if any(it.partition(" ")[0] == kind for it in row.happened.split(";"))]
+        parts = ", ".join(f"{part} {count}" for part, count in by_part.items())
+        lines.append([f"`{kind}`", fault.what, parts, fault.promise, *_counts(hit)])
+    lines.append(["all", "", "", "", *_counts(rows)])
+    heads = ["fault", "what happens", "to", "promise", "missions", AS_UNDISTURBED, FAILSAFE, TOLD, BROKEN]
     told = "".join(f"| {' | '.join(line)} |\n" for line in (heads, ["---"] * len(heads), *lines))
     return told + f"\n{len(rows)} missions. One with several faults counts in the row of each.\n"
 

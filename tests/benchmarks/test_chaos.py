@@ -305,15 +305,12 @@ def test_the_table_counts_a_mission_in_the_row_of_each_fault_that_happened() -> 
         Row(2, "", "hang uav at 3 2 s", "hang uav", FAILSAFE, 20, 9.0),
         Row(3, "", "hang agent at 9 2 s", "", AS_UNDISTURBED, 8, 9.0),
     ]
-    lines = {
-        line.split("|")[1].strip(): line.split("|")[-6:-1]
-        for line in table(rows).splitlines()
-        if line.startswith("|")
-    }
-    assert [int(cell) for cell in lines["`hang` uav"]] == [2, 1, 1, 0, 0]
-    assert [int(cell) for cell in lines["`deaf`"]] == [1, 1, 0, 0, 0]
-    assert [int(cell) for cell in lines["`hang` agent"]] == [0, 0, 0, 0, 0]
-    assert [int(cell) for cell in lines["all"]] == [3, 2, 1, 0, 0]
+    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table(rows).splitlines()]
+    lines = {line[0]: line for line in cells if line}
+    assert [int(cell) for cell in lines["`hang`"][-5:]] == [2, 1, 1, 0, 0]
+    assert {"uav 2", "agent 0"} <= set(lines["`hang`"][2].split(", "))
+    assert [int(cell) for cell in lines["`deaf`"][-5:]] == [1, 1, 0, 0, 0]
+    assert [int(cell) for cell in lines["all"][-5:]] == [3, 2, 1, 0, 0]
 
 
 def test_the_prose_of_the_page_stays() -> None:
