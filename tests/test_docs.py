@@ -48,7 +48,7 @@ TIMEOUT_S = 600
 RELIED_ON = {
     "README.md: make mission",
     "README.md: plumeward fly --seed 11 --view",
-    "README.md: plumeward rollout --seed 4 --policy infotaxis --world wind-30",
+    "README.md: plumeward rollout --seed 4 --policy infotaxis --world wind-30 --assume paper",
     "docs/records.md: plumeward log runs/NAME.mcap",
     "docs/records.md: plumeward draw runs/NAME.mcap",
     "docs/records.md: plumeward replay runs/NAME.mcap --verify --speedup 0",
