@@ -56,7 +56,7 @@ def draw(seed: int, lifetime_s: float = LIFETIME_S) -> Scenario:
 
     Args:
         seed: A whole number from 0. The same seed gives the same scenario; test scenarios are the seeds
-        from 1,000,000 on.
+            from 1,000,000 on.
         lifetime_s: Lifetime τ of the gas, s.
 
     Returns:

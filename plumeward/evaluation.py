@@ -37,12 +37,12 @@ def evaluate(
         threshold_m: The search stops when the spread of the belief is below it, m.
         budget: Moves after which a mission is given up.
         workers: Processes that fly. A script that asks for more than one needs `if __name__ ==
-        "__main__":`.
+                "__main__":`.
         world: One name that `plumeward list worlds` shows, or several of them.
         assume: What the estimator takes to be known: `field` or `paper`, where all but the position is
-        known.
+            known.
         stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
-        when at least 99% of the belief is
+            when at least 99% of the belief is
             within 1 m of the estimate.
         knowledge: Further fields of `plumeward.Config`, as `plumeward.rollout` takes them.
 
@@ -55,7 +55,7 @@ def evaluate(
 
     Raises:
         ValueError: A policy or a world is not known, a number is out of range, or the assumption or the
-        criterion is not allowed.
+            criterion is not allowed.
         TypeError: There is no such argument, or the sensor or a prior is something else, such as its text.
 
     Example:

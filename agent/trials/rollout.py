@@ -128,14 +128,14 @@ def rollout(
         budget: Moves after which the mission is given up.
         moves: Of a planner: `headings`, `step` (m) and `measurements`, where its own are not wanted.
         world: How the truth differs from what the estimator is told: a name that `plumeward list worlds`
-        shows.
+            shows.
         assume: What the estimator takes to be known: `field` or `paper`, where all but the position is
-        known.
+            known.
         stop: The stop criterion instead of `threshold_m`: `"spread:0.5"`, or `"within:1,0.99"` to stop
-        when at least 99% of the belief is
+            when at least 99% of the belief is
             within 1 m of the estimate.
         knowledge: Further fields of `plumeward.Config`: `sensor`, `priors`, `stop_limits`,
-        `stop_on_location` and `area_m`.
+            `stop_on_location` and `area_m`.
 
     Returns:
         The outcome, and a trace of one point for each reading, the first of them before any move. Lengths
@@ -143,7 +143,7 @@ def rollout(
 
     Raises:
         ValueError: The policy or the world is not known, or cannot be flown so; or the assumption or the
-        criterion is not allowed.
+            criterion is not allowed.
         TypeError: There is no such argument, or the sensor or a prior is something else, such as its text.
 
     Example:
