@@ -37,7 +37,7 @@ def evaluate(
         threshold_m: The search stops when the spread of the belief is below it, m.
         budget: Moves after which a mission is given up.
         workers: Processes that fly. A script that asks for more than one needs `if __name__ ==
-                "__main__":`.
+            "__main__":`.
         world: One name that `plumeward list worlds` shows, or several of them.
         assume: What the estimator takes to be known: `field` or `paper`, where all but the position is
             known.
