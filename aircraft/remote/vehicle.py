@@ -39,7 +39,11 @@ INSIDE_M = 0.05
 IGNORED_M = 0.5
 """A target that the autopilot reads back so far from the setpoint is not the setpoint."""
 IGNORED_S = 5.0
-"""A setpoint that is not read back for so long is ignored."""
+"""A setpoint that is not read back for this long is ignored."""
+COPIES = 5
+"""A setpoint is ignored only once it has been sent this many times: at a high speed-up a lost one is sent
+again late, by the clock of the vehicle.
+"""
 
 
 WIND_S = 5.0
@@ -269,6 +273,7 @@ class RemoteVehicle:
         if answers or (north, east, down) != self._setpoint:
             self._setpoint = as_float32((north, east, down))
         deadline_s = self._arrival.deadline_s(self._now, self.position, self._setpoint)
+        deadline_s = max(deadline_s, self._now + 2 * COPIES * self._commander.patient(SEND_AGAIN_S))
         if self._leg is None or answers or self._leg.target != self._setpoint:
             self._leg, self._ignored_since_s = Approach(self._arrival, self._setpoint, deadline_s), math.inf
         self._leg.deadline_s = deadline_s
@@ -416,7 +421,9 @@ class RemoteVehicle:
         self._ignored_since_s = (
             min(self._ignored_since_s, self._now) if reads_back and not taken else math.inf
         )
-        return self._now - self._ignored_since_s > self._commander.patient(IGNORED_S)
+        return self._now - self._ignored_since_s > max(
+            IGNORED_S, COPIES * self._commander.patient(SEND_AGAIN_S)
+        )
 
     def _in_ekf_frame(self, position: Ned) -> Ned:
         north, east, down = (there + at for there, at in zip(position, self._area_at, strict=True))

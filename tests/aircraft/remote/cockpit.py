@@ -1,6 +1,7 @@
 """A search on an autopilot double, in step: no sockets, and time passes only when a test says so."""
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from copy import copy
 from typing import Any
@@ -58,13 +59,18 @@ class Radio:
         self.late: dict[str, float] = {}
         """How long, in s, something is on its way: a message type, or `mode` and `status` of HEARTBEATs.
         """
+        self.lost: Counter[str] = Counter()
+        """How many of the next messages of a type do not arrive at the double."""
         self._now_s = 0.0
         self._way: list[tuple[float, Message]] = []
         self._beats: list[tuple[float, Message]] = []
 
     def send(self, message: Message) -> None:
         self.sent.append(message)
-        self.wire.hear(self._codec.pack(message))
+        if self.lost[message.get_type()]:
+            self.lost[message.get_type()] -= 1
+        else:
+            self.wire.hear(self._codec.pack(message))
 
     def use(self, link: Channel, system: int) -> None:
         assert link is self._link
@@ -163,6 +169,7 @@ class Cockpit:
         outs: tuple[str, ...] = (),
         wait_s: float = math.inf,
         launched: bool = False,
+        speedup: float = 1.0,
         **settings: Any,
     ) -> None:
         settings = {"ready_s": 6.0, **settings}
@@ -171,7 +178,7 @@ class Cockpit:
         )
         self.radio = Radio(self.wire)
         self.log = Log("uav", "test", Tally(), "warning")
-        commander = Commander(self.radio, handling=Handling(self.log).of)
+        commander = Commander(self.radio, speedup, handling=Handling(self.log).of)
         self.vehicle = RemoteVehicle(VehicleConfig(), commander, wait_s=wait_s, launched=launched)
         self.search = Search(self.vehicle, START, after_stop, lambda _, text: self.said.append(text))
         self.bus = OneEnd(Log("uav", "test", Tally(), "error"))

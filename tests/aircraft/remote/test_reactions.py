@@ -152,6 +152,14 @@ def test_a_breached_fence_that_returns_ends_the_mission() -> None:
     assert "changed to RTL by its failsafe: Circle breached" in cockpit.fails()
 
 
+def test_setpoints_that_are_lost_at_a_high_speed_up_are_sent_again_and_do_not_end_the_search() -> None:
+    cockpit = Cockpit("ardupilot", speedup=20.0)
+    cockpit.reads(2)
+    cockpit.radio.lost["SET_POSITION_TARGET_LOCAL_NED"] = 3
+    cockpit.reads(4)
+    assert not cockpit.vehicle.failure
+
+
 def test_targets_that_arducopter_ignores_silently_are_seen_in_what_it_reads_back() -> None:
     cockpit = searching("ardupilot", "ignore@#3")
     ignored_s = cockpit.now_s
