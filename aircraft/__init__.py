@@ -1,5 +1,4 @@
-"""What flies, as the search sees it: flight modes, the words of an operator, and the interface of a
-vehicle.
+"""What flies, as the search sees it: the interface of a vehicle, and the words of all who deal with one.
 
-Imports: link.bus, sitl.autopilot.
+Imports: link.bus.
 """

@@ -5,12 +5,11 @@ the vehicle's clients.
 from collections.abc import Callable
 from typing import Protocol
 
+from aircraft.config import AircraftConfig
+from aircraft.mode import Mode
 from aircraft.operator import CommandName
+from aircraft.state import Arrived, Ned, Result, VehicleEvent
 from link.bus.mavlink import Message
-from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.motion import Ned
-from sitl.autopilot.setpoint import Setpoint
-from sitl.autopilot.state import Arrived, Mode, Result, VehicleEvent
 
 
 class Aircraft(Protocol):
@@ -18,7 +17,10 @@ class Aircraft(Protocol):
     positions NED, in m from home.
     """
 
-    config: VehicleConfig
+    @property
+    def config(self) -> AircraftConfig:
+        """Where it may fly."""
+
     is_searched: bool
     """True while its search leads it."""
 
@@ -79,7 +81,7 @@ class Aircraft(Protocol):
     def set_mode(self, t_s: float, mode: Mode) -> Result:
         """Change the flight mode."""
 
-    def setpoint(self, t_s: float, wanted: Ned | Setpoint, *, answers: bool = False) -> Result:
+    def setpoint(self, t_s: float, wanted: Ned, *, answers: bool = False) -> Result:
         """Take a waypoint; `answers`: it answers a reading."""
 
 

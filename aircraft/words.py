@@ -5,8 +5,8 @@ from collections import Counter
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.state import Result
 from link.bus.mavlink import Message
-from sitl.autopilot.state import Result
 
 TEXT_LENGTH = 50
 """Characters in one STATUSTEXT (253)."""

@@ -29,6 +29,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from aircraft.search.answers import Answers
 from estimator.filter import Config, assimilate, prior
 from link import cli
 from link.bus.inbox import Inbox
@@ -37,7 +38,6 @@ from link.bus.mavlink import Codec, Reading, pack_reading, unpack_reading
 from link.bus.messages import Health
 from link.bus.session import Arrival, Bus
 from plume.randomness import keyed
-from sitl.autopilot.setpoint import Answers
 from sitl.launch.launcher import start_parts
 from sitl.launch.mission import Launch
 from sitl.launch.processes import Processes

@@ -22,6 +22,7 @@ from link.bus.opening import DEFAULT_ROUTER
 from plume.scenario import BUDGET_STEPS
 from sitl.launch import viewing
 from sitl.launch.watchdog import PATIENCE_S, WARN_S
+from sitl.script.options import add_mission_argument, add_seed_argument, add_world_arguments
 from sitl.script.script import AgentPart, Script, find, load, shipped
 from sitl.script.typed_yaml import Document, FileError
 from sitl.uav.options import add_vehicle_arguments
@@ -230,6 +231,10 @@ def _parse(
 
     for command, (_, help_text) in OTHERS.items():
         other = commands.add_parser(command, help=help_text)
+        if command == "payload":
+            add_mission_argument(other)
+            add_seed_argument(other)
+            add_world_arguments(other)
         if command in arguments[:1]:
             _module(command).add_arguments(other)
 
@@ -270,13 +275,13 @@ def _handed_on(args: argparse.Namespace, given: argparse.Namespace) -> list[str]
 
 
 def _fly(args: argparse.Namespace, given: argparse.Namespace) -> int:
-    from aircraft.remote.real import real_script
     from plume.outcome import outcome_text
     from sitl.launch.launcher import fly
     from sitl.launch.mission import Launch, unfit_for_payload
     from sitl.launch.processes import MissionFailed
     from sitl.launch.recording import RecordFiles
     from sitl.launch.summary import run_name, write_summary
+    from sitl.script.real import real_script
 
     script = _script(args, given)
     reason = _unfit_for_connect(script, given) if args.connect else None
@@ -389,12 +394,10 @@ def main(
                 _check_policy(args, given, check_policy)
             if args.command == "fly":
                 return _fly(args, given)
-            run = (
-                importlib.import_module("sitl.uav.command").run
-                if args.command == "uav"
-                else _module("payload").run
-            )
-            return int(run(args, given, _script(args, given)))
+            script = _script(args, given)
+            if args.command == "payload":
+                return int(_module("payload").run(args, given, script.simulated()))
+            return int(importlib.import_module("sitl.uav.command").run(args, given, script))
         except FileError as error:
             print(f"error: {error}", file=sys.stderr)
             return cli.BAD_INPUT

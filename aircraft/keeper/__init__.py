@@ -1,5 +1,5 @@
 """The keeper of a real autopilot's link, which brings the vehicle home without the search, and the
 connection to it.
 
-Imports: link.
+Imports: link, link.bus, link.signing, aircraft, aircraft.bridge, aircraft.remote.
 """

@@ -5,9 +5,9 @@ import time
 from collections.abc import Callable
 
 from aircraft.payload.messages import Sample, Wind, pack_question, unpack_answer
+from aircraft.state import Ned
 from link.bus.keys import RESEND_FIRST_S, RESEND_LAST_S
 from link.bus.mavlink import Codec
-from sitl.autopilot.motion import Ned
 
 __all__ = ["Asking", "Sample"]
 

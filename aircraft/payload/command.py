@@ -11,25 +11,21 @@ from aircraft.payload.simulated import Simulated
 from link import cli
 from link.bus.inbox import Inbox
 from link.bus.session import Bus
-from sitl.script.options import add_mission_argument, add_seed_argument, add_world_arguments
-from sitl.script.script import Script
+from plume.world import World
 
 OF_THE_PLUME = ("mission", "seed", "sensor", "world")
 """Arguments of the simulated payload alone."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add its flags."""
+    """Add its flags, but for those of the simulated world."""
     add_payload_argument(parser)
-    add_mission_argument(parser)
-    add_seed_argument(parser)
-    add_world_arguments(parser)
     cli.add_bus_arguments(parser)
 
 
-def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> int:
-    """Answer the vehicle's questions until interrupted. given: the arguments on the command line; script:
-    the mission to simulate.
+def run(args: argparse.Namespace, given: argparse.Namespace, world: World) -> int:
+    """Answer the vehicle's questions until interrupted. given: the arguments on the command line; world:
+    what is simulated.
     """
     if args.payload != SIMULATED and (
         idle := [name for name in OF_THE_PLUME if getattr(given, name, None) is not None]
@@ -49,7 +45,7 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
         bus.tally.about = args.payload
         measure: Measure
         if args.payload == SIMULATED:
-            measure = Simulated(script.simulated())
+            measure = Simulated(world)
         else:
             try:
                 driver = make(args.payload, bus.log)

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from sitl.autopilot.motion import Ned
+from aircraft.state import Ned
 
 
 class ArrivalRule(NamedTuple):

@@ -15,8 +15,8 @@ from aircraft.keeper.connection import Heard
 from aircraft.operator import DONE_S, REASON_S, TRIES, CommandRun, command
 from aircraft.remote.firmware import FIRMWARES, unfit
 from aircraft.remote.known import Known
+from aircraft.state import ACCEPTED, Result, VehicleFailed
 from link.bus.mavlink import ONBOARD_COMPUTER, Message
-from sitl.autopilot.state import ACCEPTED, Result, VehicleFailed
 
 AGAIN_S = 1.0
 """Time after which what is unanswered is sent again."""

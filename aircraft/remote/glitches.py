@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from aircraft.state import Ned
 from link.bus.mavlink import Message, elapsed_ms
-from sitl.autopilot.motion import Ned
 
 RESET_M = 1.0
 """An EKF may reset its position by so much, for instance when it changes to another of its filters: no

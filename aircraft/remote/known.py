@@ -10,9 +10,9 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.remote.firmware import ARDUCOPTER, ESTIMATES, FIRMWARES, Firmware
 from aircraft.remote.glitches import Fix, Glitches
+from aircraft.state import ZERO, Ned
 from link.bus.mavlink import Message
 from plume.geodesy import home_from
-from sitl.autopilot.motion import ZERO, Ned
 
 LOST_S = 3.0
 """Time without a HEARTBEAT after which the link counts as lost; it comes once a second."""

@@ -19,13 +19,13 @@ from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.handling import Handling
 from aircraft.search.search import Search
+from aircraft.state import UNSUPPORTED, Result, denied
 from aircraft.words import Words
 from link.bus.frames import LAYOUTS, fields_of, frame_at
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
 from link.bus.mavlink import Codec, Message, gas_message
 from link.bus.session import Arrival, Bus
 from link.signing.signer import Signing
-from sitl.autopilot.state import UNSUPPORTED, Result, denied
 
 BEAT_S = 1.0
 """Real time between two HEARTBEATs of the search."""

@@ -7,12 +7,12 @@ from collections.abc import Collection
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from aircraft.config import AircraftConfig
 from aircraft.remote.commander import Steps
 from aircraft.remote.known import Known
 from aircraft.remote.procedures import ENDED, Procedures
 from aircraft.remote.safety import ASKED, Check, Verdict, checks
-from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import LOW_BATTERY, VehicleFailed
+from aircraft.state import LOW_BATTERY, VehicleFailed
 
 READY_S = 3.0
 """The battery, and whether it would arm, are waited for so long once its place is known."""
@@ -30,7 +30,7 @@ class Preflight:
     """The list before arming, and the wait for its start. Times in s of the vehicle's clock."""
 
     def __init__(
-        self, flight: Procedures, config: VehicleConfig, wait_s: float = math.inf, *, launched: bool = False
+        self, flight: Procedures, config: AircraftConfig, wait_s: float = math.inf, *, launched: bool = False
     ) -> None:
         """Take the vehicle and what is flown.
 

@@ -6,12 +6,13 @@ import math
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from aircraft.mode import Mode
 from aircraft.operator import NO_ANSWER
 from aircraft.remote.arrival import Targets
 from aircraft.remote.commander import Commander, Steps
 from aircraft.remote.firmware import Firmware
 from aircraft.remote.known import Known
-from sitl.autopilot.state import ACCEPTED, Led, Mode, Result, Said
+from aircraft.state import ACCEPTED, Led, Result, Said
 
 ARMING_S, ARM_AGAIN_S = 60.0, 3.0
 """A refused arming is tried again for so long, so often."""

@@ -9,15 +9,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from aircraft.bridge.address import ALLOWED, parse_address
+from aircraft.config import AircraftConfig
 from aircraft.remote.winds import parse_wind
 from aircraft.search.clock import Clock
 from aircraft.search.handling import Handling
 from link import cli
 from link.bus.log import Log
 from link.interrupts import LAUNCHER
-from sitl.autopilot.config import VehicleConfig
-from sitl.script.events import Wind
-from sitl.script.script import Script, VehiclePart
 
 if TYPE_CHECKING:
     from aircraft.keeper.connection import Connection
@@ -29,13 +27,6 @@ LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
 """Longest real time in which a real vehicle is told to return home when this program ends; a launcher
 waits for 11 s.
 """
-SIMULATED_ONLY = {
-    "home": "a real vehicle's home is where it stands",
-    "strict": "a real autopilot has its own rules for OFFBOARD",
-}
-"""Flags that only the simulated vehicle takes, and why."""
-TAKEN = ("takeoff_altitude_m", "silence_s", "after_stop")
-"""Fields of a script's vehicle that a real one takes."""
 
 
 def add_vehicle_url(parser: argparse.ArgumentParser) -> None:
@@ -67,40 +58,8 @@ def add_vehicle_url(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def real_script(script: Script, given: argparse.Namespace) -> Script:
-    """Return the script at a real vehicle's own speed, a simulated one's as it is.
-
-    Raises ValueError with the flag that the vehicle cannot take, and why.
-    """
-    if not getattr(given, "vehicle", None):
-        if "wind" in given:
-            raise ValueError("--wind: only with --vehicle; the simulated vehicle's wind is the mission's")
-        if "wait" in given:
-            raise ValueError("--wait: only with --vehicle; the simulated vehicle is there at once")
-        return script
-    for flag, reason in SIMULATED_ONLY.items():
-        if flag in given:
-            raise ValueError(f"--{flag}: not with --vehicle: {reason}")
-    speedup = getattr(given, "speedup", 1.0)
-    if not speedup:
-        raise ValueError(
-            "--speedup: 0 is not allowed with --vehicle; wanted how fast its simulator runs, 1 for an "
-            "aircraft"
-        )
-    if any(isinstance(event, Wind) for event in script.events):
-        raise ValueError("MISSION: a wind event is not allowed with --vehicle: its wind is measured")
-    usual = VehiclePart()
-    for field in usual.__struct_fields__:
-        if field not in TAKEN and getattr(script.vehicle, field) != getattr(usual, field):
-            raise ValueError(
-                f"MISSION: vehicle.{field} is not allowed with --vehicle: the autopilot has a setting of its "
-                "own"
-            )
-    return script.changed({"speedup": speedup})
-
-
 def real_vehicle(
-    url: str, config: VehicleConfig, speedup: float, sysid: int | None, wait_s: float, log: Log
+    url: str, config: AircraftConfig, speedup: float, sysid: int | None, wait_s: float, log: Log
 ) -> "tuple[RemoteVehicle, Connection]":
     """Return the vehicle at a URL, and the connection to close in the end. Raises ValueError if the URL
     cannot be used.

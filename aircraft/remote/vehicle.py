@@ -1,31 +1,32 @@
 """A real vehicle as its search flies it: commands go out over MAVLink, arrival is derived from telemetry."""
 
 import math
-from dataclasses import replace
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from aircraft.config import AircraftConfig
+from aircraft.mode import Mode
 from aircraft.remote.arrival import Approach, ArrivalRule
 from aircraft.remote.commander import AUTOPILOT, Commander
 from aircraft.remote.known import Known
 from aircraft.remote.preflight import WAITING, Preflight
 from aircraft.remote.procedures import Procedures
 from aircraft.remote.watch import COMING_DOWN, Watch
-from link.bus.mavlink import POSITION_ONLY
-from sitl.autopilot.config import VehicleConfig, metres
-from sitl.autopilot.motion import ZERO, Ned, as_float32
-from sitl.autopilot.setpoint import Setpoint
-from sitl.autopilot.state import (
+from aircraft.state import (
     ACCEPTED,
+    ZERO,
     Arrived,
-    Mode,
+    Ned,
     Result,
     Said,
     VehicleEvent,
+    as_float32,
     denied,
     going_on,
+    metres,
     not_now,
 )
+from link.bus.mavlink import POSITION_ONLY
 
 STREAM_HZ = 10.0
 """Setpoints a second of the vehicle's time to PX4, from before OFFBOARD on. It wants more than 2."""
@@ -63,7 +64,7 @@ class RemoteVehicle:
 
     def __init__(
         self,
-        config: VehicleConfig,
+        config: AircraftConfig,
         commander: Commander,
         arrival: ArrivalRule = ARRIVAL,
         wait_s: float = math.inf,
@@ -249,7 +250,7 @@ class RemoteVehicle:
         }[mode]()
         return ACCEPTED
 
-    def setpoint(self, t_s: float, wanted: Ned | Setpoint, *, answers: bool = False) -> Result:
+    def setpoint(self, t_s: float, wanted: Ned, *, answers: bool = False) -> Result:
         """Take a waypoint as the simulated vehicle does: fly there in OFFBOARD, else remember it. The yaw
         is the autopilot's.
 
@@ -258,18 +259,13 @@ class RemoteVehicle:
         waypoint on the area's edge is flown a little inside, so that the reading is taken inside, wherever
         around it the vehicle comes to rest.
         """
-        setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted))
-        if setpoint.position is None:
-            return denied("Setpoint refused: only positions are handed on to a real autopilot", "no position")
-        if refusal := setpoint.refusal(self.config):
-            return refusal
+        wanted = as_float32(wanted)
+        if outside := self.config.outside(wanted):
+            return denied(f"Waypoint refused: {outside[1]}", outside[0])
         north, east = (
-            min(max(along_m, self._inset_m), self.config.area_m - self._inset_m)
-            for along_m in setpoint.position[:2]
+            min(max(along_m, self._inset_m), self.config.area_m - self._inset_m) for along_m in wanted[:2]
         )
-        down = setpoint.position[2]
-        if answers:
-            down = -self.config.takeoff_altitude_m
+        down = -self.config.takeoff_altitude_m if answers else wanted[2]
         if answers or (north, east, down) != self._setpoint:
             self._setpoint = as_float32((north, east, down))
         deadline_s = self._arrival.deadline_s(self._now, self.position, self._setpoint)
@@ -378,11 +374,7 @@ class RemoteVehicle:
         known = self._known
         if known.origin is None or known.home is None or self.flight.flying:
             return
-        corner = known.to_home()
-        if self._corner is None or math.dist(corner, self._corner) > 0.0:
-            self._corner = corner
-            lat, lon, alt = known.home
-            self.config = replace(self.config, home_lat_deg=lat, home_lon_deg=lon, home_alt_m=alt)
+        self._corner = known.to_home()
 
     def _go_on_with(self, leg: Approach, events: list[VehicleEvent]) -> None:
         """Judge the way to the setpoint by what the vehicle says."""

@@ -6,8 +6,9 @@ import math
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from aircraft.mode import Mode
 from aircraft.remote.procedures import Procedures
-from sitl.autopilot.state import LOW_BATTERY, Mode, VehicleFailed
+from aircraft.state import LOW_BATTERY, VehicleFailed
 
 GIVEN_UP_S = 60.0
 """A link that is lost for so long is given up."""

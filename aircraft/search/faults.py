@@ -5,8 +5,8 @@ import itertools
 import math
 from collections.abc import Callable
 
+from aircraft.search.events import Delay, Dropout, Duplicate, Lose, Spike, Stuck
 from plume.world import float32
-from sitl.script.events import Delay, Dropout, Duplicate, Lose, Spike, Stuck
 
 
 class FaultySensor:

@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from aircraft.state import VehicleFailed
 from link.bus.log import Log
 from link.bus.mavlink import Message
 from link.bus.tally import FAULT
-from sitl.autopilot.state import VehicleFailed
 
 
 class Handling:

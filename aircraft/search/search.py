@@ -7,19 +7,24 @@ command to its search. Setpoints are the leader's alone.
 """
 
 from collections.abc import Callable
+from typing import Literal
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.aircraft import Aircraft
+from aircraft.mode import Mode
 from aircraft.operator import BY_LAUNCHER, WANTED, CommandName
+from aircraft.search.answers import Answers
+from aircraft.state import ACCEPTED, Ned, Result, denied, not_now
 from link.bus.mavlink import Message
 from link.bus.messages import Stop
-from sitl.autopilot.motion import Ned
-from sitl.autopilot.setpoint import Answers
-from sitl.autopilot.state import ACCEPTED, Mode, Result, not_now
-from sitl.protocol.setpoints import read
-from sitl.script.script import AfterStop
 
+AfterStop = Literal["return", "land", "hold"]
+"""What the vehicle does once the search is over: return home and land, land on the spot, or hold until
+told.
+"""
+LOCAL_NED, NO_POSITION = mavlink.MAV_FRAME_LOCAL_NED, 0b111
+"""The frame of an answer, and the bits of its type mask that leave out a part of the position."""
 AFTER_STOP: dict[AfterStop, Mode] = {"return": Mode.RETURN, "land": Mode.LAND, "hold": Mode.HOLD}
 STANDBY, TAKING_OFF, SEARCHING, PAUSED = "standby", "taking off", "searching", "paused"
 RETURNING, HOLDING, LANDED = "returning", "holding", "landed"
@@ -215,11 +220,12 @@ class Search:
             return not_now(
                 "Waypoint ignored: another client leads"
             )  # the agent is asked again when the search is given back
-        setpoint = read(waypoint, self._vehicle.config, 0.0)  # the answer is a position, which no yaw turns
-        if isinstance(setpoint, Result):
-            return setpoint
-        refusal = self.answers.refusal(waypoint.time_boot_ms, setpoint)
-        result = refusal or self._vehicle.setpoint(t_s, setpoint, answers=True)
+        result = self.answers.refusal(waypoint.time_boot_ms)
+        if result is None and (waypoint.coordinate_frame != LOCAL_NED or waypoint.type_mask & NO_POSITION):
+            result = denied("Waypoint refused: the answer to a reading is a position", "no position")
+        if result is None:
+            position = waypoint.x, waypoint.y, waypoint.z
+            result = self._vehicle.setpoint(t_s, position, answers=True)
         if result.accepted:
             self.answers.awaited = False
             self.waypoint = self._vehicle.waypoint or self.waypoint

@@ -7,8 +7,8 @@ import itertools
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 
-from sitl.autopilot.state import Arrived
-from sitl.script.events import Hold, Land, OnBoard, Return
+from aircraft.search.events import Hold, Land, OnBoard, Return
+from aircraft.state import Arrived
 
 Item = OnBoard | Arrived
 """A script event, or a place at which to measure again after a sensor dropout."""

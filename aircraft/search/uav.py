@@ -3,7 +3,7 @@
 import math
 import queue
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
@@ -14,10 +14,25 @@ from aircraft.operator import CommandName
 from aircraft.payload.asking import Asking, Sample
 from aircraft.remote.winds import Winds
 from aircraft.search.clock import Clock
+from aircraft.search.events import (
+    Delay,
+    Dropout,
+    Duplicate,
+    Hold,
+    Land,
+    Lose,
+    OnBoard,
+    Resume,
+    Return,
+    Spike,
+    Stuck,
+    Wind,
+)
 from aircraft.search.faults import FaultyRadio, FaultySensor
 from aircraft.search.handling import Handling
-from aircraft.search.search import PAUSED, SEARCHING, STANDBY, Search
+from aircraft.search.search import PAUSED, SEARCHING, STANDBY, AfterStop, Search
 from aircraft.search.timeline import Timeline
+from aircraft.state import Arrived, Led, Reached, VehicleFailed
 from link.bus.inbox import Inbox
 from link.bus.keys import (
     MAVLINK_IN,
@@ -34,26 +49,7 @@ from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, Reading, pack_reading, unpack_waypoint
 from link.bus.session import SIGNAL_POLL_S, Arrival, Bus, LivelinessChange
 from link.interrupts import uninterrupted
-from link.signing.signer import Signing
 from plume.world import World
-from sitl.autopilot.state import Arrived, Led, Reached, VehicleFailed
-from sitl.autopilot.vehicle import Vehicle
-from sitl.script.events import (
-    Delay,
-    Dropout,
-    Duplicate,
-    Hold,
-    Land,
-    Lose,
-    OnBoard,
-    Resume,
-    Return,
-    Spike,
-    Stuck,
-    Wind,
-)
-from sitl.script.script import AfterStop
-from sitl.uav.simulated import FromUdp, SimulatedClients
 
 if TYPE_CHECKING:
     from aircraft.remote.vehicle import RemoteVehicle
@@ -69,35 +65,33 @@ class Uav:
 
     def __init__(
         self,
-        vehicle: "Vehicle | RemoteVehicle",
+        vehicle: Aircraft,
+        make_clients: "Callable[[Uav], Clients]",
         world: World,
         clock: Clock,
         inbox: Inbox,
         bus: Bus | None,
-        outs: Sequence[str],
         log: Log,
         events: Sequence[OnBoard] = (),
         after_stop: AfterStop = "return",
-        signing: Signing | None = None,
+        remote: "RemoteVehicle | None" = None,
         wind: tuple[float, float] | None = None,
     ) -> None:
-        """Open the links; raises ValueError for a UDP URL that cannot be used.
+        """Open the links of the clients; raises ValueError for a URL that cannot be used.
 
-        vehicle: a real one needs a bus, where its gas sensor answers; outs: UDP URLs; log: the bus's own
-        log if there is a bus;
-        events: the script events that happen on board; after_stop: what the vehicle does once the source
-        is found;
-        signing: what signs its UDP links; wind: of a real vehicle's readings, if it is given.
+        log: the bus's own log if there is a bus; events: the script events that happen on board;
+        after_stop: what the vehicle does once the source is found; remote: the vehicle, if it is a real
+        one, which needs a bus, where its gas sensor answers; wind: of its readings, if it is given.
         """
         self._vehicle: Aircraft = vehicle
-        self._search = Search(vehicle, world.start, after_stop, self._tell)
+        self.search = self._search = Search(vehicle, world.start, after_stop, self._tell)
         self._world = world
         self._clock = clock
         self._inbox = inbox
         self._bus = bus
         self._log = log
         self._tally = log.tally
-        self._handling = Handling(log)
+        self.handling = self._handling = Handling(log)
         self._timeline = Timeline(events)
         self._after_hold_s = [
             event.after_s for event in events if isinstance(event, Resume) and event.after_s is not None
@@ -112,33 +106,21 @@ class Uav:
         self._resend_s, self._resend_at = RESEND_FIRST_S, time.monotonic()
         self._asking: Asking | None = None
         self._asked: Arrived | None = None
-        self._remote: RemoteVehicle | None = None
+        self._remote = remote
         self._winds = Winds(wind, world.wind)  # of a real vehicle
         self._searchers: set[str] = set()
         self._tally.state = self._search.state
         self._sampled_at = time.monotonic()
-        if isinstance(vehicle, Vehicle):
-            self._clients: Clients = SimulatedClients(
-                vehicle,
-                self._search,
-                bus,
-                outs,
-                inbox,
-                clock,
-                self._handling,
-                lambda: self._world.wind,
-                signing,
-            )
-        else:
-            from aircraft.remote.passing import (
-                RealClients,
-            )  # a simulated vehicle starts without all of MAVLink's dialects
-
+        self._clients = make_clients(self)
+        if remote:
             assert bus is not None
-            self._remote = vehicle
-            self._clients = RealClients(vehicle, self._search, bus, outs, clock, self._handling, signing)
             self._asking = Asking(lambda question: bus.publish(PAYLOAD_IN, question), self._codec)
         self._meet()
+
+    @property
+    def wind(self) -> tuple[float, float]:
+        """The simulated wind, (u cos φ, u sin φ) m/s: points to where it comes from."""
+        return self._world.wind
 
     def _meet(self) -> None:
         """Speak with the vehicle's system id, once that is known."""
@@ -252,7 +234,9 @@ class Uav:
                     self._search.declare(stop)
             case LivelinessChange(service, alive):
                 (self._searchers.add if alive else self._searchers.discard)(service)
-            case FromUdp() | Arrival():
+            case None:
+                pass
+            case _:
                 self._clients.take(item)
 
     def _answer(self, waypoint: Message) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from aircraft.search.events import Delay, Duplicate, Lose
 from benchmarks.chaos.arena import (
     NEAR,
     FarMachine,
@@ -36,7 +37,7 @@ from link.bus.messages import Belief
 from link.bus.session import Arrival, Bus
 from sitl.launch.mission import Launch, agent_arguments, estimator_arguments
 from sitl.launch.processes import environment
-from sitl.script.events import Cut, Delay, Duplicate, Kill, Lose
+from sitl.script.events import Cut, Kill
 from sitl.script.script import Script
 
 SPEEDUP, SLOW_SPEEDUP = 20.0, 4.0

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
 from aircraft.operator import (
     AUTOPILOT,
     NO_ANSWER,
@@ -26,7 +27,6 @@ from link.bus.mavlink import BadFrame, Codec, Message
 from link.modes import meaning
 from scene.follow.area import HEARTBEAT
 from scene.follow.telemetry import TEXT, Texts, frames
-from sitl.autopilot.state import Mode
 
 URGENT: tuple[CommandName, ...] = ("return", "land")
 """Commands that wait for nothing: they replace one that is not answered yet."""

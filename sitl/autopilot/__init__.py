@@ -1,1 +1,4 @@
-"""The simulated vehicle: motion, flight modes and telemetry. Imports: plume, link.bus."""
+"""The simulated vehicle: motion, flight modes and telemetry.
+
+Imports: plume, link.bus, aircraft.
+"""

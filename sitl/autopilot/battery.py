@@ -2,7 +2,7 @@
 
 import math
 
-from sitl.autopilot.state import LOW_BATTERY
+from aircraft.state import LOW_BATTERY
 
 
 class Battery:

@@ -1,21 +1,22 @@
-"""The vehicle's configuration: home, search area, speed limits, failsafe times and battery."""
+"""The simulated vehicle's configuration: home, speed limits, failsafe times, battery and fence."""
 
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
+from aircraft.config import AircraftConfig
+from aircraft.state import Ned, metres
 from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, Rally
-from sitl.autopilot.motion import Limits, Ned
+from sitl.autopilot.motion import Limits
 
 NO_ACTION, HOLD, RETURN, TERMINATE, LAND = 0, 2, 3, 4, 5
 """The values of `fence_action`; 1 only warns."""
 
 
 @dataclass(frozen=True)
-class VehicleConfig:
-    """Configuration of one vehicle; raises ValueError on a value outside its range. Speeds are PX4's
-    defaults where PX4 has one.
+class VehicleConfig(AircraftConfig):
+    """Configuration of one simulated vehicle; raises ValueError on a value outside its range.
+
+    Speeds are PX4's defaults where PX4 has one.
     """
 
     sysid: int = 1
@@ -24,22 +25,15 @@ class VehicleConfig:
     home_alt_m: float = 488.0
     """Above mean sea level."""
     home_heading_deg: float = 0.0
-    area_m: float = 30.0
-    """Side of the search area [0, area]²: x east, y north, origin at home."""
-    ceiling_m: float = 120.0
-    """Highest altitude above home."""
     speed_mps: float = 5.0
     climb_mps: float = 3.0
     descent_mps: float = 1.5
     accel_mps2: float = 3.0
     yaw_rate_dps: float = 45.0
-    takeoff_altitude_m: float = 5.0
     return_altitude_m: float = 5.0
     """Lowest altitude above home for a return: a vehicle below it climbs first, one above it keeps its
     altitude.
     """
-    silence_s: float = 30.0
-    """Time without a setpoint after which OFFBOARD fails safe: return in the air, disarm on the ground."""
     stream_s: float = math.inf
     """PX4's COM_OF_LOSS_T of a companion that must stream: OFFBOARD fails safe after this time without a
     setpoint; `inf`: not strict.
@@ -102,20 +96,9 @@ class VehicleConfig:
         return bool(self.fence.shapes) and self.fence_action != NO_ACTION
 
     def outside(self, position: Ned, fence: bool = True) -> tuple[str, str] | None:
-        """Return (kind of reason, reason) if a position (NED, m from home) is outside the area, the
-        altitudes or the fence; else None.
-        """
-        north, east, down = position
-        place = f"({metres(east)}, {metres(north)}) m"
-        if not all(map(math.isfinite, position)):
-            return "not finite", f"{place} at {metres(-down)} m is not finite"
-        if not (0.0 <= east <= self.area_m and 0.0 <= north <= self.area_m):
-            return (
-                "outside the area",
-                f"{place} is outside the area [0, {self.area_m:g}] x [0, {self.area_m:g}] m",
-            )
-        if not 0.0 <= -down <= self.ceiling_m:
-            return "outside the altitudes", f"altitude {metres(-down)} m is outside [0, {self.ceiling_m:g}] m"
+        """Return (kind of reason, reason) if a position is outside the area, the altitudes or the fence."""
+        if outside := super().outside(position):
+            return outside
         if fence and (reason := self.fence_refusal(position)):
             return "outside the fence", reason
         return None
@@ -125,8 +108,3 @@ class VehicleConfig:
         if not self.guards or self.fence.allows(position):
             return ""
         return f"({metres(position[1])}, {metres(position[0])}) m is outside the fence"
-
-
-def metres(value: float) -> str:
-    """Return the shortest decimal that rounds to this float32: 31.1, not 31.100000381."""
-    return str(np.float32(value))

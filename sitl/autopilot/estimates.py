@@ -7,8 +7,9 @@ import math
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.state import Ned
 from link.bus.mavlink import POSITION_ONLY, Message, gas_message, wind_message
-from sitl.autopilot.motion import GRAVITY_MPS2, Ned
+from sitl.autopilot.motion import GRAVITY_MPS2
 from sitl.autopilot.state import Snapshot
 
 HOVER_THROTTLE = 0.5

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sitl.autopilot.motion import Ned, Phase, Trajectory
+from aircraft.state import Ned
+from sitl.autopilot.motion import Phase, Trajectory
 
 Place = tuple[float, float]
 """(north, east) in m from home."""

@@ -6,16 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import numpy as np
+from aircraft.state import ZERO, Ned
 
 GRAVITY_MPS2 = 9.80665
 
-Ned = tuple[float, float, float]
-"""(north, east, down): position in m from home, velocity in m/s or acceleration in m/s². Down grows
-towards the ground.
-"""
-
-ZERO: Ned = (0.0, 0.0, 0.0)
 NOTHING = 1e-9
 """A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its
 direction would be 0/0.
@@ -343,15 +337,6 @@ class Spin(NamedTuple):
         """The end of the turn at a time."""
         yaw_rad, _ = self.at(t_s)
         return Turn(t_s, yaw_rad, yaw_rad, abs(self.rate_radps))
-
-
-def as_float32(position: Ned) -> Ned:
-    """The position rounded to float32, as the wire carries it."""
-    with np.errstate(
-        over="ignore"
-    ):  # a number too large for float32 becomes infinite, and the fence refuses it
-        north, east, down = np.array(position, np.float32).tolist()
-    return north, east, down
 
 
 def wrapped(angle_rad: float) -> float:

@@ -4,15 +4,17 @@ import math
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
+from aircraft.state import ACCEPTED, ZERO, Ned, Reached, Result, Said, VehicleEvent, denied
 from sitl.autopilot.battery import Battery
 from sitl.autopilot.config import HOLD, LAND, RETURN, TERMINATE, VehicleConfig
-from sitl.autopilot.motion import ZERO, Motion, Ned, Spin, Trajectory, Turn, fall, halt, wrapped
+from sitl.autopilot.motion import Motion, Spin, Trajectory, Turn, fall, halt, wrapped
 from sitl.autopilot.plan import LAND as LAND_ITEM
 from sitl.autopilot.plan import RETURN as RETURN_ITEM
 from sitl.autopilot.plan import TAKEOFF as TAKEOFF_ITEM
 from sitl.autopilot.plan import FlightPlan, Leg, MissionProgress, MissionStep
 from sitl.autopilot.setpoint import Setpoint, facing
-from sitl.autopilot.state import ACCEPTED, Breaches, Mode, Reached, Result, Said, VehicleEvent, denied
+from sitl.autopilot.state import Breaches
 
 ACTIONS = {HOLD: (Mode.HOLD, "holding"), RETURN: (Mode.RETURN, "returning"), LAND: (Mode.LAND, "landing")}
 """What GF_ACTION does when the fence is left."""

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.state import Ned, metres
 from plume.geodesy import to_local
-from sitl.autopilot.config import VehicleConfig, metres
+from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence, Place, Polygon
-from sitl.autopilot.motion import Limits, Ned
+from sitl.autopilot.motion import Limits
 
 NOT_GIVEN = 0x7FFFFFFF
 """Latitude or longitude of an item that has none."""

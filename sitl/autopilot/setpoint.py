@@ -5,15 +5,13 @@ answers, how long silence is borne.
 import math
 from typing import NamedTuple
 
-from link.bus.mavlink import WRAP_MS, elapsed_ms
-from sitl.autopilot.config import VehicleConfig, metres
+from aircraft.state import ZERO, Ned, Result, denied, metres
+from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.motion import (
     NOTHING,
-    ZERO,
     Box,
     Limits,
     Motion,
-    Ned,
     Push,
     Spin,
     Trajectory,
@@ -22,7 +20,6 @@ from sitl.autopilot.motion import (
     steer,
     wrapped,
 )
-from sitl.autopilot.state import Result, denied, not_now
 
 SAME_PLACE_M = 1e-6
 """A vehicle this close to where it shall be is there."""
@@ -202,46 +199,6 @@ class Companion:
     def borne_s(self, config: VehicleConfig) -> float:
         """Return how long it may be silent."""
         return config.stream_s if self._must_stream(config) else config.silence_s
-
-
-class Answers:
-    """The readings of one search, by their MAVLink time, and which waypoint answers them."""
-
-    def __init__(self) -> None:
-        """Begin without a reading: nothing awaits an answer."""
-        self._readings: set[int] = set()
-        self._last_ms = -1
-        self.newest: int | None = None
-        """The time of the newest reading."""
-        self.awaited = False
-        """True while the newest reading is unanswered."""
-
-    def time_of(self, now_ms: float) -> int:
-        """Return the time_boot_ms of a reading that is about to be taken, later than that of any before."""
-        self._last_ms = max(round(now_ms), self._last_ms + 1)
-        return self._last_ms % WRAP_MS
-
-    def sampled(self, time_boot_ms: int) -> None:
-        """Note that a reading was taken. Raises ValueError unless times increase."""
-        if self.newest is not None and elapsed_ms(self.newest, time_boot_ms) <= 0:
-            raise ValueError(
-                f"reading at {time_boot_ms} ms after one at {self.newest} ms: reading times must increase"
-            )
-        self._readings.add(time_boot_ms)
-        self.newest, self.awaited = time_boot_ms, True
-
-    def refusal(self, time_boot_ms: int, setpoint: Setpoint) -> Result | None:
-        """Return why a setpoint with this time is not the awaited answer, if so. One that comes late or
-        twice is only ignored.
-        """
-        if time_boot_ms not in self._readings:
-            return denied(f"Waypoint refused: no reading was taken at {time_boot_ms} ms", "no reading")
-        if time_boot_ms != self.newest or not self.awaited:
-            kind = "duplicate" if time_boot_ms == self.newest else "late"
-            return not_now(f"Waypoint ignored: {kind} answer to the reading at {time_boot_ms} ms")
-        if setpoint.position is None:
-            return denied("Waypoint refused: the answer to a reading is a position", "no position")
-        return None
 
 
 def _clamped(velocity: Ned, limits: Limits) -> Ned:

@@ -6,9 +6,10 @@ import math
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.state import LOW_BATTERY
 from link.bus.mavlink import Message
 from link.bus.px4 import AvailableModesMonitor, CurrentMode, MissionCurrent
-from sitl.autopilot.state import LOW_BATTERY, Snapshot
+from sitl.autopilot.state import Snapshot
 
 CELLS = 4
 EMPTY_CELL_V, FULL_CELL_V = 3.5, 4.2

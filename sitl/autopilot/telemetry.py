@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.state import ACCEPTED, UNSUPPORTED, Result, denied
 from link.bus.mavlink import Message
 from link.bus.px4 import AvailableModesMonitor, CurrentMode, MissionCurrent
 from sitl.autopilot import estimates, status
-from sitl.autopilot.state import ACCEPTED, UNSUPPORTED, Result, Snapshot, denied
+from sitl.autopilot.state import Snapshot
 
 FASTEST_HZ = 1000.0
 """Highest rate that a client can set."""

@@ -11,21 +11,24 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot.config import VehicleConfig, metres
-from sitl.autopilot.motion import Ned, Trajectory, as_float32, tilt
-from sitl.autopilot.navigator import Navigator
-from sitl.autopilot.setpoint import Companion, Setpoint, facing
-from sitl.autopilot.state import (
+from aircraft.mode import Mode
+from aircraft.state import (
     ACCEPTED,
     LOW_BATTERY,
     Arrived,
-    Mode,
+    Ned,
     Result,
-    State,
     VehicleEvent,
+    as_float32,
     denied,
+    metres,
     not_now,
 )
+from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.motion import Trajectory, tilt
+from sitl.autopilot.navigator import Navigator
+from sitl.autopilot.setpoint import Companion, Setpoint, facing
+from sitl.autopilot.state import State
 
 
 class Vehicle(Navigator):

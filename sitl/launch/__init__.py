@@ -1,4 +1,4 @@
 """Missions as processes: started, watched, disturbed and ended.
 
-Imports: plume, link, link.access, link.bus, scene.follow, sitl.autopilot, sitl.script, aircraft.payload.
+Imports: plume, link, link.access, link.bus, aircraft, aircraft.payload, sitl.script, scene.follow.
 """

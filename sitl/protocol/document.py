@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
 from link.bus.frames import LAYOUTS
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.plan import FLOWN, IGNORED
-from sitl.autopilot.state import Mode
 from sitl.autopilot.status import FLIGHT_SW_VERSION
 from sitl.autopilot.telemetry import STREAMS
 from sitl.autopilot.vehicle import Vehicle

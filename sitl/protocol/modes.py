@@ -1,8 +1,8 @@
 """The service of standard modes: which flight modes there are (AVAILABLE_MODES)."""
 
+from aircraft.mode import Mode
 from link.bus.mavlink import Message
 from link.bus.px4 import AvailableModes
-from sitl.autopilot.state import Mode
 
 MODES = tuple(Mode)
 

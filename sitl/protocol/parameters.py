@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.state import LOW_BATTERY
 from link.bus.mavlink import Message
-from sitl.autopilot.state import LOW_BATTERY
 from sitl.autopilot.status import CELLS, EMPTY_CELL_V, FULL_CELL_V
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.service import Microservice, Reply, asker

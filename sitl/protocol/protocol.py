@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
+from aircraft.state import ACCEPTED, UNSUPPORTED, Result, denied
 from aircraft.words import Words
 from link.bus.mavlink import Message
 from link.bus.px4 import AvailableModes, ProtocolVersion
 from plume.geodesy import to_local
 from sitl.autopilot.plan import ABOVE_HOME, ABOVE_SEA
-from sitl.autopilot.state import ACCEPTED, UNSUPPORTED, Mode, Result, denied
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol import clocks, files, logs, refused, setpoints

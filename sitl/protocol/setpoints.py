@@ -8,13 +8,12 @@ import math
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.state import Ned, Result, denied
 from link.bus.mavlink import Message
 from plume.geodesy import to_local
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.motion import Ned
 from sitl.autopilot.plan import snapped
 from sitl.autopilot.setpoint import Setpoint
-from sitl.autopilot.state import Result, denied
 from sitl.autopilot.vehicle import Vehicle
 
 LOCAL, GLOBAL = "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"

@@ -1,3 +1,4 @@
-"""Mission scripts: what is flown, which faults occur, and which outcome is expected. Imports: plume, link,
-sitl.autopilot.
+"""Mission scripts: what is flown, which faults occur, and which outcome is expected.
+
+Imports: plume, link, aircraft.search, sitl.autopilot.
 """

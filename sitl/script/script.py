@@ -14,6 +14,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from aircraft.search.events import Count, OnBoard, Radians, ScriptEvent, Wind, WindSpeed
+from aircraft.search.search import AfterStop
 from plume import sensor
 from plume.parameters import LIMITS
 from plume.randomness import MAX_SEED
@@ -24,22 +26,16 @@ from sitl.autopilot.config import VehicleConfig
 from sitl.script.events import (
     MOST_WAYPOINTS,
     OLD_WORDS,
-    Count,
     Cut,
     Diffusivity,
     Height,
     Kill,
     Lawnmower,
     Lifetime,
-    OnBoard,
     Point,
     Positive,
-    Radians,
     Rate,
-    ScriptEvent,
     Waypoints,
-    Wind,
-    WindSpeed,
 )
 from sitl.script.typed_yaml import Document, FileError
 
@@ -56,12 +52,6 @@ STREAM_S = 1.0
 Expectation = Literal[
     "ceased", "not ceased", "located", "not located", "false stop", "warned", "landed", "returned home"
 ]
-
-
-AfterStop = Literal["return", "land", "hold"]
-"""What the vehicle does once the search is over: return home and land, land on the spot, or hold until
-told.
-"""
 
 
 class ScenarioPart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

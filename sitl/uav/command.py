@@ -5,11 +5,12 @@ import contextlib
 import sys
 from typing import TYPE_CHECKING
 
-from aircraft.remote.real import real_script, real_vehicle
+from aircraft.remote.real import real_vehicle
 from aircraft.remote.winds import parse_wind
 from aircraft.search.clock import Clock
-from aircraft.search.uav import Uav
+from aircraft.search.events import OnBoard
 from aircraft.search.udp import parse_url
+from aircraft.state import VehicleFailed
 from link import cli
 from link.bus.inbox import Inbox
 from link.bus.log import Log
@@ -17,11 +18,11 @@ from link.bus.opening import DEFAULT_ROUTER
 from link.bus.session import Bus
 from link.bus.tally import Tally
 from link.signing.signer import Signing
-from sitl.autopilot.state import VehicleFailed
 from sitl.autopilot.vehicle import Vehicle
-from sitl.script.events import OnBoard
+from sitl.script.real import real_script
 from sitl.script.script import Script
 from sitl.uav.options import at_own_home
+from sitl.uav.simulated import simulated_uav
 
 if TYPE_CHECKING:
     from aircraft.remote.vehicle import RemoteVehicle
@@ -95,19 +96,16 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
             print(f"error: --sign: {error}", file=sys.stderr)
             return cli.BAD_INPUT
         try:
-            uav = Uav(
-                vehicle,
-                script.simulated(),
-                Clock(script.speedup),
-                inbox,
-                bus,
-                [out.text for out in outs],
-                log,
-                events,
-                script.vehicle.after_stop,
-                signing,
-                parse_wind(args.wind) if args.wind else None,
-            )
+            world, clock, urls = script.simulated(), Clock(script.speedup), [out.text for out in outs]
+            after_stop = script.vehicle.after_stop
+            if isinstance(vehicle, Vehicle):
+                uav = simulated_uav(vehicle, world, clock, inbox, bus, log, urls, events, after_stop, signing)
+            else:
+                from aircraft.remote.command import real_uav  # loads all of MAVLink's dialects
+
+                assert bus is not None
+                wind = parse_wind(args.wind) if args.wind else None
+                uav = real_uav(vehicle, world, clock, inbox, bus, urls, events, after_stop, signing, wind)
         except ValueError as error:
             print(f"error: --out: {error}", file=sys.stderr)
             return cli.BAD_INPUT

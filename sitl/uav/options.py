@@ -5,12 +5,12 @@ import math
 from dataclasses import replace
 from typing import get_args
 
+from aircraft.search.search import AfterStop
 from link import cli
 from link.signing.key import read_key
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 from sitl.script.options import add_mission_argument, add_seed_argument, add_world_arguments
-from sitl.script.script import AfterStop
 
 HOMES_APART_M = 40.0
 """Default homes lie so far apart that search areas do not overlap."""

@@ -10,18 +10,24 @@ from typing import NamedTuple, Protocol
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.bridge.bus_link import BRIDGED
+from aircraft.mode import Mode
 from aircraft.operator import OPERATOR, CommandName, named, order
 from aircraft.search.clock import Clock
+from aircraft.search.events import OnBoard
 from aircraft.search.handling import Handling
-from aircraft.search.search import Search
+from aircraft.search.search import AfterStop, Search
+from aircraft.search.uav import Uav
 from aircraft.search.udp import UdpLink
+from aircraft.state import Result, denied, not_now
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
+from link.bus.log import Log
 from link.bus.mavlink import BadFrame, Codec, Message, unpack
 from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival, Bus
 from link.signing.signer import Signing
-from sitl.autopilot.state import Mode, Result, Snapshot, denied, not_now
+from plume.world import World
+from sitl.autopilot.state import Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
@@ -218,6 +224,31 @@ class SimulatedClients:
         """Close the links."""
         for link in self._udp:
             link.close()
+
+
+def simulated_uav(
+    vehicle: Vehicle,
+    world: World,
+    clock: Clock,
+    inbox: Inbox,
+    bus: Bus | None,
+    log: Log,
+    outs: Sequence[str] = (),
+    events: Sequence[OnBoard] = (),
+    after_stop: AfterStop = "return",
+    signing: Signing | None = None,
+) -> Uav:
+    """Return the uav service of a simulated vehicle. Raises ValueError for a UDP URL that cannot be used.
+
+    log: the bus's own log if there is a bus; outs: UDP URLs.
+    """
+
+    def clients(uav: Uav) -> SimulatedClients:
+        return SimulatedClients(
+            vehicle, uav.search, bus, outs, inbox, clock, uav.handling, lambda: uav.wind, signing
+        )
+
+    return Uav(vehicle, clients, world, clock, inbox, bus, log, events, after_stop)
 
 
 class Asked:

@@ -9,9 +9,9 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.operator import OPERATOR, CommandRun, command
+from aircraft.state import Result
 from link.bus.mavlink import Message
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Result
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
 

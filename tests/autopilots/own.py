@@ -6,8 +6,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
+from aircraft.state import Said
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Mode, Said, Snapshot, State
+from sitl.autopilot.state import Snapshot, State
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.parameters import Parameters

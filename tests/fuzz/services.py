@@ -19,11 +19,11 @@ from agent import service as agent
 from agent.policies import OURS, reach
 from aircraft.bridge.routing import Routes
 from aircraft.bridge.stream import FrameStream
+from aircraft.mode import Mode
 from aircraft.operator import OPERATOR, SEARCH, WANTED, change_mode, command, order
 from aircraft.search import udp
 from aircraft.search.clock import Clock
 from aircraft.search.search import RETURNING, SEARCHING
-from aircraft.search.uav import Uav
 from estimator import service as estimator
 from estimator.filter import Config
 from link.bus.inbox import Inbox
@@ -38,9 +38,8 @@ from plume.scenario import AREA_M, draw
 from plume.sensor import GAUSSIAN
 from plume.world import World
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Mode
 from sitl.autopilot.vehicle import Vehicle
-from sitl.uav.simulated import FromUdp
+from sitl.uav.simulated import FromUdp, simulated_uav
 from tests.fuzz.mutants import as_sent
 
 QUIET = (LOGGER, logging.getLogger("aircraft.search.udp"))
@@ -267,7 +266,7 @@ class _Flight:
     def __init__(self, *, searching: bool) -> None:
         clock = _SetClock()
         self.bus, self.vehicle, self.inbox = QuietBus(), Vehicle(VehicleConfig()), _Told(clock)
-        self._uav = Uav(self.vehicle, _world(), clock, self.inbox, self.bus, (), self.bus.log)
+        self._uav = simulated_uav(self.vehicle, _world(), clock, self.inbox, self.bus, self.bus.log)
         if searching:
             self.goes_on(*(LivelinessChange(name, True) for name in ("estimator", "agent")), 20.0, 15.0, 0.0)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from pymavlink import mavutil
 
-from sitl.autopilot.state import Mode
+from aircraft.mode import Mode
 
 ARM, SET_MODE, RETURN = 400, 176, 20
 

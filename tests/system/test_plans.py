@@ -10,9 +10,9 @@ import pytest
 from pymavlink import mavutil, mavwp
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Mode
 
 HOME = VehicleConfig()
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from pymavlink import mavutil
 
-from sitl.autopilot.state import Mode
+from aircraft.mode import Mode
 
 TAKEOFF, ARM, ARMED = 22, 400, 128
 

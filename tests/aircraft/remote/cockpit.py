@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.bridge.links import Channel, Traffic
 from aircraft.keeper.connection import Heard
+from aircraft.mode import Mode
 from aircraft.remote.commander import Commander
 from aircraft.remote.passing import RealClients
 from aircraft.remote.safety import Check, Verdict
@@ -17,6 +18,7 @@ from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.handling import Handling
 from aircraft.search.search import STANDBY, Search
+from aircraft.state import Arrived, Led, Said, VehicleFailed
 from link.bus.frames import frame_at
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, Key
 from link.bus.log import Log
@@ -25,7 +27,6 @@ from link.bus.messages import Stop
 from link.bus.session import Arrival, Bus
 from link.bus.tally import Tally
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Arrived, Led, Mode, Said, VehicleFailed
 from tests.autopilots.body import DT_S
 from tests.autopilots.settings import Settings
 from tests.autopilots.wire import Wire

@@ -1,7 +1,7 @@
 """Protects when a real vehicle counts as having arrived: near, slow, and for long enough."""
 
 from aircraft.remote.arrival import Approach, ArrivalRule
-from sitl.autopilot.motion import Ned
+from aircraft.state import Ned
 
 RULE = ArrivalRule(radius_m=0.3, speed_mps=0.25, settle_s=0.3, slowest_mps=1.0, grace_s=30.0)
 TARGET: Ned = (3.0, 4.0, -5.0)

@@ -10,16 +10,16 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.keeper.connection import Heard
 from aircraft.remote import passing, real
+from aircraft.remote.command import real_uav
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
-from aircraft.search.uav import Uav
+from aircraft.state import VehicleFailed
 from link.bus.inbox import Inbox
 from link.bus.mavlink import Message
 from link.interrupts import on_end
 from plume.scenario import draw
 from plume.sensor import Gaussian
 from plume.world import World
-from sitl.autopilot.state import VehicleFailed
 from tests.aircraft.remote.cockpit import STEPS, Cockpit
 from tests.autopilots.body import DT_S
 from tests.fuzz.services import QuietBus
@@ -55,9 +55,8 @@ def strike() -> None:
 def fly_until_struck(cockpit: Cockpit) -> None:
     """Run the uav service until its first signal."""
     bus = QuietBus()
-    uav = Uav(
-        cockpit.vehicle, World(draw(1_000_000), 1, Gaussian()), InStep(cockpit), Struck(), bus, (), bus.log
-    )
+    world = World(draw(1_000_000), 1, Gaussian())
+    uav = real_uav(cockpit.vehicle, world, InStep(cockpit), Struck(), bus)
     with pytest.raises(KeyboardInterrupt):
         uav.run()
 

@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.remote.safety import Check, Verdict
-from sitl.autopilot.state import VehicleFailed
+from aircraft.state import VehicleFailed
 from tests.aircraft.remote.cockpit import Cockpit
 
 KINDS = ("ardupilot", "px4")

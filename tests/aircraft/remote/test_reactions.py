@@ -6,11 +6,12 @@ from typing import Any
 
 import pytest
 
+from aircraft.mode import Mode
 from aircraft.remote.commander import Commander
 from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.search import LANDED, PAUSED, RETURNING, Search
+from aircraft.state import VehicleFailed
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Mode, VehicleFailed
 from tests.aircraft.remote.cockpit import Cockpit
 
 KINDS = ("ardupilot", "px4")

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from aircraft.payload.messages import Sample, pack_answer, unpack_question
-from aircraft.search.uav import Uav
+from aircraft.remote.command import real_uav
+from aircraft.search.events import Dropout, Hold, Land, OnBoard, Resume, Return
 from link.bus.inbox import Inbox
 from link.bus.keys import PAYLOAD_IN, PAYLOAD_OUT, READING, WAYPOINT, Key
 from link.bus.mavlink import BadFrame, Codec, sender, unpack, unpack_reading, waypoint_message
@@ -21,7 +22,6 @@ from link.interrupts import on_end
 from plume.scenario import draw
 from plume.sensor import Gaussian
 from plume.world import World
-from sitl.script.events import Dropout, Hold, Land, OnBoard, Resume, Return
 from tests.aircraft.remote.cockpit import Cockpit
 from tests.aircraft.remote.test_leaving import InStep
 from tests.fuzz.services import QuietBus
@@ -112,7 +112,7 @@ def fly(
         return holds(bus)
 
     world = World(draw(1_000_000), 1, Gaussian())
-    uav = Uav(cockpit.vehicle, world, InStep(cockpit), Told(bus, over), bus, (), bus.log, events, wind=given)
+    uav = real_uav(cockpit.vehicle, world, InStep(cockpit), Told(bus, over), bus, events=events, wind=given)
     with pytest.raises(KeyboardInterrupt):
         uav.run()
     return bus

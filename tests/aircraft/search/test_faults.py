@@ -4,8 +4,8 @@ by reading.
 
 import numpy as np
 
+from aircraft.search.events import Delay, Dropout, Duplicate, Lose, Spike, Stuck
 from aircraft.search.faults import FaultyRadio, FaultySensor
-from sitl.script.events import Delay, Dropout, Duplicate, Lose, Spike, Stuck
 
 
 def test_a_stuck_sensor_repeats_its_last_value_and_then_comes_loose() -> None:

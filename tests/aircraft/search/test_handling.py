@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
 from aircraft.operator import change_mode, command
 from aircraft.search.clock import Clock
-from aircraft.search.uav import Uav
+from aircraft.state import Result, VehicleEvent, VehicleFailed
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
 from link.bus.mavlink import Codec, unpack
@@ -20,8 +21,8 @@ from plume.scenario import draw
 from plume.sensor import Gaussian
 from plume.world import World
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Mode, Result, VehicleEvent, VehicleFailed
 from sitl.autopilot.vehicle import Vehicle
+from sitl.uav.simulated import simulated_uav
 from tests.fuzz.services import QuietBus
 
 FIRST, SECOND = Codec(255, 190), Codec(250, 1)
@@ -64,7 +65,8 @@ class FaultyTime(Vehicle):
 def flown(vehicle: Vehicle, *payloads: bytes) -> QuietBus:
     """Return the bus of a vehicle that was told these messages."""
     bus = QuietBus()
-    uav = Uav(vehicle, World(draw(1_000_000), 1, Gaussian()), Clock(1.0), Heard(*payloads), bus, (), bus.log)
+    world = World(draw(1_000_000), 1, Gaussian())
+    uav = simulated_uav(vehicle, world, Clock(1.0), Heard(*payloads), bus, bus.log)
     with pytest.raises(KeyboardInterrupt):
         uav.run()
     return bus

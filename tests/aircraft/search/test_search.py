@@ -8,14 +8,15 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
 from aircraft.operator import LAUNCHER
 from aircraft.search.search import Search
+from aircraft.state import Arrived
 from link.bus.mavlink import POSITION_ONLY, Message, waypoint_message
 from link.bus.messages import Stop
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence
 from sitl.autopilot.plan import Item, step
-from sitl.autopilot.state import Arrived, Mode
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
 from sitl.uav.simulated import Asked

@@ -4,13 +4,13 @@ from typing import Any
 
 import pytest
 
-from aircraft.search.uav import Uav
+from aircraft.remote.command import real_uav
+from aircraft.state import VehicleFailed
 from link.bus.keys import PAYLOAD_IN, Key
 from link.bus.session import LivelinessChange
 from plume.scenario import draw
 from plume.sensor import Gaussian
 from plume.world import World
-from sitl.autopilot.state import VehicleFailed
 from tests.aircraft.remote.cockpit import Cockpit
 from tests.aircraft.remote.test_leaving import InStep
 from tests.aircraft.remote.test_real import Others, Told, of_a_command
@@ -41,7 +41,7 @@ def waited(cockpit: Cockpit, bus: Others) -> tuple[str, list[str]]:
 
     world = World(draw(1_000_000), 1, Gaussian())
     with pytest.raises(VehicleFailed) as failure:
-        Uav(cockpit.vehicle, world, InStep(cockpit), Told(bus, over), bus, (), bus.log).run()
+        real_uav(cockpit.vehicle, world, InStep(cockpit), Told(bus, over), bus).run()
     assert not cockpit.ap.armed
     return str(failure.value), [*warnings]
 

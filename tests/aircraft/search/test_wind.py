@@ -4,12 +4,12 @@ never drawn when it goes quiet.
 
 import pytest
 
+from aircraft.state import VehicleFailed
 from link.bus.keys import READING
 from link.bus.mavlink import unpack_reading
 from plume.scenario import draw
 from plume.sensor import Gaussian
 from plume.world import World
-from sitl.autopilot.state import VehicleFailed
 from tests.aircraft.remote.cockpit import Cockpit
 from tests.aircraft.remote.test_real import MEASURED, Others, fly, of_a_command
 from tests.autopilots.faults import Fault

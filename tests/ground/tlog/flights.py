@@ -2,9 +2,9 @@
 
 import math
 
+from aircraft.mode import Mode
+from aircraft.state import Arrived, Ned, Said, VehicleEvent
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.motion import Ned
-from sitl.autopilot.state import Arrived, Mode, Said, VehicleEvent
 from sitl.autopilot.vehicle import Vehicle
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3  # MAV_RESULT

@@ -3,11 +3,11 @@
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
 from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName
 from ground.view.control import Awaited, CommandAnswer
 from link.bus.mavlink import Codec
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Mode
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
 

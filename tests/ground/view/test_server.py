@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
 from aircraft.operator import OPERATOR
 from ground.view.control import CommandAnswer, operate
 from ground.view.guard import AccessRules
@@ -20,7 +21,6 @@ from ground.view.server import Client, PageServer
 from link.bus.mavlink import Codec
 from scene.follow.history import History
 from scene.scene import Backdrop, Scene
-from sitl.autopilot.state import Mode
 
 
 class Obeying(LiveVehicle):

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from aircraft.mode import Mode
+from aircraft.state import Said
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence, Polygon, Rally
 from sitl.autopilot.motion import Limits, Trajectory
-from sitl.autopilot.state import Mode, Said
 from sitl.autopilot.vehicle import Vehicle
 from tests.ground.tlog.flights import ACCEPTED, DENIED, hovering, offboard, on_the_ground, texts
 

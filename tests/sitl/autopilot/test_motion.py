@@ -9,18 +9,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sitl.autopilot.motion import (
-    GRAVITY_MPS2,
-    ZERO,
-    Limits,
-    Motion,
-    Trajectory,
-    Turn,
-    fall,
-    halt,
-    tilt,
-    wrapped,
-)
+from aircraft.state import ZERO
+from sitl.autopilot.motion import GRAVITY_MPS2, Limits, Motion, Trajectory, Turn, fall, halt, tilt, wrapped
 
 LIMITS = Limits(speed_mps=5.0, climb_mps=3.0, descent_mps=1.5, accel_mps2=3.0)
 coordinate = st.floats(0.0, 30.0, width=32)

@@ -10,11 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
+from aircraft.state import Reached
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence
 from sitl.autopilot.plan import BadItem, Item, step
-from sitl.autopilot.state import Mode, Reached, Snapshot
+from sitl.autopilot.state import Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from tests.ground.tlog.flights import (

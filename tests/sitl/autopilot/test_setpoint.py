@@ -8,10 +8,12 @@ import random
 
 import pytest
 
+from aircraft.mode import Mode
+from aircraft.state import Arrived, Said
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.estimates import position_target_local_ned
-from sitl.autopilot.setpoint import Answers, Setpoint
-from sitl.autopilot.state import Arrived, Mode, Said, Snapshot
+from sitl.autopilot.setpoint import Setpoint
+from sitl.autopilot.state import Snapshot
 from sitl.autopilot.vehicle import Vehicle
 from tests.ground.tlog.flights import (
     ACCEPTED,
@@ -358,48 +360,6 @@ def test_a_setpoint_that_makes_no_sense_is_refused_and_changes_nothing(setpoint,
     assert (vehicle.state(AT), vehicle.next_event_s()) == (before, expiry)
 
 
-# ---- readings and their answers ----
-
-HERE = Setpoint((1.0, 0.0, -5.0))
-
-
-def test_only_the_first_position_with_the_time_of_the_newest_reading_answers_it():
-    answers = Answers()
-    assert answers.refusal(100, HERE) == (
-        DENIED,
-        "Waypoint refused: no reading was taken at 100 ms",
-        "no reading",
-    )
-    answers.sampled(100)
-    velocity = Setpoint(velocity=(1.0, 0.0, 0.0))
-    assert answers.refusal(100, velocity) == (
-        DENIED,
-        "Waypoint refused: the answer to a reading is a position",
-        "no position",
-    )
-    assert answers.refusal(100, HERE) is None
-    answers.awaited = False
-    assert answers.refusal(100, HERE) == (
-        REJECTED,
-        "Waypoint ignored: duplicate answer to the reading at 100 ms",
-        "",
-    )
-    answers.sampled(200)
-    assert answers.refusal(100, HERE) == (
-        REJECTED,
-        "Waypoint ignored: late answer to the reading at 100 ms",
-        "",
-    )
-    assert answers.refusal(200, HERE) is None
-
-
-def test_the_times_of_readings_must_grow():
-    answers = Answers()
-    answers.sampled(100)
-    with pytest.raises(ValueError, match="100 ms"):
-        answers.sampled(100)
-
-
 # ---- silence ----
 
 
@@ -469,18 +429,3 @@ def test_the_vehicles_own_search_need_not_stream():
     (arrived,) = fly_on(vehicle)
     assert texts(vehicle.advance(arrived.time_s + 29.9)) == []
     assert texts(vehicle.advance(arrived.time_s + 30.1)) == ["No setpoint for 30 s: returning home"]
-
-
-def test_readings_and_their_answers_pass_the_wrap_of_time():
-    answers = Answers()
-    times = [
-        answers.time_of(1000 * now_s) for now_s in (4_294_967.290, 4_294_967.290, 4_294_967.296, 4_294_967.5)
-    ]
-    assert times == [2**32 - 6, 2**32 - 5, 0, 204]
-    for stamp in times:
-        answers.sampled(stamp)
-    late = "Waypoint ignored: late answer to the reading at 4294967290 ms"
-    assert answers.refusal(times[0], HERE) == (REJECTED, late, "")
-    assert answers.refusal(204, HERE) is None
-    with pytest.raises(ValueError, match="reading times must increase"):
-        answers.sampled(2**32 - 4)

@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
 from link.bus.mavlink import Reading, unpack_reading
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Mode, Snapshot, State
+from sitl.autopilot.state import Snapshot, State
 from sitl.autopilot.telemetry import STREAMS, Telemetry
 
 CONFIG = VehicleConfig(home_heading_deg=90.0)

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from aircraft.mode import Mode
+from aircraft.state import Arrived, Said
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.motion import GRAVITY_MPS2
 from sitl.autopilot.setpoint import Setpoint
-from sitl.autopilot.state import Arrived, Mode, Said
 from sitl.autopilot.vehicle import Vehicle
 from tests.ground.tlog.flights import (
     ACCEPTED,

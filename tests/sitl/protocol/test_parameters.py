@@ -10,8 +10,8 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Mode
 from sitl.autopilot.vehicle import Vehicle
 from sitl.protocol.protocol import MavlinkProtocol
 from tests.ground.tlog.flights import hovering, offboard, on_the_ground

@@ -10,9 +10,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
+from aircraft.mode import Mode
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Mode, Snapshot
+from sitl.autopilot.state import Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.protocol.protocol import MavlinkProtocol
 from tests.ground.tlog.flights import (

@@ -11,9 +11,9 @@ import jsonschema
 import pytest
 from ruamel.yaml import YAML
 
+from aircraft.search.events import Hold, Land, Resume, Return
 from plume.scenario import draw
 from plume.sensor import Hits
-from sitl.script.events import Hold, Land, Resume, Return
 from sitl.script.script import Script, load, schema
 from sitl.script.typed_yaml import FileError
 

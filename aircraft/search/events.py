@@ -1,0 +1,115 @@
+"""Events of a mission that happen on board: faults of sensor and radio, the operator's words, the wind."""
+
+import math
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from plume.parameters import LIMITS, MOST
+
+LOW_U, HIGH_U = LIMITS["u"]
+WindSpeed = Annotated[float, Meta(ge=LOW_U, le=HIGH_U)]
+Count = Annotated[int, Meta(ge=1, le=1_000_000)]
+StepNumber = Annotated[
+    int, Meta(ge=0, description="a whole number from 0: number of the reading, 0 at the start")
+]
+TimeS = Annotated[float, Meta(ge=0, description="a number from 0: simulation time, s")]
+Radians = Annotated[float, Meta(ge=-2 * math.pi, le=2 * math.pi)]
+
+
+class ScriptEvent(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="do", omit_defaults=True
+):
+    """An event that happens at a reading (`step`) or at a simulation time (`time_s`)."""
+
+    step: StepNumber | None = None
+    time_s: TimeS | None = None
+
+    def __post_init__(self) -> None:
+        """Require exactly one of step and time_s."""
+        if (self.step is None) == (self.time_s is None):
+            raise ValueError("wanted exactly one of step and time_s")
+
+
+class Wind(ScriptEvent, frozen=True, tag="wind"):
+    """The wind changes its direction or speed, and the plume with it, from this reading on."""
+
+    u: WindSpeed | None = None
+    phi: Radians | None = None
+
+
+class Dropout(ScriptEvent, frozen=True, tag="dropout"):
+    """The sensor gives no value (NaN); the vehicle waits and tries again every second."""
+
+    for_s: Annotated[float, Meta(gt=0, description="a number above 0: simulation time, s")]
+
+
+class Stuck(ScriptEvent, frozen=True, tag="stuck"):
+    """The sensor repeats its last value."""
+
+    readings: Count
+
+
+class Spike(ScriptEvent, frozen=True, tag="spike"):
+    """A number is added to the sensor's readings."""
+
+    gas: Annotated[
+        float,
+        Meta(
+            ge=-MOST,
+            le=MOST,
+            description=f"a number up to ±{MOST:g} that is added to the reading, in the sensor's unit",
+        ),
+    ]
+    readings: Count = 1
+
+
+class Duplicate(ScriptEvent, frozen=True, tag="duplicate"):
+    """Each reading is published `copies` more times."""
+
+    readings: Count
+    copies: Annotated[int, Meta(ge=1, le=100)] = 1
+
+
+class Delay(ScriptEvent, frozen=True, tag="delay"):
+    """Readings arrive late."""
+
+    readings: Count
+    by_s: Annotated[float, Meta(gt=0, le=60, description="a number above 0 up to 60: real time, s")]
+
+
+class Lose(ScriptEvent, frozen=True, tag="lose"):
+    """Each reading is lost `times` times on its way; the vehicle publishes it again until it is answered."""
+
+    readings: Count
+    times: Annotated[int, Meta(ge=1, le=100)] = 1
+
+
+class Hold(ScriptEvent, frozen=True, tag="hold"):
+    """The operator makes the vehicle hold its position."""
+
+
+class Resume(ScriptEvent, frozen=True, tag="resume"):
+    """The operator resumes the search; `after_s` counts from the last hold."""
+
+    after_s: TimeS | None = None
+
+    def __post_init__(self) -> None:
+        """Require exactly one of time_s and after_s."""
+        if self.step is not None or (self.time_s is None) == (self.after_s is None):
+            raise ValueError(
+                "wanted exactly one of time_s and after_s, and no step: a vehicle that holds takes no steps"
+            )
+
+
+class Return(ScriptEvent, frozen=True, tag="return"):
+    """The operator calls the vehicle home, where it lands."""
+
+
+class Land(ScriptEvent, frozen=True, tag="land"):
+    """The operator makes the vehicle land where it is."""
+
+
+OnBoard = Wind | Dropout | Stuck | Spike | Duplicate | Delay | Lose | Hold | Resume | Return | Land
+"""Events that the UAV service carries out."""

@@ -1,0 +1,107 @@
+"""What an aircraft tells its search: places, events, and results of commands."""
+
+from typing import NamedTuple
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+Ned = tuple[float, float, float]
+"""(north, east, down): position in m from home, velocity in m/s or acceleration in m/s². Down grows
+towards the ground.
+"""
+ZERO: Ned = (0.0, 0.0, 0.0)
+LOW_BATTERY = 0.15
+"""Share of the charge at which the low-battery warning comes; PX4's default."""
+
+
+def as_float32(position: Ned) -> Ned:
+    """The position rounded to float32, as the wire carries it."""
+    with np.errstate(over="ignore"):  # a number too large becomes infinite, and the fence refuses it
+        north, east, down = np.array(position, np.float32).tolist()
+    return north, east, down
+
+
+def metres(value: float) -> str:
+    """Return the shortest decimal that rounds to this float32: 31.1, not 31.100000381."""
+    return str(np.float32(value))
+
+
+class Arrived(NamedTuple):
+    """The vehicle came to rest on a setpoint (NED, m from home): one reading is due here."""
+
+    time_s: float
+    position: Ned
+    boot_ms: int | None = None
+    """A real autopilot's clock when it was at the position; None: the vehicle has no clock but that of the
+    simulation.
+    """
+
+
+class Said(NamedTuple):
+    """A text that the autopilot sends unasked, as STATUSTEXT (253)."""
+
+    time_s: float
+    severity: int
+    """MAV_SEVERITY."""
+    text: str
+    heard: bool = False
+    """Whether a real autopilot has said it itself, so that its clients have heard it."""
+
+
+class Reached(NamedTuple):
+    """An item of the mission is done, as MISSION_ITEM_REACHED (46) tells."""
+
+    time_s: float
+    seq: int
+
+
+class Led(NamedTuple):
+    """Someone else has changed the flight mode or the target of a real autopilot: a pilot, or the
+    autopilot itself.
+    """
+
+    time_s: float
+    mode: str
+    """The autopilot's name of the mode, and that the target is another one."""
+    by: str = ""
+    """Who asked for it, if a client has; empty: the autopilot itself, or a pilot by another way."""
+
+
+VehicleEvent = Arrived | Said | Reached | Led
+
+
+class VehicleFailed(Exception):
+    """The vehicle cannot fly the search, or no longer; the text is the reason."""
+
+
+class Result(NamedTuple):
+    """The result of a command: a MAV_RESULT, and the reason if it was refused."""
+
+    code: int
+    reason: str = ""
+    kind: str = ""
+    """Kind of reason, for counting refused setpoints; empty for other commands."""
+
+    @property
+    def accepted(self) -> bool:
+        """True for MAV_RESULT_ACCEPTED."""
+        return self.code == ACCEPTED.code
+
+
+ACCEPTED = Result(mavlink.MAV_RESULT_ACCEPTED)
+UNSUPPORTED = Result(mavlink.MAV_RESULT_UNSUPPORTED)
+
+
+def not_now(reason: str) -> Result:
+    """A refusal because of the vehicle's current state (MAV_RESULT_TEMPORARILY_REJECTED)."""
+    return Result(mavlink.MAV_RESULT_TEMPORARILY_REJECTED, reason)
+
+
+def going_on(what: str) -> Result:
+    """What is asked for takes its time (MAV_RESULT_IN_PROGRESS): it has to be asked again."""
+    return Result(mavlink.MAV_RESULT_IN_PROGRESS, what)
+
+
+def denied(reason: str, kind: str = "") -> Result:
+    """A refusal because the request itself is invalid (MAV_RESULT_DENIED)."""
+    return Result(mavlink.MAV_RESULT_DENIED, reason, kind)
