@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.frames import LAYOUTS, Frame, fields_of
+from link.bus.frames import Frame, fields_of
 from link.bus.mavlink import split
 from link.modes import mode_name
 from scene.follow.area import PLACING, AreaFrame
@@ -53,7 +53,7 @@ def frames(
     """
     for frame in split(payload):
         if frame.message_id in wanted and counts(frame):
-            yield frame, fields_of(payload, frame, LAYOUTS[frame.message_id])
+            yield frame, fields_of(frame)
 
 
 def seen(craft: Craft, message_id: int, fields: dict[str, Any], time_s: float, area: AreaFrame) -> Craft:
