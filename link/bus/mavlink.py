@@ -287,3 +287,31 @@ def unpack_waypoint(payload: bytes, system: int) -> Message:
     if any(asked not in (0, own) for asked, own in zip(to, ours, strict=True)):
         raise BadFrame(f"a waypoint for {to[0]}/{to[1]}; this is {ours[0]}/{ours[1]}", "other vehicle")
     return message
+
+
+# ---- long texts ----
+
+CHUNK = 50
+"""Characters of one STATUSTEXT (253); a longer text comes in several."""
+MOST_CHUNKS = 256
+
+
+class Texts:
+    """Joins the STATUSTEXTs of one sender."""
+
+    def __init__(self) -> None:
+        """Start without any."""
+        self._begun: dict[int, str] = {}
+
+    def joined(self, text: str, number: int, chunk: int) -> str | None:
+        """Take the text, `id` and `chunk_seq` of a STATUSTEXT; return the text once it is whole, in printable
+        characters.
+
+        The first chunk that is not full ends a text. A text that is cut off is dropped when the next one
+        begins.
+        """
+        whole = (self._begun.pop(number, "") if number and chunk else "") + text
+        if number and len(text) == CHUNK and chunk < MOST_CHUNKS - 1 and len(whole) < MOST_CHUNKS * CHUNK:
+            self._begun = {number: whole}
+            return None
+        return "".join(letter if letter.isprintable() else "?" for letter in whole)
