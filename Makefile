@@ -86,7 +86,7 @@ lint: $(READY)
 	$(BIN)/mypy
 
 docs: setup
-	$(BIN)/python -m link > docs/bus.md
+	$(BIN)/python -m docs.generate.bus > docs/bus.md
 	$(BIN)/python -m sitl.protocol > docs/mavlink.md
 	$(BIN)/python -m sitl.script > missions/mission.schema.json
 	$(BIN)/python -m sitl fly --speedup 0 --record runs/mission.mcap --force

@@ -11,7 +11,7 @@ from aircraft.bridge.bus_link import BRIDGED, BusChannel
 from aircraft.bridge.endpoints import ENDPOINTS, TICK_S
 from aircraft.bridge.links import Channel
 from aircraft.bridge.routing import BUS, ELSEWHERE, Routes
-from aircraft.bridge.stream import Letter
+from link.bus.frames import Frame
 from link.bus.keys import MAVLINK_OUT
 from link.bus.session import Bus
 from link.signing.signer import Signing
@@ -65,13 +65,13 @@ class Bridge:
         del self._links[number]
         self._routes.leave(number)
 
-    def route(self, link: Channel, letters: list[Letter]) -> None:
+    def route(self, link: Channel, frames: list[Frame]) -> None:
         """Send frames of this link on."""
         now_s = time.monotonic()
-        for letter in letters:
+        for frame in frames:
             if (number := self._numbers.get(link)) is None:  # it was lost by sending on the frame before
                 return
-            self._send(letter, number, now_s)
+            self._send(frame, number, now_s)
 
     # ---- the loop ----
 
@@ -103,37 +103,37 @@ class Bridge:
         self._woken.recv(4096)
 
     def _route_from_bus(self) -> None:
-        for arrival, letters in self._bus_link.take():
+        for arrival, frames in self._bus_link.take():
             now_s = time.monotonic()
-            for letter in letters:
+            for frame in frames:
                 self._send(
-                    letter, BUS, now_s, out=arrival.key is MAVLINK_OUT, brought=arrival.attachment == BRIDGED
+                    frame, BUS, now_s, out=arrival.key is MAVLINK_OUT, brought=arrival.attachment == BRIDGED
                 )
             self._bus.tally.latency_s = time.monotonic() - arrival.at
 
     def _send(
-        self, letter: Letter, came_on: int, now_s: float, *, out: bool = False, brought: bool = False
+        self, frame: Frame, came_on: int, now_s: float, *, out: bool = False, brought: bool = False
     ) -> None:
-        route = self._routes.route(letter, came_on, now_s, out=out, brought=brought)
+        route = self._routes.route(frame, came_on, now_s, out=out, brought=brought)
         if route.dropped:
             traffic = self._bus_link.traffic if came_on == BUS else self._links[came_on].traffic
             traffic.drop(route.dropped)
             if (
                 route.dropped == ELSEWHERE
-                and (who := (traffic.url, letter.system, letter.component)) not in self._told
+                and (who := (traffic.url, frame.system, frame.component)) not in self._told
             ):
                 self._told.add(who)
                 self.log.warning(
-                    f"{traffic.url}: frames of {letter.system}/{letter.component} are dropped; it is a "
+                    f"{traffic.url}: frames of {frame.system}/{frame.component} are dropped; it is a "
                     "vehicle of another link"
                 )
             return
         self._bus.tally.did(-1)
         for number in route.links:
             if number == BUS:
-                self._bus_link.send(letter.data, route.vehicle)
+                self._bus_link.send(frame.data, route.vehicle)
             elif (link := self._links.get(number)) is not None:
-                link.send(letter.data)
+                link.send(frame.data)
 
     def _tick(self, now_s: float) -> None:
         self._tick_at_s = now_s + TICK_S

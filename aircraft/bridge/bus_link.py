@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 
 from aircraft.bridge.links import AWAY, GARBAGE, OVERFLOW, Traffic
-from aircraft.bridge.stream import FrameStream, Letter
+from link.bus.frames import Frame, FrameStream
 from link.bus.inbox import WAITING_BYTES
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, STOP
 from link.bus.session import Arrival, Bus
@@ -55,7 +55,7 @@ class BusChannel:
         if first:
             self._wake()
 
-    def take(self) -> list[tuple[Arrival, list[Letter]]]:
+    def take(self) -> list[tuple[Arrival, list[Frame]]]:
         """Return what has come since the last call, with the frames in it; a message holds whole frames."""
         with self._lock:
             arrived, self._arrived, self._bytes = self._arrived, deque(), 0
@@ -63,10 +63,10 @@ class BusChannel:
         taken = []
         for arrival in arrived:
             stream = FrameStream()
-            letters = stream.take(arrival.payload, datagram=True)
-            taken.append((arrival, letters))
-            self.traffic.received += len(letters)
-            self.traffic.drop(GARBAGE, len(arrival.payload) - sum(len(letter.data) for letter in letters))
+            frames = stream.take(arrival.payload, datagram=True)
+            taken.append((arrival, frames))
+            self.traffic.received += len(frames)
+            self.traffic.drop(GARBAGE, len(arrival.payload) - sum(len(frame.data) for frame in frames))
         self.traffic.drop(OVERFLOW, overflowed)
         return taken
 

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from aircraft.bridge.address import Address
 from aircraft.bridge.routing import DUPLICATE, UNHEARD
-from aircraft.bridge.stream import FrameStream, Letter
+from link.bus.frames import Frame, FrameStream
 from link.bus.log import Log
 from link.signing.signature import unsigned
 from link.signing.signer import Signer
@@ -110,23 +110,23 @@ class Channel:
         else:
             self._send(frame)
 
-    def take(self, data: bytes, *, datagram: bool = False) -> list[Letter]:
+    def take(self, data: bytes, *, datagram: bool = False) -> list[Frame]:
         """Return the frames that are now complete, but none without a valid signature where the link
         signs; count them, and garbage.
 
         A serial line may be a console before it carries frames: its opening is no garbage.
         """
         before = self._garbage
-        letters = self.stream.take(data, datagram=datagram)
+        frames = self.stream.take(data, datagram=datagram)
         if signer := self.traffic.signer:
-            letters = [
-                letter._replace(data=unsigned(letter.data))
-                for letter in letters
-                if signer.admits(letter.data, self.who)
+            frames = [
+                frame._replace(data=unsigned(frame.data))
+                for frame in frames
+                if signer.admits(frame.data, self.who)
             ]
-        self.traffic.received += len(letters)
+        self.traffic.received += len(frames)
         self.traffic.drop(GARBAGE, self._garbage - before)
-        return letters
+        return frames
 
 
 class Hub(Protocol):
@@ -142,7 +142,7 @@ class Hub(Protocol):
     def leave(self, link: Channel) -> None:
         """Route no more frames to this link."""
 
-    def route(self, link: Channel, letters: list[Letter]) -> None:
+    def route(self, link: Channel, frames: list[Frame]) -> None:
         """Send frames of this link on."""
 
 
@@ -250,8 +250,8 @@ class Pipe:
             return
         if not data:
             self._end("the other side has closed it")
-        elif letters := self.link.take(data):
-            self._hub.route(self.link, letters)
+        elif frames := self.link.take(data):
+            self._hub.route(self.link, frames)
 
     def _end(self, reason: str) -> None:
         if not self._closed:

@@ -7,7 +7,7 @@ component have been heard, and none back to its link.
 
 from typing import NamedTuple
 
-from aircraft.bridge.stream import Letter
+from link.bus.frames import Frame
 
 BUS = 0
 """The link to the bus; the endpoints' links count from 1."""
@@ -84,34 +84,33 @@ class Routes:
         self._homes = {sender: home for sender, home in self._homes.items() if home[0] != link}
 
     def route(
-        self, letter: Letter, link: int, now_s: float, *, out: bool = False, brought: bool = False
+        self, frame: Frame, link: int, now_s: float, *, out: bool = False, brought: bool = False
     ) -> Route:
         """Return where a frame goes that came on `link`; `out`: the bus had it on mavlink/out; `brought`:
         by another bridge.
         """
         if (
-            letter.message_id == SETUP_SIGNING
+            frame.message_id == SETUP_SIGNING
         ):  # a key that came over a safe link must not leave by another one
             return Route(dropped=KEYS)
-        sender = (letter.system, letter.component)
+        sender = (frame.system, frame.component)
         came_from = BROUGHT if brought else link
         if out and came_from == BUS:
             self._homes[sender] = (BUS, now_s)
         home, heard_s = self._homes.get(sender, (came_from, now_s))
         away = home != came_from and now_s - heard_s < HOME_S
-        if self._came_elsewhere(letter.data, came_from, now_s, remember=not away):
+        if self._came_elsewhere(frame.data, came_from, now_s, remember=not away):
             return Route(dropped=DUPLICATE)
         if away:
             return Route(dropped=ELSEWHERE)
-        vehicle = self._is_vehicle(letter, link, out=out)
+        vehicle = self._is_vehicle(frame, link, out=out)
         if vehicle:
             self._homes[sender] = (came_from, now_s)
         self._hear(sender, link)
-        if not letter.target_system:
+        target = frame.target
+        if not target[0]:
             return Route(tuple(other for other in self.heard if other != link), out or vehicle)
-        there = [
-            other for other in self.heard if self._has(other, letter.target_system, letter.target_component)
-        ]
+        there = [other for other in self.heard if self._has(other, *target)]
         links = {other for other in there if other != link}
         if vehicle and link != BUS:
             links.add(BUS)  # mavlink/out holds all that a vehicle says, for records and viewers
@@ -134,16 +133,16 @@ class Routes:
             remembered[data] = (came_s, links | {link})
         return bool(links - {link})
 
-    def _is_vehicle(self, letter: Letter, link: int, *, out: bool) -> bool:
+    def _is_vehicle(self, frame: Frame, link: int, *, out: bool) -> bool:
         """Whether a frame's system is a vehicle on its link; a HEARTBEAT may tell just now."""
         said = (
-            letter.autopilot or letter.component == AUTOPILOT
+            frame.is_autopilot or frame.component == AUTOPILOT
             if link == BUS and out
-            else letter.autopilot and link != BUS
+            else frame.is_autopilot and link != BUS
         )
         if said:
-            self._vehicles.add((link, letter.system))
-        return (link, letter.system) in self._vehicles and (out or link != BUS)
+            self._vehicles.add((link, frame.system))
+        return (link, frame.system) in self._vehicles and (out or link != BUS)
 
     def _hear(self, sender: Sender, link: int) -> None:
         heard = self.heard[link]

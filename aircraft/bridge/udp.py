@@ -98,8 +98,8 @@ class UdpOut(_Udp):
         self._hub.join(self._link)
 
     def _arrived(self, datagram: bytes, peer: tuple[str, int]) -> None:
-        if letters := self._link.take(datagram, datagram=True):
-            self._hub.route(self._link, letters)
+        if frames := self._link.take(datagram, datagram=True):
+            self._hub.route(self._link, frames)
 
 
 class _Caller:
@@ -128,20 +128,20 @@ class UdpIn(_Udp):
             caller = _Caller(
                 Channel(self.traffic, lambda frame: self._send(frame, peer), f"{peer[0]}:{peer[1]}")
             )
-        letters = caller.link.take(datagram, datagram=True)
-        if letters or not caller.joined:
+        frames = caller.link.take(datagram, datagram=True)
+        if frames or not caller.joined:
             caller.heard_s = time.monotonic()
             self._callers.pop(peer, None)
             self._callers[peer] = caller
-        if not caller.joined and any(letter.message_id not in FREE for letter in letters):
+        if not caller.joined and any(frame.message_id not in FREE for frame in frames):
             caller.joined = True
             self._hub.join(caller.link)
             self._hub.log.info(f"{self.address.text}: {peer[0]}:{peer[1]} has called")
         if len(self._callers) > MOST_PEERS:
             strangers = (other for other, known in self._callers.items() if not known.joined)
             self._forget(next(strangers, next(iter(self._callers))))
-        if letters and caller.joined:
-            self._hub.route(caller.link, letters)
+        if frames and caller.joined:
+            self._hub.route(caller.link, frames)
 
     def _forget(self, peer: tuple[str, int]) -> None:
         caller = self._callers.pop(peer)

@@ -14,8 +14,8 @@ from pymavlink.dialects.v20 import all as mavlink
 from aircraft.bridge.address import Address
 from aircraft.bridge.endpoints import ENDPOINTS, TICK_S
 from aircraft.bridge.links import Channel, Endpoint
-from aircraft.bridge.stream import Letter
 from aircraft.keeper.kept import Kept
+from link.bus.frames import Frame
 from link.bus.log import Log
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Message
 from link.signing.signer import Signing
@@ -56,7 +56,7 @@ class Came(NamedTuple):
     """A frame and the link that it came on."""
 
     link: Channel
-    letter: Letter
+    frame: Frame
 
 
 class Endpoints:
@@ -95,9 +95,9 @@ class Endpoints:
         """A link has gone."""
         self.links.remove(link)
 
-    def route(self, link: Channel, letters: list[Letter]) -> None:
+    def route(self, link: Channel, frames: list[Frame]) -> None:
         """Take frames of a link."""
-        self._came += [Came(link, letter) for letter in letters]
+        self._came += [Came(link, frame) for frame in frames]
 
     # ---- what their owner calls ----
 
@@ -188,12 +188,12 @@ class Connection(Endpoints):
     def poll(self, wait_s: float = 0.0) -> list[Heard]:
         """Return what has come; waits for at most this real time until something does."""
         heard = []
-        for link, letter in self.take(wait_s):
-            if link is self._used and letter.system == self._system and letter.component != ONBOARD_COMPUTER:
-                self._frames.append(letter.data)
-            if letter.message_id in HEARD:
+        for link, frame in self.take(wait_s):
+            if link is self._used and frame.system == self._system and frame.component != ONBOARD_COMPUTER:
+                self._frames.append(frame.data)
+            if frame.message_id in HEARD:
                 with contextlib.suppress(mavlink.MAVError):
-                    heard.append(Heard(self._parser.decode(bytearray(letter.data)), link))
+                    heard.append(Heard(self._parser.decode(bytearray(frame.data)), link))
         return heard
 
     def frames(self) -> list[bytes]:

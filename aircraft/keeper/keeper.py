@@ -23,9 +23,9 @@ from pymavlink.dialects.v20 import all as mavlink
 from aircraft.bridge.address import parse_address
 from aircraft.bridge.endpoints import ENDPOINTS, TICK_S
 from aircraft.bridge.links import Channel, Pipe, Traffic
-from aircraft.bridge.stream import Letter
 from aircraft.mode import Mode
 from aircraft.remote.firmware import ARDUCOPTER, FIRMWARES, unfit
+from link.bus.frames import Frame
 from link.bus.log import Log
 from link.bus.tally import Tally
 from link.early import ask_for_stacks
@@ -94,21 +94,21 @@ class Keeper:
 
     # ---- the uav's side ----
 
-    def passes(self, letter: Letter, now_s: float) -> bool:
+    def passes(self, frame: Frame, now_s: float) -> bool:
         """Take a frame of the uav; returns whether it is to be handed on: what it hands on of others,
         which has other ids, always.
         """
-        if letter.component != COMPANION:
+        if frame.component != COMPANION:
             return True
         if self.acted:
             return False
-        if letter.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-            self._beat_s, self.system = now_s, letter.system or self.system
-            ours = self._message(letter).system_status == mavlink.MAV_STATE_ACTIVE
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            self._beat_s, self.system = now_s, frame.system or self.system
+            ours = self._message(frame).system_status == mavlink.MAV_STATE_ACTIVE
             self._theirs = self._theirs and ours == self._ours  # it knows best, once it knows
             self._ours = ours
-        elif letter.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-            self._commanded(self._message(letter))
+        elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+            self._commanded(self._message(frame))
         return True
 
     def gone(self) -> None:
@@ -130,24 +130,24 @@ class Keeper:
 
     # ---- the autopilot's side ----
 
-    def hear(self, letter: Letter, now_s: float) -> bool:
+    def hear(self, frame: Frame, now_s: float) -> bool:
         """Take a frame of the autopilot's link; returns whether it is the vehicle's HEARTBEAT. Raises
         MAVError if it is malformed.
         """
-        if (letter.system, letter.component) != (self.system, AUTOPILOT):
+        if (frame.system, frame.component) != (self.system, AUTOPILOT):
             return False
-        number = letter.message_id
+        number = frame.message_id
         if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-            message = self._message(letter)
+            message = self._message(frame)
             if unfit(message):
                 return False
             self._heard_s = now_s
             self._beats(message, now_s)
             return True
         if number == mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
-            self._landed = self._message(letter).landed_state
+            self._landed = self._message(frame).landed_state
         elif number == mavlink.MAVLINK_MSG_ID_COMMAND_ACK and self._is_in_charge and self.acted:
-            message = self._message(letter)
+            message = self._message(frame)
             done = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
             if (
                 message.command == mavlink.MAV_CMD_DO_SET_MODE
@@ -171,8 +171,8 @@ class Keeper:
             )  # a failsafe that only hovers has taken nothing over
         self._mode, self._status = mode, message.system_status
 
-    def _message(self, letter: Letter) -> Any:
-        return self._parser.decode(bytearray(letter.data))
+    def _message(self, frame: Frame) -> Any:
+        return self._parser.decode(bytearray(frame.data))
 
     # ---- what is to be done ----
 
@@ -280,21 +280,21 @@ class Switch:
         if link is self._used:
             self._used = None
 
-    def route(self, link: Channel, letters: list[Letter]) -> None:
+    def route(self, link: Channel, frames: list[Frame]) -> None:
         """Hand frames on."""
         now_s = time.monotonic()
         if link is self._uav:
-            for letter in letters:
-                if self.keeper.passes(letter, now_s):
-                    self._out(letter.data)
+            for frame in frames:
+                if self.keeper.passes(frame, now_s):
+                    self._out(frame.data)
             return
-        for letter in letters:
-            if letter.system == OWN:
+        for frame in frames:
+            if frame.system == OWN:
                 continue
             with contextlib.suppress(mavlink.MAVError):
-                if self.keeper.hear(letter, now_s):
+                if self.keeper.hear(frame, now_s):
                     self._used = link  # a vehicle may come back on another link
-            self._pipe.send(letter.data)
+            self._pipe.send(frame.data)
 
     def run(self) -> None:
         """Hand on until nobody needs it."""

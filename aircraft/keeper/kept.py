@@ -12,8 +12,8 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.bridge.address import Address
 from aircraft.bridge.links import Channel, Hub, Reopened
-from aircraft.bridge.stream import Letter
 from aircraft.keeper import keeper
+from link.bus.frames import Frame
 
 MOST_BYTES = 65536
 """Most bytes that wait for a keeper that does not read."""
@@ -56,17 +56,17 @@ class Kept(Reopened):
         """It has gone."""
         self._outer.leave(link)
 
-    def route(self, link: Channel, letters: list[Letter]) -> None:
+    def route(self, link: Channel, frames: list[Frame]) -> None:
         """Pass frames on, and take the keeper's own words."""
-        for letter in letters:
-            if letter.system == keeper.OWN:
-                message = mavlink.MAVLink(None).decode(bytearray(letter.data))
+        for frame in frames:
+            if frame.system == keeper.OWN:
+                message = mavlink.MAVLink(None).decode(bytearray(frame.data))
                 self._said_s = self._looked_s
                 if message.severity <= mavlink.MAV_SEVERITY_CRITICAL:
                     self.sent_home = f"The keeper has taken the vehicle over: {message.text}"
                 else:
                     self._said = message.text
-        self._outer.route(link, [letter for letter in letters if letter.system != keeper.OWN])
+        self._outer.route(link, [frame for frame in frames if frame.system != keeper.OWN])
 
     # ---- as an endpoint ----
 

@@ -98,11 +98,9 @@ Said = Mapping[str, Mapping[str, Any]]
 def _said(payload: bytes) -> tuple[Said, int]:
     """Return the messages of a payload, and the system id of its first frame."""
     frames = split(payload)
-    return {
-        LAYOUTS[f.message_id].kind: fields_of(payload, f, LAYOUTS[f.message_id])
-        for f in frames
-        if f.message_id in LAYOUTS
-    }, frames[0].system
+    return {LAYOUTS[f.message_id].kind: fields_of(f) for f in frames if f.message_id in LAYOUTS}, frames[
+        0
+    ].system
 
 
 def _wanted(said: Said, kind: str, what: str) -> Mapping[str, Any]:

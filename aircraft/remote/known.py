@@ -10,8 +10,12 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.remote.firmware import ARDUCOPTER, ESTIMATES, FIRMWARES, Firmware
 from aircraft.remote.glitches import Fix, Glitches
+<<<<<<< HEAD
 from aircraft.state import ZERO, Ned
 from link.bus.mavlink import Message
+=======
+from link.bus.mavlink import Message, Texts
+>>>>>>> link
 from plume.geodesy import home_from
 
 LOST_S = 3.0
@@ -94,7 +98,7 @@ class Known:
     """How often that clock has begun anew."""
     came_s: dict[int, float] = field(default_factory=dict)
     """When each message type last came, by its number."""
-    _chunks: dict[int, str] = field(default_factory=dict)
+    _texts: Texts = field(default_factory=Texts)
     _breach: tuple[int, int] = (0, 0)  # whether the fence is breached, and how often it was
 
     def take(self, message: Message, now_s: float) -> None:
@@ -186,12 +190,9 @@ class Known:
         self.wind, self.wind_s = (-east, -north) if known else None, now_s
 
     def _hear(self, message: Message, now_s: float) -> None:
-        text, number = message.text.rstrip("\0"), getattr(message, "id", 0)
-        if number:
-            text = self._chunks.pop(number, "") + text
-            if len(message.text) == 50 and len(text) < 1000:
-                self._chunks = {number: text}
-                return
+        text = self._texts.joined(message.text.rstrip("\0"), message.id, message.chunk_seq)
+        if text is None:
+            return
         self.glitches.hear(text, now_s)
         if not OVER.search(text):
             self.breach_s, self.breached_s = (

@@ -11,7 +11,6 @@ from pymavlink.dialects.v20 import common as mavlink
 from aircraft.bridge.address import parse_address
 from aircraft.bridge.bus_link import BRIDGED
 from aircraft.bridge.routing import SETUP_SIGNING
-from aircraft.bridge.stream import FrameStream, Letter
 from aircraft.keeper.connection import Endpoints
 from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, named, word_of
 from aircraft.remote.real import leave
@@ -21,7 +20,7 @@ from aircraft.search.handling import Handling
 from aircraft.search.search import Search
 from aircraft.state import UNSUPPORTED, Result, denied
 from aircraft.words import Words
-from link.bus.frames import LAYOUTS, fields_of, frame_at
+from link.bus.frames import Frame, FrameStream, fields_of
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
 from link.bus.mavlink import Codec, Message, gas_message
 from link.bus.session import Arrival, Bus
@@ -89,8 +88,8 @@ class RealClients:
         """
         if frames := self._vehicle.frames():
             self._pass_on(frames)
-        for link, letter in self._outs.take():
-            self._hear(letter, f"at {link.who}")
+        for link, frame in self._outs.take():
+            self._hear(frame, f"at {link.who}")
         if self.system and time.monotonic() >= self._beat_at_s:
             self.changed()
 
@@ -129,30 +128,31 @@ class RealClients:
     def take(self, item: object) -> None:
         """Take a payload of `mavlink/in`."""
         assert isinstance(item, Arrival)
-        letters = FrameStream().take(item.payload, datagram=True)
-        if sum(len(letter.data) for letter in letters) < len(item.payload):
+        frames = FrameStream().take(item.payload, datagram=True)
+        if sum(len(frame.data) for frame in frames) < len(item.payload):
             self._bus.refuse(MAVLINK_IN, "the payload is not made of whole MAVLink frames", "malformed")
-        for letter in letters:
-            self._hear(letter, "through a bridge" if item.attachment == BRIDGED else "on the bus")
+        for frame in frames:
+            self._hear(frame, "through a bridge" if item.attachment == BRIDGED else "on the bus")
 
-    def _hear(self, letter: Letter, whence: str) -> None:
+    def _hear(self, frame: Frame, whence: str) -> None:
         """Hand a client's frame on to the autopilot, if it is for that; the search's own commands are
         obeyed here.
         """
         system, tally = self.system, self._handling.log.tally
-        if not system or letter.target_system not in (0, system):
+        target_system, target_component = frame.target
+        if not system or target_system not in (0, system):
             return
-        if letter.system == system and letter.component in (AUTOPILOT, SEARCH):
+        if frame.system == system and frame.component in (AUTOPILOT, SEARCH):
             tally.refuse(POSED)
         elif (
-            letter.message_id == SETUP_SIGNING
+            frame.message_id == SETUP_SIGNING
         ):  # a key that came over a safe link must not leave by another one
             tally.refuse(KEYS)
-        elif letter.target_system and letter.target_component == SEARCH:
-            if letter.message_id in COMMANDS:
+        elif target_system and target_component == SEARCH:
+            if frame.message_id in COMMANDS:
                 with contextlib.suppress(mavlink.MAVError):
-                    self._obey(mavlink.MAVLink(None).decode(bytearray(letter.data)), whence)
-        elif letter.message_id in SETPOINTS and self._search.leads:
+                    self._obey(mavlink.MAVLink(None).decode(bytearray(frame.data)), whence)
+        elif frame.message_id in SETPOINTS and self._search.leads:
             self.refuse(
                 denied("Setpoint refused: the search leads, HOLD stops it", "not leading"),
                 self._clock.now_s(),
@@ -160,7 +160,7 @@ class RealClients:
             tally.refuse("waypoint")
         else:
             self._vehicle.forward(
-                letter.data, named((letter.system, letter.component), whence) if _changes(letter) else ""
+                frame.data, named((frame.system, frame.component), whence) if _changes(frame) else ""
             )
 
     def _obey(self, message: Message, whence: str) -> None:
@@ -191,11 +191,8 @@ class RealClients:
         self._outs.close()
 
 
-def _changes(letter: Letter) -> bool:
+def _changes(frame: Frame) -> bool:
     """Whether a change of the flight mode may come of a frame."""
-    if letter.message_id not in COMMANDS:
-        return bool(letter.message_id == mavlink.MAVLINK_MSG_ID_SET_MODE)
-    frame = frame_at(letter.data, 0)
-    return (
-        frame is not None and fields_of(letter.data, frame, LAYOUTS[frame.message_id])["command"] in CHANGES
-    )
+    if frame.message_id not in COMMANDS:
+        return bool(frame.message_id == mavlink.MAVLINK_MSG_ID_SET_MODE)
+    return fields_of(frame)["command"] in CHANGES

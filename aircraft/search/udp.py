@@ -109,12 +109,12 @@ def decode(datagram: bytes, admits: Callable[[bytes], bool] = lambda _: True) ->
     while (found := MARKER.search(datagram, at)) and false_starts < MOST_FALSE_STARTS:
         start = found.start()
         frame = frame_at(datagram, start)
-        message = _message(parser, datagram, frame) if frame else None
+        message = _message(parser, frame) if frame else None
         if frame and message:
-            if admits(datagram[frame.start : frame.end]):
+            if admits(frame.data):
                 messages.append(message)
-            at = frame.end
-            used, rest_at = used + frame.end - start, len(datagram)
+            at = start + len(frame.data)
+            used, rest_at = used + len(frame.data), len(datagram)
         else:
             false_starts += 1
             at = start + 1
@@ -135,18 +135,18 @@ def _may_begin(head: bytes, left: int) -> bool:
     return len(head) < 3 or left < frame_length(head, 0)
 
 
-def _message(parser: mavlink.MAVLink, datagram: bytes, frame: Frame) -> Message | None:
+def _message(parser: mavlink.MAVLink, frame: Frame) -> Message | None:
     """Return the message of a frame; None if its checksum is wrong, or its type unknown: then the checksum
     cannot be verified.
     """
     layout = LAYOUTS.get(frame.message_id)
     if layout is None or frame.message_id in ADDED:  # none of them asks for anything
         return None
-    received, right = checksums(datagram, frame, layout.seed)
+    received, right = checksums(frame, layout.seed)
     if received != right:
         return None
     try:
-        return parser.decode(bytearray(datagram[frame.start : frame.end]))
+        return parser.decode(bytearray(frame.data))
     except mavlink.MAVError:
         return None
 

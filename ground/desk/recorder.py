@@ -17,9 +17,9 @@ from ground.desk.scenes import RecordedScene
 from link import cli
 from link.bus.keys import KEYS, STOP
 from link.bus.opening import CONNECT_TIMEOUT_S
-from link.bus.tap import Tap
 from link.interrupts import on_end
 from link.record.record import Entry, SimulationClock
+from link.record.tap import Tap
 from link.record.writer import Writer
 from plume import __version__
 from scene.foxglove import schema_of

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from link.bus.frames import frame_at
+from link.bus.frames import frames_in
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, WAYPOINT
 from link.record.record import Entry
 from scene.follow.area import PLACING
@@ -62,10 +62,9 @@ class RecordedScene:
         """
         news = set()
         slot = pose_slot(entry.simulation_s)
-        at = 0
         self._history.own.learn(entry.key, entry.payload)
-        while (frame := frame_at(entry.payload, at)) is not None:
-            kind, at = frame.message_id, frame.end
+        for frame in frames_in(entry.payload):
+            kind = frame.message_id
             if kind == TEXT and self._history.own.searched(frame):
                 news.add(kind)
             if not self._history.own.sent(frame):

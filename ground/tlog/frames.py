@@ -73,20 +73,21 @@ def scan(data: bytes) -> Records:
                 garbage.append((len(starts), len(data) - at))
                 refused.update(_refused(data, at, len(data)))
             break
-        start = found.start
+        start, frame = found
+        end = start + len(frame.data)
         logged_us = _stamp(data, start - STAMP) if start - STAMP >= at else NO_STAMP
         if skipped := start - at - (STAMP if logged_us != NO_STAMP else 0):
             garbage.append((len(starts), skipped))
             refused.update(_refused(data, at, at + skipped))
-        if found.message_id not in CHECKSUM_SEEDS:
-            unknown[found.message_id] += 1
+        if frame.message_id not in CHECKSUM_SEEDS:
+            unknown[frame.message_id] += 1
         logged.append(logged_us)
         starts.append(start)
-        ends.append(found.end)
-        message_ids.append(found.message_id)
-        systems.append(found.system)
-        components.append(found.component)
-        at = found.end
+        ends.append(end)
+        message_ids.append(frame.message_id)
+        systems.append(frame.system)
+        components.append(frame.component)
+        at = end
     columns = [
         np.frombuffer(column, np.int64) for column in (logged, starts, ends, message_ids, systems, components)
     ]
@@ -108,7 +109,7 @@ def payload(data: bytes, start: int) -> bytes:
     """Return the payload of the frame at offset `start`; MAVLink 2 omits trailing zeros."""
     frame = frame_at(data, start)
     assert frame is not None
-    return data[frame.payload : frame.checksum]
+    return frame.payload
 
 
 class LogClock(NamedTuple):
@@ -149,26 +150,28 @@ def log_clock(logged_us: Integers) -> LogClock:
     return LogClock(np.frombuffer(times, np.int64), damaged, jumps)
 
 
-def _record(data: bytes, at: int) -> Frame | None:
-    """Return the next frame from offset `at` on; a record that starts exactly there is tried first."""
+def _record(data: bytes, at: int) -> tuple[int, Frame] | None:
+    """Return where the next frame from offset `at` on begins, and the frame. A record that starts exactly
+    there is tried first.
+    """
     frame = frame_at(data, at + STAMP)
-    if frame is not None and _is_good(data, at, frame):
-        return frame
+    if frame is not None and _is_good(data, at, at + STAMP, frame):
+        return at + STAMP, frame
     for match in MAGIC.finditer(data, at):
         frame = frame_at(data, match.start())
-        if frame is not None and _is_good(data, at, frame):
-            return frame
+        if frame is not None and _is_good(data, at, match.start(), frame):
+            return match.start(), frame
     return None
 
 
-def _is_good(data: bytes, at: int, frame: Frame) -> bool:
+def _is_good(data: bytes, at: int, start: int, frame: Frame) -> bool:
     """True for a real frame: by its checksum or, for an unknown message, by the bytes before, after and
     inside it.
     """
-    verified = _is_right(data, frame)
+    verified = _is_right(frame)
     if verified is not None:
         return verified
-    start, end = frame.start, frame.end
+    end = start + len(frame.data)
     if (
         start - STAMP < at
         or _stamp(data, start - STAMP) == NO_STAMP
@@ -176,15 +179,15 @@ def _is_good(data: bytes, at: int, frame: Frame) -> bool:
     ):
         return False
     inside = (frame_at(data, match.start()) for match in MAGIC.finditer(data, start + 1, end))
-    return not any(seen is not None and _is_right(data, seen) for seen in inside)
+    return not any(seen is not None and _is_right(seen) for seen in inside)
 
 
-def _is_right(data: bytes, frame: Frame) -> bool | None:
+def _is_right(frame: Frame) -> bool | None:
     """True if the frame's checksum is right; None if the dialect does not know the message."""
     seed = CHECKSUM_SEEDS.get(frame.message_id)
     if seed is None:
         return None
-    told, right = checksums(data, frame, seed)
+    told, right = checksums(frame, seed)
     return told == right
 
 
@@ -197,7 +200,7 @@ def _refused(data: bytes, at: int, end: int) -> list[int]:
         frame = frame_at(data, at + STAMP)
         if frame is None or _stamp(data, at) == NO_STAMP:
             return []
-        at = frame.end
+        at += STAMP + len(frame.data)
         message_ids.append(frame.message_id)
     return message_ids if at == end else []
 

@@ -23,10 +23,15 @@ from aircraft.operator import (
 )
 from ground.view.live import LiveVehicle
 from link.bus.frames import Frame
-from link.bus.mavlink import BadFrame, Codec, Message
+from link.bus.mavlink import BadFrame, Codec, Message, Texts
 from link.modes import meaning
 from scene.follow.area import HEARTBEAT
+<<<<<<< HEAD
 from scene.follow.telemetry import TEXT, Texts, frames
+=======
+from scene.follow.telemetry import TEXT, frames
+from sitl.autopilot.state import Mode
+>>>>>>> link
 
 URGENT: tuple[CommandName, ...] = ("return", "land")
 """Commands that wait for nothing: they replace one that is not answered yet."""
@@ -72,8 +77,8 @@ class Awaited:
                     self._mode = meaning(fields["autopilot"], fields["custom_mode"])
                     self._armed = bool(fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
                 elif frame.message_id == TEXT:
-                    said = self._texts.said(fields)
-                    self._reason = said[1] if said and self._refused else self._reason
+                    said = self._texts.joined(fields["text"], fields["id"], fields["chunk_seq"])
+                    self._reason = said if said and self._refused else self._reason
                 elif _to_us(fields["target_system"], fields["target_component"]):
                     self._run.acknowledged(fields["command"], fields["result"], now_s)
                     self._refused = self._run.refused

@@ -19,8 +19,8 @@ from link.access.identity import AccessError, secured
 from link.bus.keys import KEYS, MAVLINK_IN, MAVLINK_OUT
 from link.bus.opening import NoRouter
 from link.bus.session import Stamped
-from link.bus.tap import Tap
 from link.record.record import SimulationClock
+from link.record.tap import Tap
 from scene.follow.history import History, WindTurn
 from scene.scene import Backdrop, Scene
 

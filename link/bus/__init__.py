@@ -1,3 +1,1 @@
-"""Messages between processes: the table of keys, message types, sessions, MAVLink frames, logs and counts.
-Imports: link.access.
-"""
+"""Messages between processes: keys, message types, sessions, MAVLink frames, logs. Imports: link.access."""

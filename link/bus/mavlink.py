@@ -116,14 +116,14 @@ def split(payload: bytes) -> list[Frame]:
             raise BadFrame(f"malformed frame: {_fault(payload, at)}")
         layout = LAYOUTS.get(frame.message_id)
         if layout is not None:
-            received, right = checksums(payload, frame, layout.seed)
+            received, right = checksums(frame, layout.seed)
             if received != right:
                 raise BadFrame(
                     f"malformed frame: invalid MAVLink CRC in msgID {frame.message_id} 0x{received:04x} "
                     f"should be 0x{right:04x}"
                 )
         frames.append(frame)
-        at = frame.end
+        at += len(frame.data)
     if not frames:
         raise BadFrame(f"malformed frame: {NOT_WHOLE}")
     return frames
@@ -140,8 +140,18 @@ def _fault(payload: bytes, at: int) -> str:
 
 def unpack(payload: bytes) -> list[Message]:
     """Decode a payload of whole frames; raises BadFrame as `split` does."""
-    parser = mavlink.MAVLink(None)
-    return [parser.decode(bytearray(payload[frame.start : frame.end])) for frame in split(payload)]
+    return [message_of(frame) for frame in split(payload)]
+
+
+_PARSER = mavlink.MAVLink(None)
+
+
+def message_of(frame: Frame) -> Message:
+    """Return the message of a whole frame, as pymavlink has it.
+
+    Raises pymavlink's MAVError if its checksum is wrong.
+    """
+    return _PARSER.decode(bytearray(frame.data))
 
 
 def wind_message(time_boot_ms: int, wind: tuple[float, float]) -> Message:
@@ -210,9 +220,7 @@ def unpack_reading(payload: bytes, system: int | None = None) -> Reading:
             f"a reading of system {min(strangers)}; this is the estimator of system {system}", "other vehicle"
         )
     messages = {
-        LAYOUTS[number].kind: fields_of(payload, frame, LAYOUTS[number])
-        for number, frame in frames.items()
-        if number in LAYOUTS
+        LAYOUTS[number].kind: fields_of(frame) for number, frame in frames.items() if number in LAYOUTS
     }
     try:
         position, wind, gas = (messages[kind] for kind in READING_KINDS)
@@ -274,8 +282,36 @@ def unpack_waypoint(payload: bytes, system: int) -> Message:
     if len(frames) != 1 or frames[0].message_id != mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED:
         found = f"{len(frames)} frames" if len(frames) > 1 else f"message {frames[0].message_id}"
         raise BadFrame(f"{found}; wanted one SET_POSITION_TARGET_LOCAL_NED (84)")
-    message = mavlink.MAVLink(None).decode(bytearray(payload))
+    message = message_of(frames[0])
     to, ours = (message.target_system, message.target_component), (system, mavlink.MAV_COMP_ID_AUTOPILOT1)
     if any(asked not in (0, own) for asked, own in zip(to, ours, strict=True)):
         raise BadFrame(f"a waypoint for {to[0]}/{to[1]}; this is {ours[0]}/{ours[1]}", "other vehicle")
     return message
+
+
+# ---- long texts ----
+
+CHUNK = 50
+"""Characters of one STATUSTEXT (253); a longer text comes in several."""
+MOST_CHUNKS = 256
+
+
+class Texts:
+    """Joins the STATUSTEXTs of one sender."""
+
+    def __init__(self) -> None:
+        """Start without any."""
+        self._begun: dict[int, str] = {}
+
+    def joined(self, text: str, number: int, chunk: int) -> str | None:
+        """Take the text, `id` and `chunk_seq` of a STATUSTEXT; return the text once it is whole, in printable
+        characters.
+
+        The first chunk that is not full ends a text. A text that is cut off is dropped when the next one
+        begins.
+        """
+        whole = (self._begun.pop(number, "") if number and chunk else "") + text
+        if number and len(text) == CHUNK and chunk < MOST_CHUNKS - 1 and len(whole) < MOST_CHUNKS * CHUNK:
+            self._begun = {number: whole}
+            return None
+        return "".join(letter if letter.isprintable() else "?" for letter in whole)

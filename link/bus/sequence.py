@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+from link.bus.backoff import Backoff
+
 T = TypeVar("T")
 
 ASK_FIRST_S, ASK_LAST_S = 0.3, 2.4
@@ -45,8 +47,7 @@ class Sequence(Generic[T]):
         self._size = size
         self._waiting = 0
         self._waiting_bytes = 0
-        self._ask_at_s = -math.inf
-        self._ask_every_s = ASK_FIRST_S
+        self._asking = Backoff(ASK_FIRST_S, ASK_LAST_S)
         self._sources: dict[str, _Source[T]] = {}
 
     def arrived(self, source: str, number: int, message: T, now_s: float) -> list[T]:
@@ -92,18 +93,14 @@ class Sequence(Generic[T]):
 
     def should_ask_again(self, now_s: float) -> bool:
         """True if messages wait for missing ones and it is time to request these."""
-        if not self._waiting:
-            self._ask_every_s = ASK_FIRST_S
-            self._ask_at_s = min(self._ask_at_s, now_s + ASK_FIRST_S)
-        elif now_s >= self._ask_at_s:
-            self._ask_at_s = now_s + self._ask_every_s
-            self._ask_every_s = min(2 * self._ask_every_s, ASK_LAST_S)
-            return True
+        if self._waiting:
+            return self._asking.due(now_s)
+        self._asking.relax(now_s)
         return False
 
     def wait_on(self, now_s: float) -> None:
         """Restart all waiting times: there is nobody to ask at the moment."""
-        self._ask_at_s, self._ask_every_s = now_s + ASK_FIRST_S, ASK_FIRST_S
+        self._asking.tried(now_s)
         for state in self._sources.values():
             state.waiting_since_s = now_s
 

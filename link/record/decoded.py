@@ -71,11 +71,7 @@ def decode(payload: bytes) -> list[Decoded]:
     messages = []
     for frame in split(payload):
         layout = LAYOUTS.get(frame.message_id)
-        fields: dict[str, Any] = (
-            {"data": list(payload[frame.start : frame.end])}
-            if layout is None
-            else fields_of(payload, frame, layout)
-        )
+        fields: dict[str, Any] = {"data": list(frame.data)} if layout is None else fields_of(frame)
         fields["system"], fields["component"] = frame.system, frame.component
         messages.append(Decoded(UNKNOWN if layout is None else layout.kind, _encoded(fields)))
     return messages

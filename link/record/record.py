@@ -20,7 +20,7 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 
-from link.bus.frames import Frame, frame_at
+from link.bus.frames import Frame, frame_at, frames_in
 from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING, STOP, WAYPOINT
 from link.bus.mavlink import ONBOARD_COMPUTER, continued
 from link.record.own import OwnSystem
@@ -76,7 +76,7 @@ def key_today(key: str, payload: bytes, written: int) -> str:
     """Return the key that a message of a record in format `written` has today: the agent's setpoints on
     `mavlink/in` are waypoints.
     """
-    frame = frame_at(payload, 0) if written < FORMAT and key == MAVLINK_IN.name else None
+    frame = frame_at(payload) if written < FORMAT and key == MAVLINK_IN.name else None
     return (
         WAYPOINT.name
         if frame and frame.message_id in SETPOINT and frame.component == ONBOARD_COMPUTER
@@ -103,11 +103,9 @@ def _time_boot_ms(
     """Return the time_boot_ms of the first frame that counts with one of these message ids, decoding
     headers only; None: there is none.
     """
-    at = 0
-    while (frame := frame_at(payload, at)) is not None:
+    for frame in frames_in(payload):
         if frame.message_id in message_ids and counts(frame):
-            return int.from_bytes(payload[frame.payload : min(frame.payload + 4, frame.checksum)], "little")
-        at = frame.end
+            return int.from_bytes(frame.payload[:4], "little")
     return None
 
 

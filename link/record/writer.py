@@ -108,7 +108,7 @@ class Writer:
         self._add(entry, "", received_ns, entry.payload)
         try:
             for frame in split(entry.payload):
-                self._tlog.add(entry.published_ns, received_ns, entry.payload[frame.start : frame.end])
+                self._tlog.add(entry.published_ns, received_ns, frame.data)
             if entry.key == READING.name:
                 self._add(
                     entry,

@@ -110,7 +110,7 @@ class Signer:
         return False
 
     def _fault(self, frame: bytes) -> str:
-        parts = frame_at(frame, 0)
+        parts = frame_at(frame)
         if parts is None or not is_signed(frame):
             return "" if parts and parts.message_id in FREE else UNSIGNED
         if not is_genuine(frame, self._secret):

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from link.bus.frames import Frame
 from link.bus.keys import BELIEF, MAVLINK_OUT, READING, STOP, WAYPOINT
-from link.bus.mavlink import BadFrame, continued, unpack_reading
+from link.bus.mavlink import BadFrame, Texts, continued, unpack_reading
 from link.bus.messages import Belief, Health, Stop, unpack_particles
 from link.modes import ARDUPILOT
 from link.record.own import OwnSystem
 from link.record.record import HEALTH_PREFIX, began_s
 from scene.follow.area import HEARTBEAT, PLACING, AreaFrame
 from scene.follow.parts import restarted, verdict
-from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, Texts, frames, seen, waypoint
+from scene.follow.telemetry import LOCAL, SETPOINT, SHOWN, TEXT, frames, said, seen, waypoint
 from scene.follow.timed import MOST, Timed, Trail
 from scene.scene import (
     INFO,
@@ -205,8 +205,8 @@ class History:
                 self.is_real |= not is_own or fields["autopilot"] == ARDUPILOT
             if message_id == TEXT:
                 who = "uav" if is_own else "search"
-                if said := self._texts[who].said(fields):
-                    self._happened(time_s, said[0], who, said[1])
+                if heard := said(self._texts[who], fields):
+                    self._happened(time_s, heard[0], who, heard[1])
             if message_id == TEXT or not is_own:
                 continue
             if message_id == LOCAL:

@@ -7,8 +7,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from link.bus.frames import LAYOUTS, Frame, fields_of
-from link.bus.mavlink import split
+from link.bus.frames import Frame, fields_of
+from link.bus.mavlink import Texts, split
 from link.modes import mode_name
 from scene.follow.area import PLACING, AreaFrame
 from scene.scene import ERROR, INFO, WARNING, Condition, Craft, Place
@@ -41,8 +41,6 @@ FIXES = (
     "3-D fix, PPP",
 )
 """GPS_RAW_INT's fix_type (GPS_FIX_TYPE)."""
-CHUNK = 50
-"""Characters of one STATUSTEXT; longer texts come in chunks."""
 
 
 def frames(
@@ -53,7 +51,7 @@ def frames(
     """
     for frame in split(payload):
         if frame.message_id in wanted and counts(frame):
-            yield frame, fields_of(payload, frame, LAYOUTS[frame.message_id])
+            yield frame, fields_of(frame)
 
 
 def seen(craft: Craft, message_id: int, fields: dict[str, Any], time_s: float, area: AreaFrame) -> Craft:
@@ -152,27 +150,17 @@ def waypoint(fields: dict[str, Any]) -> Place | None:
     return place if home and all(map(math.isfinite, place)) else None
 
 
-class Texts:
-    """Joins the chunks of STATUSTEXTs."""
-
-    def __init__(self) -> None:
-        """Start without any."""
-        self._begun: dict[int, str] = {}
-
-    def said(self, fields: dict[str, Any]) -> tuple[str, str] | None:
-        """Take a STATUSTEXT; returns (level, text) once the text is whole."""
-        number, text = fields["id"], fields["text"]
-        if number:
-            text = (self._begun.pop(number, "") if fields["chunk_seq"] else "") + text
-            if len(fields["text"]) == CHUNK and fields["chunk_seq"] < 255 and len(text) < 256 * CHUNK:
-                self._begun = {number: text}  # one text at a time: what is cut off is dropped
-                return None
-        severity = fields["severity"]
-        level = (
-            ERROR
-            if severity <= mavlink.MAV_SEVERITY_ERROR
-            else WARNING
-            if severity == mavlink.MAV_SEVERITY_WARNING
-            else INFO
-        )
-        return level, "".join(letter if letter.isprintable() else "?" for letter in text)
+def said(texts: Texts, fields: dict[str, Any]) -> tuple[str, str] | None:
+    """Take a STATUSTEXT; returns (level, text) once the text is whole."""
+    text = texts.joined(fields["text"], fields["id"], fields["chunk_seq"])
+    if text is None:
+        return None
+    severity = fields["severity"]
+    level = (
+        ERROR
+        if severity <= mavlink.MAV_SEVERITY_ERROR
+        else WARNING
+        if severity == mavlink.MAV_SEVERITY_WARNING
+        else INFO
+    )
+    return level, text

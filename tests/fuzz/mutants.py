@@ -4,7 +4,7 @@ import re
 import struct
 import zlib
 
-from link.bus.frames import LAYOUTS, crc16, frame_at, frame_length
+from link.bus.frames import LAYOUTS, checksums, frame_at, frame_length
 
 WORDS = (
     b"\0" * 4,
@@ -126,7 +126,10 @@ def as_sent(data: bytes, stamp: int = 0) -> bytes:
             at += frame_length(data, at + stamp) or 1
             continue
         if (layout := LAYOUTS.get(frame.message_id)) is not None:
-            right = crc16(data[frame.start + 1 : frame.checksum] + layout.seed)
-            mended[frame.checksum : frame.checksum + 2] = right.to_bytes(2, "little")
-        at = frame.end
+            _, right = checksums(frame, layout.seed)
+            checksum = (
+                magic.start() + len(frame.data) - (15 if frame.data[0] == 0xFD and frame.data[2] else 2)
+            )
+            mended[checksum : checksum + 2] = right.to_bytes(2, "little")
+        at += stamp + len(frame.data)
     return bytes(mended)

@@ -18,7 +18,6 @@ from pymavlink.dialects.v20 import common as mavlink
 from agent import service as agent
 from agent.policies import OURS, reach
 from aircraft.bridge.routing import Routes
-from aircraft.bridge.stream import FrameStream
 from aircraft.mode import Mode
 from aircraft.operator import OPERATOR, SEARCH, WANTED, change_mode, command, order
 from aircraft.search import udp
@@ -26,6 +25,7 @@ from aircraft.search.clock import Clock
 from aircraft.search.search import RETURNING, SEARCHING
 from estimator import service as estimator
 from estimator.filter import Config
+from link.bus.frames import FrameStream
 from link.bus.inbox import Inbox
 from link.bus.keys import BELIEF, MAVLINK_IN, MAVLINK_OUT, READING, STOP, WAYPOINT, Key
 from link.bus.log import LOGGER, Log
@@ -206,10 +206,7 @@ def belief(data: bytes) -> None:
         assert bus.published[-1][1][place] == answer[place]
     for key, frames, _ in bus.published:
         assert key is WAYPOINT
-        (waypoint,) = (
-            mavlink.MAVLink(None).decode(bytearray(frames[frame.start : frame.end]))
-            for frame in split(frames)
-        )
+        (waypoint,) = (mavlink.MAVLink(None).decode(bytearray(frame.data)) for frame in split(frames))
         assert 0.0 <= waypoint.x <= AREA_M
         assert 0.0 <= waypoint.y <= AREA_M
         assert math.isfinite(waypoint.z)
@@ -441,12 +438,12 @@ def frames(data: bytes) -> None:
         stream, routes = FrameStream(), Routes()
         routes.join(1)
         half = len(payload) // 2
-        letters = [
-            letter
+        frames = [
+            frame
             for part in (payload[:half], payload[half:])
-            for letter in stream.take(part, datagram=datagram)
+            for frame in stream.take(part, datagram=datagram)
         ]
-        assert sum(len(letter.data) for letter in letters) + stream.garbage + len(stream.rest) == len(payload)
+        assert sum(len(frame.data) for frame in frames) + stream.garbage + len(stream.rest) == len(payload)
         assert len(stream.rest) <= 280
-        for letter in letters:
-            routes.route(letter, 1, 0.0)
+        for frame in frames:
+            routes.route(frame, 1, 0.0)

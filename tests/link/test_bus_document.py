@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgspec
 
-from link.__main__ import bus_document
+from docs.generate.bus import bus_document
 from link.bus.keys import KEYS
 
 PAGE = Path(__file__).parents[2] / "docs" / "bus.md"

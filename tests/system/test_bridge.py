@@ -151,7 +151,7 @@ def test_a_peer_that_reads_nothing_holds_nobody_up_and_what_it_misses_is_counted
         beat = drone.beat(autopilot=True)
         bus.say(MAVLINK_OUT, beat)
         wait_until(
-            lambda beat=beat: udp.has(beat) or any(letter.data == beat for letter in five.wires[3].heard)
+            lambda beat=beat: udp.has(beat) or any(frame.data == beat for frame in five.wires[3].heard)
         )
     wait_until(lambda: five.bridge.says("that came too fast"))
 
@@ -245,7 +245,7 @@ def test_two_bridges_between_the_same_two_points_do_not_storm(
         assert all(count(bus.into, call) <= 2 for call in calls)  # each bridge may bring it, once
         # Nothing of the vehicle comes back to the bus, except what overtakes its first frames to a bridge
         # that has not heard it there yet.
-        assert sum(letter.autopilot for letter in bus.out) <= 5
+        assert sum(frame.is_autopilot for frame in bus.out) <= 5
     for bridge in (one, two):
         bridge.process.send_signal(signal.SIGINT)
         assert bridge.ended() == 0

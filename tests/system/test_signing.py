@@ -197,7 +197,7 @@ def test_a_bridge_verifies_what_comes_signs_what_goes_and_leaves_the_bus_and_ser
         serial.say(serial_beat)
         wait_until(lambda: count(bus.out, serial_beat) == 1)
         station.say(order)
-        wait_until(lambda: any(letter.data[7:10] == b"\x4c\0\0" for letter in serial.heard))
+        wait_until(lambda: any(frame.data[7:10] == b"\x4c\0\0" for frame in serial.heard))
         stranger.say(order)
         radio = Speaker(51, 68)
         strangers, stations = (
@@ -214,22 +214,22 @@ def test_a_bridge_verifies_what_comes_signs_what_goes_and_leaves_the_bus_and_ser
         serial.say(last)
         wait_until(
             lambda: any(
-                letter.data[:2] + letter.data[3:-15] == last[:2] + last[3:-2]
-                for letter in caller.heard + station.heard
+                frame.data[:2] + frame.data[3:-15] == last[:2] + last[3:-2]
+                for frame in caller.heard + station.heard
             )
         )
 
         wait_until(lambda: count(bus.out, last) == 1)
         for wire in (station, caller):
             assert wire.heard
-            assert all(is_rightly_signed(letter.data) for letter in wire.heard)
+            assert all(is_rightly_signed(frame.data) for frame in wire.heard)
         assert stranger.heard == []
         bus.settle()
-        everything = [letter.data for letter in (*bus.into, *bus.out, *serial.heard)]
+        everything = [frame.data for frame in (*bus.into, *bus.out, *serial.heard)]
         assert not any(frame[0] == 0xFD and frame[2] for frame in everything)
         assert strangers not in everything
         assert not any(frame[7:10] == b"\0\1\0" or b"n" * 32 in frame for frame in everything)
-        assert sum(letter.data[7:10] == b"\x4c\0\0" for letter in serial.heard) == 1
+        assert sum(frame.data[7:10] == b"\x4c\0\0" for frame in serial.heard) == 1
 
         told = subprocess.run(
             [sys.executable, "-m", "sitl", "status", "--connect", router, "--parts", "bridge", "--json"],
@@ -325,6 +325,6 @@ def test_a_mission_is_flown_and_all_that_it_sends_over_udp_is_signed(start, key:
         fly = start("sitl", "fly", *words, cwd=key.parent)
         assert fly.ended() == 0, fly.err
         assert len(wire.heard) > 50
-        assert all(is_rightly_signed(letter.data) for letter in wire.heard)
-        times = [int.from_bytes(letter.data[-12:-6], "little") for letter in wire.heard]
+        assert all(is_rightly_signed(frame.data) for frame in wire.heard)
+        times = [int.from_bytes(frame.data[-12:-6], "little") for frame in wire.heard]
         assert times == sorted(set(times))

@@ -32,7 +32,7 @@ def command():
 from link.bus.inbox import Inbox
 from link.bus.keys import STOP
 from link.bus.session import Bus
-from link.bus.tap import Tap
+from link.record.tap import Tap
 
 class Faulty(Inbox):
     def lane(self, *_, **__):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.bridge.stream import FrameStream, Letter
+from link.bus.frames import Frame, FrameStream
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, Key
 from link.bus.session import Bus
 
@@ -57,14 +57,14 @@ class Wire:
     """One peer; what it hears is kept. `with` closes it."""
 
     def __init__(self) -> None:
-        self.heard: list[Letter] = []
+        self.heard: list[Frame] = []
         self._ended = False
         self._stream = FrameStream()
         self._thread = threading.Thread(target=self._listen, daemon=True)
 
     def has(self, *frames: bytes) -> bool:
         """Whether it has heard these frames, bit by bit, each once."""
-        heard = [letter.data for letter in self.heard]
+        heard = [frame.data for frame in self.heard]
         return all(heard.count(frame) == 1 for frame in frames)
 
     def say(self, data: bytes) -> None:
@@ -179,12 +179,12 @@ class BusWire:
 
     def __init__(self, router: str, service: str = "other") -> None:
         self._bus = Bus(service, router, announced=False)
-        self.out: list[Letter] = []
-        self.into: list[Letter] = []
+        self.out: list[Frame] = []
+        self.into: list[Frame] = []
         for key, heard in ((MAVLINK_OUT, self.out), (MAVLINK_IN, self.into)):
             self._bus.on(key, self._keep(heard), own=False)
 
-    def _keep(self, heard: list[Letter]) -> Callable:
+    def _keep(self, heard: list[Frame]) -> Callable:
         return lambda arrival: heard.extend(FrameStream().take(arrival.payload, datagram=True))
 
     def say(self, key: Key, data: bytes) -> None:
@@ -203,5 +203,5 @@ class BusWire:
         self._bus.close()
 
 
-def count(letters: list[Letter], frame: bytes) -> int:
-    return sum(letter.data == frame for letter in letters)
+def count(frames: list[Frame], frame: bytes) -> int:
+    return sum(frame.data == frame for frame in frames)

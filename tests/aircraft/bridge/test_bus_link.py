@@ -41,6 +41,6 @@ def test_large_messages_fill_no_more_memory_than_their_limit_and_the_lost_ones_a
     assert len(channel.take()) == 10
     assert channel.traffic.dropped == {"bytes of garbage": 9000, "that came too fast": 20}
     say(Arrival(MAVLINK_OUT, HEARTBEAT, b""))
-    ((_, (letter,)),) = channel.take()
-    assert letter.data == HEARTBEAT
+    ((_, (frame,)),) = channel.take()
+    assert frame.data == HEARTBEAT
     channel.close()

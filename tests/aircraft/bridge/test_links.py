@@ -26,10 +26,10 @@ def test_a_serial_line_may_begin_with_a_console_and_in_the_middle_of_a_frame(
     opening: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
     line = link()
-    letters = [
-        letter for at in range(0, len(opening), 7) for letter in line.take(opening[at : at + 7])
+    frames = [
+        frame for at in range(0, len(opening), 7) for frame in line.take(opening[at : at + 7])
     ] + line.take(FRAME)
-    assert [letter.data for letter in letters] == [FRAME]
+    assert [frame.data for frame in frames] == [FRAME]
     assert not line.traffic.dropped
     assert capsys.readouterr().err == ""
 

@@ -1,6 +1,10 @@
 """Protects routing: tables worked by hand after MAVLink's rules, and that no frame goes round in a loop."""
 
+from typing import Any
+from zlib import crc32
+
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.bridge.routing import (
     BUS,
@@ -15,11 +19,17 @@ from aircraft.bridge.routing import (
     Route,
     Routes,
 )
-from aircraft.bridge.stream import Letter
+from link.bus.frames import Frame, frame_at
 
 QGC, MAVSDK, DRONE, GIMBAL, COMPANION = (255, 190), (245, 190), (1, 1), (1, 154), (1, 191)
 A, B, C = 1, 2, 3
 """Links to endpoints."""
+
+
+def said(message: Any, sender: tuple[int, int]) -> Frame:
+    frame = frame_at(bytes(message.pack(mavlink.MAVLink(None, *sender))))
+    assert frame
+    return frame
 
 
 class Net:
@@ -34,8 +44,13 @@ class Net:
 
     def says(self, sender, link, to=(0, 0), *, autopilot=False, out=False, brought=False, data=b"") -> Route:
         self.number += 1
-        letter = Letter(data or self.number.to_bytes(4, "little"), *sender, *to, autopilot)
-        return self.routes.route(letter, link, self.now_s, out=out, brought=brought)
+        number = crc32(data) if data else self.number
+        message = (
+            mavlink.MAVLink_heartbeat_message(2, 12, 0, number, 3, 3)
+            if autopilot
+            else mavlink.MAVLink_ping_message(number, 0, *to)
+        )
+        return self.routes.route(said(message, sender), link, self.now_s, out=out, brought=brought)
 
 
 def bus_vehicle() -> Net:
@@ -268,6 +283,6 @@ def test_a_ring_of_three_bridges_does_not_storm() -> None:
 def test_a_key_goes_nowhere_and_its_sender_is_not_learned_from_it() -> None:
     net = bus_vehicle()
     for link, to in ((A, (0, 0)), (A, (1, 1)), (BUS, (255, 190))):
-        setup = Letter(bytes([link]), 9, 9, *to, message_id=256)
-        assert net.routes.route(setup, link, 0.0) == Route(dropped=KEYS)
+        setup = mavlink.MAVLink_setup_signing_message(*to, [link] * 32, 0)
+        assert net.routes.route(said(setup, (9, 9)), link, 0.0) == Route(dropped=KEYS)
     assert net.says(QGC, A, to=(9, 9)) == Route(dropped=UNHEARD)

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.bridge.stream import FrameStream
 from aircraft.keeper.connection import Heard
 from aircraft.keeper.keeper import GIVEN_UP_S, SILENT_S, Keeper
+from link.bus.frames import FrameStream
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Message
 from tests.aircraft.remote.cockpit import STEPS, Cockpit, Radio
 from tests.autopilots.body import DT_S
@@ -44,9 +44,9 @@ class KeptRadio(Radio):
         self.forward(self._codec.pack(message))
 
     def forward(self, frame: bytes) -> None:
-        for letter in self._from_uav.take(frame):
-            if self.keeper.passes(letter, self.now_s):
-                self.wire.hear(letter.data)
+        for said in self._from_uav.take(frame):
+            if self.keeper.passes(said, self.now_s):
+                self.wire.hear(said.data)
 
     def _of_the_keeper(self, message: Message) -> None:
         self.commands.append(message.command)
@@ -59,8 +59,8 @@ class KeptRadio(Radio):
     def advance(self) -> None:
         self.now_s += STEPS * DT_S
         for frame in self.wire.advance(STEPS):
-            for letter in self._from_autopilot.take(frame):
-                self.keeper.hear(letter, self.now_s)
+            for said in self._from_autopilot.take(frame):
+                self.keeper.hear(said, self.now_s)
             self._heard += [Heard(message, self._link) for message in self._parser.parse_buffer(frame) or ()]
         self.keeper.look(self.now_s)
 

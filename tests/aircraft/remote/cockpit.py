@@ -18,8 +18,12 @@ from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.handling import Handling
 from aircraft.search.search import STANDBY, Search
+<<<<<<< HEAD
 from aircraft.state import Arrived, Led, Said, VehicleFailed
 from link.bus.frames import frame_at
+=======
+from link.bus.frames import frames_in
+>>>>>>> link
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, Key
 from link.bus.log import Log
 from link.bus.mavlink import Codec, Message, unpack, unpack_waypoint, waypoint_message
@@ -132,14 +136,8 @@ class OneEnd(Bus):
 
     def frames(self, component: int) -> list[bytes]:
         """Return what a component has said on `mavlink/out`, frame by frame."""
-        frames = []
-        for payload in self.published:
-            at = 0
-            while (frame := frame_at(payload, at)) is not None:
-                at = frame.end
-                if frame.component == component:
-                    frames.append(payload[frame.start : frame.end])
-        return frames
+        said = [frame for payload in self.published for frame in frames_in(payload)]
+        return [frame.data for frame in said if frame.component == component]
 
     def heard(self, component: int = 191) -> list[Message]:
         """Return what a component has said on `mavlink/out`; first that of the search."""

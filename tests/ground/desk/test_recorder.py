@@ -13,8 +13,8 @@ from ground.desk.scenes import RecordedScene
 from link import cli
 from link.bus.keys import BELIEF
 from link.bus.session import Bus
-from link.bus.tap import Tap
 from link.record.reader import read
+from link.record.tap import Tap
 from link.record.writer import Writer
 
 

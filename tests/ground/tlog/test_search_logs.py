@@ -159,7 +159,7 @@ def test_the_record_of_a_search_gives_its_readings_to_the_last_bit(
         payload = pack_reading(codec, reading)
         for after_s in (0.01, 0.5, 1.5):
             for frame in split(payload):
-                log.put(reading.time_boot_ms / 1000.0 + after_s, payload[frame.start : frame.end])
+                log.put(reading.time_boot_ms / 1000.0 + after_s, frame.data)
         log.hear(reading.time_boot_ms / 1000.0 + 0.02, gas(reading.time_boot_ms, reading.gas), component=191)
     log.hear(11.0, wind_cov(9.0, 9.0))
     path = write(log, tmp_path)
@@ -178,7 +178,7 @@ def test_readings_of_a_record_that_are_close_in_time_all_count(tmp_path: Path) -
     for reading in close:
         payload = pack_reading(Codec(1, 191), reading)
         for frame in split(payload):
-            log.put(reading.time_boot_ms / 1000.0, payload[frame.start : frame.end])
+            log.put(reading.time_boot_ms / 1000.0, frame.data)
     path = write(log, tmp_path)
     assert readings(flight.read(path)) == close
     assert len(readings(flight.read(path, every_s=1.0))) == 1

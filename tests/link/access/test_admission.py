@@ -25,7 +25,7 @@ from link.access.crowds import MOST_FOR_ALL, MOST_OF_A_PART, Crowds
 from link.bus.keys import BELIEF, HEALTH, KEYS, MAVLINK_IN, READING, STOP, Key
 from link.bus.opening import NoRouter, open_router
 from link.bus.session import Arrival, Bus
-from link.bus.tap import Tap
+from link.record.tap import Tap
 from tests.link.access.certificates import REFUSED_MS, endpoint_of, rogue, session
 
 pytestmark = pytest.mark.slow

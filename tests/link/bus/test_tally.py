@@ -13,7 +13,7 @@ from link.bus.keys import BELIEF, HEALTH, KEYS, READING
 from link.bus.messages import Health
 from link.bus.session import Arrival, Bus
 from link.bus.tally import Tally
-from link.bus.tap import Tap
+from link.record.tap import Tap
 
 pytestmark = pytest.mark.slow
 

@@ -16,8 +16,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from link.bus.keys import HEALTH, KEYS, MAVLINK_IN, MAVLINK_OUT, READING, WAYPOINT
 from link.bus.session import Bus, Stamped
-from link.bus.tap import Tap
 from link.record.record import SimulationClock
+from link.record.tap import Tap
 from tests.link.record.test_record import ATTITUDE, ENTRIES, UAV
 
 pytestmark = pytest.mark.slow
@@ -161,7 +161,7 @@ def test_a_message_from_the_future_was_received_when_it_was_taken(
 ) -> None:
     slow_ns = time.time_ns() - 10_000 * MS  # the tap's clock is late
     monkeypatch.setattr(
-        "link.bus.tap.time", SimpleNamespace(time_ns=lambda: slow_ns, monotonic=time.monotonic)
+        "link.record.tap.time", SimpleNamespace(time_ns=lambda: slow_ns, monotonic=time.monotonic)
     )
     with Tap("recorder", router) as tap:
         tap.subscribe(MAVLINK_IN)

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from aircraft.bridge.stream import MOST_FALSE_STARTS, FrameStream
-from link.bus.frames import frame_at
+from link.bus.frames import MOST_FALSE_STARTS, FrameStream, frame_at
 
 
 def frame(message, system=1, component=1, version=2) -> bytes:
@@ -43,34 +42,34 @@ BEAT, ORDER, OLD = frame(heartbeat()), frame(command()), frame(command(), versio
 
 
 def taken(stream: FrameStream, *parts: bytes, datagram=False) -> list[bytes]:
-    return [letter.data for part in parts for letter in stream.take(part, datagram=datagram)]
+    return [found.data for part in parts for found in stream.take(part, datagram=datagram)]
 
 
 @pytest.mark.parametrize("version", [1, 2])
 def test_the_sender_and_the_target_of_a_frame_are_read(version: int) -> None:
-    (letter,) = FrameStream().take(frame(command(7, 9), 42, 43, version))
-    assert (letter.system, letter.component, letter.target_system, letter.target_component) == (42, 43, 7, 9)
+    (found,) = FrameStream().take(frame(command(7, 9), 42, 43, version))
+    assert (found.system, found.component, *found.target) == (42, 43, 7, 9)
 
 
 def test_targets_that_mavlink_2_omits_as_zeros_are_broadcasts() -> None:
     request = frame(mavlink.MAVLink_param_request_list_message(0, 0))
     assert request[1] == 1  # all but one zero is cut off
-    (letter,) = FrameStream().take(request)
-    assert (letter.target_system, letter.target_component) == (0, 0)
+    (found,) = FrameStream().take(request)
+    assert found.target == (0, 0)
 
 
 def test_a_component_without_a_system_is_a_broadcast() -> None:
-    (letter,) = FrameStream().take(frame(command(0, 9)))
-    assert (letter.target_system, letter.target_component) == (0, 0)
+    (found,) = FrameStream().take(frame(command(0, 9)))
+    assert found.target == (0, 0)
 
 
 def test_targets_behind_wide_fields_and_arrays_are_found() -> None:
     # In wire order: uint8 target_network, target_system, target_component, then the array.
-    (letter,) = FrameStream().take(frame(mavlink.MAVLink_file_transfer_protocol_message(0, 8, 6, [1] * 251)))
-    assert (letter.target_system, letter.target_component) == (8, 6)
+    (found,) = FrameStream().take(frame(mavlink.MAVLink_file_transfer_protocol_message(0, 8, 6, [1] * 251)))
+    assert found.target == (8, 6)
     # ArduPilot's own type 184: uint32 seqno, target_system, target_component, data.
-    (letter,) = FrameStream().take(frame(mavlink.MAVLink_remote_log_data_block_message(8, 6, 5, [1] * 200)))
-    assert (letter.target_system, letter.target_component) == (8, 6)
+    (found,) = FrameStream().take(frame(mavlink.MAVLink_remote_log_data_block_message(8, 6, 5, [1] * 200)))
+    assert found.target == (8, 6)
 
 
 @pytest.mark.parametrize(
@@ -89,9 +88,9 @@ def test_targets_behind_wide_fields_and_arrays_are_found() -> None:
 )
 def test_an_autopilot_is_known_by_its_heartbeat(kind: int, autopilot: int, expected: bool) -> None:
     for version in (1, 2):
-        (letter,) = FrameStream().take(frame(heartbeat(kind, autopilot), version=version))
-        assert letter.autopilot is expected
-    assert not FrameStream().take(ORDER)[0].autopilot
+        (found,) = FrameStream().take(frame(heartbeat(kind, autopilot), version=version))
+        assert found.is_autopilot is expected
+    assert not FrameStream().take(ORDER)[0].is_autopilot
 
 
 def test_frames_of_unknown_types_and_signed_frames_pass_as_they_came() -> None:
@@ -102,8 +101,8 @@ def test_frames_of_unknown_types_and_signed_frames_pass_as_they_came() -> None:
     assert len(signed) == len(ORDER) + 13
     mixed = [unknown(), signed, unknown(b"", 0x800000), OLD, unknown(b"x" * 255)]
     assert taken(FrameStream(), b"".join(mixed)) == mixed
-    (letter,) = FrameStream().take(unknown())
-    assert (letter.system, letter.component, letter.target_system) == (3, 4, 0)
+    (found,) = FrameStream().take(unknown())
+    assert (found.system, found.component, *found.target) == (3, 4, 0, 0)
 
 
 @given(st.lists(st.integers(1, 40)), st.randoms(use_true_random=False))
@@ -164,9 +163,7 @@ def test_a_datagram_of_60_kb_of_markers_costs_little_and_the_next_frame_passes(
 ) -> None:
     flood, stream = b"\xfe" * 60_000, FrameStream()
     looked: list[int] = []
-    monkeypatch.setattr(
-        "aircraft.bridge.stream.frame_at", lambda data, at: looked.append(at) or frame_at(data, at)
-    )
+    monkeypatch.setattr("link.bus.frames.frame_at", lambda data, at: looked.append(at) or frame_at(data, at))
     assert taken(stream, flood, datagram=True) == []
     assert len(looked) <= 2 * MOST_FALSE_STARTS  # of 60,000 bytes that may begin a frame
     assert stream.garbage == 60_000
