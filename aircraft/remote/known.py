@@ -10,12 +10,8 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.remote.firmware import ARDUCOPTER, ESTIMATES, FIRMWARES, Firmware
 from aircraft.remote.glitches import Fix, Glitches
-<<<<<<< HEAD
 from aircraft.state import ZERO, Ned
-from link.bus.mavlink import Message
-=======
 from link.bus.mavlink import Message, Texts
->>>>>>> link
 from plume.geodesy import home_from
 
 LOST_S = 3.0

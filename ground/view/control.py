@@ -26,12 +26,7 @@ from link.bus.frames import Frame
 from link.bus.mavlink import BadFrame, Codec, Message, Texts
 from link.modes import meaning
 from scene.follow.area import HEARTBEAT
-<<<<<<< HEAD
-from scene.follow.telemetry import TEXT, Texts, frames
-=======
 from scene.follow.telemetry import TEXT, frames
-from sitl.autopilot.state import Mode
->>>>>>> link
 
 URGENT: tuple[CommandName, ...] = ("return", "land")
 """Commands that wait for nothing: they replace one that is not answered yet."""

@@ -18,12 +18,8 @@ from aircraft.remote.vehicle import RemoteVehicle
 from aircraft.search.clock import Clock
 from aircraft.search.handling import Handling
 from aircraft.search.search import STANDBY, Search
-<<<<<<< HEAD
 from aircraft.state import Arrived, Led, Said, VehicleFailed
-from link.bus.frames import frame_at
-=======
 from link.bus.frames import frames_in
->>>>>>> link
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT, Key
 from link.bus.log import Log
 from link.bus.mavlink import Codec, Message, unpack, unpack_waypoint, waypoint_message
