@@ -55,7 +55,7 @@ def mode_name(autopilot: int, custom_mode: int) -> str:
 
 
 def meaning(autopilot: int, custom_mode: int) -> str:
-    """Return the mode of the search that a mode is, by its name in `sitl.autopilot.state.Mode`; empty if
+    """Return the mode of the search that a mode is, by its name in `aircraft.mode.Mode`; empty if
     it is none.
     """
     return MEANINGS.get(autopilot, {}).get(custom_mode, "")

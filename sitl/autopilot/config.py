@@ -5,11 +5,14 @@ from dataclasses import dataclass
 
 from aircraft.config import AircraftConfig
 from aircraft.state import Ned, metres
-from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, Rally
+from plume.geodesy import to_local
+from sitl.autopilot.fence import NO_FENCE, NO_RALLY, Fence, NorthEast, Rally
 from sitl.autopilot.motion import Limits
 
 NO_ACTION, HOLD, RETURN, TERMINATE, LAND = 0, 2, 3, 4, 5
 """The values of `fence_action`; 1 only warns."""
+GLOBAL_STEP_M = 0.02
+"""A little more than 1e-7 degrees, MAVLink's resolution of latitude and longitude."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,18 @@ class VehicleConfig(AircraftConfig):
     def limits(self) -> Limits:
         """Limits of speed and acceleration."""
         return Limits(self.speed_mps, self.climb_mps, self.descent_mps, self.accel_mps2)
+
+    def local(self, lat_deg: float, lon_deg: float) -> NorthEast:
+        """Return (north, east) in m from home of a place; next to the area's edge it counts as on it.
+
+        Home lies on a corner, and steps of 1e-7 degrees cannot hit that exactly.
+        """
+        north, east = to_local(self.home_lat_deg, self.home_lon_deg, lat_deg, lon_deg)
+        return self._snapped(north), self._snapped(east)
+
+    def _snapped(self, along_m: float) -> float:
+        edge_m = 0.0 if along_m < self.area_m / 2.0 else self.area_m
+        return edge_m if abs(along_m - edge_m) < GLOBAL_STEP_M else along_m
 
     @property
     def guards(self) -> bool:

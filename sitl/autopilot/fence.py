@@ -1,6 +1,5 @@
 """The geofence: polygons and circles seen from above, and the exact time at which a path leaves them."""
 
-import itertools
 import math
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -8,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from aircraft.state import Ned
-from sitl.autopilot.motion import Phase, Trajectory
+from sitl.autopilot.motion import Phase, Trajectory, first_exit_s, real_roots, stretches
 
-Place = tuple[float, float]
+NorthEast = tuple[float, float]
 """(north, east) in m from home."""
 
 EDGE_M = 1e-9
@@ -23,10 +22,10 @@ class Circle(NamedTuple):
     """A circle that the vehicle has to stay in, or out of."""
 
     inclusion: bool
-    centre: Place
+    centre: NorthEast
     radius_m: float
 
-    def allows(self, place: Place) -> bool:
+    def allows(self, place: NorthEast) -> bool:
         """True on the edge and on its allowed side."""
         away = math.dist(place, self.centre) - self.radius_m
         return away <= EDGE_M if self.inclusion else away >= -EDGE_M
@@ -44,18 +43,16 @@ class Circle(NamedTuple):
         distance = sum(np.convolve(curve, curve) for curve in curves) - np.array(
             [0.0, 0.0, 0.0, 0.0, self.radius_m**2]
         )
-        yield from (
-            phase.known_s + root.real for root in np.roots(distance).tolist() if abs(root.imag) < SHORTEST_S
-        )
+        yield from (phase.known_s + root for root in real_roots(distance))
 
 
 class Polygon(NamedTuple):
     """A polygon that the vehicle has to stay in, or out of. Its last vertex is joined to the first."""
 
     inclusion: bool
-    vertices: tuple[Place, ...]
+    vertices: tuple[NorthEast, ...]
 
-    def allows(self, place: Place) -> bool:
+    def allows(self, place: NorthEast) -> bool:
         """True on the edge and on its allowed side; by the ray that leaves an inner place across an odd
         number of edges.
         """
@@ -75,18 +72,14 @@ class Polygon(NamedTuple):
         (north, east, _), (v_north, v_east, _), (a_north, a_east, _) = phase.known
         for a, b in self._edges():
             across = (a[1] - b[1], b[0] - a[0])  # a vector at a right angle to the edge
-            roots = np.roots(
-                [
-                    (a_north * across[0] + a_east * across[1]) / 2.0,
-                    v_north * across[0] + v_east * across[1],
-                    (north - a[0]) * across[0] + (east - a[1]) * across[1],
-                ]
-            ).tolist()
-            yield from (
-                phase.known_s + root.real for root in map(complex, roots) if abs(root.imag) < SHORTEST_S
+            away = (
+                (a_north * across[0] + a_east * across[1]) / 2.0,
+                v_north * across[0] + v_east * across[1],
+                (north - a[0]) * across[0] + (east - a[1]) * across[1],
             )
+            yield from (phase.known_s + root for root in real_roots(away))
 
-    def _edges(self) -> Iterator[tuple[Place, Place]]:
+    def _edges(self) -> Iterator[tuple[NorthEast, NorthEast]]:
         return zip(self.vertices, (*self.vertices[1:], self.vertices[0]), strict=True)
 
 
@@ -104,20 +97,14 @@ class Fence(NamedTuple):
         return all(shape.allows(position[:2]) for shape in self.shapes)
 
     def left_s(self, path: Trajectory, since_s: float, outside: bool) -> float:
-        """Return when a path leaves the fence after a time; infinity if it does not. A path that begins
-        outside has to come in first.
+        """Return when a path leaves the fence after a time; infinity if it does not.
 
-        The candidates are roots of polynomials. The time itself is bisected: it is the last float at which
-        the fence allows the place.
+        A path that begins outside has to come in first. The path crosses an edge at roots of polynomials;
+        the time returned is the last float at which the fence allows the place.
         """
-        inside_s = since_s
-        for start_s, end_s in self._stretches(path, since_s):
-            middle_s = (start_s + end_s) / 2.0
-            if self.allows(path.at(middle_s).position):
-                inside_s, outside = middle_s, False
-            elif not outside:
-                return self._last_inside_s(path, inside_s, middle_s)
-        return math.inf
+        return first_exit_s(
+            lambda t_s: self.allows(path.at(t_s).position), self._stretches(path, since_s), since_s, outside
+        )
 
     def _stretches(self, path: Trajectory, since_s: float) -> Iterator[tuple[float, float]]:
         """Yield the stretches of a path, beginning and end, between which it may cross an edge."""
@@ -125,30 +112,20 @@ class Fence(NamedTuple):
             start_s = max(phase.start_s, since_s)
             if phase.end_s <= start_s:
                 continue
-            crossed = {
-                at for shape in self.shapes for at in shape.crossings(phase) if start_s < at < phase.end_s
-            }
-            for begin_s, end_s in itertools.pairwise(sorted({start_s, *crossed, phase.end_s})):
+            crossings = (at for shape in self.shapes for at in shape.crossings(phase))
+            for begin_s, end_s in stretches(start_s, phase.end_s, crossings):
                 if end_s - begin_s >= SHORTEST_S:
                     yield begin_s, end_s
-
-    def _last_inside_s(self, path: Trajectory, inside_s: float, outside_s: float) -> float:
-        while inside_s < (middle_s := (inside_s + outside_s) / 2.0) < outside_s:
-            if self.allows(path.at(middle_s).position):
-                inside_s = middle_s
-            else:
-                outside_s = middle_s
-        return inside_s
 
 
 class Rally(NamedTuple):
     """Places other than home where a return may end."""
 
-    places: tuple[Place, ...] = ()
+    places: tuple[NorthEast, ...] = ()
     number: int = 0
     """The checksum of the items that they were made of; 0 without rally points."""
 
-    def nearest(self, position: Ned) -> Place:
+    def nearest(self, position: Ned) -> NorthEast:
         """Return the nearest of home and the rally points, as PX4's RTL_TYPE 0 does; home if two are
         equally near.
         """
@@ -158,7 +135,7 @@ class Rally(NamedTuple):
 NO_FENCE, NO_RALLY = Fence(), Rally()
 
 
-def _off(place: Place, a: Place, b: Place) -> float:
+def _off(place: NorthEast, a: NorthEast, b: NorthEast) -> float:
     """The distance of a place from the edge between a and b, m."""
     along = (b[0] - a[0], b[1] - a[1])
     length2 = along[0] ** 2 + along[1] ** 2

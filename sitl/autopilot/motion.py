@@ -1,25 +1,25 @@
-"""Closed-form motion: the position is a formula of time, never a sum of steps. Every speed-up therefore
-sees the same positions.
+"""Closed-form motion: the position is a formula of time, never a sum of steps.
+
+Every speed-up therefore sees the same positions.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
+
+import numpy as np
 
 from aircraft.state import ZERO, Ned
 
 GRAVITY_MPS2 = 9.80665
 
-NOTHING = 1e-9
+TINY = 1e-9
 """A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its
 direction would be 0/0.
 """
-SHORTEST_S = 1e-11
-"""How exactly the moment is found at which a vehicle must brake."""
-ROUNDING_M = 1e-12
-"""By how much rounding may put a vehicle over an edge."""
-MOST_SPANS = 2000
-"""How many spans of time are looked at to find it; then it brakes early. Flights need a few tens."""
+SAME_ROOT = 1e-6
+"""A root of a polynomial with a smaller imaginary part is real, but for rounding."""
 
 
 class Limits(NamedTuple):
@@ -39,29 +39,6 @@ class Motion(NamedTuple):
     acceleration: Ned = ZERO
 
 
-class Box(NamedTuple):
-    """Where the vehicle may be: the lowest and the highest north, east and down, m from home."""
-
-    low: Ned
-    high: Ned
-
-    def within(self, position: Ned) -> Ned:
-        """The nearest position inside; what is all but on an edge is on it."""
-        north, east, down = (
-            low if at - low < NOTHING else high if high - at < NOTHING else at
-            for at, low, high in zip(position, self.low, self.high, strict=True)
-        )
-        return north, east, down
-
-
-class Push(NamedTuple):
-    """A constant acceleration (NED, m/s²) for a duration, s, and the velocity that it leads to, m/s."""
-
-    acceleration: Ned
-    duration_s: float
-    velocity: Ned
-
-
 class Phase(NamedTuple):
     """A stretch of constant acceleration, defined by the known motion at one instant of it.
 
@@ -79,8 +56,8 @@ class Phase(NamedTuple):
         dt = max(t_s, self.start_s) - self.known_s
         position, velocity, acceleration = self.known
         return Motion(
-            _along(_along(position, velocity, dt), acceleration, dt * dt / 2.0),
-            _along(velocity, acceleration, dt),
+            along(along(position, velocity, dt), acceleration, dt * dt / 2.0),
+            along(velocity, acceleration, dt),
             acceleration,
         )
 
@@ -110,11 +87,11 @@ class Trajectory(NamedTuple):
         """This trajectory plus a straight leg from its end to a new target: speed up, cruise (if long
         enough), slow down.
         """
-        difference = _minus(target, self.target)
+        difference = minus(target, self.target)
         length = math.hypot(*difference)
-        if length < NOTHING:
+        if length < TINY:
             return self._replace(target=target)
-        direction = _times(difference, 1.0 / length)
+        direction = times(difference, 1.0 / length)
         accel = limits.accel_mps2
         peak = min(_speed_limit(direction, limits), math.sqrt(accel * length))
         ramp_s, ramp_m = peak / accel, peak * peak / accel / 2.0
@@ -124,14 +101,14 @@ class Trajectory(NamedTuple):
         fast_s = started_s + ramp_s
         slowing_s = fast_s + cruise_m / peak
         stopped_s = slowing_s + ramp_s
-        speed_up, slow_down = _times(direction, accel), _times(direction, -accel)
+        speed_up, slow_down = times(direction, accel), times(direction, -accel)
         phases = (
             Phase(started_s, fast_s, started_s, Motion(self.target, ZERO, speed_up)),
             Phase(
                 fast_s,
                 slowing_s,
                 fast_s,
-                Motion(_along(self.target, direction, ramp_m), _times(direction, peak)),
+                Motion(along(self.target, direction, ramp_m), times(direction, peak)),
             ),
             Phase(slowing_s, stopped_s, stopped_s, Motion(target, ZERO, slow_down)),
         )
@@ -141,136 +118,14 @@ class Trajectory(NamedTuple):
 def halt(t_s: float, motion: Motion, limits: Limits) -> Trajectory:
     """Brake to rest along the current direction; a vehicle at rest stays where it is."""
     speed = math.hypot(*motion.velocity)
-    if speed < NOTHING:
+    if speed < TINY:
         return Trajectory(t_s, motion.position)
-    direction, end_s = _times(motion.velocity, 1.0 / speed), t_s + speed / limits.accel_mps2
-    north, east, down = _along(motion.position, direction, speed * speed / limits.accel_mps2 / 2.0)
-    stop = (
-        north,
-        east,
-        min(down, 0.0),
-    )  # every leg ends on or above the ground; rounding must not put the stop below it
+    direction, end_s = times(motion.velocity, 1.0 / speed), t_s + speed / limits.accel_mps2
+    north, east, down = along(motion.position, direction, speed * speed / limits.accel_mps2 / 2.0)
+    stop = north, east, min(down, 0.0)  # rounding must not put it below the ground
     return Trajectory(
-        t_s, stop, (Phase(t_s, end_s, end_s, Motion(stop, ZERO, _times(direction, -limits.accel_mps2))),)
+        t_s, stop, (Phase(t_s, end_s, end_s, Motion(stop, ZERO, times(direction, -limits.accel_mps2))),)
     )
-
-
-def steer(t_s: float, motion: Motion, pushes: Sequence[Push], limits: Limits, box: Box) -> Trajectory:
-    """Accelerate as told and cruise on, but brake in time to come to rest on the box's edge instead of
-    leaving it.
-
-    At each moment of the way, to brake to rest (`halt`) ends inside the box. A push that would break this
-    is broken off: the vehicle brakes at the last moment. The way ends at rest, since the box is finite. A
-    vehicle that is outside can only come nearer.
-    """
-    began_s = t_s
-    phases: list[Phase] = []
-    motion = motion._replace(velocity=_moving(motion.velocity))
-    stop = halt(t_s, motion, limits).target
-    box = Box(*(_each(bound, edge, stop) for bound, edge in ((min, box.low), (max, box.high))))
-    for push in pushes:
-        lasts_s = _safe_s(motion, push, limits.accel_mps2, box)
-        phase = Phase(t_s, t_s + lasts_s, t_s, motion._replace(acceleration=push.acceleration))
-        position, velocity, _ = phase.at(phase.end_s)
-        phases, t_s = [*phases, phase], phase.end_s
-        if lasts_s < push.duration_s:
-            stopping = halt(t_s, Motion(position, velocity), limits)
-            return _ending(began_s, tuple(phases), stopping, box.within(stopping.target))
-        motion = Motion(position, _moving(push.velocity))
-    stopping = halt(t_s, motion, limits)
-    if not stopping.phases:
-        return _ending(began_s, tuple(phases), stopping, box.within(motion.position))
-    leaves_s, edge = _way_out(motion, box)
-    cruise_s = (
-        leaves_s - (stopping.end_s - t_s) / 2.0
-    )  # to brake takes half the way that cruising makes in the same time
-    if cruise_s <= 0.0:
-        return _ending(began_s, tuple(phases), stopping, box.within(stopping.target))
-    phases.append(Phase(t_s, t_s + cruise_s, t_s, motion))
-    return _ending(began_s, tuple(phases), halt(t_s + cruise_s, motion, limits), edge)
-
-
-def _ending(began_s: float, phases: tuple[Phase, ...], stopping: Trajectory, stop: Ned) -> Trajectory:
-    """A way that ends with braking to rest at `stop`."""
-    brakes = tuple(phase._replace(known=phase.known._replace(position=stop)) for phase in stopping.phases)
-    return Trajectory(began_s, stop, phases + brakes)
-
-
-def _way_out(motion: Motion, box: Box) -> tuple[float, Ned]:
-    """When a vehicle that flies straight on leaves the box, s from now, and where."""
-    ways = []
-    for axis, (at, speed) in enumerate(zip(motion.position, motion.velocity, strict=True)):
-        edge = box.high[axis] if speed > 0.0 else box.low[axis]
-        if speed != 0.0:
-            ways.append((max((edge - at) / speed, 0.0), axis, edge))
-    leaves_s, through, edge = min(ways)
-    out = list(box.within(_along(motion.position, motion.velocity, leaves_s)))
-    out[through] = edge
-    north, east, down = out
-    return leaves_s, (north, east, down)
-
-
-def _safe_s(motion: Motion, push: Push, accel: float, box: Box) -> float:
-    """How long a push may last if braking at any moment of it must end inside the box, s.
-
-    Spans of time for which that can be shown are safe; others are halved, the earlier half first, until
-    they are too short to matter.
-    """
-    phase = Phase(0.0, push.duration_s, 0.0, motion._replace(acceleration=push.acceleration))
-    spans = [(0.0, push.duration_s)]
-    for _ in range(MOST_SPANS):
-        if not spans:
-            return push.duration_s
-        start_s, end_s = spans.pop()
-        if _is_safe(phase.at(start_s), phase.at(end_s), end_s - start_s, accel, box):
-            continue
-        middle_s = (start_s + end_s) / 2.0
-        if end_s - start_s < SHORTEST_S:
-            return start_s
-        spans += [(middle_s, end_s), (start_s, middle_s)]
-    return spans[-1][0] if spans else push.duration_s
-
-
-def _is_safe(start: Motion, end: Motion, lasts_s: float, accel: float, box: Box) -> bool:
-    """Whether braking at any moment of a span of constant acceleration ends inside the box; False if it
-    cannot be shown.
-
-    With position p, velocity v of direction e, and acceleration g, braking ends at s = p + v|v|/2a. This
-    point moves at ds/dt = |v| (e (1 + e·g/2a) + g/2a): slow or fast by |v|, to where e tells. Both are
-    bounded over the span.
-    """
-    speeds = math.hypot(*start.velocity), math.hypot(*end.velocity)
-    push = _times(start.acceleration, 0.5 / accel)
-    fastest, slowest = max(speeds), max(max(speeds) - math.hypot(*start.acceleration) * lasts_s, 0.0)
-    first, last = (
-        _times(at.velocity, 1.0 / speed) if speed > NOTHING else None
-        for at, speed in zip((start, end), speeds, strict=True)
-    )
-    heads = first or last or ZERO, last or first or ZERO  # from rest and to rest it flies straight
-    bulge = 1.0 / math.sqrt(
-        max(1.0 - (math.dist(*heads) / 2.0) ** 2, NOTHING)
-    )  # of the arc between them, over the chord
-    least, most = (
-        1.0 + _dot(head, push) for head in heads
-    )  # it only grows: the velocity turns towards the acceleration
-    for axis in range(3):
-        stops = [
-            at.position[axis] + at.velocity[axis] * speed / (2.0 * accel)
-            for at, speed in zip((start, end), speeds, strict=True)
-        ]
-        for sign, edge in ((1.0, box.high[axis]), (-1.0, -box.low[axis])):
-            inwards, outwards = sorted((sign * heads[0][axis], sign * heads[1][axis]))
-            inwards, outwards = (
-                max(inwards * (bulge if inwards < 0.0 else 1.0), -1.0),
-                min(outwards * (bulge if outwards > 0.0 else 1.0), 1.0),
-            )
-            quickest = outwards * (most if outwards > 0.0 else least) + sign * push[axis]
-            backwards = inwards * (least if inwards > 0.0 else most) + sign * push[axis]
-            on_m = lasts_s * max(quickest * (fastest if quickest > 0.0 else slowest), 0.0)
-            back_m = lasts_s * max(-backwards * (fastest if backwards < 0.0 else slowest), 0.0)
-            if min(sign * stops[0] + on_m, sign * stops[1] + back_m) > edge + ROUNDING_M:
-                return False
-    return True
 
 
 def fall(t_s: float, motion: Motion) -> Trajectory:
@@ -280,8 +135,8 @@ def fall(t_s: float, motion: Motion) -> Trajectory:
     height, climb = -motion.position[2], -motion.velocity[2]
     duration = (climb + math.sqrt(climb * climb + 2.0 * GRAVITY_MPS2 * max(height, 0.0))) / GRAVITY_MPS2
     end_s, gravity = t_s + duration, (0.0, 0.0, GRAVITY_MPS2)
-    north, east, _ = _along(motion.position, motion.velocity, duration)
-    impact = Motion((north, east, 0.0), _along(motion.velocity, gravity, duration), gravity)
+    north, east, _ = along(motion.position, motion.velocity, duration)
+    impact = Motion((north, east, 0.0), along(motion.velocity, gravity, duration), gravity)
     return Trajectory(t_s, impact.position, (Phase(t_s, end_s, end_s, impact),))
 
 
@@ -357,6 +212,45 @@ def tilt(acceleration: Ned, yaw_rad: float) -> tuple[float, float]:
     return math.atan2(right, math.hypot(forward, weight)), math.atan2(-forward, weight)
 
 
+def stretches(start_s: float, end_s: float, crossings: Iterable[float]) -> Iterator[tuple[float, float]]:
+    """Return the stretches into which crossings cut the time from start to end."""
+    return itertools.pairwise(sorted({start_s, *(at for at in crossings if start_s < at < end_s), end_s}))
+
+
+def first_exit_s(
+    is_inside: Callable[[float], bool],
+    stretches: Iterable[tuple[float, float]],
+    since_s: float,
+    outside: bool = False,
+) -> float:
+    """Return the last time before something leaves a region for the first time; infinity if it stays inside.
+
+    stretches: (start, end) in s, in order, such that the region's edge is crossed between them only; so one
+    look at the middle of each tells. The time itself is bisected down to neighbouring floats.
+    outside: it is outside at `since_s`, so it has to come in first.
+    """
+    inside_s = since_s
+    for start_s, end_s in stretches:
+        middle_s = (start_s + end_s) / 2.0
+        if is_inside(middle_s):
+            inside_s, outside = middle_s, False
+        elif not outside:
+            outside_s = middle_s
+            while inside_s < (middle_s := (inside_s + outside_s) / 2.0) < outside_s:
+                if is_inside(middle_s):
+                    inside_s = middle_s
+                else:
+                    outside_s = middle_s
+            return inside_s
+    return math.inf
+
+
+def real_roots(coefficients: Iterable[float]) -> list[float]:
+    """Return the real roots of a polynomial, highest power first; one of even order may come twice."""
+    roots = map(complex, np.roots(list(coefficients)).tolist())
+    return [root.real for root in roots if abs(root.imag) < SAME_ROOT]
+
+
 def _speed_limit(direction: Ned, limits: Limits) -> float:
     """Highest speed (m/s) along a unit vector whose horizontal and vertical parts stay within their
     limits.
@@ -369,29 +263,18 @@ def _speed_limit(direction: Ned, limits: Limits) -> float:
     )
 
 
-def _each(pick: Callable[[float, float], float], a: Ned, b: Ned) -> Ned:
-    return pick(a[0], b[0]), pick(a[1], b[1]), pick(a[2], b[2])
-
-
-def _moving(velocity: Ned) -> Ned:
-    """The velocity without what is left of it by rounding."""
-    north, east, down = (speed if abs(speed) >= NOTHING else 0.0 for speed in velocity)
-    return north, east, down
-
-
-def _dot(a: Ned, b: Ned) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _minus(a: Ned, b: Ned) -> Ned:
+def minus(a: Ned, b: Ned) -> Ned:
+    """Return a − b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def _times(a: Ned, factor: float) -> Ned:
+def times(a: Ned, factor: float) -> Ned:
+    """Return a · factor."""
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
-def _along(start: Ned, direction: Ned, distance: float) -> Ned:
+def along(start: Ned, direction: Ned, distance: float) -> Ned:
+    """Return start + direction · distance."""
     return (
         start[0] + direction[0] * distance,
         start[1] + direction[1] * distance,

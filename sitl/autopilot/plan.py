@@ -7,15 +7,12 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.state import Ned, metres
-from plume.geodesy import to_local
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.fence import Circle, Fence, Place, Polygon
+from sitl.autopilot.fence import Circle, Fence, NorthEast, Polygon
 from sitl.autopilot.motion import Limits
 
 NOT_GIVEN = 0x7FFFFFFF
 """Latitude or longitude of an item that has none."""
-GLOBAL_STEP_M = 0.02
-"""A little more than 1e-7 degrees, MAVLink's resolution of latitude and longitude."""
 MOST_AT_ONCE = 2000
 """Items that take no time may follow each other this often: a mission that jumps in a circle ends."""
 MOST_JUMPS = 1000
@@ -131,7 +128,7 @@ class MissionStep(NamedTuple):
     """What an item of a mission means."""
 
     command: int
-    north_east: Place | None = None
+    north_east: NorthEast | None = None
     """m from home; None: where the vehicle is."""
     down_m: float = 0.0
     yaw_rad: float | None = None
@@ -226,7 +223,7 @@ def _check(number: int, value: float, holds: bool, allowed: str) -> None:
         raise BadItem(INVALID_PARAM[number - 1], f"param {number} is {value:g}, allowed is {allowed}")
 
 
-def place(item: Item, config: VehicleConfig) -> Place:
+def place(item: Item, config: VehicleConfig) -> NorthEast:
     """Return (north, east) of an item; raises BadItem unless it has a latitude and a longitude."""
     for number, value, limit in ((5, item.x, 90), (6, item.y, 180)):
         if abs(value) > limit * 10_000_000:
@@ -234,16 +231,7 @@ def place(item: Item, config: VehicleConfig) -> Place:
                 INVALID_PARAM[number - 1],
                 f"param {number} is no {'latitude' if number == 5 else 'longitude'}",
             )
-    north, east = to_local(config.home_lat_deg, config.home_lon_deg, item.x / 1e7, item.y / 1e7)
-    return snapped(north, config.area_m), snapped(east, config.area_m)
-
-
-def snapped(along_m: float, edge_m: float) -> float:
-    """Return the edge of the area if a coordinate is closer to it than latitudes and longitudes can tell:
-    home lies on a corner.
-    """
-    nearest = 0.0 if along_m < edge_m / 2.0 else edge_m
-    return nearest if abs(along_m - nearest) < GLOBAL_STEP_M else along_m
+    return config.local(item.x / 1e7, item.y / 1e7)
 
 
 def fence(items: tuple[Item, ...], number: int, config: VehicleConfig) -> Fence:
@@ -273,8 +261,16 @@ def fence(items: tuple[Item, ...], number: int, config: VehicleConfig) -> Fence:
     return Fence(tuple(shapes), number)
 
 
-def check_point(item: Item, mission_type: int, config: VehicleConfig) -> None:
-    """Check an item of a fence or of rally points by itself; raises BadItem."""
+def check(item: Item, mission_type: int, count: int, config: VehicleConfig) -> None:
+    """Check an item of a list of `count` items by itself; raises BadItem."""
+    if mission_type == mavlink.MAV_MISSION_TYPE_MISSION:
+        step(item, count, config)
+    else:
+        _check_point(item, mission_type, config)
+
+
+def _check_point(item: Item, mission_type: int, config: VehicleConfig) -> None:
+    """Check an item of a fence or of rally points; raises BadItem."""
     fences = mission_type == mavlink.MAV_MISSION_TYPE_FENCE
     if item.command not in ({**CORNER, **CIRCLE} if fences else {mavlink.MAV_CMD_NAV_RALLY_POINT}):
         raise BadItem(mavlink.MAV_MISSION_UNSUPPORTED, f"command {item.command} is not supported")

@@ -1,53 +1,50 @@
-"""What a companion asks of the vehicle in OFFBOARD: a setpoint, the way it becomes, the reading it
-answers, how long silence is borne.
+"""Setpoints, read as PX4 1.15 does: SET_POSITION_TARGET_LOCAL_NED (84) and _GLOBAL_INT (86).
+
+They are never acknowledged. A refused one is reported by STATUSTEXT, an ignored one is not.
 """
 
 import math
 from typing import NamedTuple
 
-from aircraft.state import ZERO, Ned, Result, denied, metres
+from pymavlink.dialects.v20 import common as mavlink
+
+from aircraft.state import Ned, Result, denied, metres
+from link.bus.mavlink import Message
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.motion import (
-    NOTHING,
-    Box,
-    Limits,
-    Motion,
-    Push,
-    Spin,
-    Trajectory,
-    Turn,
-    halt,
-    steer,
-    wrapped,
+
+LOCAL, GLOBAL = "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"
+FRAMES = {
+    LOCAL: {mavlink.MAV_FRAME_LOCAL_NED: "LOCAL_NED", mavlink.MAV_FRAME_BODY_NED: "BODY_NED"},
+    GLOBAL: {
+        mavlink.MAV_FRAME_GLOBAL_INT: "GLOBAL_INT",
+        mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: "GLOBAL_RELATIVE_ALT_INT",
+        mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT: "GLOBAL_TERRAIN_ALT_INT",
+    },
+}
+NOT_WHOLE = denied(
+    "Setpoint refused: wanted a position, a velocity, a velocity x, y with a position z, or an acceleration, "
+    "each whole",
+    "not whole",
 )
 
-SAME_PLACE_M = 1e-6
-"""A vehicle this close to where it shall be is there."""
-CREEP_MPS = 1e-3
-"""A component of a velocity below this counts as 0. A float32 yaw turns a velocity along the area's edge
-by that little.
-"""
+Parts = tuple[float | None, float | None, float | None]
+"""North, east, down; None is ignored."""
+NONE: Parts = (None, None, None)
 
 
 class Setpoint(NamedTuple):
-    """A position, a velocity, a velocity at a height, or an acceleration; vectors are NED, positions in m
-    from home.
+    """What the vehicle shall do: a position, a velocity, a velocity at a height, or an acceleration.
 
-    Of several the first is flown. With neither a yaw nor a yaw rate the heading stays.
+    Vectors are NED, positions in m from home. Of several the first is flown. With neither a yaw nor a yaw
+    rate the heading stays.
     """
 
     position: Ned | None = None
-    velocity: Ned | None = None
-    """m/s. Limited to the vehicle's speeds: its horizontal part keeps its direction, as in PX4."""
-    down_m: float | None = None
-    """The height to fly to, with a velocity whose own down is then ignored; None: none."""
-    acceleration: Ned | None = None
-    """m/s². Limited to the vehicle's acceleration. It acts until a speed limit is reached; then the
-    vehicle cruises.
-    """
+    velocity: Ned | None = None  # m/s, cut to the speed limits; its horizontal part keeps its direction
+    down_m: float | None = None  # the height to fly to, with a velocity whose own down is then ignored
+    acceleration: Ned | None = None  # m/s², cut to the limit; it acts until a speed limit is reached
     yaw_rad: float | None = None
-    yaw_rate_radps: float | None = None
-    """Without a yaw: turn at this rate until told otherwise; limited to the vehicle's rate of turns."""
+    yaw_rate_radps: float | None = None  # without a yaw: turn on at this rate, cut to the limit
 
     def same_way(self, other: "Setpoint | None") -> bool:
         """True if both ask for the same motion; the yaw may differ."""
@@ -55,216 +52,89 @@ class Setpoint(NamedTuple):
 
     def refusal(self, config: VehicleConfig) -> Result | None:
         """Return why it cannot be flown, if so."""
-        angles = {"yaw": self.yaw_rad, "yaw rate": self.yaw_rate_radps}
-        if wrong := [
-            f"{name} {value}"
-            for name, value in angles.items()
-            if value is not None and not math.isfinite(value)
-        ]:
-            return denied(f"Waypoint refused: {wrong[0]} is not finite", "not finite")
+        for name, angle in (("yaw", self.yaw_rad), ("yaw rate", self.yaw_rate_radps)):
+            if angle is not None and not math.isfinite(angle):
+                return denied(f"Waypoint refused: {name} {angle} is not finite", "not finite")
         if self.position is not None:
             outside = config.outside(self.position)
             return outside and denied(f"Waypoint refused: {outside[1]}", outside[0])
         for name, vector in (("velocity", self.velocity), ("acceleration", self.acceleration)):
             if vector is not None and not all(map(math.isfinite, vector)):
-                return denied(
-                    f"Setpoint refused: {name} ({', '.join(map(metres, vector))}) is not finite", "not finite"
-                )
+                values = ", ".join(map(metres, vector))
+                return denied(f"Setpoint refused: {name} ({values}) is not finite", "not finite")
         if self.down_m is not None and not 0.0 <= -self.down_m <= config.ceiling_m:
             high = f"altitude {metres(-self.down_m)} m is outside [0, {config.ceiling_m:g}] m"
             return denied(f"Setpoint refused: {high}", "outside the altitudes")
         return None
 
-    def wants_to_move(self, config: VehicleConfig) -> bool:
-        """True if it is a velocity or an acceleration, and not 0."""
-        return (
-            any(_clamped(self.velocity, config.limits)) if self.velocity else any(self.acceleration or ZERO)
-        )
 
-    def steered(self, t_s: float, motion: Motion, config: VehicleConfig) -> Trajectory:
-        """Return the way of a velocity or an acceleration. It ends at rest, at the latest on the edge of
-        the area or the altitudes.
+def read(m: Message, config: VehicleConfig, yaw_rad: float) -> Setpoint | Result:
+    """Return the setpoint of a message, or why it is refused.
 
-        On the ground, only what climbs moves the vehicle.
-        """
-        limits, pushes = config.limits, self._pushes(motion, config.limits)
-        climbs = any(push.acceleration[2] < 0.0 for push in pushes)
-        if motion.position[2] >= 0.0 and not climbs:
-            return halt(t_s, motion, limits)
-        return steer(
-            t_s,
-            motion,
-            pushes,
-            limits,
-            Box((0.0, 0.0, -config.ceiling_m), (config.area_m, config.area_m, 0.0)),
-        )
-
-    def _pushes(self, motion: Motion, limits: Limits) -> list[Push]:
-        if self.velocity is None:
-            return _accelerate(motion.velocity, self.acceleration or ZERO, limits)
-        north, east, down = _clamped(self.velocity, limits)
-        if self.down_m is None or (
-            abs(self.down_m - motion.position[2]) < SAME_PLACE_M and abs(motion.velocity[2]) < NOTHING
-        ):
-            return _change(
-                motion.velocity, (north, east, down if self.down_m is None else 0.0), limits.accel_mps2
-            )
-        return _change_at_height(motion, (north, east), self.down_m - motion.position[2], limits)
-
-
-def facing(turn: Turn | Spin, t_s: float, setpoint: Setpoint, config: VehicleConfig) -> Turn | Spin:
-    """Return how the vehicle turns once it has a setpoint: to its yaw, or at its yaw rate, or not at all."""
-    yaw_rad, most = turn.at(t_s)[0], math.radians(config.yaw_rate_dps)
-    if setpoint.yaw_rad is not None:
-        wanted = wrapped(setpoint.yaw_rad)
-        return (
-            turn if isinstance(turn, Turn) and wanted == turn.target_rad else Turn(t_s, yaw_rad, wanted, most)
-        )
-    rate = min(max(setpoint.yaw_rate_radps or 0.0, -most), most)
-    if rate:
-        return turn if isinstance(turn, Spin) and rate == turn.rate_radps else Spin(t_s, yaw_rad, rate)
-    return turn.stopped(t_s)
-
-
-class Companion:
-    """The program that flies the vehicle in OFFBOARD: its newest setpoint, and when it was heard. Times in
-    s of simulation time.
+    yaw_rad: the vehicle's yaw, by which vectors in BODY_NED are turned.
     """
-
-    def __init__(self) -> None:
-        """Begin unheard."""
-        self.setpoint: Setpoint | None = None
-        self.is_own_search = False
-        """True while the vehicle's own search leads: it answers readings, and need not stream."""
-        self._heard_s = self._before_s = -math.inf
-        self._told: Ned | None = None  # where it was told that the way ends
-
-    def hear(self, setpoint: Setpoint, now_s: float) -> None:
-        """Take an accepted setpoint."""
-        self.setpoint, self._before_s, self._heard_s = setpoint, self._heard_s, now_s
-
-    def goes_on(self, t_s: float, motion: Motion, config: VehicleConfig) -> Trajectory | str:
-        """Return how a velocity or an acceleration that came to rest goes on, or a text that tells of its
-        end, once; or nothing.
-        """
-        assert self.setpoint is not None
-        way = self.setpoint.steered(t_s, motion, config)
-        if math.dist(way.target, motion.position) > SAME_PLACE_M:
-            self._told = None
-            return way
-        if motion.position == self._told or not self.setpoint.wants_to_move(config):
-            return ""
-        self._told = motion.position
-        north, east, down = motion.position
-        side, above = f"[0, {config.area_m:g}]", f"[0, {config.ceiling_m:g}]"
-        place = f"({metres(east)}, {metres(north)}) m at {metres(-down)} m"
-        return f"Setpoint ends at {place}: allowed is {side} x {side} m at {above} m"
-
-    def cruise(self, config: VehicleConfig) -> Ned | None:
-        """Return the velocity that is asked for, within the limits, m/s; None if it is something else."""
-        return (
-            _clamped(self.setpoint.velocity, config.limits)
-            if self.setpoint and self.setpoint.velocity
-            else None
-        )
-
-    def missing(self, now_s: float, config: VehicleConfig) -> str:
-        """Return what OFFBOARD still needs: a setpoint at most `silence_s` old, if strict a stream of at
-        least 2 Hz; or nothing.
-        """
-        if self.setpoint is None:
-            return "no setpoint received yet"
-        age_s, gap_s, longest_s = now_s - self._heard_s, self._heard_s - self._before_s, self.borne_s(config)
-        if age_s > longest_s:
-            return f"no setpoint in the last {longest_s:g} s"
-        # Two in the time after which a stream is lost: 2 Hz. A pause of twice that time is the end of an
-        # earlier stream.
-        slow = age_s > longest_s / 2.0 or longest_s / 2.0 < gap_s <= 2.0 * longest_s
-        return "setpoints come at less than 2 Hz" if self._must_stream(config) and slow else ""
-
-    def lost_s(self, since_s: float, path_end_s: float, config: VehicleConfig) -> float:
-        """Return when it counts as lost, if it flies the vehicle since a time and says nothing more.
-
-        A leg may take longer than `silence_s`, so silence counts from the end of a leg to a position,
-        unless it must stream.
-        """
-        heard_s = max(self._heard_s, since_s)
-        if self.setpoint and self.setpoint.position is not None and not self._must_stream(config):
-            heard_s = max(heard_s, path_end_s)
-        return heard_s + self.borne_s(config)
-
-    def _must_stream(self, config: VehicleConfig) -> bool:
-        return math.isfinite(config.stream_s) and not self.is_own_search
-
-    def borne_s(self, config: VehicleConfig) -> float:
-        """Return how long it may be silent."""
-        return config.stream_s if self._must_stream(config) else config.silence_s
+    frames = FRAMES[m.get_type()]
+    if m.coordinate_frame not in frames:
+        allowed = " or ".join(f"{name} ({number})" for number, name in frames.items())
+        return denied(f"Setpoint refused: frame {m.coordinate_frame} is not {allowed}", "frame")
+    position, velocity = _position(m, config), _given(m, 3, (m.vx, m.vy, m.vz))
+    acceleration = _given(m, 6, (m.afx, m.afy, m.afz))
+    if m.type_mask & mavlink.POSITION_TARGET_TYPEMASK_FORCE_SET and acceleration != NONE:
+        return denied("Setpoint refused: a force is not flown, only an acceleration", "force")
+    if m.get_type() == LOCAL and m.coordinate_frame == mavlink.MAV_FRAME_BODY_NED:
+        position, velocity, acceleration = NONE, _turned(velocity, yaw_rad), _turned(acceleration, yaw_rad)
+    yaw, rate, _ = _given(m, 10, (m.yaw, m.yaw_rate, math.nan))
+    wanted = Setpoint(yaw_rad=yaw, yaw_rate_radps=rate)
+    if any((north is None) != (east is None) for north, east, _ in (position, velocity, acceleration)):
+        return _not_whole(m, config)
+    if place := _whole(position):
+        return wanted._replace(position=place)
+    if position == NONE and (speed := _whole(velocity)):
+        return wanted._replace(velocity=speed)
+    if position == velocity == NONE and (push := _whole(acceleration)):
+        return wanted._replace(acceleration=push)
+    level = _whole((*velocity[:2], 0.0))
+    if position[0] is None and position[2] is not None and level:
+        return wanted._replace(velocity=level, down_m=position[2])
+    return _not_whole(m, config)
 
 
-def _clamped(velocity: Ned, limits: Limits) -> Ned:
-    """The velocity within the speed limits, m/s."""
-    north, east, down = (speed if abs(speed) >= CREEP_MPS else 0.0 for speed in velocity)
-    horizontal = math.hypot(north, east)
-    factor = limits.speed_mps / horizontal if horizontal > limits.speed_mps else 1.0
-    return north * factor, east * factor, min(max(down, -limits.climb_mps), limits.descent_mps)
+def _not_whole(m: Message, config: VehicleConfig) -> Result:
+    """Refuse a setpoint that PX4 does not take, or that is not flown here; a NaN may be why."""
+    place = (m.x, m.y, m.z) if m.get_type() == LOCAL else (m.lat_int, m.lon_int, m.alt)
+    if not m.type_mask & 0b111 and any(map(math.isnan, place)):
+        return Setpoint(place).refusal(config) or NOT_WHOLE
+    return NOT_WHOLE
 
 
-def _change(start: Ned, end: Ned, accel: float) -> list[Push]:
-    """From one velocity to another along a straight line in velocity space, at the acceleration limit."""
-    north, east, down = (to - now for now, to in zip(start, end, strict=True))
-    size = math.hypot(north, east, down)
-    if size < NOTHING:
-        return [Push(ZERO, 0.0, end)]
-    factor = accel / size
-    return [Push((north * factor, east * factor, down * factor), size / accel, end)]
-
-
-def _change_at_height(
-    motion: Motion, horizontal: tuple[float, float], height_m: float, limits: Limits
-) -> list[Push]:
-    """To a horizontal velocity, and down by `height_m` on the way: climb or sink, then level off. Units m
-    and m/s.
+def _given(m: Message, first_bit: int, values: Ned) -> Parts:
+    """The values that are not ignored: neither by the type mask, from its bit on, nor, as in PX4, by being
+    NaN.
     """
-    accel, (north, east) = limits.accel_mps2, horizontal
-
-    def left_m(down: float) -> float:
-        """What is left of the height after reaching a vertical speed and levelling off again."""
-        (push,) = _change(motion.velocity, (north, east, down), accel)
-        return (
-            height_m - (motion.velocity[2] + down) / 2.0 * push.duration_s - down * abs(down) / (2.0 * accel)
-        )
-
-    slow, fast = -limits.climb_mps, limits.descent_mps
-    if left_m(fast) > 0.0:
-        down = fast
-    elif left_m(slow) < 0.0:
-        down = slow
-    else:
-        for _ in range(60):
-            down = (slow + fast) / 2.0
-            slow, fast = (down, fast) if left_m(down) > 0.0 else (slow, down)
-        down = slow
-    cruise_s = left_m(down) / down if abs(down) > NOTHING else 0.0
-    cruising: Ned = (north, east, down)
-    change = _change(motion.velocity, cruising, accel)
-    return [*change, Push(ZERO, max(cruise_s, 0.0), cruising), *_change(cruising, (north, east, 0.0), accel)]
+    x, y, z = (
+        None if m.type_mask >> (first_bit + n) & 1 or math.isnan(value) else value
+        for n, value in enumerate(values)
+    )
+    return x, y, z
 
 
-def _accelerate(velocity: Ned, acceleration: Ned, limits: Limits) -> list[Push]:
-    """Accelerate until the first speed limit is reached."""
-    size = math.hypot(*acceleration)
-    if size < NOTHING:
-        return [Push(ZERO, 0.0, velocity)]
-    factor = limits.accel_mps2 / size if size > limits.accel_mps2 else 1.0
-    north, east, down = acceleration[0] * factor, acceleration[1] * factor, acceleration[2] * factor
-    lasts_s = []
-    if down:
-        limit = limits.descent_mps if down > 0.0 else -limits.climb_mps
-        lasts_s.append((limit - velocity[2]) / down)
-    if square := north * north + east * east:
-        half = (velocity[0] * north + velocity[1] * east) / square
-        over = (velocity[0] ** 2 + velocity[1] ** 2 - limits.speed_mps**2) / square
-        lasts_s.append(math.sqrt(max(half * half - over, 0.0)) - half)
-    t_s = max(min(lasts_s), 0.0)
-    reached = (velocity[0] + north * t_s, velocity[1] + east * t_s, velocity[2] + down * t_s)
-    return [Push((north, east, down), t_s, reached)]
+def _position(m: Message, config: VehicleConfig) -> Parts:
+    if m.get_type() == LOCAL:
+        return _given(m, 0, (m.x, m.y, m.z))
+    zero_m = config.home_alt_m if m.coordinate_frame == mavlink.MAV_FRAME_GLOBAL_INT else 0.0
+    given = _given(m, 0, (*config.local(m.lat_int / 1e7, m.lon_int / 1e7), zero_m - m.alt))
+    return NONE if None in given else given  # PX4 takes a global position whole, or not at all
+
+
+def _turned(parts: Parts, yaw_rad: float) -> Parts:
+    """A vector in the body's axes, forward, right, down, as NED; none unless it is whole, as in PX4."""
+    whole = _whole(parts)
+    if whole is None:
+        return NONE
+    (forward, right, down), cos, sin = whole, math.cos(yaw_rad), math.sin(yaw_rad)
+    return forward * cos - right * sin, forward * sin + right * cos, down
+
+
+def _whole(parts: Parts) -> Ned | None:
+    x, y, z = parts
+    return None if x is None or y is None or z is None else (x, y, z)

@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from aircraft.state import ACCEPTED, UNSUPPORTED, Result, denied
 from link.bus.mavlink import Message
 from link.bus.px4 import AvailableModesMonitor, CurrentMode, MissionCurrent
-from sitl.autopilot import estimates, status
-from sitl.autopilot.state import Snapshot
+from sitl.autopilot import messages
+from sitl.autopilot.messages import Snapshot
 
 FASTEST_HZ = 1000.0
 """Highest rate that a client can set."""
@@ -33,33 +33,33 @@ class Stream(NamedTuple):
 
 
 STREAMS = (
-    Stream(mavlink.MAVLINK_MSG_ID_HEARTBEAT, 1.0, status.heartbeat),
-    Stream(mavlink.MAVLINK_MSG_ID_SYS_STATUS, 5.0, status.sys_status),
-    Stream(mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, 10.0, estimates.gps_raw_int),
-    Stream(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 50.0, estimates.global_position_int),
-    Stream(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 30.0, estimates.local_position_ned),
-    Stream(mavlink.MAVLINK_MSG_ID_ATTITUDE, 100.0, estimates.attitude),
-    Stream(mavlink.MAVLINK_MSG_ID_VFR_HUD, 10.0, estimates.vfr_hud),
-    Stream(mavlink.MAVLINK_MSG_ID_BATTERY_STATUS, 0.5, status.battery_status),
-    Stream(mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.5, status.home_position),
-    Stream(mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 5.0, status.extended_sys_state),
-    Stream(mavlink.MAVLINK_MSG_ID_WIND_COV, 10.0, estimates.wind_cov),
-    Stream(mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, 10.0, estimates.named_value_float_gas),
-    Stream(mavlink.MAVLINK_MSG_ID_ALTITUDE, 10.0, estimates.altitude),
-    Stream(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 10.0, estimates.position_target_local_ned),
-    Stream(mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS, 1.0, estimates.estimator_status),
-    Stream(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 1.0, status.system_time),
-    Stream(CurrentMode.id, 0.5, status.current_mode),
-    Stream(MissionCurrent.id, 1.0, status.mission_current),
-    Stream(mavlink.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, 10.0, status.mission_item_reached),
+    Stream(mavlink.MAVLINK_MSG_ID_HEARTBEAT, 1.0, messages.heartbeat),
+    Stream(mavlink.MAVLINK_MSG_ID_SYS_STATUS, 5.0, messages.sys_status),
+    Stream(mavlink.MAVLINK_MSG_ID_GPS_RAW_INT, 10.0, messages.gps_raw_int),
+    Stream(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 50.0, messages.global_position_int),
+    Stream(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 30.0, messages.local_position_ned),
+    Stream(mavlink.MAVLINK_MSG_ID_ATTITUDE, 100.0, messages.attitude),
+    Stream(mavlink.MAVLINK_MSG_ID_VFR_HUD, 10.0, messages.vfr_hud),
+    Stream(mavlink.MAVLINK_MSG_ID_BATTERY_STATUS, 0.5, messages.battery_status),
+    Stream(mavlink.MAVLINK_MSG_ID_HOME_POSITION, 0.5, messages.home_position),
+    Stream(mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, 5.0, messages.extended_sys_state),
+    Stream(mavlink.MAVLINK_MSG_ID_WIND_COV, 10.0, messages.wind_cov),
+    Stream(mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, 10.0, messages.named_value_float_gas),
+    Stream(mavlink.MAVLINK_MSG_ID_ALTITUDE, 10.0, messages.altitude),
+    Stream(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, 10.0, messages.position_target_local_ned),
+    Stream(mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS, 1.0, messages.estimator_status),
+    Stream(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 1.0, messages.system_time),
+    Stream(CurrentMode.id, 0.5, messages.current_mode),
+    Stream(MissionCurrent.id, 1.0, messages.mission_current),
+    Stream(mavlink.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, 10.0, messages.mission_item_reached),
     # PX4 streams the next three at 50, 50 and 30 Hz. That would more than double what a mission records.
-    Stream(mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, 0.0, estimates.attitude_quaternion),
-    Stream(mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 0.0, estimates.highres_imu),
-    Stream(mavlink.MAVLINK_MSG_ID_ODOMETRY, 0.0, estimates.odometry),
-    Stream(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, 0.0, status.gps_global_origin),
-    Stream(mavlink.MAVLINK_MSG_ID_FENCE_STATUS, 0.0, status.fence_status),
-    Stream(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0, status.autopilot_version),
-    Stream(AvailableModesMonitor.id, 0.0, status.available_modes_monitor),
+    Stream(mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, 0.0, messages.attitude_quaternion),
+    Stream(mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 0.0, messages.highres_imu),
+    Stream(mavlink.MAVLINK_MSG_ID_ODOMETRY, 0.0, messages.odometry),
+    Stream(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, 0.0, messages.gps_global_origin),
+    Stream(mavlink.MAVLINK_MSG_ID_FENCE_STATUS, 0.0, messages.fence_status),
+    Stream(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0.0, messages.autopilot_version),
+    Stream(AvailableModesMonitor.id, 0.0, messages.available_modes_monitor),
 )
 STREAM = {stream.message_id: stream for stream in STREAMS}
 

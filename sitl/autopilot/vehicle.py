@@ -1,5 +1,4 @@
-"""The autopilot: a state machine in simulation time that flies, refuses commands and fails safe like a PX4
-quadrotor.
+"""The autopilot: a state machine in simulation time that flies, refuses and fails safe like a PX4 quadrotor.
 
 It is a deterministic function of its configuration, the commands with their times, and the time. `advance`
 handles each event at its exact, closed-form time: one jump and a thousand small steps give the same events
@@ -8,6 +7,7 @@ and the same positions, bit for bit.
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -15,45 +15,144 @@ from aircraft.mode import Mode
 from aircraft.state import (
     ACCEPTED,
     LOW_BATTERY,
+    ZERO,
     Arrived,
     Ned,
+    Reached,
     Result,
+    Said,
     VehicleEvent,
     as_float32,
     denied,
     metres,
     not_now,
 )
-from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.motion import Trajectory, tilt
-from sitl.autopilot.navigator import Navigator
-from sitl.autopilot.setpoint import Companion, Setpoint, facing
-from sitl.autopilot.state import State
+from sitl.autopilot import plan
+from sitl.autopilot.config import HOLD, LAND, RETURN, TERMINATE, VehicleConfig
+from sitl.autopilot.motion import Motion, Spin, Trajectory, Turn, fall, halt, tilt, wrapped
+from sitl.autopilot.offboard import SAME_PLACE_M, Companion, clamped, facing, steered, wants_to_move
+from sitl.autopilot.plan import FlightPlan, Leg, MissionProgress, MissionStep
+from sitl.autopilot.setpoint import Setpoint
+
+INFO, WARNING = mavlink.MAV_SEVERITY_INFO, mavlink.MAV_SEVERITY_WARNING
+CRITICAL, EMERGENCY = mavlink.MAV_SEVERITY_CRITICAL, mavlink.MAV_SEVERITY_EMERGENCY
+EMPTY = "battery empty"
+FENCE_ACTIONS = {
+    HOLD: (Mode.HOLD, "holding"),
+    RETURN: (Mode.RETURN, "returning"),
+    LAND: (Mode.LAND, "landing"),
+}
+"""What GF_ACTION does when the fence is left."""
 
 
-class Vehicle(Navigator):
-    """One simulated multirotor with its autopilot.
+class Breaches(NamedTuple):
+    """How often and when the fence was left."""
 
-    Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`) takes the simulation time
-    in s and first handles all events due by then. Time that runs backwards raises ValueError. Programs
-    call the commands directly; MAVLink clients reach them through `sitl.protocol.protocol`. Positions are
-    NED, in m from home.
+    outside: bool = False
+    """True while the vehicle is outside."""
+    times: int = 0
+    last_s: float = 0.0
+    """Time of the last breach; 0 if there was none."""
+
+
+class State(NamedTuple):
+    """The vehicle at one instant. Vectors are NED from home, in m, m/s and m/s²; angles in rad, yaw
+    clockwise from north.
     """
 
-    failure = ""
-    """It never gives a search up."""
-    caveat = ""
-    """Its position never jumps."""
+    time_s: float
+    position: Ned
+    velocity: Ned
+    acceleration: Ned
+    roll: float
+    pitch: float
+    yaw: float
+    yaw_rate: float
+    mode: Mode
+    armed: bool
+    landed_state: int
+    """MAV_LANDED_STATE."""
+    failsafe: bool
+    battery: float
+    """Remaining charge, 0 to 1."""
+    fit: bool
+    """False if the battery is empty or the vehicle is falling: it then cannot be armed."""
+    target: Ned
+    """Where the current path ends."""
+    cruise: Ned | None = None
+    """The velocity that a companion asks for, within the limits; None on the way to a position or while it
+    asks for an acceleration.
+    """
+    mission: MissionProgress = MissionProgress()
+    breaches: Breaches = Breaches()
+
+
+class Battery:
+    """A battery that drains evenly with the motors on. Times in s of simulation time."""
+
+    def __init__(self) -> None:
+        """Begin full, with the motors off."""
+        self.alarms = 0  # how many it has given: 1 since it was low, 2 since it was empty
+        self.on_s = math.inf  # when the motors were switched on; infinity while they are off
+        self._spent_s = 0.0  # time used up before
+
+    @property
+    def empty(self) -> bool:
+        """True once the last alarm was given."""
+        return self.alarms == 2
+
+    def switch_off(self, t_s: float) -> None:
+        """Switch the motors off."""
+        self._spent_s += t_s - self.on_s
+        self.on_s = math.inf
+
+    def next_alarm_s(self, endurance_s: float) -> float:
+        """Return when the next alarm is due, low first, then empty; infinity if there is none."""
+        if self.empty:
+            return math.inf
+        lasts_s = endurance_s * (1.0 - LOW_BATTERY if self.alarms == 0 else 1.0)
+        return self.on_s + lasts_s - self._spent_s
+
+    def charge(self, t_s: float, endurance_s: float) -> float:
+        """Return the remaining charge, 0 to 1."""
+        return max(1.0 - (self._spent_s + max(t_s - self.on_s, 0.0)) / endurance_s, 0.0)
+
+
+class Vehicle:
+    """One simulated multirotor with its autopilot.
+
+    Every command (`arm`, `disarm`, `take_off`, `go_to`, `set_mode`, `setpoint`, `load`, `set_current`) takes
+    the simulation time in s and first handles all events due by then. Time that runs backwards raises
+    ValueError. A refused command gives a reason and changes nothing. Programs call the commands directly;
+    MAVLink clients reach them through `MavlinkProtocol`. Positions are NED, in m from home.
+    """
+
+    failure = ""  # it never gives a search up
+    caveat = ""  # its position never jumps
 
     def __init__(self, config: VehicleConfig) -> None:
         """Start at home at time 0, disarmed, with a full battery."""
-        super().__init__(config)
-        self.companion = Companion()
-        """Who flies it in OFFBOARD, and the newest setpoint."""
-        self._alone_since_s = (
-            0.0  # when OFFBOARD began to fly: a client's silence counts from here at the earliest
-        )
+        self.config = config
+        self.now_s = 0.0  # the current simulation time
+        self.mode = Mode.HOLD
+        self.armed = False  # whether its motors may turn
+        self.moving = False  # True while the current path has not ended
+        self.mission = FlightPlan()  # the mission on board; `load` changes it
+        self.companion = Companion()  # who flies it in OFFBOARD, and the newest setpoint
+
+        self._events: list[VehicleEvent] = []
+        self._battery = Battery()
+        self._failsafe = False
+        self._has_flown = False  # since it was armed
+        self._path = Trajectory(0.0, ZERO)
+        heading = wrapped(math.radians(config.home_heading_deg))
+        self._turn: Turn | Spin = Turn(0.0, heading, heading, math.radians(config.yaw_rate_dps))
+        self._leg: Leg | None = None  # of the mission, while one is flown
+        self._left_s = math.inf  # when the path leaves the fence
+        self._breaches = Breaches()
         self._climb_m, self._waits_since_s = 0.0, 0.0  # a take-off that waits for the motors
+        self._alone_since_s = 0.0  # when OFFBOARD began to fly: silence counts from here at the earliest
+        self._end_told: Ned | None = None  # where a companion was told that its velocity ends
 
     # ---- time ----
 
@@ -64,79 +163,84 @@ class Vehicle(Navigator):
         return events
 
     def catch_up(self, t_s: float) -> None:
-        """Advance to a time; the next `advance` returns the events. Raises ValueError if the time runs
-        backwards.
-        """
-        if not t_s >= self._now:
-            raise ValueError(f"time runs backwards: {t_s} s after {self._now} s")
+        """Advance to a time; the next `advance` returns the events."""
+        if not t_s >= self.now_s:
+            raise ValueError(f"time runs backwards: {t_s} s after {self.now_s} s")
         while upcoming := [(at, happen) for at, happen in self._upcoming() if at <= t_s]:
             at, happen = min(upcoming, key=lambda event: event[0])
-            self._now = max(at, self._now)
+            self.now_s = max(at, self.now_s)
             happen()
-        self._now = t_s
+        self.now_s = t_s
 
     def next_event_s(self) -> float | None:
-        """Time of the next event if no message comes (leg end, touchdown, setpoint timeout, battery); None
-        if there is none.
-        """
+        """Return the time of the next event if no message comes; None if there is none."""
         if self._events:
-            return self._now
+            return self.now_s
         return min((at for at, _ in self._upcoming() if at < math.inf), default=None)
 
-    @property
-    def now_s(self) -> float:
-        """The current simulation time."""
-        return self._now
+    def _upcoming(self) -> list[tuple[float, Callable[[], None]]]:
+        """The coming events, each with its time and handler; of two at the same time the first listed is
+        handled first.
+        """
+        config, upcoming = self.config, [(self._path.end_s, self._settle)] if self.moving else []
+        if not self.armed:
+            if self.mode is Mode.TAKEOFF:
+                upcoming.append((self._waits_since_s + config.disarm_preflight_s, self._forget_take_off))
+            return upcoming
+        upcoming.append((self._left_s, self._breach))
+        if not self.moving:
+            upcoming.append((self._item_done_s(), self._pass_item))
+        if self.mode is Mode.OFFBOARD:
+            lost_s = self.companion.lost_s(self._alone_since_s, self._path.end_s, config)
+            upcoming.append((lost_s, self._lose_companion))
+        upcoming.append((self._battery.next_alarm_s(config.endurance_s), self._alarm_battery))
+        if self._on_ground:
+            waits_s = config.disarm_landed_s if self._has_flown else config.disarm_preflight_s
+            upcoming.append((max(self._battery.on_s, self._path.end_s) + waits_s, self._disarm_itself))
+        return upcoming
 
-    @property
-    def mode(self) -> Mode:
-        """The flight mode."""
-        return self._mode
-
-    @property
-    def armed(self) -> bool:
-        """True while its motors may turn."""
-        return self._armed
-
-    @property
-    def moving(self) -> bool:
-        """True while the current path has not ended; its end is then one of the coming events."""
-        return not self._settled
-
-    @property
-    def landing(self) -> bool:
-        """True from the beginning of a landing until the motors have stopped."""
-        return self._armed and self._mode is Mode.LAND
+    # ---- what it reports ----
 
     @property
     def busy(self) -> bool:
         """True while it waits for nobody: it flies, lands, or waits for a time of its mission."""
-        return self.moving or self.landing or self.waiting
+        lands = self.armed and self.mode is Mode.LAND
+        return self.moving or lands or (self.armed and self._item_done_s() < math.inf)
 
     @property
     def free(self) -> bool:
         """True while it stands on the ground and nobody flies it."""
-        on_ground = self._landed_state() == mavlink.MAV_LANDED_STATE_ON_GROUND
-        return on_ground and not self.moving and self._mode is Mode.HOLD
+        return self._on_ground and self.mode is Mode.HOLD
 
     @property
     def is_searched(self) -> bool:
-        """True while its search leads it: that need not stream setpoints."""
+        """True while its own search leads it: that need not stream setpoints."""
         return self.companion.is_own_search
 
     @is_searched.setter
     def is_searched(self, leads: bool) -> None:
         self.companion.is_own_search = leads
 
+    @property
+    def waypoint(self) -> Ned | None:
+        """The last accepted setpoint if it is a position; None before the first."""
+        return self.companion.setpoint.position if self.companion.setpoint else None
+
+    @property
+    def progress(self) -> MissionProgress:
+        """How far the mission is."""
+        return self.mission.progress(self.mode is Mode.MISSION, self.armed)
+
     def still(self, arrived: Arrived) -> Arrived:
         """Return the arrival as it is now, for another measurement: a simulated vehicle does not drift."""
         return arrived
 
     def state(self, t_s: float) -> State:
-        """The state at a time between the current one and the next event."""
+        """Return the state at a time between the current one and the next event."""
         position, velocity, acceleration = self._path.at(t_s)
         yaw, yaw_rate = self._turn.at(t_s)
         roll, pitch = tilt(acceleration, yaw)
+        setpoint = self.companion.setpoint if self.armed and self.mode is Mode.OFFBOARD else None
         return State(
             time_s=t_s,
             position=position,
@@ -146,145 +250,73 @@ class Vehicle(Navigator):
             pitch=pitch,
             yaw=yaw,
             yaw_rate=yaw_rate,
-            mode=self._mode,
-            armed=self._armed,
+            mode=self.mode,
+            armed=self.armed,
             landed_state=self._landed_state(),
             failsafe=self._failsafe,
             battery=self._battery.charge(t_s, self.config.endurance_s),
-            fit=not (self._battery.empty or self._falling),
+            fit=not self._unfit(),
             target=self._path.target,
-            cruise=self.companion.cruise(self.config)
-            if self._armed and self._mode is Mode.OFFBOARD
-            else None,
+            cruise=clamped(setpoint.velocity, self.config.limits) if setpoint and setpoint.velocity else None,
             mission=self.progress,
             breaches=self._breaches._replace(outside=bool(self.config.fence_refusal(position))),
         )
 
-    def _upcoming(self) -> list[tuple[float, Callable[[], None]]]:
-        """The coming events, each with its time and handler; of two at the same time, the first listed is
-        handled first.
-        """
-        upcoming: list[tuple[float, Callable[[], None]]] = []
-        if not self._settled:
-            upcoming.append((self._path.end_s, self._settle))
-        if self._armed:
-            upcoming.append((self._left_s, self._breach))
-        if self._armed and self._settled:
-            upcoming.append((self._item_done_s(), self._pass_item))
-        if self._armed and self._mode is Mode.OFFBOARD:
-            upcoming.append(
-                (self.companion.lost_s(self._alone_since_s, self._path.end_s, self.config), self._lose_client)
-            )
-        if not self._armed and self._mode is Mode.TAKEOFF:
-            upcoming.append((self._waits_since_s + self.config.disarm_preflight_s, self._forget_take_off))
-        if self._armed:
-            upcoming.append((self._battery.next_alarm_s(self.config.endurance_s), self._alarm_battery))
-        if self._armed and self._on_ground:
-            waits_s = self.config.disarm_landed_s if self._has_flown else self.config.disarm_preflight_s
-            upcoming.append((max(self._battery.on_s, self._path.end_s) + waits_s, self._disarm_itself))
-        return upcoming
-
-    def _settle(self) -> None:
-        """Handle the end of the path."""
-        self._settled = True
-        if not self._armed:
-            return  # the vehicle fell
-        match self._mode:
-            case Mode.TAKEOFF:
-                self._mode = Mode.HOLD
-            case Mode.OFFBOARD if self.waypoint is not None:
-                self._events.append(Arrived(self._now, self._path.target))
-            case Mode.OFFBOARD:
-                self._steer_on()
-            case Mode.RETURN:
-                self._mode = Mode.LAND
-                self._descend()
-
-    def _disarm_itself(self) -> None:
-        if not self._has_flown:
-            self._say(
-                mavlink.MAV_SEVERITY_INFO, f"Disarmed: no take-off for {self.config.disarm_preflight_s:g} s"
-            )
-        self._stop_motors()
-
-    def _forget_take_off(self) -> None:
-        self._say(
-            mavlink.MAV_SEVERITY_INFO,
-            f"Take-off given up: not armed for {self.config.disarm_preflight_s:g} s",
-        )
-        self._mode = Mode.HOLD
-
-    def _lose_client(self) -> None:
-        self._failsafe = True
-        silence = f"No setpoint for {self.companion.borne_s(self.config):g} s"
+    def _landed_state(self) -> int:
+        item = self._leg.step.command if self._leg and self.mode is Mode.MISSION else None
         if self._on_ground:
-            self._say(mavlink.MAV_SEVERITY_CRITICAL, f"{silence}: disarmed")
-            self._stop_motors()
-        else:
-            self._say(mavlink.MAV_SEVERITY_CRITICAL, f"{silence}: returning home")
-            self._return()
+            return int(mavlink.MAV_LANDED_STATE_ON_GROUND)
+        if self.mode is Mode.TAKEOFF or item == plan.TAKEOFF:
+            return int(mavlink.MAV_LANDED_STATE_TAKEOFF)
+        landing = self.mode is Mode.LAND or item == plan.LAND
+        return int(mavlink.MAV_LANDED_STATE_LANDING if landing else mavlink.MAV_LANDED_STATE_IN_AIR)
 
-    def _alarm_battery(self) -> None:
-        """Warn when the battery is low, as PX4 does by default; land on the spot when it is empty."""
-        self._battery.alarms += 1
-        if not self._battery.empty:
-            self._say(mavlink.MAV_SEVERITY_WARNING, f"Battery low: {LOW_BATTERY:.0%} left")
-        elif self._on_ground:
-            self._say(mavlink.MAV_SEVERITY_CRITICAL, "Battery empty: disarmed")
-            self._stop_motors()
-        else:
-            self._say(mavlink.MAV_SEVERITY_CRITICAL, "Battery empty: landing")
-            self._failsafe = True
-            if self._mode is not Mode.LAND:
-                self._mode = Mode.LAND
-                self._descend()
+    @property
+    def _motion(self) -> Motion:
+        return self._path.at(self.now_s)
 
-    # ---- commands: a refused command gives a reason and changes nothing ----
+    @property
+    def _on_ground(self) -> bool:
+        return not self.moving and self._path.target[2] >= 0.0
+
+    def _unfit(self) -> str:
+        """Why it cannot fly, or nothing."""
+        if self.moving and not self.armed:
+            return "falling"
+        return EMPTY if self._battery.empty else ""
+
+    def _say(self, severity: int, text: str) -> None:
+        self._events.append(Said(self.now_s, severity, text))
+
+    # ---- commands ----
 
     def configure(self, t_s: float, config: VehicleConfig) -> None:
-        """Change the configuration. The leg under way goes on as it is; limits of motion act from the next
-        leg on.
-        """
+        """Change the configuration. Limits of motion act from the next leg on."""
         self.catch_up(t_s)
         self.config = config
         self._watch_fence()
 
     def arm(self, t_s: float) -> Result:
-        """Arm: start the motors. A vehicle armed in OFFBOARD follows its setpoint, one armed in TAKEOFF
-        takes off.
-        """
+        """Start the motors. A vehicle in OFFBOARD, MISSION or TAKEOFF begins to fly."""
         self.catch_up(t_s)
-        if self._armed:
+        if self.armed:
             return ACCEPTED
-        if self._falling:
-            return not_now("Arming refused: falling")
-        if self._battery.empty:
-            return not_now("Arming refused: battery empty")
-        if self._mode is Mode.OFFBOARD and (missing := self.companion.missing(self._now, self.config)):
-            return not_now(f"Arming refused: {missing}")
-        if self._mode is Mode.MISSION and (missing := self._missing_mission()):
-            return not_now(f"Arming refused: {missing}")
-        self._armed, self._has_flown = True, False
-        self._battery.switch_on(self._now)
-        if self._mode is Mode.OFFBOARD:
-            self._follow()
-        elif self._mode is Mode.MISSION:
-            self._fly_mission()
-        elif self._mode is Mode.TAKEOFF:
-            self._climb()
+        if reason := self._unfit() or self._missing(self.mode):
+            return not_now(f"Arming refused: {reason}")
+        self.armed, self._has_flown = True, False
+        self._battery.on_s = self.now_s
+        self._fly_mode()
         return ACCEPTED
 
     def disarm(self, t_s: float, force: bool = False) -> Result:
-        """Disarm: stop the motors. Refused in the air, unless forced: then the vehicle falls."""
+        """Stop the motors. Refused in the air, unless forced: then the vehicle falls."""
         self.catch_up(t_s)
-        if not self._armed:
-            return ACCEPTED
-        if self._on_ground:
+        if self.armed and self._on_ground:
             self._stop_motors()
-            return ACCEPTED
-        if not force:
+        elif self.armed and not force:
             return not_now("Disarm refused: in the air")
-        self._drop()
+        elif self.armed:
+            self._drop()
         return ACCEPTED
 
     def take_off(self, t_s: float, altitude_m: float | None = None) -> Result:
@@ -296,77 +328,49 @@ class Vehicle(Navigator):
         self.catch_up(t_s)
         altitude = self.config.takeoff_altitude_m if altitude_m is None else altitude_m
         if not 0.0 < altitude <= self.config.ceiling_m:
-            return denied(
-                f"Take-off refused: altitude {metres(altitude)} m, allowed is above 0 and up to "
-                f"{self.config.ceiling_m:g} m"
-            )
-        if self._mode is Mode.TAKEOFF and self._path.target[2] == -altitude:
+            allowed = f"allowed is above 0 and up to {self.config.ceiling_m:g} m"
+            return denied(f"Take-off refused: altitude {metres(altitude)} m, {allowed}")
+        if self.mode is Mode.TAKEOFF and self._path.target[2] == -altitude:
             return ACCEPTED  # a client repeats the command if its acknowledgement was lost
-        if self._falling or self._battery.empty:
-            return not_now(f"Take-off refused: {'falling' if self._falling else 'battery empty'}")
-        if not self._on_ground:
-            return not_now("Take-off refused: already in the air")
+        if reason := self._unfit() or ("" if self._on_ground else "already in the air"):
+            return not_now(f"Take-off refused: {reason}")
         north, east, _ = self._motion.position
         if outside := self.config.fence_refusal((north, east, -altitude)):
             return denied(f"Take-off refused: {outside}")
-        self._mode, self._failsafe = Mode.TAKEOFF, False
-        self._climb_m, self._waits_since_s = altitude, self._now
-        if self._armed:
-            self._climb()
+        self._climb_m, self._waits_since_s, self._failsafe = altitude, self.now_s, False
+        self._enter(Mode.TAKEOFF)
         return ACCEPTED
 
     def go_to(self, t_s: float, position: Ned, yaw_rad: float | None = None) -> Result:
         """Fly to a position and hold there, as MAV_CMD_DO_REPOSITION (192) asks; no reading is taken."""
         self.catch_up(t_s)
-        if not self._armed or self._battery.empty:
-            return not_now(f"Go-to refused: {'battery empty' if self._armed else 'disarmed'}")
+        if not self.armed or self._battery.empty:
+            return not_now(f"Go-to refused: {EMPTY if self.armed else 'disarmed'}")
         if self._on_ground:
             return not_now("Go-to refused: on the ground")
         if outside := self.config.outside(position):
             return denied(f"Go-to refused: {outside[1]}")
-        self._mode, self._failsafe = Mode.HOLD, False
+        self.mode, self._failsafe = Mode.HOLD, False
         self._go(position)
         self._face(yaw_rad)
         return ACCEPTED
 
     def set_mode(self, t_s: float, mode: Mode) -> Result:
-        """Change the flight mode; OFFBOARD needs a setpoint that is at most `silence_s` old, or, if
-        `stream_s` is finite, a stream.
-        """
+        """Change the flight mode. OFFBOARD needs a recent setpoint, and if `stream_s` is finite a stream."""
         self.catch_up(t_s)
         if mode is Mode.TAKEOFF:
             return self.take_off(t_s)
-        if mode is self._mode:
+        if mode is self.mode:
             return ACCEPTED
-        name = mode.name.capitalize()
-        if self._falling:
-            return not_now(f"{name} refused: falling")
-        if self._battery.empty and mode is not Mode.LAND:
-            return not_now(f"{name} refused: battery empty")
-        match mode:
-            case Mode.OFFBOARD:
-                if missing := self.companion.missing(self._now, self.config):
-                    return not_now(f"Offboard refused: {missing}")
-                self._mode = mode
-                if self._armed:
-                    self._follow()
-            case Mode.MISSION:
-                if missing := self._missing_mission():
-                    return not_now(f"Mission refused: {missing}")
-                self._mode = mode
-                if self._armed:
-                    self._fly_mission()
-            case Mode.RETURN | Mode.LAND:
-                if self._on_ground:
-                    return not_now(f"{name} refused: on the ground")
-                if mode is Mode.RETURN:
-                    self._return()
-                else:
-                    self._mode = mode
-                    self._descend()
-            case _:
-                self._hold()
+        reason = self._unfit()
+        if mode is Mode.LAND and reason == EMPTY:
+            reason = ""
+        if not reason and mode in (Mode.RETURN, Mode.LAND) and self._on_ground:
+            reason = "on the ground"
+        if reason := reason or self._missing(mode):
+            return not_now(f"{mode.name.capitalize()} refused: {reason}")
         self._failsafe = False
+        self._enter(mode)
         return ACCEPTED
 
     def setpoint(
@@ -380,44 +384,260 @@ class Vehicle(Navigator):
         setpoint = wanted if isinstance(wanted, Setpoint) else Setpoint(as_float32(wanted), yaw_rad=yaw_rad)
         if refusal := setpoint.refusal(self.config):
             return refusal
-
         new = answers or not setpoint.same_way(self.companion.setpoint)
-        self.companion.hear(setpoint, self._now)
-        if self._armed and self._mode is Mode.OFFBOARD:
+        self.companion.hear(setpoint, self.now_s)
+        if self.armed and self.mode is Mode.OFFBOARD:
             self._take(setpoint, new)
         return ACCEPTED
 
-    @property
-    def waypoint(self) -> Ned | None:
-        """The last accepted setpoint if it is a position; None before the first."""
-        return self.companion.setpoint.position if self.companion.setpoint else None
+    def load(self, t_s: float, steps: tuple[MissionStep, ...], number: int = 0, current: int = 0) -> None:
+        """Replace the mission; a vehicle that flies one begins the new one, or holds if it is empty.
 
-    # ---- flight ----
+        number: the checksum of its items.
+        """
+        self.catch_up(t_s)
+        self.mission = FlightPlan(steps, number)
+        self.mission.current = current
+        if self.mode is Mode.MISSION and not steps:
+            self._say(WARNING, "Mission cleared: holding")
+            self._enter(Mode.HOLD)
+        elif self.mode is Mode.MISSION:
+            self._fly_mode()
 
-    def _climb(self) -> None:
-        north, east, _ = self._motion.position
-        self._go((north, east, -min(self._climb_m, self.config.ceiling_m)))
+    def set_current(self, t_s: float, seq: int) -> Result:
+        """Go on with another item of the mission, at once if it is being flown."""
+        self.catch_up(t_s)
+        if not 0 <= seq < (count := len(self.mission.steps)):
+            allowed = f"allowed is 0 to {count - 1}" if count else "no mission on board"
+            return denied(f"Mission item {seq} refused: {allowed}")
+        self.mission.set_current(seq)
+        if self.mode is Mode.MISSION:
+            self._fly_mode()
+        return ACCEPTED
 
-    def _follow(self) -> None:
-        """Begin OFFBOARD flight: follow the remembered setpoint."""
-        assert self.companion.setpoint is not None
-        self._alone_since_s = self._now
-        self._take(self.companion.setpoint, True)
+    def _missing(self, mode: Mode) -> str:
+        """What a mode still needs, or nothing."""
+        if mode is Mode.OFFBOARD:
+            return self.companion.missing(self.now_s, self.config)
+        if mode is not Mode.MISSION:
+            return ""
+        if not self.mission.steps:
+            return "no mission on board"
+        for seq, step in enumerate(self.mission.steps):  # area and fence may have changed since the upload
+            if step.north_east and (outside := self.config.outside((*step.north_east, step.down_m))):
+                return f"item {seq}: {outside[1]}"
+        return ""
+
+    # ---- modes ----
+
+    def _enter(self, mode: Mode) -> None:
+        self.mode = mode
+        self._fly_mode()
+
+    def _fly_mode(self) -> None:
+        """Begin to fly as the mode says, if the motors are on."""
+        if not self.armed:
+            return
+        match self.mode:
+            case Mode.TAKEOFF:
+                north, east, _ = self._motion.position
+                self._go((north, east, -min(self._climb_m, self.config.ceiling_m)))
+            case Mode.HOLD:
+                if not self._on_ground:
+                    self._fly(self._halted())
+            case Mode.MISSION:
+                self._fly_mission()
+            case Mode.RETURN:
+                self._return()
+            case Mode.LAND:
+                path = self._halted()
+                self._fly(path.to((path.target[0], path.target[1], 0.0), self.config.limits))
+            case Mode.OFFBOARD:
+                assert self.companion.setpoint is not None
+                self._alone_since_s = self.now_s
+                self._take(self.companion.setpoint, True)
+
+    def _settle(self) -> None:
+        """Handle the end of the path."""
+        self.moving = False
+        if not self.armed:
+            return  # the vehicle fell
+        if self.mode is Mode.TAKEOFF:
+            self.mode = Mode.HOLD
+        elif self.mode is Mode.RETURN:
+            self._enter(Mode.LAND)
+        elif self.mode is Mode.OFFBOARD and self.waypoint is not None:
+            self._events.append(Arrived(self.now_s, self._path.target))
+        elif self.mode is Mode.OFFBOARD:
+            self._steer_on()
+
+    def _return(self) -> None:
+        path, limits = self._halted(), self.config.limits
+        north, east, down = path.target
+        down = min(down, -self.config.return_altitude_m)
+        above = *self.config.rally.nearest(path.target), down
+        self._fly(path.to((north, east, down), limits).to(above, limits))
+
+    # ---- the path ----
+
+    def _fly(self, path: Trajectory) -> None:
+        self._path, self.moving, self._turn = path, True, self._turn.stopped(self.now_s)
+        self._has_flown |= path.target[2] < 0.0
+        self._watch_fence()
+
+    def _halted(self) -> Trajectory:
+        return halt(self.now_s, self._motion, self.config.limits)
+
+    def _go(self, target: Ned) -> None:
+        self._fly(self._halted().to(target, self.config.limits))
+
+    def _face(self, yaw_rad: float | None) -> None:
+        if yaw_rad is not None:
+            self._turn = facing(self._turn, self.now_s, Setpoint(yaw_rad=yaw_rad), self.config)
 
     def _take(self, setpoint: Setpoint, new: bool) -> None:
+        """Follow a setpoint; one that is not new asks for the motion that is being flown."""
         if new and setpoint.position is not None:
             self._go(setpoint.position)
         elif new:
-            self._fly(setpoint.steered(self._now, self._motion, self.config))
-        self._turn = facing(self._turn, self._now, setpoint, self.config)
+            self._fly(steered(setpoint, self.now_s, self._motion, self.config))
+        self._turn = facing(self._turn, self.now_s, setpoint, self.config)
 
     def _steer_on(self) -> None:
         """A velocity or an acceleration has come to rest: go on if it leads elsewhere, such as along the
-        edge, else tell.
+        edge; else say so, once.
         """
-        turn, on = self._turn, self.companion.goes_on(self._now, self._motion, self.config)
-        if isinstance(on, Trajectory):
-            self._fly(on)
+        setpoint, turn, config, position = self.companion.setpoint, self._turn, self.config, self._path.target
+        assert setpoint is not None
+        way = steered(setpoint, self.now_s, self._motion, config)
+        if math.dist(way.target, position) > SAME_PLACE_M:
+            self._end_told = None
+            self._fly(way)
             self._turn = turn
-        elif on:
-            self._say(mavlink.MAV_SEVERITY_WARNING, on)
+        elif position != self._end_told and wants_to_move(setpoint, config.limits):
+            self._end_told = position
+            north, east, down = position
+            side, above = f"[0, {config.area_m:g}]", f"[0, {config.ceiling_m:g}]"
+            place = f"({metres(east)}, {metres(north)}) m at {metres(-down)} m"
+            self._say(WARNING, f"Setpoint ends at {place}: allowed is {side} x {side} m at {above} m")
+
+    # ---- the mission ----
+
+    def _fly_mission(self) -> None:
+        """Fly the current item; hold at the end of the mission."""
+        path = self._halted()
+        self._leg = self.mission.leg(self.now_s, path.target, self._on_ground, self.config)
+        if self._leg is None:
+            self._say(INFO, "Mission finished")
+            self._enter(Mode.HOLD)
+        elif self._leg.step.command == plan.RETURN:
+            self._pass_item()
+        else:
+            for stop in self._leg.stops:
+                path = path.to(stop, self._leg.limits)
+            self._fly(path)
+            self._face(self._leg.step.yaw_rad)
+
+    def _item_done_s(self) -> float:
+        """When the current item of the mission is done: after its flight, its turn and its wait; infinity
+        if none is flown.
+        """
+        if self.mode is not Mode.MISSION or self._leg is None:
+            return math.inf
+        return max(self._path.end_s, self._turn.end_s) + self._leg.step.wait_s
+
+    def _pass_item(self) -> None:
+        """Report that the current item is done, and go on with the next.
+
+        A return home is another mode's: nothing is reached, as in PX4.
+        """
+        assert self._leg is not None
+        step, self._leg = self._leg.step, None
+        if step.command != plan.RETURN:
+            self.mission.reached = self.mission.current, self.now_s
+            self._events.append(Reached(self.now_s, self.mission.current))
+        if not step.goes_on:
+            return
+        self.mission.current += 1
+        if step.command == plan.RETURN and not self._on_ground:
+            self.mission.end()
+            self._enter(Mode.RETURN)
+        else:
+            self._fly_mission()
+
+    # ---- the fence ----
+
+    def _watch_fence(self, outside: bool = False) -> None:
+        """Find out when the path leaves the fence next. One that leads away from its edge, `outside`, has
+        to come in first.
+        """
+        self._left_s = math.inf
+        if self.armed and self.config.guards:
+            outside = outside or not self.config.fence.allows(self._motion.position)
+            self._left_s = self.config.fence.left_s(self._path, self.now_s, outside)
+
+    def _breach(self) -> None:
+        """The path leaves the fence: do what GF_ACTION says.
+
+        A vehicle that already returns or lands goes on with it, as in PX4.
+        """
+        self._breaches = Breaches(True, self._breaches.times + 1, self.now_s)
+        action = self.config.fence_action
+        mode, does = FENCE_ACTIONS.get(action, (self.mode, ""))
+        if action == TERMINATE:
+            does = "motors stopped"
+        elif self.mode in (Mode.RETURN, Mode.LAND):
+            does = ""
+        north, east, _ = self._motion.position
+        self._say(CRITICAL, f"Fence breached at ({east:.2f}, {north:.2f}) m" + (does and f": {does}"))
+        if action == TERMINATE:
+            self._drop()
+        elif does:
+            self._failsafe = True
+            self._enter(mode)
+        self._watch_fence(outside=True)
+
+    # ---- motors, battery, silence ----
+
+    def _drop(self) -> None:
+        """Stop the motors in the air."""
+        self._say(EMERGENCY, "Motors stopped in the air")
+        falling = fall(self.now_s, self._motion)
+        self._stop_motors()
+        self._fly(falling)
+
+    def _stop_motors(self) -> None:
+        self._battery.switch_off(self.now_s)
+        self._turn = self._turn.stopped(self.now_s)
+        self.armed, self.mode, self._failsafe = False, Mode.HOLD, False
+
+    def _disarm_itself(self) -> None:
+        if not self._has_flown:
+            self._say(INFO, f"Disarmed: no take-off for {self.config.disarm_preflight_s:g} s")
+        self._stop_motors()
+
+    def _forget_take_off(self) -> None:
+        self._say(INFO, f"Take-off given up: not armed for {self.config.disarm_preflight_s:g} s")
+        self.mode = Mode.HOLD
+
+    def _lose_companion(self) -> None:
+        silence = f"No setpoint for {self.companion.patience_s(self.config):g} s"
+        self._fail_safe(silence, Mode.RETURN, "returning home")
+
+    def _alarm_battery(self) -> None:
+        """Warn when the battery is low, as PX4 does by default; land on the spot when it is empty."""
+        self._battery.alarms += 1
+        if self._battery.empty:
+            self._fail_safe("Battery empty", Mode.LAND, "landing")
+        else:
+            self._say(WARNING, f"Battery low: {LOW_BATTERY:.0%} left")
+
+    def _fail_safe(self, why: str, mode: Mode, does: str) -> None:
+        """Change the mode in the air; on the ground, stop the motors."""
+        self._say(CRITICAL, f"{why}: {'disarmed' if self._on_ground else does}")
+        if self._on_ground:
+            self._stop_motors()
+            return
+        self._failsafe = True
+        if self.mode is not mode:
+            self._enter(mode)

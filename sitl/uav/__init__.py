@@ -1,5 +1,5 @@
 """The UAV service: one vehicle in one world, on the bus and over UDP.
 
 Imports: plume, link, link.bus, link.signing, aircraft, aircraft.bridge, aircraft.remote, aircraft.search,
-sitl.autopilot, sitl.protocol, sitl.script.
+sitl.autopilot, sitl.script.
 """

@@ -27,11 +27,11 @@ from link.bus.px4 import MissionCurrent
 from link.bus.session import Arrival, Bus
 from link.signing.signer import Signing
 from plume.world import World
-from sitl.autopilot.state import Snapshot
+from sitl.autopilot.messages import Snapshot
+from sitl.autopilot.protocol import COMPONENT, MavlinkProtocol
+from sitl.autopilot.setpoint import GLOBAL, LOCAL
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
-from sitl.protocol.protocol import COMPONENT, MavlinkProtocol
-from sitl.protocol.setpoints import GLOBAL, LOCAL
 
 STREAM_S = 1.0
 """Real time after which a client's stream of setpoints has ended: PX4's COM_OF_LOSS_T."""

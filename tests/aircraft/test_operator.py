@@ -12,8 +12,8 @@ from aircraft.operator import OPERATOR, CommandRun, command
 from aircraft.state import Result
 from link.bus.mavlink import Message
 from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.vehicle import Vehicle
-from sitl.protocol.protocol import MavlinkProtocol
 
 RETURN = mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH
 TRIES, EVERY_S, STEP_S = 5, 0.5, 0.1

@@ -9,11 +9,11 @@ from pymavlink.dialects.v20 import common as mavlink
 from aircraft.mode import Mode
 from aircraft.state import Said
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Snapshot, State
+from sitl.autopilot.messages import Snapshot
+from sitl.autopilot.parameters import Parameters
+from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.telemetry import Telemetry
-from sitl.autopilot.vehicle import Vehicle
-from sitl.protocol.parameters import Parameters
-from sitl.protocol.protocol import MavlinkProtocol
+from sitl.autopilot.vehicle import State, Vehicle
 from tests.autopilots.body import DT_S, Vector
 from tests.autopilots.faults import Faults
 from tests.autopilots.settings import Settings

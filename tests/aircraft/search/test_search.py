@@ -17,8 +17,8 @@ from link.bus.messages import Stop
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence
 from sitl.autopilot.plan import Item, step
+from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.vehicle import Vehicle
-from sitl.protocol.protocol import MavlinkProtocol
 from sitl.uav.simulated import Asked
 
 PILOT, CLIENT, AGENT = (255, 190), (245, 190), (1, 191)

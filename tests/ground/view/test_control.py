@@ -8,8 +8,8 @@ from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName
 from ground.view.control import Awaited, CommandAnswer
 from link.bus.mavlink import Codec
 from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.vehicle import Vehicle
-from sitl.protocol.protocol import MavlinkProtocol
 
 RTL, LAND = mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, mavlink.MAV_CMD_NAV_LAND
 ACCEPTED, DENIED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED

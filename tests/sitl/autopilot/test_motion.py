@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from aircraft.state import ZERO
 from sitl.autopilot.motion import GRAVITY_MPS2, Limits, Motion, Trajectory, Turn, fall, halt, tilt, wrapped
+from sitl.autopilot.offboard import Box, Push, safe_s
 
 LIMITS = Limits(speed_mps=5.0, climb_mps=3.0, descent_mps=1.5, accel_mps2=3.0)
 coordinate = st.floats(0.0, 30.0, width=32)
@@ -174,3 +175,46 @@ def test_it_leans_to_where_it_accelerates():
         (math.atan(3.0 / GRAVITY_MPS2), 0.0)
     )  # east, right side down
     assert tilt((0.0, 0.0, GRAVITY_MPS2), 1.0) == (0.0, 0.0)  # free fall
+
+
+# ---- when to brake: roots of quartics against looking at every moment ----
+
+BOX = Box((0.0, 0.0, -20.0), (30.0, 30.0, 0.0))
+components = st.tuples(*[st.floats(-5.0, 5.0)] * 3)
+
+
+def over_the_edge(motion, push, times):
+    """How far outside the box braking ends, m, for each moment of a push; negative inside."""
+    times = np.asarray(times)[:, None]
+    acceleration = np.array(push.acceleration)
+    velocities = np.array(motion.velocity) + acceleration * times
+    places = np.array(motion.position) + np.array(motion.velocity) * times + acceleration * times**2 / 2.0
+    speeds = np.linalg.norm(velocities, axis=1, keepdims=True)
+    ends = places + velocities * speeds / (2.0 * LIMITS.accel_mps2)
+    return np.max(np.hstack([ends - np.array(BOX.high), np.array(BOX.low) - ends]), axis=1)
+
+
+@given(
+    st.tuples(coordinate, coordinate, st.floats(-20.0, 0.0, width=32)),
+    components,
+    components,
+    st.sampled_from([0.01, 1.0, 5.0]),
+)
+def test_a_push_lasts_until_the_last_moment_at_which_braking_ends_inside(
+    place, velocity, acceleration, lasts_s
+):
+    motion, push = Motion(place, velocity), Push(acceleration, lasts_s, ZERO)
+    assume(over_the_edge(motion, push, [0.0])[0] <= 0.0)
+    safe = safe_s(motion, push, LIMITS.accel_mps2, BOX)
+    assert 0.0 <= safe <= lasts_s
+    assert np.max(over_the_edge(motion, push, np.linspace(0.0, safe, 5001))) <= 1e-9
+    if safe < lasts_s:
+        later = np.linspace(safe, min(safe + 1e-3, lasts_s), 1001)
+        assert np.max(over_the_edge(motion, push, later)) > 0.0
+
+
+def test_braking_itself_moves_the_stop_nowhere_so_it_may_last_to_its_end():
+    # From 3 m/s at 3 m/s² it stops 1.5 m on, wherever in the braking one looks: exactly on the edge.
+    push = Push((-3.0, 0.0, 0.0), 1.0, ZERO)
+    assert safe_s(Motion((28.5, 5.0, -5.0), (3.0, 0.0, 0.0)), push, 3.0, BOX) == 1.0
+    assert safe_s(Motion((28.6, 5.0, -5.0), (3.0, 0.0, 0.0)), push, 3.0, BOX) == 0.0

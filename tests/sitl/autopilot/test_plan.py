@@ -15,8 +15,8 @@ from aircraft.state import Reached
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.fence import Circle, Fence
+from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.plan import BadItem, Item, step
-from sitl.autopilot.state import Snapshot
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 from tests.ground.tlog.flights import (
@@ -217,12 +217,12 @@ def test_delays_and_loiters_wait():
         item(LOITER, east=10, north=10),
     )
     events = reached(vehicle.advance(12.0))
-    assert vehicle.waiting
+    assert vehicle.busy
     events += reached(vehicle.advance(500.0))
     assert events == [(0, 13.0), (1, pytest.approx(13.0 + LEG_S + 4.0, abs=0.01))]
     assert (vehicle.state(500.0).mode, vehicle.state(500.0).mission.state) == (Mode.MISSION, ACTIVE)
     assert at(vehicle, 500.0) == (10.0, 10.0, 5.0)
-    assert not vehicle.waiting
+    assert not vehicle.busy
 
 
 def test_a_change_of_speed_acts_on_the_items_that_follow():

@@ -15,8 +15,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from aircraft.mode import Mode
 from link.bus.mavlink import Reading, unpack_reading
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Snapshot, State
+from sitl.autopilot.messages import Snapshot
 from sitl.autopilot.telemetry import STREAMS, Telemetry
+from sitl.autopilot.vehicle import State
 
 CONFIG = VehicleConfig(home_heading_deg=90.0)
 AT_REST = State(

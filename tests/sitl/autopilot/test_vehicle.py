@@ -232,7 +232,7 @@ def test_landing_ends_on_the_ground_disarmed():
         vehicle.advance(touchdown + after_s)
         state = vehicle.state(touchdown + after_s)
         assert (state.armed, state.landed_state, state.position) == (armed, GROUND, (0.0, 0.0, 0.0))
-    assert not vehicle.landing
+    assert not vehicle.busy
 
 
 def test_a_landed_vehicle_may_take_off_again_before_its_motors_stop():

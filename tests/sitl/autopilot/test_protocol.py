@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from aircraft.mode import Mode
 from plume.geodesy import to_global
 from sitl.autopilot.config import VehicleConfig
-from sitl.autopilot.state import Snapshot
+from sitl.autopilot.messages import Snapshot
+from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.telemetry import Telemetry
-from sitl.protocol.protocol import MavlinkProtocol
 from tests.ground.tlog.flights import (
     ACCEPTED,
     CONFIG,

@@ -3,11 +3,10 @@
 import re
 from pathlib import Path
 
+from docs.generate.mavlink import TRIED, document
+from sitl.autopilot.commands import COMMANDS, REQUESTED
+from sitl.autopilot.parameters import PARAMETERS
 from sitl.autopilot.telemetry import STREAMS
-from sitl.protocol.companions import TRIED
-from sitl.protocol.document import document
-from sitl.protocol.parameters import PARAMETERS
-from sitl.protocol.protocol import COMMANDS, REQUESTED
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "mavlink.md"

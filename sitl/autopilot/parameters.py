@@ -12,15 +12,16 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.state import LOW_BATTERY
 from link.bus.mavlink import Message
-from sitl.autopilot.status import CELLS, EMPTY_CELL_V, FULL_CELL_V
+from sitl.autopilot.messages import CELLS, EMPTY_CELL_V, FULL_CELL_V
+from sitl.autopilot.services import Microservice, Reply, Request
 from sitl.autopilot.vehicle import Vehicle
-from sitl.protocol.service import Microservice, Reply, asker
 
 REAL, INT = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
 FORMS = {REAL: "<f", INT: "<i"}
 """How a value lies in the four bytes of a message: PX4 packs integers bytewise, not as a number that is
 rounded to a float.
 """
+EXT_REAL = mavlink.MAV_PARAM_EXT_TYPE_REAL32
 NEVER = -1.0
 """PX4's value of a time that never comes; the vehicle's is infinite."""
 HASH = "_HASH_CHECK"
@@ -146,11 +147,9 @@ class Parameters:
                 self._set,
                 "PARAM_VALUE; of a refused value the old one, and a STATUSTEXT with what is allowed",
             ),
-            Microservice(
-                "PARAM_EXT_REQUEST_LIST", _no_extended, "PARAM_EXT_VALUE with a count of 0", supported=False
-            ),
-            Microservice("PARAM_EXT_REQUEST_READ", _extended_refused, extended, supported=False),
-            Microservice("PARAM_EXT_SET", _extended_refused, extended, supported=False),
+            Microservice("PARAM_EXT_REQUEST_LIST", _no_extended, "PARAM_EXT_VALUE with a count of 0", False),
+            Microservice("PARAM_EXT_REQUEST_READ", _extended_refused, extended, False),
+            Microservice("PARAM_EXT_SET", _extended_refused, extended, False),
         )
 
     def value(self, parameter: Parameter) -> float:
@@ -171,26 +170,26 @@ class Parameters:
             crc = crc32(struct.pack(FORMS[parameter.kind], _number(parameter, self.value(parameter))), crc)
         return crc
 
-    def _list(self, _message: Message, _: float) -> Reply:
+    def _list(self, _: Request) -> Reply:
         return Reply([self._hash_value(), *map(self._tell, PARAMETERS)])
 
-    def _read(self, message: Message, _: float) -> Reply:
+    def _read(self, request: Request) -> Reply:
+        message = request.message
         if message.param_index < 0 and message.param_id == HASH:
             return Reply([self._hash_value()])
         index = message.param_index if message.param_index >= 0 else INDEX.get(message.param_id, -1)
         if not 0 <= index < len(PARAMETERS):
-            return _unknown(message, message.param_index)
+            return _unknown(request, message.param_index)
         return Reply([self._tell(PARAMETERS[index])])
 
-    def _set(self, message: Message, t_s: float) -> Reply:
-        if (
-            message.param_id == HASH
-        ):  # the station holds all values already: there is nothing left to send, as in PX4
+    def _set(self, request: Request) -> Reply:
+        message = request.message
+        if message.param_id == HASH:  # the station holds all values already: it needs no more, as in PX4
             return Reply([])
         if message.param_id not in INDEX:
-            return _unknown(message, -1)
+            return _unknown(request, -1)
         parameter = PARAMETERS[INDEX[message.param_id]]
-        reason = self._change(parameter, message, t_s)
+        reason = self._change(parameter, message, request.t_s)
         return Reply([self._tell(parameter)], reason and f"{parameter.name} refused: {reason}")
 
     def _change(self, parameter: Parameter, message: Message, t_s: float) -> str:
@@ -247,25 +246,18 @@ def crc32(data: bytes, crc: int) -> int:
     return ~zlib.crc32(data, ~crc & 0xFFFFFFFF) & 0xFFFFFFFF
 
 
-def _unknown(message: Message, index: int) -> Reply:
+def _unknown(request: Request, index: int) -> Reply:
+    name = request.message.param_id
     error = mavlink.MAVLink_param_error_message(
-        *asker(message), message.param_id.encode(), index, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
+        *request.asker, name.encode(), index, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
     )
-    return Reply([error], f"No parameter {message.param_id if index < 0 else index}")
+    return Reply([error], f"No parameter {name if index < 0 else index}")
 
 
-def _no_extended(_message: Message, _: float) -> Reply:
-    return Reply(
-        [mavlink.MAVLink_param_ext_value_message(b"", b"", mavlink.MAV_PARAM_EXT_TYPE_REAL32, 0, NO_INDEX)]
-    )
+def _no_extended(_: Request) -> Reply:
+    return Reply([mavlink.MAVLink_param_ext_value_message(b"", b"", EXT_REAL, 0, NO_INDEX)])
 
 
-def _extended_refused(message: Message, _: float) -> Reply:
-    kind = getattr(message, "param_type", mavlink.MAV_PARAM_EXT_TYPE_REAL32)
-    return Reply(
-        [
-            mavlink.MAVLink_param_ext_ack_message(
-                message.param_id.encode(), b"", kind, mavlink.PARAM_ACK_FAILED
-            )
-        ]
-    )
+def _extended_refused(request: Request) -> Reply:
+    name, kind = request.message.param_id, getattr(request.message, "param_type", EXT_REAL)
+    return Reply([mavlink.MAVLink_param_ext_ack_message(name.encode(), b"", kind, mavlink.PARAM_ACK_FAILED)])

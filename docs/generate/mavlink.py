@@ -1,30 +1,69 @@
-"""The page of what the vehicle supports, refuses and lacks (`docs/mavlink.md`), made from the tables that
-the code runs by.
+"""The generator of docs/mavlink.md: what the simulated vehicle supports, refuses and lacks.
+
+`make docs` calls it. The page is made from the tables that the code runs by.
 """
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.mode import Mode
 from link.bus.frames import LAYOUTS
+from sitl.autopilot.commands import COMMANDS, REQUESTED
 from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.lists import ACTION_S, MOST_ITEMS, RETRY_S
+from sitl.autopilot.messages import FLIGHT_SW_VERSION
+from sitl.autopilot.parameters import PARAMETERS, REAL, Parameters
 from sitl.autopilot.plan import FLOWN, IGNORED
-from sitl.autopilot.status import FLIGHT_SW_VERSION
+from sitl.autopilot.protocol import MavlinkProtocol
+from sitl.autopilot.services import REFUSED, REFUSED_ONCE
+from sitl.autopilot.setpoint import GLOBAL, LOCAL
 from sitl.autopilot.telemetry import STREAMS
 from sitl.autopilot.vehicle import Vehicle
-from sitl.protocol import setpoints
-from sitl.protocol.companions import EXAMPLE, TRIED
-from sitl.protocol.missions import ACTION_S, MOST_ITEMS, RETRY_S
-from sitl.protocol.parameters import PARAMETERS, REAL, Parameters
-from sitl.protocol.protocol import COMMANDS, REQUESTED, MavlinkProtocol
+
+EXAMPLE = Path(__file__).with_name("companion.py")
+"""A companion computer's program for MAVSDK 4; tests/test_docs.py flies it."""
+SETPOINTS = {
+    LOCAL: "flown in OFFBOARD: a position, a velocity, a horizontal velocity at a height, or an "
+    "acceleration, in LOCAL_NED or BODY_NED",
+    GLOBAL: "the same with a global position, its altitude above the sea, above home or above the ground, "
+    "which is level",
+}
+FLIES = "arming, take-off, setpoints of position and velocity, landing"
+TRIED = (
+    (
+        "MAVSDK",
+        "4.1.0",
+        f"{FLIES}; missions with progress, fences, rally points, parameters; what is refused",
+    ),
+    (
+        "MAVSDK",
+        "3.17.4",
+        "arming, take-off, setpoints of position, landing, return; parameters; what is refused",
+    ),
+    (
+        "MAVProxy",
+        "1.8.75",
+        "`arm`, `takeoff`, `guided`, `wp`, `fence`, `rally`, `param`, `log`, `ftp`, `long`, `signing`. Its "
+        "`mode` fails with every "
+        "PX4 vehicle; `long DO_SET_MODE 1 4 5` returns, with the numbers of the table of modes",
+    ),
+    (
+        "QGroundControl",
+        "its requests, by pymavlink 2.4.50",
+        "its start; the sliders and buttons for take-off, go-to, pause, altitude, return; parameters; plans, "
+        "fences and rally points",
+    ),
+)
+"""Client, version, and what the tests in tests/clients/ and tests/system/test_mavsdk.py do with it."""
 
 PAGE = """\
 # MAVLink
 
 What the built-in vehicle says to ground stations and companion computers. It behaves as a PX4 quadrotor. Every request gets data or a
 refusal: a COMMAND_ACK, an answer of the request's own kind, or a STATUSTEXT. This page is made from the tables of the code,
-in `sitl/protocol/` and `sitl/autopilot/telemetry.py`.
+in `sitl/autopilot/`.
 [Services](services.md#the-vehicle-and-its-mavlink) says how to connect, and who leads.
 
 ## Modes
@@ -231,30 +270,35 @@ def document() -> str:
     vehicle = Vehicle(VehicleConfig())
     services = MavlinkProtocol(vehicle).services.values()
     names = {number: entry.name for number, entry in mavlink.enums["MAV_CMD"].items()}
-    requested = [
-        (LAYOUTS[number].kind, number, "on request", says.partition(": ")[2])
-        for number, says in REQUESTED.items()
-    ]
+    requested = [(LAYOUTS[number].kind, number, "on request", row.says) for number, row in REQUESTED.items()]
     streams = [
         (LAYOUTS[row.message_id].kind, row.message_id, _rate(row.rate_hz), _says(row.build))
         for row in STREAMS
     ]
     values = Parameters(vehicle)
     return PAGE.format(
-        example=EXAMPLE,
+        example=EXAMPLE.read_text(),
         tried=_table(("client", "version", "what"), TRIED),
         modes=_table(("mode", "PX4 main", "sub"), ((mode.name.capitalize(), *mode.value) for mode in Mode)),
         commands=_table(
             ("command", "number", "does"),
-            ((f"{names[number]}", number, says) for number, says in COMMANDS.items()),
+            ((names[number], number, row.does) for number, row in COMMANDS.items()),
         ),
         streams=_table(("message", "number", "rate", "says"), [*streams, *requested]),
-        setpoints=_table(("message", "is"), setpoints.SAYS.items()),
+        setpoints=_table(("message", "is"), SETPOINTS.items()),
         answered=_table(
             ("request", "answer"), ((row.request, row.says) for row in services if row.supported)
         ),
         refused=_table(
-            ("request", "answer"), ((row.request, row.says) for row in services if not row.supported)
+            ("request", "answer"),
+            [
+                *((row.request, row.says) for row in services if not row.supported),
+                *((kind, f"a STATUSTEXT: {reason}") for kind, reason in REFUSED.items()),
+                *(
+                    (kind, f"a STATUSTEXT, once to each asker: {reason}")
+                    for kind, reason in REFUSED_ONCE.items()
+                ),
+            ],
         ),
         parameters=_table(
             ("parameter", "type", "default", "is", "may be set"),
@@ -292,3 +336,7 @@ def _says(build: object) -> str:
 def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+
+
+if __name__ == "__main__":
+    print(document(), end="")

@@ -12,8 +12,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.mode import Mode
 from sitl.autopilot.config import VehicleConfig
+from sitl.autopilot.protocol import MavlinkProtocol
 from sitl.autopilot.vehicle import Vehicle
-from sitl.protocol.protocol import MavlinkProtocol
 from tests.ground.tlog.flights import hovering, offboard, on_the_ground
 
 STATION = (255, 190)

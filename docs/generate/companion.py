@@ -1,8 +1,3 @@
-"""What the page says to those who write for a companion computer: an example that flies, and the clients
-that were tried.
-"""
-
-EXAMPLE = """\
 import asyncio
 import math
 import subprocess
@@ -51,33 +46,3 @@ try:
 finally:
     vehicle.terminate()
     vehicle.wait()
-"""
-"""For MAVSDK 4; tests/test_docs.py flies it."""
-
-FLIES = "arming, take-off, setpoints of position and velocity, landing"
-TRIED = (
-    (
-        "MAVSDK",
-        "4.1.0",
-        f"{FLIES}; missions with progress, fences, rally points, parameters; what is refused",
-    ),
-    (
-        "MAVSDK",
-        "3.17.4",
-        "arming, take-off, setpoints of position, landing, return; parameters; what is refused",
-    ),
-    (
-        "MAVProxy",
-        "1.8.75",
-        "`arm`, `takeoff`, `guided`, `wp`, `fence`, `rally`, `param`, `log`, `ftp`, `long`, `signing`. Its "
-        "`mode` fails with every "
-        "PX4 vehicle; `long DO_SET_MODE 1 4 5` returns, with the numbers of the table of modes",
-    ),
-    (
-        "QGroundControl",
-        "its requests, by pymavlink 2.4.50",
-        "its start; the sliders and buttons for take-off, go-to, pause, altitude, return; parameters; plans, "
-        "fences and rally points",
-    ),
-)
-"""Client, version, and what the tests in tests/clients/ and tests/system/test_mavsdk.py do with it."""

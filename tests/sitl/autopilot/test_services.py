@@ -7,10 +7,11 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot.state import Snapshot
+from sitl.autopilot.commands import COMMANDS
+from sitl.autopilot.messages import Snapshot
+from sitl.autopilot.protocol import MavlinkProtocol
+from sitl.autopilot.services import REFUSED, REFUSED_ONCE
 from sitl.autopilot.telemetry import Telemetry
-from sitl.protocol.protocol import COMMANDS, MavlinkProtocol
-from sitl.protocol.refused import REASONS
 from tests.ground.tlog.flights import ACCEPTED, DENIED, UNSUPPORTED, hovering
 
 STATION = (255, 190)
@@ -223,17 +224,19 @@ def empty(kind):
     return message(*values)
 
 
-@pytest.mark.parametrize("kind", sorted(MavlinkProtocol(hovering()).services.keys() - {"MISSION_ACK"}))
+@pytest.mark.parametrize(
+    "kind", sorted({*MavlinkProtocol(hovering()).services, *REFUSED, *REFUSED_ONCE} - {"MISSION_ACK"})
+)
 def test_every_request_gets_an_answer(kind):
     assert ask(empty(kind)) != []
 
 
-@pytest.mark.parametrize("kind", sorted(REASONS))
+@pytest.mark.parametrize("kind", sorted(REFUSED))
 def test_what_is_not_simulated_is_refused_in_words_once_a_second(kind):
     vehicle = hovering()
     protocol = MavlinkProtocol(vehicle)
     told = [ask(empty(kind), vehicle, 10.0 + n / 20.0, protocol) for n in range(40)]
     texts = [m for answers in told for m in answers]
     assert {m.get_type() for m in texts} == {"STATUSTEXT"}
-    assert "".join(m.text for m in texts) == 2 * REASONS[kind]
+    assert "".join(m.text for m in texts) == 2 * REFUSED[kind]
     assert protocol.refused == {}  # no waypoint was refused
