@@ -1,6 +1,7 @@
 """Addresses of MAVLink endpoints: `udpin:`, `udpout:`, `tcp:`, `tcpin:` and `serial:` URLs."""
 
 import re
+import socket
 import termios
 from typing import NamedTuple
 
@@ -10,8 +11,7 @@ ALLOWED = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or 
 LISTENING = ("udpin", "tcpin")
 """Kinds that wait for others at HOST:PORT. The others call HOST:PORT."""
 EVERYWHERE = "0.0.0.0"
-DEFAULT_BAUD = 57600
-"""The telemetry port of ArduPilot and PX4."""
+DEFAULT_BAUD = 57600  # of the telemetry port of ArduPilot and PX4
 BAUDS = {
     int(name[1:]): int(getattr(termios, name))
     for name in dir(termios)
@@ -26,34 +26,44 @@ OTHER_SIDE = {
     "serial": "8 data bits, no parity, no flow control",
 }
 """What the other side of each kind of endpoint is, or how it connects."""
+PX4_PORTS = {"udpout": 14540, "udpin": 14580}
+"""Ports of PX4's first simulated vehicle for programs: where it sends to, and where it listens."""
 
 
 class Address(NamedTuple):
     """The parts of a URL."""
 
-    kind: str
-    """udpin, udpout, tcp, tcpin or serial."""
-    host: str
-    """Or the serial device."""
-    port: int
-    """Or the baud rate."""
+    kind: str  # udpin, udpout, tcp, tcpin or serial
+    host: str  # or the serial device
+    port: int  # or the baud rate
 
     @property
     def text(self) -> str:
-        """The URL itself, with its baud rate."""
+        """The URL itself, with its port or baud rate."""
         return f"{self.kind}:{self.host}:{self.port}"
 
     @property
     def other_side(self) -> str:
         """What the other side is, or how it connects."""
-        return OTHER_SIDE[self.kind].format(
-            host="HOST" if self.host == EVERYWHERE else self.host, port=self.port
-        )
+        host = "HOST" if self.host == EVERYWHERE else self.host
+        return OTHER_SIDE[self.kind].format(host=host, port=self.port)
 
-    @property
-    def open(self) -> bool:
-        """Whether it listens to other machines."""
-        return self.kind in LISTENING and is_open(self.host)
+    def risk(self, may: str) -> str:
+        """Return a warning that other machines reach it, and what they may then do; empty if they do not."""
+        if self.kind not in LISTENING or not is_open(self.host):
+            return ""
+        return f"{self.text} is open to other machines: whoever reaches port {self.port} can {may}"
+
+    def resolve(self) -> tuple[str, int]:
+        """Return the IPv4 address and port; raises ValueError if the host is unknown."""
+        try:
+            found = socket.getaddrinfo(self.host, self.port, socket.AF_INET, socket.SOCK_STREAM)
+        except OSError as error:
+            raise ValueError(
+                f"{self.text}: {error.strerror}; wanted an IPv4 address or the name of a host"
+            ) from None
+        host, port = found[0][4][:2]
+        return str(host), int(port)
 
 
 def parse_address(url: str) -> Address:
@@ -69,3 +79,22 @@ def parse_address(url: str) -> Address:
     if not match or not 1 <= int(match[3]) <= 65535:
         raise ValueError(f"{url!r} is not a MAVLink endpoint; wanted {ALLOWED}, with a port from 1 to 65535")
     return Address(match[1], match[2], int(match[3]))
+
+
+def parse_out(url: str, instance: int = 0) -> Address:
+    """Parse the URL of an `--out`, which is UDP; raises ValueError if it is not valid.
+
+    A missing port is that of PX4's simulated vehicle of this number.
+    """
+    kind, _, host = url.partition(":")
+    usual = f":{PX4_PORTS[kind] + instance}" if kind in PX4_PORTS and host and ":" not in host else ""
+    try:
+        address = parse_address(url + usual)
+    except ValueError:
+        address = None
+    if address is None or address.kind not in PX4_PORTS:
+        raise ValueError(
+            f"{url!r} is not a MAVLink UDP URL; wanted udpout:HOST:PORT or udpin:HOST:PORT, with a port from "
+            "1 to 65535"
+        )
+    return address

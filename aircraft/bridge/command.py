@@ -3,6 +3,7 @@
 import argparse
 import signal
 import sys
+from collections import Counter
 from contextlib import ExitStack, closing
 
 from aircraft.bridge.address import ALLOWED, parse_address
@@ -37,16 +38,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Route until interrupted; stderr says how to connect, and at the end what went where."""
     addresses = [parse_address(url) for url in args.urls]
-    if twice := next(
-        (address.text for at, address in enumerate(addresses) if address in addresses[:at]), None
-    ):
-        print(f"error: URL: {twice} is given twice; wanted different endpoints", file=sys.stderr)
-        return cli.BAD_INPUT
-    if args.sign and all(address.kind == "serial" for address in addresses):
-        print(
-            "error: --sign: serial lines are not signed; wanted it with a UDP or TCP endpoint",
-            file=sys.stderr,
-        )
+    refusal = ""
+    if twice := [address.text for address, count in Counter(addresses).items() if count > 1]:
+        refusal = f"URL: {twice[0]} is given twice; wanted different endpoints"
+    elif args.sign and all(address.kind == "serial" for address in addresses):
+        refusal = "--sign: serial lines are not signed; wanted it with a UDP or TCP endpoint"
+    if refusal:
+        print(f"error: {refusal}", file=sys.stderr)
         return cli.BAD_INPUT
     with ExitStack() as stack:
         bus = stack.enter_context(
@@ -64,11 +62,8 @@ def run(args: argparse.Namespace) -> int:
         bus.log.info(f"on the bus at {args.connect} as {args.namespace}")
         for address in addresses:
             bus.log.info(f"{address.text}: {address.other_side}")
-            if address.open and not args.sign:
-                bus.log.warning(
-                    f"{address.text} is open to other machines: whoever reaches port {address.port} can "
-                    "command the vehicle"
-                )
+            if (risk := address.risk("command the vehicle")) and not args.sign:
+                bus.log.warning(risk)
         on_end(lambda _: bridge.end())  # no KeyboardInterrupt, which could strike within a frame
         signal.set_wakeup_fd(bridge.wake_descriptor, warn_on_full_buffer=False)
         bus.publish_health()

@@ -1,17 +1,20 @@
 """What opens each kind of URL."""
 
-from aircraft.bridge.links import Endpoint
+from aircraft.bridge.address import Address
+from aircraft.bridge.links import Endpoint, Hub
 from aircraft.bridge.serial_line import SerialLine
 from aircraft.bridge.tcp import TcpIn, TcpOut
-from aircraft.bridge.udp import UdpIn, UdpOut
+from aircraft.bridge.udp import Udp
 
-ENDPOINTS: dict[str, type[Endpoint]] = {
-    "udpin": UdpIn,
-    "udpout": UdpOut,
+KINDS: dict[str, type[Endpoint]] = {
+    "udpin": Udp,
+    "udpout": Udp,
     "tcp": TcpOut,
     "tcpin": TcpIn,
     "serial": SerialLine,
 }
-"""By the kind of an address."""
-TICK_S = 0.2
-"""How often an endpoint is to be told the time."""
+
+
+def endpoint_of(address: Address, hub: Hub) -> Endpoint:
+    """Return the endpoint of an address, not open yet."""
+    return KINDS[address.kind](address, hub)

@@ -5,12 +5,15 @@ message without a target goes to all other links, one with a target to the links
 component have been heard, and none back to its link.
 """
 
+from collections.abc import Hashable
 from typing import NamedTuple
 
 from link.bus.frames import Frame
 
+Link = Hashable
+"""What a caller has for a link to an endpoint."""
 BUS = 0
-"""The link to the bus; the endpoints' links count from 1."""
+"""The link to the bus."""
 BROUGHT = -1
 """Where frames come from that another bridge has put on the bus."""
 DUPLICATE_S = 0.5
@@ -40,7 +43,7 @@ Sender = tuple[int, int]
 class Route(NamedTuple):
     """Where a frame goes."""
 
-    links: tuple[int, ...] = ()
+    links: tuple[Link, ...] = ()
     vehicle: bool = False
     """Whether a vehicle has sent it: on the bus it belongs on mavlink/out, else on mavlink/in."""
     dropped: str = ""
@@ -61,30 +64,30 @@ class Routes:
 
     def __init__(self) -> None:
         """Start with the bus alone."""
-        self.heard: dict[int, dict[Sender, None]] = {BUS: {}}
+        self.heard: dict[Link, dict[Sender, None]] = {BUS: {}}
         """Senders heard on each link, the latest last."""
-        self._systems: dict[int, set[int]] = {BUS: set()}
+        self._systems: dict[Link, set[int]] = {BUS: set()}
         """Systems heard on each link."""
-        self._vehicles: set[tuple[int, int]] = set()
+        self._vehicles: set[tuple[Link, int]] = set()
         """Links and systems: whose autopilot has been heard there."""
-        self._homes: dict[Sender, tuple[int, float]] = {}
+        self._homes: dict[Sender, tuple[Link, float]] = {}
         """The link of each sender of a vehicle, and when it was last heard there."""
-        self.remembered: dict[bytes, tuple[float, frozenset[int]]] = {}
+        self.remembered: dict[bytes, tuple[float, frozenset[Link]]] = {}
         """When each frame came first, and on which links it has come since; the oldest first."""
 
-    def join(self, link: int) -> None:
+    def join(self, link: Link) -> None:
         """Add a link."""
         self.heard[link] = {}
         self._systems[link] = set()
 
-    def leave(self, link: int) -> None:
+    def leave(self, link: Link) -> None:
         """Remove a link, and all that was heard on it."""
         del self.heard[link], self._systems[link]
         self._vehicles = {(at, system) for at, system in self._vehicles if at != link}
         self._homes = {sender: home for sender, home in self._homes.items() if home[0] != link}
 
     def route(
-        self, frame: Frame, link: int, now_s: float, *, out: bool = False, brought: bool = False
+        self, frame: Frame, link: Link, now_s: float, *, out: bool = False, brought: bool = False
     ) -> Route:
         """Return where a frame goes that came on `link`; `out`: the bus had it on mavlink/out; `brought`:
         by another bridge.
@@ -110,13 +113,13 @@ class Routes:
         target = frame.target
         if not target[0]:
             return Route(tuple(other for other in self.heard if other != link), out or vehicle)
-        there = [other for other in self.heard if self._has(other, *target)]
-        links = {other for other in there if other != link}
+        there = {other for other in self.heard if self._has(other, *target)}
         if vehicle and link != BUS:
-            links.add(BUS)  # mavlink/out holds all that a vehicle says, for records and viewers
-        return Route(tuple(sorted(links)), out or vehicle, "" if there or links else UNHEARD)
+            there.add(BUS)  # mavlink/out holds all that a vehicle says, for records and viewers
+        links = tuple(other for other in self.heard if other in there and other != link)
+        return Route(links, out or vehicle, "" if there else UNHEARD)
 
-    def _came_elsewhere(self, data: bytes, link: int, now_s: float, *, remember: bool) -> bool:
+    def _came_elsewhere(self, data: bytes, link: Link, now_s: float, *, remember: bool) -> bool:
         """Return whether a frame came on another link lately. A sender may repeat itself on its own link.
 
         A vehicle's frame that comes from afar is not remembered: it may have overtaken the one from the
@@ -128,23 +131,20 @@ class Routes:
             if now_s - remembered[oldest][0] < DUPLICATE_S and len(remembered) < MOST_REMEMBERED:
                 break
             del remembered[oldest]
-        came_s, links = remembered.get(data, (now_s, frozenset()))
+        came_s, links = remembered.get(data, (now_s, frozenset[Link]()))
         if remember:
             remembered[data] = (came_s, links | {link})
         return bool(links - {link})
 
-    def _is_vehicle(self, frame: Frame, link: int, *, out: bool) -> bool:
+    def _is_vehicle(self, frame: Frame, link: Link, *, out: bool) -> bool:
         """Whether a frame's system is a vehicle on its link; a HEARTBEAT may tell just now."""
-        said = (
-            frame.is_autopilot or frame.component == AUTOPILOT
-            if link == BUS and out
-            else frame.is_autopilot and link != BUS
-        )
-        if said:
+        if link == BUS and not out:
+            return False
+        if frame.is_autopilot or (out and frame.component == AUTOPILOT):
             self._vehicles.add((link, frame.system))
-        return (link, frame.system) in self._vehicles and (out or link != BUS)
+        return (link, frame.system) in self._vehicles
 
-    def _hear(self, sender: Sender, link: int) -> None:
+    def _hear(self, sender: Sender, link: Link) -> None:
         heard = self.heard[link]
         heard.pop(sender, None)
         heard[sender] = None
@@ -153,5 +153,5 @@ class Routes:
             del heard[next(iter(heard))]
             self._systems[link] = {system for system, _ in heard}
 
-    def _has(self, link: int, system: int, component: int) -> bool:
+    def _has(self, link: Link, system: int, component: int) -> bool:
         return (system, component) in self.heard[link] if component else system in self._systems[link]

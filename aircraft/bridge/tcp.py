@@ -1,84 +1,76 @@
 """TCP endpoints: `tcp` connects to a server and comes back to it, `tcpin` is one."""
 
-import contextlib
 import os
 import selectors
 import socket
 import time
 
 from aircraft.bridge.address import Address
-from aircraft.bridge.links import MOST_PEERS, Endpoint, Hub, Pipe, Reopened, peers
-from aircraft.bridge.udp import resolve
+from aircraft.bridge.links import MOST_PEERS, Endpoint, Hub
+from aircraft.bridge.pipe import Pipe, Reopened
 
-MOST_BYTES = 256 * 1024
-"""Most bytes that wait for a connection, seconds of full telemetry."""
-CONNECT_S = 5.0
-"""Longest time for a server to answer."""
+MOST_BYTES = 256 * 1024  # that wait for a connection, seconds of full telemetry
+CONNECT_S = 5.0  # longest time for a server to answer
 GONE_AFTER_S = 10
-"""A connection whose other side acknowledges nothing for so long is lost."""
+"""A connection is lost once the other side has acknowledged nothing for this long."""
+OPTIONS = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 1000 * GONE_AFTER_S}
+"""Linux's names; other systems lack some."""
 
 
 def _prepare(connection: socket.socket) -> None:
     connection.setblocking(False)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, value in (
-        ("TCP_KEEPIDLE", 5),
-        ("TCP_KEEPINTVL", 2),
-        ("TCP_KEEPCNT", 3),
-        ("TCP_USER_TIMEOUT", 1000 * GONE_AFTER_S),
-    ):
-        if hasattr(socket, name):  # the names are Linux's
+    for name, value in OPTIONS.items():
+        if hasattr(socket, name):
             connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 class TcpOut(Reopened):
     """One link while the server is there."""
 
+    there = "connected"
+
     def __init__(self, address: Address, hub: Hub) -> None:
         """Start unconnected."""
-        super().__init__(address, hub, "connected")
-        self._connection: socket.socket | None = None
+        super().__init__(address, hub)
+        self._calling: socket.socket | None = None
         self._until_s = 0.0
 
     def open(self) -> None:
         """Find the server's address; it need not be there yet."""
-        self._where = resolve(self.address)
+        self._where = self.address.resolve()
 
     def tick(self, now_s: float) -> None:
         """Connect if it is time to."""
-        if self._connection is None:
-            if self._retry.due(now_s):
-                self._connect(now_s)
-        elif self._pipe is None and now_s >= self._until_s:
+        if self._calling and now_s >= self._until_s:
             self._fail("no answer")
-
-    def _connect(self, now_s: float) -> None:
-        self._connection = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        _prepare(self._connection)
-        self._until_s = now_s + CONNECT_S
-        self._hub.selector.register(self._connection, selectors.EVENT_WRITE, self._answered)
-        self._connection.connect_ex(self._where)  # how it went is asked for once the socket is writable
+        elif not self._calling and not self._pipe and self._retry.due(now_s):
+            self._calling = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            _prepare(self._calling)
+            self._until_s = now_s + CONNECT_S
+            self._hub.selector.register(self._calling, selectors.EVENT_WRITE, self._answered)
+            self._calling.connect_ex(self._where)  # how it went is asked for once the socket is writable
 
     def _answered(self, _events: int) -> None:
-        assert self._connection is not None
-        error = self._connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-        if (
-            error or self._connection.getsockname() == self._connection.getpeername()
-        ):  # TCP may connect to itself where nobody listens
+        connection = self._calling
+        assert connection is not None
+        error = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if error or connection.getsockname() == connection.getpeername():
+            # TCP may connect to itself where nobody listens
             self._fail(os.strerror(error) if error else "Connection refused")
             return
-        self._hub.selector.unregister(self._connection)
-        self._begin(self._connection.fileno(), MOST_BYTES, time.monotonic())
+        self._hub.unwatch(connection)
+        self._calling = None
+        self._begin(connection, MOST_BYTES, time.monotonic())
 
     def close(self) -> None:
         """Free the connection."""
         super().close()
-        if self._connection:
-            with contextlib.suppress(KeyError, ValueError):
-                self._hub.selector.unregister(self._connection)
-            self._connection.close()
-            self._connection = None
+        if self._calling:
+            self._hub.unwatch(self._calling)
+            self._calling.close()
+            self._calling = None
 
 
 class TcpIn(Endpoint):
@@ -88,11 +80,11 @@ class TcpIn(Endpoint):
         """Start without clients."""
         super().__init__(address, hub)
         self._server = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        self._clients: dict[socket.socket, Pipe] = {}
+        self._clients: dict[str, Pipe] = {}
 
     def open(self) -> None:
         """Listen."""
-        where = resolve(self.address)
+        where = self.address.resolve()
         try:
             self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._server.setblocking(False)
@@ -107,33 +99,26 @@ class TcpIn(Endpoint):
             connection, (host, port) = self._server.accept()
         except OSError:  # the caller has gone again
             return
-        who = f"{self.address.text}: {host}:{port}"
+        who = f"{host}:{port}"
         if len(self._clients) >= MOST_PEERS:
             connection.close()
-            self._hub.log.warning(f"{who} is turned away: there are {MOST_PEERS} clients")
+            self._hub.log.warning(
+                f"{self.address.text}: {who} is turned away: there are {MOST_PEERS} clients"
+            )
             return
         _prepare(connection)
 
         def lost(reason: str) -> None:
-            del self._clients[connection]
-            connection.close()
-            self._hub.log.info(f"{who} has gone: {reason}")
+            del self._clients[who]
+            self._hub.log.info(f"{self.address.text}: {who} has gone: {reason}")
 
-        self._hub.log.info(f"{who} has called")
-        self._clients[connection] = Pipe(
-            connection.fileno(), self._hub, self.traffic, f"{host}:{port}", MOST_BYTES, lost
-        )
-
-    def state(self) -> str:
-        """How many clients it has."""
-        return peers(len(self._clients))
+        self._hub.log.info(f"{self.address.text}: {who} has called")
+        self._clients[who] = Pipe(connection, self._hub, self.traffic, who, MOST_BYTES, lost)
 
     def close(self) -> None:
         """Free the server and its connections."""
-        for connection, pipe in self._clients.items():
+        for pipe in self._clients.values():
             pipe.close()
-            connection.close()
         self._clients.clear()
-        with contextlib.suppress(KeyError, ValueError):
-            self._hub.selector.unregister(self._server)
+        self._hub.unwatch(self._server)
         self._server.close()

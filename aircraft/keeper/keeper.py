@@ -9,7 +9,6 @@ or is a pilot's.
 import contextlib
 import math
 import os
-import selectors
 import signal
 import socket
 import sys
@@ -21,8 +20,9 @@ from typing import Any
 from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.bridge.address import parse_address
-from aircraft.bridge.endpoints import ENDPOINTS, TICK_S
-from aircraft.bridge.links import Channel, Pipe, Traffic
+from aircraft.bridge.endpoints import endpoint_of
+from aircraft.bridge.links import TICK_S, Channel, Hub, Traffic
+from aircraft.bridge.pipe import Pipe
 from aircraft.mode import Mode
 from aircraft.remote.firmware import ARDUCOPTER, FIRMWARES, unfit
 from link.bus.frames import Frame
@@ -245,73 +245,55 @@ class Keeper:
         return self._firmware.mode_name(self._mode or 0)
 
 
-class Switch:
+class Switch(Hub):
     """Hands frames on between the uav and the autopilot's endpoint."""
 
     def __init__(self, url: str, uav: socket.socket, log: Log) -> None:
         """Open the endpoint; raises ValueError if it cannot be used on this machine."""
-        self.selector: selectors.BaseSelector = selectors.DefaultSelector()
-        self.log = log
+        super().__init__(log)
         self.keeper = Keeper(self._send, self._say, partial(ask_for_stacks, os.getppid()))
         self._codec = mavlink.MAVLink(None)
-        self._links: list[Channel] = []
-        self._used: Channel | None = None
+        self._used: Channel | None = None  # the vehicle's link
         self._tell_s = -math.inf
         address = parse_address(url)
-        self._endpoint = ENDPOINTS[address.kind](address, self)
-        self._endpoint.open()
+        self._endpoint = endpoint_of(address, self)
+        self.open(self._endpoint)
         uav.setblocking(False)
         uav.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WAITING_BYTES)
-        self._uav: Channel | None = None
-        self._pipe = Pipe(
-            uav.fileno(), self, Traffic("uav", log), "uav", WAITING_BYTES, lambda _: self.keeper.gone()
-        )
-        self._uav = self._links.pop()
-
-    def join(self, link: Channel) -> None:
-        """A link is there."""
-        self._links.append(link)
+        self._uav = Pipe(
+            uav, self, Traffic("uav", log), "uav", WAITING_BYTES, lambda _: self.keeper.gone()
+        ).link
 
     def leave(self, link: Channel) -> None:
         """A link has gone."""
-        if link is self._uav:
-            return
-        self._links.remove(link)
+        super().leave(link)
         if link is self._used:
             self._used = None
-
-    def route(self, link: Channel, frames: list[Frame]) -> None:
-        """Hand frames on."""
-        now_s = time.monotonic()
-        if link is self._uav:
-            for frame in frames:
-                if self.keeper.passes(frame, now_s):
-                    self._out(frame.data)
-            return
-        for frame in frames:
-            if frame.system == OWN:
-                continue
-            with contextlib.suppress(mavlink.MAVError):
-                if self.keeper.hear(frame, now_s):
-                    self._used = link  # a vehicle may come back on another link
-            self._pipe.send(frame.data)
 
     def run(self) -> None:
         """Hand on until nobody needs it."""
         while not self.keeper.over:
-            now_s = time.monotonic()
-            self._endpoint.tick(now_s)
-            self.keeper.look(now_s)
-            self._tell_the_uav(now_s)
-            until_s = now_s + TICK_S
-            while (left_s := until_s - time.monotonic()) > 0.0 and not self.keeper.over:
-                for key, events in self.selector.select(left_s):
-                    key.data(events)
-        self._endpoint.close()
+            for link, frame in self.take(TICK_S):
+                now_s = time.monotonic()
+                if link is self._uav:
+                    if self.keeper.passes(frame, now_s):
+                        self._out(frame.data)
+                elif frame.system != OWN:
+                    with contextlib.suppress(mavlink.MAVError):
+                        if self.keeper.hear(frame, now_s):
+                            self._used = link  # a vehicle may come back on another link
+                    self._uav.send(frame.data)
+        self.close()
 
-    def _out(self, frame: bytes) -> None:
-        for link in [self._used] if self._used else [*self._links]:
-            link.send(frame)
+    def tick(self, now_s: float) -> None:
+        """Look after the endpoint and the vehicle."""
+        super().tick(now_s)
+        self.keeper.look(now_s)
+        self._tell_the_uav(now_s)
+
+    def _out(self, data: bytes) -> None:
+        for link in [self._used] if self._used else self._endpoint.links:
+            link.send(data)
 
     def _send(self, message: mavlink.MAVLink_message) -> None:
         self._out(self._packed(message, self.keeper.system))
@@ -327,9 +309,9 @@ class Switch:
         if now_s - self._tell_s < AGAIN_S:
             return
         self._tell_s = now_s
-        text = self.keeper.acted or self._endpoint.trouble() or self._endpoint.state()
+        text = self.keeper.acted or self._endpoint.trouble or self._endpoint.state
         severity = CRITICAL if self.keeper.acted else INFO
-        self._pipe.send(self._packed(mavlink.MAVLink_statustext_message(severity, text[:50].encode()), OWN))
+        self._uav.send(self._packed(mavlink.MAVLink_statustext_message(severity, text[:50].encode()), OWN))
 
     def _packed(self, message: mavlink.MAVLink_message, system: int) -> bytes:
         self._codec.srcSystem, self._codec.srcComponent = system, COMPANION

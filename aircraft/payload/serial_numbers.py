@@ -7,7 +7,7 @@ import select
 import time
 
 from aircraft.bridge.address import Address
-from aircraft.bridge.links import Retry
+from aircraft.bridge.pipe import Retry
 from aircraft.bridge.serial_line import open_device
 from aircraft.payload.drivers import LARGEST, NO_NUMBER
 from link.bus.log import Log

@@ -10,8 +10,6 @@ from typing import Protocol, TypeVar
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.bridge.links import Channel
-from aircraft.keeper.connection import Heard
 from aircraft.operator import DONE_S, REASON_S, TRIES, CommandRun, command
 from aircraft.remote.firmware import FIRMWARES, unfit
 from aircraft.remote.known import Known
@@ -45,11 +43,11 @@ class Radio(Protocol):
     def send(self, message: Message) -> None:
         """Send a message as a companion computer."""
 
-    def poll(self, wait_s: float = 0.0) -> list[Heard]:
+    def poll(self) -> list[Message]:
         """Return what has come."""
 
-    def use(self, link: Channel, system: int) -> None:
-        """Speak on this link from now on, as a companion of a system."""
+    def use(self, system: int) -> None:
+        """Speak as a companion of a system from now on."""
 
     def frames(self) -> list[bytes]:
         """Return the vehicle's own frames as they came, since the last call."""
@@ -134,14 +132,14 @@ class Commander:
             self._beat_s, self._state = now_s, state
             kind, none = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
             self.radio.send(mavlink.MAVLink_heartbeat_message(kind, none, 0, 0, state, 3))
-        for message, link in self.radio.poll():
+        for message in self.radio.poll():
             with self._handling(message):
-                self._take(message, link)
+                self._take(message)
         if self.system and not self.quiet and now_s - self._streams_s >= self.patient(STREAMS_S):
             self._streams_s = now_s
             self._ask_for_streams()
 
-    def _take(self, message: Message, link: Channel) -> None:
+    def _take(self, message: Message) -> None:
         system = message.get_srcSystem()
         if message.get_srcComponent() != AUTOPILOT or system != (self.system or self.wanted or system):
             return
@@ -162,7 +160,7 @@ class Commander:
                     )
                 return
             self.system = system
-            self.radio.use(link, system)  # a vehicle may come back on another link
+            self.radio.use(system)
         if not self.system:
             return
         if message.get_type() == "COMMAND_ACK" and self._running and _is_ours(message, system):

@@ -10,8 +10,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from aircraft.bridge.address import parse_address
 from aircraft.bridge.bus_link import BRIDGED
+from aircraft.bridge.endpoints import endpoint_of
+from aircraft.bridge.links import Hub
 from aircraft.bridge.routing import SETUP_SIGNING
-from aircraft.keeper.connection import Endpoints
 from aircraft.operator import AUTOPILOT, OPERATOR, SEARCH, CommandName, named, word_of
 from aircraft.remote.real import leave
 from aircraft.remote.vehicle import RemoteVehicle
@@ -73,7 +74,9 @@ class RealClients:
         self._codec = Codec(0, SEARCH)
         self._beat_at_s = 0.0
         self._spoke_as = 0
-        self._outs = Endpoints([parse_address(url) for url in outs], handling.log, signing)
+        self._outs = Hub(handling.log)
+        for url in outs:
+            self._outs.open(endpoint_of(parse_address(url), self._outs), signing)
 
     @property
     def system(self) -> int:

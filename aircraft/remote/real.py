@@ -73,11 +73,8 @@ def real_vehicle(
     connection = Connection(parse_address(url), log)
     address = connection.address
     log.info(f"vehicle at {address.text}; the other side: {address.other_side}")
-    if address.open:
-        log.warning(
-            f"{address.text} is open to other machines: whoever reaches port {address.port} can speak as the "
-            "vehicle"
-        )
+    if risk := address.risk("speak as the vehicle"):
+        log.warning(risk)
     commander = Commander(connection, speedup, sysid, Handling(log).of)
     return RemoteVehicle(config, commander, wait_s=wait_s, launched=LAUNCHER in os.environ), connection
 

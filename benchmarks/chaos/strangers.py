@@ -10,10 +10,12 @@ from collections.abc import Callable
 import zenoh
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.search.udp import UdpLink
+from aircraft.search.udp import UdpPorts
 from link import cli
 from link.bus.keys import KEYS, READING
+from link.bus.log import Log
 from link.bus.session import Arrival, Bus
+from link.bus.tally import Tally
 from plume.randomness import keyed
 
 MOST_COPIES, LATEST_S = 3, 3.0
@@ -78,10 +80,12 @@ def echo(endpoint: str, seed: int) -> None:
 
 def station(endpoint: str, seed: int) -> None:
     """Be a ground station on UDP: say heartbeats, hear telemetry."""
-    link = UdpLink(endpoint, lambda _, peer: None, system=255, component=mavlink.MAV_COMP_ID_MISSIONPLANNER)
+    log = Log("station", "-", Tally())
+    link = UdpPorts([endpoint], log, system=255, component=mavlink.MAV_COMP_ID_MISSIONPLANNER)
     _ready()
     while True:
-        link.send(
+        link.receive()
+        link.ports[0].send(
             mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3)
         )
         time.sleep(BEAT_S)

@@ -5,11 +5,11 @@ import contextlib
 import sys
 from typing import TYPE_CHECKING
 
+from aircraft.bridge.address import parse_out
 from aircraft.remote.real import real_vehicle
 from aircraft.remote.winds import parse_wind
 from aircraft.search.clock import Clock
 from aircraft.search.events import OnBoard
-from aircraft.search.udp import parse_url
 from aircraft.state import VehicleFailed
 from link import cli
 from link.bus.inbox import Inbox
@@ -38,15 +38,15 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
         print(f"error: {error}", file=sys.stderr)
         return cli.BAD_INPUT
     config = at_own_home(script.vehicle_config(args.sysid or args.instance + 1), args.instance)
-    outs = [parse_url(url, args.instance) for url in args.out]
+    outs = [parse_out(url, args.instance) for url in args.out]
     release = script.release()
     inbox = Inbox()
     namespace = args.namespace or f"uav/{args.instance + 1}"
     log = Log("uav", namespace, Tally(), args.log_level)
     if not args.out and not args.connect and not args.vehicle:
-        usual = parse_url("udpout:127.0.0.1", args.instance)
+        usual = parse_out("udpout:127.0.0.1", args.instance)
         log.info(
-            f"no client can connect by UDP without --out; --out {usual.text} is for {usual.counterpart}; "
+            f"no client can connect by UDP without --out; --out {usual.text} is for {usual.other_side}; "
             "QGroundControl: port 14550"
         )
     with contextlib.ExitStack() as stack:
@@ -110,12 +110,9 @@ def run(args: argparse.Namespace, given: argparse.Namespace, script: Script) -> 
             print(f"error: --out: {error}", file=sys.stderr)
             return cli.BAD_INPUT
         for out in outs:
-            log.info(f"MAVLink to {out.text}; {out.counterpart}")
-            if out.open and not args.sign:
-                log.warning(
-                    f"{out.text} is open to other machines: whoever reaches port {out.port} can command the "
-                    "vehicle"
-                )
+            log.info(f"MAVLink to {out.text}; {out.other_side}")
+            if (risk := out.risk("command the vehicle")) and not args.sign:
+                log.warning(risk)
         try:
             uav.run()
         except VehicleFailed as failure:

@@ -102,10 +102,10 @@ def at_own_home(config: VehicleConfig, instance: int) -> VehicleConfig:
 
 
 def _udp_url(text: str) -> str:
-    from aircraft.search.udp import parse_url
+    from aircraft.bridge.address import parse_out
 
     try:
-        parse_url(text)
+        parse_out(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return text

@@ -17,7 +17,7 @@ from aircraft.search.events import OnBoard
 from aircraft.search.handling import Handling
 from aircraft.search.search import AfterStop, Search
 from aircraft.search.uav import Uav
-from aircraft.search.udp import UdpLink
+from aircraft.search.udp import UdpPorts
 from aircraft.state import Result, denied, not_now
 from link.bus.inbox import Inbox
 from link.bus.keys import MAVLINK_IN, MAVLINK_OUT
@@ -69,14 +69,6 @@ class Port(NamedTuple):
     telemetry: Telemetry
 
 
-class FromUdp(NamedTuple):
-    """A message received over UDP, with the index of its `Port` and its sender's HOST:PORT."""
-
-    port: int
-    message: Message
-    peer: str
-
-
 class SimulatedClients:
     """The clients of a simulated vehicle, each link with telemetry of its own."""
 
@@ -105,22 +97,12 @@ class SimulatedClients:
         self._gas: tuple[int, float] | None = None
         self._progress = vehicle.progress
         self._ports: list[Port] = []
-        self._udp: list[UdpLink] = []
+        self._udp = UdpPorts(outs, self._log, self.system, COMPONENT, signing) if outs else None
         if bus is not None:
             self._ports.append(Port(BusLink(bus, self.system), self._telemetry()))
-        for url in outs:
-            index = len(self._ports)
-            put = inbox.lane(url)
-            signer = signing.link(url) if signing else None
-            link = UdpLink(
-                url,
-                lambda *said, index=index, put=put: put(FromUdp(index, *said), 0),
-                self.system,
-                COMPONENT,
-                signer,
-            )
-            self._udp.append(link)
-            self._ports.append(Port(link, self._telemetry()))
+        if self._udp:
+            self._ports += [Port(port, self._telemetry()) for port in self._udp.ports]
+            self._udp.ring(lambda: inbox.put(None))  # `serve` takes what has come
 
     def _telemetry(self) -> Telemetry:
         # The vehicle's time, not the streams' time: at speed-up 0 they differ.
@@ -133,17 +115,18 @@ class SimulatedClients:
     # ---- what they are told ----
 
     def serve(self) -> None:
-        """Tell what is due; and at once when the mission goes on: stations take it for finished before
-        they see the next mode.
+        """Take what has come over UDP, and tell what is due; and at once when the mission goes on: stations
+        take it for finished before they see the next mode.
         """
+        if self._udp:
+            for link, message, peer in self._udp.receive():
+                self._take(message, next(port for port in self._ports if port.link is link), f"at {peer}")
         if (progress := self._vehicle.progress) != self._progress:
             self._progress = progress
             self._send_now(MissionCurrent.id)
         for port in self._ports:
             if due := [*port.telemetry.due(self._clock.stream_s()), *self._protocol.due(port.telemetry)]:
                 port.link.send(*due)
-        for link in self._udp:
-            link.tell_refused(self._log)
 
     def _send_now(self, message_id: int) -> None:
         for port in self._ports:
@@ -175,10 +158,8 @@ class SimulatedClients:
     # ---- what they ask ----
 
     def take(self, item: object) -> None:
-        """Take a message that came over UDP, or a payload of `mavlink/in`."""
-        if isinstance(item, FromUdp):
-            self._take(item.message, self._ports[item.port], f"at {item.peer}")
-        elif isinstance(item, Arrival) and self._bus:
+        """Take a payload of `mavlink/in`."""
+        if isinstance(item, Arrival) and self._bus:
             try:
                 messages = unpack(item.payload)
             except BadFrame as error:
@@ -222,8 +203,8 @@ class SimulatedClients:
 
     def end(self, say: Callable[[int, str], None]) -> None:
         """Close the links."""
-        for link in self._udp:
-            link.close()
+        if self._udp:
+            self._udp.close()
 
 
 def simulated_uav(

@@ -3,7 +3,6 @@ must go on as before.
 """
 
 import contextlib
-import logging
 import math
 import queue
 from collections.abc import Callable
@@ -20,7 +19,6 @@ from agent.policies import OURS, reach
 from aircraft.bridge.routing import Routes
 from aircraft.mode import Mode
 from aircraft.operator import OPERATOR, SEARCH, WANTED, change_mode, command, order
-from aircraft.search import udp
 from aircraft.search.clock import Clock
 from aircraft.search.search import RETURNING, SEARCHING
 from estimator import service as estimator
@@ -39,10 +37,10 @@ from plume.sensor import GAUSSIAN
 from plume.world import World
 from sitl.autopilot.config import VehicleConfig
 from sitl.autopilot.vehicle import Vehicle
-from sitl.uav.simulated import FromUdp, simulated_uav
+from sitl.uav.simulated import simulated_uav
 from tests.fuzz.mutants import as_sent
 
-QUIET = (LOGGER, logging.getLogger("aircraft.search.udp"))
+QUIET = (LOGGER,)
 """What would write a line for most inputs."""
 GOLDEN = Path(__file__).parents[1] / "golden"
 BETWEEN = b"\xff\xff\xff"
@@ -332,12 +330,12 @@ def mavlink_in_seeds() -> list[bytes]:
 
 
 def mavlink_in(data: bytes) -> None:
-    """The vehicle takes any payload, from the bus or decoded from UDP, flies on and answers."""
+    """The vehicle takes any payload, from the bus, or frame by frame as over UDP, flies on and answers."""
     payload = as_sent(data)
     flight = _Flight(searching=len(data) % 2 == 0)
     flight.goes_on(
         Arrival(MAVLINK_IN, payload, b""),
-        *(FromUdp(0, message, "127.0.0.1:14550") for message in udp.decode(payload).messages),
+        *(Arrival(MAVLINK_IN, frame.data, b"") for frame in FrameStream().take(payload, datagram=True)),
     )
     assert FAULT not in flight.bus.tally.refused
     _lives_on(flight)
@@ -422,18 +420,9 @@ def frames_seeds() -> list[bytes]:
     ]
 
 
-GOOD = Codec(7, 7).pack(mavlink.MAVLink_system_time_message(1, 1))
-
-
 def frames(data: bytes) -> None:
-    """Every byte is in a frame, garbage or kept for later, and a good frame behind is found."""
+    """Every byte is in a frame, garbage or kept for later."""
     payload = as_sent(data)
-    heard = udp.decode(payload)
-    lengths = sum(len(message.get_msgbuf()) for message in heard.messages)
-    assert lengths + heard.garbage + len(heard.rest) == len(payload)
-    assert len(heard.rest) <= 280
-    if payload.count(b"\xfd") + payload.count(b"\xfe") < udp.MOST_FALSE_STARTS:
-        assert bytes(udp.decode(payload + GOOD).messages[-1].get_msgbuf()) == GOOD
     for datagram in (False, True):
         stream, routes = FrameStream(), Routes()
         routes.join(1)

@@ -4,7 +4,7 @@ allowed.
 
 import pytest
 
-from aircraft.bridge.address import Address, parse_address
+from aircraft.bridge.address import Address, parse_address, parse_out
 
 
 @pytest.mark.parametrize(
@@ -66,9 +66,47 @@ def test_only_what_listens_is_open_to_other_machines() -> None:
         url
         for kind in ("udpin", "udpout", "tcp", "tcpin")
         for url in [f"{kind}:0.0.0.0:9"]
-        if parse_address(url).open
+        if parse_address(url).risk("command the vehicle")
     }
     assert listening == {"udpin:0.0.0.0:9", "tcpin:0.0.0.0:9"}
+
+
+def test_what_others_may_do_is_said_with_the_port() -> None:
+    assert parse_address("udpin:0.0.0.0:9").risk("command the vehicle") == (
+        "udpin:0.0.0.0:9 is open to other machines: whoever reaches port 9 can command the vehicle"
+    )
+    assert parse_address("udpin:127.0.0.1:9").risk("command the vehicle") == ""
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "",
+        "udp:127.0.0.1:14540",
+        "udpin:",
+        "udpout:127.0.0.1:",
+        "udpout::1",
+        "udpout:h:0",
+        "udpout:h:65536",
+        "udpout:h:-1",
+        "tcp:h:1",
+    ],
+)
+def test_a_wrong_url_of_an_out_is_refused_in_one_line_that_names_it_and_what_is_allowed(url: str) -> None:
+    with pytest.raises(ValueError, match="wanted udpout:HOST:PORT or udpin:HOST:PORT") as refusal:
+        parse_out(url)
+    assert repr(url) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("url", "instance", "port"),
+    [("udpout:h", 0, 14540), ("udpout:h", 3, 14543), ("udpin:h", 3, 14583), ("udpin:h:9", 3, 9)],
+)
+def test_a_missing_port_of_an_out_is_that_of_px4s_vehicle_of_the_same_number(
+    url: str, instance: int, port: int
+) -> None:
+    assert parse_out(url, instance).text == f"{url.removesuffix(':9')}:{port}"
 
 
 def test_the_other_side_is_told_the_url_it_needs() -> None:

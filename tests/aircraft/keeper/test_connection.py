@@ -162,7 +162,8 @@ def test_what_cannot_be_heard_is_told_with_the_url_that_the_other_side_needs(
     with closing(Connection(parse_address(url), Log("uav", "test", Tally(), "error"))) as connection:
 
         def told() -> bool:
-            connection.poll(0.05)
+            connection.selector.select(0.05)
+            connection.poll()
             return connection.state.startswith(state)
 
         wait_until(told)  # its keeper tells each second

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.keeper.connection import Heard
 from aircraft.keeper.keeper import GIVEN_UP_S, SILENT_S, Keeper
 from link.bus.frames import FrameStream
 from link.bus.mavlink import ONBOARD_COMPUTER, Codec, Message
@@ -61,7 +60,7 @@ class KeptRadio(Radio):
         for frame in self.wire.advance(STEPS):
             for said in self._from_autopilot.take(frame):
                 self.keeper.hear(said, self.now_s)
-            self._heard += [Heard(message, self._link) for message in self._parser.parse_buffer(frame) or ()]
+            self._heard += self._parser.parse_buffer(frame) or ()
         self.keeper.look(self.now_s)
 
 

@@ -8,8 +8,6 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.bridge.links import Channel, Traffic
-from aircraft.keeper.connection import Heard
 from aircraft.mode import Mode
 from aircraft.remote.commander import Commander
 from aircraft.remote.passing import RealClients
@@ -47,10 +45,7 @@ class Radio:
         self._codec = Codec(0, 191)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
-        self._link = Channel(
-            Traffic("double", Log("uav", "test", Tally(), "error")), lambda _: None, "double"
-        )
-        self._heard: list[Heard] = []
+        self._heard: list[Message] = []
         self._system = 0
         self._frames: list[bytes] = []
         self.said: list[bytes] = []
@@ -73,8 +68,7 @@ class Radio:
         else:
             self.wire.hear(self._codec.pack(message))
 
-    def use(self, link: Channel, system: int) -> None:
-        assert link is self._link
+    def use(self, system: int) -> None:
         if system != self._system:
             self._system, self._codec = system, Codec(system, 191)
 
@@ -86,7 +80,7 @@ class Radio:
         self.forwarded.append(frame)
         self.wire.hear(frame)
 
-    def poll(self, wait_s: float = 0.0) -> list[Heard]:
+    def poll(self) -> list[Message]:
         heard, self._heard = self._heard, []
         return heard
 
@@ -99,12 +93,12 @@ class Radio:
             self._way += [(self._now_s, message) for message in self._parser.parse_buffer(frame) or ()]
         due = [one for one in self._way if one[0] + self.late.get(one[1].get_type(), 0.0) <= self._now_s]
         self._way = [one for one in self._way if one not in due]
-        self._heard += [Heard(self._mixed(message), self._link) for _, message in due]
+        self._heard += [self._mixed(message) for _, message in due]
 
     def hear(self, message: Message, sender: tuple[int, int] = (1, 1)) -> None:
         """Something else comes over the link."""
         (heard,) = self._parser.parse_buffer(Codec(*sender).pack(message))
-        self._heard.append(Heard(heard, self._link))
+        self._heard.append(heard)
 
     def _mixed(self, message: Message) -> Message:
         """A HEARTBEAT as it is heard if its mode or its status came later than the rest."""

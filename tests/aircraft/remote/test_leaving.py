@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.keeper.connection import Heard
 from aircraft.remote import passing, real
 from aircraft.remote.command import real_uav
 from aircraft.remote.vehicle import RemoteVehicle
@@ -167,7 +166,7 @@ def test_a_vehicle_whose_words_cannot_be_read_is_sent_home_all_the_same(
         else:
             send(message)
 
-    def unread(wait_s: float = 0.0) -> list[Heard]:
+    def unread() -> list[Message]:
         raise failure
 
     def happens() -> None:

@@ -1,15 +1,17 @@
 """Protects a signed UDP link: strangers are neither heard nor answered, and do not push anyone out."""
 
 import hashlib
-import queue
 import socket
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from aircraft.search.udp import MOST_PEERS, UdpLink
+from aircraft.bridge.links import MOST_PEERS
+from aircraft.search.udp import UdpPorts
 from link.bus.log import Log
 from link.bus.tally import Tally
 from link.signing.signature import signed
@@ -35,11 +37,6 @@ def log() -> Log:
 
 
 @pytest.fixture
-def received() -> queue.Queue:
-    return queue.Queue()
-
-
-@pytest.fixture
 def port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -47,18 +44,18 @@ def port() -> int:
 
 
 @pytest.fixture
-def link(tmp_path: Path, log: Log, received: queue.Queue, port: int) -> Iterator[UdpLink]:
+def link(tmp_path: Path, log: Log, port: int) -> Iterator[UdpPorts]:
     (tmp_path / "key").write_text("abc")
     url = f"udpin:127.0.0.1:{port}"
     signing = Signing(str(tmp_path / "key"), "uav-7", log)
-    link = UdpLink(url, lambda message, sender: received.put(message), system=7, signer=signing.link(url))
+    link = UdpPorts([url], log, system=7, component=1, signing=signing)
     yield link
     link.close()
     signing.close()
 
 
 @pytest.fixture
-def caller(link: UdpLink, port: int) -> Iterator[Callable[[], socket.socket]]:
+def caller(link: UdpPorts, port: int) -> Iterator[Callable[[], socket.socket]]:
     """Makes sockets that send to the link."""
     opened: list[socket.socket] = []
 
@@ -73,6 +70,14 @@ def caller(link: UdpLink, port: int) -> Iterator[Callable[[], socket.socket]]:
         each.close()
 
 
+def received(link: UdpPorts) -> Any:
+    """The next message that comes."""
+    while True:
+        assert link.selector.select(WAIT_S)
+        if messages := [message for _, message, _ in link.receive()]:
+            return messages[-1]
+
+
 def heard(sender: socket.socket) -> list[bytes]:
     """The datagrams that wait at a socket; on one machine a sent datagram has already arrived."""
     sender.setblocking(False)
@@ -85,37 +90,35 @@ def heard(sender: socket.socket) -> list[bytes]:
 
 
 def test_only_who_signs_is_heard_and_answered_and_the_answer_is_signed(
-    link: UdpLink, caller: Callable[[], socket.socket], received: queue.Queue, log: Log
+    link: UdpPorts, caller: Callable[[], socket.socket], log: Log
 ) -> None:
     stranger, guesser, station = caller(), caller(), caller()
     stranger.send(frame(1))
     guesser.send(signed(frame(2), b"?" * 32, 0, clock()))
     station.send(signed(frame(3), KEY, 0, clock()))
-    assert received.get(timeout=WAIT_S).seq == 3
-    link.send(mavlink.MAVLink_ping_message(0, 4, 0, 0))
+    assert received(link).seq == 3
+    link.ports[0].send(mavlink.MAVLink_ping_message(0, 4, 0, 0))
     assert heard(stranger) == heard(guesser) == []
     (answer,) = heard(station)
     assert answer[2] == 1
     assert hashlib.sha256(KEY + answer[:-6]).digest()[:6] == answer[-6:]
-    link.tell_refused(log)
+    link.tick(time.monotonic())
     assert list(log.tally.refused.values()) == [1, 1]
 
 
 def test_a_radio_is_let_through_but_nobody_becomes_a_peer_by_it(
-    link: UdpLink, caller: Callable[[], socket.socket], received: queue.Queue, log: Log
+    link: UdpPorts, caller: Callable[[], socket.socket], log: Log
 ) -> None:
     stranger = caller()
     stranger.send(frame(0, RADIO))
-    assert received.get(timeout=WAIT_S).get_type() == "RADIO_STATUS"
-    link.send(mavlink.MAVLink_ping_message(0, 1, 0, 0))
+    assert received(link).get_type() == "RADIO_STATUS"
+    link.ports[0].send(mavlink.MAVLink_ping_message(0, 1, 0, 0))
     assert heard(stranger) == []
-    link.tell_refused(log)
+    link.tick(time.monotonic())
     assert not log.tally.refused
 
 
-def test_strangers_push_no_station_out(
-    link: UdpLink, caller: Callable[[], socket.socket], received: queue.Queue
-) -> None:
+def test_strangers_push_no_station_out(link: UdpPorts, caller: Callable[[], socket.socket]) -> None:
     station, last = caller(), caller()
     station.send(signed(frame(1), KEY, 0, clock()))
     for number in range(2 * MOST_PEERS):
@@ -123,15 +126,15 @@ def test_strangers_push_no_station_out(
         stranger.send(frame(number))
         stranger.send(frame(number, RADIO))
     last.send(signed(frame(2), KEY, 1, clock()))
-    while received.get(timeout=WAIT_S).get_type() != "PING" or received.qsize():
+    while received(link).get_type() != "PING":
         pass
-    link.send(mavlink.MAVLink_ping_message(0, 3, 0, 0))
+    link.ports[0].send(mavlink.MAVLink_ping_message(0, 3, 0, 0))
     assert len(heard(station)) == 1
 
 
 def test_a_good_frame_behind_a_refused_one_in_a_datagram_is_read(
-    link: UdpLink, caller: Callable[[], socket.socket], received: queue.Queue
+    link: UdpPorts, caller: Callable[[], socket.socket]
 ) -> None:
     caller().send(frame(1) + signed(frame(2), KEY, 0, clock()))
-    assert received.get(timeout=WAIT_S).seq == 2
-    assert link.garbage == 0
+    assert received(link).seq == 2
+    assert "bytes of garbage" not in link.endpoints[0].traffic.dropped
