@@ -17,15 +17,12 @@ from link.signing.signature import unsigned
 from link.signing.signer import Signer, Signing
 
 GARBAGE, OVERFLOW, AWAY = "bytes of garbage", "that came too fast", "while it was not connected"
-UNSIGNABLE = "of MAVLink 1, which cannot be signed"
-"""Why something is dropped, beside routing's reasons."""
-USUAL = frozenset({DUPLICATE, UNHEARD, AWAY})
-"""Reasons that do not make a bridge unwell."""
+UNSIGNABLE = "of MAVLink 1, which cannot be signed"  # why something is dropped, beside routing's reasons
+USUAL = frozenset({DUPLICATE, UNHEARD, AWAY})  # reasons that do not make a bridge unwell
 LARGEST_READ = 65536
 MOST_READS = 64  # deliveries that are read from a link before the others have their turn
 MOST_PEERS = 16  # of a `udpin` or `tcpin`
-TICK_S = 0.2
-"""How often an endpoint does what is due by its clock."""
+TICK_S = 0.2  # how often an endpoint does what is due by its clock
 
 
 class Traffic:
@@ -127,8 +124,7 @@ class Endpoint:
         """Take the parts of the URL."""
         self.address = address
         self.traffic = Traffic(address.text, hub.log)
-        self.trouble = ""
-        """Why nothing can be sent; empty if all is well."""
+        self.trouble = ""  # why nothing can be sent; empty if all is well
         self._hub = hub
 
     def open(self) -> None:

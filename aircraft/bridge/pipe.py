@@ -12,6 +12,7 @@ from typing import Any
 
 from aircraft.bridge.address import Address
 from aircraft.bridge.links import AWAY, LARGEST_READ, OVERFLOW, Channel, Endpoint, Hub, Traffic
+from link.bus.backoff import Backoff
 
 BACK_OFF_FIRST_S, BACK_OFF_LAST_S = 0.25, 4.0
 """First and longest time after which a lost endpoint is tried again; it doubles each time."""
@@ -101,27 +102,20 @@ class Pipe:
                 self._file.close()
 
 
-class Retry:
-    """When a lost endpoint is tried again."""
+class Retry(Backoff):
+    """When a lost endpoint is tried again. After a connection that lasted, waits begin short again."""
 
     def __init__(self) -> None:
         """Try at once."""
-        self._wait_s = BACK_OFF_FIRST_S
-        self._at_s = -math.inf
+        super().__init__(BACK_OFF_FIRST_S, BACK_OFF_LAST_S)
         self._since_s = math.inf
 
     def due(self, now_s: float) -> bool:
-        """Whether it is time; if so, the next time is later. After a connection that lasted, waits begin
-        short again.
-        """
-        if now_s < self._at_s:
-            return False
+        """Whether a try is due. If so, it is taken to be made now."""
         if now_s - self._since_s > BACK_OFF_LAST_S:
-            self._wait_s = BACK_OFF_FIRST_S
+            self.relax(now_s)
         self._since_s = math.inf
-        self._at_s = now_s + self._wait_s
-        self._wait_s = min(2 * self._wait_s, BACK_OFF_LAST_S)
-        return True
+        return super().due(now_s)
 
     def succeeded(self, now_s: float) -> None:
         """Remember when it was reached."""
@@ -131,8 +125,7 @@ class Retry:
 class Reopened(Endpoint):
     """One link while the other side is there; when it is lost, it is tried again."""
 
-    there = "open"
-    """One word for a link that works."""
+    there = "open"  # one word for a link that works
 
     def __init__(self, address: Address, hub: Hub) -> None:
         """Start without the link."""

@@ -10,34 +10,26 @@ from typing import NamedTuple
 
 from link.bus.frames import Frame
 
-Link = Hashable
-"""What a caller has for a link to an endpoint."""
-BUS = 0
-"""The link to the bus."""
-BROUGHT = -1
-"""Where frames come from that another bridge has put on the bus."""
-DUPLICATE_S = 0.5
-"""A frame that came on another link less than this ago came around a loop."""
+Link = Hashable  # what a caller has for a link to an endpoint
+BUS = 0  # the link to the bus
+ANOTHER_BRIDGE = -1  # where frames come from that another bridge has put on the bus
+DUPLICATE_S = 0.5  # a frame that came on another link less than this ago came around a loop
 MOST_REMEMBERED = 8192
 """Most frames that are remembered to find duplicates: those of 0.5 s at 16,000 a second."""
-HOME_S = 3.0
-"""A vehicle that is silent for this long on its link may turn up on another: three heartbeats."""
+HOME_S = 3.0  # a vehicle that is silent for this long on its link may turn up on another: three heartbeats
 MOST_HEARD = 1024
 """Most senders remembered for each link, the latest heard. It is bounded because ids are easily forged."""
 SETUP_SIGNING = 256
-AUTOPILOT = 1
-"""The component id of autopilots."""
+AUTOPILOT = 1  # the component id of autopilots
 
 DUPLICATE, ELSEWHERE, UNHEARD = (
     "duplicate",
     "of a vehicle of another link",
     "for a target that nobody has heard",
 )
-KEYS = "with a key (SETUP_SIGNING)"
-"""Why a frame is dropped."""
+KEYS = "with a key (SETUP_SIGNING)"  # why a frame is dropped
 
-Sender = tuple[int, int]
-"""System and component id."""
+Sender = tuple[int, int]  # system and component id
 
 
 class Route(NamedTuple):
@@ -46,8 +38,7 @@ class Route(NamedTuple):
     links: tuple[Link, ...] = ()
     vehicle: bool = False
     """Whether a vehicle has sent it: on the bus it belongs on mavlink/out, else on mavlink/in."""
-    dropped: str = ""
-    """Why it goes nowhere, if it should have gone somewhere."""
+    dropped: str = ""  # why it goes nowhere, if it should have gone somewhere
 
 
 class Routes:
@@ -64,10 +55,8 @@ class Routes:
 
     def __init__(self) -> None:
         """Start with the bus alone."""
-        self.heard: dict[Link, dict[Sender, None]] = {BUS: {}}
-        """Senders heard on each link, the latest last."""
-        self._systems: dict[Link, set[int]] = {BUS: set()}
-        """Systems heard on each link."""
+        self.heard: dict[Link, dict[Sender, None]] = {BUS: {}}  # senders heard on each link, the latest last
+        self._systems: dict[Link, set[int]] = {BUS: set()}  # systems heard on each link
         self._vehicles: set[tuple[Link, int]] = set()
         """Links and systems: whose autopilot has been heard there."""
         self._homes: dict[Sender, tuple[Link, float]] = {}
@@ -97,7 +86,7 @@ class Routes:
         ):  # a key that came over a safe link must not leave by another one
             return Route(dropped=KEYS)
         sender = (frame.system, frame.component)
-        came_from = BROUGHT if brought else link
+        came_from = ANOTHER_BRIDGE if brought else link
         if out and came_from == BUS:
             self._homes[sender] = (BUS, now_s)
         home, heard_s = self._homes.get(sender, (came_from, now_s))

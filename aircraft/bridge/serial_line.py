@@ -8,8 +8,7 @@ import termios
 from aircraft.bridge.address import BAUDS, Address
 from aircraft.bridge.pipe import Reopened
 
-WAITING_S = 0.5
-"""Frames that wait for a slow line are at most this old; the newest are sent."""
+WAITING_S = 0.5  # frames that wait for a slow line are at most this old; the newest are sent
 BITS_PER_BYTE = 10
 LEAST_BYTES = 1024  # room for a few frames on the slowest line
 

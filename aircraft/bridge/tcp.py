@@ -11,8 +11,7 @@ from aircraft.bridge.pipe import Pipe, Reopened
 
 MOST_BYTES = 256 * 1024  # that wait for a connection, seconds of full telemetry
 CONNECT_S = 5.0  # longest time for a server to answer
-GONE_AFTER_S = 10
-"""A connection is lost once the other side has acknowledged nothing for this long."""
+GONE_AFTER_S = 10  # a connection is lost once the other side has acknowledged nothing for this long
 OPTIONS = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 1000 * GONE_AFTER_S}
 """Linux's names; other systems lack some."""
 

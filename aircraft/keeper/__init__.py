@@ -1,5 +1,5 @@
 """The keeper of a real autopilot's link, which brings the vehicle home without the search, and the
 connection to it.
 
-Imports: link, link.bus, link.signing, aircraft, aircraft.bridge, aircraft.remote.
+Imports: link, link.bus, aircraft, aircraft.bridge.
 """

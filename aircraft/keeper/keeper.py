@@ -23,26 +23,25 @@ from aircraft.bridge.address import parse_address
 from aircraft.bridge.endpoints import endpoint_of
 from aircraft.bridge.links import TICK_S, Channel, Hub, Traffic
 from aircraft.bridge.pipe import Pipe
+from aircraft.firmware import ARDUCOPTER, COMING_DOWN, FIRMWARES, stands, unfit
 from aircraft.mode import Mode
-from aircraft.remote.firmware import ARDUCOPTER, FIRMWARES, unfit
 from link.bus.frames import Frame
 from link.bus.log import Log
 from link.bus.tally import Tally
 from link.early import ask_for_stacks
+from link.modes import px4_mode
 
 SILENT_S = 3.0
 """Real time without a HEARTBEAT of the uav after which it counts as silent, whatever the speed-up: its
 loop sends one each second.
 """
 HELD_UP_S = 1.0
-"""Two looks so far apart mean that the keeper itself was held up: that time does not count as silence."""
+"""Two looks this far apart mean that the keeper itself was held up: that time does not count as silence."""
 ARMED_S = 5.0
 """A vehicle that is armed later than this after the uav's last HEARTBEAT has been armed by someone else.
 """
-AGAIN_S = 1.0
-"""How often a vehicle that does not obey is told again, and the uav what has happened."""
-GIVEN_UP_S = 60.0
-"""Without the uav, an autopilot that is not heard for so long is given up."""
+AGAIN_S = 1.0  # how often a vehicle that does not obey is told again, and the uav what has happened
+GIVEN_UP_S = 60.0  # without the uav, an autopilot that is not heard for this long is given up
 WAITING_BYTES = 16384
 """Most bytes that wait for a uav that does not read, twice: a few seconds of telemetry, the newest."""
 OWN = 0
@@ -50,7 +49,6 @@ OWN = 0
 not handed on.
 """
 AUTOPILOT, COMPANION = mavlink.MAV_COMP_ID_AUTOPILOT1, mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
-COMING_DOWN = (Mode.RETURN, Mode.LAND)
 WARNING, CRITICAL, INFO = (
     mavlink.MAV_SEVERITY_WARNING,
     mavlink.MAV_SEVERITY_CRITICAL,
@@ -74,10 +72,8 @@ class Keeper:
         """
         self.system = 0
         """The vehicle's system id: that of its companion, the uav. 0 until the uav has found it."""
-        self.acted = ""
-        """Why it has acted, once it has: from then on nothing of the uav's own is handed on."""
-        self.over = False
-        """Whether there is nothing left to do."""
+        self.acted = ""  # why it has acted, once it has: from then on nothing of the uav's own is handed on
+        self.over = False  # whether there is nothing left to do
         self._send, self._say, self._hangs = send, say, hangs
         self._parser = mavlink.MAVLink(None)
         self._firmware = ARDUCOPTER
@@ -86,7 +82,7 @@ class Keeper:
         self._landed = mavlink.MAV_LANDED_STATE_UNDEFINED
         self._armed = False
         self._ours = False  # whether the uav says that it is in charge
-        self._theirs = False  # whether someone else has changed the mode since
+        self._taken_over = False  # whether someone else has changed the mode since
         self._asked: frozenset[int] = frozenset()
         self._gone = self._told = False
         self._sent_s = -math.inf
@@ -105,7 +101,7 @@ class Keeper:
         if frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._beat_s, self.system = now_s, frame.system or self.system
             ours = self._message(frame).system_status == mavlink.MAV_STATE_ACTIVE
-            self._theirs = self._theirs and ours == self._ours  # it knows best, once it knows
+            self._taken_over = self._taken_over and ours == self._ours  # it knows best, once it knows
             self._ours = ours
         elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
             self._commanded(self._message(frame))
@@ -117,16 +113,12 @@ class Keeper:
 
     def _commanded(self, message: mavlink.MAVLink_command_long_message) -> None:
         """Remember which modes come of what the uav commands."""
-        modes = self._firmware.modes
         if message.command == mavlink.MAV_CMD_NAV_TAKEOFF:
-            climbs = (Mode.OFFBOARD,) if self._firmware.is_ardupilot else (Mode.TAKEOFF, Mode.HOLD)
-            self._asked, self._theirs = frozenset(modes[mode] for mode in climbs), False
+            self._asked, self._taken_over = self._firmware.climbs, False
         elif message.command == mavlink.MAV_CMD_DO_SET_MODE:
             main, sub = int(message.param2), int(message.param3)
-            self._asked, self._theirs = (
-                frozenset({main if self._firmware.is_ardupilot else main << 16 | sub << 24}),
-                False,
-            )
+            mode = main if self._firmware.is_ardupilot else px4_mode(main, sub)
+            self._asked, self._taken_over = frozenset({mode}), False
 
     # ---- the autopilot's side ----
 
@@ -161,12 +153,12 @@ class Keeper:
         self._firmware = FIRMWARES[message.autopilot]
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         if armed != self._armed:
-            self._armed, self._theirs = armed, False
+            self._armed, self._taken_over = armed, False
             self._ours = self._ours and now_s - self._beat_s <= ARMED_S
         mode, before = message.custom_mode, self._mode
         failed = message.system_status >= mavlink.MAV_STATE_CRITICAL > self._status
         if before is not None and mode != before and mode not in self._asked:
-            self._theirs = not (
+            self._taken_over = not (
                 failed and mode in self._firmware.hovers
             )  # a failsafe that only hovers has taken nothing over
         self._mode, self._status = mode, message.system_status
@@ -228,7 +220,7 @@ class Keeper:
     @property
     def _is_in_charge(self) -> bool:
         """Whether nobody else is in charge of a vehicle whose motors turn."""
-        return self._armed and self._ours and not self._theirs
+        return self._armed and self._ours and not self._taken_over
 
     @property
     def _comes_down(self) -> bool:
@@ -236,9 +228,7 @@ class Keeper:
 
     @property
     def _on_ground(self) -> bool:
-        if self._landed != mavlink.MAV_LANDED_STATE_UNDEFINED:
-            return bool(self._landed == mavlink.MAV_LANDED_STATE_ON_GROUND)
-        return self._status in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_UNINIT)
+        return stands(self._landed, self._status)
 
     @property
     def _mode_name(self) -> str:

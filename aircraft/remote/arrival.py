@@ -17,8 +17,7 @@ class ArrivalRule(NamedTuple):
     radius_m: float = 0.3
     speed_mps: float = 0.25
     settle_s: float = 0.3
-    slowest_mps: float = 1.0
-    """A leg that takes longer than at this speed, and `grace_s` more, has failed."""
+    slowest_mps: float = 1.0  # a leg that takes longer than at this speed, and `grace_s` more, has failed
     grace_s: float = 30.0
 
     def deadline_s(self, now_s: float, position: Ned, target: Ned) -> float:
@@ -49,10 +48,8 @@ class Approach:
         return at_s - self._near_since_s >= self._arrival.settle_s
 
 
-SAME_M = 0.1
-"""Targets so near to each other are the same."""
-KEPT = 4
-"""So many of our latest targets may still be read back: a radio link is slow."""
+SAME_M = 0.1  # targets this near to each other are the same
+KEPT = 4  # as many of our latest targets may still be read back: a radio link is slow
 
 
 class Targets:

@@ -12,30 +12,27 @@ from aircraft.state import Ned
 from link.bus.mavlink import Message, elapsed_ms
 
 RESET_M = 1.0
-"""An EKF may reset its position by so much, for instance when it changes to another of its filters: no
+"""An EKF may reset its position by this much, for instance when it changes to another of its filters: no
 glitch.
 """
 ACCELERATION_MPS2 = 5.0
 """Largest acceleration of a multirotor in a search; PX4's limit (MPC_ACC_HOR_MAX), twice ArduCopter's
 (WPNAV_ACCEL).
 """
-SPEED_ERROR = 0.1
-"""Share of the speed by which the reported velocity may be wrong."""
+SPEED_ERROR = 0.1  # share of the speed by which the reported velocity may be wrong
 LARGEST_VARIANCE = {True: 0.8, False: 1.0}
 """Of position or velocity, by whether it is ArduPilot: there FS_EKF_THRESH's default. From 1 on both
 reject what GPS says.
 """
 DOUBTED_S = 1.0
-"""Large variances that last for so long are a glitch; ArduPilot waits as long. Shorter ones only delay a
+"""Large variances that last for this long are a glitch; ArduPilot waits as long. Shorter ones only delay a
 reading.
 """
-SOUND_S = 5.0
-"""A glitch is over when nothing has been wrong for so long."""
-SHIFTED_S = 20.0
-"""The same while the position has not jumped back: most glitches do."""
+SOUND_S = 5.0  # a glitch is over when nothing has been wrong for this long
+SHIFTED_S = 20.0  # the same while the position has not jumped back: most glitches do
 NOTICED_S = 2.0
-"""A glitch may have begun so long before it is noticed: ArduPilot waits for 1 s, telemetry and the EKF add
-a few tenths.
+"""A glitch may begin this long before it is noticed: ArduPilot waits for 1 s, telemetry and the EKF add a
+few tenths.
 """
 BEGINS = re.compile(
     r"gps glitch|ekf variance|ekf primary changed|lane switch|emergency yaw reset|dead reckoning started"
@@ -44,8 +41,7 @@ BEGINS = re.compile(
 )
 """What ArduPilot and PX4 say of a position that they doubt, or take from another filter."""
 ENDS = re.compile(r"glitch cleared|dead reckoning stopped|g(nss|ps) data fusion started", re.IGNORECASE)
-Shift = tuple[float, float]
-"""m north and east."""
+Shift = tuple[float, float]  # m north and east
 
 
 class Fix(NamedTuple):
@@ -71,8 +67,8 @@ def innovation(before: Fix, now: Fix) -> Shift:
 def margin_m(before: Fix, now: Fix) -> float:
     """Return how large an innovation can be without a jump.
 
-    Who speeds up and slows down again between two reports `seconds` apart has flown up to a·seconds²/4
-    further than the velocities tell.
+    A vehicle that speeds up and slows down again between two reports `seconds` apart has flown up to
+    a·seconds²/4 further than the velocities tell.
     """
     seconds = elapsed_ms(before.boot_ms, now.boot_ms) / 1000.0
     speed = max(math.hypot(*fix.velocity[:2]) for fix in (before, now))
@@ -86,24 +82,18 @@ class Glitches:
 
     def __init__(self) -> None:
         """Begin on the ground, with a position that nobody doubts."""
-        self.fix: Fix | None = None
-        """The newest position."""
+        self.fix: Fix | None = None  # the newest position
         self.shift: Shift = (0.0, 0.0)
-        """The sum of the jumps of this flight. The vehicle has not jumped: what lies around it has moved
-        by so much in the EKF's frame.
+        """The sum of the jumps of this flight. The vehicle has not jumped: what lies around it has moved by
+        this much in the EKF's frame.
         """
-        self.began_s = math.inf
-        """When the glitch began that lasts; infinity if none does."""
-        self.read_s = -math.inf
-        """When the last reading was taken."""
-        self.news: list[str] = []
-        """What people are to be told; whoever tells them takes it away."""
+        self.began_s = math.inf  # when the glitch began that lasts; infinity if none does
+        self.read_s = -math.inf  # when the last reading was taken
+        self.news: list[str] = []  # what people are to be told; whoever tells them takes it away
         self._flies = False
         self._number = self._suspect = 0  # of glitches in flight, and of readings just before one
-        self._wrong_s, self._doubted_s = (
-            -math.inf,
-            math.inf,
-        )  # when anything was wrong last; since when variances have been too large
+        self._wrong_s = -math.inf  # when anything was wrong last
+        self._doubted_s = math.inf  # since when variances have been too large
 
     # ---- what the vehicle says ----
 
@@ -137,29 +127,19 @@ class Glitches:
         """Take an EKF_STATUS_REPORT or ESTIMATOR_STATUS: its flag for a glitch, and how little EKF and GPS
         agree.
         """
-        if is_ardupilot:
-            flag, velocity, position = (
-                mavlink.EKF_GPS_GLITCHING,
-                message.velocity_variance,
-                message.pos_horiz_variance,
-            )
-        else:
-            flag, velocity, position = (
-                mavlink.ESTIMATOR_GPS_GLITCH,
-                message.vel_ratio,
-                message.pos_horiz_ratio,
-            )
+        flag, velocity, position = (
+            (mavlink.EKF_GPS_GLITCHING, message.velocity_variance, message.pos_horiz_variance)
+            if is_ardupilot
+            else (mavlink.ESTIMATOR_GPS_GLITCH, message.vel_ratio, message.pos_horiz_ratio)
+        )
         largest = LARGEST_VARIANCE[is_ardupilot]
         doubted = velocity >= largest or position >= largest  # NaN is not
         self._doubted_s = min(self._doubted_s, now_s) if doubted else math.inf
         if message.flags & flag:
             self._wrong(now_s, now_s, "the autopilot flags it")
         elif now_s - self._doubted_s >= DOUBTED_S:
-            self._wrong(
-                now_s,
-                self._doubted_s,
-                f"the EKF's variance is {velocity:.1f} for the velocity, {position:.1f} for the position",
-            )
+            why = f"the EKF's variance is {velocity:.1f} for the velocity, {position:.1f} for the position"
+            self._wrong(now_s, self._doubted_s, why)
         elif doubted:
             self._wrong_s = now_s
 

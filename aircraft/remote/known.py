@@ -8,22 +8,19 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.remote.firmware import ARDUCOPTER, ESTIMATES, FIRMWARES, Firmware
+from aircraft.firmware import ARDUCOPTER, ESTIMATES, FIRMWARES, Firmware, stands
+from aircraft.mode import Mode
 from aircraft.remote.glitches import Fix, Glitches
-from aircraft.state import ZERO, Ned
+from aircraft.state import ZERO, Ned, as_float32
 from link.bus.mavlink import Message, Texts
 from plume.geodesy import home_from
 
-LOST_S = 3.0
-"""Time without a HEARTBEAT after which the link counts as lost; it comes once a second."""
-STALE_S = 1.0
-"""Time after which a position is too old to act on."""
-NEW_BOOT_MS = 2000
-"""A clock that goes back by more than this has begun anew."""
+LOST_S = 3.0  # time without a HEARTBEAT after which the link counts as lost; it comes once a second
+STALE_S = 1.0  # time after which a position is too old to act on
+NEW_BOOT_MS = 2000  # a clock that goes back by more than this has begun anew
 BREACH = re.compile("breach|geofence|fence violation", re.IGNORECASE)
 """What an autopilot's text on a geofence says."""
-OVER = re.compile("clear|recover|deactivated", re.IGNORECASE)
-"""What a text on a breach that is over says."""
+OVER = re.compile("clear|recover|deactivated", re.IGNORECASE)  # what a text on a breach that is over says
 INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8,
     mavlink.MAV_PARAM_TYPE_INT8,
@@ -32,8 +29,7 @@ INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT32,
     mavlink.MAV_PARAM_TYPE_INT32,
 }
-Global = tuple[float, float, float]
-"""Latitude and longitude in degrees, altitude above sea in m."""
+Global = tuple[float, float, float]  # latitude and longitude in degrees, altitude above sea in m
 
 
 @dataclass
@@ -50,52 +46,39 @@ class Known:
     custom_mode: int = 0
     armed: bool = False
     status: int = mavlink.MAV_STATE_UNINIT
-    heard_s: float = -math.inf
-    """When the last HEARTBEAT came."""
+    heard_s: float = -math.inf  # when the last HEARTBEAT came
+    critical_s: float = -math.inf  # when its status last rose to critical, or above
     position: Ned = ZERO
     velocity: Ned = ZERO
     position_s: float = -math.inf
-    position_ms: int = 0
-    """The autopilot's clock at the position."""
-    glitches: Glitches = field(default_factory=Glitches)
-    """Whether that position can be trusted."""
+    position_ms: int = 0  # the autopilot's clock at the position
+    glitches: Glitches = field(default_factory=Glitches)  # whether that position can be trusted
+    flags: int = 0  # ESTIMATOR_STATUS_FLAGS, or EKF_STATUS_FLAGS, whose first bits mean the same
     origin: Global | None = None
     home: Global | None = None
     home_s: float = -math.inf
-    flags: int = 0
-    """ESTIMATOR_STATUS_FLAGS, or EKF_STATUS_FLAGS, whose first bits mean the same."""
-    healthy: bool = True
-    """False while SYS_STATUS says that a check before arming fails."""
-    battery: float = math.nan
-    """0 to 1; NaN where the autopilot does not know."""
+    target: Ned | None = None  # the position that it says it flies to
     landed: int = mavlink.MAV_LANDED_STATE_UNDEFINED
+    healthy: bool = True  # False while SYS_STATUS says that a check before arming fails
+    battery: float = math.nan  # 0 to 1; NaN where the autopilot does not know
     wind: tuple[float, float] | None = None
     """(u cos φ, u sin φ) m/s, x east, y north, to where the wind comes from; None where the autopilot does
     not tell.
     """
-    wind_s: float = -math.inf
-    """When it last told of a wind, or that it does not know it."""
-    target: Ned | None = None
-    """The position that it says it flies to."""
-    breach_s: float = -math.inf
-    """When it last said that the geofence is breached."""
-    critical_s: float = -math.inf
-    """When its status last rose to critical, or above."""
-    breached_s: float = -math.inf
-    """When a breach last began, or a text last said so."""
+    wind_s: float = -math.inf  # when it last told of a wind, or that it does not know it
+    breach_s: float = -math.inf  # when it last said that the geofence is breached
+    breached_s: float = -math.inf  # when a breach last began, or a text last said so
     texts: list[tuple[int, str]] = field(default_factory=list)
     """STATUSTEXTs since they were last taken: severity and text."""
     warnings: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=20))
     """The latest texts that warn, with their times."""
     parameters: dict[str, float] = field(default_factory=dict)
-    boot_ms: int = 0
-    """The autopilot's clock when it last told its position or attitude."""
-    boots: int = 0
-    """How often that clock has begun anew."""
-    came_s: dict[int, float] = field(default_factory=dict)
-    """When each message type last came, by its number."""
+    boot_ms: int = 0  # the autopilot's clock when it last told its position or attitude
+    boots: int = 0  # how often that clock has begun anew
+    came_s: dict[int, float] = field(default_factory=dict)  # when each message type last came, by number
     _texts: Texts = field(default_factory=Texts)
     _breach: tuple[int, int] = (0, 0)  # whether the fence is breached, and how often it was
+    _corner: Ned = ZERO  # of the search area; known once home and origin are
 
     def take(self, message: Message, now_s: float) -> None:
         """Take a message of this vehicle's autopilot."""
@@ -103,10 +86,7 @@ class Known:
         match message.get_type():
             case "HEARTBEAT":
                 self.firmware = FIRMWARES[message.autopilot]
-                if (
-                    message.system_status > self.status
-                    and message.system_status >= mavlink.MAV_STATE_CRITICAL
-                ):
+                if message.system_status >= max(self.status + 1, mavlink.MAV_STATE_CRITICAL):
                     self.critical_s = now_s
                 self.custom_mode, self.status = message.custom_mode, message.system_status
                 self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
@@ -114,10 +94,8 @@ class Known:
             case "LOCAL_POSITION_NED":
                 self._tick(message.time_boot_ms)
                 position, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
-                finite = all(
-                    map(math.isfinite, (*position, *velocity))
-                )  # an EKF that has lost itself sends NaN
-                self.glitches.flies(self.armed and not self.on_ground)
+                self.glitches.flies(self.flying)
+                finite = all(map(math.isfinite, (*position, *velocity)))  # a lost EKF sends NaN
                 if finite and self.glitches.moved(Fix(message.time_boot_ms, position, velocity), now_s):
                     self.position, self.velocity, self.position_s = position, velocity, now_s
                     self.position_ms = message.time_boot_ms
@@ -134,13 +112,13 @@ class Known:
                 self.flags = message.flags
                 self.glitches.judge(message, self.firmware.is_ardupilot, now_s)
             case "SYS_STATUS":
-                self.battery = (
-                    message.battery_remaining / 100.0 if 0 <= message.battery_remaining <= 100 else math.nan
+                left, check = message.battery_remaining, mavlink.MAV_SYS_STATUS_PREARM_CHECK
+                self.battery = left / 100.0 if 0 <= left <= 100 else math.nan
+                checks, passes = (
+                    message.onboard_control_sensors_present,
+                    message.onboard_control_sensors_health,
                 )
-                check = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-                self.healthy = not message.onboard_control_sensors_present & check or bool(
-                    message.onboard_control_sensors_health & check
-                )
+                self.healthy = not checks & check & ~passes
             case "EXTENDED_SYS_STATE":
                 self.landed = message.landed_state
             case "WIND_COV":
@@ -190,10 +168,8 @@ class Known:
         if text is None:
             return
         self.glitches.hear(text, now_s)
-        if not OVER.search(text):
-            self.breach_s, self.breached_s = (
-                (now_s, now_s) if BREACH.search(text) else (self.breach_s, self.breached_s)
-            )
+        if BREACH.search(text) and not OVER.search(text):
+            self.breach_s = self.breached_s = now_s
         if message.severity <= mavlink.MAV_SEVERITY_NOTICE:
             self.warnings.append((now_s, text))
         self.texts.append((message.severity, text))
@@ -231,6 +207,7 @@ class Known:
         """Return what is missing to know where it and the area are, and how to get it; empty if nothing
         is.
         """
+        asked = "though it is asked for (MAV_CMD_REQUEST_MESSAGE):"
         if self.lost(now_s):
             return "no HEARTBEAT"
         if not self.trusts_place(now_s):
@@ -239,15 +216,9 @@ class Known:
                 "with a fix?"
             )
         if self.origin is None:
-            return (
-                "no GPS_GLOBAL_ORIGIN, though it is asked for (MAV_CMD_REQUEST_MESSAGE): without it the "
-                "area has no place"
-            )
+            return f"no GPS_GLOBAL_ORIGIN, {asked} without it the area has no place"
         if self.home is None:
-            return (
-                "no HOME_POSITION, though it is asked for (MAV_CMD_REQUEST_MESSAGE): set home from a "
-                "ground station"
-            )
+            return f"no HOME_POSITION, {asked} set home from a ground station"
         return ""
 
     @property
@@ -259,6 +230,32 @@ class Known:
             return ""
         return "a check before arming fails: the autopilot's texts, or a ground station, say which"
 
+    # ---- where the search area is ----
+
+    def place_area(self) -> None:
+        """Place the area at home, once that is known."""
+        if self.origin is not None and self.home is not None:
+            self._corner = self.to_home()
+
+    @property
+    def _area_at(self) -> Ned:
+        """The area's corner. When the position jumps, it moves as well: the vehicle, and the area, have
+        stayed.
+        """
+        north, east, down = self._corner
+        return north + self.glitches.shift[0], east + self.glitches.shift[1], down
+
+    @property
+    def place(self) -> Ned:
+        """Where it says it is, m from the area's corner, as float32."""
+        north, east, down = (at - corner for at, corner in zip(self.position, self._area_at, strict=True))
+        return as_float32((north, east, down))
+
+    def in_ekf_frame(self, place: Ned) -> Ned:
+        """Return where a place in the area is, m from the EKF's origin."""
+        north, east, down = (at + corner for at, corner in zip(place, self._area_at, strict=True))
+        return north, east, down
+
     def to_home(self) -> Ned:
         """Return where home is in the EKF's frame. Raises ValueError before both are known."""
         if self.origin is None or self.home is None:
@@ -268,11 +265,19 @@ class Known:
     @property
     def on_ground(self) -> bool:
         """Whether it stands on the ground, as far as it says."""
-        if self.landed != mavlink.MAV_LANDED_STATE_UNDEFINED:
-            return bool(self.landed == mavlink.MAV_LANDED_STATE_ON_GROUND)
-        return self.status in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_UNINIT)
+        return stands(self.landed, self.status)
 
     @property
-    def failsafe(self) -> bool:
-        """Whether a failsafe of its own has struck."""
-        return self.armed and self.status >= mavlink.MAV_STATE_CRITICAL
+    def flying(self) -> bool:
+        """Whether it is armed and in the air."""
+        return self.armed and not self.on_ground
+
+    @property
+    def reported(self) -> Mode | None:
+        """The mode of the search that it is in; None for one that only pilots fly."""
+        return self.firmware.reports.get(self.custom_mode)
+
+    @property
+    def mode_name(self) -> str:
+        """The autopilot's name of the mode that it is in."""
+        return self.firmware.mode_name(self.custom_mode)

@@ -27,8 +27,7 @@ from link.bus.mavlink import Codec, Message, gas_message
 from link.bus.session import Arrival, Bus
 from link.signing.signer import Signing
 
-BEAT_S = 1.0
-"""Real time between two HEARTBEATs of the search."""
+BEAT_S = 1.0  # real time between two HEARTBEATs of the search
 COMMANDS = {mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT}
 SETPOINTS = {
     mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED,
@@ -46,8 +45,7 @@ CHANGES = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
 }
 """Commands of which a change of the flight mode may come."""
-POSED, KEYS = "in the vehicle's name", "with a key"
-"""Kinds of clients' frames that are dropped."""
+POSED, KEYS = "in the vehicle's name", "with a key"  # kinds of clients' frames that are dropped
 
 
 class RealClients:
@@ -147,9 +145,7 @@ class RealClients:
             return
         if frame.system == system and frame.component in (AUTOPILOT, SEARCH):
             tally.refuse(POSED)
-        elif (
-            frame.message_id == SETUP_SIGNING
-        ):  # a key that came over a safe link must not leave by another one
+        elif frame.message_id == SETUP_SIGNING:  # a key from a safe link must not leave by another one
             tally.refuse(KEYS)
         elif target_system and target_component == SEARCH:
             if frame.message_id in COMMANDS:

@@ -9,18 +9,13 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from aircraft.config import AircraftConfig
 from aircraft.remote.commander import Steps
-from aircraft.remote.known import Known
 from aircraft.remote.procedures import ENDED, Procedures
 from aircraft.remote.safety import ASKED, Check, Verdict, checks
 from aircraft.state import LOW_BATTERY, VehicleFailed
 
-READY_S = 3.0
-"""The battery, and whether it would arm, are waited for so long once its place is known."""
+READY_S = 3.0  # the battery, and whether it would arm, are waited for this long once its place is known
+REFUSED_S = 10.0  # a refusal to arm comes with warnings, which are told for this long
 SYS_STATUS = mavlink.MAVLINK_MSG_ID_SYS_STATUS
-
-
-REFUSED_S = 10.0
-"""A refusal to arm comes with warnings, which are told for so long."""
 UNANSWERED = "the payload has not answered yet whether it measures the wind"
 READING = "its parameters are being read"
 WAITING = "Waiting for the autopilot: "
@@ -37,18 +32,13 @@ class Preflight:
         wait_s: real time in which the search has to begin; launched: whether a launcher starts the
         services, and waits for them itself.
         """
-        self.has_read = False
-        """Whether the vehicle has been found and its parameters have been read."""
-        self._flight, self._config = flight, config
+        self.has_read = False  # whether the vehicle has been found and its parameters have been read
+        self._flight, self._known, self._config = flight, flight.known, config
         self._wait_s, self._launched = wait_s, launched
         self._since_s = 0.0
         self._steps: Steps[None] | None = None
         self._wind: Check | None = None
         self._known_all = self._told = False
-
-    @property
-    def _known(self) -> Known:
-        return self._flight.known
 
     @property
     def missing(self) -> str:
@@ -93,7 +83,7 @@ class Preflight:
 
     def _read(self) -> Steps[None]:
         commander, known = self._flight.commander, self._known
-        yield from commander.read_parameters(ASKED[self._flight.firmware.name])
+        yield from commander.read_parameters(ASKED[known.firmware.name])
         self.has_read = True
         yield from commander.until(lambda: not known.unplaced(commander.now_s), math.inf)
         yield from commander.until(
@@ -109,17 +99,13 @@ class Preflight:
         if self._wind and self._wind.verdict is Verdict.FORBIDS:
             raise VehicleFailed(self._wind.text)
         why = [waits_for.removeprefix(WAITING)]
-        if self._flight.arming:
+        if absent:
+            services = f"no {', '.join(sorted(absent))}: the first lines of this log say how to start it"
+            why = [self.missing, "" if self._launched else services]
+        elif self._flight.arming:
             why.append(self._known.warned(self._flight.now_s - REFUSED_S))
         elif self._known.armed:
             why.append("the search begins when the vehicle stands disarmed")
-        if absent:
-            why = [
-                self.missing,
-                ""
-                if self._launched
-                else f"no {', '.join(sorted(absent))}: the first lines of this log say how to start it",
-            ]
         if not any(why):
             self._since_s = self._flight.now_s
         elif self._flight.now_s - self._since_s >= self._wait_s * self._flight.commander.speedup:
@@ -132,56 +118,47 @@ class Preflight:
     # ---- the list ----
 
     def _tell(self) -> None:
-        checks, self._told = [] if self._told else self._checks(), True
-        for check in checks:
-            severity = (
-                mavlink.MAV_SEVERITY_INFO if check.verdict is Verdict.OK else mavlink.MAV_SEVERITY_WARNING
-            )
-            self._flight.say(severity, str(check))
+        """Tell the list, once."""
+        lines, self._told = [] if self._told else self._checks(), True
+        for line in lines:
+            ok = line.verdict is Verdict.OK
+            self._flight.say(mavlink.MAV_SEVERITY_INFO if ok else mavlink.MAV_SEVERITY_WARNING, str(line))
 
     def _checks(self) -> list[Check]:
-        flight, known, config = self._flight, self._known, self._config
-        system, missing = flight.commander.system, known.unplaced(flight.now_s)
+        known, config, system = self._known, self._config, self._flight.commander.system
         if not system:
             return [Check("vehicle", Verdict.FORBIDS, self.missing)]
-        side, mode = f"{config.area_m:g}", flight.firmware.mode_name(known.custom_mode)
-        place = Check("position and home", Verdict.FORBIDS, missing)
-        if known.home and not missing:
+        side, found = f"{config.area_m:g}", f"{known.firmware.name}, system {system}, in {known.mode_name}"
+        place = Check("position and home", Verdict.FORBIDS, known.unplaced(self._flight.now_s))
+        if known.home and not place.text:
             (north, east, _), (lat, lon, _) = known.to_home(), known.home
             where = (
                 f"the area of {side} m x {side} m lies north and east of home, {lat:.7f}, {lon:.7f}; "
                 f"home is ({north:.2f}, {east:.2f}) m north, east of the EKF's origin"
             )
             place = Check("position and home", Verdict.OK, where)
-        return [
-            Check("vehicle", Verdict.OK, f"{flight.firmware.name}, system {system}, in {mode}"),
-            place,
-            self._battery,
-            *[
-                Check(about, Verdict.FORBIDS, why)
-                for about, why in (("arming", known.unready), ("pilot", self._pilot))
-                if why
-            ],
-            self._wind or Check("wind", Verdict.FORBIDS, UNANSWERED),
-            *checks(flight.firmware, known.parameters, system, config.area_m, config.takeoff_altitude_m),
-        ]
+        lines = [Check("vehicle", Verdict.OK, found), place, self._battery]
+        for about, why in (("arming", known.unready), ("pilot", self._pilot)):
+            lines += [Check(about, Verdict.FORBIDS, why)] * bool(why)
+        lines.append(self._wind or Check("wind", Verdict.FORBIDS, UNANSWERED))
+        return lines + checks(
+            known.firmware, known.parameters, system, config.area_m, config.takeoff_altitude_m
+        )
 
     @property
     def _pilot(self) -> str:
         """Whose choice of mode on the ground is waited for; empty if nobody's."""
-        flight, mode = self._flight, self._known.custom_mode
-        if not flight.theirs or mode == flight.start:
+        known, start = self._known, self._flight.start
+        if not self._flight.taken_over or known.custom_mode == start:
             return ""
-        name = flight.firmware.mode_name
-        return f"a pilot has chosen {name(mode)}; {name(flight.start)} gives the vehicle to the search"
+        gives = known.firmware.mode_name(start)
+        return f"a pilot has chosen {known.mode_name}; {gives} gives the vehicle to the search"
 
     @property
     def _battery(self) -> Check:
-        left = self._known.battery
+        left, low = self._known.battery, f"is below {LOW_BATTERY:.0%}: charge or change it"
         if math.isnan(left):
             return Check("battery", Verdict.WARNS, "not known: the autopilot does not say how much is left")
         if left < LOW_BATTERY:
-            return Check(
-                "battery", Verdict.FORBIDS, f"{left:.0%} is below {LOW_BATTERY:.0%}: charge or change it"
-            )
+            return Check("battery", Verdict.FORBIDS, f"{left:.0%} {low}")
         return Check("battery", Verdict.OK, f"{left:.0%}")

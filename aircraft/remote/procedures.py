@@ -6,29 +6,24 @@ import math
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from aircraft.firmware import COMING_DOWN
 from aircraft.mode import Mode
 from aircraft.operator import NO_ANSWER
 from aircraft.remote.arrival import Targets
 from aircraft.remote.commander import Commander, Steps
-from aircraft.remote.firmware import Firmware
 from aircraft.remote.known import Known
-from aircraft.state import ACCEPTED, Led, Result, Said
+from aircraft.state import Led, Result, Said
 
-ARMING_S, ARM_AGAIN_S = 60.0, 3.0
-"""A refused arming is tried again for so long, so often."""
-HOME_S = 3.0
-"""Longest wait for the home that arming sets."""
-LIFT_OFF_S = 12.0
-"""A vehicle that has not left the ground by then has disarmed itself."""
+ARMING_S, ARM_AGAIN_S = 60.0, 3.0  # a refused arming is tried again every ARM_AGAIN_S, for at most ARMING_S
+HOME_S = 3.0  # longest wait for the home that arming sets
+LIFT_OFF_S = 12.0  # a vehicle that has not left the ground by then has disarmed itself
 SLOWEST_CLIMB_MPS, CLIMB_GRACE_S = 0.5, 20.0
-NEAR_TAKEOFF_M = 0.5
-"""A take-off has ended this near to its altitude."""
-WARM_UP_S = 1.5
-"""Setpoints stream for so long before OFFBOARD is asked for; PX4 wants a second."""
+NEAR_TAKEOFF_M = 0.5  # a take-off has ended this near to its altitude
+WARM_UP_S = 1.5  # setpoints stream for this long before OFFBOARD is asked for; PX4 wants a second
 MODE_TRIES = 5
 AGAIN_S = 1.0
 ASKED_S = 3.0
-"""A change so soon after a client has asked for one is the client's: a HEARTBEAT comes once a second."""
+"""A change this soon after a client has asked for one is the client's: a HEARTBEAT comes once a second."""
 ENDED = object()
 
 
@@ -39,32 +34,27 @@ class Procedures:
         """Begin with nothing to do."""
         self.commander = commander
         self.known: Known = commander.known
-        self.events: list[Said | Led] = []
-        """What people are told."""
+        self.events: list[Said | Led] = []  # what people are told
+        self.failure = ""  # why the mission has failed, once it has
+        self.targets = Targets()
+        self.procedure: Steps[None] | None = None  # what is being done, until it ends
         self.doing: Mode | None = None
         """The mode of the search that a procedure is about to reach; None if none runs."""
         self.arming = False
-        self.targets = Targets()
-        self.theirs = False
-        """True since someone else has changed the mode or the target: a pilot, or the autopilot by itself.
-
-        A flight of theirs that ends in RTL, LAND or BRAKE leaves a free vehicle.
-        """
-        self.taken_s = -math.inf
-        """When someone else last changed it so."""
-        self.taken_from_us = self.taken_by_client = False
-        """Whether it was ours before that, and whether a client of ours had asked for it."""
+        self.streams = False  # whether setpoints are to go out
         self.begun = False
         """Whether we have begun this flight: one that was under way before us, or begins after ours, is
         someone else's.
         """
         self.armed_by_us = False
-        self.streams = False
-        """Whether setpoints are to go out."""
-        self.failure = ""
-        """Why the mission has failed, once it has."""
-        self.procedure: Steps[None] | None = None
-        """What is being done, until it ends."""
+        self.taken_over = False
+        """Whether someone else has changed the mode or the target: a pilot, or the autopilot by itself.
+
+        A flight of theirs that ends in RTL, LAND or BRAKE leaves a free vehicle.
+        """
+        self.taken_s = -math.inf  # when someone else last changed it so
+        self.taken_from_us = False  # whether it was ours before that
+        self.taken_by_client = False  # whether a client of ours had asked for it
         self._client, self._client_s = "", -math.inf
         self._asked: set[int] = set()
         self._mode: int | None = None
@@ -79,29 +69,20 @@ class Procedures:
         return self.commander.now_s
 
     @property
-    def firmware(self) -> Firmware:
-        """Which autopilot it is."""
-        return self.known.firmware
-
-    @property
-    def flying(self) -> bool:
-        """Whether it is armed and in the air."""
-        return self.known.armed and not self.known.on_ground
-
-    @property
     def in_charge(self) -> bool:
         """Whether the flight is ours, and nobody has taken it over."""
-        return self.begun and not self.theirs
+        return self.begun and not self.taken_over
 
     @property
     def start(self) -> int:
         """The custom mode in which it is armed."""
-        return self.firmware.modes[Mode.OFFBOARD if self.firmware.is_ardupilot else Mode.HOLD]
+        firmware = self.known.firmware
+        return firmware.modes[Mode.OFFBOARD if firmware.is_ardupilot else Mode.HOLD]
 
     @property
     def guided(self) -> int:
         """The custom mode in which it follows a companion."""
-        return self.firmware.modes[Mode.OFFBOARD]
+        return self.known.firmware.modes[Mode.OFFBOARD]
 
     def poll(self, now_s: float) -> None:
         """Take what the vehicle has said, and go on with what it is told. Raises VehicleFailed if it is no
@@ -113,17 +94,14 @@ class Procedures:
             self.go_on()
 
     def _hear(self, now_s: float) -> None:
-        self.commander.quiet = self.begun and self.theirs
+        self.commander.quiet = self.begun and self.taken_over
         self.commander.in_charge = self.in_charge
         self.commander.poll(now_s)
         for text in self.commander.ignored:
             self.say(mavlink.MAV_SEVERITY_WARNING, text)
         self.commander.ignored.clear()
         if (reason := self.commander.radio.sent_home) and reason != self._sent_home:
-            self._sent_home, self._asked = (
-                reason,
-                {self.firmware.modes[mode] for mode in (Mode.RETURN, Mode.LAND)},
-            )
+            self._sent_home, self._asked = reason, self._numbers(*COMING_DOWN)
             self.failure = reason  # what else has failed since it hung comes of that
             self.say(mavlink.MAV_SEVERITY_CRITICAL, reason)
             self._stop()
@@ -135,7 +113,8 @@ class Procedures:
     def go_on(self) -> None:
         """Go on with what is being done."""
         steps = self.procedure
-        if _ended(steps) and self.procedure is steps:  # it may have begun another
+        ended = steps is None or next(steps, ENDED) is ENDED
+        if ended and self.procedure is steps:  # it may have begun another
             self._stop()
         self.begun = self.begun and (self.known.armed or self.procedure is not None)
         self.streams = self.streams and self.begun
@@ -154,25 +133,23 @@ class Procedures:
 
     def _watch_mode(self) -> None:
         """See who has changed the mode."""
-        mode, before = self.known.custom_mode, self._mode
-        landed, self._was_armed = self._was_armed and not self.known.armed, self.known.armed
-        if self.known.boots != self._boots:
-            self._boots, self.theirs = self.known.boots, False
+        known = self.known
+        mode, before, self._mode = known.custom_mode, self._mode, known.custom_mode
+        landed, self._was_armed = self._was_armed and not known.armed, known.armed
+        if known.boots != self._boots:
+            self._boots, self.taken_over = known.boots, False
             self._stop()
-            where = " in flight" if self._flew else ""
-            self.say(mavlink.MAV_SEVERITY_WARNING, f"{self.firmware.name} has started again{where}")
-            self.failure = self.failure or (where and f"{self.firmware.name} has started again{where}")
-        if self.known.armed:
-            self._flew = self.flying
-        self._mode = mode
+            what = f"{known.firmware.name} has started again{' in flight' * self._flew}"
+            self.say(mavlink.MAV_SEVERITY_WARNING, what)
+            self.failure = self.failure or what * self._flew
+        if known.armed:
+            self._flew = known.flying
         if before is not None and mode != before:
             self.targets.begin()
-            if self.theirs or mode not in self._asked:
-                self._taken(self.firmware.mode_name(mode))
-        if (
-            landed and not self.begun and mode in self.firmware.reports
-        ):  # what a flight left behind, not a pilot's choice
-            self.theirs = False
+            if self.taken_over or mode not in self._asked:
+                self._give_way(known.mode_name)
+        if landed and not self.begun and known.reported:  # what a flight left behind, not a pilot's choice
+            self.taken_over = False
 
     def _watch_target(self) -> None:
         """See whether the autopilot flies to someone else's target: in GUIDED a ground station's go-to
@@ -180,23 +157,22 @@ class Procedures:
 
         PX4 changes its mode for a go-to. What streams setpoints beside us is not told apart there.
         """
-        if (
-            self.known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED) != self.now_s
-            or not self.firmware.is_ardupilot
-        ):
+        known = self.known
+        came_s = known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED)
+        if came_s != self.now_s or not known.firmware.is_ardupilot:
             return
-        if not self.flying:
+        if not known.flying:
             self.targets.begin()
-        ours = self.targets.takes(self.known.target)
-        follows = self.known.custom_mode == self.guided and self.doing in (None, Mode.TAKEOFF, Mode.OFFBOARD)
+        ours = self.targets.takes(known.target)
+        follows = known.custom_mode == self.guided and self.doing in (None, Mode.TAKEOFF, Mode.OFFBOARD)
         if not ours and follows and self.in_charge:
-            self._taken(f"{self.firmware.mode_name(self.guided)} to another target")
+            self._give_way(f"{known.mode_name} to another target")
 
-    def _taken(self, how: str) -> None:
-        """Give way: from now on nothing of ours goes out."""
+    def _give_way(self, how: str) -> None:
+        """Note that someone else leads: from now on nothing of ours goes out."""
         asked = self.now_s - self._client_s <= ASKED_S
         self.taken_from_us, self.taken_by_client = self.in_charge, asked
-        self.theirs, self.taken_s, self.streams = True, self.now_s, False
+        self.taken_over, self.taken_s, self.streams = True, self.now_s, False
         self._stop()
         self.events.append(Led(self.now_s, how, self._client if asked else ""))
 
@@ -209,28 +185,34 @@ class Procedures:
     def _stop(self) -> None:
         self.procedure, self.doing, self.arming = None, None, False
 
-    def begin(self, procedure: Steps[None], doing: Mode | None, *asked: int) -> None:
+    def begin(self, procedure: Steps[None], doing: Mode | None, asked: set[int]) -> None:
         """Do something instead of what was being done; `asked`: the custom modes that come of it."""
         self.procedure, self.doing, self.arming = procedure, doing, False
-        self.theirs, self.begun, self.streams = False, True, False
-        self._asked = {*asked}
+        self.taken_over, self.begun, self.streams = False, True, False
+        self._asked = asked
 
     def fail(self, reason: str) -> None:
         """Give the mission up: a vehicle in the air flies home."""
         self.failure = self.failure or reason
         self.say(mavlink.MAV_SEVERITY_CRITICAL, reason)
         self._stop()
-        if self.flying and self.in_charge:
+        if self.known.flying and self.in_charge:
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "Returning home")
             self.go_home()
-        elif self.known.armed and not self.flying:
+        elif self.known.armed and not self.known.flying:
             self.commander.send(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+
+    def fail_and_land(self, reason: str) -> None:
+        """Give the mission up, and land on the spot: there is no position to return by."""
+        self.failure = self.failure or reason
+        self.say(mavlink.MAV_SEVERITY_CRITICAL, f"{self.failure}: landing")
+        self.land()
 
     # ---- procedures ----
 
     def arm(self) -> None:
         """Arm, in the mode from which it takes off."""
-        self.begin(self._arm(), None, self.start)
+        self.begin(self._arm(), None, {self.start})
         self.arming = True
 
     def _arm(self) -> Steps[None]:
@@ -248,116 +230,94 @@ class Procedures:
                 self.fail(reason)
                 return
             self.say_once(mavlink.MAV_SEVERITY_WARNING, f"{reason}; tried again")
-            yield from self._wait(ARM_AGAIN_S)
+            yield from self.commander.wait(ARM_AGAIN_S)
 
     def take_off(self, altitude_m: float) -> None:
         """Climb straight up to an altitude above home."""
-        modes = self.firmware.modes
-        asked = (
-            {modes[Mode.OFFBOARD]} if self.firmware.is_ardupilot else {modes[Mode.TAKEOFF], modes[Mode.HOLD]}
-        )
-        self.begin(self._take_off(altitude_m), Mode.TAKEOFF, *asked)
+        self.begin(self._take_off(altitude_m), Mode.TAKEOFF, {*self.known.firmware.climbs})
 
     def _take_off(self, altitude_m: float) -> Steps[None]:
         """ArduPilot takes an altitude above home, and a NaN ends it; PX4 one above sea, and NaN for what
         it shall not change.
         """
-        armed_s = self.now_s
+        known, armed_s = self.known, self.now_s
         self.commander.send(mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_HOME_POSITION))
         yield from self.commander.until(
-            lambda: self.known.home_s > armed_s, self.commander.patient(HOME_S)
+            lambda: known.home_s > armed_s, self.commander.patient(HOME_S)
         )  # arming sets home anew
-        home = self.known.to_home()[2]
-        unset = 0.0 if self.firmware.is_ardupilot else math.nan
-        assert self.known.home
-        above = altitude_m + (0.0 if self.firmware.is_ardupilot else self.known.home[2])
+        home_m = known.to_home()[2]
+        assert known.home
+        above_sea_m = altitude_m + known.home[2]
+        unset, above = (0.0, altitude_m) if known.firmware.is_ardupilot else (math.nan, above_sea_m)
         climb = (mavlink.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, unset, unset, unset, above)
-        result = yield from self.commander.command(*climb, seen=lambda: self.flying, within_s=LIFT_OFF_S)
+        result = yield from self.commander.command(*climb, seen=lambda: known.flying, within_s=LIFT_OFF_S)
         if not result.accepted:
-            self.fail(
-                f"Take-off refused: {result.reason}"
-                if self.known.armed
-                else "Take-off failed: the motors have stopped"
-            )
+            stopped = "Take-off failed: the motors have stopped"
+            self.fail(f"Take-off refused: {result.reason}" if known.armed else stopped)
             return
 
         def height_m() -> float:
-            return home - self.known.position[2]
+            return home_m - known.position[2]
 
         most_s = altitude_m / SLOWEST_CLIMB_MPS + CLIMB_GRACE_S
         there = yield from self.commander.until(
-            lambda: height_m() >= altitude_m - NEAR_TAKEOFF_M or not self.known.armed, most_s
+            lambda: height_m() >= altitude_m - NEAR_TAKEOFF_M or not known.armed, most_s
         )
-        if not there or not self.known.armed:
+        if not there or not known.armed:
             self.fail(f"Take-off failed: {height_m():.1f} m reached of {altitude_m:g} m")
 
     def fly(self) -> None:
         """Follow the setpoints, which stream from now on."""
-        self.begin(self._fly(), Mode.OFFBOARD, self.guided)
+        self.begin(self._fly(), Mode.OFFBOARD, {self.guided})
         self.streams = True
 
     def _fly(self) -> Steps[None]:
-        if not self.firmware.is_ardupilot:
-            yield from self._wait(self.commander.patient(WARM_UP_S))
-        result = yield from self._insist(self.guided)
-        if not result.accepted:
-            self.fail(f"{self.firmware.mode_name(self.guided)} refused: {result.reason}")
+        if not self.known.firmware.is_ardupilot:
+            yield from self.commander.wait(self.commander.patient(WARM_UP_S))
+        if refused := (yield from self._insist(self.guided)):
+            self.fail(refused)
 
     def hold(self) -> None:
         """Stop and stay."""
-        self.begin(self._hold(self.firmware.modes[Mode.HOLD]), Mode.HOLD, self.firmware.modes[Mode.HOLD])
+        self.begin(self._hold(), Mode.HOLD, self._numbers(Mode.HOLD))
 
-    def _hold(self, mode: int) -> Steps[None]:
-        result = yield from self._insist(mode)
-        if not result.accepted:
-            self.say(
-                mavlink.MAV_SEVERITY_WARNING, f"{self.firmware.mode_name(mode)} refused: {result.reason}"
-            )
+    def _hold(self) -> Steps[None]:
+        if refused := (yield from self._insist(self.known.firmware.modes[Mode.HOLD])):
+            self.say(mavlink.MAV_SEVERITY_WARNING, refused)
 
     def go_home(self) -> None:
         """Return and land."""
-        self._come_down(Mode.RETURN)
+        self.begin(self._until_down(Mode.RETURN), Mode.RETURN, self._numbers(*COMING_DOWN))
 
     def land(self) -> None:
         """Land on the spot."""
-        self._come_down(Mode.LAND)
-
-    def _come_down(self, mode: Mode) -> None:
-        self.begin(
-            self._until_down(mode), mode, self.firmware.modes[Mode.RETURN], self.firmware.modes[Mode.LAND]
-        )
+        self.begin(self._until_down(Mode.LAND), Mode.LAND, self._numbers(*COMING_DOWN))
 
     def _until_down(self, mode: Mode) -> Steps[None]:
         """Insist for ever: nobody else is in charge. A return that is refused becomes a landing."""
+        modes = self.known.firmware.modes
         while True:
-            result = yield from self._change(self.firmware.modes[mode])
+            result = yield from self._change(modes[mode])
             if not result.accepted and mode is Mode.RETURN and result.reason != NO_ANSWER:
                 self.say_once(mavlink.MAV_SEVERITY_CRITICAL, f"Return refused: {result.reason}; landing")
-                result = yield from self._change(self.firmware.modes[Mode.LAND])
+                result = yield from self._change(modes[Mode.LAND])
             if result.accepted or not self.known.armed:
                 return
-            yield from self._wait(AGAIN_S)
+            yield from self.commander.wait(AGAIN_S)
 
-    def _insist(self, mode: int) -> Steps[Result]:
+    def _insist(self, mode: int) -> Steps[str]:
+        """Ask for a mode MODE_TRIES times; returns that it is refused, and why, if it is."""
         for _ in range(MODE_TRIES):
             result = yield from self._change(mode)
             if result.accepted:
-                return ACCEPTED
-            yield from self._wait(AGAIN_S)
-        return result
+                return ""
+            yield from self.commander.wait(AGAIN_S)
+        return f"{self.known.firmware.mode_name(mode)} refused: {result.reason}"
 
     def _change(self, mode: int) -> Steps[Result]:
-        number = mavlink.MAV_CMD_DO_SET_MODE
-        return (
-            yield from self.commander.command(
-                number, *self.firmware.params(mode), seen=lambda: self.known.custom_mode == mode
-            )
-        )
+        known, number = self.known, mavlink.MAV_CMD_DO_SET_MODE
+        params = known.firmware.params(mode)
+        return (yield from self.commander.command(number, *params, seen=lambda: known.custom_mode == mode))
 
-    def _wait(self, seconds: float) -> Steps[None]:
-        yield from self.commander.until(lambda: False, seconds)
-
-
-def _ended(steps: Steps[None] | None) -> bool:
-    """Resume a procedure; returns whether there is nothing left to do."""
-    return steps is None or next(steps, ENDED) is ENDED
+    def _numbers(self, *modes: Mode) -> set[int]:
+        return {self.known.firmware.modes[mode] for mode in modes}

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from aircraft.keeper.connection import Connection
     from aircraft.remote.vehicle import RemoteVehicle
 
-CRITICAL, WARNING = 2, 4
-"""Of MAV_SEVERITY."""
+CRITICAL, WARNING = 2, 4  # of MAV_SEVERITY
 LEAVE_S, LEAVE_POLL_S = 8.0, 0.02
 """Longest real time in which a real vehicle is told to return home when this program ends; a launcher
 waits for 11 s.

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from aircraft.remote.firmware import Firmware
+from aircraft.firmware import Firmware
 
 ESTIMATES = {
     "ArduCopter": ("EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y", "EK3_DRAG_MCOEF"),
@@ -44,19 +44,18 @@ ASKED = {
 """The parameters to read. ArduPilot 4.7 calls SYSID_MYGCS MAV_GCS_SYSID, and up to MAV_GCS_SYSID_HI all
 are ground stations.
 """
-OFFBOARD_LOSS = {
-    0: "POSITION",
-    1: "ALTITUDE",
-    2: "STABILIZED",
-    3: "RETURN",
-    4: "LAND",
-    5: "HOLD",
-    6: "TERMINATE",
-    7: "DISARM",
-}
-BY_HAND = {0, 1, 2}
-"""What COM_OBL_RC_ACT chooses that a pilot flies: without one PX4 goes on to RETURN."""
-OFFBOARD_EXCEPTED = 4
+OFFBOARD_LOSS = (
+    "POSITION, without a pilot to RETURN",
+    "ALTITUDE, without a pilot to RETURN",
+    "STABILIZED, without a pilot to RETURN",
+    "RETURN",
+    "LAND",
+    "HOLD",
+    "TERMINATE",
+    "DISARM",
+)
+"""What COM_OBL_RC_ACT chooses. A mode that a pilot flies becomes RETURN without one."""
+OFFBOARD_EXCEPTED = 4  # bit of COM_RCL_EXCEPT
 LOW_BATTERY_ACTIONS = {
     "BATT_FS_LOW_ACT": {
         1: "LAND",
@@ -70,17 +69,15 @@ LOW_BATTERY_ACTIONS = {
     "COM_LOW_BAT_ACT": {1: "RETURN", 2: "LAND", 3: "RETURN, and LAND when it is nearly empty"},
 }
 """What each parameter chooses; 0 is nothing."""
-FENCE_ALTITUDE, FENCE_CIRCLE = 1, 2
-"""Bits of FENCE_TYPE."""
+FENCE_ALTITUDE, FENCE_CIRCLE = 1, 2  # bits of FENCE_TYPE
 
 
 class Verdict(enum.Enum):
-    """What a line of the list says."""
+    """What a line of the list says. `FORBIDS`: there is no flight until it is mended."""
 
     OK = "ok"
     WARNS = "warning"
     FORBIDS = "not ok"
-    """There is no flight until it is."""
 
 
 class Check(NamedTuple):
@@ -101,50 +98,38 @@ def checks(
     """Return what the parameters say of a flight by a companion of a system, over an area of this side, at
     this height.
     """
-    lost = _if_killed_arducopter(parameters, system) if firmware.is_ardupilot else _if_killed_px4(parameters)
+    lost = (
+        [_if_killed_arducopter(parameters, system)] if firmware.is_ardupilot else _if_killed_px4(parameters)
+    )
     return [*lost, _low_battery(firmware, parameters), *_fence(firmware, parameters, side_m, height_m)]
 
 
-def _if_killed_arducopter(parameters: Mapping[str, float], system: int) -> list[Check]:
-    about = "if this computer fails"
+def _if_killed_arducopter(parameters: Mapping[str, float], system: int) -> Check:
     enabled = parameters.get("FS_GCS_ENABLE")
     station = parameters.get("SYSID_MYGCS", parameters.get("MAV_GCS_SYSID", 255.0))
+    last = max(station, parameters.get("MAV_GCS_SYSID_HI", 0.0))
+    verdict = Verdict.WARNS
     if enabled is None:
-        return [Check(about, Verdict.WARNS, "not known: FS_GCS_ENABLE could not be read")]
-    if enabled == 0:
-        return [
-            Check(
-                about,
-                Verdict.WARNS,
-                "FS_GCS_ENABLE is 0: in flight the vehicle hovers until its battery is low",
-            )
-        ]
-    if not int(station) <= system <= int(max(station, parameters.get("MAV_GCS_SYSID_HI", 0.0))):
-        return [
-            Check(
-                about,
-                Verdict.WARNS,
-                f"FS_GCS watches system {station:.0f}, not this program, {system}: in flight the vehicle "
-                "hovers",
-            )
-        ]
-    after_s = parameters.get("FS_GCS_TIMEOUT", 5.0)
-    return [Check(about, Verdict.OK, f"FS_GCS acts after {after_s:g} s (FS_GCS_ENABLE {enabled:.0f})")]
+        text = "not known: FS_GCS_ENABLE could not be read"
+    elif enabled == 0:
+        text = "FS_GCS_ENABLE is 0: in flight the vehicle hovers until its battery is low"
+    elif not int(station) <= system <= int(last):
+        who = f"system {station:.0f}, not this program, {system}"
+        text = f"FS_GCS watches {who}: in flight the vehicle hovers"
+    else:
+        after_s, verdict = parameters.get("FS_GCS_TIMEOUT", 5.0), Verdict.OK
+        text = f"FS_GCS acts after {after_s:g} s (FS_GCS_ENABLE {enabled:.0f})"
+    return Check("if this computer fails", verdict, text)
 
 
 def _if_killed_px4(parameters: Mapping[str, float]) -> list[Check]:
-    about = "if this computer fails"
-    action, after_s = parameters.get("COM_OBL_RC_ACT"), parameters.get("COM_OF_LOSS_T", math.nan)
+    about, action = "if this computer fails", parameters.get("COM_OBL_RC_ACT")
     if action is None:
         said = [Check(about, Verdict.WARNS, "not known: COM_OBL_RC_ACT could not be read")]
     else:
-        mode = OFFBOARD_LOSS.get(int(action), f"{action:.0f}")
-        else_return = ", without a pilot to RETURN" if int(action) in BY_HAND else ""
-        said = [
-            Check(
-                about, Verdict.OK, f"PX4 changes to {mode}{else_return} after {after_s:g} s (COM_OBL_RC_ACT)"
-            )
-        ]
+        mode = dict(enumerate(OFFBOARD_LOSS)).get(int(action), f"{action:.0f}")
+        after_s = parameters.get("COM_OF_LOSS_T", math.nan)
+        said = [Check(about, Verdict.OK, f"PX4 changes to {mode} after {after_s:g} s (COM_OBL_RC_ACT)")]
     if parameters.get("NAV_DLL_ACT", 0.0) > 0:
         said.append(
             Check("ground station", Verdict.WARNS, "NAV_DLL_ACT is above 0: PX4 does not arm without one")
@@ -157,21 +142,16 @@ def _if_killed_px4(parameters: Mapping[str, float]) -> list[Check]:
 
 
 def _low_battery(firmware: Firmware, parameters: Mapping[str, float]) -> Check:
-    about, name = "on low battery", "BATT_FS_LOW_ACT" if firmware.is_ardupilot else "COM_LOW_BAT_ACT"
-    if (action := parameters.get(name)) is None:
-        return Check(about, Verdict.WARNS, f"not known: {name} could not be read")
-    if action == 0:
-        return Check(
-            about,
-            Verdict.WARNS,
-            f"{name} is 0: the autopilot only warns, and this program alone returns home",
-        )
-    return Check(
-        about,
-        Verdict.OK,
-        f"the autopilot changes to {LOW_BATTERY_ACTIONS[name].get(int(action), 'a mode of its own')} "
-        f"({name})",
-    )
+    name = "BATT_FS_LOW_ACT" if firmware.is_ardupilot else "COM_LOW_BAT_ACT"
+    action, verdict = parameters.get(name), Verdict.WARNS
+    if action is None:
+        text = f"not known: {name} could not be read"
+    elif action == 0:
+        text = f"{name} is 0: the autopilot only warns, and this program alone returns home"
+    else:
+        mode, verdict = LOW_BATTERY_ACTIONS[name].get(int(action), "a mode of its own"), Verdict.OK
+        text = f"the autopilot changes to {mode} ({name})"
+    return Check("on low battery", verdict, text)
 
 
 def _fence(

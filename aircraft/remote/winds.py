@@ -9,8 +9,7 @@ from enum import Enum
 from aircraft.remote.safety import ESTIMATES, Check, Verdict
 from plume.world import float32
 
-Wind = tuple[float, float]
-"""(u cos φ, u sin φ) m/s: points to where the wind comes from."""
+Wind = tuple[float, float]  # (u cos φ, u sin φ) m/s: points to where the wind comes from
 WANTED = (
     "SPEED,FROM: m/s from 0 to 100, and the direction that it comes from in degrees within ±360, "
     "clockwise from north"
@@ -62,8 +61,7 @@ class Winds:
         """
         self.source: WindSource | None = None
         """Of the last reading, before the first that of the flight; None until it is decided."""
-        self.news: list[str] = []
-        """What people are to be told; whoever tells them takes it away."""
+        self.news: list[str] = []  # what people are to be told; whoever tells them takes it away
         self._given, self._scenario = given, scenario
 
     def asked(self, estimated: Wind | None) -> Wind | None:

@@ -223,7 +223,7 @@ def test_a_pilot_who_flies_it_when_the_uav_hangs_is_left_alone(kind: str) -> Non
 def test_a_uav_that_has_given_way_in_guided_leaves_the_vehicle_to_its_pilot_also_when_it_hangs() -> None:
     kept = Kept("ardupilot")
     on_the_way(kept)
-    kept.vehicle.flight.theirs = True  # a ground station has sent another target: no mode has changed
+    kept.vehicle.flight.taken_over = True  # a ground station has sent another target: no mode has changed
     kept.run(0.2)
     kept.hangs(30.0)
     assert kept.ap.mode == "GUIDED"

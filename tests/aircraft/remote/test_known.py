@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from aircraft.remote.firmware import ARDUCOPTER, PX4, unfit
+from aircraft.firmware import ARDUCOPTER, PX4, unfit
 from aircraft.remote.known import Known
 
 ORIGIN = mavlink.MAVLink_gps_global_origin_message(473977419, 85455938, 488_000, 0)

@@ -4,7 +4,7 @@ battery low, and the fence.
 
 import pytest
 
-from aircraft.remote.firmware import ARDUCOPTER, PX4
+from aircraft.firmware import ARDUCOPTER, PX4
 from aircraft.remote.safety import Check, Verdict, checks
 
 HOVERS = {"FS_GCS_ENABLE": 0.0, "SYSID_MYGCS": 255.0}

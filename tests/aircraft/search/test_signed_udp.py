@@ -106,14 +106,16 @@ def test_only_who_signs_is_heard_and_answered_and_the_answer_is_signed(
     assert list(log.tally.refused.values()) == [1, 1]
 
 
-def test_a_radio_is_let_through_but_nobody_becomes_a_peer_by_it(
+def test_a_radio_is_not_refused_but_nobody_becomes_a_peer_by_it(
     link: UdpPorts, caller: Callable[[], socket.socket], log: Log
 ) -> None:
-    stranger = caller()
+    stranger, station = caller(), caller()
     stranger.send(frame(0, RADIO))
-    assert received(link).get_type() == "RADIO_STATUS"
-    link.ports[0].send(mavlink.MAVLink_ping_message(0, 1, 0, 0))
+    station.send(signed(frame(1), KEY, 0, clock()))
+    assert received(link).seq == 1
+    link.ports[0].send(mavlink.MAVLink_ping_message(0, 2, 0, 0))
     assert heard(stranger) == []
+    assert len(heard(station)) == 1
     link.tick(time.monotonic())
     assert not log.tally.refused
 

@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from aircraft.mode import Mode
 from link.modes import MEANINGS, mode_name
 
+COMING_DOWN = (Mode.RETURN, Mode.LAND)
 ESTIMATES = mavlink.ESTIMATOR_POS_HORIZ_ABS
 """Flag of EKF_STATUS_REPORT (193) and ESTIMATOR_STATUS (230): the absolute horizontal position is good."""
 
@@ -17,17 +18,17 @@ class Firmware(NamedTuple):
     """One autopilot firmware."""
 
     name: str
-    autopilot: int
-    """HEARTBEAT's autopilot."""
-    modes: dict[Mode, int]
-    """The HEARTBEAT's custom_mode to ask for, for each mode of the search."""
-    reports: dict[int, Mode]
-    """The mode of the search that a custom_mode is; one that is not here only pilots fly."""
-    hovers: frozenset[int]
-    """Custom modes in which it stays in the air for as long as nobody asks for another."""
-    streams: dict[int, float]
-    """Messages to ask for, and their rates in Hz."""
+    autopilot: int  # HEARTBEAT's
+    modes: dict[Mode, int]  # the HEARTBEAT's custom_mode to ask for, for each mode of the search
+    climbs: frozenset[int]  # the custom modes that come of a take-off
+    hovers: frozenset[int]  # custom modes in which it stays in the air for as long as nobody asks for another
+    streams: dict[int, float]  # messages to ask for, and their rates in Hz
     is_ardupilot: bool
+
+    @property
+    def reports(self) -> dict[int, Mode]:
+        """The mode of the search that a custom_mode is; one that is not here only pilots fly."""
+        return REPORTS[self.autopilot]
 
     def params(self, custom_mode: int) -> tuple[float, float, float]:
         """Return params 1 to 3 of MAV_CMD_DO_SET_MODE (176)."""
@@ -56,15 +57,11 @@ def _rates(*more: int) -> dict[int, float]:
     return usual | dict.fromkeys(more, 5.0)
 
 
-def _reports(autopilot: int) -> dict[int, Mode]:
-    return {number: Mode[name] for number, name in MEANINGS[autopilot].items()}
-
-
 ARDUCOPTER = Firmware(
     "ArduCopter",
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
     {Mode.OFFBOARD: 4, Mode.HOLD: 17, Mode.RETURN: 6, Mode.LAND: 9},
-    _reports(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA),
+    frozenset({4}),
     frozenset({4, 17}),
     _rates(
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
@@ -77,13 +74,16 @@ PX4 = Firmware(
     "PX4",
     mavlink.MAV_AUTOPILOT_PX4,
     {mode: mode.custom_mode for mode in (Mode.TAKEOFF, Mode.HOLD, Mode.RETURN, Mode.LAND, Mode.OFFBOARD)},
-    _reports(mavlink.MAV_AUTOPILOT_PX4),
+    frozenset({Mode.TAKEOFF.custom_mode, Mode.HOLD.custom_mode}),
     frozenset({Mode.HOLD.custom_mode, Mode.OFFBOARD.custom_mode}),
     _rates(mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS, mavlink.MAVLINK_MSG_ID_WIND_COV),
     is_ardupilot=False,
 )
-FIRMWARES = {firmware.autopilot: firmware for firmware in (ARDUCOPTER, PX4)}
-"""By HEARTBEAT's autopilot."""
+REPORTS = {
+    autopilot: {number: Mode[name] for number, name in meanings.items()}
+    for autopilot, meanings in MEANINGS.items()
+}
+FIRMWARES = {firmware.autopilot: firmware for firmware in (ARDUCOPTER, PX4)}  # by HEARTBEAT's autopilot
 COPTERS = {
     mavlink.MAV_TYPE_QUADROTOR,
     mavlink.MAV_TYPE_COAXIAL,
@@ -105,6 +105,15 @@ def unfit(heartbeat: mavlink.MAVLink_heartbeat_message) -> str:
     if heartbeat.type not in COPTERS:
         return f"vehicle type {_name('MAV_TYPE', heartbeat.type)} cannot hover{wanted}"
     return ""
+
+
+def stands(landed: int, status: int) -> bool:
+    """Return whether a vehicle is on the ground: by its MAV_LANDED_STATE, or if it does not tell that, by its
+    MAV_STATE.
+    """
+    if landed != mavlink.MAV_LANDED_STATE_UNDEFINED:
+        return bool(landed == mavlink.MAV_LANDED_STATE_ON_GROUND)
+    return status in (mavlink.MAV_STATE_STANDBY, mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_UNINIT)
 
 
 def _name(enum: str, number: int) -> str:

@@ -1,0 +1,135 @@
+"""The way to a real vehicle's waypoint: it is sent until the autopilot takes it, and then flown or failed."""
+
+import math
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from aircraft.config import AircraftConfig
+from aircraft.operator import AUTOPILOT
+from aircraft.remote.arrival import Approach, ArrivalRule
+from aircraft.remote.procedures import Procedures
+from aircraft.state import Arrived, Ned, Result, as_float32, denied
+from link.bus.mavlink import POSITION_ONLY
+
+STREAM_HZ = 10.0
+"""Setpoints a second of the vehicle's time to PX4, from before OFFBOARD on. It wants more than 2."""
+SEND_AGAIN_S = 0.5
+"""Time after which ArduPilot is sent a setpoint again that it has not read back; its target stands until
+there is another.
+"""
+INSIDE_M = 0.05  # a reading is taken at least this far inside the area's edge
+IGNORED_M = 0.5  # a target that the autopilot reads back this far from the setpoint is not the setpoint
+IGNORED_S = 5.0  # a setpoint that is not read back for this long is ignored
+COPIES = 5
+"""A setpoint is ignored only once it has been sent this many times: at a high speed-up a lost one is sent
+again late, by the clock of the vehicle.
+"""
+
+
+class Course:
+    """The newest waypoint of a search and the way to it. Places are NED, m from the area's corner."""
+
+    def __init__(self, flight: Procedures, config: AircraftConfig, arrival: ArrivalRule) -> None:
+        """Begin without a waypoint."""
+        self.waypoint: Ned | None = None  # the last accepted one
+        self.heard_s = math.inf  # when it came, or was reached
+        self._flight, self._known, self._commander = flight, flight.known, flight.commander
+        self._config, self._arrival = config, arrival
+        self._approach: Approach | None = None  # until the waypoint is reached
+        self._sent_s = -math.inf
+        self._ignored_since_s = math.inf
+
+    @property
+    def under_way(self) -> bool:
+        """Whether the waypoint is still to be reached."""
+        return self._approach is not None
+
+    def begin(self, wanted: Ned, *, answers: bool) -> Result | None:
+        """Take a waypoint; returns why it is refused. `answers`: it answers a reading.
+
+        The agent answers with the altitude that it has read, which is never exactly the one flown: the
+        search's altitude is kept, or the vehicle would drift up or down from reading to reading. A
+        waypoint on the area's edge is flown a little inside, so that the reading is taken inside, wherever
+        around it the vehicle comes to rest.
+        """
+        wanted = as_float32(wanted)
+        if outside := self._config.outside(wanted):
+            return denied(f"Waypoint refused: {outside[1]}", outside[0])
+        inset_m = self._arrival.radius_m + INSIDE_M
+        north, east = (min(max(along_m, inset_m), self._config.area_m - inset_m) for along_m in wanted[:2])
+        down = -self._config.takeoff_altitude_m if answers else wanted[2]
+        if answers or (north, east, down) != self.waypoint:
+            self.waypoint = as_float32((north, east, down))
+        now_s = self.heard_s = self._commander.now_s
+        deadline_s = self._arrival.deadline_s(now_s, self._known.place, self.waypoint)
+        deadline_s = max(deadline_s, now_s + 2 * COPIES * self._commander.patient(SEND_AGAIN_S))
+        if self._approach is None or answers or self._approach.target != self.waypoint:
+            self._approach = Approach(self._arrival, self.waypoint, deadline_s)
+            self._ignored_since_s = math.inf
+        self._approach.deadline_s = deadline_s
+        self._sent_s = -math.inf
+        self.send()
+        return None
+
+    def again(self) -> None:
+        """Let the next arrival be at the same waypoint: a reading was in vain."""
+        assert self.waypoint
+        deadline_s = self._arrival.deadline_s(self._commander.now_s, self._known.place, self.waypoint)
+        self._approach = Approach(self._arrival, self.waypoint, deadline_s)
+
+    def send(self) -> None:
+        """Send the waypoint while it is flown: to PX4 all the time, to ArduPilot until it reads it back.
+
+        A stream would hide the target of a ground station, which is the pilot's.
+        """
+        flight, now_s, is_ardupilot = self._flight, self._commander.now_s, self._known.firmware.is_ardupilot
+        every_s = self._commander.patient(SEND_AGAIN_S) if is_ardupilot else 1.0 / STREAM_HZ
+        if not flight.streams or self.waypoint is None or now_s - self._sent_s < every_s:
+            return
+        place = self._known.in_ekf_frame(self.waypoint)
+        if is_ardupilot and (self._known.custom_mode != flight.guided or flight.targets.has(place)):
+            return  # PX4 wants them before it takes OFFBOARD
+        self._sent_s = now_s
+        flight.targets.send(place)
+        self._commander.radio.send(
+            mavlink.MAVLink_set_position_target_local_ned_message(
+                round(now_s * 1000) & 0xFFFFFFFF,
+                self._commander.system,
+                AUTOPILOT,
+                mavlink.MAV_FRAME_LOCAL_NED,
+                POSITION_ONLY,
+                *place,
+                *[0.0] * 8,
+            )
+        )
+
+    def look(self) -> Arrived | None:
+        """Judge the way by what the vehicle says; returns its arrival. If it fails, so does the flight."""
+        approach, known, now_s = self._approach, self._known, self._commander.now_s
+        if approach is None:
+            return None
+        place = known.place
+        if known.lost(now_s) or known.glitches.lasts(now_s):  # nothing can be said about it meanwhile
+            deadline_s = self._arrival.deadline_s(now_s, place, approach.target)
+            approach.deadline_s = max(approach.deadline_s, deadline_s)
+        at_s, trusted = known.position_ms / 1000.0, known.trusts_place(now_s)
+        if approach.arrived(at_s, place, known.velocity, trusted):
+            self._approach, self.heard_s, known.glitches.read_s = None, now_s, now_s
+            return Arrived(now_s, place, known.position_ms)
+        waypoint = f"Waypoint ({approach.target[1]:.2f}, {approach.target[0]:.2f}) m"
+        if self._is_ignored(approach.target):
+            self._flight.fail(f"{waypoint} is ignored by the autopilot: is it outside its geofence?")
+        elif now_s > approach.deadline_s:
+            away_m = math.dist(place, approach.target)
+            self._flight.fail(f"{waypoint} not reached in time: {away_m:.1f} m away")
+        return None
+
+    def _is_ignored(self, target: Ned) -> bool:
+        """Whether ArduPilot reads back another target: it ignores what it does not take without a word."""
+        known, now_s = self._known, self._commander.now_s
+        said_s = known.came_s.get(mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED, -math.inf)
+        reads_back = known.firmware.is_ardupilot and now_s - said_s <= known.stale_s
+        taken = known.target and math.dist(known.target, known.in_ekf_frame(target)) <= IGNORED_M
+        self._ignored_since_s = min(self._ignored_since_s, now_s) if reads_back and not taken else math.inf
+        longest_s = max(IGNORED_S, COPIES * self._commander.patient(SEND_AGAIN_S))
+        return now_s - self._ignored_since_s > longest_s
