@@ -17,14 +17,11 @@ from sitl.autopilot.services import available_modes
 from sitl.autopilot.telemetry import Telemetry
 from sitl.autopilot.vehicle import Vehicle
 
-FORCE = 21196.0
-"""MAVLink's magic number: as param 2 of MAV_CMD_COMPONENT_ARM_DISARM (400) it forces a disarm in the air."""
-TAKE_OFF_WITHIN_M = 0.1
-"""A take-off so little below the lowest is raised without a word, as in PX4."""
+FORCE = 21196.0  # MAVLink's magic number: as param 2 it forces a disarm in the air
+TAKE_OFF_WITHIN_M = 0.1  # a take-off so little below the lowest is raised without a word, as in PX4
 SPEEDS = {0.0: "MPC_XY_CRUISE", 1.0: "MPC_XY_CRUISE", 2.0: "MPC_Z_VEL_MAX_UP", 3.0: "MPC_Z_VEL_MAX_DN"}
 """The parameter that MAV_CMD_DO_CHANGE_SPEED (178) changes, by its SPEED_TYPE."""
-UNCHANGED = -1.0
-"""As a speed or as the number of an item: leave it as it is."""
+UNCHANGED = -1.0  # as a speed or as the number of an item: leave it as it is
 
 
 class Params(NamedTuple):

@@ -18,8 +18,7 @@ TINY = 1e-9
 """A target nearer than this (m) counts as reached, a vehicle slower than this (m/s) as at rest: its
 direction would be 0/0.
 """
-SAME_ROOT = 1e-6
-"""A root of a polynomial with a smaller imaginary part is real, but for rounding."""
+SAME_ROOT = 1e-6  # a root of a polynomial with a smaller imaginary part is real, but for rounding
 
 
 class Limits(NamedTuple):

@@ -31,14 +31,10 @@ from sitl.autopilot.motion import (
 )
 from sitl.autopilot.setpoint import Setpoint
 
-SAME_PLACE_M = 1e-6
-"""A vehicle this close to where it shall be is there."""
-CREEP_MPS = 1e-3
-"""A component of a velocity below this counts as 0: a float32 yaw turns a velocity along an edge by that."""
-ROUNDING_M = 1e-12
-"""By how much rounding may put a vehicle over an edge."""
-ROUNDING = 1e-12
-"""A coefficient that is smaller than the largest by this factor is 0, but for rounding."""
+SAME_PLACE_M = 1e-6  # a vehicle this close to where it shall be is there
+CREEP_MPS = 1e-3  # a component below this counts as 0: a float32 yaw turns a velocity by that little
+ROUNDING_M = 1e-12  # by how much rounding may put a vehicle over an edge
+ROUNDING = 1e-12  # a coefficient that is smaller than the largest by this factor is 0, but for rounding
 
 
 class Box(NamedTuple):
@@ -278,8 +274,7 @@ class Companion:
     def __init__(self) -> None:
         """Begin unheard."""
         self.setpoint: Setpoint | None = None
-        self.is_own_search = False
-        """True while the vehicle's own search leads: it answers readings, and need not stream."""
+        self.is_own_search = False  # the vehicle's own search leads: it answers readings, and need not stream
         self._heard_s = self._before_s = -math.inf  # the newest setpoint, and the one before
 
     def hear(self, setpoint: Setpoint, now_s: float) -> None:

@@ -17,17 +17,10 @@ from sitl.autopilot.services import Microservice, Reply, Request
 from sitl.autopilot.vehicle import Vehicle
 
 REAL, INT = mavlink.MAV_PARAM_TYPE_REAL32, mavlink.MAV_PARAM_TYPE_INT32
-FORMS = {REAL: "<f", INT: "<i"}
-"""How a value lies in the four bytes of a message: PX4 packs integers bytewise, not as a number that is
-rounded to a float.
-"""
+FORMS = {REAL: "<f", INT: "<i"}  # of the four bytes of a message: PX4 packs integers bytewise
 EXT_REAL = mavlink.MAV_PARAM_EXT_TYPE_REAL32
-NEVER = -1.0
-"""PX4's value of a time that never comes; the vehicle's is infinite."""
-HASH = "_HASH_CHECK"
-"""PX4's pseudo-parameter: a checksum of all parameters. A station that holds them already need not read
-them.
-"""
+NEVER = -1.0  # PX4's value of a time that never comes; the vehicle's is infinite
+HASH = "_HASH_CHECK"  # PX4's checksum of all parameters: a station that holds them need not read them
 NO_INDEX = 0xFFFF
 
 
@@ -35,8 +28,7 @@ class Parameter(NamedTuple):
     """A parameter, with the field of `VehicleConfig` that it sets, or, if it is fixed, with its value."""
 
     name: str
-    kind: int
-    """MAV_PARAM_TYPE."""
+    kind: int  # MAV_PARAM_TYPE
     about: str
     field: str = ""
     low: float = 0.0

@@ -48,11 +48,9 @@ FENCE_ACTIONS = {
 class Breaches(NamedTuple):
     """How often and when the fence was left."""
 
-    outside: bool = False
-    """True while the vehicle is outside."""
+    outside: bool = False  # true while the vehicle is outside
     times: int = 0
-    last_s: float = 0.0
-    """Time of the last breach; 0 if there was none."""
+    last_s: float = 0.0  # time of the last breach; 0 if there was none
 
 
 class State(NamedTuple):
@@ -70,19 +68,12 @@ class State(NamedTuple):
     yaw_rate: float
     mode: Mode
     armed: bool
-    landed_state: int
-    """MAV_LANDED_STATE."""
+    landed_state: int  # MAV_LANDED_STATE
     failsafe: bool
-    battery: float
-    """Remaining charge, 0 to 1."""
-    fit: bool
-    """False if the battery is empty or the vehicle is falling: it then cannot be armed."""
-    target: Ned
-    """Where the current path ends."""
-    cruise: Ned | None = None
-    """The velocity that a companion asks for, within the limits; None on the way to a position or while it
-    asks for an acceleration.
-    """
+    battery: float  # remaining charge, 0 to 1
+    fit: bool  # false if the battery is empty or the vehicle is falling: it then cannot be armed
+    target: Ned  # where the current path ends
+    cruise: Ned | None = None  # the velocity that a companion asks for, within the limits, if it asks for one
     mission: MissionProgress = MissionProgress()
     breaches: Breaches = Breaches()
 
