@@ -17,7 +17,6 @@ from sitl.autopilot.motion import (
     Limits,
     Motion,
     Phase,
-    Spin,
     Trajectory,
     Turn,
     along,
@@ -27,6 +26,7 @@ from sitl.autopilot.motion import (
     real_roots,
     stretches,
     times,
+    turn,
     wrapped,
 )
 from sitl.autopilot.setpoint import Setpoint
@@ -249,17 +249,17 @@ def _accelerate(velocity: Ned, acceleration: Ned, limits: Limits) -> Push:
     return Push((north, east, down), t_s, along(velocity, (north, east, down), t_s))
 
 
-def facing(turn: Turn | Spin, t_s: float, setpoint: Setpoint, config: VehicleConfig) -> Turn | Spin:
+def facing(now: Turn, t_s: float, setpoint: Setpoint, config: VehicleConfig) -> Turn:
     """Return how the vehicle turns once it has a setpoint: to its yaw, or at its yaw rate, or not at all."""
-    yaw_rad, most = turn.at(t_s)[0], math.radians(config.yaw_rate_dps)
+    yaw_rad, most = now.at(t_s)[0], math.radians(config.yaw_rate_dps)
     if setpoint.yaw_rad is not None:
         wanted = wrapped(setpoint.yaw_rad)
-        is_same = isinstance(turn, Turn) and wanted == turn.target_rad
-        return turn if is_same else Turn(t_s, yaw_rad, wanted, most)
+        return now if wanted == now.target_rad else turn(t_s, yaw_rad, wanted, most)
     rate = min(max(setpoint.yaw_rate_radps or 0.0, -most), most)
-    if rate:
-        return turn if isinstance(turn, Spin) and rate == turn.rate_radps else Spin(t_s, yaw_rad, rate)
-    return turn.stopped(t_s)
+    if rate == 0.0:
+        return now.stopped(t_s)
+    is_same = now.end_s == math.inf and now.rate_radps == rate
+    return now if is_same else Turn(t_s, yaw_rad, rate)
 
 
 # ---- how long it may be silent ----
